@@ -1,0 +1,39 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+package = "kr270_milling"
+
+setup(
+    name=package,
+    version="0.1.0",
+    packages=find_packages(include=[package, package + ".*"]),
+    package_data={package: ["report/*.html"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + package]),
+        ("share/" + package, ["package.xml"]),
+        ("share/" + package + "/config", sorted(glob("config/*"))),
+    ],
+    python_requires=">=3.10",
+    install_requires=[
+        "numpy>=1.24",
+        "scipy>=1.10",
+        "numba>=0.59",
+        "mcap>=1.2",
+        "mcap-ros2-support>=0.5",
+        "PyYAML>=6.0",
+        "matplotlib>=3.6",
+        "Jinja2>=3.1",
+        "rich>=13.0",
+    ],
+    extras_require={
+        "ros": ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"],
+        "test": ["pytest>=7.4", "hypothesis>=6.80", "pin>=2.7", "rosbags>=0.10", "ruff>=0.6"],
+    },
+    zip_safe=False,
+    maintainer="kr270_milling maintainers",
+    maintainer_email="kr270-milling@users.noreply.github.com",
+    description="Predict and compensate the compliance errors of robotic milling (KUKA KR 270), as ROS 2 nodes.",
+    license="Apache-2.0",
+    entry_points={"console_scripts": ["kr270_milling = kr270_milling.cli:main"]},
+)
