@@ -1,0 +1,168 @@
+"""A sampled trajectory of the tool and how a controller runs between its knots.
+
+Convention of ROS joint trajectory controllers: knots without velocities are joined by straight lines, knots with
+velocities by cubic Hermite segments, so a C2 cubic spline given with its knot velocities is run exactly. Orientations
+are joined by the shortest rotation at constant rate (slerp). Before the first and after the last knot the tool rests.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from kr270_milling.errors import MillingError
+
+__all__ = ["Trajectory", "TrajectoryError", "TOOL_DOWN"]
+
+#: tool0 in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
+TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
+
+
+class TrajectoryError(MillingError):
+    """A trajectory that no tool can follow; index is the first offending knot, None where it is not one knot."""
+
+    def __init__(self, reason: str, index: int | None = None):
+        self.reason, self.index = reason, index
+        super().__init__(f"trajectory{'' if index is None else f', knot {index}'}: {reason}")
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Knots of the tool tip frame tool0 over time; arrays become read-only."""
+
+    time_ns: np.ndarray  #: [ns], (n,) int64, strictly increasing from 0
+    position: np.ndarray  #: [m], (n, 3), of tool0 in ``frame``
+    quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tool0 in ``frame``; (4,) holds for all knots
+    velocity: np.ndarray | None = None  #: [m/s], (n, 3), at the knots; None: straight lines between them
+    frame: str = "workpiece"
+
+    def __post_init__(self):
+        time = np.array(self.time_ns)
+        if time.ndim != 1 or time.size < 2 or not np.issubdtype(time.dtype, np.integer):
+            raise TrajectoryError("the times must be a row of at least 2 whole numbers of nanoseconds")
+        time = time.astype(np.int64)
+        if time[0] != 0:
+            raise TrajectoryError(f"the first time is {time[0]} ns, but must be 0", 0)
+        _refuse(np.diff(time, prepend=-1) <= 0, "its time is not later than the one before")
+        quaternion = np.array(self.quaternion, float)
+        if quaternion.shape == (4,):
+            quaternion = np.tile(quaternion, (time.size, 1))
+        quaternion = _rows("quaternion", quaternion, time.size, 4)
+        length = np.linalg.norm(quaternion, axis=1)
+        _refuse(~(np.abs(length - 1) < 1e-3), "its quaternion is not of length 1")
+        self._keep("time_ns", time)
+        self._keep("position", _rows("position", self.position, time.size, 3))
+        self._keep("quaternion", quaternion / length[:, None])
+        if self.velocity is not None:
+            self._keep("velocity", _rows("velocity", self.velocity, time.size, 3))
+
+    def _keep(self, name: str, array: np.ndarray) -> None:
+        array.setflags(write=False)
+        object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return self.time_ns.size
+
+    @property
+    def duration_ns(self) -> int:
+        return int(self.time_ns[-1])
+
+    @property
+    def time(self) -> np.ndarray:
+        """Knot times [s], (n,)."""
+        return self.time_ns * 1e-9
+
+    def sample(self, time_ns) -> np.ndarray:
+        """Position [m], (..., 3), at times [ns] of any shape."""
+        k, u, step = self._locate(time_ns)
+        start, move = self.position[k], self.position[k + 1] - self.position[k]
+        if self.velocity is None:
+            return start + u * move
+        v0, v1 = step * self.velocity[k], step * self.velocity[k + 1]
+        return start + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
+
+    def sample_velocity(self, time_ns) -> np.ndarray:
+        """Velocity [m/s], (..., 3), at times [ns] of any shape; of the later segment where two meet in a corner."""
+        k, u, step = self._locate(time_ns)
+        move = self.position[k + 1] - self.position[k]
+        time = np.asarray(time_ns)[..., None]
+        moving = (time >= 0) & (time <= self.duration_ns)
+        if self.velocity is None:
+            return np.where(moving, move / step, 0.0)
+        v0, v1 = step * self.velocity[k], step * self.velocity[k + 1]
+        return np.where(moving, (v0 + 2 * u * (3 * move - 2 * v0 - v1) + 3 * u**2 * (v0 + v1 - 2 * move)) / step, 0.0)
+
+    def feed(self, time_ns) -> np.ndarray:
+        """Speed of the tool tip [m/s] at times [ns] of any shape."""
+        return np.linalg.norm(self.sample_velocity(time_ns), axis=-1)
+
+    def sample_orientation(self, time_ns) -> np.ndarray:
+        """Quaternions x, y, z, w, (..., 4), at times [ns] of any shape."""
+        k, u, _ = self._locate(time_ns)
+        first, second = self.quaternion[k], self.quaternion[k + 1]
+        cosine = np.sum(first * second, axis=-1, keepdims=True)
+        second = np.where(cosine < 0, -second, second)  # q and -q are one rotation: take the short way
+        sine = np.linalg.norm(second - np.abs(cosine) * first, axis=-1, keepdims=True)
+        angle = np.arctan2(sine, np.abs(cosine))
+        safe = np.where(sine > 1e-9, sine, 1.0)
+        weight = np.where(sine > 1e-9, np.sin(u * angle) / safe, u)
+        other = np.where(sine > 1e-9, np.sin((1 - u) * angle) / safe, 1 - u)
+        mixed = other * first + weight * second
+        return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+
+    def _locate(self, time_ns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Segment (...), place in it in [0, 1] (..., 1), its duration [s] (..., 1)."""
+        time = np.clip(np.asarray(time_ns, np.int64), 0, self.duration_ns)
+        k = np.clip(np.searchsorted(self.time_ns, time, side="right") - 1, 0, len(self) - 2)
+        step_ns = (self.time_ns[k + 1] - self.time_ns[k])[..., None]
+        return k, (time - self.time_ns[k])[..., None] / step_ns, step_ns * 1e-9
+
+    def with_position(self, position, velocity=None) -> Trajectory:
+        """The same times and orientations with other positions [m], (n, 3), and knot velocities [m/s]."""
+        return Trajectory(self.time_ns, position, self.quaternion, velocity, self.frame)
+
+    @classmethod
+    def straight_line(
+        cls, start, direction, length: float, feed_rate: float, knot_period_s: float, quaternion=TOOL_DOWN,
+        frame: str = "workpiece",
+    ) -> Trajectory:  # fmt: skip
+        """Constant feed rate [m/s] over a length [m]: knots at the controller step, the last at the exact end."""
+        direction = np.asarray(direction, float)
+        if not (length > 0 and feed_rate > 0 and knot_period_s > 0 and np.linalg.norm(direction) > 0):
+            raise TrajectoryError("length, feed rate, knot period and direction must be above 0")
+        duration = length / feed_rate
+        knots = math.ceil(duration / knot_period_s - 1e-6)  # a last step of less than 1e-6 periods is rounding
+        time_ns = np.round(np.append(np.arange(knots) * knot_period_s, duration) * 1e9).astype(np.int64)
+        path = np.append(time_ns[:-1] * 1e-9 * feed_rate, length)
+        unit = direction / np.linalg.norm(direction)
+        return cls(time_ns, np.asarray(start, float) + path[:, None] * unit, quaternion, None, frame)
+
+    @classmethod
+    def spline(cls, time_ns, position, quaternion=TOOL_DOWN, ends="natural", frame: str = "workpiece") -> Trajectory:
+        """The C2 cubic spline through the positions [m], (n, 3), as knots with velocities.
+
+        ends: "natural" (no acceleration there), "not-a-knot", "clamped" (at rest), or a pair of end velocities [m/s].
+        """
+        line = cls(time_ns, position, quaternion, None, frame)
+        if not isinstance(ends, str):
+            ends = tuple((1, np.asarray(v, float)) for v in ends)
+        elif ends not in ("natural", "not-a-knot", "clamped"):
+            raise TrajectoryError(f"spline ends are natural, not-a-knot, clamped or two velocities, not {ends}")
+        velocity = CubicSpline(line.time, line.position, axis=0, bc_type=ends)(line.time, 1)
+        return line.with_position(line.position, velocity)
+
+
+def _rows(name: str, array, count: int, width: int) -> np.ndarray:
+    array = np.array(array, float)
+    if array.shape != (count, width):
+        raise TrajectoryError(f"{name} has the shape {array.shape}, but must have {(count, width)}")
+    _refuse(~np.isfinite(array).all(axis=1), f"its {name} is not finite")
+    return array
+
+
+def _refuse(bad: np.ndarray, reason: str) -> None:
+    if bad.any():
+        raise TrajectoryError(reason, int(np.argmax(bad)))
