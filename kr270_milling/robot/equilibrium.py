@@ -1,0 +1,193 @@
+"""Static equilibrium (7)-(10) of [Klimchik2012]: from the wrench to the pose, and from the pose to the wrench.
+
+One virtual spring per joint: the links stand at q + theta when the controller holds q.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kr270_milling.frames import Pose
+from kr270_milling.robot.arm import Arm, Mount
+from kr270_milling.robot.errors import EquilibriumError, UnstableLoadError
+from kr270_milling.robot.kinematics import LinkFrames, check_regular, forward, jacobian_at
+from kr270_milling.robot.loads import GRAVITY, LinkLoads, link_loads, load_hessian, load_torque
+
+__all__ = ["Equilibrium", "equilibrium", "wrench_for_pose"]
+
+RESIDUAL = 1e-9  #: a solved equilibrium is out of balance by no more than this [N m]
+MISPLACED = 1e-12  #: and its pose is off by no more than this [m], [rad]
+ITERATIONS = 25
+#: a larger joint deflection [rad] is believed only when the load path leads there
+LARGE = 0.05
+LEAST_STEP = 1 / 512  #: of the load; a path that needs smaller steps ends at a limit point
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """A loaded arm at rest, one or a batch."""
+
+    wrench: np.ndarray  #: on the tool at the tool point, base axes [N, N m], (..., 6)
+    theta: np.ndarray  #: deflection of the joint springs [rad], (..., 6)
+    posture: np.ndarray  #: q + theta [rad], (..., 6)
+    pose: Pose  #: of the loaded tool0 in base_link
+    jacobian: np.ndarray  #: at the tool point in the loaded posture, (..., 6, 6)
+    hessian: np.ndarray  #: H_theta_theta [N m/rad], (..., 6, 6)
+    residual: np.ndarray  #: largest torque out of balance [N m], (...,)
+    iterations: np.ndarray  #: Newton steps, (...,)
+
+
+def equilibrium(arm: Arm, mount: Mount, q, wrench=None, gravity: bool = True) -> Equilibrium:
+    """The loaded equilibrium of postures q [rad], (..., 6), under wrenches (..., 6): f^-1 of section 5.
+
+    Newton iteration on (7) with its exact derivative K_theta - H (16). Where that fails or ends far away, the load is
+    applied in steps. Raises UnstableLoadError and EquilibriumError.
+    """
+    q, wrench, shape = _flat(q, np.zeros(6) if wrench is None else wrench)
+    loads = link_loads(arm, mount, GRAVITY if gravity else 0.0)
+    theta, residual, count = _newton(arm, mount, q, wrench, loads, np.zeros_like(q))
+    frames = forward(arm, mount, q + theta)
+    doubtful = ~(residual <= RESIDUAL) | ~(np.abs(theta).max(-1) < LARGE)
+    doubtful |= ~_stable(arm, load_hessian(frames, wrench, loads))
+    for i in np.flatnonzero(doubtful):
+        index = tuple(int(k) for k in np.unravel_index(i, shape)) if shape else ()
+        theta[i], residual[i], steps = _by_load_steps(arm, mount, q[i], wrench[i], loads, index)
+        count[i] += steps
+    if doubtful.any():
+        frames = forward(arm, mount, q + theta)
+    solved = _record(wrench, theta, q, frames, loads, residual, count)
+    return solved if shape == q.shape[:1] else _reshaped(solved, shape)
+
+
+def _record(wrench, theta, q, frames: LinkFrames, loads: LinkLoads, residual, iterations) -> Equilibrium:
+    """The record of a solved equilibrium."""
+    jacobian = jacobian_at(frames, frames.tool.position)
+    bent = load_hessian(frames, wrench, loads)
+    return Equilibrium(wrench, theta, q + theta, frames.tool, jacobian, bent, residual, iterations)
+
+
+def _flat(q, other):
+    """q and its partner as (n, 6) each, and the common batch shape."""
+    q, other = np.broadcast_arrays(np.asarray(q, float), np.asarray(other, float))
+    return q.reshape(-1, 6).copy(), other.reshape(-1, 6).copy(), q.shape[:-1]
+
+
+def _reshaped(e: Equilibrium, shape: tuple) -> Equilibrium:
+    pose = Pose(e.pose.position.reshape(shape + (3,)), e.pose.rotation.reshape(shape + (3, 3)))
+    vector, square = shape + (6,), shape + (6, 6)
+    return Equilibrium(e.wrench.reshape(vector), e.theta.reshape(vector), e.posture.reshape(vector), pose,
+                       e.jacobian.reshape(square), e.hessian.reshape(square), e.residual.reshape(shape),
+                       e.iterations.reshape(shape))  # fmt: skip
+
+
+def _newton(arm, mount, q, wrench, loads, theta):
+    """(theta, residual, steps) of each of the (n, 6) problems; a diverged one ends with a large or NaN residual."""
+    theta = theta.copy()
+    residual, count = np.full(len(q), np.inf), np.zeros(len(q), int)
+    todo = np.arange(len(q))
+    for _ in range(ITERATIONS):
+        frames = forward(arm, mount, q[todo] + theta[todo])
+        error = load_torque(frames, wrench[todo], loads) - arm.joint_stiffness * theta[todo]
+        residual[todo] = np.abs(error).max(-1)
+        going = (residual[todo] > RESIDUAL) & (np.abs(theta[todo]).max(-1) < np.pi)
+        if not going.any():
+            break
+        springs = np.diag(arm.joint_stiffness) - load_hessian(frames, wrench[todo], loads)
+        todo = todo[going]
+        theta[todo] += _solve(springs[going], error[going])
+        count[todo] += 1
+    return theta, residual, count
+
+
+def _solve(matrix, right):
+    """Solutions of many small systems; NaN for a singular one, which its caller then finds."""
+    try:
+        return np.linalg.solve(matrix, right[..., None])[..., 0]
+    except np.linalg.LinAlgError:
+        regular = np.abs(np.linalg.det(matrix)) > 0
+        solution = np.full(right.shape, np.nan)
+        solution[regular] = np.linalg.solve(matrix[regular], right[regular, :, None])[..., 0]
+        return solution
+
+
+def _stable(arm: Arm, hessian: np.ndarray) -> np.ndarray:
+    """(n,): whether every small motion is opposed, that is, K_theta - H has a positive symmetric part."""
+    springs = np.diag(arm.joint_stiffness) - hessian
+    springs = springs + np.swapaxes(springs, -1, -2)
+    try:
+        np.linalg.cholesky(springs)
+        return np.ones(len(springs), bool)
+    except np.linalg.LinAlgError:
+        return np.array([np.isfinite(s).all() and np.linalg.eigvalsh(s)[0] > 0 for s in springs])
+
+
+def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
+    """(theta, residual, iterations) of one posture, (6,), its load raised from nothing in adaptive steps."""
+    theta, held, step, count = np.zeros((1, 6)), 0.0, 0.25, 0
+    residual = np.inf
+    while held < 1.0:
+        share = min(1.0, held + step)
+        part = LinkLoads(loads.mass, share * loads.gravity)
+        trial, left, steps = _newton(arm, mount, q[None], share * wrench[None], part, theta)
+        count += int(steps[0])
+        if left[0] <= RESIDUAL and np.abs(trial - theta).max() < LARGE:
+            bent = load_hessian(forward(arm, mount, q + trial), share * wrench[None], part)
+            if not _stable(arm, bent)[0]:
+                springs = np.diag(arm.joint_stiffness) - bent[0]
+                raise UnstableLoadError(share, float(np.linalg.eigvalsh((springs + springs.T) / 2)[0]), index)
+            theta, residual, held, step = trial, left[0], share, 2 * step
+            continue
+        residual, step = left[0], step / 2
+        if step < LEAST_STEP:
+            raise EquilibriumError(float(residual), count, held, index)
+    return theta[0], residual, count
+
+
+def wrench_for_pose(arm: Arm, mount: Mount, q, pose: Pose, gravity: bool = True) -> Equilibrium:
+    """The equilibrium whose loaded tool stands at ``pose`` while the controller holds q: f of section 5.
+
+    Unknown are theta and F of (7). Where (10) keeps the Jacobians from step to step, this takes the whole derivative
+    (16), so that the convergence is quadratic. Raises SingularityError and EquilibriumError.
+    """
+    shape = np.broadcast_shapes(np.shape(q)[:-1], pose.position.shape[:-1])
+    q = np.broadcast_to(np.asarray(q, float), shape + (6,)).reshape(-1, 6)
+    target = Pose(np.broadcast_to(pose.position, shape + (3,)).reshape(-1, 3),
+                  np.broadcast_to(pose.rotation, shape + (3, 3)).reshape(-1, 3, 3))  # fmt: skip
+    loads = link_loads(arm, mount, GRAVITY if gravity else 0.0)
+    theta, wrench = np.zeros_like(q), np.zeros_like(q)
+    for count in range(ITERATIONS + 1):
+        check_regular(arm, q + theta)
+        frames = forward(arm, mount, q + theta)
+        missing = _pose_error(frames.tool, target)
+        balance = load_torque(frames, wrench, loads) - arm.joint_stiffness * theta
+        residual = np.abs(balance).max(-1)
+        going = ~((residual <= RESIDUAL) & (np.abs(missing).max(-1) <= MISPLACED))
+        if not going.any() or count == ITERATIONS:
+            break
+        change = _solve(_system(arm, frames, wrench, loads), np.concatenate([missing, -balance], -1))  # (16)
+        wrench[going] += change[going, :6]
+        theta[going] += change[going, 6:]
+    if going.any():
+        i = int(np.flatnonzero(going)[0])
+        raise EquilibriumError(float(residual[i]), count, 0.0, tuple(int(k) for k in np.unravel_index(i, shape)))
+    solved = _record(wrench, theta, q, frames, loads, residual, np.full(len(q), count))
+    return _reshaped(solved, shape)
+
+
+def _pose_error(now: Pose, target: Pose) -> np.ndarray:
+    """Translation and rotation vector in base axes that are still missing, (n, 6)."""
+    turn = Rotation.from_matrix(target.rotation @ np.swapaxes(now.rotation, -1, -2)).as_rotvec()
+    return np.concatenate([target.position - now.position, turn], -1)
+
+
+def _system(arm: Arm, frames, wrench, loads) -> np.ndarray:
+    """The block matrix of (16), (n, 12, 12)."""
+    jacobian = jacobian_at(frames, frames.tool.position)
+    system = np.zeros(wrench.shape[:-1] + (12, 12))
+    system[..., :6, 6:] = jacobian
+    system[..., 6:, :6] = np.swapaxes(jacobian, -1, -2)
+    system[..., 6:, 6:] = load_hessian(frames, wrench, loads) - np.diag(arm.joint_stiffness)
+    return system

@@ -1,0 +1,75 @@
+"""What an arm refuses; every error carries the numbers of its sentence.
+
+``index`` is the place in the batch of postures or poses, () for a single one.
+"""
+
+from __future__ import annotations
+
+import math
+
+from kr270_milling.errors import MillingError
+
+__all__ = ["ReachError", "JointLimitError", "SingularityError", "UnstableLoadError", "EquilibriumError"]
+
+
+def _place(index) -> str:
+    return f" (pose {', '.join(str(i) for i in index)})" if index else ""
+
+
+class ReachError(MillingError):
+    """The wrist centre is too far from axis 2 or too near to it; distance [m], reach = (least, largest) [m]."""
+
+    def __init__(self, distance: float, reach: tuple[float, float], index: tuple = ()):
+        self.distance, self.reach, self.index = distance, reach, index
+        super().__init__(
+            f"the wrist centre would be {distance:.4f} m from axis 2, but the arm reaches from {reach[0]:.4f} m "
+            f"to {reach[1]:.4f} m{_place(index)}"
+        )
+
+
+class JointLimitError(MillingError):
+    """A joint would leave its range; joint counts from 1, angle and limits [rad]."""
+
+    def __init__(self, joint: int, angle: float, limits: tuple[float, float], index: tuple = ()):
+        self.joint, self.angle, self.limits, self.index = joint, angle, limits, index
+        low, high = (math.degrees(limit) for limit in limits)
+        super().__init__(
+            f"joint {joint} would stand at {math.degrees(angle):.3f} deg, but must stay within {low:g} to {high:g} deg"
+            f"{_place(index)}"
+        )
+
+
+class SingularityError(MillingError):
+    """The Jacobian has lost rank; which is "shoulder", "elbow" or "wrist", measure is 0 at the singularity."""
+
+    def __init__(self, which: str, measure: float, index: tuple = ()):
+        self.which, self.measure, self.index = which, measure, index
+        cure = {
+            "shoulder": "keep the wrist centre away from axis 1",
+            "elbow": "keep the arm away from its stretched posture",
+            "wrist": "keep axis 5 away from 0 deg",
+        }[which]
+        super().__init__(f"the arm stands in its {which} singularity (measure {measure:.2g}); {cure}{_place(index)}")
+
+
+class UnstableLoadError(MillingError):
+    """The springs no longer hold the load; load_factor: the share of the load at which an eigenvalue
+    [N m/rad] of K_theta - H is no longer positive."""
+
+    def __init__(self, load_factor: float, eigenvalue: float, index: tuple = ()):
+        self.load_factor, self.eigenvalue, self.index = load_factor, eigenvalue, index
+        super().__init__(
+            f"the arm is unstable under this load: at {load_factor:.3g} of it the smallest eigenvalue of K_theta - H "
+            f"is {eigenvalue:.3g} N m/rad, but must be positive; reduce the load or stiffen the joints{_place(index)}"
+        )
+
+
+class EquilibriumError(MillingError):
+    """No equilibrium was found; residual [N m], iterations, load_factor: the largest share of the load held."""
+
+    def __init__(self, residual: float, iterations: int, load_factor: float, index: tuple = ()):
+        self.residual, self.iterations, self.load_factor, self.index = residual, iterations, load_factor, index
+        super().__init__(
+            f"no static equilibrium found: {iterations} iterations left a residual of {residual:.3g} N m, and "
+            f"only {load_factor:.3g} of the load was held; reduce the load or avoid singular postures{_place(index)}"
+        )

@@ -1,0 +1,136 @@
+"""Where every link is, and how it moves: forward kinematics and geometric Jacobians.
+
+All functions take postures ``q`` [rad], (..., 6), and work on whole batches. Everything is in ``base_link`` axes.
+
+Nodes: O_0 base, O_1 on axis 2, O_2 on axis 3, O_3 the foot of axis 4 (after a3), O_4 = O_5 wrist centre (link 5 has no
+length), O_6 flange. Link j spans O_(j-1) to O_j and is moved by joints 1..j; the axis of joint j goes through O_(j-1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.frames import Pose
+from kr270_milling.robot.arm import AXES, Arm, Mount
+from kr270_milling.robot.errors import SingularityError
+
+__all__ = ["LinkFrames", "forward", "pose", "jacobian", "jacobian_at", "singularity_measures", "check_regular",
+           "status_turn", "cross"]  # fmt: skip
+
+#: below this measure (see ``singularity_measures``) a Jacobian is not inverted
+SINGULAR = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class LinkFrames:
+    """Every frame of the arm in one posture or a batch of them, in base_link axes."""
+
+    rotations: np.ndarray  #: orientation of the links 1..6, (..., 6, 3, 3); link 6 has the flange's
+    nodes: np.ndarray  #: O_0..O_6 [m], (..., 7, 3); link j's frame has its origin in O_(j-1)
+    axes: np.ndarray  #: unit vectors of the joint axes, with KUKA's sign, (..., 6, 3)
+    flange: Pose
+    tool: Pose
+    mass_centre: np.ndarray  #: of spindle and tool [m], (..., 3)
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a x b over the last axis; several times as fast as numpy's for small batches."""
+    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
+    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
+    x = ay * bz - az * by
+    out = np.empty(x.shape + (3,))
+    out[..., 0] = x
+    out[..., 1] = az * bx - ax * bz
+    out[..., 2] = ax * by - ay * bx
+    return out
+
+
+def forward(arm: Arm, mount: Mount, q) -> LinkFrames:
+    """All frames of the chain in ``arm.py`` for postures q [rad], (..., 6)."""
+    q = np.asarray(q, float)
+    cosines, sines = np.cos(q), np.sin(q)
+    rotations = np.empty(q.shape + (3, 3))
+    nodes = np.zeros(q.shape[:-1] + (7, 3))
+    turned = np.broadcast_to(np.eye(3), q.shape[:-1] + (3, 3))
+    for j, axis in enumerate(AXES):
+        turned = _turn(turned, axis, cosines[..., j, None], sines[..., j, None], rotations[..., j, :, :])
+        nodes[..., j + 1, :] = nodes[..., j, :] + turned @ arm.link_vectors[j]
+    axes = np.einsum("...jik,jk->...ji", rotations, AXES)
+    flange = Pose(nodes[..., 6, :], rotations[..., 5, :, :])
+    return LinkFrames(rotations, nodes, axes, flange, flange @ mount.pose, flange.apply(mount.mass_centre))
+
+
+def _turn(rotation, axis, cosine, sine, out):
+    """rotation @ (turn about one of the coordinate axes, + or -), written to out."""
+    k = int(np.argmax(np.abs(axis)))
+    i, j = (k + 1) % 3, (k + 2) % 3
+    sine = sine * axis[k]
+    out[..., k] = rotation[..., k]
+    out[..., i] = cosine * rotation[..., i] + sine * rotation[..., j]
+    out[..., j] = cosine * rotation[..., j] - sine * rotation[..., i]
+    return out
+
+
+def pose(arm: Arm, mount: Mount, q) -> Pose:
+    """Pose of tool0 in base_link."""
+    return forward(arm, mount, q).tool
+
+
+def jacobian(arm: Arm, mount: Mount, q, node: int | None = None) -> np.ndarray:
+    """Geometric Jacobian (..., 6, 6) in base axes, translations [m/rad] before rotations [rad/rad].
+
+    At the tool point, or at node O_node seen as the end of link ``node`` (later joints do not move it).
+    """
+    frames = forward(arm, mount, q)
+    if node is None:
+        return jacobian_at(frames, frames.tool.position)
+    return jacobian_at(frames, frames.nodes[..., node, :], node)
+
+
+def jacobian_at(frames: LinkFrames, point: np.ndarray, joints: int = 6) -> np.ndarray:
+    """Geometric Jacobian (..., 6, 6) of a point [m], (..., 3), that rides on link number ``joints`` (0: the base)."""
+    jacobian = np.zeros(frames.axes.shape[:-2] + (6, 6))
+    axes = frames.axes[..., :joints, :]
+    arms = point[..., None, :] - frames.nodes[..., :joints, :]
+    jacobian[..., :3, :joints] = np.swapaxes(cross(axes, arms), -1, -2)
+    jacobian[..., 3:, :joints] = np.swapaxes(axes, -1, -2)
+    return jacobian
+
+
+def singularity_measures(arm: Arm, q) -> np.ndarray:
+    """(..., 3): shoulder, elbow, wrist; each is 0 in its singularity and at most about 1.
+
+    The determinant of the Jacobian is their product times lengths: the distance of the wrist centre from axis 1
+    (here as a share of a2 + forearm), the sine of the angle between upper arm and forearm, the sine of A5.
+    """
+    q = np.asarray(q, float)
+    beta = arm.elbow_offset - q[..., 2]
+    radius = arm.a1 + arm.a2 * np.cos(q[..., 1]) + arm.forearm * np.cos(beta - q[..., 1])
+    shoulder = np.abs(radius) / (arm.a2 + arm.forearm)
+    return np.stack([shoulder, np.abs(np.sin(beta)), np.abs(np.sin(q[..., 4]))], -1)
+
+
+def check_regular(arm: Arm, q: np.ndarray) -> None:
+    """Raise SingularityError for the first posture whose Jacobian has no inverse."""
+    measures = singularity_measures(arm, q)
+    bad = np.argwhere(~(measures > SINGULAR))
+    if len(bad):
+        *index, which = (int(i) for i in bad[0])
+        raise SingularityError(("shoulder", "elbow", "wrist")[which], float(measures[tuple(bad[0])]), tuple(index))
+
+
+def status_turn(arm: Arm, q) -> tuple[np.ndarray, np.ndarray]:
+    """KRL status S and turn T of postures q, integers (...,).
+
+    S bit 0: the wrist centre is behind axis 1 (overhead); bit 1: A3 is at or above its value in the stretched arm,
+    ``arm.elbow_offset``; bit 2: A5 is negative. T bit i-1: axis i is negative. An angle within 1e-9 rad of its border
+    counts as not negative, so that rounding does not decide.
+    """
+    q = np.asarray(q, float)
+    beta = arm.elbow_offset - q[..., 2]
+    radius = arm.a1 + arm.a2 * np.cos(q[..., 1]) + arm.forearm * np.cos(beta - q[..., 1])
+    status = (radius < -1e-9) + 2 * (beta <= 1e-9) + 4 * (q[..., 4] < -1e-9)
+    turn = np.sum((q < -1e-9) * (1 << np.arange(6)), -1)
+    return status, turn
