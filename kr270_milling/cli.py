@@ -1,0 +1,82 @@
+"""The command ``kr270_milling``: one sub-command a job. Only the chosen one is imported, so ``--help`` is quick."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import re
+import sys
+
+from kr270_milling import __version__
+
+__all__ = ["main"]
+
+#: name -> (what it does, example)
+COMMANDS = {
+    "demo": ("run the paper's case: original pass and three compensations, table and report", "demo --out out"),
+    "simulate": ("simulate one pass of a cell", "simulate config/paper.yaml --set path.depth_of_cut_mm=1"),
+    "compensate": ("revise the trajectory of a cell", "compensate config/paper.yaml --method spline --out out"),
+    "stiffness": (
+        "pose, stiffness and natural frequencies of an arm at one posture",
+        "stiffness config/kr270_2.yaml --joints-deg 90,-50,120,180,25,180",
+    ),
+    "bench": ("time the sweep of the teeth and the stiffness model", "bench"),
+}
+EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Exit code 0, 1 (a check failed), 2 (unusable input: one sentence on stderr) or 130 (Ctrl-C)."""
+    argv = _join_negative(sys.argv[1:] if argv is None else argv)
+    args = _parser(argv).parse_args(argv)
+    from kr270_milling.errors import MillingError
+
+    try:
+        return args.run(args) or EXIT_OK
+    except MillingError as error:
+        print(f"kr270_milling: {error}", file=sys.stderr)
+        return EXIT_USAGE
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        print(f"kr270_milling: {where}{error.strerror or error}", file=sys.stderr)
+        return EXIT_USAGE
+    except KeyboardInterrupt:
+        print("kr270_milling: interrupted", file=sys.stderr)
+        return EXIT_INTERRUPTED
+
+
+def _join_negative(argv: list[str]) -> list[str]:
+    """``--wrench -1,2`` as ``--wrench=-1,2``: argparse takes a list that starts with a minus for an option."""
+    joined: list[str] = []
+    for word in argv:
+        if joined and re.match(r"--[a-z][a-z-]*$", joined[-1]) and re.match(r"-[0-9.][^ ]*,", word):
+            joined[-1] += "=" + word
+        else:
+            joined.append(word)
+    return joined
+
+
+def _parser(argv: list[str]) -> argparse.ArgumentParser:
+    width = max(map(len, COMMANDS)) + 2
+    listing = "\n".join(f"  {name:{width}}{text}" for name, (text, _) in COMMANDS.items())
+    parser = argparse.ArgumentParser(
+        prog="kr270_milling",
+        description="Predict and compensate the compliance errors of robotic milling.",
+        epilog=f"commands:\n{listing}\n\nexample: kr270_milling demo --out out",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"kr270_milling {__version__}")
+    sub = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    chosen = next((a for a in argv if not a.startswith("-")), None)
+    for name, (text, example) in COMMANDS.items():
+        description, epilog = text[0].upper() + text[1:] + ".", f"example: kr270_milling {example}"
+        command = sub.add_parser(name, help=argparse.SUPPRESS, description=description, epilog=epilog)
+        if name == chosen:
+            module = importlib.import_module(f"kr270_milling.commands.{name}")
+            module.add_arguments(command)
+            command.set_defaults(run=module.run)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

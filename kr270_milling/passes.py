@@ -1,0 +1,79 @@
+"""The jobs around one pass of a cell: simulate it, score it, compensate it. No ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.cell import Cell
+from kr270_milling.compensation.compensator import Compensator
+from kr270_milling.compensation.revision import PassRecord
+from kr270_milling.simulation.milling_pass import PassResult, run_pass
+from kr270_milling.simulation.scores import Scores, score
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["ScoredPass", "compensated", "mean_force", "record_of", "scored", "simulate"]
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredPass:
+    """One pass of a report or a table."""
+
+    name: str
+    reference: Trajectory
+    result: PassResult
+    scores: Scores
+
+    def row(self) -> dict:
+        """The keys that every command prints."""
+        return {
+            "name": self.name,
+            "static_deviation_mm": self.scores.static_deviation * 1e3,
+            "max_deviation_mm": self.scores.max_deviation * 1e3,
+            "low_frequency_hz": self.scores.low_frequency,
+            "ringing_frequency_hz": self.scores.ringing_frequency,
+        }
+
+
+def simulate(cell: Cell, reference: Trajectory | None = None, name: str = "original", progress=None) -> ScoredPass:
+    """One pass on a fresh workpiece along ``reference`` (default: the target itself)."""
+    target = cell.target()
+    reference = target if reference is None else reference
+    result = run_pass(cell.arm_model, cell.cut(), cell.clock, target, reference, cell.exchange.iterations, progress)
+    return ScoredPass(name, reference, result, scored(cell, result))
+
+
+def scored(cell: Cell, result: PassResult) -> Scores:
+    feed = cell.target().sample_velocity(result.time_ns)
+    return score(
+        result.time,
+        result.actual,
+        result.target,
+        feed,
+        cell.full_engagement,
+        cell.low_frequency,
+        result.deflection[:, 1],
+    )
+
+
+def record_of(cell: Cell, result: PassResult) -> PassRecord:
+    """What the compensator learns from: stamps and tool centres, as a node hears them on ``tool_pose``."""
+    return PassRecord(result.time_ns, result.tool, scored_from_ns=cell.scored_from_ns)
+
+
+def compensated(cell: Cell, original: ScoredPass, method: str, progress=None) -> ScoredPass:
+    """The pass along the trajectory that ``method`` makes from the original pass."""
+    passes: dict[int, ScoredPass] = {}
+
+    def run(reference: Trajectory) -> PassRecord:
+        passes[id(reference)] = simulate(cell, reference, method, progress)
+        return record_of(cell, passes[id(reference)].result)
+
+    reference = Compensator(cell.compensation, cell.target(), method).improve(record_of(cell, original.result), run)
+    return passes.get(id(reference)) or simulate(cell, reference, method, progress)
+
+
+def mean_force(result: PassResult) -> np.ndarray:
+    """[N], (3,), over the last quarter of the pass."""
+    return result.wrench[-max(1, len(result.wrench) // 4) :, :3].mean(axis=0)

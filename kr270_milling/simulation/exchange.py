@@ -1,0 +1,59 @@
+"""The exchange between robot and cutting process: one period H, an integer number of micro-steps of the spindle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.config import Record, parameter
+from kr270_milling.errors import ParameterError
+
+__all__ = ["Exchange", "Clock"]
+
+
+@dataclass(frozen=True, eq=False)
+class Exchange(Record):
+    """YAML ``exchange``: how often robot and cutting process tell each other pose and wrench."""
+
+    period: float = parameter(0.5e-3, unit="ms", above=0.0, high=20.0, text="exchange period H")
+    micro_step: float = parameter(np.radians(1.0), unit="deg", above=0.0, high=30.0, text="spindle angle a micro-step")
+    iterations: int = parameter(1, low=1, high=20, text="exchanges a period; above 1 the correction is fed back")
+    warn_correction: float = parameter(
+        0.05, above=0.0, high=1.0, text="share of the feed per tooth above which a correction is reported"
+    )
+
+    def clock(self, spindle_speed: float) -> Clock:
+        """Raises ParameterError where the period is not a whole number of micro-steps at spindle_speed [rad/s]."""
+        steps = spindle_speed * self.period / self.micro_step
+        whole = round(steps)
+        if whole < 1 or abs(steps - whole) > 1e-6 * whole:
+            unit = self.micro_step / spindle_speed * 1e3
+            near = ", ".join(f"{n * unit:.9g}" for n in sorted({max(1, int(steps)), int(steps) + 1}))
+            raise ParameterError(
+                "exchange.period_ms",
+                self.period * 1e3,
+                f"a whole number of micro-steps at this spindle speed, for example {near}",
+            )
+        return Clock(self.period, whole)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Steps are counted, seconds are not added: step n of a pass is at the stamp round(n H)."""
+
+    period: float  #: H [s]
+    micro_steps: int  #: in one period
+
+    def stamp(self, step):
+        """[ns], of a step count or an array of them."""
+        return np.rint(np.multiply(step, self.period * 1e9)).astype(np.int64)
+
+    def step(self, stamp_ns: int) -> int:
+        """The step whose stamp this is, or -1 if it is no step's stamp."""
+        step = round(stamp_ns / (self.period * 1e9))
+        return step if step >= 0 and int(self.stamp(step)) == stamp_ns else -1
+
+    def steps(self, duration_ns: int) -> int:
+        """Exchange periods that cover a duration [ns]."""
+        return int(np.ceil(duration_ns / (self.period * 1e9) - 1e-6))
