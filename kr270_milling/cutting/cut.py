@@ -1,0 +1,121 @@
+"""One workpiece under one tool: poses in, wrenches out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kr270_milling.cutting.grid import TILE, GridError, Stock, levels_in_window
+from kr270_milling.cutting.laws import Cutting
+from kr270_milling.cutting.state import FAILED, LEVEL_SUM, NODES, TILES, make_params, make_state
+from kr270_milling.cutting.sweep import NO_FORCES, sweep, undo
+from kr270_milling.cutting.tool import Tool
+from kr270_milling.errors import MillingError
+
+__all__ = ["Cut", "UndoError"]
+
+
+class UndoError(MillingError):
+    """The last sweep cannot be taken back."""
+
+    def __init__(self, size: int):
+        self.size = size
+        super().__init__(f"the last sweep cleared more nodes than the {size} that can be taken back")
+
+
+class Cut:
+    """The cutting process. ``params`` and ``state`` are what compiled loops hand to ``sweep`` themselves.
+
+    micro_step: of the spindle angle [rad], a whole part of a revolution; log_size: nodes that restore() can put back.
+    """
+
+    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, log_size: int = 1 << 20):
+        self.tool, self.cutting, self.stock = tool, cutting, stock
+        self.params = make_params(tool, cutting, stock, micro_step)
+        self.state = make_state(self.params, stock, log_size)
+        self.torque = 0.0  #: mean spindle torque of the last sweep [N m]
+
+    def sweep(self, pose_from, pose_to, first: int, n: int, forces: np.ndarray = NO_FORCES) -> np.ndarray:
+        """Move the tool tip straight from one position (3,) [m] to another in n micro-steps, workpiece frame.
+
+        first: number of the first micro-step, counted from the pass's start; forces: (n, 3), filled if given [N].
+        Returns the mean wrench (6,) on the tool [N, N m]. Raises GridError.
+        """
+        start, end = np.array(pose_from, float), np.array(pose_to, float)
+        if start.shape != (3,) or end.shape != (3,) or not np.isfinite(start + end).all():
+            raise ValueError(f"positions must be three finite numbers, not {pose_from} and {pose_to}")
+        if first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):
+            raise ValueError(f"no sweep of {n} micro-steps from number {first} with forces {forces.shape}")
+        force_x, force_y, self.torque = sweep(self.state, self.params, start, end, int(first), int(n), forces)
+        if self.state.ints[FAILED]:
+            raise GridError(self.state.pool.size // TILE**2)
+        return np.array([force_x, force_y, 0.0, 0.0, 0.0, 0.0])
+
+    def restore(self) -> None:
+        """Take the last sweep back, once. Raises UndoError."""
+        if not undo(self.state):
+            raise UndoError(self.state.log_index.size)
+
+    def copy(self) -> Cut:
+        """An independent workpiece in the same condition."""
+        other = Cut(self.tool, self.cutting, self.stock, self.params.micro_step, self.state.log_index.size)
+        used = self.state.ints[TILES] * TILE**2
+        other.state.pool[:used] = self.state.pool[:used]
+        for mine, its in zip(self.state[1:], other.state[1:]):
+            its[...] = mine
+        return other
+
+    @property
+    def removed_area(self) -> float:
+        """Area of the nodes cleared so far [m^2]; a node counts again when it is cut deeper."""
+        return float(self.state.ints[NODES]) * self.params.spacing**2
+
+    @property
+    def removed_volume(self) -> float:
+        """[m^3]."""
+        return float(self.state.floats[LEVEL_SUM]) * self.params.spacing**2
+
+    @property
+    def power(self) -> float:
+        """Mean cutting power of the last sweep [W]."""
+        return self.torque * self.tool.spindle_speed
+
+    @property
+    def chip_thickness(self) -> np.ndarray:
+        """Largest uncut chip thickness of each tooth in the last sweep [m], (teeth,)."""
+        return self.state.chips.copy()
+
+    @property
+    def tiles(self) -> int:
+        """Tiles of the grid in use."""
+        return int(self.state.ints[TILES])
+
+    def heights(self, low=None, high=None, thinning: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Nodes' x (m,) and y (k,) and the part's surface z (m, k) [m], workpiece frame.
+
+        low, high: corners (2,) of a window, default the whole stock; thinning: take one node in so many each way.
+        """
+        axes = []
+        for axis, count in enumerate(self.stock.nodes):
+            places = (np.arange(count) + 0.5) * self.stock.grid_step + self.stock.min[axis]
+            first = 0 if low is None else np.searchsorted(places, low[axis])
+            last = count if high is None else np.searchsorted(places, high[axis], side="right")
+            numbers = np.arange(first, last)[thinning // 2 :: thinning]
+            axes.append((numbers, places[numbers]))
+        (ix, x), (iy, y) = axes
+        levels = levels_in_window(self.state.pool, self.state.table, ix, iy)
+        return x, y, self.stock.max[2] - levels * self.params.level_step
+
+    def profile(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The machined profile: x of each column that was cut (m,), its lowest and its highest cleared y (m,) [m]."""
+        nx, _ = self.stock.nodes
+        low, high = np.full(nx, np.inf), np.full(nx, -np.inf)
+        for tx, ty in np.argwhere(self.state.table >= 0):
+            tile = self.state.pool[self.state.table[tx, ty] * TILE**2 :][: TILE**2].reshape(TILE, TILE)
+            column, row = np.nonzero(tile)
+            column, row = column + tx * TILE, row + ty * TILE
+            np.minimum.at(low, column, row)
+            np.maximum.at(high, column, row)
+        cut = np.flatnonzero(low <= high)
+        x, y = self.params.origin_x, self.params.origin_y
+        step = self.params.spacing
+        return x + cut * step, y + low[cut] * step, y + high[cut] * step

@@ -1,0 +1,81 @@
+"""The workpiece: how deep each node of a grid has been cut, kept in tiles where the tool has been (Figs. 5, 6).
+
+A node stands for one cell of ``grid_step`` squared, at the cell's middle. It holds the depth removed below the
+stock's top in levels of thickness / 65535 (0: untouched). With the tool at one height this is the paper's 1/0 grid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.config import Record, parameter
+from kr270_milling.errors import MillingError, ParameterError
+
+__all__ = ["Stock", "TILE", "GridError", "tile_count", "levels_in_window"]
+
+TILE = 256  # nodes along a tile's side; the compiled code shifts by 8 and 16 bits
+LEVELS = 65535
+MAX_TILES = 32768  # of 128 KiB each; a node's place in the pool then fits an int32
+
+
+class GridError(MillingError):
+    """The tool has been to more tiles than there may be."""
+
+    def __init__(self, tiles: int):
+        self.tiles = tiles
+        super().__init__(f"the cut area fills more than {tiles} tiles of the grid; a larger stock.grid_step_um would fit")
+
+
+@dataclass(frozen=True, eq=False)
+class Stock(Record):
+    """A box of material, axes of the workpiece frame, and the grid laid over it."""
+
+    min: np.ndarray = parameter(unit="mm", size=3, low=-1e5, high=1e5, text="lower corner in the workpiece frame")
+    max: np.ndarray = parameter(unit="mm", size=3, low=-1e5, high=1e5, text="upper corner in the workpiece frame")
+    grid_step: float = parameter(10e-6, unit="um", low=0.5, high=1000.0, text="distance of grid nodes, ds")
+    floor_tolerance: float = parameter(
+        1e-6, unit="um", low=0.0, high=100.0, text="how far the tool may sink before its whole footprint is cut again"
+    )
+
+    def check(self) -> None:
+        if not np.all(self.max - self.min >= [self.grid_step, self.grid_step, 1e-6]):
+            raise ParameterError("max_mm", (1e3 * self.max).tolist(), "above min_mm in x, y and z by a grid step")
+        if max(self.nodes) > 2**30:
+            raise ParameterError("grid_step_um", 1e6 * self.grid_step, "larger: the grid has too many nodes")
+
+    @property
+    def nodes(self) -> tuple[int, int]:
+        """Nodes along x and y."""
+        nx, ny = np.maximum(1, np.rint((self.max - self.min)[:2] / self.grid_step)).astype(int)
+        return int(nx), int(ny)
+
+    @property
+    def thickness(self) -> float:
+        """Height of the box [m]."""
+        return float(self.max[2] - self.min[2])
+
+    @property
+    def level_step(self) -> float:
+        """Depth of one level [m]."""
+        return self.thickness / LEVELS
+
+
+def tile_count(stock: Stock) -> tuple[int, int]:
+    """Tiles along x and y."""
+    nx, ny = stock.nodes
+    return -(-nx // TILE), -(-ny // TILE)
+
+
+def levels_in_window(pool: np.ndarray, table: np.ndarray, ix: np.ndarray, iy: np.ndarray) -> np.ndarray:
+    """Removed levels (ix.size, iy.size) at the nodes with the column numbers ix and the row numbers iy."""
+    out = np.zeros((ix.size, iy.size), np.uint16)
+    for tx in np.unique(ix // TILE):
+        rows = np.flatnonzero(ix // TILE == tx)
+        for ty in np.unique(iy // TILE):
+            if table[tx, ty] >= 0:
+                columns = np.flatnonzero(iy // TILE == ty)
+                tile = pool[table[tx, ty] * TILE**2 :][: TILE**2].reshape(TILE, TILE)
+                out[np.ix_(rows, columns)] = tile[np.ix_(ix[rows] % TILE, iy[columns] % TILE)]
+    return out
