@@ -1,59 +1,63 @@
-"""All that the stiffness model says of one posture, as plain numbers."""
+"""One posture of one arm, everything there is to know about its stiffness: what the command ``stiffness`` prints."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from kr270_milling.config import build, read_tree
-from kr270_milling.errors import ConfigError
-from kr270_milling.frames import quaternion_from_rotation
-from kr270_milling.robot.arm import Arm, Mount
-from kr270_milling.robot.elastostatics import compliance, equilibrium, rotate_matrix, stiffness
-from kr270_milling.robot.kinematics import jacobian, pose
-from kr270_milling.robot.mass import cartesian_mass, mode_frequencies
+from kr270_milling.config import Record, build, read_tree
+from kr270_milling.errors import ParameterError
+from kr270_milling.robot.arm import BARE, Arm, Mount
+from kr270_milling.robot.elastostatics import compliance, rotate_matrix, stiffness
+from kr270_milling.robot.equilibrium import equilibrium
+from kr270_milling.robot.kinematics import pose
+from kr270_milling.robot.mass import MODELS, cartesian_mass, mode_frequencies
 
 __all__ = ["analyse", "read_arm"]
 
 
-def read_arm(path: Path) -> tuple[Arm, Mount]:
-    """Arm and mount of an arm or cell file; the tool point of a bare arm is its flange. Raises ConfigError."""
+@dataclass(frozen=True, eq=False)
+class ArmFile(Record):
+    """An arm file: the arm, and what is mounted on it if anything is."""
+
+    arm: Arm
+    mount: Mount = BARE
+
+
+def read_arm(path) -> tuple[Arm, Mount]:
+    """Arm and mount of an arm file or a cell file; without a mount the tool point is the flange."""
     tree = read_tree(path)
-    if "arm" not in tree:
-        raise ConfigError(path, "arm", None, "is missing; the file of an arm or a cell must have this group")
-    bare = {"xyz_mm": [0.0, 0.0, 0.0], "abc_deg": [0.0, 0.0, 0.0]}
-    return build(Arm, tree["arm"], path, "arm."), build(Mount, tree.get("mount", bare), path, "mount.")
+    if "workpiece" in tree:  # a cell: its other sections are not read here
+        tree = {key: tree[key] for key in ("arm", "mount") if key in tree}
+    found = build(ArmFile, tree, path)
+    return found.arm, found.mount
 
 
-def analyse(arm: Arm, mount: Mount, q: np.ndarray, wrench: np.ndarray, frame: str, gravity: bool) -> dict:
-    """Pose, Jacobian, stiffness, compliance, deflection and natural frequencies at joints q (6,) [rad].
+def analyse(arm: Arm, mount: Mount, q, wrench, frame: str = "base", gravity: bool = False) -> dict:
+    """Pose of the unloaded posture q [rad], (6,), and the loaded equilibrium under a wrench, as a dict for JSON.
 
-    wrench: (6,) [N, N m] at the tool point, in base or tool axes as ``frame`` says; all results in the same axes.
-    The wrench is constant in the base frame while the arm deflects.
+    frame: "base", or "tool" for the axes of the unloaded tool0; wrench, matrices and deflection are in its axes.
     """
-    unloaded = pose(arm, mount, q)
-    turn = unloaded.rotation.T if frame == "tool" else np.eye(3)  # base axes -> axes of the results
+    if frame not in ("base", "tool"):
+        raise ParameterError("frame", frame, "one of base, tool")
+    start = pose(arm, mount, q)
+    turn = np.eye(3) if frame == "base" else start.rotation.T  # base axes to the chosen ones
     both = np.kron(np.eye(2), turn)
-    loaded = equilibrium(arm, mount, q, both.T @ wrench, gravity)
-    shift = turn @ (loaded.pose.position - unloaded.position)
-    turned = _rotation_vector(loaded.pose.rotation @ unloaded.rotation.T)
+    loaded = equilibrium(arm, mount, q, both.T @ np.asarray(wrench, float), gravity)
+    shift = loaded.pose.position - start.position
+    tilt = Rotation.from_matrix(loaded.pose.rotation @ start.rotation.T).as_rotvec()
     soft = compliance(loaded, arm)
-    masses = {model: cartesian_mass(arm, mount, q, model) for model in ("lumped", "consistent")}
+    modes = {m: mode_frequencies(soft, cartesian_mass(arm, mount, loaded.posture, m)) for m in MODELS}
     return {
-        "position_m": unloaded.position,
-        "quaternion_xyzw": quaternion_from_rotation(unloaded.rotation),
-        "jacobian": both @ jacobian(arm, mount, q),
-        "stiffness": rotate_matrix(stiffness(loaded, arm), turn),
-        "compliance": rotate_matrix(soft, turn),
-        "deflection": np.concatenate([shift, turn @ turned]),
-        "joint_deflection_rad": loaded.theta,
-        "mode_frequencies_hz": {model: mode_frequencies(soft, mass) for model, mass in masses.items()},
-        "condition_number": float(np.linalg.cond(jacobian(arm, mount, q))),
+        "position_m": start.position.tolist(),
+        "quaternion_xyzw": start.quaternion.tolist(),
+        "jacobian": (both @ loaded.jacobian).tolist(),
+        "stiffness": rotate_matrix(stiffness(loaded, arm), turn).tolist(),
+        "compliance": rotate_matrix(soft, turn).tolist(),
+        "deflection": (both @ np.concatenate([shift, tilt])).tolist(),
+        "joint_deflection_rad": loaded.theta.tolist(),
+        "mode_frequencies_hz": {m: found.tolist() for m, found in modes.items()},
+        "condition_number": float(np.linalg.cond(loaded.jacobian)),
     }
-
-
-def _rotation_vector(rotation: np.ndarray) -> np.ndarray:
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_matrix(rotation).as_rotvec()

@@ -5,6 +5,8 @@ Branch: shoulder (the wrist centre in front of axis 1 or behind it), elbow (bent
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from kr270_milling.frames import Pose
@@ -33,14 +35,20 @@ def inverse(arm: Arm, mount: Mount, pose: Pose) -> np.ndarray:
     keep = np.ones(len(found), bool)
     for i in range(1, len(found)):  # an elbow or a wrist that is straight gives the same posture twice
         keep[i] = np.abs(_wrapped(found[:i] - found[i])).max(-1).min() > 1e-9
-    turns = TWO_PI * np.stack(np.meshgrid(*[np.arange(-2, 3)] * 6, indexing="ij"), -1).reshape(-1, 6)
-    inside = [p[(p >= arm.joint_lower).all(-1) & (p <= arm.joint_upper).all(-1)] for p in found[keep, None] + turns]
-    inside = np.concatenate(inside)
+    inside = np.concatenate([_whole_turns(arm, q) for q in found[keep]])
     if not len(inside):
         centred = _turned_to(found[keep], (arm.joint_lower + arm.joint_upper) / 2)
         over = np.maximum(arm.joint_lower - centred, centred - arm.joint_upper).max(-1)
         check_limits(arm, centred[int(np.argmin(over))])
     return inside
+
+
+def _whole_turns(arm: Arm, q: np.ndarray) -> np.ndarray:
+    """All postures (n, 6) within the joint limits that differ from q, (6,), by whole turns."""
+    first = np.ceil((arm.joint_lower - q) / TWO_PI).astype(int)
+    last = np.floor((arm.joint_upper - q) / TWO_PI).astype(int)
+    turns = itertools.product(*[range(a, b + 1) for a, b in zip(first, last, strict=True)])
+    return q + TWO_PI * np.array(list(turns), float).reshape(-1, 6)
 
 
 def inverse_near(arm: Arm, mount: Mount, pose: Pose, near_q) -> np.ndarray:
