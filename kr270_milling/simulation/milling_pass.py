@@ -5,11 +5,17 @@ The functions that the compiled loop calls are the same that a robot node and a 
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
+from kr270_milling.cutting import Cut, sweep, undo
 from kr270_milling.simulation.dynamics import ArmModel, advance
+from kr270_milling.simulation.exchange import Clock
+from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["CompliantArm", "PassResult", "run_pass"]
 
@@ -74,3 +80,61 @@ class CompliantArm:
         self.wrench = np.array(wrench, float)
         self.step += 1
         return deflection
+
+
+@njit(cache=True, error_model="numpy")
+def _exchange(first, last, iterations, reference, arrays, state, wrench, cut_state, cut_params, micro_steps, out):
+    """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on."""
+    tool, deflections, wrenches, corrections = out
+    scratch, deflection, answer = np.zeros(state.size), np.zeros(6), wrench.copy()
+    no_forces = np.empty((0, 3))
+    for n in range(first, last):
+        for k in range(iterations):
+            advance(n, state, answer, arrays, scratch, deflection)  # the robot predicts
+            tool[n + 1] = reference[n + 1] + deflection[:3]
+            if k > 0:
+                undo(cut_state)
+            force_x, force_y, _ = sweep(  # the cut answers
+                cut_state, cut_params, tool[n], tool[n + 1], n * micro_steps, micro_steps, no_forces
+            )
+            answer[0], answer[1] = force_x, force_y
+        advance(n, state, answer, arrays, scratch, deflection)  # the robot corrects
+        state[:] = scratch
+        deflections[n + 1], wrenches[n + 1] = deflection, answer
+        corrections[n + 1] = np.sqrt(np.sum((reference[n + 1] + deflection[:3] - tool[n + 1]) ** 2))
+    wrench[:] = answer
+
+
+def run_pass(
+    model: ArmModel,
+    cut: Cut,
+    clock: Clock,
+    target: Trajectory,
+    reference: Trajectory,
+    iterations: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> PassResult:
+    """One pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
+
+    progress(done, total) is called every 200 exchange periods. Raises GridError if the grid has no tile left.
+    """
+    n = clock.steps(reference.duration_ns)
+    stamps = clock.stamp(np.arange(n + 1))
+    course = reference.sample(stamps)
+    out = (np.zeros((n + 1, 3)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6)), np.zeros(n + 1))
+    out[0][0] = course[0]
+    state, wrench = np.zeros(model.order), np.zeros(6)
+    area, volume, start = cut.removed_area, cut.removed_volume, time.perf_counter()
+    for first in range(0, n, CHUNK):
+        last = min(first + CHUNK, n)
+        _exchange(
+            first, last, iterations, course, model.arrays, state, wrench, cut.state, cut.params, clock.micro_steps, out
+        )
+        getattr(cut, "check", lambda: None)()
+        if progress is not None:
+            progress(last, n)
+    wall = time.perf_counter() - start
+    return PassResult(
+        stamps, target.sample(stamps), course, *out, n * clock.micro_steps, cut.removed_area - area,
+        cut.removed_volume - volume, wall,
+    )  # fmt: skip
