@@ -60,7 +60,7 @@ class Cut:
         other = Cut(self.tool, self.cutting, self.stock, self.params.micro_step, self.state.log_index.size)
         used = self.state.ints[TILES] * TILE**2
         other.state.pool[:used] = self.state.pool[:used]
-        for mine, its in zip(self.state[1:], other.state[1:]):
+        for mine, its in zip(self.state[1:], other.state[1:], strict=True):
             its[...] = mine
         return other
 

@@ -9,63 +9,68 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from kr270_milling.cutting.state import FAILED, LOG_LOST, LOGGED, TILES
+from kr270_milling.cutting.compiled import compiled
+from kr270_milling.cutting.state import FAILED, LOG_LOST, LOGGED, TALLIED, TILES
 
 SLACK = 1e-9
 VECTOR = 32  # nodes from which on it pays to look first whether anything is left
 
 
-@njit(cache=True, error_model="numpy")
-def clear_column(s, ix, ja, jb, level):
-    """Lower the nodes (ix, ja..jb) to ``level``; adds count, sum of level differences to s.tally, keeps the minimum."""
+@compiled
+def tally_log(ints, old, tally, level):
+    """Add to tally what the log holds since the last call: nodes, sum of level differences; the lowest level."""
+    deficit, lowest, new = np.int64(0), np.uint16(level), np.int64(level)
+    for n in range(ints[TALLIED], ints[LOGGED]):
+        deficit += new - np.int64(old[n])
+        lowest = min(lowest, old[n])
+    tally[0] += ints[LOGGED] - ints[TALLIED]
+    tally[1] += deficit
+    tally[2] = min(tally[2], np.int64(lowest))
+    ints[TALLIED] = ints[LOGGED]
+
+
+@compiled
+def _clear_column(pool, table, ints, index, old, tally, ix, ja, jb, level):
+    """Lower the nodes (ix, ja..jb) to ``level``; those that were higher go into the log with their old level."""
     j = ja
     while j <= jb:
-        end = min(jb, j | 255)
-        slot = s.table[ix >> 8, j >> 8]
+        length = min(jb, j | 255) - j + 1
+        slot = table[ix >> 8, j >> 8]
         if slot < 0:
-            slot = np.int32(s.ints[TILES])
-            if (slot + 1) << 16 > s.pool.size:
-                s.ints[FAILED] = 1
+            slot = np.int32(ints[TILES])
+            if (np.int64(slot) + 1) << 16 > pool.size:
+                ints[FAILED] = 1
                 return
-            s.table[ix >> 8, j >> 8] = slot
-            s.ints[TILES] += 1
-        base = (np.int64(slot) << 16) | ((ix & 255) << 8)
-        _clear_run(s, base | (j & 255), end - j + 1, level)
-        j = end + 1
-
-
-@njit(cache=True, error_model="numpy")
-def _clear_run(s, start, length, level):
-    pool, index, old = s.pool, s.log_index, s.log_level
-    if length >= VECTOR:
-        lowest = pool[start]
+            table[ix >> 8, j >> 8] = slot
+            ints[TILES] += 1
+        start = (np.int64(slot) << 16) | ((ix & 255) << 8) | (j & 255)
+        j += length
+        if length >= VECTOR and not _any_above(pool, start, length, level):
+            continue
+        if ints[LOGGED] + length > index.size:
+            tally_log(ints, old, tally, level)
+            ints[LOGGED] = ints[TALLIED] = 0
+            ints[LOG_LOST] = 1
+        n, new = ints[LOGGED], np.uint16(level)
         for p in range(start, start + length):
-            lowest = min(lowest, pool[p])
-        if lowest >= level:
-            return
-    n = s.ints[LOGGED]
-    if n + length > index.size:
-        s.ints[LOG_LOST] = 1
-        n = 0
-    first, deficit, lowest, new = n, np.int64(0), np.int64(s.tally[2]), np.uint16(level)
+            k = pool[p]
+            index[n] = p  # written always, kept only if the node is cleared: no branch
+            old[n] = k
+            n += k < new
+            pool[p] = max(k, new)
+        ints[LOGGED] = n
+
+
+@compiled
+def _any_above(pool, start, length, level):
+    lowest = pool[start]
     for p in range(start, start + length):
-        k = pool[p]
-        index[n] = p  # written always, kept only if the node is cleared: no branch
-        old[n] = k
-        missing = max(np.int64(level) - np.int64(k), 0)
-        n += missing > 0
-        deficit += missing
-        lowest = min(lowest, np.int64(k))
-        pool[p] = max(k, new)
-    s.ints[LOGGED] = n
-    s.tally[0] += n - first
-    s.tally[1] += deficit
-    s.tally[2] = lowest
+        lowest = min(lowest, pool[p])
+    return lowest < level
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny, level):
     """Clear what a tooth sweeps outside the radius ``inner`` (at least that, at most the whole sector).
 
@@ -100,6 +105,7 @@ def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny
         ia = max(ia, math.ceil(u1 - SLACK))
     else:
         ib = min(ib, math.floor(u1 + SLACK))
+    pool, table, ints, index, old, tally = s.pool, s.table, s.ints, s.log_index, s.log_level, s.tally
     for ix in range(ia, ib + 1):
         square = radius * radius - (ix - cx) * (ix - cx)
         if square < 0.0:
@@ -117,14 +123,15 @@ def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny
             hi = min(hi, line1)
         ja, jb = max(math.ceil(lo - SLACK), 0), min(math.floor(hi + SLACK), ny - 1)
         if ja <= jb:
-            clear_column(s, ix, ja, jb, level)
+            _clear_column(pool, table, ints, index, old, tally, ix, ja, jb, level)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def clear_quad(s, xs, ys, nx, ny, level):
     """Clear the inside (even-odd) of the closed polygon through the four corners xs, ys; it may cross itself."""
     ia = max(math.ceil(min(min(xs[0], xs[1]), min(xs[2], xs[3])) - SLACK), 0)
     ib = min(math.floor(max(max(xs[0], xs[1]), max(xs[2], xs[3])) + SLACK), nx - 1)
+    pool, table, ints, index, old, tally = s.pool, s.table, s.ints, s.log_index, s.log_level, s.tally
     for ix in range(ia, ib + 1):
         n, a, b, c, d = 0, math.inf, math.inf, math.inf, math.inf
         for i in range(4):
@@ -141,4 +148,4 @@ def clear_quad(s, xs, ys, nx, ny, level):
             ja, jb = math.ceil(max(lo, -1.0) - SLACK), math.floor(min(hi, ny + 1.0) + SLACK)
             ja, jb = max(ja, 0), min(jb, ny - 1)
             if ja <= jb:
-                clear_column(s, ix, ja, jb, level)
+                _clear_column(pool, table, ints, index, old, tally, ix, ja, jb, level)

@@ -25,7 +25,9 @@ class GridError(MillingError):
 
     def __init__(self, tiles: int):
         self.tiles = tiles
-        super().__init__(f"the cut area fills more than {tiles} tiles of the grid; a larger stock.grid_step_um would fit")
+        super().__init__(
+            f"the cut area fills more than {tiles} tiles of the grid; a larger stock.grid_step_um would fit"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,21 +18,23 @@ __all__ = ["FractionalLaw", "LinearEdgeLaw", "Cutting", "fractional", "linear_ed
 #: The paper's k_0 is read as the slope for one millimetre of depth: F_t = k_0 h_s psi(h / h_s) a_p / (1 mm).
 READING_DEPTH = 1e-3  # [m]
 
+law = njit(cache=True, error_model="numpy")  # not ``compiled``: with arrays of h they make arrays
 
-@njit(cache=True, error_model="numpy")
+
+@law
 def fractional(h, k_0, h_s, r):
     """(26), (27): force per depth [N/m] at chip thickness h [m]; k_0 [N/m for 1 mm of depth], h_s [m]."""
     u = np.maximum(h, 0.0) / h_s
-    return k_0 * h_s * (u + r * u * u) / (1.0 + u) / 1e-3
+    return k_0 * h_s * (u + r * u * u) / (1.0 + u) / READING_DEPTH
 
 
-@njit(cache=True, error_model="numpy")
+@law
 def linear_edge(h, k_c, k_e):
     """Force per depth k_c h + k_e [N/m] at chip thickness h [m], 0 without a chip; k_c [N/m^2], k_e [N/m]."""
     return k_c * np.maximum(h, 0.0) + k_e * (h > 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@law
 def force_per_depth(is_fractional, c, h):
     """Tangential and radial force per depth [N/m] at chip thickness h [m]; c as in Cutting.coefficients."""
     if is_fractional:

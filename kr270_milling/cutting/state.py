@@ -24,7 +24,8 @@ RUN_LEVEL = 5  # shallowest level in this run
 FLOOR = 6  # every node well inside the tool is cut at least to this level
 NODES = 7  # nodes cleared so far
 FAILED = 8  # 1: no tile left
-INTS = 9
+TALLIED = 9  # entries of the log that are in the tally
+INTS = 10
 # Places in State.floats
 LEVEL_SUM = 0  # depth removed, summed over the nodes [m]
 FLOATS = 1
@@ -36,6 +37,7 @@ class Params(NamedTuple):
     directions: np.ndarray  # (teeth, steps + 1, 2), of each tooth at each micro-step of a revolution
     middles: np.ndarray  # (teeth, steps, 2), half a micro-step later
     radii: np.ndarray  # (teeth,)
+    shortest: float  # of the radii
     pitch_steps: np.ndarray  # (teeth,), whole micro-steps to the tooth ahead
     steps: int  # micro-steps of a revolution
     sense: float
@@ -82,6 +84,7 @@ def make_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -
         directions=_directions(tool, micro_step * (np.arange(steps + 1) % steps)),
         middles=_directions(tool, micro_step * (np.arange(steps) + 0.5)),
         radii=np.array(tool.radii),
+        shortest=float(tool.radii.min()),
         pitch_steps=pitch_steps,
         steps=steps,
         sense=tool.sense,
@@ -127,5 +130,3 @@ def make_state(params: Params, stock: Stock, log_size: int = 1 << 20) -> State:
         tally=np.zeros(3, np.int64),
         chips=np.zeros(len(params.radii)),
     )
-
-

@@ -5,11 +5,22 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from kr270_milling.cutting.fill import clear_quad, clear_sector
+from kr270_milling.cutting.compiled import compiled
+from kr270_milling.cutting.fill import clear_quad, clear_sector, tally_log
 from kr270_milling.cutting.laws import force_per_depth
-from kr270_milling.cutting.state import FLOOR, LEVEL_SUM, LOG_LOST, LOGGED, NEXT_STEP, NODES, RUN, RUN_LEVEL, TILES
+from kr270_milling.cutting.state import (
+    FLOOR,
+    LEVEL_SUM,
+    LOG_LOST,
+    LOGGED,
+    NEXT_STEP,
+    NODES,
+    RUN,
+    RUN_LEVEL,
+    TALLIED,
+    TILES,
+)
 
 __all__ = ["sweep", "undo", "NO_FORCES"]
 
@@ -18,7 +29,7 @@ FAR = 0.1  # of the radius: how far the tool may move in a window for the rim ba
 JUMP = 0.125  # of a tooth's way in a micro-step: a centre that moves further is a jump
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def sweep(s, p, pose_from, pose_to, first, n, forces):
     """Move the tool centre straight from one position to another in n micro-steps of the spindle angle.
 
@@ -58,7 +69,7 @@ def sweep(s, p, pose_from, pose_to, first, n, forces):
     return sum_x / n, sum_y / n, sum_torque / n
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def undo(s):
     """Take the last sweep back; False if its log overflowed and nothing was done."""
     if s.ints[LOG_LOST]:
@@ -66,19 +77,25 @@ def undo(s):
     for n in range(s.ints[LOGGED] - 1, -1, -1):  # backwards: a node may have been lowered twice
         s.pool[s.log_index[n]] = s.log_level[n]
     tiles = s.ints[TILES]
-    s.ints[:] = s.saved_ints
-    s.floats[:] = s.saved_floats
+    _copy(s.saved_ints, s.ints)
+    _copy(s.saved_floats, s.floats)
     s.ints[TILES] = tiles  # an untouched tile says the same as none
-    s.ints[LOGGED] = 0
+    s.ints[LOGGED] = s.ints[TALLIED] = 0
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
+def _copy(source, target):
+    for i in range(target.size):
+        target[i] = source[i]
+
+
+@compiled
 def _open(s, pose_from, first):
     """Save the state, empty the log, and forget the history if this sweep does not continue the last one."""
-    s.ints[LOGGED] = s.ints[LOG_LOST] = 0
-    s.saved_ints[:] = s.ints
-    s.saved_floats[:] = s.floats
+    s.ints[LOGGED] = s.ints[LOG_LOST] = s.ints[TALLIED] = 0
+    _copy(s.ints, s.saved_ints)
+    _copy(s.floats, s.saved_floats)
     s.chips[:] = 0.0
     here = s.history[first & (s.history.shape[0] - 1)]
     if s.ints[NEXT_STEP] != first or here[0] != pose_from[0] or here[1] != pose_from[1]:
@@ -86,28 +103,28 @@ def _open(s, pose_from, first):
         s.ints[RUN], s.ints[RUN_LEVEL], s.ints[FLOOR] = first, 65536, -1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _remember(s, step, x, y, moved):
     mask = s.history.shape[0] - 1
     here = s.history[step & mask]
     here[0], here[1], here[2] = x, y, s.history[(step - 1) & mask, 2] + moved
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _path(s, start, end):
     """Way of the centre between two micro-steps [m]."""
     mask = s.history.shape[0] - 1
     return s.history[end & mask, 2] - s.history[start & mask, 2]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _plan(s, p, step, level):
     """Whether teeth must sweep whole sectors now, and else the centre's way in the last window [m].
 
     Only the rim is new ground if the footprint was swept before: by a run of whole sectors over one window, and from
     then on because the tool moves little in a window. A tool that sinks below the FLOOR so left needs a new run.
     """
-    far = FAR * p.radii.min()
+    far = FAR * p.shortest
     if s.ints[RUN] >= 0:
         if _path(s, s.ints[RUN], step + 1) > far:
             s.ints[RUN], s.ints[RUN_LEVEL] = step, level
@@ -125,7 +142,7 @@ def _plan(s, p, step, level):
     return s.ints[RUN] >= 0, path
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path):
     """Clear the sector of tooth i in one micro-step; tangential and radial force on it [N]."""
     turn, scale, radius = step % p.steps, 1.0 / p.spacing, p.radii[i]
@@ -154,12 +171,13 @@ def _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path):
             xs, ys = (u0, u0 + t * a, u1 + t * c, u1), (v0, v0 + t * b, v1 + t * d, v1)
             clear_quad(s, xs, ys, p.nx, p.ny, level)
         clear_sector(s, p.sense, u0, v0, a, b, u1, v1, c, d, r, inner * scale, p.nx, p.ny, level)
+    tally_log(s.ints, s.log_level, s.tally, level)
     if s.tally[0] == 0:
         return 0.0, 0.0
     return _force(s, p, i, depth, level)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _force(s, p, i, depth, level):
     """Force of a tooth on the nodes in the tally; h from the volume over the depth reached: A_i / (R dphi) if flat."""
     per_node = p.spacing * p.spacing
@@ -173,7 +191,7 @@ def _force(s, p, i, depth, level):
     return tangential * height, radial * height
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _inner_radius(s, p, i, now, x, y, c, d, moved, path):
     """Radius around the centre within which tooth i cannot meet material, because the tooth ahead of it passed there.
 
@@ -181,16 +199,16 @@ def _inner_radius(s, p, i, now, x, y, c, d, moved, path):
     A point at distance rho in direction e was then at most rho + e . (way since) + path^2 / (2 rho) from the centre.
     """
     mask = s.history.shape[0] - 1
-    spread = int(1.25 * path / (p.radii.min() * p.micro_step)) + 3
+    spread = int(1.25 * path / (p.shortest * p.micro_step)) + 3
     then = now - p.pitch_steps[i]
     near = _path(s, then - spread, min(then + spread, now)) * (1.0 + 1.0 / spread)
     ahead = i + 1 if i + 1 < p.radii.size else 0
     back = c * (x - s.history[then & mask, 0]) + d * (y - s.history[then & mask, 1])
-    margin = near + 2.0 * moved + path * (p.micro_step + path / (1.6 * p.radii.min())) + 0.02 * p.spacing
+    margin = near + 2.0 * moved + path * (p.micro_step + path / (1.6 * p.shortest)) + 0.02 * p.spacing
     return p.radii[ahead] - back - margin
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _jump(s, p, u0, v0, a, b, u1, v1, r, level):
     """Clear what the tooth line passes over while its centre goes a long way: in parts, each a quadrilateral."""
     length = math.sqrt((u1 - u0) * (u1 - u0) + (v1 - v0) * (v1 - v0))

@@ -1,0 +1,9 @@
+"""The decorator of every compiled function of the cut."""
+
+from numba import njit
+
+__all__ = ["compiled"]
+
+#: Without fastmath, so that a run repeats bit for bit. Without reference counting of arrays, which would take most of
+#: the time: nothing compiled here makes an array, it only works on those of its caller.
+compiled = njit(cache=True, error_model="numpy", _nrt=False)
