@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.frames import Pose
 from kr270_milling.robot.arm import Arm, Mount
-from kr270_milling.robot.errors import EquilibriumError, UnstableLoadError
+from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 from kr270_milling.robot.kinematics import LinkFrames, check_regular, forward, jacobian_at
 from kr270_milling.robot.loads import GRAVITY, LinkLoads, link_loads, load_hessian, load_torque
 
@@ -23,6 +23,8 @@ MISPLACED = 1e-12  #: and its pose is off by no more than this [m], [rad]
 ITERATIONS = 25
 #: a larger joint deflection [rad] is believed only when the load path leads there
 LARGE = 0.05
+#: and a still larger one is refused: drives and bearings are no linear springs over 10 deg
+TOO_LARGE = 0.2
 LEAST_STEP = 1 / 512  #: of the load; a path that needs smaller steps ends at a limit point
 
 
@@ -44,7 +46,7 @@ def equilibrium(arm: Arm, mount: Mount, q, wrench=None, gravity: bool = True) ->
     """The loaded equilibrium of postures q [rad], (..., 6), under wrenches (..., 6): f^-1 of section 5.
 
     Newton iteration on (7) with its exact derivative K_theta - H (16). Where that fails or ends far away, the load is
-    applied in steps. Raises UnstableLoadError and EquilibriumError.
+    applied in steps. Raises UnstableLoadError, DeflectionError and EquilibriumError.
     """
     q, wrench, shape = _flat(q, np.zeros(6) if wrench is None else wrench)
     loads = link_loads(arm, mount, GRAVITY if gravity else 0.0)
@@ -53,8 +55,7 @@ def equilibrium(arm: Arm, mount: Mount, q, wrench=None, gravity: bool = True) ->
     doubtful = ~(residual <= RESIDUAL) | ~(np.abs(theta).max(-1) < LARGE)
     doubtful |= ~_stable(arm, load_hessian(frames, wrench, loads))
     for i in np.flatnonzero(doubtful):
-        index = tuple(int(k) for k in np.unravel_index(i, shape)) if shape else ()
-        theta[i], residual[i], steps = _by_load_steps(arm, mount, q[i], wrench[i], loads, index)
+        theta[i], residual[i], steps = _by_load_steps(arm, mount, q[i], wrench[i], loads, _index(i, shape))
         count[i] += steps
     if doubtful.any():
         frames = forward(arm, mount, q + theta)
@@ -67,6 +68,11 @@ def _record(wrench, theta, q, frames: LinkFrames, loads: LinkLoads, residual, it
     jacobian = jacobian_at(frames, frames.tool.position)
     bent = load_hessian(frames, wrench, loads)
     return Equilibrium(wrench, theta, q + theta, frames.tool, jacobian, bent, residual, iterations)
+
+
+def _index(i: int, shape: tuple) -> tuple:
+    """Place in the batch of the i-th of its flattened members."""
+    return tuple(int(k) for k in np.unravel_index(i, shape)) if shape else ()
 
 
 def _flat(q, other):
@@ -139,6 +145,9 @@ def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
                 springs = np.diag(arm.joint_stiffness) - bent[0]
                 raise UnstableLoadError(share, float(np.linalg.eigvalsh((springs + springs.T) / 2)[0]), index)
             theta, residual, held, step = trial, left[0], share, 2 * step
+            if np.abs(theta).max() > TOO_LARGE:
+                joint = int(np.argmax(np.abs(theta)))
+                raise DeflectionError(joint + 1, float(theta[0, joint]), TOO_LARGE, held, index)
             continue
         residual, step = left[0], step / 2
         if step < LEAST_STEP:
@@ -172,7 +181,7 @@ def wrench_for_pose(arm: Arm, mount: Mount, q, pose: Pose, gravity: bool = True)
         theta[going] += change[going, 6:]
     if going.any():
         i = int(np.flatnonzero(going)[0])
-        raise EquilibriumError(float(residual[i]), count, 0.0, tuple(int(k) for k in np.unravel_index(i, shape)))
+        raise EquilibriumError(float(residual[i]), count, 0.0, _index(i, shape))
     solved = _record(wrench, theta, q, frames, loads, residual, np.full(len(q), count))
     return _reshaped(solved, shape)
 

@@ -9,7 +9,8 @@ import math
 
 from kr270_milling.errors import MillingError
 
-__all__ = ["ReachError", "JointLimitError", "SingularityError", "UnstableLoadError", "EquilibriumError"]
+__all__ = ["ReachError", "JointLimitError", "SingularityError", "UnstableLoadError", "DeflectionError",
+           "EquilibriumError"]  # fmt: skip
 
 
 def _place(index) -> str:
@@ -61,6 +62,20 @@ class UnstableLoadError(MillingError):
         super().__init__(
             f"the arm is unstable under this load: at {load_factor:.3g} of it the smallest eigenvalue of K_theta - H "
             f"is {eigenvalue:.3g} N m/rad, but must be positive; reduce the load or stiffen the joints{_place(index)}"
+        )
+
+
+class DeflectionError(MillingError):
+    """The load bends a joint further than a linear spring may be believed; joint counts from 1, both angles [rad];
+    load_factor: the share of the load that already does it."""
+
+    def __init__(self, joint: int, deflection: float, limit: float, load_factor: float, index: tuple = ()):
+        self.joint, self.deflection, self.limit = joint, deflection, limit
+        self.load_factor, self.index = load_factor, index
+        super().__init__(
+            f"at {load_factor:.3g} of the load joint {joint} bends by {math.degrees(deflection):.3g} deg, but its linear "
+            f"spring is believed only up to {math.degrees(limit):.3g} deg; reduce the load or check the compliances"
+            f"{_place(index)}"
         )
 
 

@@ -91,8 +91,9 @@ def branches(arm: Arm, mount: Mount, pose: Pose, near_q) -> tuple[np.ndarray, np
     flange = pose @ mount.pose.inverse()
     lifted = Pose(flange.position[..., None, :], flange.rotation[..., None, :, :])
     q123, distance = _arm_joints(arm, lifted, BRANCHES[:, 0], BRANCHES[:, 1])
-    near_a4 = np.asarray(near_q, float)[..., None, 3]
-    return np.concatenate([q123, _wrist_joints(lifted, q123, BRANCHES[:, 2], near_a4)], -1), distance
+    wrist = _wrist_joints(lifted, q123, BRANCHES[:, 2], np.asarray(near_q, float)[..., None, 3])
+    q123 = np.broadcast_to(q123, wrist.shape)
+    return np.concatenate([q123, wrist], -1), np.broadcast_to(distance, wrist.shape[:-1])
 
 
 def _reach(arm: Arm) -> tuple[float, float]:
