@@ -73,8 +73,8 @@ class DeflectionError(MillingError):
         self.joint, self.deflection, self.limit = joint, deflection, limit
         self.load_factor, self.index = load_factor, index
         super().__init__(
-            f"at {load_factor:.3g} of the load joint {joint} bends by {math.degrees(deflection):.3g} deg, but its linear "
-            f"spring is believed only up to {math.degrees(limit):.3g} deg; reduce the load or check the compliances"
+            f"at {load_factor:.3g} of the load joint {joint} bends by {math.degrees(deflection):.3g} deg, but its "
+            f"linear spring is believed only up to {math.degrees(limit):.3g} deg; reduce the load or check the compliances"
             f"{_place(index)}"
         )
 
