@@ -74,8 +74,8 @@ class DeflectionError(MillingError):
         self.load_factor, self.index = load_factor, index
         super().__init__(
             f"at {load_factor:.3g} of the load joint {joint} bends by {math.degrees(deflection):.3g} deg, but its "
-            f"linear spring is believed only up to {math.degrees(limit):.3g} deg; reduce the load or check the compliances"
-            f"{_place(index)}"
+            f"linear spring is believed only up to {math.degrees(limit):.3g} deg; reduce the load or check the "
+            f"compliances{_place(index)}"
         )
 
 
