@@ -15,7 +15,7 @@ from scipy.interpolate import CubicSpline
 
 from kr270_milling.errors import MillingError
 
-__all__ = ["Trajectory", "TrajectoryError", "TOOL_DOWN"]
+__all__ = ["Trajectory", "TrajectoryError", "TOOL_DOWN", "slerp"]
 
 #: tool0 in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
 TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
@@ -77,7 +77,7 @@ class Trajectory:
 
     def sample(self, time_ns) -> np.ndarray:
         """Position [m], (..., 3), at times [ns] of any shape."""
-        k, u, step = self._locate(time_ns)
+        k, u, step = self.locate(time_ns)
         start, move = self.position[k], self.position[k + 1] - self.position[k]
         if self.velocity is None:
             return start + u * move
@@ -86,7 +86,7 @@ class Trajectory:
 
     def sample_velocity(self, time_ns) -> np.ndarray:
         """Velocity [m/s], (..., 3), at times [ns] of any shape; of the later segment where two meet in a corner."""
-        k, u, step = self._locate(time_ns)
+        k, u, step = self.locate(time_ns)
         move = self.position[k + 1] - self.position[k]
         time = np.asarray(time_ns)[..., None]
         moving = (time >= 0) & (time <= self.duration_ns)
@@ -101,20 +101,11 @@ class Trajectory:
 
     def sample_orientation(self, time_ns) -> np.ndarray:
         """Quaternions x, y, z, w, (..., 4), at times [ns] of any shape."""
-        k, u, _ = self._locate(time_ns)
-        first, second = self.quaternion[k], self.quaternion[k + 1]
-        cosine = np.sum(first * second, axis=-1, keepdims=True)
-        second = np.where(cosine < 0, -second, second)  # q and -q are one rotation: take the short way
-        sine = np.linalg.norm(second - np.abs(cosine) * first, axis=-1, keepdims=True)
-        angle = np.arctan2(sine, np.abs(cosine))
-        safe = np.where(sine > 1e-9, sine, 1.0)
-        weight = np.where(sine > 1e-9, np.sin(u * angle) / safe, u)
-        other = np.where(sine > 1e-9, np.sin((1 - u) * angle) / safe, 1 - u)
-        mixed = other * first + weight * second
-        return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
+        k, u, _ = self.locate(time_ns)
+        return slerp(self.quaternion[k], self.quaternion[k + 1], u)
 
-    def _locate(self, time_ns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Segment (...), place in it in [0, 1] (..., 1), its duration [s] (..., 1)."""
+    def locate(self, time_ns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Segment (...), place in it from 0 to 1 (..., 1), its duration [s] (..., 1), at times [ns] of any shape."""
         time = np.clip(np.asarray(time_ns, np.int64), 0, self.duration_ns)
         k = np.clip(np.searchsorted(self.time_ns, time, side="right") - 1, 0, len(self) - 2)
         step_ns = (self.time_ns[k + 1] - self.time_ns[k])[..., None]
@@ -153,6 +144,19 @@ class Trajectory:
             raise TrajectoryError(f"spline ends are natural, not-a-knot, clamped or two velocities, not {ends}")
         velocity = CubicSpline(line.time, line.position, axis=0, bc_type=ends)(line.time, 1)
         return line.with_position(line.position, velocity)
+
+
+def slerp(first: np.ndarray, second: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Quaternions (..., 4) at the fractions u (..., 1) of the shortest turn from ``first`` to ``second``."""
+    cosine = np.sum(first * second, axis=-1, keepdims=True)
+    second = np.where(cosine < 0, -second, second)  # q and -q are one rotation: take the short way
+    sine = np.linalg.norm(second - np.abs(cosine) * first, axis=-1, keepdims=True)
+    angle = np.arctan2(sine, np.abs(cosine))
+    turning = sine > 1e-9
+    safe = np.where(turning, sine, 1.0)
+    mixed = np.where(turning, np.sin((1 - u) * angle) / safe, 1 - u) * first
+    mixed = mixed + np.where(turning, np.sin(u * angle) / safe, u) * second
+    return mixed / np.linalg.norm(mixed, axis=-1, keepdims=True)
 
 
 def _rows(name: str, array, count: int, width: int) -> np.ndarray:

@@ -1,0 +1,59 @@
+"""Arcs of the xy plane as chords that touch the arc at both ends."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+__all__ = ["ArcError", "centre_from_radius", "flatten"]
+
+
+class ArcError(ValueError):
+    """An arc that its numbers do not define; the text says why, lengths in mm."""
+
+
+def centre_from_radius(start, end, radius: float, clockwise: bool, tolerance: float) -> tuple[float, float]:
+    """Centre (x, y) [m] of the arc from start to end; a negative radius takes the longer of the two arcs."""
+    dx, dy = end[0] - start[0], end[1] - start[1]
+    chord = math.hypot(dx, dy)
+    if chord == 0:
+        raise ArcError("an arc given by R must end elsewhere than it starts; give I and J for a full circle")
+    if not chord <= 2 * (abs(radius) + tolerance):
+        raise ArcError(f"the arc does not close: radius {1e3 * radius:g} mm, but {1e3 * chord:g} mm from start to end")
+    height = math.sqrt(max(0.0, radius**2 - chord**2 / 4))
+    side = -1.0 if clockwise == (radius > 0) else 1.0  # of the centre, seen along the chord: +1 left, -1 right
+    return (start[0] + dx / 2 - side * height * dy / chord, start[1] + dy / 2 + side * height * dx / chord)
+
+
+def flatten(start, end, centre, clockwise: bool, closing: float, tolerance: float) -> tuple[np.ndarray, float]:
+    """Ends of the chords [m], (m, 3), and the curvature [1/m] of an arc or a helix about ``centre``.
+
+    start, end [m], (3,); equal in x and y they mean a full circle. closing: how far start and end may differ in their
+    distance from the centre; tolerance: how far the arc may stand off a chord. The last point is ``end`` itself.
+    """
+    first = math.hypot(start[0] - centre[0], start[1] - centre[1])
+    last = math.hypot(end[0] - centre[0], end[1] - centre[1])
+    if not abs(first - last) <= closing:
+        raise ArcError(
+            f"the arc does not close: its start is {1e3 * first:.4f} mm from the centre, its end {1e3 * last:.4f} mm"
+        )
+    if not min(first, last) > 0:
+        raise ArcError("the arc has no radius")
+    angle = math.atan2(start[1] - centre[1], start[0] - centre[0])
+    sweep = (math.atan2(end[1] - centre[1], end[0] - centre[0]) - angle) % (2 * math.pi)
+    if math.hypot(end[0] - start[0], end[1] - start[1]) < 1e-9:
+        sweep = 2 * math.pi
+    elif clockwise:
+        sweep -= 2 * math.pi
+    if clockwise and sweep > 0:
+        sweep = -sweep
+    radius = max(first, last)
+    step = 2 * math.acos(max(1 - tolerance / radius, math.cos(math.pi / 4)))  # at least 4 chords to the circle
+    count = max(1, math.ceil(abs(sweep) / step))
+    place = np.arange(1, count + 1) / count
+    radii, angles = first + place * (last - first), angle + place * sweep
+    height = start[2] + place * (end[2] - start[2])
+    points = np.stack([centre[0] + radii * np.cos(angles), centre[1] + radii * np.sin(angles), height], axis=1)
+    points[-1] = end
+    return points, math.copysign(2 / (first + last), sweep)

@@ -1,0 +1,67 @@
+"""Text files in and out: refused with a line number when unreadable, written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from kr270_milling.errors import InputError
+
+__all__ = ["read_lines", "ends_in_mid_line", "write_files"]
+
+
+def read_lines(path) -> list[str]:
+    """The lines of a UTF-8 (or ASCII) text file without their ends; the last item is "" if the last line has an end.
+
+    Raises InputError for what is no such text, with the first line that is not.
+    """
+    try:
+        if not Path(path).is_file():  # a directory, a pipe, a device
+            raise InputError(path, "is no file" if Path(path).exists() else "is no such file")
+        data = Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        raise InputError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    if not data.strip():
+        raise InputError(path, "the file is empty", 1)
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise InputError(path, "the file is UTF-16 text; save it as UTF-8 or ASCII", 1)
+    null = data.find(b"\0")
+    if null >= 0:
+        raise InputError(path, "holds a zero byte, so it is no text file", _line_at(data, null))
+    try:
+        text = data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        shown = f"holds the byte 0x{data[error.start]:02x}, which is not UTF-8; save the file as UTF-8 or ASCII"
+        raise InputError(path, shown, _line_at(data, error.start)) from None
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+def _line_at(data: bytes, offset: int) -> int:
+    before = data[:offset].replace(b"\r\n", b"\n")
+    return before.count(b"\n") + before.count(b"\r") + 1
+
+
+def ends_in_mid_line(source, lines: list[str]) -> None:
+    """Raise InputError if the last line has no end, as in a file that was cut off: its last number may be wrong."""
+    if lines[-1].strip():
+        reason = "the file ends in the middle of a line, so it may be cut off; if it is whole, end its last line"
+        raise InputError(source, reason, len(lines))
+
+
+def write_files(contents: dict[Path, Iterable[str]], newline: str = "\n") -> None:
+    """Write several text files; either all of them appear under their names or none does (short of a power cut)."""
+    parts = {Path(path): Path(path).with_name(f".{Path(path).name}.{os.getpid()}.part") for path in contents}
+    try:
+        for path, chunks in contents.items():
+            part = parts[Path(path)]
+            part.unlink(missing_ok=True)
+            with open(part, "x", encoding="utf-8", newline=newline) as stream:
+                stream.writelines(chunks)
+        for path, part in parts.items():
+            part.replace(path)
+    except OSError as error:
+        raise InputError(error.filename or "output", f"cannot be written ({error.strerror})") from None
+    finally:
+        for part in parts.values():
+            part.unlink(missing_ok=True)

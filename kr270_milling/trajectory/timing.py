@@ -1,0 +1,138 @@
+"""A tool path becomes a trajectory: feed along the path with limited acceleration and jerk, knots at controller steps.
+
+Blocks that meet tangentially, or in a corner that rounds off by less than the tolerance at some fair speed, are run
+through; at all other corners the tool stops, exactly on a controller step, so that a knot stands in the corner. Between
+stops the speed is as high as the feeds, the curvature (centripetal acceleration) and S-shaped ramps allow. The ramps
+bound acceleration and jerk *along* the path; across it only the acceleration is bounded. All passes over the blocks
+are linear in their number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.config import Record, parameter
+from kr270_milling.trajectory.profile import Ramps, peak_speeds, ramp_time, vertex_speeds
+from kr270_milling.trajectory.toolpath import Toolpath, ToolpathError
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["Timing", "TimedPath", "time_path"]
+
+TANGENT = 1e-3  #: [rad] smaller turns come from rounded coordinates; at 4 m/min and 50 ms they cut 0.4 um
+FAIR = 0.2  #: share of the feed below which a corner is not worth rounding
+MOST_KNOTS = 20_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Timing(Record):
+    """What the controller allows along a path."""
+
+    controller_step: float = parameter(0.05, unit="ms", low=1.0, high=1000.0, text="time between knots")
+    acceleration: float = parameter(2.0, unit="m_per_s2", above=0.0, high=50.0, text="along and across the path")
+    jerk: float = parameter(20.0, unit="m_per_s3", above=0.0, high=5000.0, text="along the path")
+    rapid_feed: float = parameter(0.2, unit="m_per_min", above=0.0, high=180.0, text="speed of G0 and RAPID moves")
+    corner_tolerance: float = parameter(1e-5, unit="um", low=0.0, high=1e4, text="how far a corner may be rounded off")
+
+    @property
+    def step_ns(self) -> int:
+        return round(self.controller_step * 1e9)
+
+
+@dataclass(frozen=True, eq=False)
+class TimedPath:
+    """A trajectory and where on its tool path each knot lies."""
+
+    toolpath: Toolpath
+    trajectory: Trajectory
+    block: np.ndarray  #: (m,), block of the tool path that each knot lies on
+    distance: np.ndarray  #: [m], (m,), along the path
+
+    def distance_at(self, time_ns) -> np.ndarray:
+        """Distance along the path [m] at times [ns]."""
+        k, u, step = (v[..., 0] if v.ndim > np.ndim(time_ns) else v for v in self.trajectory.locate(time_ns))
+        speed = np.linalg.norm(self.trajectory.velocity, axis=1)
+        move, v0, v1 = self.distance[k + 1] - self.distance[k], speed[k] * step, speed[k + 1] * step
+        return self.distance[k] + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
+
+    def block_at(self, time_ns) -> np.ndarray:
+        """Block of the tool path at times [ns]."""
+        return self.toolpath.block_at(self.distance_at(time_ns))
+
+    def feature_at(self, time_ns) -> np.ndarray:
+        """Index into ``toolpath.features`` at times [ns]."""
+        return self.toolpath.feature[self.block_at(time_ns)]
+
+    def path_error(self, time_ns) -> np.ndarray:
+        """Distance [m] of the trajectory from the tool path at times [ns], (m,): what the controller step costs."""
+        on_path, tangent, _ = self.toolpath.on_path(self.distance_at(time_ns))
+        error = self.trajectory.sample(time_ns) - on_path
+        return np.linalg.norm(error - np.sum(error * tangent, axis=-1, keepdims=True) * tangent, axis=-1)
+
+
+def time_path(toolpath: Toolpath, timing: Timing) -> TimedPath:
+    """Run a tool path under the limits; the trajectory starts and ends at rest and has velocities at its knots."""
+    ramps, steps = _ramps(toolpath, timing)
+    distance, speed, _ = ramps.sample(np.arange(steps + 1) * timing.controller_step)
+    distance[-1], speed[[0, -1]] = toolpath.length, 0.0
+    block = toolpath.block_at(distance)
+    position, tangent, quaternion = toolpath.on_path(distance)
+    time_ns = np.arange(steps + 1, dtype=np.int64) * timing.step_ns
+    return TimedPath(toolpath, Trajectory(time_ns, position, quaternion, speed[:, None] * tangent), block, distance)
+
+
+def _ramps(toolpath: Toolpath, timing: Timing) -> tuple[Ramps, int]:
+    """The phases of motion along the whole path, and how many controller steps they last."""
+    acceleration, jerk = timing.acceleration, timing.jerk
+    length = toolpath.block_length[1:]
+    bend = np.maximum(np.abs(toolpath.curvature[1:]), 1e-12)
+    feed = np.where(toolpath.rapid[1:], timing.rapid_feed, toolpath.feed[1:])
+    limit = np.minimum(feed, np.sqrt(acceleration / bend))  # centripetal
+    corner = _corner_speeds(toolpath, timing, np.minimum(limit[:-1], limit[1:]))
+
+    joined = (limit[:-1] == limit[1:]) & (corner >= limit[1:])
+    starts = np.flatnonzero(np.concatenate([[True], ~joined]))
+    segment, top = np.add.reduceat(length, starts), limit[starts]
+    cap = np.concatenate([[0.0], corner[starts[1:] - 1], [0.0]])
+    vertex = vertex_speeds(cap, segment, acceleration, jerk)
+    first, last = vertex[:-1], vertex[1:]
+    peak = peak_speeds(first, last, top, segment, acceleration, jerk)
+    up, down = ramp_time(peak - first, acceleration, jerk), ramp_time(peak - last, acceleration, jerk)
+    cruise = np.maximum(segment - (first + peak) / 2 * up - (peak + last) / 2 * down, 0.0) / peak
+
+    run = np.concatenate([[0], np.cumsum(vertex[1:-1] == 0)])  # stop to stop
+    final = np.flatnonzero(vertex[1:] == 0)  # the segment that ends each run
+    duration = np.bincount(run, up + cruise + down)
+    steps = np.maximum(np.ceil(duration / timing.controller_step - 1e-9), 1)
+    if steps.sum() > MOST_KNOTS:
+        raise ToolpathError(f"it would last {steps.sum() * timing.controller_step:.3g} s; is the feed right?")
+    missing = steps * timing.controller_step - duration
+    softer = cruise[final] >= missing  # brake so gently that the stop falls on a step; else run a little slower
+    down[final] += np.where(softer, 2 * missing, 0.0)
+    cruise[final] -= np.where(softer, missing, 0.0)
+    slower = np.where(softer, 1.0, steps * timing.controller_step / duration)[run]
+
+    durations = np.stack([up, cruise, down], axis=1) * slower[:, None]
+    speeds = np.stack([first, peak, peak, last], axis=1) / slower[:, None]
+    ramps = Ramps.make(durations.ravel(), speeds[:, :3].ravel(), speeds[:, 1:].ravel(), acceleration, jerk)
+    return ramps, int(steps.sum())
+
+
+def _corner_speeds(toolpath: Toolpath, timing: Timing, limit: np.ndarray) -> np.ndarray:
+    """Speed [m/s], (n-2,), at which each corner between two blocks may be run; 0: stop.
+
+    Between two knots a step h apart the trajectory rounds a turn by the angle t off by v h sin(t/2) / 4 at most, and
+    changes its velocity by 2 v sin(t/2) within the step, or within one block where blocks are shorter.
+    """
+    k = np.arange(1, len(toolpath))
+    start, end = toolpath.tangent(k, np.zeros(k.size)), toolpath.tangent(k, toolpath.plane_length[k])
+    half = np.linalg.norm(start[1:] - end[:-1], axis=1) / 2  # sin(t / 2)
+    safe = np.maximum(half, 1e-12)
+    step, length = timing.controller_step, toolpath.block_length[1:]
+    rounding = 4 * timing.corner_tolerance / (step * safe)
+    turning = timing.acceleration * step / (2 * safe)
+    dense = np.sqrt(timing.acceleration * (length[:-1] + length[1:]) / (4 * safe))
+    speed = np.minimum(np.minimum(rounding, turning), np.minimum(dense, limit))
+    speed = np.where(half < TANGENT / 2, limit, speed)
+    return np.where(speed >= FAIR * limit, speed, 0.0)
