@@ -1,6 +1,6 @@
 """The cut: tool, force laws, workpiece grid, sweep of the teeth [Klimchik2012, section 4]."""
 
-from kr270_milling.cutting.cut import Cut, UndoError
+from kr270_milling.cutting.cut import Cut, SweepError, UndoError
 from kr270_milling.cutting.grid import GridError, Stock
 from kr270_milling.cutting.laws import Cutting, FractionalLaw, LinearEdgeLaw, fractional, linear_edge
 from kr270_milling.cutting.state import Params, State, make_params, make_state
@@ -8,6 +8,6 @@ from kr270_milling.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.cutting.tool import Tool
 
 __all__ = [
-    "Cut", "UndoError", "GridError", "Stock", "Cutting", "FractionalLaw", "LinearEdgeLaw", "fractional", "linear_edge",
+    "Cut", "SweepError", "UndoError", "GridError", "Stock", "Cutting", "FractionalLaw", "LinearEdgeLaw", "fractional", "linear_edge",
     "Params", "State", "make_params", "make_state", "NO_FORCES", "sweep", "undo", "Tool",
 ]  # fmt: skip

@@ -11,7 +11,7 @@ from kr270_milling.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.cutting.tool import Tool
 from kr270_milling.errors import MillingError
 
-__all__ = ["Cut", "UndoError"]
+__all__ = ["Cut", "SweepError", "UndoError"]
 
 
 class UndoError(MillingError):
@@ -20,6 +20,17 @@ class UndoError(MillingError):
     def __init__(self, size: int):
         self.size = size
         super().__init__(f"the last sweep cleared more nodes than the {size} that can be taken back")
+
+
+class SweepError(MillingError):
+    """A sweep that makes no sense."""
+
+    def __init__(self, pose_from, pose_to, first: int, n: int):
+        self.pose_from, self.pose_to, self.first, self.n = pose_from, pose_to, first, n
+        super().__init__(
+            f"a sweep from {pose_from} to {pose_to} in {n} micro-steps from number {first} must have positions of three "
+            "finite numbers, at least one micro-step and no negative number, and room for each force if any is wanted"
+        )
 
 
 class Cut:
@@ -38,13 +49,12 @@ class Cut:
         """Move the tool tip straight from one position (3,) [m] to another in n micro-steps, workpiece frame.
 
         first: number of the first micro-step, counted from the pass's start; forces: (n, 3), filled if given [N].
-        Returns the mean wrench (6,) on the tool [N, N m]. Raises GridError.
+        Returns the mean wrench (6,) on the tool [N, N m]. Raises SweepError, GridError.
         """
         start, end = np.array(pose_from, float), np.array(pose_to, float)
-        if start.shape != (3,) or end.shape != (3,) or not np.isfinite(start + end).all():
-            raise ValueError(f"positions must be three finite numbers, not {pose_from} and {pose_to}")
-        if first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):
-            raise ValueError(f"no sweep of {n} micro-steps from number {first} with forces {forces.shape}")
+        sound = start.shape == end.shape == (3,) and np.isfinite([start, end]).all()
+        if not sound or first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):
+            raise SweepError(pose_from, pose_to, first, n)
         force_x, force_y, self.torque = sweep(self.state, self.params, start, end, int(first), int(n), forces)
         if self.state.ints[FAILED]:
             raise GridError(self.state.pool.size // TILE**2)
@@ -53,11 +63,11 @@ class Cut:
     def restore(self) -> None:
         """Take the last sweep back, once. Raises UndoError."""
         if not undo(self.state):
-            raise UndoError(self.state.log_index.size)
+            raise UndoError(self.state.log_level.size)
 
     def copy(self) -> Cut:
         """An independent workpiece in the same condition."""
-        other = Cut(self.tool, self.cutting, self.stock, self.params.micro_step, self.state.log_index.size)
+        other = Cut(self.tool, self.cutting, self.stock, self.params.micro_step, self.state.log_level.size)
         used = self.state.ints[TILES] * TILE**2
         other.state.pool[:used] = self.state.pool[:used]
         for mine, its in zip(self.state[1:], other.state[1:], strict=True):

@@ -10,29 +10,31 @@ import math
 
 import numpy as np
 
-from kr270_milling.cutting.compiled import compiled
-from kr270_milling.cutting.state import FAILED, LOG_LOST, LOGGED, TALLIED, TILES
+from kr270_milling.cutting.compiled import compiled, inlined
+from kr270_milling.cutting.state import FAILED, LOG_LOST, LOGGED, LOGGED_RUNS, TALLIED, TILES
 
 SLACK = 1e-9
 VECTOR = 32  # nodes from which on it pays to look first whether anything is left
 
 
-@compiled
+@inlined
 def tally_log(ints, old, tally, level):
     """Add to tally what the log holds since the last call: nodes, sum of level differences; the lowest level."""
-    deficit, lowest, new = np.int64(0), np.uint16(level), np.int64(level)
-    for n in range(ints[TALLIED], ints[LOGGED]):
-        deficit += new - np.int64(old[n])
-        lowest = min(lowest, old[n])
-    tally[0] += ints[LOGGED] - ints[TALLIED]
-    tally[1] += deficit
+    count, deficit, lowest = np.uint32(0), np.uint64(0), np.uint16(level)
+    for n in range(np.uint64(ints[TALLIED]), np.uint64(ints[LOGGED])):
+        k = min(old[n], np.uint16(level))
+        count += np.uint32(k < np.uint16(level))
+        deficit += np.uint64(np.uint16(level) - k)
+        lowest = min(lowest, k)
+    tally[0] += np.int64(count)
+    tally[1] += np.int64(deficit)
     tally[2] = min(tally[2], np.int64(lowest))
     ints[TALLIED] = ints[LOGGED]
 
 
-@compiled
-def _clear_column(pool, table, ints, index, old, tally, ix, ja, jb, level):
-    """Lower the nodes (ix, ja..jb) to ``level``; those that were higher go into the log with their old level."""
+@inlined
+def _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level):
+    """Lower the nodes (ix, ja..jb) to ``level``; the log keeps their old levels and where the run of nodes was."""
     j = ja
     while j <= jb:
         length = min(jb, j | 255) - j + 1
@@ -48,21 +50,27 @@ def _clear_column(pool, table, ints, index, old, tally, ix, ja, jb, level):
         j += length
         if length >= VECTOR and not _any_above(pool, start, length, level):
             continue
-        if ints[LOGGED] + length > index.size:
+        if ints[LOGGED] + length > old.size or ints[LOGGED_RUNS] == runs.shape[0]:
             tally_log(ints, old, tally, level)
-            ints[LOGGED] = ints[TALLIED] = 0
+            ints[LOGGED] = ints[LOGGED_RUNS] = ints[TALLIED] = 0
             ints[LOG_LOST] = 1
-        n, new = ints[LOGGED], np.uint16(level)
-        for p in range(start, start + length):
-            k = pool[p]
-            index[n] = p  # written always, kept only if the node is cleared: no branch
-            old[n] = k
-            n += k < new
-            pool[p] = max(k, new)
-        ints[LOGGED] = n
+        _lower(pool, old, np.uint64(start), np.uint64(ints[LOGGED]), np.uint64(length), np.uint16(level))
+        run = np.uint64(ints[LOGGED_RUNS])
+        runs[run, 0], runs[run, 1] = start, length
+        ints[LOGGED_RUNS] += 1
+        ints[LOGGED] += length
 
 
-@compiled
+@inlined
+def _lower(pool, old, start, logged, length, level):
+    """The innermost loop; unsigned numbers, because an index that cannot count from the end costs less."""
+    for i in range(length):
+        k = pool[start + i]
+        old[logged + i] = k
+        pool[start + i] = max(k, level)
+
+
+@inlined
 def _any_above(pool, start, length, level):
     lowest = pool[start]
     for p in range(start, start + length):
@@ -70,7 +78,7 @@ def _any_above(pool, start, length, level):
     return lowest < level
 
 
-@compiled
+@inlined
 def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny, level):
     """Clear what a tooth sweeps outside the radius ``inner`` (at least that, at most the whole sector).
 
@@ -91,8 +99,13 @@ def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny
     high = min(max(max(ay, by), max(py, qy)) + bulge, ny + 1.0)
     if ia > ib or low > ny - 1 or high < 0.0:
         return
+    # Beyond the square to the mid direction through the nearer inner corner: nothing below this line is needed.
+    mx, my = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+    base = min(mx * px + my * py, mx * qx + my * qy) - SLACK
     side0, side1 = sense * x0, -sense * x1  # > 0: the line bounds the sector from below
-    slope0 = slope1 = 0.0
+    slope0 = slope1 = inverse = 0.0
+    if my != 0.0:
+        inverse = 1.0 / my
     if side0 != 0.0:
         slope0 = y0 / x0
     elif sense * y0 < 0.0:
@@ -105,13 +118,17 @@ def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny
         ia = max(ia, math.ceil(u1 - SLACK))
     else:
         ib = min(ib, math.floor(u1 + SLACK))
-    pool, table, ints, index, old, tally = s.pool, s.table, s.ints, s.log_index, s.log_level, s.tally
+    pool, table, ints, runs, old, tally = s.pool, s.table, s.ints, s.log_runs, s.log_level, s.tally
     for ix in range(ia, ib + 1):
         square = radius * radius - (ix - cx) * (ix - cx)
         if square < 0.0:
             continue
         half = math.sqrt(square)
         lo, hi = max(low, cy - half), min(high, cy + half)
+        if my > 0.0:
+            lo = max(lo, (base - mx * ix) * inverse)
+        elif my < 0.0:
+            hi = min(hi, (base - mx * ix) * inverse)
         line0, line1 = v0 + (ix - u0) * slope0, v1 + (ix - u1) * slope1
         if side0 > 0.0:
             lo = max(lo, line0)
@@ -123,7 +140,7 @@ def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny
             hi = min(hi, line1)
         ja, jb = max(math.ceil(lo - SLACK), 0), min(math.floor(hi + SLACK), ny - 1)
         if ja <= jb:
-            _clear_column(pool, table, ints, index, old, tally, ix, ja, jb, level)
+            _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level)
 
 
 @compiled
@@ -131,7 +148,7 @@ def clear_quad(s, xs, ys, nx, ny, level):
     """Clear the inside (even-odd) of the closed polygon through the four corners xs, ys; it may cross itself."""
     ia = max(math.ceil(min(min(xs[0], xs[1]), min(xs[2], xs[3])) - SLACK), 0)
     ib = min(math.floor(max(max(xs[0], xs[1]), max(xs[2], xs[3])) + SLACK), nx - 1)
-    pool, table, ints, index, old, tally = s.pool, s.table, s.ints, s.log_index, s.log_level, s.tally
+    pool, table, ints, runs, old, tally = s.pool, s.table, s.ints, s.log_runs, s.log_level, s.tally
     for ix in range(ia, ib + 1):
         n, a, b, c, d = 0, math.inf, math.inf, math.inf, math.inf
         for i in range(4):
@@ -148,4 +165,4 @@ def clear_quad(s, xs, ys, nx, ny, level):
             ja, jb = math.ceil(max(lo, -1.0) - SLACK), math.floor(min(hi, ny + 1.0) + SLACK)
             ja, jb = max(ja, 0), min(jb, ny - 1)
             if ja <= jb:
-                _clear_column(pool, table, ints, index, old, tally, ix, ja, jb, level)
+                _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level)

@@ -16,7 +16,7 @@ __all__ = ["Params", "State", "make_params", "make_state"]
 
 # Places in State.ints
 TILES = 0  # tiles in use
-LOGGED = 1  # entries of the undo log
+LOGGED = 1  # levels in the undo log
 LOG_LOST = 2  # 1: the log overflowed
 NEXT_STEP = 3  # micro-step up to which the history reaches
 RUN = 4  # first micro-step of the present run of whole sectors, -1: none
@@ -24,8 +24,9 @@ RUN_LEVEL = 5  # shallowest level in this run
 FLOOR = 6  # every node well inside the tool is cut at least to this level
 NODES = 7  # nodes cleared so far
 FAILED = 8  # 1: no tile left
-TALLIED = 9  # entries of the log that are in the tally
-INTS = 10
+TALLIED = 9  # levels of the log that are in the tally
+LOGGED_RUNS = 10  # runs of nodes in the undo log
+INTS = 11
 # Places in State.floats
 LEVEL_SUM = 0  # depth removed, summed over the nodes [m]
 FLOATS = 1
@@ -66,8 +67,8 @@ class State(NamedTuple):
     floats: np.ndarray  # (FLOATS,)
     saved_ints: np.ndarray  # as they were before the last sweep
     saved_floats: np.ndarray
-    log_index: np.ndarray  # int32: nodes cleared in the last sweep
-    log_level: np.ndarray  # uint16: their levels before
+    log_runs: np.ndarray  # int32, (any, 2): first node and length of each run of nodes visited in the last sweep
+    log_level: np.ndarray  # uint16: the nodes' levels before, run after run
     tally: np.ndarray  # int64, (3,): scratch of one tooth and micro-step: nodes, level differences, lowest level
     chips: np.ndarray  # (teeth,): largest chip thickness of each tooth in the last sweep [m]
 
@@ -98,7 +99,7 @@ def make_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -
         thickness=stock.thickness,
         level_step=stock.level_step,
         tolerance=int(stock.floor_tolerance / stock.level_step),
-        window=int(pitch_steps.max()) + int(0.125 / micro_step) + 6,
+        window=int(pitch_steps.max()) + int(0.126 / micro_step) + 6,
         is_fractional=cutting.law == "fractional",
         coefficients=cutting.coefficients,
     )
@@ -125,7 +126,7 @@ def make_state(params: Params, stock: Stock, log_size: int = 1 << 20) -> State:
         floats=np.zeros(FLOATS),
         saved_ints=ints.copy(),
         saved_floats=np.zeros(FLOATS),
-        log_index=np.empty(log_size, np.int32),
+        log_runs=np.empty((log_size // 4, 2), np.int32),
         log_level=np.empty(log_size, np.uint16),
         tally=np.zeros(3, np.int64),
         chips=np.zeros(len(params.radii)),

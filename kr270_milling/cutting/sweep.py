@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.cutting.compiled import compiled
+from kr270_milling.cutting.compiled import compiled, inlined
 from kr270_milling.cutting.fill import clear_quad, clear_sector, tally_log
 from kr270_milling.cutting.laws import force_per_depth
 from kr270_milling.cutting.state import (
@@ -14,6 +14,7 @@ from kr270_milling.cutting.state import (
     LEVEL_SUM,
     LOG_LOST,
     LOGGED,
+    LOGGED_RUNS,
     NEXT_STEP,
     NODES,
     RUN,
@@ -26,6 +27,8 @@ __all__ = ["sweep", "undo", "NO_FORCES"]
 
 NO_FORCES = np.empty((0, 3))  #: pass this as ``forces`` if the force of each micro-step is not wanted
 FAR = 0.1  # of the radius: how far the tool may move in a window for the rim band to be used
+NEAR = 0.8  # of the radius: the rim band goes no deeper
+TURN = 1.26  # a point beyond NEAR seen from a centre that moves by x turns by at most TURN x / radius
 JUMP = 0.125  # of a tooth's way in a micro-step: a centre that moves further is a jump
 
 
@@ -37,7 +40,7 @@ def sweep(s, p, pose_from, pose_to, first, n, forces):
     micro-step since the pass began (int); forces: (n, 3) filled with the force of each micro-step, or NO_FORCES.
     Returns the mean over the micro-steps of F_x, F_y [N] on the tool and of the spindle torque [N m].
     """
-    _open(s, pose_from, first)
+    _open(s, p, pose_from, first, n)
     sum_x = sum_y = sum_torque = 0.0
     x1, y1 = pose_from[0], pose_from[1]
     for k in range(n):
@@ -74,13 +77,17 @@ def undo(s):
     """Take the last sweep back; False if its log overflowed and nothing was done."""
     if s.ints[LOG_LOST]:
         return False
-    for n in range(s.ints[LOGGED] - 1, -1, -1):  # backwards: a node may have been lowered twice
-        s.pool[s.log_index[n]] = s.log_level[n]
+    end = s.ints[LOGGED]
+    for run in range(s.ints[LOGGED_RUNS] - 1, -1, -1):  # backwards: a node may have been lowered twice
+        start, length = s.log_runs[run]
+        for i in range(length):
+            s.pool[start + i] = s.log_level[end - length + i]
+        end -= length
     tiles = s.ints[TILES]
     _copy(s.saved_ints, s.ints)
     _copy(s.saved_floats, s.floats)
     s.ints[TILES] = tiles  # an untouched tile says the same as none
-    s.ints[LOGGED] = s.ints[TALLIED] = 0
+    s.ints[LOGGED] = s.ints[LOGGED_RUNS] = s.ints[TALLIED] = 0
     return True
 
 
@@ -91,33 +98,37 @@ def _copy(source, target):
 
 
 @compiled
-def _open(s, pose_from, first):
+def _open(s, p, pose_from, first, n):
     """Save the state, empty the log, and forget the history if this sweep does not continue the last one."""
-    s.ints[LOGGED] = s.ints[LOG_LOST] = s.ints[TALLIED] = 0
+    s.ints[LOGGED] = s.ints[LOGGED_RUNS] = s.ints[LOG_LOST] = s.ints[TALLIED] = 0
     _copy(s.ints, s.saved_ints)
     _copy(s.floats, s.saved_floats)
-    s.chips[:] = 0.0
+    for i in range(s.chips.size):
+        s.chips[i] = 0.0
     here = s.history[first & (s.history.shape[0] - 1)]
     if s.ints[NEXT_STEP] != first or here[0] != pose_from[0] or here[1] != pose_from[1]:
         here[0], here[1], here[2] = pose_from[0], pose_from[1], 0.0
         s.ints[RUN], s.ints[RUN_LEVEL], s.ints[FLOOR] = first, 65536, -1
+        s.saved_ints[NEXT_STEP] = -1  # the old history is not to be taken up again
+    if n > p.steps:
+        s.saved_ints[NEXT_STEP] = -1  # its places will be written over
 
 
-@compiled
+@inlined
 def _remember(s, step, x, y, moved):
     mask = s.history.shape[0] - 1
     here = s.history[step & mask]
     here[0], here[1], here[2] = x, y, s.history[(step - 1) & mask, 2] + moved
 
 
-@compiled
+@inlined
 def _path(s, start, end):
     """Way of the centre between two micro-steps [m]."""
     mask = s.history.shape[0] - 1
     return s.history[end & mask, 2] - s.history[start & mask, 2]
 
 
-@compiled
+@inlined
 def _plan(s, p, step, level):
     """Whether teeth must sweep whole sectors now, and else the centre's way in the last window [m].
 
@@ -142,7 +153,7 @@ def _plan(s, p, step, level):
     return s.ints[RUN] >= 0, path
 
 
-@compiled
+@inlined
 def _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path):
     """Clear the sector of tooth i in one micro-step; tangential and radial force on it [N]."""
     turn, scale, radius = step % p.steps, 1.0 / p.spacing, p.radii[i]
@@ -153,7 +164,7 @@ def _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path):
         inner = _inner_radius(s, p, i, step + 1, x1, y1, c, d, moved, path)
         if inner >= radius + 2.0 * moved:
             return 0.0, 0.0
-        inner = max(inner, 0.5 * radius)
+        whole = inner < NEAR * p.shortest
     s.tally[0] = s.tally[1] = 0
     s.tally[2] = level
     u0, v0 = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale
@@ -177,7 +188,7 @@ def _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path):
     return _force(s, p, i, depth, level)
 
 
-@compiled
+@inlined
 def _force(s, p, i, depth, level):
     """Force of a tooth on the nodes in the tally; h from the volume over the depth reached: A_i / (R dphi) if flat."""
     per_node = p.spacing * p.spacing
@@ -191,7 +202,7 @@ def _force(s, p, i, depth, level):
     return tangential * height, radial * height
 
 
-@compiled
+@inlined
 def _inner_radius(s, p, i, now, x, y, c, d, moved, path):
     """Radius around the centre within which tooth i cannot meet material, because the tooth ahead of it passed there.
 
@@ -199,13 +210,14 @@ def _inner_radius(s, p, i, now, x, y, c, d, moved, path):
     A point at distance rho in direction e was then at most rho + e . (way since) + path^2 / (2 rho) from the centre.
     """
     mask = s.history.shape[0] - 1
-    spread = int(1.25 * path / (p.shortest * p.micro_step)) + 3
+    spread = int(TURN * path / (p.shortest * p.micro_step)) + 3
     then = now - p.pitch_steps[i]
-    near = _path(s, then - spread, min(then + spread, now)) * (1.0 + 1.0 / spread)
+    stray = max(_path(s, then - spread, then), _path(s, then, min(then + spread, now)))
     ahead = i + 1 if i + 1 < p.radii.size else 0
     back = c * (x - s.history[then & mask, 0]) + d * (y - s.history[then & mask, 1])
-    margin = near + 2.0 * moved + path * (p.micro_step + path / (1.6 * p.shortest)) + 0.02 * p.spacing
-    return p.radii[ahead] - back - margin
+    turn = p.micro_step + (TURN * moved + path / 1.6) / p.shortest
+    # twice the stray: the arc of a sector may lie inside the tooth's radius by the way of one micro-step
+    return p.radii[ahead] - back - 2.0 * (stray + moved) - path * turn - 0.02 * p.spacing
 
 
 @compiled
