@@ -3,6 +3,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 package = "kr270_milling"
+nodes = ["compliant_robot", "cutting_process", "trajectory_compensator", "recorder", "player"]
 
 setup(
     name=package,
@@ -35,5 +36,8 @@ setup(
     maintainer_email="kr270-milling@users.noreply.github.com",
     description="Predict and compensate the compliance errors of robotic milling (KUKA KR 270), as ROS 2 nodes.",
     license="Apache-2.0",
-    entry_points={"console_scripts": ["kr270_milling = kr270_milling.cli:main"]},
+    entry_points={
+        "console_scripts": ["kr270_milling = kr270_milling.cli:main"]
+        + [f"{node} = kr270_milling.nodes.{node}:main" for node in nodes]
+    },
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,7 +76,11 @@ class Cell(Record):
 
     def joints(self, trajectory: Trajectory) -> np.ndarray:
         """Joint positions [rad], (n, 6), that command the knots of a trajectory, on the branch of ``start_joints``."""
-        tool = Pose(trajectory.position, rotation_from_quaternion(trajectory.quaternion))
+        return self.joints_at(trajectory.position, trajectory.quaternion)
+
+    def joints_at(self, position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
+        """Joint positions [rad], (n, 6), for tool positions (n, 3) [m] and orientations (n, 4), workpiece frame."""
+        tool = Pose(position, rotation_from_quaternion(quaternion))
         return inverse_near(self.arm, self.mount, self.workpiece.pose @ tool, self.start_joints)
 
     @functools.cached_property
@@ -96,6 +101,10 @@ class Cell(Record):
         moves = model.output @ model.shape
         lateral = np.abs(moves[1]) > np.abs(moves[0])
         return float(model.frequency[lateral][0] if lateral.any() else model.frequency[0]) / (2 * np.pi)
+
+    def thinned_steps(self, period: float = 0.01) -> int:
+        """Exchange periods between two messages that come at most every ``period`` [s] of the pass."""
+        return max(1, math.ceil(period / self.exchange.period - 1e-9))
 
     def cut(self) -> Cut:
         """Fresh workpiece."""

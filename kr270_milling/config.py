@@ -24,7 +24,7 @@ import numpy as np
 
 from kr270_milling.errors import ConfigError, ParameterError
 
-__all__ = ["Record", "Spec", "parameter", "specs", "build", "flatten", "read_tree", "override", "find_file"]
+__all__ = ["Record", "Spec", "parameter", "specs", "build", "flatten", "read_tree", "merge", "override", "find_file"]
 
 #: file unit -> factor to SI
 UNITS = {
@@ -263,8 +263,8 @@ def read_tree(path, seen: tuple = ()) -> dict:
     for name in includes:
         if path.resolve() in seen:
             raise ConfigError(path, "includes", name, "free of circles")
-        merged = _merge(merged, read_tree(find_file(name, path.parent), (*seen, path.resolve())))
-    return _merge(merged, tree)
+        merged = merge(merged, read_tree(find_file(name, path.parent), (*seen, path.resolve())))
+    return merge(merged, tree)
 
 
 @functools.cache
@@ -286,11 +286,12 @@ def _strict_loader():
     return Loader
 
 
-def _merge(below: dict, above: dict) -> dict:
+def merge(below: dict, above: dict) -> dict:
+    """``above`` laid over ``below``, group by group."""
     merged = dict(below)
     for key, value in above.items():
         both = isinstance(value, dict) and isinstance(merged.get(key), dict)
-        merged[key] = _merge(merged[key], value) if both else value
+        merged[key] = merge(merged[key], value) if both else value
     return merged
 
 
@@ -309,7 +310,7 @@ def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, froze
             raise ConfigError("--set", key, value, "a number, a text or a list in brackets") from None
         for part in reversed(key.split(".")):
             parsed = {part: parsed}
-        tree = _merge(tree, typing.cast(dict, parsed))
+        tree = merge(tree, typing.cast(dict, parsed))
         keys.add(key)
     return tree, frozenset(keys)
 

@@ -8,12 +8,24 @@ import numpy as np
 
 from kr270_milling.cell import Cell
 from kr270_milling.compensation.compensator import Compensator
+from kr270_milling.compensation.mirror import Mirror, mirror
 from kr270_milling.compensation.revision import PassRecord
+from kr270_milling.frames import Pose, rotation_from_quaternion
 from kr270_milling.simulation.milling_pass import PassResult, run_pass
 from kr270_milling.simulation.scores import Scores, score
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["ScoredPass", "compensated", "mean_force", "record_of", "scored", "simulate"]
+__all__ = [
+    "ScoredPass",
+    "commanded_joints",
+    "compensated",
+    "compensator",
+    "mean_force",
+    "mirrored",
+    "record_of",
+    "scored",
+    "simulate",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +71,39 @@ def scored(cell: Cell, result: PassResult) -> Scores:
 
 def record_of(cell: Cell, result: PassResult) -> PassRecord:
     """What the compensator learns from: stamps and tool centres, as a node hears them on ``tool_pose``."""
-    return PassRecord(result.time_ns, result.tool, scored_from_ns=cell.scored_from_ns)
+    return PassRecord(result.time_ns, result.tool, cell.scored_from_ns, result.wrench)
+
+
+def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Compensator:
+    """The compensator of a cell, on line and off line."""
+    return Compensator(cell.compensation, target, method, lambda t, wrench: mirrored(cell, t, wrench))
+
+
+def mirrored(cell: Cell, target: Trajectory, wrench: np.ndarray) -> Trajectory:
+    """Target points modified by (30)-(32) for wrenches (k, 6) at the knots, in workpiece axes."""
+    turn = cell.workpiece.pose.rotation
+    in_base = np.concatenate([wrench[:, :3] @ turn.T, wrench[:, 3:] @ turn.T], axis=1)
+    modified = cell.workpiece.pose.inverse() @ _mirror(cell, target, in_base).pose
+    return Trajectory(target.time_ns, modified.position, modified.quaternion, None, target.frame)
+
+
+def commanded_joints(cell: Cell, reference: Trajectory) -> np.ndarray:
+    """The inverse kinetostatic model: joint positions [rad], (k, 6), that bring the tool to the reference points.
+
+    Where the controller does not compensate the sag under the link weights, they do.
+    """
+    if cell.compensation.sag_compensated:
+        return cell.joints(reference)
+    return _mirror(cell, reference, np.zeros((len(reference), 6))).joints
+
+
+def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray) -> Mirror:
+    tool = cell.workpiece.pose @ Pose(target.position, rotation_from_quaternion(target.quaternion))
+    how = cell.compensation
+    return mirror(
+        cell.arm, cell.mount, tool, wrench_in_base, cell.start_joints,
+        relaxation=how.relaxation, sag_compensated=how.sag_compensated,
+    )  # fmt: skip
 
 
 def compensated(cell: Cell, original: ScoredPass, method: str, progress=None) -> ScoredPass:
@@ -70,7 +114,7 @@ def compensated(cell: Cell, original: ScoredPass, method: str, progress=None) ->
         passes[id(reference)] = simulate(cell, reference, method, progress)
         return record_of(cell, passes[id(reference)].result)
 
-    reference = Compensator(cell.compensation, cell.target(), method).improve(record_of(cell, original.result), run)
+    reference = compensator(cell, cell.target(), method).improve(record_of(cell, original.result), run)
     return passes.get(id(reference)) or simulate(cell, reference, method, progress)
 
 

@@ -29,6 +29,16 @@ class PassRecord:
     time_ns: np.ndarray  #: [ns], (n,), increasing
     position: np.ndarray  #: [m], (n, 3), in the frame of the trajectories
     scored_from_ns: int = 0  #: the tool is fully engaged from here on
+    wrench: np.ndarray | None = None  #: on the tool [N, N m], (n, 6), in the frame of the trajectories; for "mirror"
+
+    def mean_wrench(self, knots_ns: np.ndarray) -> np.ndarray:
+        """(k, 6): mean over the samples that are nearer to a knot than to any other; 0 where there is none."""
+        if self.wrench is None:
+            raise RevisionError("the method mirror needs the wrench of the pass")
+        nearest = np.searchsorted(0.5 * (knots_ns[:-1] + knots_ns[1:]), self.time_ns)
+        count = np.bincount(nearest, minlength=knots_ns.size)
+        total = np.stack([np.bincount(nearest, w, knots_ns.size) for w in self.wrench.T], axis=1)
+        return total / np.maximum(count, 1)[:, None]
 
     def displacement(self, reference: Trajectory) -> np.ndarray:
         """[m], (n, 3): what the load did to the reference that was run."""

@@ -1,0 +1,137 @@
+"""Node: writes every topic of the graph to MCAP, bytes as they come."""
+
+from __future__ import annotations
+
+import importlib
+import shlex
+import sys
+import time
+from pathlib import Path
+
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from kr270_milling.errors import InputError
+from kr270_milling.recording.errors import RecordingError
+from kr270_milling.recording.writer import BagWriter
+from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode
+from kr270_milling.ros.spin import run_node
+
+__all__ = ["Recorder", "main"]
+
+DEPTH = 20_000  # messages that may wait for the writer
+LOOK_AROUND = 0.1  # [s] between two looks for new topics and two looks at the chunk's age
+SILENT = ("/rosout", "/parameter_events")  # recorded only when asked for by name
+
+
+class Recorder(ReportingNode):
+    """Every topic (or those of the parameter ``topics``) into ``directory``/NAME.mcap; ends on a signal."""
+
+    def __init__(self, **kwargs):
+        super().__init__("recorder", **kwargs)
+        self._topics = self._text("topics", "relative or absolute names, separated by commas; empty: every topic")
+        directory = self._text("directory", "the recording's directory, which must not hold one yet")
+        attachments = self._text("attach", "files to keep inside the recording, separated by commas")
+        seed = self._text("seed", "seed of the run, kept inside the recording")
+        if not directory:
+            raise InputError("parameters of " + self.get_fully_qualified_name(), "directory is missing")
+        kept = {Path(p).name: Path(p).read_bytes() for p in attachments.split(",") if p}
+        self.writer = BagWriter(directory, attachments=kept, metadata={"command": shlex.join(sys.argv), "seed": seed})
+        self._subscriptions_of: dict[str, object] = {}
+        self._stopped, self._before = False, -1
+        self.create_timer(LOOK_AROUND, self._look_around)
+        self.report(OK, f"recording to {self.writer.path}")
+
+    def _text(self, name: str, about: str) -> str:
+        return self.declare_parameter(name, "", ParameterDescriptor(description=about)).value
+
+    def _look_around(self) -> None:
+        """Subscribe to topics that are new, close an old chunk, count the gaps."""
+        wanted = {self.resolve_topic_name(t) for t in self._topics.split(",") if t}
+        for topic, types in self.get_topic_names_and_types():
+            if topic in self._subscriptions_of or (topic not in wanted if wanted else topic in SILENT):
+                continue
+            publishers = self.get_publishers_info_by_topic(topic)
+            if publishers:
+                self._subscribe(topic, types, publishers)
+        self._keep(self.writer.tick, time.monotonic())
+
+    def _subscribe(self, topic: str, types: list[str], publishers) -> None:
+        try:
+            if len(types) != 1:
+                raise RecordingError(self.writer.path, f"{topic} has several types: {', '.join(types)}")
+            package, _, name = types[0].split("/")
+            kind = getattr(importlib.import_module(f"{package}.msg"), name)
+            periodic = None if package != "diagnostic_msgs" else 0  # several nodes, each with its own stamps
+            self.writer.add_topic(topic, types[0], [p.qos_profile for p in publishers], periodic)
+        except (ImportError, AttributeError, RecordingError) as error:
+            self._subscriptions_of[topic] = None
+            self.report(WARN, f"{topic} is not recorded: {error}")
+            return
+
+        def keep(data: bytes) -> None:
+            self._keep(self._write, topic, data)
+
+        self._subscriptions_of[topic] = self.create_subscription(kind, topic, keep, _matching(publishers), raw=True)
+
+    def _write(self, topic: str, data: bytes) -> None:
+        self.writer.write(topic, data, time.time_ns())
+
+    def _keep(self, call, *args) -> None:
+        """Nothing is written after the first error; the recording so far stays readable."""
+        if self._stopped:
+            return
+        try:
+            call(*args)
+        except RecordingError as error:
+            self._stopped, self.failure = True, str(error)
+            self.report(ERROR, str(error))
+
+    def watch(self) -> dict:
+        known = {t: s for t, s in self._subscriptions_of.items() if s is not None}
+        return {
+            "file": self.writer.path,
+            "messages": self.writer.count,
+            "missing": sum(entry.get("missing", 0) for entry in self.writer.report().values()),
+            "heard": " ".join(f"{t}={s.get_publisher_count()}" for t, s in known.items()),
+        }
+
+    def settled(self) -> bool:
+        """After a signal: nothing more came in since the last look."""
+        before, self._before = self._before, self.writer.count
+        return before == self.writer.count
+
+    def close(self) -> str | None:
+        """Finish the file; tells on standard error what is missing. Returns a sentence if that failed."""
+        if self._stopped:
+            return None
+        try:
+            self.writer.close()
+        except RecordingError as error:
+            return str(error)
+        for topic, entry in self.writer.report().items():
+            if entry.get("missing"):
+                self.get_logger().warning(f"{topic}: {entry['missing']} of {entry['count']} messages are missing")
+        self.get_logger().info(f"{self.writer.count} messages in {self.writer.path}")
+        return None
+
+
+def _matching(publishers) -> QoSProfile:
+    """What every publisher of a topic can serve: reliable or latched only if all of them are."""
+    reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
+    latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
+    return QoSProfile(
+        depth=DEPTH,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def main(args: list[str] | None = None) -> int:
+    """Console script ``recorder``."""
+    return run_node(Recorder, args)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

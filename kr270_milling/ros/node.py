@@ -1,0 +1,160 @@
+"""What all nodes share: diagnostics, guarded callbacks, guarded lifecycle transitions."""
+
+from __future__ import annotations
+
+import functools
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.node import Node
+
+from kr270_milling.errors import MillingError
+from kr270_milling.ros import topics
+from kr270_milling.ros.messages import stamp_from_ns
+
+__all__ = ["ManagedNode", "ReportingNode", "guarded"]
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+REPORT_PERIOD = 0.2  # [s] of the wall; a partner's death must be told within 3 s
+
+
+def guarded(callback):
+    """A callback whose errors are reported: ours to /diagnostics, any other ends the node with exit code 1."""
+
+    @functools.wraps(callback)
+    def wrapped(self, *args):
+        try:
+            return callback(self, *args)
+        except MillingError as error:
+            self.report(ERROR, str(error))
+        except Exception as error:
+            self.failure = f"{type(error).__name__} in {callback.__name__}: {error}"
+            self.report(ERROR, self.failure)
+        return None
+
+    return wrapped
+
+
+class Reporting:
+    """Mixin: one diagnostic status of the node, published five times a second and at once when it changes."""
+
+    failure: str | None = None  #: set when the node must end with exit code 1
+
+    def start_reporting(self) -> None:
+        self.stamp_ns = 0  #: time of the pass, the stamp of whatever the node publishes next without one of its own
+        self._level, self._message, self._said = OK, "starting", ""
+        self._values: dict[str, object] = {}
+        self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
+        self._report_timer = self.create_timer(REPORT_PERIOD, self.publish_report)
+
+    def report(self, level, message: str, **values) -> None:
+        """Set the node's status; a new message is also logged and published at once."""
+        changed = (level, message) != (self._level, self._message)
+        self._level, self._message = level, message
+        self._values.update(values)
+        if changed:
+            logger = self.get_logger()  # rclpy ties a severity to the calling line
+            if level == OK:
+                logger.info(message)
+            elif level == WARN:
+                logger.warning(message)
+            else:
+                logger.error(message)
+            self.publish_report()
+
+    def watch(self) -> dict[str, object]:
+        """Values to publish beside those of ``report``; a node overrides it."""
+        return {}
+
+    def publish_report(self) -> None:
+        values = {**self._values, **self.watch()}
+        status = DiagnosticStatus(
+            level=self._level,
+            name=self.get_fully_qualified_name(),
+            message=self._message,
+            values=[KeyValue(key=k, value=str(v)) for k, v in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = stamp_from_ns(self.stamp_ns)
+        self._report_publisher.publish(array)
+
+
+class ReportingNode(Reporting, Node):
+    """A plain node with diagnostics."""
+
+    def __init__(self, name: str, **kwargs):
+        Node.__init__(self, name, **kwargs)
+        self.start_reporting()
+
+
+class ManagedNode(Reporting, LifecycleNode):
+    """A lifecycle node that survives invalid transitions and tells why a transition failed.
+
+    A child implements ``configure``, ``activate``, ``deactivate`` and ``cleanup``; with the parameter ``autostart``
+    the node configures and activates itself.
+    """
+
+    def __init__(self, name: str, **kwargs):
+        LifecycleNode.__init__(self, name, **kwargs)
+        self.start_reporting()
+        self.active = False
+        self._autostart = self.declare_parameter("autostart", False).value
+        self._start_timer = self.create_timer(0.01, self._start_alone) if self._autostart else None
+
+    def _start_alone(self) -> None:
+        self._start_timer.cancel()
+        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
+
+    def configure(self) -> None: ...
+
+    def activate(self) -> None: ...
+
+    def deactivate(self) -> None: ...
+
+    def cleanup(self) -> None: ...
+
+    def _transition(self, step, name: str) -> TransitionCallbackReturn:
+        try:
+            step()
+        except MillingError as error:
+            self.report(ERROR, str(error))
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:
+            self.failure = f"{type(error).__name__} in {name}: {error}"
+            self.report(ERROR, self.failure)
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_configure(self, state):
+        return self._transition(self.configure, "configure")
+
+    def on_activate(self, state):
+        self.active = True
+        result = self._transition(self.activate, "activate")
+        self.active = result == TransitionCallbackReturn.SUCCESS
+        return result
+
+    def on_deactivate(self, state):
+        self.active = False
+        return self._transition(self.deactivate, "deactivate")
+
+    def on_cleanup(self, state):
+        return self._transition(self.cleanup, "cleanup")
+
+    def on_shutdown(self, state):
+        self.active = False
+        return TransitionCallbackReturn.SUCCESS
+
+    def _LifecycleNodeMixin__on_change_state(self, request, response):
+        """An invalid transition raises in rclpy and would kill the node: refuse it instead."""
+        try:
+            return LifecycleNode._LifecycleNodeMixin__on_change_state(self, request, response)
+        except rclpy_implementation.RCLError:
+            wanted = request.transition.label or request.transition.id
+            self.get_logger().warning(
+                f"transition {wanted} is not possible in state {self._state_machine.current_state[1]}"
+            )
+            response.success = False
+            return response

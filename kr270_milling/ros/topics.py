@@ -1,0 +1,50 @@
+"""Every topic of the graph, once: name, message type, quality of service. Names are relative."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from nav_msgs.msg import OccupancyGrid
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+
+__all__ = [
+    "CLOCK", "DEFLECTION", "DIAGNOSTICS", "JOINT_STATES", "JOINT_TRAJECTORY", "REFERENCE_TRAJECTORY",
+    "ROBOT_DESCRIPTION", "TARGET_TRAJECTORY", "TOOL_POSE", "Topic", "WORKPIECE", "WRENCH",
+]  # fmt: skip
+
+#: the loop of one exchange: lockstep, one message in flight
+LOOP = QoSProfile(depth=10, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+#: the last one is kept for whoever comes late
+LATCHED = QoSProfile(
+    depth=1,
+    history=HistoryPolicy.KEEP_LAST,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+
+class Topic(NamedTuple):
+    """Unpacks into the arguments of ``create_publisher``."""
+
+    type: type
+    name: str
+    qos: QoSProfile
+
+
+TARGET_TRAJECTORY = Topic(MultiDOFJointTrajectory, "target_trajectory", LATCHED)
+REFERENCE_TRAJECTORY = Topic(MultiDOFJointTrajectory, "reference_trajectory", LATCHED)
+JOINT_TRAJECTORY = Topic(JointTrajectory, "joint_trajectory", LATCHED)
+TOOL_POSE = Topic(PoseStamped, "tool_pose", LOOP)
+WRENCH = Topic(WrenchStamped, "wrench", LOOP)
+DEFLECTION = Topic(TwistStamped, "deflection", LOOP)
+JOINT_STATES = Topic(JointState, "joint_states", LOOP)
+WORKPIECE = Topic(OccupancyGrid, "workpiece", LATCHED)
+ROBOT_DESCRIPTION = Topic(String, "robot_description", LATCHED)
+DIAGNOSTICS = Topic(DiagnosticArray, "/diagnostics", LOOP)
+CLOCK = Topic(Clock, "/clock", LOOP)
