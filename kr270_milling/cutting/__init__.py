@@ -8,6 +8,6 @@ from kr270_milling.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.cutting.tool import Tool
 
 __all__ = [
-    "Cut", "SweepError", "UndoError", "GridError", "Stock", "Cutting", "FractionalLaw", "LinearEdgeLaw", "fractional", "linear_edge",
-    "Params", "State", "make_params", "make_state", "NO_FORCES", "sweep", "undo", "Tool",
+    "Cut", "SweepError", "UndoError", "GridError", "Stock", "Cutting", "FractionalLaw", "LinearEdgeLaw", "fractional",
+    "linear_edge", "Params", "State", "make_params", "make_state", "NO_FORCES", "sweep", "undo", "Tool",
 ]  # fmt: skip

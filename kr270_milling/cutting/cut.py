@@ -28,8 +28,8 @@ class SweepError(MillingError):
     def __init__(self, pose_from, pose_to, first: int, n: int):
         self.pose_from, self.pose_to, self.first, self.n = pose_from, pose_to, first, n
         super().__init__(
-            f"a sweep from {pose_from} to {pose_to} in {n} micro-steps from number {first} must have positions of three "
-            "finite numbers, at least one micro-step and no negative number, and room for each force if any is wanted"
+            f"a sweep from {pose_from} to {pose_to} in {n} micro-steps from number {first} must have positions of "
+            "three finite numbers, at least one micro-step, no negative number, and room for each force if wanted"
         )
 
 

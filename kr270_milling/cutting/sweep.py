@@ -225,7 +225,7 @@ def _jump(s, p, u0, v0, a, b, u1, v1, r, level):
     """Clear what the tooth line passes over while its centre goes a long way: in parts, each a quadrilateral."""
     length = math.sqrt((u1 - u0) * (u1 - u0) + (v1 - v0) * (v1 - v0))
     # so many that neither the arc nor the envelope of the line leaves its chord by more than 1/100 of a node
-    parts = int(max(p.micro_step * math.sqrt(12.5 * r), math.sqrt(12.5 * length * p.micro_step))) + 1
+    parts = int(min(max(p.micro_step * math.sqrt(12.5 * r), math.sqrt(12.5 * length * p.micro_step)), 1e4)) + 1
     turn_c, turn_s = math.cos(p.micro_step / parts), p.sense * math.sin(p.micro_step / parts)
     for k in range(parts):
         ua, va = u0 + k / parts * (u1 - u0), v0 + k / parts * (v1 - v0)
