@@ -1,0 +1,95 @@
+"""Every series of every pass as CSV, and the reference trajectories."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.cell import Cell
+from kr270_milling.errors import InputError
+from kr270_milling.passes import ScoredPass
+from kr270_milling.simulation.milling_pass import PassResult
+from kr270_milling.simulation.scores import path_deviation
+from kr270_milling.trajectory.files import write_files
+from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.trajectory.trajectory_csv import write_csv
+
+__all__ = ["deviation_of", "file_names", "inside", "write_series"]
+
+#: column -> unit is in its name; times have nine decimals, all other numbers come back to the last bit
+COLUMNS = (
+    "time_s",
+    *(f"{kind}_{axis}_m" for kind in ("target", "reference", "tool", "actual") for axis in "xyz"),
+    *(f"deflection_{axis}_m" for axis in "xyz"),
+    *(f"deflection_r{axis}_rad" for axis in "xyz"),
+    *(f"force_{axis}_n" for axis in "xyz"),
+    *(f"moment_{axis}_n_m" for axis in "xyz"),
+    "path_deviation_m",
+    "correction_m",
+)
+
+
+def deviation_of(result: PassResult, target: Trajectory) -> np.ndarray:
+    """Path deviation of a pass [m], (n,), perpendicular to the feed of the target."""
+    return path_deviation(result.actual, result.target, target.sample_velocity(result.time_ns))
+
+
+def inside(directory, *names: str) -> Path:
+    """A directory below ``directory``, made if need be; raises InputError where a link would lead out of it."""
+    path = Path(directory)
+    path.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        path = path / name
+        if path.is_symlink() or (path.exists() and not path.is_dir()):
+            raise InputError(path, "must be a directory of its own to write into, not a link or a file")
+        path.mkdir(exist_ok=True)
+    return path
+
+
+def file_names(names: Sequence[str]) -> list[str]:
+    """One harmless and different file name stem for each pass name."""
+    stems: list[str] = []
+    for name in names:
+        stem = re.sub(r"[^A-Za-z0-9-]+", "_", name)[:60].strip("_") or "pass"
+        number = 2
+        unique = stem
+        while unique.lower() in (s.lower() for s in stems):
+            unique, number = f"{stem}_{number}", number + 1
+        stems.append(unique)
+    return stems
+
+
+def write_series(directory, cell: Cell, passes: Sequence[ScoredPass]) -> list[Path]:
+    """Write ``<pass>.csv`` (every series) and ``<pass>_reference.csv`` (its knots, with joint angles) of each pass.
+
+    Returns the paths, first those of the series. Each file appears whole or not at all.
+    """
+    place, target = inside(directory), cell.target()
+    series, references = [], []
+    for stem, one in zip(file_names([p.name for p in passes]), passes, strict=True):
+        series.append(place / f"{stem}.csv")
+        write_files({series[-1]: _lines(one.result, target)})
+        references.append(place / f"{stem}_reference.csv")
+        write_csv(references[-1], one.reference, cell.joints(one.reference))
+    return series + references
+
+
+def _lines(result: PassResult, target: Trajectory) -> Iterator[str]:
+    columns = np.column_stack(
+        [
+            result.target,
+            result.reference,
+            result.tool,
+            result.actual,
+            result.deflection,
+            result.wrench,
+            deviation_of(result, target),
+            result.correction,
+        ]
+    )
+    yield ",".join(COLUMNS) + "\n"
+    for stamp, row in zip(result.time_ns.tolist(), columns.tolist(), strict=True):
+        yield f"{stamp // 10**9}.{stamp % 10**9:09d},{','.join(map(repr, row))}\n"
