@@ -66,3 +66,8 @@ class Cursor:
             return self.offset, 0  # nothing follows, so nothing is aligned
         self.align(8)
         return self.skip(8 * count), count
+
+    def finish(self) -> None:
+        """Refuse a message that goes on behind its last field, but for padding: it is of another type."""
+        if len(self.data) - self.offset >= 8:
+            raise ValueError("the message is longer than its type")

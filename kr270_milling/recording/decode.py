@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import struct
 from collections.abc import Callable
 from typing import NamedTuple
@@ -12,7 +14,7 @@ __all__ = ["Topic", "make_decoder", "plain"]
 
 #: what mcap-ros2-support raises for bytes that are not a message of the schema, or for a schema that is none
 DECODE_ERRORS = (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, MemoryError,
-                 RecursionError, NotImplementedError, struct.error)  # fmt: skip
+                 RecursionError, NotImplementedError, NameError, struct.error)  # fmt: skip
 
 
 class Topic(NamedTuple):
@@ -39,7 +41,8 @@ def make_decoder(path, topic: str, about: Topic) -> Callable[[bytes], object]:
         raise RecordingError(path, f"{topic} holds {what}, but only cdr with ros2msg can be decoded")
     schema = Schema(id=1, name=about.type, encoding=about.schema_encoding, data=about.schema.encode())
     try:
-        decode = DecoderFactory().decoder_for(about.encoding, schema)
+        with contextlib.redirect_stderr(io.StringIO()):  # its parser prints what it raises
+            decode = DecoderFactory().decoder_for(about.encoding, schema)
     except errors as error:
         raise RecordingError(path, f"the definition of {about.type} cannot be used") from error
 

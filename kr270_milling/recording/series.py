@@ -88,7 +88,9 @@ def _fixed_layout(count: int) -> Callable[[bytes], Layout]:
         cursor = Cursor(data)
         frame = _header(cursor)
         cursor.align(8)
-        return Layout(((0, 2), (frame[0], frame[0] + 4)), frame, ((cursor.skip(8 * count), count),))
+        values = cursor.skip(8 * count)
+        cursor.finish()
+        return Layout(((0, 2), (frame[0], frame[0] + 4)), frame, ((values, count),))
 
     return layout
 
@@ -106,6 +108,7 @@ def _joint_layout(data: bytes) -> Layout:
         structure.append((begin, offset))
         if count not in (0, len(names)):
             raise ValueError("a list is not as long as that of the names")
+    cursor.finish()
     return Layout(tuple(structure), frame, tuple(blocks), names)
 
 

@@ -61,6 +61,7 @@ def read_trajectory(data: bytes) -> TrajectoryRecord:
         rows = _alike(cursor, done, min(window, count - done), times, tables)
         # as far ahead as it went well: a message made to change its layout all the time costs no more than its size
         done, window = done + rows, 4 * window if rows == window else 16
+    cursor.finish()
     for table in (times, *tables):
         table.setflags(write=False)
     return TrajectoryRecord(stamp_of(data), frame_id, names, times, *np.split(tables[0], [3], axis=2), *tables[1:])
