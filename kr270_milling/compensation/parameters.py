@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kr270_milling.compensation.methods import METHODS
 from kr270_milling.config import Record, parameter
 
 __all__ = ["Compensation", "METHODS"]
-
-METHODS = ("linear", "spline", "learned", "mirror")
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,12 +124,14 @@ def run_pass(
     out = (np.zeros((n + 1, 3)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6)), np.zeros(n + 1))
     out[0][0] = course[0]
     state, wrench = np.zeros(model.order), np.zeros(6)
+    carried = (cut.state, cut.params, clock.micro_steps, out)
+    _exchange(
+        0, 0, iterations, course, model.arrays, state, wrench, *carried
+    )  # compiles or loads before the clock runs
     area, volume, start = cut.removed_area, cut.removed_volume, time.perf_counter()
     for first in range(0, n, CHUNK):
         last = min(first + CHUNK, n)
-        _exchange(
-            first, last, iterations, course, model.arrays, state, wrench, cut.state, cut.params, clock.micro_steps, out
-        )
+        _exchange(first, last, iterations, course, model.arrays, state, wrench, *carried)
         getattr(cut, "check", lambda: None)()
         if progress is not None:
             progress(last, n)
