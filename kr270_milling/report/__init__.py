@@ -1,0 +1,45 @@
+"""Reports: one self-contained HTML page with tables and figures, the figures as SVG files, every series as CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from kr270_milling.cell import Cell
+from kr270_milling.errors import InputError
+from kr270_milling.passes import ScoredPass
+from kr270_milling.report.gallery import gallery
+from kr270_milling.report.html import page
+from kr270_milling.report.series import inside, write_series
+from kr270_milling.trajectory.files import write_files
+
+__all__ = ["write_report", "write_series"]
+
+
+def write_report(
+    directory,
+    cell: Cell,
+    passes: Sequence[ScoredPass],
+    *,
+    title: str,
+    source: str,
+    command: str,
+    date: str,
+    paper: bool = False,
+) -> Path:
+    """Write ``report.html`` and ``figures/*.svg`` into the directory, which is made if need be.
+
+    passes: the original one first; source: the cell file; command: how this was called; date: as it shall be printed;
+    paper: set the paper's own results and figure numbers beside ours. Returns the path of report.html.
+    Each file appears whole or not at all. Raises InputError where a file cannot be written.
+    """
+    if not passes:
+        raise InputError(title, "a report needs at least one pass")
+    place = inside(directory)
+    pictures = gallery(cell, passes)
+    text = page(cell, passes, pictures, title=title, source=source, command=command, date=date, paper=paper)
+    figures = inside(directory, "figures")
+    head = '<?xml version="1.0" encoding="utf-8"?>\n'
+    write_files({figures / f"{p.name}.svg": (head, p.svg) for p in pictures})
+    write_files({place / "report.html": (text,)})
+    return place / "report.html"

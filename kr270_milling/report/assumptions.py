@@ -180,7 +180,7 @@ def _numerics(cell: Cell) -> list[Assumption]:
             "steps of the calculation",
             f"grid {cell.stock.grid_step * 1e6:g} µm, micro-step {np.degrees(cell.exchange.micro_step):g}°, "
             f"exchange period {cell.exchange.period * 1e3:g} ms",
-            "Not given in the paper; chosen where a finer step no longer changes the scores that are shown.",
+            "Not given in the paper. What finer steps would change is in the README, for the paper's case.",
         ),
         Assumption(
             "alpha of (32)",
