@@ -15,13 +15,12 @@ import dataclasses
 import difflib
 import functools
 import math
-import os
-import sysconfig
+import numbers
 import typing
-from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.config_file import find_file, merge, override, read_tree, refusal
 from kr270_milling.errors import ConfigError, ParameterError
 
 __all__ = ["Record", "Spec", "parameter", "specs", "build", "flatten", "read_tree", "merge", "override", "find_file"]
@@ -135,24 +134,32 @@ def _checked(spec: Spec, value):
     if spec.kind is np.ndarray:
         value = np.array(value, float)
         value.setflags(write=False)
-        shown = [float(v) for v in (value / spec.scale).ravel()]
-        if value.ndim != 1 or spec.size not in (None, value.size):
-            raise ParameterError(spec.key, shown, spec.allowed)
-    elif spec.kind in (float, int):
-        shown = value / spec.scale
+        shown = [v / spec.scale for v in value.ravel().tolist()]
     elif spec.kind is tuple:
         value = shown = tuple(value)
     else:
-        shown = value
-    if spec.choices and not set(shown if spec.kind is tuple else [shown]) <= set(spec.choices):
+        shown = value / spec.scale if spec.kind is float else value
+    if not _allowed(spec, value, shown):
         raise ParameterError(spec.key, shown, spec.allowed)
-    if spec.kind in (float, int, np.ndarray):
-        numbers = np.atleast_1d(np.asarray(shown, float))
-        slack = 1e-12 * np.abs(numbers)  # the way to SI and back may cost an ulp
-        inside = (numbers + slack >= spec.low) & (numbers - slack <= spec.high) & (numbers > spec.above)
-        if not np.all(inside & np.isfinite(numbers)):  # NaN fails
-            raise ParameterError(spec.key, shown, spec.allowed)
     return value
+
+
+def _allowed(spec: Spec, value, shown) -> bool:
+    """Whether the value (``shown`` in the file's unit) has the right type and size and is within its bounds."""
+    if spec.choices and not set(shown if spec.kind is tuple else [shown]) <= set(spec.choices):
+        return False
+    if spec.kind is np.ndarray and (value.ndim != 1 or spec.size not in (None, value.size)):
+        return False
+    if spec.kind is int:
+        whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+        return whole and abs(value) < 2**63 and spec.low <= value <= spec.high and value > spec.above
+    if spec.kind not in (float, np.ndarray):
+        return True
+    given = np.atleast_1d(np.asarray(shown, float))
+    if not np.isfinite(given).all():
+        return False
+    slack = 1e-12 * np.abs(given)  # the way to SI and back may cost an ulp
+    return bool(np.all((given + slack >= spec.low) & (given - slack <= spec.high) & (given > spec.above)))
 
 
 def build(record: type[Record], tree: dict, file="", prefix: str = "", lenient: frozenset = frozenset()):
@@ -162,7 +169,7 @@ def build(record: type[Record], tree: dict, file="", prefix: str = "", lenient: 
     Raises ConfigError for unknown, missing and unusable keys.
     """
     if not isinstance(tree, dict):
-        raise ConfigError(file, prefix.rstrip("."), tree, "a group of keys")
+        raise refusal(file, prefix.rstrip("."), tree, "a group of keys")
     known = {s.key: s for s in specs(record)}
     for key in tree:
         if key not in known:
@@ -187,7 +194,7 @@ def build(record: type[Record], tree: dict, file="", prefix: str = "", lenient: 
 
 def _from_file(spec: Spec, value, file, path: str, lenient: bool):
     """The value in SI, of the very type that the spec asks for (as strict as the ROS parameter parser)."""
-    refuse = ConfigError(file, path, value, spec.allowed)
+    refuse = refusal(file, path, value, spec.allowed)
     if spec.kind in (bool, str):
         if type(value) is not spec.kind:
             raise refuse
@@ -204,7 +211,7 @@ def _from_file(spec: Spec, value, file, path: str, lenient: bool):
         return _number(value, refuse, lenient) * spec.scale
     if not isinstance(value, list):
         raise refuse
-    return np.array([_number(v, refuse, lenient) for v in value], float) * spec.scale
+    return np.array([_number(v, refuse, lenient) * spec.scale for v in value], float)
 
 
 def _number(value, refuse: ConfigError, lenient: bool) -> float:
@@ -213,7 +220,7 @@ def _number(value, refuse: ConfigError, lenient: bool) -> float:
             return float(value)
         except ValueError:
             raise refuse from None
-    if type(value) is float or (lenient and type(value) is int):
+    if type(value) is float or (lenient and type(value) is int and abs(value) < 2**63):
         return float(value)
     raise refuse
 
@@ -232,102 +239,3 @@ def flatten(record: Record, prefix: str = "") -> dict[str, object]:
         else:
             flat[prefix + spec.key] = value / spec.scale if spec.kind is float else value
     return flat
-
-
-def read_tree(path, seen: tuple = ()) -> dict:
-    """The ``/**: ros__parameters:`` dict of a parameter file, merged over the files that its ``includes`` names."""
-    import yaml
-
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(path, "", None, f"cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise ConfigError(path, "", None, "is not UTF-8 text") from None
-    try:
-        document = yaml.load(text, Loader=_strict_loader())
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise ConfigError(path, "", None, "is not valid YAML: " + " ".join(str(error).split())) from None
-    tree = document
-    for key in ("/**", "ros__parameters"):
-        if not isinstance(tree, dict) or set(tree) != {key}:
-            raise ConfigError(path, "", None, "must have the form '/**: ros__parameters: ...' of a ROS parameter file")
-        tree = tree[key]
-    if not isinstance(tree, dict):
-        raise ConfigError(path, "/**.ros__parameters", tree, "a group of keys")
-    merged: dict = {}
-    includes = tree.pop("includes", [])
-    if not isinstance(includes, list) or not all(isinstance(i, str) for i in includes):
-        raise ConfigError(path, "includes", includes, "a list of file names")
-    for name in includes:
-        if path.resolve() in seen:
-            raise ConfigError(path, "includes", name, "free of circles")
-        merged = merge(merged, read_tree(find_file(name, path.parent), (*seen, path.resolve())))
-    return merge(merged, tree)
-
-
-@functools.cache
-def _strict_loader():
-    import yaml
-
-    class Loader(yaml.SafeLoader):
-        """Refuses the same key twice."""
-
-        def construct_mapping(self, node, deep=False):
-            keys = [self.construct_object(k, deep=True) for k, _ in node.value]
-            for i, key in enumerate(keys):
-                if key in keys[:i]:
-                    raise yaml.YAMLError(
-                        f"the key {key!r} stands twice, again in line {node.value[i][0].start_mark.line + 1}"
-                    )
-            return super().construct_mapping(node, deep)
-
-    return Loader
-
-
-def merge(below: dict, above: dict) -> dict:
-    """``above`` laid over ``below``, group by group."""
-    merged = dict(below)
-    for key, value in above.items():
-        both = isinstance(value, dict) and isinstance(merged.get(key), dict)
-        merged[key] = merge(merged[key], value) if both else value
-    return merged
-
-
-def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, frozenset]:
-    """Apply ``key=value`` texts (dotted keys); returns the new tree and the keys set, for ``build``'s ``lenient``."""
-    import yaml
-
-    keys = set()
-    for text in assignments:
-        key, equals, value = text.partition("=")
-        if not equals or not all(key.split(".")):
-            raise ConfigError("--set", text, None, "must have the form key=value")
-        try:
-            parsed: object = yaml.safe_load(value)
-        except yaml.YAMLError:
-            raise ConfigError("--set", key, value, "a number, a text or a list in brackets") from None
-        for part in reversed(key.split(".")):
-            parsed = {part: parsed}
-        tree = merge(tree, typing.cast(dict, parsed))
-        keys.add(key)
-    return tree, frozenset(keys)
-
-
-def find_file(name: str, beside: Path | None = None) -> Path:
-    """A parameter file by path, beside another file, or among the shipped ones; raises ConfigError if nowhere."""
-    places = [Path(name)] if beside is None else [beside / name]
-    places += [directory / Path(name).name for directory in shipped_directories()]
-    for place in places:
-        if place.is_file():
-            return place
-    raise ConfigError(name, "", None, f"is no such file (looked at {', '.join(str(p) for p in places)})")
-
-
-def shipped_directories() -> list[Path]:
-    """Where the shipped ``config`` lies: under the ament index, under the Python prefix, in a source checkout."""
-    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) + [sysconfig.get_path("data")]
-    found = [Path(p) / "share" / "kr270_milling" / "config" for p in prefixes if p]
-    found.append(Path(__file__).resolve().parent.parent / "config")
-    return [p for p in found if p.is_dir()]

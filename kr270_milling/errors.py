@@ -1,10 +1,28 @@
 """Errors that carry their numbers; ``str(error)`` is one sentence for the user."""
 
+import reprlib
+
 __all__ = ["MillingError", "ParameterError", "ConfigError", "InputError"]
 
 
 class MillingError(Exception):
     """Base class of every error that this package raises on purpose; the command line exits with 2 on it."""
+
+
+_short = reprlib.Repr()
+_short.maxlevel, _short.maxstring, _short.maxother, _short.maxlist, _short.maxdict = 3, 100, 100, 8, 4
+
+
+def _shown(value) -> str:
+    """The value on one line of bearable length, whatever a file made of it."""
+    try:
+        return _short.repr(value)
+    except ValueError:  # Python does not write out whole numbers of thousands of digits
+        return "a number of thousands of digits"
+
+
+def _one_line(text: str) -> str:
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 class ParameterError(MillingError):
@@ -16,7 +34,7 @@ class ParameterError(MillingError):
 
     def __init__(self, key: str, value, allowed: str):
         self.key, self.value, self.allowed = key, value, allowed
-        super().__init__(f"{key} is {value!r}, but must be {allowed}")
+        super().__init__(f"{key} is {_shown(value)}, but must be {allowed}")
 
 
 class ConfigError(MillingError):
@@ -25,7 +43,8 @@ class ConfigError(MillingError):
     def __init__(self, file, key: str, value, allowed: str):
         self.file, self.key, self.value, self.allowed = str(file), key, value, allowed
         what = f"{self.file}: " + (f"{key}: " if key else "")
-        super().__init__(what + (f"{value!r} is not usable, it must be {allowed}" if value is not None else allowed))
+        what += f"{_shown(value)} is not usable, it must be {allowed}" if value is not None else allowed
+        super().__init__(_one_line(what))
 
 
 class InputError(MillingError):

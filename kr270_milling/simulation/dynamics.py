@@ -29,6 +29,10 @@ class Dynamics(Record):
     mass_model: str = parameter(text="mass matrix M_C of (25)", choices=("lumped", "consistent"))
     damping_ratio: float = parameter(low=0.0, high=0.99, text="damping ratio of every mode")
     gravity: bool = parameter(True, text="linearise about the equilibrium under the link weights")
+    follow_pose: bool = parameter(
+        False, text="stiffness and mass follow the posture along the path; false: at its start"
+    )
+    posture_spacing: float = parameter(5e-3, unit="mm", above=0.0, high=1000.0, text="way between two such postures")
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ class Exchange(Record):
     """YAML ``exchange``: how often robot and cutting process tell each other pose and wrench."""
 
     period: float = parameter(0.5e-3, unit="ms", above=0.0, high=20.0, text="exchange period H")
-    micro_step: float = parameter(np.radians(1.0), unit="deg", above=0.0, high=30.0, text="spindle angle a micro-step")
+    micro_step: float = parameter(np.radians(1.0), unit="deg", low=0.01, high=15.0, text="spindle angle a micro-step")
     iterations: int = parameter(1, low=1, high=20, text="exchanges a period; above 1 the correction is fed back")
     warn_correction: float = parameter(
         0.05, above=0.0, high=1.0, text="share of the feed per tooth above which a correction is reported"
