@@ -1,4 +1,4 @@
-"""Parameter files: ``/**: ros__parameters: ...`` in YAML, one laid over the other, values from the command line on top."""
+"""Parameter files, ``/**: ros__parameters: ...`` in YAML: merged over each other, the command line on top."""
 
 from __future__ import annotations
 
@@ -119,13 +119,16 @@ def find_file(name: str, beside: Path | None = None) -> Path:
     places = [Path(name)] if beside is None else [beside / name]
     if Path(name).parent in (Path("."), Path("config")):
         places += [directory / Path(name).name for directory in shipped_directories()]
-    for place in places:
-        try:
-            if place.is_file():
-                return place
-        except (OSError, ValueError):  # too long, not ours to look into, a zero byte in it
-            continue
+    for place in filter(_is_file, places):
+        return place
     raise ConfigError(name, "", None, f"is no such file (looked at {', '.join(str(p) for p in places)})")
+
+
+def _is_file(place: Path) -> bool:
+    try:
+        return place.is_file()
+    except (OSError, ValueError):  # too long, in a folder that is not ours to look into, a zero byte in it
+        return False
 
 
 def shipped_directories() -> list[Path]:

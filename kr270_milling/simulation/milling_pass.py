@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from kr270_milling.cutting import Cut, sweep, undo
+from kr270_milling.cutting import Cut, GridError, UndoError, sweep, undo
+from kr270_milling.cutting.grid import TILE
+from kr270_milling.cutting.state import FAILED
 from kr270_milling.simulation.dynamics import ArmModel, advance
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -84,7 +86,7 @@ class CompliantArm:
 
 @njit(cache=True, error_model="numpy")
 def _exchange(first, last, iterations, reference, arrays, state, wrench, cut_state, cut_params, micro_steps, out):
-    """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on."""
+    """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large."""
     tool, deflections, wrenches, corrections = out
     scratch, deflection, answer = np.zeros(state.size), np.zeros(6), wrench.copy()
     no_forces = np.empty((0, 3))
@@ -92,8 +94,8 @@ def _exchange(first, last, iterations, reference, arrays, state, wrench, cut_sta
         for k in range(iterations):
             advance(n, state, answer, arrays, scratch, deflection)  # the robot predicts
             tool[n + 1] = reference[n + 1] + deflection[:3]
-            if k > 0:
-                undo(cut_state)
+            if k > 0 and not undo(cut_state):
+                return False
             force_x, force_y, _ = sweep(  # the cut answers
                 cut_state, cut_params, tool[n], tool[n + 1], n * micro_steps, micro_steps, no_forces
             )
@@ -103,6 +105,7 @@ def _exchange(first, last, iterations, reference, arrays, state, wrench, cut_sta
         deflections[n + 1], wrenches[n + 1] = deflection, answer
         corrections[n + 1] = np.sqrt(np.sum((reference[n + 1] + deflection[:3] - tool[n + 1]) ** 2))
     wrench[:] = answer
+    return True
 
 
 def run_pass(
@@ -116,7 +119,8 @@ def run_pass(
 ) -> PassResult:
     """One pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
 
-    progress(done, total) is called every 200 exchange periods. Raises GridError if the grid has no tile left.
+    progress(done, total) is called every 200 exchange periods. Raises GridError if the grid has no tile left, and
+    UndoError if the periods are too long to be iterated.
     """
     n = clock.steps(reference.duration_ns)
     stamps = clock.stamp(np.arange(n + 1))
@@ -125,14 +129,15 @@ def run_pass(
     out[0][0] = course[0]
     state, wrench = np.zeros(model.order), np.zeros(6)
     carried = (cut.state, cut.params, clock.micro_steps, out)
-    _exchange(
-        0, 0, iterations, course, model.arrays, state, wrench, *carried
-    )  # compiles or loads before the clock runs
+    _exchange(0, 0, iterations, course, model.arrays, state, wrench, *carried)  # compiled before the clock runs
     area, volume, start = cut.removed_area, cut.removed_volume, time.perf_counter()
     for first in range(0, n, CHUNK):
         last = min(first + CHUNK, n)
-        _exchange(first, last, iterations, course, model.arrays, state, wrench, *carried)
-        getattr(cut, "check", lambda: None)()
+        whole = _exchange(first, last, iterations, course, model.arrays, state, wrench, *carried)
+        if cut.state.ints[FAILED]:
+            raise GridError(cut.state.pool.size // TILE**2)
+        if not whole:
+            raise UndoError(cut.state.log_level.size)
         if progress is not None:
             progress(last, n)
     wall = time.perf_counter() - start
