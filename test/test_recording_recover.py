@@ -78,6 +78,14 @@ def test_a_cut_file_keeps_every_whole_chunk(source, tmp_path_factory, place):
     assert result.messages == sum(count for chunk, count in chunks if chunk.start + chunk.size <= place)
 
 
+def test_a_file_that_lacks_only_its_end_loses_nothing(source, tmp_path):
+    data, written, _ = source
+    (tmp_path / "a.mcap").write_bytes(data[:-20])
+    result = recover(tmp_path / "a.mcap")
+    assert not result.whole and result.lost_messages == 0
+    assert kept(result.directory) == written
+
+
 @pytest.mark.parametrize("place", ["packed bytes", "length", "packed length", "type", "first time"])
 def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place):
     data, written, chunks = source

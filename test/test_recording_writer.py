@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import json
 import os
 import signal
@@ -221,6 +222,34 @@ def test_a_full_disk_is_told_once_and_what_was_written_stays_readable(tmp_path):
         assert [m.log_time for m in recording.messages()] == [i * PERIOD for i in range(int(kept))]
         assert 20 <= int(kept) < 30  # 3 MB hold not more than 29 of 0.1 MB
     assert recover(tmp_path / "a").messages == int(kept)
+
+
+def test_a_chunk_that_fits_only_in_part_is_taken_back(tmp_path, monkeypatch):
+    room = [30_000]
+    write = os.write
+
+    def limited(file, data):
+        if not room[0]:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        done = write(file, data[: room[0]])
+        room[0] -= done
+        return done
+
+    with BagWriter(tmp_path / "a", chunk_size=4000) as writer:
+        writer.add_topic("/p", POSE)
+        rng = np.random.default_rng(6)  # numbers that cannot be packed
+        monkeypatch.setattr("kr270_milling.recording.sink.os.write", limited)
+        with pytest.raises(RecordingError, match="No space left on device") as error:
+            for step in range(10_000):
+                writer.write("/p", raw(pose(step, rng.normal(size=7))), 0)
+        with pytest.raises(RecordingError) as again:
+            writer.add_metadata("more", {})
+    assert again.value is error.value
+    assert f"{writer.kept} messages" in str(error.value) and 0 < writer.kept < writer.count
+    assert not (tmp_path / "a" / "metadata.yaml").exists()
+    with Recording(tmp_path / "a") as recording:
+        assert recording.cut_off and recording.count == writer.kept
+        assert recording._end == recording.size  # no piece of a record behind the last whole one
 
 
 def test_the_disk_is_full_from_the_first_byte(tmp_path):

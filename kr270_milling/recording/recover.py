@@ -93,7 +93,7 @@ class _Copy:
         self.numbers: dict[int, int] = {}  # channel in the source -> channel in the copy
         self.unknown: Counter[int] = Counter()
         self.claimed: int | None = None
-        self.ended = self.found_anything = False
+        self.ended = self.footer = self.found_anything = False
 
     def run(self, progress) -> None:
         self._read_summary()
@@ -114,7 +114,8 @@ class _Copy:
         self.stream.seek(self.size - 37)
         footer = self.stream.read(37)
         (start,) = struct.unpack_from("<Q", footer, 9)
-        if not footer.endswith(MAGIC) or footer[0] != scan.FOOTER or not len(MAGIC) <= start <= self.size - 37:
+        self.footer = footer.endswith(MAGIC) and footer[0] == scan.FOOTER
+        if not self.footer or not len(MAGIC) <= start <= self.size - 37:
             return
         try:
             for part in scan.parts(self.stream, start, self.size - 37):
@@ -216,8 +217,8 @@ class _Copy:
         result.last_log_time = writer.end if writer.count else None
         for channel in writer.channels.values():
             result.topics[channel.topic] = result.topics.get(channel.topic, 0) + channel.count
-        result.whole = self.ended and not result.dropped
-        result.lost_messages = 0 if result.whole else None
+        result.whole = self.ended and self.footer and not result.dropped
+        result.lost_messages = 0 if self.ended and not result.dropped else None
         if self.claimed is not None:
             result.lost_messages = max(self.claimed - writer.count, 0)
         return result
