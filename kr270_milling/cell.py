@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
+import pathlib
 from dataclasses import dataclass
 
 import numpy as np
 
 from kr270_milling.compensation.parameters import Compensation
-from kr270_milling.config import Record, build, override, parameter, read_tree
+from kr270_milling.config import Record, build, find_file, override, parameter, read_tree, specs
 from kr270_milling.cutting import Cut, Cutting, Stock, Tool
 from kr270_milling.errors import ParameterError
 from kr270_milling.frames import Pose, rotation_from_quaternion
@@ -17,6 +19,9 @@ from kr270_milling.robot import Arm, Mount, inverse_near
 from kr270_milling.simulation.arm_model import arm_model, modal_models
 from kr270_milling.simulation.dynamics import ArmModel, Dynamics, ModalModel
 from kr270_milling.simulation.exchange import Clock, Exchange
+from kr270_milling.trajectory.joint_limits import limit_by_joints
+from kr270_milling.trajectory.readers import read_toolpath
+from kr270_milling.trajectory.timing import TimedPath, Timing, time_path
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Cell", "Path", "Workpiece", "read_cell"]
@@ -41,12 +46,21 @@ class Workpiece(Record):
 
 @dataclass(frozen=True, eq=False)
 class Path(Record):
-    """YAML ``path``: a straight cut along +x of the workpiece frame."""
+    """YAML ``path``: a tool path file, or a straight cut along +x of the workpiece frame."""
 
-    start: np.ndarray = parameter(unit="mm", size=2, low=-1e5, high=1e5, text="x, y of the tool tip at the start")
-    depth_of_cut: float = parameter(unit="mm", above=0.0, high=100.0, text="a_p, below the top of the stock")
-    length: float = parameter(unit="mm", above=0.0, high=10000.0, text="length of the cut")
-    feed_rate: float = parameter(unit="m_per_min", above=0.0, high=60.0, text="feed rate v_f")
+    file: str = parameter("", text="G-code, APT/CL or CSV of points, in the workpiece frame; empty: a straight cut")
+    start: np.ndarray = parameter(
+        [0.0, 0.0], unit="mm", size=2, low=-1e5, high=1e5, text="straight cut: x, y of the tool tip at the start"
+    )
+    depth_of_cut: float = parameter(0.0, unit="mm", low=0.0, high=100.0, text="straight cut: a_p below the stock's top")
+    length: float = parameter(0.0, unit="mm", low=0.0, high=10000.0, text="straight cut: its length")
+    feed_rate: float = parameter(0.0, unit="m_per_min", low=0.0, high=60.0, text="straight cut: feed rate v_f")
+
+    def check(self) -> None:
+        for spec in specs(Path):
+            if not self.file and spec.kind is float and not getattr(self, spec.name) > 0.0:
+                value = getattr(self, spec.name) / spec.scale
+                raise ParameterError(spec.key, value, "above 0 for a straight cut (or give path.file)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +87,9 @@ class Cell(Record):
         if abs(turn - round(turn)) > 1e-6:
             raise ParameterError("exchange.micro_step_deg", np.degrees(self.exchange.micro_step), "a whole part of 360")
         self.exchange.clock(self.tool.spindle_speed)
-        steps = self.path.length / self.path.feed_rate / min(self.exchange.period, self.compensation.controller_step)
+        if self.path.file:
+            return
+        steps = self.path.length / self.path.feed_rate / min(self.exchange.period, self.timing.controller_step)
         if not steps <= MOST_STEPS:
             shown = self.path.feed_rate * 60.0
             allowed = f"faster: the pass would take {steps:.3g} steps, more than {MOST_STEPS:g}"
@@ -118,10 +134,19 @@ class Cell(Record):
         start = self.joints(self.target())[:1]
         return modal_models(self.arm, self.mount, self.dynamics, self.workpiece.pose, start)[0]
 
-    @functools.cached_property
-    def arm_model(self) -> ArmModel:
-        """Eq. (1) at the posture where the target trajectory starts, over one exchange period."""
-        return arm_model([self.modal_model], self.dynamics.damping_ratio, self.exchange.period)
+    def arm_model(self, reference: Trajectory) -> ArmModel:
+        """Eq. (1) over one exchange period, at the posture where the reference starts or along all of it."""
+        period, spacing = self.exchange.period, self.dynamics.posture_spacing
+        between = 1
+        stamps = np.zeros(1, np.int64)
+        if self.dynamics.follow_pose:
+            fastest = float(np.max(reference.feed(reference.time_ns)))
+            between = max(1, int(spacing / max(fastest, 1e-9) / period))
+            knots = -(-self.clock.steps(reference.duration_ns) // between)
+            stamps = self.clock.stamp(np.arange(knots + 1) * between)
+        joints = self.joints_at(reference.sample(stamps), reference.sample_orientation(stamps))
+        models = modal_models(self.arm, self.mount, self.dynamics, self.workpiece.pose, joints)
+        return arm_model(models, self.dynamics.damping_ratio, period, between)
 
     @property
     def low_frequency(self) -> float:
@@ -141,7 +166,9 @@ class Cell(Record):
 
     @property
     def full_engagement(self) -> float:
-        """[s], R / v_f: when the tool that enters from the border is fully engaged."""
+        """[s], R / v_f: when the tool that enters from the border is fully engaged; 0 for a tool path file."""
+        if self.path.file:
+            return 0.0
         return 0.5 * self.tool.diameter / self.path.feed_rate
 
     @property
@@ -153,4 +180,7 @@ class Cell(Record):
 def read_cell(path, assignments=()) -> Cell:
     """The cell of a parameter file, with ``key=value`` texts on top; raises ConfigError."""
     tree, lenient = override(read_tree(path), assignments)
+    name = tree.get("path", {}).get("file") if isinstance(tree.get("path"), dict) else None
+    if isinstance(name, str) and name:
+        tree["path"]["file"] = str(find_file(name, pathlib.Path(path).parent))
     return build(Cell, tree, path, lenient=lenient)

@@ -52,7 +52,9 @@ def simulate(cell: Cell, reference: Trajectory | None = None, name: str = "origi
     """One pass on a fresh workpiece along ``reference`` (default: the target itself)."""
     target = cell.target()
     reference = target if reference is None else reference
-    result = run_pass(cell.arm_model, cell.cut(), cell.clock, target, reference, cell.exchange.iterations, progress)
+    result = run_pass(
+        cell.arm_model(reference), cell.cut(), cell.clock, target, reference, cell.exchange.iterations, progress
+    )
     return ScoredPass(name, reference, result, scored(cell, result))
 
 

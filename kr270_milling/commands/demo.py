@@ -32,7 +32,8 @@ def finish(args, directory, cell, passes, source, how: str, extra: dict | None =
     """Write report and series, print table or JSON."""
     import datetime
 
-    from kr270_milling.report import write_report, write_series
+    from kr270_milling.report import write_report
+    from kr270_milling.report.series import write_series
 
     date = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     with progress("report") as _:
@@ -40,7 +41,7 @@ def finish(args, directory, cell, passes, source, how: str, extra: dict | None =
             directory, cell, passes, title="The milling pass of Klimchik et al. (2012)", source=str(source),
             command="kr270_milling demo", date=date, paper=True,
         )  # fmt: skip
-        write_series(directory, passes)
+        write_series(directory, cell, passes)
     if args.json:
         rows = [p.row() for p in passes]
         print_json({"passes": rows, "report": str(report), "out": str(directory), "ran_as": how, **(extra or {})})

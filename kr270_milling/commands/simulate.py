@@ -25,9 +25,9 @@ def run(args) -> None:
         ran = simulate(cell, reference, "original" if reference is None else Path(args.reference).stem, report)
     found = summary(cell, ran)
     if args.out:
-        from kr270_milling.report import write_series
+        from kr270_milling.report.series import write_series
 
-        found["files"] = [str(p) for p in write_series(output_directory(args.out), [ran])]
+        found["files"] = [str(p) for p in write_series(output_directory(args.out), cell, [ran])]
     if args.json:
         print_json(found)
         return

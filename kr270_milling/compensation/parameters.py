@@ -15,7 +15,6 @@ class Compensation(Record):
     """YAML ``compensation``: how the reference trajectory is revised."""
 
     method: str = parameter(text="how the revised trajectory is made", choices=METHODS)
-    controller_step: float = parameter(0.05, unit="ms", above=0.0, high=1000.0, text="time between reference points")
     relaxation: float = parameter(0.9, above=0.0, high=1.0, text="alpha of (32)")
     sag_compensated: bool = parameter(True, text="the controller already compensates the sag under the link weights")
     criterion: str = parameter("min_max", text="what 'learned' minimises", choices=("min_max", "least_squares"))

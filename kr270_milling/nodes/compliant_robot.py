@@ -47,8 +47,8 @@ class CompliantRobot(ManagedNode):
         return self.create_subscription(topic.type, topic.name, callback, topic.qos)
 
     def configure(self) -> None:
-        self._model = self.cell.arm_model
-        RobotSide(self._model, self.cell.clock, self.cell.target()).answer(0, np.zeros(6))  # compile before the pass
+        target = self.cell.target()
+        RobotSide(self.cell.arm_model(target), self.cell.clock, target).answer(0, np.zeros(6))  # compile before the pass
         self._description.publish(String(data=urdf(self.cell.arm, self.cell.mount)))
         self._side = None
         self.report(OK, "configured")
@@ -84,7 +84,8 @@ class CompliantRobot(ManagedNode):
                 self._publish_pose()
 
     def _start(self) -> None:
-        self._side = RobotSide(self._model, self.cell.clock, self._reference, self.cell.exchange.iterations)
+        model = self.cell.arm_model(self._reference)
+        self._side = RobotSide(model, self.cell.clock, self._reference, self.cell.exchange.iterations)
         self._thinned = self.cell.thinned_steps()
         self._joint_course = self.cell.joints_at(
             self._side.course[:: self._thinned], self._side.orientation[:: self._thinned]
