@@ -13,7 +13,7 @@ import re
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.errors import InputError
-from kr270_milling.trajectory.files import ends_in_mid_line, read_lines
+from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.toolpath import REACH, PathBuilder, Toolpath
 from kr270_milling.trajectory.trajectory import TOOL_DOWN
 
@@ -33,7 +33,8 @@ def read_apt(path) -> Toolpath:
     lines = read_lines(path)
     reader = _Reader(path)
     held, first = "", 0
-    for number, line in enumerate(lines, 1):
+    body = lines if lines[-1].strip() else lines[:-1]
+    for number, line in enumerate(body, 1):
         code, comment, note = line.partition("$$")
         if comment and not code.strip() and FEATURE.fullmatch(note.strip()):
             reader.path.name_feature(note.strip())
@@ -49,7 +50,7 @@ def read_apt(path) -> Toolpath:
             break
     else:
         if held:
-            raise InputError(path, "the file ends in a statement that is continued with $", len(lines))
+            raise InputError(path, "the file ends in a statement that is continued with $", len(body))
         ends_in_mid_line(path, lines)
     return reader.path.build(len(lines))
 
@@ -85,9 +86,9 @@ class _Reader:
         elif word == "FINI":
             self.ended = True
         elif WORD.fullmatch(word):
-            self.refuse(f"{word} is not supported", number)
+            self.refuse(f"{short(word)} is not supported", number)
         else:
-            self.refuse(f"{statement[:20]!r} is no APT statement", number)
+            self.refuse(f"{short(statement)!r} is no APT statement", number)
 
     def _number(self, text: str, number: int) -> float:
         try:
@@ -95,7 +96,7 @@ class _Reader:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            self.refuse(f"{text[:20]!r} is not a finite number", number)
+            self.refuse(f"{short(text)!r} is not a finite number", number)
         return value
 
     def _goto(self, values: list[str], number: int) -> None:
@@ -132,7 +133,7 @@ class _Reader:
             self.refuse("FEDRAT/ needs one number and, if any, MMPM or IPM", number)
         feed = self._number(rest[0], number) * (FEEDS[units[0]] if units else self.unit / 60)
         if not 0 <= feed <= REACH:
-            self.refuse(f"the feed {rest[0]} must lie between 0 and {REACH:g} m/s", number)
+            self.refuse(f"the feed {short(rest[0])} must lie between 0 and {REACH:g} m/s", number)
         self.feed, self.rapid = feed, False
 
     def _spindle(self, values: list[str], number: int) -> None:
@@ -143,13 +144,13 @@ class _Reader:
                 self.path.spindle_speed = 0.0
                 return
             if WORD.fullmatch(value):
-                self.refuse(f"SPINDL/{value} is not supported (ON, OFF, a number, RPM, CLW are)", number)
+                self.refuse(f"SPINDL/{short(value)} is not supported (ON, OFF, a number, RPM, CLW are)", number)
             self.speed = self._number(value, number) * 2 * math.pi / 60
             if not 0 <= self.speed <= 1e6:
-                self.refuse(f"the spindle speed {value} is out of range", number)
+                self.refuse(f"the spindle speed {short(value)} is out of range", number)
         self.path.spindle_speed = self.speed
 
     def _units(self, values: list[str], number: int) -> None:
         if len(values) != 1 or values[0] not in LENGTHS:
-            self.refuse(f"UNITS/ needs MM or INCHES, not {','.join(values)[:20]!r}", number)
+            self.refuse(f"UNITS/ needs MM or INCHES, not {short(','.join(values))!r}", number)
         self.unit = LENGTHS[values[0]]

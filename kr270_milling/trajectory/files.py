@@ -8,7 +8,7 @@ from pathlib import Path
 
 from kr270_milling.errors import InputError
 
-__all__ = ["read_lines", "ends_in_mid_line", "write_files"]
+__all__ = ["read_lines", "ends_in_mid_line", "short", "write_files"]
 
 
 def read_lines(path) -> list[str]:
@@ -47,6 +47,11 @@ def ends_in_mid_line(source, lines: list[str]) -> None:
     if lines[-1].strip():
         reason = "the file ends in the middle of a line, so it may be cut off; if it is whole, end its last line"
         raise InputError(source, reason, len(lines))
+
+
+def short(text: str) -> str:
+    """The beginning of a text from a file, for a sentence."""
+    return text if len(text) <= 20 else text[:20] + "..."
 
 
 def write_files(contents: dict[Path, Iterable[str]], newline: str = "\n") -> None:

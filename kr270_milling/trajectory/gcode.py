@@ -12,7 +12,7 @@ import re
 
 from kr270_milling.errors import InputError
 from kr270_milling.trajectory.arcs import ArcError, centre_from_radius, flatten
-from kr270_milling.trajectory.files import ends_in_mid_line, read_lines
+from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.toolpath import REACH, PathBuilder, Toolpath
 
 __all__ = ["read_gcode"]
@@ -85,8 +85,8 @@ class _Reader:
         return code
 
     def _refuse_text(self, line: str, number: int) -> None:
-        rest = line[LINE.match(line).end() :].lstrip()
-        shown = rest.split()[0][:20]
+        rest = line[LINE.match(line).end() :].lstrip(" \t")
+        shown = short(re.split(r"[ \t]", rest)[0])
         if re.fullmatch(r"[A-Z][-+.]*", shown):
             self.refuse(f"the word {shown} has no number", number)
         self.refuse(f"{shown!r} is no G-code word (a letter and a number)", number)
@@ -101,9 +101,9 @@ class _Reader:
             if letter in "GM":
                 group = (GROUPS if letter == "G" else M_GROUPS).get(value)
                 if group is None:
-                    self.refuse(f"{letter}{text} is not supported", number)
+                    self.refuse(f"{letter}{short(text)} is not supported", number)
                 if group in groups:
-                    self.refuse(f"{letter}{text} contradicts another word of its kind in the same line", number)
+                    self.refuse(f"{letter}{short(text)} contradicts another word of its kind in the same line", number)
                 groups[group] = int(value)
                 continue
             if letter in seen:
@@ -112,7 +112,7 @@ class _Reader:
             if letter in "XYZIJRFS":
                 axes[letter] = value
             elif letter != "N":
-                self.refuse(f"{letter}{text} is not supported", number)
+                self.refuse(f"{letter}{short(text)} is not supported", number)
         self._set(groups, axes, number)
         if axes:
             self._move(axes, number)

@@ -7,7 +7,7 @@ import math
 from kr270_milling.config import UNITS
 from kr270_milling.errors import InputError
 from kr270_milling.frames import quaternion_from_rotation, rotation_from_abc
-from kr270_milling.trajectory.files import ends_in_mid_line, read_lines
+from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.toolpath import REACH, PathBuilder, Toolpath
 
 __all__ = ["read_points"]
@@ -45,7 +45,7 @@ def _header(path, line: str) -> tuple[list[str], list[float]]:
         name, _, unit = column.strip().lower().partition("_")
         if unit not in COLUMNS.get(name, ()) or name in names:
             raise InputError(
-                path, f"the header must name columns with units ({EXAMPLE}), not {column.strip()[:30]!r}", 1
+                path, f"the header must name columns with units ({EXAMPLE}), not {short(column.strip())!r}", 1
             )
         names.append(name)
         scales.append(UNITS[unit])
@@ -65,6 +65,6 @@ def _row(path, number: int, line: str, scales: list[float]) -> list[float]:
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise InputError(path, f"{field.strip()[:20]!r} is not a finite number", number)
+            raise InputError(path, f"{short(field.strip())!r} is not a finite number", number)
         values.append(value)
     return values

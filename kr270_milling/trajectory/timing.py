@@ -51,7 +51,8 @@ class TimedPath:
 
     def distance_at(self, time_ns) -> np.ndarray:
         """Distance along the path [m] at times [ns]."""
-        k, u, step = (v[..., 0] if v.ndim > np.ndim(time_ns) else v for v in self.trajectory.locate(time_ns))
+        k, u, step = self.trajectory.locate(time_ns)
+        u, step = u[..., 0], step[..., 0]
         speed = np.linalg.norm(self.trajectory.velocity, axis=1)
         move, v0, v1 = self.distance[k + 1] - self.distance[k], speed[k] * step, speed[k + 1] * step
         return self.distance[k] + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
@@ -78,6 +79,7 @@ def time_path(toolpath: Toolpath, timing: Timing) -> TimedPath:
     distance[-1], speed[[0, -1]] = toolpath.length, 0.0
     block = toolpath.block_at(distance)
     position, tangent, quaternion = toolpath.on_path(distance)
+    position[-1] = toolpath.position[-1]
     time_ns = np.arange(steps + 1, dtype=np.int64) * timing.step_ns
     return TimedPath(toolpath, Trajectory(time_ns, position, quaternion, speed[:, None] * tangent), block, distance)
 
@@ -123,14 +125,15 @@ def _corner_speeds(toolpath: Toolpath, timing: Timing, limit: np.ndarray) -> np.
     """Speed [m/s], (n-2,), at which each corner between two blocks may be run; 0: stop.
 
     Between two knots a step h apart the trajectory rounds a turn by the angle t off by v h sin(t/2) / 4 at most, and
-    changes its velocity by 2 v sin(t/2) within the step, or within one block where blocks are shorter.
+    changes its velocity by 2 v sin(t/2) within the step, or within one block where blocks are shorter. A fifth of the
+    tolerance is left for the speed that the tool gains or loses within that step.
     """
     k = np.arange(1, len(toolpath))
     start, end = toolpath.tangent(k, np.zeros(k.size)), toolpath.tangent(k, toolpath.plane_length[k])
     half = np.linalg.norm(start[1:] - end[:-1], axis=1) / 2  # sin(t / 2)
     safe = np.maximum(half, 1e-12)
     step, length = timing.controller_step, toolpath.block_length[1:]
-    rounding = 4 * timing.corner_tolerance / (step * safe)
+    rounding = 0.8 * 4 * timing.corner_tolerance / (step * safe)
     turning = timing.acceleration * step / (2 * safe)
     dense = np.sqrt(timing.acceleration * (length[:-1] + length[1:]) / (4 * safe))
     speed = np.minimum(np.minimum(rounding, turning), np.minimum(dense, limit))

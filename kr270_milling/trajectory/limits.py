@@ -1,0 +1,130 @@
+"""Checks of a corrected path that need only numbers per knot; each returns a list of findings.
+
+Knots that offend one after another make one finding, named by the worst of them. Points are counted from 1, as in the
+robot program.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.trajectory.joint_limits import joint_rates
+from kr270_milling.trajectory.rsi import offsets
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["Finding", "exceeding", "correction_size", "correction_per_tick", "axis_reversals", "corner_blending",
+           "joint_speeds", "joint_accelerations"]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that a check found."""
+
+    kind: str
+    point: int  #: number of the worst point, from 1
+    value: float  #: there, in SI units
+    limit: float
+    severity: str  #: "stop": must not be run; "warning"; "note"
+    sentence: str
+
+
+def exceeding(kind: str, value, limit: float, what: str, unit: str, scale: float = 1.0, severity="stop", first=1):
+    """Findings where ``value`` (n,), one per point, exceeds the limit, or is NaN; the sentence shows value * scale.
+
+    first: number of the point that value[0] belongs to.
+    """
+    value = np.asarray(value, float)
+    over = ~(value <= limit * (1 + 1e-9))  # NaN is over
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(np.int8)))
+    findings = []
+    for start, stop in edges.reshape(-1, 2).tolist():
+        worst = start + int(np.argmax(np.where(np.isnan(value[start:stop]), np.inf, value[start:stop])))
+        span = f"point {start + first}" if stop - start == 1 else f"points {start + first} to {stop - 1 + first}"
+        amount = f"{value[worst] * scale:.4g} {unit} at point {worst + first}"
+        sentence = f"{what} exceeds {limit * scale:.4g} {unit} ({span}): {amount}"
+        findings.append(Finding(kind, worst + first, float(value[worst]), limit, severity, sentence))
+    return findings
+
+
+def correction_size(original: Trajectory, revised: Trajectory, limit: float) -> list[Finding]:
+    """Where the correction [m] at a knot is larger than allowed."""
+    size = np.linalg.norm(revised.position - original.position, axis=1)
+    return exceeding("correction size", size, limit, "the correction", "mm", 1e3)
+
+
+def correction_per_tick(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Finding]:
+    """Where the correction [m] changes by more from one tick to the next than the controller takes."""
+    time_ns, shift, _ = offsets(original, revised, tick_ns)
+    change = np.linalg.norm(np.diff(shift, axis=0), axis=1)
+    knot = np.clip(np.searchsorted(original.time_ns, time_ns[1:]), 1, len(original) - 1)
+    largest = np.zeros(len(original))  # in the step that leads to each knot
+    np.maximum.at(largest, knot, change)
+    return exceeding("correction per tick", largest, limit, "the change of the correction per tick", "um", 1e6)
+
+
+def axis_reversals(joints, backlash, least: float = 1e-5) -> list[Finding]:
+    """Where a joint turns back, so that its backlash [rad], (6,), shows; movements below ``least`` [rad] are noise.
+
+    joints [rad], (n, 6). An axis that pauses and goes on in the same sense does not reverse.
+    """
+    findings = []
+    for axis, (angle, play) in enumerate(zip(np.asarray(joints, float).T, np.asarray(backlash, float), strict=True)):
+        for k in _turns(angle.tolist(), least):
+            sentence = f"axis {axis + 1} reverses at point {k + 1}; its backlash of {np.degrees(play):.3g} deg shows"
+            findings.append(Finding("axis reversal", k + 1, float(play), 0.0, "note", sentence))
+    return sorted(findings, key=lambda f: f.point)
+
+
+def _turns(angle: list[float], least: float) -> list[int]:
+    """Knots at the extremes after which ``angle`` goes back by more than ``least``."""
+    turns, extreme, sense = [], 0, 0
+    for k, value in enumerate(angle):
+        gone = value - angle[extreme]
+        if gone * sense > 0:
+            extreme = k  # further in the same sense
+        elif abs(gone) > least:
+            if sense:
+                turns.append(extreme)
+            extreme, sense = k, 1 if gone > 0 else -1
+    return turns
+
+
+def corner_blending(original: Trajectory, revised: Trajectory, blend_distance: float, share=0.5) -> list[Finding]:
+    """Where the controller's blending of LIN motions rounds off more than a share of the correction at the knot [m].
+
+    A parabola that leaves the corner's legs at the distance d, at most half a leg, misses the corner by d sin(t/2) / 2
+    for a turn by t. Knots where the tool stops are not blended.
+    """
+    legs = np.diff(revised.position, axis=0)
+    length = np.linalg.norm(legs, axis=1)
+    ahead = legs / np.where(length > 0, length, 1.0)[:, None]
+    half_sine = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 2
+    distance = np.minimum(blend_distance, np.minimum(length[:-1], length[1:]) / 2)
+    stops = np.zeros(len(legs) - 1, bool) if original.velocity is None else ~original.velocity[1:-1].any(axis=1)
+    rounded = np.where(stops, 0.0, distance * half_sine / 2)
+    correction = np.linalg.norm(revised.position - original.position, axis=1)[1:-1]
+    ratio = np.where(rounded < 1e-7, 0.0, rounded / np.maximum(correction, 1e-9))  # below 0.1 um it is no matter
+    what = "the share of the correction that corner blending takes"
+    return exceeding("corner blending", ratio, share, what, "%", 100.0, "warning", first=2)
+
+
+def joint_speeds(time_ns, joints, limit) -> list[Finding]:
+    """Where a joint runs faster between two knots than its limit [rad/s], (6,); named by the later knot."""
+    speed, _ = joint_rates(np.asarray(time_ns) * 1e-9, np.asarray(joints, float))
+    return _joints("joint speed", np.abs(speed), limit, "deg/s", 2)
+
+
+def joint_accelerations(time_ns, joints, limit, at_rest: bool = True) -> list[Finding]:
+    """Where a joint accelerates harder at a knot than its limit [rad/s^2], (6,)."""
+    _, acceleration = joint_rates(np.asarray(time_ns) * 1e-9, np.asarray(joints, float), at_rest)
+    return _joints("joint acceleration", np.abs(acceleration), limit, "deg/s^2", 1)
+
+
+def _joints(kind: str, values: np.ndarray, limit, unit: str, first: int) -> list[Finding]:
+    findings = []
+    for axis, most in enumerate(np.asarray(limit, float).tolist()):
+        what = f"the {kind.split()[1]} of axis {axis + 1}"
+        findings += exceeding(kind, values[:, axis], most, what, unit, 180 / np.pi, first=first)
+    return findings
