@@ -41,8 +41,7 @@ def mode_frequencies(cell: Cell) -> dict[str, np.ndarray]:
 
 def assumptions(cell: Cell, paper: bool) -> list[Assumption]:
     """The rows that hold for this cell; with ``paper`` also those about the paper's text and Table 2."""
-    rows = [*_cut(cell), *_arm(cell), *_numerics(cell)]
-    return [*_of_the_paper(cell), *rows] if paper else rows
+    return [*_cut(cell), *(_of_the_paper(cell) if paper else []), *_arm(cell), *_numerics(cell)]
 
 
 def _of_the_paper(cell: Cell) -> list[Assumption]:

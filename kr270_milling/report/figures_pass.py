@@ -54,11 +54,12 @@ def _one_revolution(axes: Axes, zoom, micro_step: float, time, means, revolution
 
 @styled
 def displacement(time: np.ndarray, deflection: np.ndarray, engaged_from: float) -> Figure:
-    """Dynamic displacement of the tool in x and y over a pass, Fig. 13; deflection (n, 6) [m, rad]."""
+    """Dynamic displacement of the tool over a pass, Fig. 13 (there x and y); deflection (n, 6) [m, rad]."""
     figure, ((axes,),) = new_figure(3.0)
     marked(axes, engaged_from, time[-1])
     line(axes, time, deflection[:, 0] * 1e6, COLOURS[1], "x, along the feed")
     line(axes, time, deflection[:, 1] * 1e6, COLOURS[2], "y, across the feed", linewidth=1.4)
+    line(axes, time, deflection[:, 2] * 1e6, COLOURS[3], "z, along the spindle", linestyle="--")
     axes.axhline(0.0, color=GREY, linewidth=0.6)
     axes.set(xlabel="time [s]", ylabel="displacement of the tool [µm]", xlim=(time[0], time[-1]))
     axes.legend(loc="best")
@@ -82,15 +83,16 @@ def spectra(
     frequency, amplitude = thinned_spectrum(*amplitude_spectrum(lateral * 1e6, step), high)
     below.plot(frequency, amplitude, color=COLOURS[2])
     for axes, decades in ((above, 1e5), (below, 1e6)):
-        top = max((series.get_ydata().max() for series in axes.lines), default=0.0) or 1.0
-        axes.set(xscale="log", yscale="log", ylim=(top / decades, 8 * top))
+        top = max((series.get_ydata().max(initial=0.0) for series in axes.lines), default=0.0) or 1.0
+        axes.set(xlim=(1.0, high), ylim=(top / decades, 8 * top))  # before the scales: there may be nothing to scale
+        axes.set(xscale="log", yscale="log")
         axes.axvline(tooth_frequency, color=COLOURS[1], linestyle="--", linewidth=0.9)
         axes.axvline(low_frequency, color=COLOURS[3], linestyle="--", linewidth=0.9)
     top = above.get_ylim()[1]
     for at, text, colour in ((tooth_frequency, "teeth", COLOURS[1]), (low_frequency, "arm", COLOURS[3])):
         above.annotate(f"{text} {at:.4g} Hz", (at, top), (-3, -2), textcoords="offset points", va="top", ha="right",
                        color=colour, fontsize=8)  # fmt: skip
-    above.set(ylabel="force [N]", xlim=(1.0, high))
+    above.set(ylabel="force [N]")
     below.set(ylabel="displacement y [µm]", xlabel="frequency [Hz]")
     above.legend(loc="center left")
     return figure

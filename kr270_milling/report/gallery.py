@@ -118,7 +118,7 @@ def _comparison(cell: Cell, passes: Sequence[ScoredPass]) -> list[Picture]:
                 "revised_trajectories", "Modified trajectory and its feed rate", "Fig. 14",
                 figures_compare.revised_trajectories(target, references),
                 "What the controller is told beyond the target, made from the displacement in earlier passes: points "
-                f"every {cell.compensation.controller_step * 1e3:g} ms. 'linear' joins them by straight lines, so that "
+                f"every {cell.timing.controller_step * 1e3:g} ms. 'linear' joins them by straight lines, so that "
                 "its rate jumps; the others join them smoothly.",
             )
         )  # fmt: skip

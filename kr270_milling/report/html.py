@@ -123,9 +123,9 @@ def _score_row(one: ScoredPass, paper: bool) -> dict:
 def _inputs(cell: Cell) -> list[tuple[str, list[str]]]:
     """Table 1: name with unit, six values."""
     return [
-        ("joint position q [deg]", [f"{v:g}" for v in np.round(np.degrees(cell.start_joints), 9)]),
-        ("joint compliance [10⁻⁶ rad/(N m)]", [f"{v:g}" for v in np.round(cell.arm.joint_compliance * 1e6, 9)]),
-        ("link mass [kg]", [f"{v:g}" for v in cell.arm.link_mass]),
+        ("joint position q [deg]", [_shown(v) for v in np.round(np.degrees(cell.start_joints), 9)]),
+        ("joint compliance [10⁻⁶ rad/(N m)]", [_shown(v) for v in np.round(cell.arm.joint_compliance * 1e6, 9)]),
+        ("link mass [kg]", [_shown(v) for v in cell.arm.link_mass]),
     ]
 
 
@@ -137,7 +137,7 @@ def _detail_row(cell: Cell, one: ScoredPass) -> dict:
         "force": " / ".join(fixed(f, 2) for f in force),
         "correction": fixed(result.correction.max() * 1e9, 1),
         "shift": fixed(shift * 1e6, 2),
-        "area": fixed(result.removed_area * 1e6, 2),
+        "volume": fixed(result.removed_volume * 1e9, 1),
         "steps": f"{result.micro_steps}",
         "wall": fixed(result.wall_time, 3),
     }
