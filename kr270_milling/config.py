@@ -140,8 +140,15 @@ def _checked(spec: Spec, value):
     else:
         shown = value / spec.scale if spec.kind is float else value
     if not _allowed(spec, value, shown):
-        raise ParameterError(spec.key, shown, spec.allowed)
+        raise ParameterError(spec.key, _readable(shown), spec.allowed)
     return value
+
+
+def _readable(shown):
+    """Without the digits that the way to SI and back may have added."""
+    if isinstance(shown, list):
+        return [_readable(v) for v in shown]
+    return float(f"{shown:.14g}") if isinstance(shown, float) else shown
 
 
 def _allowed(spec: Spec, value, shown) -> bool:

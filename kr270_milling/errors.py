@@ -16,9 +16,10 @@ _short.maxlevel, _short.maxstring, _short.maxother, _short.maxlist, _short.maxdi
 def _shown(value) -> str:
     """The value on one line of bearable length, whatever a file made of it."""
     try:
-        return _short.repr(value)
+        text = _short.repr(value)
     except ValueError:  # Python does not write out whole numbers of thousands of digits
         return "a number of thousands of digits"
+    return text if len(text) <= 200 else text[:197] + "..."
 
 
 def _one_line(text: str) -> str:
