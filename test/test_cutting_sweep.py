@@ -43,8 +43,10 @@ class Oracle:
         self.side = np.zeros((teeth, NODES, NODES), int)  # of the node when it was last clear of the line
         self.level = np.zeros((teeth, NODES, NODES), int)  # then
         self.within = np.zeros((teeth, NODES, NODES), bool)  # was it inside the tooth's length since?
+        self.near = np.zeros((teeth, NODES, NODES), bool)  # was it anywhere near that since?
 
-    def sweep(self, start, end, first, n, samples=9):
+    def sweep(self, start, end, first, n):
+        samples = 9 + int(8 * np.hypot(*(end - start)[:2]) / STEP / n)
         for k in range(n):
             parts = (k + np.linspace(0.0, 1.0, samples)) / n
             level = int(round((-(start[2] + (k + 0.5) / n * (end[2] - start[2]))) / self.cut.stock.level_step))
@@ -65,10 +67,11 @@ class Oracle:
         crossed = clear & (side == -self.side[i])
         lowest = np.minimum(self.level[i], level)
         self.must = np.where(crossed & within & self.within[i], np.maximum(self.must, lowest), self.must)
-        reached = ~outside & (crossed | ~clear)
+        reached = (crossed & (~outside | self.near[i])) | (~outside & ~clear)
         highest = np.maximum(np.where(crossed, self.level[i], 0), level)
         self.may = np.where(reached, np.maximum(self.may, highest), self.may)
         self.within[i] = within & (clear | self.within[i])
+        self.near[i] = ~outside | (~clear & self.near[i])
         self.side[i] = np.where(clear, side, self.side[i])
         self.level[i] = np.where(clear, level, lowest)
 

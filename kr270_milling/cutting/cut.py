@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from kr270_milling.cutting.grid import TILE, GridError, Stock, levels_in_window
 from kr270_milling.cutting.laws import Cutting
-from kr270_milling.cutting.state import FAILED, LEVEL_SUM, NODES, TILES, make_params, make_state
+from kr270_milling.cutting.state import FAILED, LEVEL_SUM, NODES, TILES, log_size, make_log, make_params, make_state
 from kr270_milling.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.cutting.tool import Tool
 from kr270_milling.errors import MillingError
@@ -36,13 +38,15 @@ class SweepError(MillingError):
 class Cut:
     """The cutting process. ``params`` and ``state`` are what compiled loops hand to ``sweep`` themselves.
 
-    micro_step: of the spindle angle [rad], a whole part of a revolution; log_size: nodes that restore() can put back.
+    micro_step: of the spindle angle [rad], a whole part of a revolution; log_size: nodes that restore() can put back,
+    default: enough for any sweep of up to a revolution.
     """
 
-    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, log_size: int = 1 << 20):
+    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, log_size: int | None = None):
         self.tool, self.cutting, self.stock = tool, cutting, stock
         self.params = make_params(tool, cutting, stock, micro_step)
-        self.state = make_state(self.params, stock, log_size)
+        self.state = make_state(self.params, stock, log_size or 1 << 22)
+        self._log_grows = log_size is None
         self.torque = 0.0  #: mean spindle torque of the last sweep [N m]
 
     def sweep(self, pose_from, pose_to, first: int, n: int, forces: np.ndarray = NO_FORCES) -> np.ndarray:
@@ -55,6 +59,10 @@ class Cut:
         sound = start.shape == end.shape == (3,) and np.isfinite([start, end]).all()
         if not sound or first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):
             raise SweepError(pose_from, pose_to, first, n)
+        if self._log_grows and n <= self.params.steps:
+            size = log_size(self.params, n, math.dist(start[:2], end[:2]))
+            if size > self.state.log_level.size:
+                self.state = self.state._replace(**make_log(size))
         force_x, force_y, self.torque = sweep(self.state, self.params, start, end, int(first), int(n), forces)
         if self.state.ints[FAILED]:
             raise GridError(self.state.pool.size // TILE**2)
@@ -68,6 +76,7 @@ class Cut:
     def copy(self) -> Cut:
         """An independent workpiece in the same condition."""
         other = Cut(self.tool, self.cutting, self.stock, self.params.micro_step, self.state.log_level.size)
+        other._log_grows = self._log_grows
         used = self.state.ints[TILES] * TILE**2
         other.state.pool[:used] = self.state.pool[:used]
         for mine, its in zip(self.state[1:], other.state[1:], strict=True):

@@ -12,7 +12,7 @@ from kr270_milling.cutting.laws import Cutting
 from kr270_milling.cutting.tool import Tool
 from kr270_milling.errors import ParameterError
 
-__all__ = ["Params", "State", "make_params", "make_state"]
+__all__ = ["Params", "State", "make_params", "make_state", "make_log", "log_size"]
 
 # Places in State.ints
 TILES = 0  # tiles in use
@@ -113,8 +113,21 @@ def _directions(tool: Tool, turn: np.ndarray) -> np.ndarray:
     return out
 
 
-def make_state(params: Params, stock: Stock, log_size: int = 1 << 20) -> State:
-    """An untouched stock. The pool is only address space until the tool comes to a tile."""
+def log_size(params: Params, n: int, distance: float) -> int:
+    """Nodes that n micro-steps over a distance [m] visit at most: whole sectors, and strips where the tool jumps."""
+    reach = float(params.radii.max())
+    area = params.radii.size * reach * (n * reach * params.micro_step + 2.0 * distance)
+    columns = 2.0 * params.radii.size * n * (reach + distance / n) / params.spacing
+    return int(min(area / params.spacing**2 + 4.0 * columns, 2.0**28)) + 4096
+
+
+def make_log(size: int) -> dict:
+    """The fields of State that hold the undo log; address space only, until it is written."""
+    return {"log_runs": np.empty((size // 4, 2), np.int32), "log_level": np.empty(size, np.uint16)}
+
+
+def make_state(params: Params, stock: Stock, size: int = 1 << 22) -> State:
+    """An untouched stock. The pool is only address space until the tool comes to a tile; size: of the undo log."""
     tiles = tile_count(stock)
     ints = np.zeros(INTS, np.int64)
     ints[NEXT_STEP] = ints[RUN] = ints[FLOOR] = -1
@@ -126,8 +139,7 @@ def make_state(params: Params, stock: Stock, log_size: int = 1 << 20) -> State:
         floats=np.zeros(FLOATS),
         saved_ints=ints.copy(),
         saved_floats=np.zeros(FLOATS),
-        log_runs=np.empty((log_size // 4, 2), np.int32),
-        log_level=np.empty(log_size, np.uint16),
+        **make_log(size),
         tally=np.zeros(3, np.int64),
         chips=np.zeros(len(params.radii)),
     )
