@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -68,3 +71,13 @@ def test_the_callers_own_settings_neither_count_nor_change():
     with matplotlib.rc_context({"font.size": 30.0, "svg.hashsalt": "other"}):
         assert svg_text(_figure("a")) == expected
         assert matplotlib.rcParams["font.size"] == 30.0
+
+
+def test_drawing_never_loads_pyplot():
+    program = (
+        "import sys; from kr270_milling.report.style import new_figure, styled, svg_text;"
+        "svg_text(styled(lambda: new_figure(2.0)[0])()); print('matplotlib.pyplot' in sys.modules)"
+    )
+    options = dict(cwd=Path(__file__).parent.parent, capture_output=True, text=True, timeout=60, check=True)
+    ran = subprocess.run([sys.executable, "-c", program], **options)
+    assert ran.stdout.strip() == "False"

@@ -99,8 +99,9 @@ def _draw_workpiece(axes: Axes, workpiece: Pose, stock: Stock, view: np.ndarray)
         end = (workpiece.position + 0.35 * direction) @ view.T
         if np.linalg.norm(end - origin) > 0.02:
             axes.annotate("", end, origin, arrowprops=dict(arrowstyle="->", color=AXIS_COLOURS[name], lw=1.2), zorder=6)
-            axes.plot(*end, alpha=0)  # for the limits of the axes
-            axes.annotate(name, end, (2, 2), textcoords="offset points", color=AXIS_COLOURS[name], zorder=6)
+            text = origin + 1.25 * (end - origin)
+            axes.plot(*text, alpha=0)  # for the limits of the axes
+            axes.annotate(name, text, color=AXIS_COLOURS[name], ha="center", va="center", zorder=6)
 
 
 @styled

@@ -46,14 +46,20 @@ STYLE = {
 }
 
 
+@functools.cache
+def _defaults() -> dict:
+    """matplotlib's own settings, but for the backend: to ask for that would load pyplot."""
+    kept = ("backend", "interactive", "toolbar", "webagg", "timezone")
+    return {k: v for k, v in dict.items(matplotlib.rcParamsDefault) if not k.startswith(kept)}
+
+
 def styled(draw):
     """Decorator: the function draws under STYLE, whatever the caller has set."""
 
     @functools.wraps(draw)
     def wrapper(*args, **kwargs):
         with matplotlib.rc_context():
-            matplotlib.rcParams.update({**matplotlib.rcParamsDefault, "backend": matplotlib.rcParams["backend"]})
-            matplotlib.rcParams.update(STYLE)
+            matplotlib.rcParams.update({**_defaults(), **STYLE})
             return draw(*args, **kwargs)
 
     return wrapper
