@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from kr270_milling.trajectory.profile import Ramps, peak_speeds, ramp_time, reachable, vertex_speeds
 
 A, J = 2.0, 20.0
-speeds, lengths = st.floats(0, 1), st.floats(1e-9, 1)
+speeds, lengths = st.floats(0, 1), st.floats(1e-6, 1)
 
 
 def way(first, last):
@@ -33,7 +33,7 @@ def test_both_kinds_of_ramp_agree_where_the_acceleration_just_reaches_its_limit(
 @given(speeds, lengths)
 def test_the_reachable_speed_uses_up_the_whole_length(speed, length):
     reached = reachable(speed, length, A, J)
-    assert way(speed, max(speed, reached * (1 - 1e-13))) <= length <= way(speed, reached * (1 + 1e-13) + 1e-15)
+    assert way(speed, max(speed, reached * (1 - 1e-12))) <= length <= way(speed, reached * (1 + 1e-12) + 1e-15)
 
 
 @given(st.lists(st.tuples(lengths, speeds), min_size=1, max_size=20))
@@ -42,7 +42,7 @@ def test_speeds_at_the_vertices_are_below_their_caps_and_within_reach_of_each_ot
     cap = np.array([0.0, *(s[1] for s in segments[:-1]), 0.0])
     speed = vertex_speeds(cap, length, A, J)
     assert np.all(speed <= cap) and np.all(speed >= 0)
-    assert np.all(way(speed[:-1], speed[1:]) <= length * (1 + 1e-6) + 1e-15)
+    assert np.all(way(speed[:-1], speed[1:]) <= length + 1e-9)  # an ulp of speed
     raised = cap - speed > 1e-6  # none of them could be higher
     for i in np.flatnonzero(raised):
         higher = speed.copy()

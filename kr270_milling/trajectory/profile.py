@@ -28,7 +28,7 @@ def reachable(speed: float, length: float, acceleration: float, jerk: float) -> 
     if length <= (2 * speed + edge) * acceleration / jerk:
         # (2 v + x^2) x = length sqrt(j) with x^2 the change of speed: the one real root of a cubic
         p, q = 2 * speed, length * math.sqrt(jerk)
-        if p <= 1e-9 * q ** (2 / 3):
+        if p <= 1e-12 * q ** (2 / 3):
             x = q ** (1 / 3)
         else:
             x = 2 * math.sqrt(p / 3) * math.sinh(math.asinh(1.5 * q / p * math.sqrt(3 / p)) / 3)

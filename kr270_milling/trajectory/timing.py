@@ -74,51 +74,54 @@ class TimedPath:
 
 def time_path(toolpath: Toolpath, timing: Timing) -> TimedPath:
     """Run a tool path under the limits; the trajectory starts and ends at rest and has velocities at its knots."""
-    ramps, steps = _ramps(toolpath, timing)
-    distance, speed, _ = ramps.sample(np.arange(steps + 1) * timing.controller_step)
-    distance[-1], speed[[0, -1]] = toolpath.length, 0.0
-    block = toolpath.block_at(distance)
+    ramps, stops, ends = _ramps(toolpath, timing)
+    time_ns = np.arange(stops[-1] + 1, dtype=np.int64) * timing.step_ns
+    distance, speed, _ = ramps.sample(np.arange(stops[-1] + 1) * timing.controller_step)
+    distance[stops], speed[stops], speed[0] = ends, 0.0, 0.0  # without the rounding, so that a stop is known as one
     position, tangent, quaternion = toolpath.on_path(distance)
     position[-1] = toolpath.position[-1]
-    time_ns = np.arange(steps + 1, dtype=np.int64) * timing.step_ns
-    return TimedPath(toolpath, Trajectory(time_ns, position, quaternion, speed[:, None] * tangent), block, distance)
+    run = Trajectory(time_ns, position, quaternion, speed[:, None] * tangent)
+    return TimedPath(toolpath, run, toolpath.block_at(distance), distance)
 
 
-def _ramps(toolpath: Toolpath, timing: Timing) -> tuple[Ramps, int]:
-    """The phases of motion along the whole path, and how many controller steps they last."""
-    acceleration, jerk = timing.acceleration, timing.jerk
-    length = toolpath.block_length[1:]
+def _segments(toolpath: Toolpath, timing: Timing) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks run as one: lengths [m], (m,), speed limits [m/s], (m,), and limits where they meet, (m + 1,)."""
     bend = np.maximum(np.abs(toolpath.curvature[1:]), 1e-12)
     feed = np.where(toolpath.rapid[1:], timing.rapid_feed, toolpath.feed[1:])
-    limit = np.minimum(feed, np.sqrt(acceleration / bend))  # centripetal
+    limit = np.minimum(feed, np.sqrt(timing.acceleration / bend))  # centripetal
     corner = _corner_speeds(toolpath, timing, np.minimum(limit[:-1], limit[1:]))
-
     joined = (limit[:-1] == limit[1:]) & (corner >= limit[1:])
     starts = np.flatnonzero(np.concatenate([[True], ~joined]))
-    segment, top = np.add.reduceat(length, starts), limit[starts]
     cap = np.concatenate([[0.0], corner[starts[1:] - 1], [0.0]])
-    vertex = vertex_speeds(cap, segment, acceleration, jerk)
+    return np.add.reduceat(toolpath.block_length[1:], starts), limit[starts], cap
+
+
+def _ramps(toolpath: Toolpath, timing: Timing) -> tuple[Ramps, np.ndarray, np.ndarray]:
+    """The phases of motion along the whole path, the knots at which the tool stops, and their distances [m]."""
+    step, bounds = timing.controller_step, (timing.acceleration, timing.jerk)
+    length, limit, cap = _segments(toolpath, timing)
+    vertex = vertex_speeds(cap, length, *bounds)
     first, last = vertex[:-1], vertex[1:]
-    peak = peak_speeds(first, last, top, segment, acceleration, jerk)
-    up, down = ramp_time(peak - first, acceleration, jerk), ramp_time(peak - last, acceleration, jerk)
-    cruise = np.maximum(segment - (first + peak) / 2 * up - (peak + last) / 2 * down, 0.0) / peak
+    peak = peak_speeds(first, last, limit, length, *bounds)
+    up, down = ramp_time(peak - first, *bounds), ramp_time(peak - last, *bounds)
+    cruise = np.maximum(length - (first + peak) / 2 * up - (peak + last) / 2 * down, 0.0) / peak
 
     run = np.concatenate([[0], np.cumsum(vertex[1:-1] == 0)])  # stop to stop
-    final = np.flatnonzero(vertex[1:] == 0)  # the segment that ends each run
+    final = np.flatnonzero(last == 0)  # the segment that ends each run
     duration = np.bincount(run, up + cruise + down)
-    steps = np.maximum(np.ceil(duration / timing.controller_step - 1e-9), 1)
-    if steps.sum() > MOST_KNOTS:
-        raise ToolpathError(f"it would last {steps.sum() * timing.controller_step:.3g} s; is the feed right?")
-    missing = steps * timing.controller_step - duration
+    steps = np.maximum(np.ceil(duration / step - 1e-9), 1)
+    if not steps.sum() <= MOST_KNOTS:
+        raise ToolpathError(f"it would last {steps.sum() * step:.3g} s; is the feed right?")
+    missing = steps * step - duration
     softer = cruise[final] >= missing  # brake so gently that the stop falls on a step; else run a little slower
     down[final] += np.where(softer, 2 * missing, 0.0)
     cruise[final] -= np.where(softer, missing, 0.0)
-    slower = np.where(softer, 1.0, steps * timing.controller_step / duration)[run]
+    slower = np.where(softer, 1.0, steps * step / duration)[run, None]
 
-    durations = np.stack([up, cruise, down], axis=1) * slower[:, None]
-    speeds = np.stack([first, peak, peak, last], axis=1) / slower[:, None]
-    ramps = Ramps.make(durations.ravel(), speeds[:, :3].ravel(), speeds[:, 1:].ravel(), acceleration, jerk)
-    return ramps, int(steps.sum())
+    durations = np.stack([up, cruise, down], axis=1) * slower
+    speeds = np.stack([first, peak, peak, last], axis=1) / slower
+    ramps = Ramps.make(durations.ravel(), speeds[:, :3].ravel(), speeds[:, 1:].ravel(), *bounds)
+    return ramps, np.cumsum(steps.astype(np.int64)), np.cumsum(length)[final]
 
 
 def _corner_speeds(toolpath: Toolpath, timing: Timing, limit: np.ndarray) -> np.ndarray:
