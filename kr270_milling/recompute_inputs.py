@@ -1,0 +1,129 @@
+"""What a recording says, as the records that the models take: the cell, trajectories, poses, wrenches."""
+
+from __future__ import annotations
+
+import struct
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import yaml
+
+from kr270_milling.cell import Cell, read_cell
+from kr270_milling.errors import ConfigError
+from kr270_milling.recording.cdr import Cursor
+from kr270_milling.recording.errors import RecordingError
+from kr270_milling.recording.reader import RawMessage, Recording
+from kr270_milling.recording.trajectory import read_trajectory
+from kr270_milling.recording.unpack import Unpacker
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["Sample", "cell_of", "in_file_order", "sample", "trajectory_of"]
+
+CELL = "cell.yaml"
+TOOL = "tool0"
+MOST_ATTACHED = 64 * 1024 * 1024  # [bytes] of attachments that are unpacked to read the cell
+
+
+class Sample(NamedTuple):
+    """A pose (7 numbers), a wrench or a twist (6) with its stamp [ns] and frame."""
+
+    stamp: int
+    frame: str
+    values: tuple[float, ...]
+
+    @property
+    def finite(self) -> bool:
+        return bool(np.all(np.isfinite(self.values)))
+
+
+def sample(data: bytes, count: int) -> Sample:
+    """The numbers behind a header; raises ValueError where the message is too short."""
+    cursor = Cursor(data)
+    stamp = cursor.number("i") * 10**9 + cursor.number("I")
+    frame = cursor.string()
+    cursor.align(8)
+    return Sample(stamp, frame, struct.unpack_from(f"{cursor.order}{count}d", data, cursor.skip(8 * count)))
+
+
+def trajectory_of(data: bytes, as_sent: bool = False) -> Trajectory:
+    """A recorded trajectory of the tool, as the robot makes it of the message. Raises ValueError, TrajectoryError.
+
+    as_sent: as its publisher held it. Its quaternions were of length 1 already and to divide them by their length
+    once more could change a last bit.
+    """
+    found = read_trajectory(data)
+    if found.names != (TOOL,):
+        raise ValueError(f"a trajectory of {', '.join(found.names) or 'nothing'} and not of {TOOL}")
+    velocity = found.velocity[:, 0, :3]
+    run = Trajectory(
+        found.time,
+        found.position[:, 0],
+        found.quaternion[:, 0],
+        None if np.isnan(velocity).all() else velocity,
+        found.frame_id,
+    )
+    if as_sent:
+        run._keep("quaternion", np.array(found.quaternion[:, 0]))
+    return run
+
+
+def cell_of(recording: Recording) -> Cell:
+    """The cell that the recording was made with: the attached ``cell.yaml``, or the only attached YAML file.
+
+    Files that it names (includes, a tool path) are taken from the attachments too, and only then from the shipped
+    ones. Raises RecordingError, ConfigError.
+    """
+    names = [a.name for a in recording.attachments if _is_plain(a.name)]
+    parameter_files = [n for n in names if n.endswith((".yaml", ".yml"))]
+    if CELL not in names and len(parameter_files) != 1:
+        what = f"has {', '.join(sorted(parameter_files))}" if parameter_files else "has no parameter file"
+        raise RecordingError(recording.path, f"{what} attached, but {CELL} is needed to recompute it")
+    if sum(a.size for a in recording.attachments) > MOST_ATTACHED:
+        raise RecordingError(recording.path, "holds more attachments than a cell needs")
+    main = CELL if CELL in names else parameter_files[0]
+    with tempfile.TemporaryDirectory() as directory:
+        for name in names:
+            Path(directory, name).write_bytes(recording.attachment(name))
+        _refuse_foreign_files(recording, Path(directory, main))
+        try:
+            cell = read_cell(Path(directory, main))
+            cell.timed_path  # noqa: B018 - reads the tool path while its file is there
+        except ConfigError as error:
+            where = f"{recording.path}, attached {Path(error.file).name}"
+            raise ConfigError(where, error.key, error.value, error.allowed) from error
+    return cell
+
+
+def _is_plain(name: str) -> bool:
+    return bool(name) and name == Path(name).name and name not in (".", "..") and "\0" not in name
+
+
+def _refuse_foreign_files(recording: Recording, file: Path) -> None:
+    """A recording from elsewhere must not make us read any file of this machine."""
+    try:
+        tree = yaml.safe_load(file.read_bytes())["/**"]["ros__parameters"]
+        named = [*(tree.get("includes") or []), (tree.get("path") or {}).get("file") or "a"]
+    except (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
+        return  # read_cell says what is wrong with it
+    foreign = [n for n in named if not isinstance(n, str) or not _is_plain(n)]
+    if foreign:
+        raise RecordingError(recording.path, f"its {file.name} names {foreign[0]!r}, which is not a plain file name")
+
+
+def in_file_order(recording: Recording, progress=None) -> Iterator[RawMessage]:
+    """All messages as they were written: several passes, whose stamps begin at 0 each, stay apart."""
+    done = 0
+    with open(recording.path, "rb") as stream:
+        unpack = Unpacker(stream)
+        for chunk in recording.chunks:
+            found = unpack(chunk)
+            for log_time, begin, end, channel, publish_time, _ in found.index:
+                done += 1
+                if channel in recording.channels:
+                    topic = recording.channels[channel].topic
+                    yield RawMessage(topic, log_time, publish_time, found.data[begin:end])
+            if progress:
+                progress(done, recording.count)
