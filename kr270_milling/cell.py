@@ -13,7 +13,7 @@ import numpy as np
 from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.config import Record, build, find_file, override, parameter, read_tree, specs
 from kr270_milling.cutting import Cut, Cutting, Stock, Tool
-from kr270_milling.errors import ParameterError
+from kr270_milling.errors import InputError, ParameterError
 from kr270_milling.frames import Pose, rotation_from_quaternion
 from kr270_milling.robot import Arm, Mount, inverse_near
 from kr270_milling.simulation.arm_model import arm_model, modal_models
@@ -22,10 +22,12 @@ from kr270_milling.simulation.exchange import Clock, Exchange
 from kr270_milling.trajectory.joint_limits import limit_by_joints
 from kr270_milling.trajectory.readers import read_toolpath
 from kr270_milling.trajectory.timing import TimedPath, Timing, time_path
+from kr270_milling.trajectory.toolpath import Toolpath
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Cell", "Path", "Workpiece", "read_cell"]
 
+SAME_SPEED = 0.1  # [rad/s], 1 rpm: spindle speeds that differ by less are one
 MOST_STEPS = 5e6  # exchange periods or reference points of one pass; its series take some 250 bytes a step
 
 
@@ -104,12 +106,24 @@ class Cell(Record):
         """The tool path of ``path.file`` run under the limits of controller and joints; None for a straight cut."""
         if not self.path.file:
             return None
-        timed = time_path(read_toolpath(self.path.file), self.timing)
+        toolpath = read_toolpath(self.path.file)
+        self._check_spindle(toolpath)
+        timed = time_path(toolpath, self.timing)
         joints = self.joints(timed.trajectory)
         slower = limit_by_joints(
             timed.trajectory, joints, self.arm.joint_speed_limit, self.arm.joint_acceleration_limit
         )
         return dataclasses.replace(timed, trajectory=slower)
+
+    def _check_spindle(self, toolpath: Toolpath) -> None:
+        """A programmed spindle speed, where there is one, must be that of the model."""
+        programmed = toolpath.spindle_speed[~toolpath.rapid]
+        other = (programmed > 0) & (np.abs(programmed - self.tool.spindle_speed) > SAME_SPEED)
+        if other.any():
+            k = np.flatnonzero(~toolpath.rapid)[np.argmax(other)]
+            rpm = 30.0 / np.pi * np.array([toolpath.spindle_speed[k], self.tool.spindle_speed])
+            reason = f"the spindle speed S{rpm[0]:.6g} is not the tool.spindle_speed_rpm of the cell, {rpm[1]:.6g}"
+            raise InputError(self.path.file, reason, int(toolpath.line[k]))
 
     def target(self) -> Trajectory:
         """The programmed trajectory of the tool tip in the workpiece frame, knots at the controller step."""

@@ -14,7 +14,7 @@ from numba import njit
 
 from kr270_milling.cutting import Cut, GridError, UndoError, sweep, undo
 from kr270_milling.cutting.grid import TILE
-from kr270_milling.cutting.state import FAILED
+from kr270_milling.cutting.state import FAILED, LEVEL_SUM
 from kr270_milling.simulation.dynamics import ArmModel, advance
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -35,6 +35,8 @@ class PassResult:
     deflection: np.ndarray  #: corrected displacement of the arm [m, rad], (n + 1, 6)
     wrench: np.ndarray  #: mean over each period, on the tool [N, N m], (n + 1, 6)
     correction: np.ndarray  #: corrected minus predicted tool centre [m], (n + 1,)
+    torque: np.ndarray  #: mean of the spindle over each period [N m], (n + 1,)
+    volume: np.ndarray  #: removed in each period [m^3], (n + 1,)
     micro_steps: int  #: of the spindle in the whole pass
     removed_area: float  #: [m^2]
     removed_volume: float  #: [m^3]
@@ -87,16 +89,18 @@ class CompliantArm:
 @njit(cache=True, error_model="numpy")
 def _exchange(first, last, iterations, reference, arrays, state, wrench, cut_state, cut_params, micro_steps, out):
     """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large."""
-    tool, deflections, wrenches, corrections = out
+    tool, deflections, wrenches, corrections, torques, volumes = out
+    per_node = cut_params.spacing * cut_params.spacing
     scratch, deflection, answer = np.zeros(state.size), np.zeros(6), wrench.copy()
     no_forces = np.empty((0, 3))
     for n in range(first, last):
+        before, torque = cut_state.floats[LEVEL_SUM], 0.0
         for k in range(iterations):
             advance(n, state, answer, arrays, scratch, deflection)  # the robot predicts
             tool[n + 1] = reference[n + 1] + deflection[:3]
             if k > 0 and not undo(cut_state):
                 return False
-            force_x, force_y, _ = sweep(  # the cut answers
+            force_x, force_y, torque = sweep(  # the cut answers
                 cut_state, cut_params, tool[n], tool[n + 1], n * micro_steps, micro_steps, no_forces
             )
             answer[0], answer[1] = force_x, force_y
@@ -104,6 +108,7 @@ def _exchange(first, last, iterations, reference, arrays, state, wrench, cut_sta
         state[:] = scratch
         deflections[n + 1], wrenches[n + 1] = deflection, answer
         corrections[n + 1] = np.sqrt(np.sum((reference[n + 1] + deflection[:3] - tool[n + 1]) ** 2))
+        torques[n + 1], volumes[n + 1] = torque, (cut_state.floats[LEVEL_SUM] - before) * per_node
     wrench[:] = answer
     return True
 
@@ -125,7 +130,7 @@ def run_pass(
     n = clock.steps(reference.duration_ns)
     stamps = clock.stamp(np.arange(n + 1))
     course = reference.sample(stamps)
-    out = (np.zeros((n + 1, 3)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6)), np.zeros(n + 1))
+    out = (np.zeros((n + 1, 3)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6)), *np.zeros((3, n + 1)))
     out[0][0] = course[0]
     state, wrench = np.zeros(model.order), np.zeros(6)
     carried = (cut.state, cut.params, clock.micro_steps, out)
