@@ -78,7 +78,10 @@ def condense(compliance: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, ...]
     free = np.setdiff1d(np.arange(6), inertial)
     if inertial.size == 0 or np.any(mass[free]) or np.linalg.eigvalsh(mass[np.ix_(inertial, inertial)])[0] <= 0.0:
         raise DynamicsError("the mass matrix must be symmetric and positive definite in the components with inertia")
-    stiffness = np.linalg.inv(compliance[np.ix_(inertial, inertial)])
+    softness = compliance[np.ix_(inertial, inertial)]
+    if not (np.isfinite(softness).all() and np.linalg.cond(softness) < 1e12):
+        raise DynamicsError("the compliance matrix is singular or not finite where there is inertia")
+    stiffness = np.linalg.inv(softness)
     stiffness = 0.5 * (stiffness + stiffness.T)  # rounding only: K_C is symmetric under link weights
     force, output, feedthrough = np.zeros((inertial.size, 6)), np.zeros((6, inertial.size)), np.zeros((6, 6))
     force[:, inertial] = output[inertial] = np.eye(inertial.size)
