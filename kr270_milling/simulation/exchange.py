@@ -56,4 +56,5 @@ class Clock:
 
     def steps(self, duration_ns: int) -> int:
         """Exchange periods that cover a duration [ns]."""
-        return int(np.ceil(duration_ns / (self.period * 1e9) - 1e-6))
+        steps = int(np.ceil(duration_ns / (self.period * 1e9) - 1e-6))
+        return steps - 1 if steps > 0 and self.stamp(steps - 1) >= duration_ns else steps  # a stamp is rounded
