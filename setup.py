@@ -20,7 +20,7 @@ setup(
         "numpy>=1.24",
         "scipy>=1.10",
         "numba>=0.59",
-        "mcap>=1.2",
+        "mcap>=1.6",
         "mcap-ros2-support>=0.5",
         "PyYAML>=6.0",
         "matplotlib>=3.6",

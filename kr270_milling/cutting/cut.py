@@ -8,7 +8,7 @@ import numpy as np
 
 from kr270_milling.cutting.grid import TILE, GridError, Stock, levels_in_window
 from kr270_milling.cutting.laws import Cutting
-from kr270_milling.cutting.state import FAILED, LEVEL_SUM, NODES, TILES, log_size, make_log, make_params, make_state
+from kr270_milling.cutting.state import FAILED, LEVEL_SUM, TILES, log_size, make_log, make_params, make_state
 from kr270_milling.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.cutting.tool import Tool
 from kr270_milling.errors import MillingError
@@ -85,8 +85,8 @@ class Cut:
 
     @property
     def removed_area(self) -> float:
-        """Area of the nodes cleared so far [m^2]; a node counts again when it is cut deeper."""
-        return float(self.state.ints[NODES]) * self.params.spacing**2
+        """Area that was cut into so far, at whatever depth [m^2]."""
+        return np.count_nonzero(self.state.pool[: self.tiles * TILE**2]) * self.params.spacing**2
 
     @property
     def removed_volume(self) -> float:

@@ -22,11 +22,10 @@ NEXT_STEP = 3  # micro-step up to which the history reaches
 RUN = 4  # first micro-step of the present run of whole sectors, -1: none
 RUN_LEVEL = 5  # shallowest level in this run
 FLOOR = 6  # every node well inside the tool is cut at least to this level
-NODES = 7  # nodes cleared so far
-FAILED = 8  # 1: no tile left
-TALLIED = 9  # levels of the log that are in the tally
-LOGGED_RUNS = 10  # runs of nodes in the undo log
-INTS = 11
+FAILED = 7  # 1: no tile left
+TALLIED = 8  # levels of the log that are in the tally
+LOGGED_RUNS = 9  # runs of nodes in the undo log
+INTS = 10
 # Places in State.floats
 LEVEL_SUM = 0  # depth removed, summed over the nodes [m]
 FLOATS = 1

@@ -16,7 +16,6 @@ from kr270_milling.cutting.state import (
     LOGGED,
     LOGGED_RUNS,
     NEXT_STEP,
-    NODES,
     RUN,
     RUN_LEVEL,
     TALLIED,
@@ -195,7 +194,6 @@ def _force(s, p, i, depth, level):
     total = s.tally[0] * (depth - level * p.level_step) + s.tally[1] * p.level_step
     height = depth - s.tally[2] * p.level_step
     h = total * per_node / (height * p.radii[i] * p.micro_step)
-    s.ints[NODES] += s.tally[0]
     s.floats[LEVEL_SUM] += total
     s.chips[i] = max(s.chips[i], h)
     tangential, radial = force_per_depth(p.is_fractional, p.coefficients, h)
