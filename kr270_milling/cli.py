@@ -20,6 +20,13 @@ COMMANDS = {
         "pose, stiffness and natural frequencies of an arm at one posture",
         "stiffness config/kr270_2.yaml --joints-deg 90,-50,120,180,25,180",
     ),
+    "info": ("show what a recording holds", "info out/pass1"),
+    "replay": (
+        "play a recording back onto topics, recompute it bit for bit, or compensate from it",
+        "replay out/pass1 --recompute",
+    ),
+    "export": ("write the topics of a recording as tables", "export out/pass1 --csv tables"),
+    "recover": ("make a whole recording of one that was cut off or damaged", "recover out/pass1"),
     "bench": ("time the sweep of the teeth and the stiffness model", "bench"),
 }
 EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130

@@ -6,6 +6,7 @@ the nodes. Several robots in their namespaces are recomputed side by side, with 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from kr270_milling import __version__
@@ -20,7 +21,7 @@ from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.reader import Recording
 from kr270_milling.robot.urdf import urdf
 
-__all__ = ["Recomputed", "Robots", "Stop", "recompute"]
+__all__ = ["Recomputed", "Robot", "Robots", "Stop", "recompute"]
 
 #: name -> type, in the order of causes
 OUTPUTS = {
@@ -91,11 +92,11 @@ class Robot:
     """Everything in one namespace."""
 
     def __init__(self, cell: Cell, namespace: str, channels: dict[str, Channel], first: bytes | None, opening):
-        self.namespace, self.channels = namespace, channels
+        self.cell, self.namespace, self.channels = cell, namespace, channels
         self.stops: list[Stop] = []
         self.model = RobotModel(cell, channels, self._stop)
         self.cut = CutModel(cell, channels, self._stop)
-        self.model.reference, self._references = first, 0
+        self.model.reference, self.references = first, 0
         self.compensator = None
         if first is not None:
             self.compensator = CompensatorModel(cell, channels, self._stop, opening)
@@ -111,9 +112,9 @@ class Robot:
         if name in ("tool_pose", "wrench"):
             self._hear_exchange(name, data)
         elif name == "reference_trajectory":
-            self._references += 1
+            self.references += 1
             self.model.reference = data
-            self.compensator.hear_reference(data, first=self._references == 1)
+            self.compensator.hear_reference(data, first=self.references == 1)
             return
         elif name == "target_trajectory":
             if self.compensator:
@@ -149,8 +150,7 @@ class Robots:
         firsts, openings = self._first_references(), self._reports()
         self._openings = {ns: found[0] for ns, found in openings.items()}
         self.robots = {
-            ns: Robot(self.cell, ns, self._channels(ns, namespaces), firsts.get(ns), self._openings.get(ns))
-            for ns in namespaces
+            ns: Robot(self.cell, ns, self._channels(ns), firsts.get(ns), self._openings.get(ns)) for ns in namespaces
         }
 
     def _find_topics(self) -> dict[str, tuple[str, str]]:
@@ -167,7 +167,7 @@ class Robots:
             found.update({t: (min(robots), n) for t, (ns, n) in found.items() if n == "clock"})
         return {t: place for t, place in found.items() if place[0] in robots}
 
-    def _channels(self, namespace: str, namespaces: list[str]) -> dict[str, Channel]:
+    def _channels(self, namespace: str) -> dict[str, Channel]:
         ranks = list(OUTPUTS)
         return {
             name: Channel(topic, ranks.index(name), self.recording.decoder(topic))
@@ -198,14 +198,14 @@ class Robots:
                 found.setdefault(namespace, []).append(report)
         return found
 
-    def feed(self, progress=None) -> None:
-        """All messages in the order of the file."""
+    def feed(self, progress=None, hear: Callable[[Robot, str, bytes], None] = Robot.hear) -> None:
+        """All messages in the order of the file; ``hear`` takes those of a robot."""
         diagnostics = {t: self.recording.decoder(t) for t in self._diagnostics()}
         for message in in_file_order(self.recording, progress):
             if message.topic in self._names:
                 namespace, name = self._names[message.topic]
                 try:
-                    self.robots[namespace].hear(name, message.data)
+                    hear(self.robots[namespace], name, message.data)
                 except ValueError as error:
                     what = f"a message on {message.topic} cannot be used: {error}"
                     raise RecordingError(self.recording.path, what) from error

@@ -14,7 +14,7 @@ from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.frames import rotation_from_quaternion
 from kr270_milling.passes import commanded_joints, compensator
 from kr270_milling.recompute_inputs import TOOL, Sample, trajectory_of
-from kr270_milling.recompute_models import JOINT_NAMES, WORKPIECE
+from kr270_milling.recompute_models import JOINT_NAMES
 from kr270_milling.recording import encode
 from kr270_milling.recording.compare import Channel
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -114,7 +114,7 @@ class CompensatorModel:
         states = []
         if self._ran and not first:
             states = self.revise()
-        return [*states, compensator(self.cell, self.target, self._method(None))]
+        return [*states, compensator(self.cell, self.target, self.method)]
 
     def revise(self, method: str | None = None) -> list[Compensator]:
         """The compensator after the complete pass; none if the recording does not decide it.
@@ -135,15 +135,17 @@ class CompensatorModel:
             self._stop(self._ran[-1].stamp, "learned goes back to the best of earlier passes: not decidable from here")
         return decided
 
-    def _method(self, method: str | None) -> str:
+    @property
+    def method(self) -> str:
+        """The method that the node used, as it told, or that of the cell."""
         report = self._ran_report or self.report or self._opening
-        return method or (report.method if report else self.cell.compensation.method)
+        return report.method if report else self.cell.compensation.method
 
     def _before(self, method: str | None) -> Compensator:
         """The state in which the node was when the pass was complete."""
         if self._state is not None and method is None:
             return self._state
-        state = compensator(self.cell, self.target, self._method(method))
+        state = compensator(self.cell, self.target, method or self.method)
         if reference_bytes(self.reference).same(reference_bytes(self.target).data):
             return state
         report = self._ran_report or self._opening

@@ -1,0 +1,36 @@
+"""``kr270_milling export``: the topics of a recording as tables."""
+
+from __future__ import annotations
+
+from kr270_milling.commands.console import add_common, print_json, progress
+
+
+def add_arguments(parser) -> None:
+    parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording, also one that was cut off")
+    parser.add_argument("--csv", metavar="DIR", help="write a CSV file per topic into this directory")
+    parser.add_argument("--parquet", metavar="DIR", help="the same as Parquet; needs pyarrow")
+    parser.add_argument("--topics", metavar="TOPIC", nargs="+", help="only these")
+    add_common(parser)
+
+
+def run(args) -> None:
+    from kr270_milling.errors import InputError
+    from kr270_milling.recording.export import export_csv, export_parquet
+    from kr270_milling.recording.reader import Recording
+
+    if not args.csv and not args.parquet:
+        raise InputError("export", "give --csv DIR or --parquet DIR")
+    files = []
+    with progress("exporting") as report, Recording(args.file, report) as recording:
+        for directory, write in ((args.csv, export_csv), (args.parquet, export_parquet)):
+            if directory:
+                files += write(recording, directory, args.topics, report)
+        told = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files}
+        last = recording.last_log_time
+    if args.json:
+        print_json(told)
+        return
+    if told["cut_off"]:
+        print(f"{told['file']} was cut off; this is what it holds up to {(last or 0) / 1e9:.6f} s")
+    for file in files:
+        print(file)

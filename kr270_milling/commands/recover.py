@@ -1,0 +1,28 @@
+"""``kr270_milling recover``: a whole recording out of one that was cut off or damaged."""
+
+from __future__ import annotations
+
+from kr270_milling.commands.console import add_common, print_json, progress
+
+
+def add_arguments(parser) -> None:
+    parser.add_argument("file", metavar="FILE.mcap|DIR", help="the damaged recording; it is not touched")
+    parser.add_argument("--out", metavar="DIR", help="the new recording (default: beside it, with _recovered)")
+    add_common(parser)
+
+
+def run(args) -> None:
+    from kr270_milling.recording.recover import recover
+
+    with progress("recovering") as report:
+        found = recover(args.file, args.out, report)
+    if args.json:
+        print_json(found.as_dict())
+        return
+    state = "was whole already" if found.whole else f"{found.lost_bytes} bytes of it could not be used"
+    print(f"{found.source}: {state}")
+    for sentence in found.dropped:
+        print("  lost: " + "".join(c if c.isprintable() else "?" for c in sentence))
+    if found.lost_messages:
+        print(f"  {found.lost_messages} messages are lost")
+    print(f"{found.messages} messages in {found.directory}")

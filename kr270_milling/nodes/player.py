@@ -1,0 +1,222 @@
+"""Node: plays a recording back onto topics, bytes as they were recorded."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+import time
+
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.utilities import remove_ros_args
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from kr270_milling.recording.bagmeta import read_qos
+from kr270_milling.recording.errors import RecordingError
+from kr270_milling.recording.playback import (
+    PlayClock,
+    PlayOptions,
+    add_play_arguments,
+    is_latched,
+    opening,
+    passage,
+    span,
+)
+from kr270_milling.recording.reader import Recording
+from kr270_milling.ros.messages import stamp_from_ns
+from kr270_milling.ros.node import OK, WARN, ReportingNode, guarded
+from kr270_milling.ros.spin import run_node
+
+__all__ = ["Player", "main", "play", "qos_of"]
+
+TICK = 0.001  # [s] between two looks at what is due
+AT_ONCE = 500  # messages in one look, so that signals and services are heard in between
+DEPTH = 1000  # messages that may wait for a slow reader
+#: topics of the whole graph, which stay where they are when the player runs in a namespace
+GLOBAL = ("/clock", "/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
+FOREVER = 9_000_000_000  # [s]; what rosbag2 writes for "no limit" is above
+
+
+class Player(ReportingNode):
+    """Publishes the messages of a recording at the pace of their log times; ends behind the last one."""
+
+    def __init__(self, options: PlayOptions, progress=None, **kwargs):
+        self.recording = Recording(options.file)
+        try:
+            super().__init__("player", **kwargs)
+            self._prepare(options)
+        except RecordingError:
+            self.recording.close()
+            raise
+        self._progress = progress
+        self.done, self.count, self.rounds = False, 0, 0
+        for name, call in (("pause", self._pause), ("resume", self._resume), ("toggle_paused", self._toggle)):
+            self.create_service(Trigger, f"~/{name}", call)
+        self._begin_at = time.monotonic() + options.delay
+        self._start()
+        self._timer = self.create_timer(TICK, self._tick)
+        self.report(OK, "paused" if options.start_paused else "playing")
+
+    def _prepare(self, options: PlayOptions) -> None:
+        self.options = options
+        known = self.recording.topics()
+        missing = sorted(set(options.topics or ()) - set(known))
+        if missing:
+            raise RecordingError(self.recording.path, f"has no topic {', '.join(missing)}")
+        self._outlets = {}
+        for topic, about in known.items():
+            own_clock = options.clock is not None and topic == "/clock"
+            if about.count and not own_clock and (options.topics is None or topic in options.topics):
+                outlet = self._outlet(topic, about)
+                if outlet is not None:
+                    self._outlets[topic] = outlet
+        if not self._outlets:
+            raise RecordingError(self.recording.path, "holds nothing that can be played")
+        self._span = span(self.recording, options)
+        self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if options.clock else None
+
+    def _outlet(self, topic: str, about):
+        """The publisher of a topic; None, with a warning, where its type is not installed."""
+        try:
+            if about.encoding != "cdr":
+                raise ImportError(f"its encoding is {about.encoding}")
+            package, _, name = about.type.split("/")
+            kind = getattr(importlib.import_module(f"{package}.msg"), name)
+        except (ImportError, AttributeError, ValueError) as error:
+            self.get_logger().warning(f"{topic} is not played: {error}")
+            return None
+        name = topic if topic in GLOBAL else topic.lstrip("/")
+        return self.create_publisher(kind, name, qos_of(about))
+
+    def _start(self) -> None:
+        start, end = self._span
+        paused = self.options.start_paused and self.rounds == 0
+        self._clock = PlayClock(start, self.options.rate, self._begin_at, paused)
+        topics = set(self._outlets)
+        first = opening(self.recording, start, topics)
+        self._opening, self._passage = first, passage(self.recording, start, end, topics)
+        self._next = None
+        self._clock_due = start  # log time [ns] of the next /clock
+
+    @guarded
+    def _tick(self) -> None:
+        now = time.monotonic()
+        if self.done or self._clock.paused or now < self._begin_at:
+            return
+        position = self._clock.position(now)
+        for message in self._opening:
+            self._publish(message)
+        self._opening = []
+        for _ in range(AT_ONCE):
+            if self._next is None:
+                self._next = next(self._passage, None)
+            if self._next is None:
+                self._end()
+                return
+            if self._next.log_time > position:
+                break
+            self._publish(self._next)
+            self._next = None
+        self._tell_time(position)
+
+    def _publish(self, message) -> None:
+        self._outlets[message.topic].publish(message.data)
+        self.count += 1
+        self.stamp_ns = message.log_time
+        if self._progress is not None:
+            start, end = self._span
+            self._progress(max(message.log_time - start, 0), max(end - start, 1))
+
+    def _tell_time(self, position: int) -> None:
+        if self._clock_publisher is not None and position >= self._clock_due:
+            self._clock_publisher.publish(Clock(clock=stamp_from_ns(position)))
+            period = int(1e9 * self.options.rate / self.options.clock)
+            self._clock_due += period * ((position - self._clock_due) // period + 1)
+
+    def _end(self) -> None:
+        self.rounds += 1
+        if self.options.loop:
+            self._begin_at = time.monotonic()
+            self._start()
+        else:
+            self.done = True
+
+    def _set_paused(self, paused: bool, response):
+        (self._clock.pause if paused else self._clock.resume)(time.monotonic())
+        self.report(WARN if paused else OK, "paused" if paused else "playing")
+        response.success = True
+        return response
+
+    def _pause(self, _, response):
+        return self._set_paused(True, response)
+
+    def _resume(self, _, response):
+        return self._set_paused(False, response)
+
+    def _toggle(self, _, response):
+        return self._set_paused(not self._clock.paused, response)
+
+    def watch(self) -> dict:
+        return {"messages": getattr(self, "count", 0), "rounds": getattr(self, "rounds", 0)}
+
+    def close(self) -> None:
+        """Behind the last message: wait until the readers have it; the publishers go with the node."""
+        if self.done:
+            for outlet in self._outlets.values():
+                outlet.wait_for_all_acked(Duration(seconds=1))
+        self.recording.close()
+        self.get_logger().info(f"{self.count} messages played")
+
+
+def qos_of(about) -> QoSProfile:
+    """A recorded topic's quality of service: reliable or latched only if all its publishers were.
+
+    The history is not told by discovery; what is not recorded becomes 1 for latched topics, else deep.
+    """
+    profiles = read_qos(about.metadata.get("offered_qos_profiles", ""))
+    latched = is_latched(about)
+    reliable = all(p.get("reliability") in ("reliable", "system_default", 1, 0) for p in profiles)
+    depths = [p["depth"] for p in profiles if isinstance(p.get("depth"), int) and 0 < p["depth"] <= DEPTH]
+    qos = QoSProfile(
+        depth=max(depths, default=1 if latched else DEPTH),
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        liveliness=LivelinessPolicy.AUTOMATIC,
+    )
+    if len(profiles) == 1:
+        for key in ("deadline", "lifespan", "liveliness_lease_duration"):
+            limit = _duration(profiles[0].get(key))
+            if limit is not None:
+                setattr(qos, key, limit)
+    return qos
+
+
+def _duration(value) -> Duration | None:
+    if not isinstance(value, dict) or not all(isinstance(value.get(k), int) for k in ("sec", "nsec")):
+        return None
+    seconds, rest = value["sec"], value["nsec"]
+    limited = 0 <= seconds < FOREVER and 0 <= rest < 10**9 and (seconds or rest)
+    return Duration(seconds=seconds, nanoseconds=rest) if limited else None
+
+
+def play(options: PlayOptions, ros_args: list[str] | None = None, progress=None) -> int:
+    """Run the player as this process; returns its exit code."""
+    return run_node(lambda **kwargs: Player(options, progress, **kwargs), ros_args or [])
+
+
+def main(args: list[str] | None = None) -> int:
+    """Console script ``player``."""
+    words = sys.argv if args is None else ["player", *args]
+    parser = argparse.ArgumentParser(
+        prog="player", description="Play a recording back onto topics.", epilog="example: player out/pass1 --rate 0.5"
+    )
+    parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording")
+    add_play_arguments(parser)
+    return play(PlayOptions.of(parser.parse_args(remove_ros_args(words)[1:])), words)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,128 @@
+"""What to play of a recording and when: options, order and the clock of a playback. No ROS."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from kr270_milling.recording.bagmeta import read_qos
+from kr270_milling.recording.decode import Topic
+from kr270_milling.recording.reader import RawMessage, Recording
+
+__all__ = ["PlayClock", "PlayOptions", "add_play_arguments", "is_latched", "opening", "passage", "span"]
+
+CLOCK_RATE = 40.0  # [Hz], of --clock without a number, as in ros2 bag play
+
+
+def _number(low: float, inclusive: bool):
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not (value >= low if inclusive else value > low) or math.isinf(value):
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number {'from' if inclusive else 'above'} {low:g}")
+        return value
+
+    return parse
+
+
+def add_play_arguments(parser) -> None:
+    """The options of ``ros2 bag play`` that the player has."""
+    above, least = _number(0.0, False), _number(0.0, True)
+    parser.add_argument("-r", "--rate", type=above, default=1.0, help="how many times as fast as recorded")
+    parser.add_argument(
+        "--start-offset", type=least, default=0.0, metavar="S",
+        help="start so many seconds into the recording; latched messages from before come first",
+    )  # fmt: skip
+    parser.add_argument("--playback-duration", type=least, metavar="S", help="play so many seconds of the recording")
+    parser.add_argument("-l", "--loop", action="store_true", help="begin again at the end")
+    parser.add_argument("--topics", nargs="+", metavar="TOPIC", help="only these")
+    parser.add_argument("-p", "--start-paused", action="store_true", help="wait for the service ~/resume")
+    parser.add_argument(
+        "--clock", type=above, nargs="?", const=CLOCK_RATE, metavar="HZ",
+        help=f"publish /clock at this rate ({CLOCK_RATE:g} without a number) in place of the recorded one",
+    )  # fmt: skip
+    parser.add_argument("-d", "--delay", type=least, default=0.0, metavar="S", help="wait before the playback begins")
+
+
+@dataclass(frozen=True)
+class PlayOptions:
+    """One playback."""
+
+    file: Path
+    rate: float = 1.0
+    start_offset: float = 0.0  #: [s]
+    playback_duration: float | None = None  #: [s]; None: to the end
+    loop: bool = False
+    topics: tuple[str, ...] | None = None  #: None: all
+    start_paused: bool = False
+    clock: float | None = None  #: [Hz]
+    delay: float = 0.0  #: [s]
+
+    @classmethod
+    def of(cls, args: argparse.Namespace) -> PlayOptions:
+        topics = None if args.topics is None else tuple(args.topics)
+        return cls(
+            Path(args.file), args.rate, args.start_offset, args.playback_duration, args.loop, topics,
+            args.start_paused, args.clock, args.delay,
+        )  # fmt: skip
+
+
+class PlayClock:
+    """Where a playback is [ns of log time], from readings [s] of any clock that does not go back."""
+
+    def __init__(self, start: int, rate: float, now: float, paused: bool = False):
+        self.rate, self.paused = rate, paused
+        self._position, self._since = start, now
+
+    def position(self, now: float) -> int:
+        if self.paused:
+            return self._position
+        return self._position + int(max(now - self._since, 0.0) * self.rate * 1e9)
+
+    def pause(self, now: float) -> None:
+        self._position, self.paused = self.position(now), True
+
+    def resume(self, now: float) -> None:
+        self._position, self._since, self.paused = self.position(now), now, False
+
+
+def is_latched(about: Topic) -> bool:
+    """Whether every publisher of a recorded topic kept its last message for who comes late."""
+    profiles = read_qos(about.metadata.get("offered_qos_profiles", ""))
+    # rosbag2 writes words since Jazzy and the numbers of the middleware before
+    return bool(profiles) and all(p.get("durability") in ("transient_local", 1) for p in profiles)
+
+
+def span(recording: Recording, options: PlayOptions) -> tuple[int, int]:
+    """First log time and the one behind the last [ns] of what is played."""
+    first, last = recording.first_log_time or 0, recording.last_log_time or 0
+    start = first + round(options.start_offset * 1e9)
+    end = last + 1
+    if options.playback_duration is not None:
+        end = min(end, start + round(options.playback_duration * 1e9) + 1)
+    return start, end
+
+
+def opening(recording: Recording, start: int, topics: set[str]) -> list[RawMessage]:
+    """The last message from before ``start`` of each latched topic: what a late joiner would have got then."""
+    latched = {t for t, about in recording.topics().items() if t in topics and is_latched(about)}
+    last: dict[str, RawMessage] = {}
+    if latched:
+        for message in recording.messages(latched, end=start):
+            last[message.topic] = message
+    return list(last.values())
+
+
+def passage(recording: Recording, start: int, end: int, topics: set[str]) -> Iterator[RawMessage]:
+    """What is played, latched topics first where several stand at the first moment."""
+    latched = {t for t, about in recording.topics().items() if t in topics and is_latched(about)}
+    if latched:
+        yield from recording.messages(latched, start=start, end=start + 1)
+    for message in recording.messages(topics, start=start, end=end):
+        if message.log_time > start or message.topic not in latched:
+            yield message
