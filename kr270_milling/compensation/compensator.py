@@ -7,8 +7,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from kr270_milling.compensation.limiting import Limited
 from kr270_milling.compensation.parameters import Compensation
-from kr270_milling.compensation.revision import PassRecord, revise
+from kr270_milling.compensation.revision import PassRecord, corrected, revise
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Compensator", "PassListener", "remaining_error"]
@@ -19,9 +20,8 @@ LEAST_GAIN = 0.01
 
 def remaining_error(target: Trajectory, ran: PassRecord) -> float:
     """Largest distance [m] of the tool from the target path, across the feed, over the scored part of a pass."""
-    scored = ran.time_ns >= min(ran.scored_from_ns, int(ran.time_ns[-1]))
-    time = ran.time_ns[scored]
-    error, feed = ran.position[scored] - target.sample(time), target.sample_velocity(time)
+    time = ran.time_ns[ran.scored]
+    error, feed = ran.position[ran.scored] - target.sample(time), target.sample_velocity(time)
     unit = feed / np.maximum(np.linalg.norm(feed, axis=1, keepdims=True), 1e-300)
     across = error - np.sum(error * unit, axis=1, keepdims=True) * unit
     return float(np.max(np.linalg.norm(across, axis=1)))
@@ -31,8 +31,8 @@ class Compensator:
     """Holds the target and the reference that the next pass should run.
 
     "mirror" hands the mean wrench (k, 6) at the target's knots to the function ``mirror``, which knows the arm.
-    "linear" and "spline" revise from the pass along the target and repeat that after every further pass; "learned"
-    keeps the best reference so far and is ``finished`` when a pass brings less than 1 % or max_passes are done.
+    "learned", and with ``parameters.repeat`` every method, keeps the best reference so far and is ``finished`` when a
+    pass brings less than 1 % or max_passes are done; else each pass simply revises the reference that it ran.
     """
 
     def __init__(
@@ -58,40 +58,50 @@ class Compensator:
         """Back to the target itself."""
         self.reference = self.target
         self.errors: list[float] = []  #: [m], remaining error of each pass
-        self.cut_off = 0.0  #: [m], what max_correction took away from the largest correction
+        self.limited: tuple[Limited, ...] = ()  #: where the correction of ``reference`` was limited
         self.finished = False
-        self._best = (math.inf, self.target)
+        self._best = (math.inf, self.target, ())
+
+    @property
+    def repeats(self) -> bool:
+        return self.method == "learned" or self.parameters.repeat
+
+    @property
+    def cut_off(self) -> float:
+        """[m], what max_correction took away from the largest correction."""
+        return max((l.wanted - l.allowed for l in self.limited if l.kind == "size"), default=0.0)
 
     def revise(self, ran: PassRecord) -> Trajectory:
         """The reference for the next pass, from the pass that was run along the present one."""
         if not self.errors:
             self.first = ran
         self.errors.append(remaining_error(self.target, ran))
-        if self.method == "learned":
-            previous = self._best[0]
-            if self.errors[-1] < previous:
-                self._best = (self.errors[-1], self.reference)
-            learned = len(self.errors) > 1 and not self.errors[-1] < (1.0 - LEAST_GAIN) * previous
-            if self.finished or learned or len(self.errors) > self.parameters.max_passes:
-                self.finished, self.reference = True, self._best[1]
-                return self.reference
-        if self.method == "mirror":
-            self.reference = self._mirror(self.target, ran.mean_wrench(self.target.time_ns))
+        if self.repeats and self._is_best():
+            self.finished, (_, self.reference, self.limited) = True, self._best
             return self.reference
-        self.reference, self.cut_off = revise(
-            self.method,
-            self.target,
-            self.reference,
-            ran,
-            criterion=self.parameters.criterion,
-            max_correction=self.parameters.max_correction,
-        )
+        limits = {"max_correction": self.parameters.max_correction, "max_rate": self.parameters.max_rate}
+        if self.method == "mirror":
+            modified = self._mirror(self.target, ran.mean_wrench(self.target.time_ns))
+            shift = modified.position - self.target.position
+            found = corrected(self.target, shift, "mirror", quaternion=modified.quaternion, **limits)
+        else:
+            criterion = self.parameters.criterion
+            found = revise(self.method, self.target, self.reference, ran, criterion=criterion, **limits)
+        self.reference, self.limited = found
         return self.reference
 
+    def _is_best(self) -> bool:
+        """Whether the best reference so far is not worth another revision."""
+        previous = self._best[0]
+        if self.errors[-1] < previous:
+            self._best = (self.errors[-1], self.reference, self.limited)
+        improved = len(self.errors) == 1 or self.errors[-1] < (1.0 - LEAST_GAIN) * previous
+        return self.finished or not improved or len(self.errors) > self.parameters.max_passes
+
     def improve(self, first: PassRecord, run: Callable[[Trajectory], PassRecord]) -> Trajectory:
-        """Revise from the first pass and, with "learned", run and revise on; returns the reference to keep."""
+        """Revise from the first pass and, where the method repeats, run and revise on; returns the one to keep."""
         self.revise(first)
-        while self.method == "learned" and not self.finished:
+        while self.repeats and not self.finished:
             self.revise(run(self.reference))
         return self.reference
 

@@ -18,7 +18,25 @@ class Compensation(Record):
     relaxation: float = parameter(0.9, above=0.0, high=1.0, text="alpha of (32)")
     sag_compensated: bool = parameter(True, text="the controller already compensates the sag under the link weights")
     criterion: str = parameter("min_max", text="what 'learned' minimises", choices=("min_max", "least_squares"))
-    max_passes: int = parameter(12, low=1, high=1000, text="simulated passes that 'learned' may take")
+    max_passes: int = parameter(12, low=1, high=1000, text="passes that 'learned' and ``repeat`` may take")
+    repeat: bool = parameter(
+        False, text="simulate and revise until the path error stops improving; 'learned' always does"
+    )
     max_correction: float = parameter(
         2e-3, unit="mm", above=0.0, high=50.0, text="largest correction that is let through"
     )
+    # 0.1 mm in 12 ms is 8.3 mm/s, an eighth of the paper's feed: loads build up in a tenth of a second and ask for
+    # less, so what is faster is noise or a mistake. 12 ms is the interpolation cycle of a KR C4, 4 ms its fast one.
+    max_change_per_tick: float = parameter(
+        0.1e-3, unit="mm", above=0.0, high=50.0, text="largest change of the correction within one tick"
+    )
+    tick: float = parameter(12e-3, unit="ms", low=1.0, high=1000.0, text="cycle in which the controller takes it")
+
+    @property
+    def max_rate(self) -> float:
+        """Fastest change of the correction [m/s]."""
+        return self.max_change_per_tick / self.tick
+
+    @property
+    def tick_ns(self) -> int:
+        return round(self.tick * 1e9)

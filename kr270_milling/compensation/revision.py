@@ -1,4 +1,4 @@
-"""Off-line revision of the reference trajectory at the controller step, Fig. 9(a), Fig. 14.
+"""Off-line revision of the reference trajectory at the controller step, Fig. 9(a), Fig. 14, in three components.
 
 All methods need what a pass shows: when and where the tool was. A shift of the reference moves the tool by the same
 shift while the displacement under load stays nearly what it was, so ``reference' = target - displacement``.
@@ -9,13 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline, CubicSpline
-from scipy.linalg import solveh_banded
 
+from kr270_milling.compensation.limiting import Limited, limit_change, limit_size, resting, steepest
+from kr270_milling.compensation.spline_fit import knot_rates, spline_fit
 from kr270_milling.errors import MillingError
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.trajectory.trajectory import Trajectory, slerp
 
-__all__ = ["PassRecord", "RevisionError", "revise", "spline_fit"]
+__all__ = ["PassRecord", "RevisionError", "chord_error", "corrected", "revise", "spline_fit"]
+
+ROUNDS = 30  #: of steepening a spline's limits until its slopes between the knots keep them
 
 
 class RevisionError(MillingError):
@@ -30,6 +32,15 @@ class PassRecord:
     position: np.ndarray  #: [m], (n, 3), in the frame of the trajectories
     scored_from_ns: int = 0  #: the tool is fully engaged from here on
     wrench: np.ndarray | None = None  #: on the tool [N, N m], (n, 6), in the frame of the trajectories; for "mirror"
+
+    @property
+    def scored(self) -> np.ndarray:
+        """(n,) bool: fully engaged and, where the wrench is known, cutting; the last sample if there is no other."""
+        engaged = self.time_ns >= min(self.scored_from_ns, int(self.time_ns[-1]))
+        if self.wrench is None:
+            return engaged
+        cutting = engaged & self.wrench.any(axis=1)
+        return cutting if cutting.any() else engaged
 
     def mean_wrench(self, knots_ns: np.ndarray) -> np.ndarray:
         """(k, 6): mean over the samples that are nearer to a knot than to any other; 0 where there is none."""
@@ -53,67 +64,92 @@ def revise(
     *,
     criterion: str = "min_max",
     max_correction: float = np.inf,
-) -> tuple[Trajectory, float]:
-    """The next reference trajectory after a pass along ``reference``, and the largest correction [m] that was cut off.
+    max_rate: float = np.inf,
+) -> tuple[Trajectory, tuple[Limited, ...]]:
+    """The next reference trajectory after a pass along ``reference``, and where its correction was limited.
 
     method: "linear" (the paper's: sampled displacement, straight lines between the knots), "spline" (C2 through the
     same knots) or "learned" (spline knots that minimise the remaining error of the last pass, to be repeated).
-    Corrections larger than max_correction [m] are shortened to it; the second value tells by how much (0: none).
+    max_correction [m] and max_rate [m/s] bound the correction and its change.
     """
     if len(ran.time_ns) < 2 or not np.all(np.isfinite(ran.position)):
         raise RevisionError("a pass of at least two finite tool positions is needed to revise the reference")
-    nominal = target.sample(target.time_ns)
-    learned = method == "learned"
-    if learned:
-        error = ran.position - target.sample(ran.time_ns)
-        knots = reference.sample(target.time_ns) - nominal - spline_fit(target.time_ns, ran, error, criterion)
+    knots_ns = target.time_ns
+    if method == "learned":
+        error, still = ran.position - target.sample(ran.time_ns), resting(target.velocity, len(target))
+        fit = spline_fit(knots_ns, ran.time_ns, error, ran.scored, criterion, still)
+        knots = reference.sample(knots_ns) - target.sample(knots_ns) - fit
     else:
         shift = ran.displacement(reference)
-        knots = -np.column_stack([np.interp(target.time_ns, ran.time_ns, axis) for axis in shift.T])
-    size = np.linalg.norm(knots, axis=1, keepdims=True)
-    knots = knots * np.minimum(1.0, max_correction / np.maximum(size, 1e-300))
-    cut_off = float(max(0.0, size.max() - max_correction))
-    if method == "linear":
-        return target.with_position(nominal + knots), cut_off
-    rate = CubicSpline(target.time, knots, bc_type="not-a-knot" if learned else "natural")(target.time, 1)
-    return target.with_position(nominal + knots, target.sample_velocity(target.time_ns) + rate), cut_off
+        knots = -np.column_stack([np.interp(knots_ns, ran.time_ns, axis) for axis in shift.T])
+    return corrected(target, knots, method, max_correction=max_correction, max_rate=max_rate)
 
 
-def spline_fit(knots_ns: np.ndarray, ran: PassRecord, error: np.ndarray, criterion: str) -> np.ndarray:
-    """Values [m], (k, 3), at the knots of the C2 cubic spline that is nearest to ``error`` (n, 3) where it is scored.
+def corrected(
+    target: Trajectory,
+    correction: np.ndarray,
+    method: str,
+    *,
+    quaternion: np.ndarray | None = None,
+    max_correction: float = np.inf,
+    max_rate: float = np.inf,
+) -> tuple[Trajectory, tuple[Limited, ...]]:
+    """The target with corrections (k, 3) [m] of its knots and, if given, orientations (k, 4) that go with them.
 
-    "least_squares", or "min_max" by Lawson's reweighting [Lawson1961]. The unscored part only keeps the spline
-    bounded. Banded normal equations: cost and memory are linear in the length of the pass.
+    "linear" joins the knots by straight lines, as a controller runs LIN motions: on a curved target these are its
+    chords (see ``chord_error``). "mirror" does so where the target does, else it is smooth like the others: the
+    correction has a slope at each knot, C2 in time, C1 where the target stands still, so that an exact stop of the
+    robot program is one of the trajectory. While the target rests the correction is held at its mean: the chips end
+    with the feed, and a tool that crept with the fading load would leave a mark that no program point can undo.
     """
-    time, knots = ran.time_ns * 1e-9, knots_ns * 1e-9
-    inside = (time >= knots[0]) & (time <= knots[-1])
-    full = np.concatenate([np.repeat(knots[0], 3), _not_a_knot(knots), np.repeat(knots[-1], 3)])
-    basis = BSpline.design_matrix(time[inside], full, 3).tocsr()
-    scored = ran.time_ns[inside] >= ran.scored_from_ns
-    values = np.empty((knots.size, error.shape[1]))
-    for axis, e in enumerate(error[inside].T):
-        weight = np.where(scored, 1.0, 1e-6)
-        for _ in range(1 if criterion == "least_squares" else 200):
-            fit = _banded_least_squares(basis, e, weight)
-            rest = np.abs(e - basis @ fit)
-            if criterion == "least_squares" or rest[scored].max() < 1e-12:
-                break
-            weight[scored] *= rest[scored] / rest[scored].max()
-            weight[scored] = np.maximum(weight[scored] / weight[scored].mean(), 1e-4)
-        values[:, axis] = BSpline(full, fit, 3)(knots)
-    return values
+    time, still = target.time, resting(target.velocity, len(target))
+    wanted = _held(target, still, np.asarray(correction, float))
+    knots, found = limit_size(time, wanted, max_correction)
+    smooth = method != "linear" and not (method == "mirror" and target.velocity is None)
+    ends = "not-a-knot" if method == "learned" else "natural"
+    knots, steep = _limited_change(time, knots, max_rate, still if smooth else None, ends)
+    rates = knot_rates(time, knots, still, ends) if smooth else None
+    velocity = None if rates is None else target.sample_velocity(target.time_ns) + rates
+    turned = target.quaternion
+    if quaternion is not None:
+        size = np.linalg.norm(wanted, axis=1, keepdims=True)
+        share = np.linalg.norm(knots, axis=1, keepdims=True) / np.maximum(size, 1e-300)
+        turned = slerp(target.quaternion, quaternion, np.where(size > 0, np.minimum(share, 1.0), 1.0))
+    position = target.sample(target.time_ns) + knots
+    return Trajectory(target.time_ns, position, turned, velocity, target.frame), (*found, *steep)
 
 
-def _not_a_knot(knots: np.ndarray) -> np.ndarray:
-    """The knots without the second and the last but one: as many coefficients as knots."""
-    return np.concatenate([knots[:1], knots[2:-2], knots[-1:]])
+def _held(target: Trajectory, still: np.ndarray, correction: np.ndarray) -> np.ndarray:
+    """One correction, the mean, for all knots of a rest of the target."""
+    same = still[1:] & still[:-1] & ~np.diff(target.position, axis=0).any(axis=1)
+    if not same.any():
+        return correction
+    rest = np.concatenate([[0], np.cumsum(~same)])
+    mean = np.stack([np.bincount(rest, axis) for axis in correction.T], axis=1) / np.bincount(rest)[:, None]
+    return mean[rest]
 
 
-def _banded_least_squares(basis, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    weighted = basis.multiply(weight[:, None]).tocsr()
-    normal = (basis.T @ weighted).todia()
-    bands = np.zeros((4, basis.shape[1]))
-    for offset in range(4):
-        bands[offset, : basis.shape[1] - offset] = normal.diagonal(-offset)
-    bands[0] += 1e-9 * bands[0].max()  # a knot span without a sample stays where it is
-    return solveh_banded(bands, basis.T @ (weight * values), lower=True)
+def _limited_change(time, knots, rate: float, still, ends: str) -> tuple[np.ndarray, list[Limited]]:
+    """Corrections whose spline (still: its resting knots; None: straight lines) is nowhere steeper than ``rate``."""
+    most, first = np.full(time.size - 1, rate), []
+    given = knots
+    for _ in range(ROUNDS):
+        slopes = None if still is None else knot_rates(time, knots, still, ends)
+        steep = steepest(time, knots, slopes)
+        over = steep > rate * (1.0 + 1e-6)
+        if not over.any():
+            return knots, first
+        most = np.where(over, np.minimum(most, np.linalg.norm(np.diff(knots, axis=0), axis=1) / np.diff(time)), most)
+        most = np.where(over, most * 0.98 * rate / steep, most)
+        knots, found = limit_change(time, given, most)
+        first = found
+    return knots * (rate / steep.max()), first  # a spline of the same shape is as steep as it is high
+
+
+def chord_error(target: Trajectory) -> float:
+    """[m], how far the chords between the knots stand off the target: what "linear" adds on arcs."""
+    middle = (target.time_ns[1:] + target.time_ns[:-1]) // 2
+    off = target.sample(middle) - 0.5 * (target.position[1:] + target.position[:-1])
+    move = np.diff(target.position, axis=0)
+    along = np.sum(off * move, axis=1, keepdims=True) / np.maximum(np.sum(move**2, axis=1, keepdims=True), 1e-300)
+    return float(np.max(np.linalg.norm(off - along * move, axis=1)))
