@@ -14,6 +14,10 @@ __all__ = ["main"]
 #: name -> (what it does, example)
 COMMANDS = {
     "demo": ("run the paper's case: original pass and three compensations, table and report", "demo --out out"),
+    "run": (
+        "run the passes of a cell as ROS 2 nodes, each recorded to MCAP",
+        "run config/paper.yaml --method spline --out out",
+    ),
     "simulate": ("simulate one pass of a cell", "simulate config/paper.yaml --set path.depth_of_cut_mm=1"),
     "compensate": ("revise the trajectory of a cell", "compensate config/paper.yaml --method spline --out out"),
     "stiffness": (

@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 from std_srvs.srv import Trigger
 
-from kr270_milling.cell import Cell
-from kr270_milling.ros import messages, topics
-from kr270_milling.ros.node import OK, WARN, ManagedNode, guarded
-from kr270_milling.ros.parameters import declare
+from kr270_milling.ros import messages, raw, topics
+from kr270_milling.ros.node import ERROR, OK, WARN, ManagedNode, guarded
+from kr270_milling.ros.parameters import declare_cell
 from kr270_milling.ros.spin import run_node
 from kr270_milling.simulation.sides import CuttingSide
 
 __all__ = ["CuttingProcess", "main"]
 
 MAP_STEP = 0.2e-3  # [m], of the published workpiece map
+LOOK = 0.1  # [s] of the wall between two looks whether the robot is there
 
 
 class CuttingProcess(ManagedNode):
@@ -22,13 +22,15 @@ class CuttingProcess(ManagedNode):
 
     def __init__(self, **kwargs):
         super().__init__("cutting_process", **kwargs)
-        self.cell = declare(self, Cell)
-        self._side = None
+        self.cell = declare_cell(self)
+        self._side, self._end_ns = None, 0  # end of the reference trajectory, if one was heard
         self._wrench = self.create_publisher(*topics.WRENCH)
         self._map = self.create_publisher(*topics.WORKPIECE)
-        pose = topics.TOOL_POSE
-        self._pose = self.create_subscription(pose.type, pose.name, self._on_pose, pose.qos)
+        pose, reference = topics.TOOL_POSE, topics.REFERENCE_TRAJECTORY
+        self._pose = self.create_subscription(pose.type, pose.name, self._on_pose, pose.qos, raw=True)
+        self.create_subscription(reference.type, reference.name, self._on_reference, reference.qos, raw=True)
         self.create_service(Trigger, "publish_workpiece", self._on_request)
+        self.create_timer(LOOK, self._watch_robot)
         self.report(OK, "unconfigured")
 
     def configure(self) -> None:
@@ -50,17 +52,28 @@ class CuttingProcess(ManagedNode):
 
     def cleanup(self) -> None:
         self._side = None
+        self.report(OK, "unconfigured")
 
     @guarded
-    def _on_pose(self, msg) -> None:
+    def _on_pose(self, data: bytes) -> None:
         if not self.active:
             return
-        stamp_ns, tool, _ = messages.pose_from_msg(msg)
+        stamp_ns, tool, _ = raw.pose_from_bytes(data)
         wrench = self._side.answer(stamp_ns, tool)
-        self._wrench.publish(messages.wrench_to_msg(stamp_ns, wrench))
+        self._wrench.publish(raw.wrench_to_bytes(stamp_ns, wrench))
         self.stamp_ns = stamp_ns
         if self._side.step == 1:
             self.report(OK, "cutting")
+
+    @guarded
+    def _on_reference(self, data: bytes) -> None:
+        self._end_ns = messages.duration_from_bytes(data)
+
+    @guarded
+    def _watch_robot(self) -> None:
+        under_way = self.active and self._side is not None and self._side.step >= 0 and self.stamp_ns < self._end_ns
+        if under_way and not self._pose.get_publisher_count():
+            self.report(ERROR, "the robot is gone in mid-pass: nobody publishes tool_pose any more")
 
     @guarded
     def _publish_map(self) -> bool:
@@ -83,9 +96,8 @@ class CuttingProcess(ManagedNode):
         cut = self._side.cut if self._side else None
         return {
             "state": self._state_machine.current_state[1],
-            "listeners": f"{self._wrench.topic_name}={self._wrench.get_subscription_count()}",
             "pass_time_s": f"{self.stamp_ns * 1e-9:.6f}",
-            "removed_area_mm2": f"{cut.removed_area * 1e6:.6f}" if cut else "",
+            "removed_volume_m3": repr(float(cut.removed_volume)) if cut else "",
         }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fnmatch
 import importlib
 import shlex
 import sys
@@ -29,32 +30,61 @@ class Recorder(ReportingNode):
 
     def __init__(self, **kwargs):
         super().__init__("recorder", **kwargs)
-        self._topics = self._text("topics", "relative or absolute names, separated by commas; empty: every topic")
+        self._topics = self._texts("topics", "names, relative or absolute, with * and ?; empty: every topic")
         directory = self._text("directory", "the recording's directory, which must not hold one yet")
-        attachments = self._text("attach", "files to keep inside the recording, separated by commas")
+        attachments = self._texts("attach", "files to keep inside the recording")
         seed = self._text("seed", "seed of the run, kept inside the recording")
+        command = self._text("command", "command line to keep inside the recording; empty: that of the node")
         if not directory:
             raise InputError("parameters of " + self.get_fully_qualified_name(), "directory is missing")
-        kept = {Path(p).name: Path(p).read_bytes() for p in attachments.split(",") if p}
-        self.writer = BagWriter(directory, attachments=kept, metadata={"command": shlex.join(sys.argv), "seed": seed})
+        about = {"command": command or shlex.join(sys.argv), "seed": seed}
+        self.writer = BagWriter(directory, attachments=self._read(attachments), metadata=about)
         self._subscriptions_of: dict[str, object] = {}
         self._stopped, self._before = False, -1
+        self._there: set[str] = set()  # topics with a publisher
+        self._gone: set[str] = set()  # topics that had one
         self.create_timer(LOOK_AROUND, self._look_around)
         self.report(OK, f"recording to {self.writer.path}")
 
     def _text(self, name: str, about: str) -> str:
-        return self.declare_parameter(name, "", ParameterDescriptor(description=about)).value
+        described = ParameterDescriptor(description=about, read_only=True)
+        return self.declare_parameter(name, "", described).value
+
+    def _texts(self, name: str, about: str) -> list[str]:
+        """A parameter that may be one text, or several as a list or separated by commas."""
+        described = ParameterDescriptor(description=about, dynamic_typing=True, read_only=True)
+        value = self.declare_parameter(name, "", described).value
+        texts = str(value).split(",") if not isinstance(value, (list, tuple)) else map(str, value)
+        return [text.strip() for text in texts if text.strip()]
+
+    def _read(self, names: list[str]) -> dict[str, bytes]:
+        try:
+            return {Path(name).name: Path(name).read_bytes() for name in names}
+        except OSError as error:
+            where = "parameters of " + self.get_fully_qualified_name()
+            raise InputError(where, f"attach: {error.filename} cannot be read ({error.strerror})") from None
+
+    def _is_wanted(self, topic: str) -> bool:
+        wanted = (t if "*" in t or "?" in t else self.resolve_topic_name(t) for t in self._topics)
+        return any(fnmatch.fnmatchcase(topic, t) for t in wanted) if self._topics else topic not in SILENT
 
     def _look_around(self) -> None:
-        """Subscribe to topics that are new, close an old chunk, count the gaps."""
-        wanted = {self.resolve_topic_name(t) for t in self._topics.split(",") if t}
+        """Subscribe to topics that are new, close an old chunk, tell whose publisher is gone."""
         for topic, types in self.get_topic_names_and_types():
-            if topic in self._subscriptions_of or (topic not in wanted if wanted else topic in SILENT):
+            if topic in self._subscriptions_of or not self._is_wanted(topic):
                 continue
             publishers = self.get_publishers_info_by_topic(topic)
             if publishers:
                 self._subscribe(topic, types, publishers)
         self._keep(self.writer.tick, time.monotonic())
+        self._watch_publishers()
+
+    def _watch_publishers(self) -> None:
+        there = {t for t, s in self._subscriptions_of.items() if s is not None and s.get_publisher_count()}
+        gone, self._gone = self._gone, (self._gone | self._there) - there
+        self._there = there
+        if self._gone - gone and not self._stopped:
+            self.report(WARN, f"nobody publishes {', '.join(sorted(self._gone))} any more")
 
     def _subscribe(self, topic: str, types: list[str], publishers) -> None:
         try:
@@ -88,12 +118,10 @@ class Recorder(ReportingNode):
             self.report(ERROR, str(error))
 
     def watch(self) -> dict:
-        known = {t: s for t, s in self._subscriptions_of.items() if s is not None}
         return {
             "file": self.writer.path,
             "messages": self.writer.count,
             "missing": sum(entry.get("missing", 0) for entry in self.writer.report().values()),
-            "heard": " ".join(f"{t}={s.get_publisher_count()}" for t, s in known.items()),
         }
 
     def settled(self) -> bool:

@@ -2,51 +2,52 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
-from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
-from rclpy.serialization import deserialize_message
 from std_srvs.srv import Trigger
 
-from kr270_milling.cell import Cell
 from kr270_milling.compensation.compensator import PassListener
 from kr270_milling.compensation.parameters import METHODS
 from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.frames import rotation_from_quaternion
 from kr270_milling.passes import commanded_joints, compensator
-from kr270_milling.recording.cdr import stamp_of
-from kr270_milling.ros import messages, topics
-from kr270_milling.ros.node import OK, WARN, ReportingNode, guarded
-from kr270_milling.ros.parameters import declare
+from kr270_milling.ros import messages, raw, topics
+from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded
+from kr270_milling.ros.parameters import declare_cell
 from kr270_milling.ros.spin import run_node
 
 __all__ = ["TrajectoryCompensator", "main"]
 
-
 METHOD = "compensation.method"
+LOOK = 0.1  # [s] of the wall between two looks whether the publishers are there
+LAST_WRENCH = 0.5  # [s] of the wall after the last pose that its wrench is waited for
 
 
 class TrajectoryCompensator(ReportingNode):
-    """Poses (and wrenches) of a pass in, revised trajectory out; the method lives in ``compensation``.
+    """Poses and wrenches of a pass in, revised trajectory out; the method lives in ``compensation``.
 
     It does not know whether they come from the simulator, a cell or a recording. They are kept as bytes during the
-    pass and looked at when it is complete: when the tool's stamp reaches the end of the reference trajectory.
+    pass and looked at when it is complete: when pose and wrench reach the end of the reference trajectory.
     """
 
     def __init__(self, **kwargs):
         super().__init__("trajectory_compensator", **kwargs)
-        self.cell = declare(self, Cell, writable=(METHOD,))
-        about = ParameterDescriptor(description="the cell file's path is the target until one is published")
-        own = self.declare_parameter("use_cell_path", True, about).value
+        self.cell = declare_cell(self, writable=(METHOD,))
+        about = "the cell file's path is the target until one is published"
+        described = ParameterDescriptor(description=about, read_only=True)
+        own = self.declare_parameter("use_cell_path", True, described).value
         self._reference = self.create_publisher(*topics.REFERENCE_TRAJECTORY)
         self._joints = self.create_publisher(*topics.JOINT_TRAJECTORY)
-        target = topics.TARGET_TRAJECTORY
+        target, pose, wrench = topics.TARGET_TRAJECTORY, topics.TOOL_POSE, topics.WRENCH
         self.create_subscription(target.type, target.name, self._on_target, target.qos)
-        for topic, callback in ((topics.TOOL_POSE, self._on_pose), (topics.WRENCH, self._on_wrench)):
-            self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=True)
+        self._pose = self.create_subscription(pose.type, pose.name, self._on_pose, pose.qos, raw=True)
+        self._wrench = self.create_subscription(wrench.type, wrench.name, self._on_wrench, wrench.qos, raw=True)
         self.create_service(Trigger, "reset", self._on_reset)
-        self.compensator = None
+        self.compensator, self._revision = None, 0
         self.add_on_set_parameters_callback(self._on_parameters)
+        self.create_timer(LOOK, self._watch_pass)
         if own:
             self._begin(self.cell.target())
         else:
@@ -65,50 +66,92 @@ class TrajectoryCompensator(ReportingNode):
         joints = commanded_joints(self.cell, reference)  # out of reach is told before anything is published
         clock = self.cell.clock
         self._heard = PassListener(int(clock.stamp(clock.steps(reference.duration_ns))))
-        self._wrenches: dict[int, bytes] = {}
+        self._start_over()
         self._reference.publish(messages.trajectory_to_msg(reference))
         self._joints.publish(messages.joint_trajectory_to_msg(reference, joints))
         limited = self.compensator.cut_off
+        self._revision += 1
         told = {
+            "revision": self._revision,  # tells every published reference from the one before
             "method": self.compensator.method,
             "passes": len(self.compensator.errors),
-            "remaining_error_um": " ".join(f"{e * 1e6:.4f}" for e in self.compensator.errors),
+            "remaining_error_um": " ".join(repr(float(e) * 1e6) for e in self.compensator.errors),
             "finished": self.compensator.finished,
+            "reference": messages.fingerprint(reference),
         }
         if limited > 0.0:
             self.report(WARN, f"reference: {what}, shortened by up to {limited * 1e6:.1f} um to the limit", **told)
         else:
             self.report(OK, f"reference: {what}", **told)
 
+    def _start_over(self) -> None:
+        """Nothing of this pass was heard yet; each exchange brings as many poses and wrenches as it has iterations."""
+        self._wrenches: dict[int, np.ndarray] = {}  # stamp -> on the tool, workpiece axes
+        self._last_poses = self._last_wrenches = self.cell.exchange.iterations
+        self._ended = None  # when the last pose came [s of the wall]
+
     @guarded
     def _on_wrench(self, data: bytes) -> None:
-        if self.compensator is not None and self.compensator.method == "mirror":
-            self._wrenches[stamp_of(data)] = data
+        if self.compensator is None or not self._heard.stamps:
+            return
+        stamp, wrench = raw.wrench_from_bytes(data, lambda: rotation_from_quaternion(self._heard.items[-1][1]))
+        self._wrenches[stamp] = wrench
+        if stamp >= self._heard.end_ns:
+            self._last_wrenches -= 1
+            self._revise_when_complete()
 
     @guarded
     def _on_pose(self, data: bytes) -> None:
         if self.compensator is None:
             return
-        self.stamp_ns = stamp_of(data)
-        if self._heard.hear(self.stamp_ns, data):
+        stamp, position, quaternion = raw.pose_from_bytes(data)
+        heard = self._heard
+        if stamp == 0 and heard.stamps != [0]:
+            self._start_over()
+        if heard.stamps and stamp == heard.stamps[-1]:
+            heard.items[-1] = position, quaternion  # the exchange is iterated
+        else:
+            heard.hear(stamp, (position, quaternion))
+        if not heard.stamps or stamp != heard.stamps[-1]:
+            return  # older than the last one, or the start was not heard
+        self.stamp_ns = stamp
+        if stamp >= heard.end_ns:
+            self._last_poses -= 1
+            self._ended = time.monotonic()
+            self._revise_when_complete()
+
+    def _revise_when_complete(self, without_wrench: bool = False) -> None:
+        complete = self._last_poses <= 0 and (without_wrench or self._last_wrenches <= 0)
+        if complete:
             self._revise()
 
+    @guarded
+    def _watch_pass(self) -> None:
+        """Go on without a last wrench that does not come; tell when the publishers vanish in mid-pass."""
+        if self.compensator is None or not self._heard.stamps:
+            return
+        if self._ended is not None:
+            if time.monotonic() - self._ended > LAST_WRENCH or not self._wrench.get_publisher_count():
+                self._revise_when_complete(without_wrench=True)
+            return
+        for what in (self._pose, self._wrench):
+            if not what.get_publisher_count() and (what is self._pose or self._wrenches):
+                self.report(ERROR, f"the pass broke off: nobody publishes {what.topic_name} any more")
+                return
+
     def _revise(self) -> None:
-        heard = [messages.pose_from_msg(deserialize_message(d, PoseStamped)) for d in self._heard.items]
-        stamps, positions, quaternions = (np.array(column) for column in zip(*heard, strict=True))
-        wrench = self._wrench_series(stamps, quaternions) if self.compensator.method == "mirror" else None
-        self.compensator.revise(PassRecord(stamps, positions, self.cell.scored_from_ns, wrench))
+        stamps = np.array(self._heard.stamps)
+        positions = np.array([position for position, _ in self._heard.items])
+        self.compensator.revise(PassRecord(stamps, positions, self.cell.scored_from_ns, self._wrench_series(stamps)))
         self._publish(f"revised after pass {len(self.compensator.errors)}")
 
-    def _wrench_series(self, stamps: np.ndarray, quaternions: np.ndarray) -> np.ndarray:
-        """(n, 6) at the stamps of the poses; 0 where none was heard."""
-        series = np.zeros((stamps.size, 6))
-        for i, stamp in enumerate(stamps.tolist()):
-            if stamp in self._wrenches:
-                turn = rotation_from_quaternion(quaternions[i])
-                msg = deserialize_message(self._wrenches[stamp], WrenchStamped)
-                series[i] = messages.wrench_from_msg(msg, turn)[1]
-        return series
+    def _wrench_series(self, stamps: np.ndarray) -> np.ndarray:
+        """(n, 6) at the stamps of the poses, interpolated where a sensor has others; 0 where none was heard."""
+        if not self._wrenches:
+            return np.zeros((stamps.size, 6))
+        times = np.array(sorted(self._wrenches))
+        values = np.array([self._wrenches[stamp] for stamp in times.tolist()])
+        return np.column_stack([np.interp(stamps, times, axis) for axis in values.T])
 
     def _on_parameters(self, changes) -> SetParametersResult:
         """Another method may be chosen while the node runs; it starts from the pass along the target."""
@@ -132,9 +175,6 @@ class TrajectoryCompensator(ReportingNode):
         else:
             response.message = "no target trajectory yet"
         return response
-
-    def watch(self) -> dict:
-        return {"listeners": f"{self._reference.topic_name}={self._reference.get_subscription_count()}"}
 
 
 def main(args: list[str] | None = None) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 
 import numpy as np
 from builtin_interfaces.msg import Duration, Time
@@ -17,12 +18,13 @@ from trajectory_msgs.msg import (
 )
 
 from kr270_milling.errors import MillingError
+from kr270_milling.recording.trajectory import read_trajectory
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = [
-    "JOINT_NAMES", "MessageError", "joint_state_to_msg", "joint_trajectory_to_msg", "ns_from_stamp", "pose_from_msg",
-    "pose_to_msg", "stamp_from_ns", "trajectory_from_msg", "trajectory_to_msg", "twist_to_msg", "workpiece_to_msg",
-    "wrench_from_msg", "wrench_to_msg",
+    "JOINT_NAMES", "MessageError", "duration_from_bytes", "fingerprint", "joint_state_to_msg",
+    "joint_trajectory_to_msg", "ns_from_stamp", "pose_from_msg", "pose_to_msg", "stamp_from_ns", "trajectory_from_msg",
+    "trajectory_to_msg", "twist_to_msg", "workpiece_to_msg", "wrench_from_msg", "wrench_to_msg",
 ]  # fmt: skip
 
 JOINT_NAMES = [f"joint_a{i}" for i in range(1, 7)]
@@ -150,6 +152,20 @@ def trajectory_from_msg(msg: MultiDOFJointTrajectory) -> Trajectory:
         velocity,
         msg.header.frame_id,
     )
+
+
+def duration_from_bytes(data: bytes) -> int:
+    """[ns], of a serialised MultiDOFJointTrajectory. Raises MessageError."""
+    try:
+        return int(read_trajectory(bytes(data)).time[-1])
+    except (ValueError, IndexError):
+        raise MessageError("trajectory: cannot be read, or has no points") from None
+
+
+def fingerprint(trajectory: Trajectory) -> str:
+    """Tells whether two nodes mean the same trajectory: of times, positions and velocities, which messages keep."""
+    velocity = b"" if trajectory.velocity is None else trajectory.velocity.tobytes()
+    return f"{zlib.crc32(trajectory.time_ns.tobytes() + trajectory.position.tobytes() + velocity):08x}"
 
 
 def joint_trajectory_to_msg(trajectory: Trajectory, joints: np.ndarray) -> JointTrajectory:

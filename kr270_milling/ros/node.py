@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -17,6 +18,7 @@ __all__ = ["ManagedNode", "ReportingNode", "guarded"]
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 REPORT_PERIOD = 0.2  # [s] of the wall; a partner's death must be told within 3 s
+OWN = ("/rosout", "/parameter_events")  # topics that every node has for itself
 
 
 def guarded(callback):
@@ -27,6 +29,7 @@ def guarded(callback):
         try:
             return callback(self, *args)
         except MillingError as error:
+            self.refused += 1
             self.report(ERROR, str(error))
         except Exception as error:
             self.failure = f"{type(error).__name__} in {callback.__name__}: {error}"
@@ -42,6 +45,7 @@ class Reporting:
     failure: str | None = None  #: set when the node must end with exit code 1
 
     def start_reporting(self) -> None:
+        self.refused = 0  #: messages and requests that could not be used
         self.stamp_ns = 0  #: time of the pass, the stamp of whatever the node publishes next without one of its own
         self._level, self._message, self._said = OK, "starting", ""
         self._values: dict[str, object] = {}
@@ -63,12 +67,23 @@ class Reporting:
                 logger.error(message)
             self.publish_report()
 
+    def tell(self, **values) -> None:
+        """Values for the next report, without another message."""
+        self._values.update(values)
+
     def watch(self) -> dict[str, object]:
         """Values to publish beside those of ``report``; a node overrides it."""
         return {}
 
+    def _ends(self) -> dict[str, object]:
+        """Who has been found: a pass must not start before both ends of every topic have."""
+        listeners = {p.topic_name: p.get_subscription_count() for p in self.publishers}
+        heard = {s.topic_name: s.get_publisher_count() for s in self.subscriptions}
+        ends = {"listeners": listeners, "heard": heard}
+        return {k: " ".join(f"{t}={n}" for t, n in v.items() if t not in OWN) for k, v in ends.items()}
+
     def publish_report(self) -> None:
-        values = {**self._values, **self.watch()}
+        values = {"pid": os.getpid(), **self._values, **self.watch(), **self._ends(), "refused": self.refused}
         status = DiagnosticStatus(
             level=self._level,
             name=self.get_fully_qualified_name(),

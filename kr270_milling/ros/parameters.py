@@ -15,10 +15,12 @@ from rclpy.exceptions import (
 )
 from rclpy.parameter import Parameter
 
-from kr270_milling.config import Record, Spec, build, find_file, merge, read_tree, specs
+from kr270_milling.cell import Cell
+from kr270_milling.config import Record, Spec, build, specs
+from kr270_milling.config_file import find_file, merge, read_tree
 from kr270_milling.errors import ConfigError
 
-__all__ = ["declare"]
+__all__ = ["declare", "declare_cell"]
 
 TYPES = {
     float: Parameter.Type.DOUBLE,
@@ -53,6 +55,14 @@ def declare(node, record: type[Record], writable: tuple[str, ...] = ()):
                 group = group.setdefault(parent, {})
             group[key] = value
     return build(record, tree, source)
+
+
+def declare_cell(node, writable: tuple[str, ...] = ()) -> Cell:
+    """The whole cell as parameters of a node; a tool path file may go by the name of a shipped one."""
+    cell = declare(node, Cell, writable)
+    if cell.path.file:
+        cell = cell.replace(path=cell.path.replace(file=str(find_file(cell.path.file))))
+    return cell
 
 
 def _leaves(record: type[Record], prefix: str = ""):

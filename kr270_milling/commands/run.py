@@ -1,0 +1,75 @@
+"""``kr270_milling run``: the passes of a cell as ROS 2 nodes, each recorded to MCAP."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from kr270_milling.commands.console import add_cell, add_common, print_json, print_table
+from kr270_milling.compensation.methods import METHODS
+
+
+def add_arguments(parser) -> None:
+    add_cell(parser)
+    parser.add_argument(
+        "--passes", type=_passes, metavar="N", help="passes in all, with the original one (default: as many as needed)"
+    )
+    parser.add_argument(
+        "--method", choices=METHODS, action="append", help="how to compensate; may be given several times"
+    )
+    parser.add_argument("--out", metavar="DIR", default="out", help="for recordings, logs, cell.yaml (default: out)")
+    parser.add_argument("--namespace", default="", metavar="NAME", help="ROS namespace of the four nodes")
+    add_common(parser)
+
+
+def _passes(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 1000:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 1000")
+    return int(text)
+
+
+def run(args) -> None:
+    from kr270_milling.cell import read_cell
+    from kr270_milling.config_file import find_file
+    from kr270_milling.ros.environment import require_ros
+
+    require_ros()
+    cell = read_cell(find_file(args.cell), args.set)
+    found = run_cell(cell, args.method or [cell.compensation.method], args.out, args.passes, args.namespace, args.json)
+    if args.json:
+        print_json(summary(found))
+        return
+    print_rows(found)
+
+
+def run_cell(cell, methods, out, passes=None, namespace: str = "", quiet: bool = False) -> dict:
+    """Run a cell's passes; returns graph_up_s, out (the directory used) and passes, a list of RanPass."""
+    from kr270_milling.ros.graph import Graph
+    from kr270_milling.ros.plan import fresh_directory, run_plan
+
+    directory = fresh_directory(out)
+    tell = (lambda name: None) if quiet or not sys.stderr.isatty() else _tell
+    with Graph(cell, directory, namespace) as graph:
+        ran = run_plan(graph, methods, passes, tell)
+        return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
+
+
+def _tell(name: str) -> None:
+    print(f"pass {name} ...", file=sys.stderr)
+
+
+def summary(found: dict) -> dict:
+    """What ``--json`` prints."""
+    return {**found, "out": str(found["out"]), "passes": [ran.row() for ran in found["passes"]]}
+
+
+def print_rows(found: dict) -> None:
+    columns = ["pass", "static [um]", "max [um]", "wall [s]", "x real time", "lost", "recording"]
+    rows = [_cells(ran.row()) for ran in found["passes"]]
+    print_table("Path deviation, four nodes and a recorder", columns, rows)
+    print(f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {found['out']}")
+
+
+def _cells(row: dict) -> list[str]:
+    numbers = [row["static_deviation_mm"] * 1e3, row["max_deviation_mm"] * 1e3, row["wall_s"], row["real_time_factor"]]
+    return [row["name"], *(f"{v:.2f}" for v in numbers), str(row["messages_lost"]), row["recording"]]

@@ -1,0 +1,163 @@
+"""A pass out of its recording: the same record that a simulation makes, so that scores and reports are the same."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.cell import Cell, read_cell
+from kr270_milling.passes import ScoredPass, scored
+from kr270_milling.recording.errors import RecordingError
+from kr270_milling.recording.reader import Recording
+from kr270_milling.recording.series import series
+from kr270_milling.recording.trajectory import TRAJECTORY, trajectories
+from kr270_milling.simulation.milling_pass import PassResult
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["RecordedPass", "cell_from_recording", "pass_from_recording", "references", "topic_of"]
+
+DIAGNOSTICS = "/diagnostics"
+SERIES = ("tool_pose", "deflection", "wrench")
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RecordedPass:
+    """A scored pass with its cell and with what is missing in the recording."""
+
+    scored: ScoredPass
+    cell: Cell
+    messages_lost: int  #: poses, wrenches and deflections that the pass must have had and the file has not
+    complete: bool  #: the pass ran to the end of its reference, and the file was closed
+
+
+def cell_from_recording(recording: Recording) -> Cell:
+    """The cell whose parameter file is attached; a tool path file may be attached beside it."""
+    names = [about.name for about in recording.attachments]
+    files = [name for name in names if name.endswith((".yaml", ".yml"))]
+    chosen = "cell.yaml" if "cell.yaml" in files else next(iter(files), None)
+    if chosen is None:
+        raise RecordingError(recording.path, "no cell file is attached, so that nothing can be computed from it")
+    with tempfile.TemporaryDirectory() as directory:
+        for name in names:
+            if Path(name).name == name:  # never write outside of the directory
+                (Path(directory) / name).write_bytes(recording.attachment(name))
+        text = (Path(directory) / chosen).read_text(encoding="utf-8", errors="replace")
+        (Path(directory) / chosen).write_text(_beside(text, names), encoding="utf-8")
+        cell = read_cell(Path(directory) / chosen)
+        cell.target()  # a tool path file is read while it is there
+    return cell
+
+
+def _beside(text: str, names: list[str]) -> str:
+    """A parameter file whose ``path.file`` is the attached one, whatever folder it lay in when it was recorded."""
+    import yaml
+
+    try:
+        tree = yaml.safe_load(text)
+        file = tree["/**"]["ros__parameters"]["path"]["file"]
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):
+        return text  # the strict reader tells what is wrong, if anything is
+    if not isinstance(file, str) or Path(file).name not in names:
+        return text
+    tree["/**"]["ros__parameters"]["path"]["file"] = Path(file).name
+    return yaml.safe_dump(tree, sort_keys=False)
+
+
+def topic_of(recording: Recording, name: str, namespace: str | None = None) -> str:
+    """The full name of one of the graph's topics in a recording; raises RecordingError where there is not just one."""
+    if namespace is not None:
+        found = [f"/{namespace.strip('/')}/{name}".replace("//", "/")]
+        found = [topic for topic in found if topic in recording.topics()]
+    else:
+        found = [topic for topic in recording.topics() if topic.rpartition("/")[2] == name]
+    if len(found) != 1:
+        several = f"is there several times ({', '.join(found)}): name a namespace" if found else "is not recorded"
+        raise RecordingError(recording.path, f"the topic {name} {several}")
+    return found[0]
+
+
+def references(recording: Recording, namespace: str | None = None) -> list[Trajectory]:
+    """Every reference trajectory in the order of their publication; the first is the one that the pass ran."""
+    topic = topic_of(recording, "reference_trajectory", namespace)
+    if recording.topics()[topic].type != TRAJECTORY:
+        raise RecordingError(recording.path, f"{topic} is no trajectory")
+    found = []
+    for record in trajectories(recording, topic):
+        if len(record.names) != 1:
+            raise RecordingError(recording.path, f"{topic} holds {len(record.names)} bodies where a tool is one")
+        velocity = record.velocity[:, 0, :3]
+        velocity = None if np.isnan(velocity).all() else velocity
+        position, quaternion = record.position[:, 0], record.quaternion[:, 0]
+        found.append(Trajectory(record.time, position, quaternion, velocity, record.frame_id))
+    if not found:
+        raise RecordingError(recording.path, f"{topic} has no message")
+    return found
+
+
+def pass_from_recording(path, name: str | None = None, namespace: str | None = None) -> RecordedPass:
+    """The pass that a recording holds; a file that was cut off gives the part that is there."""
+    with Recording(path) as recording:
+        cell, reference = cell_from_recording(recording), references(recording, namespace)[0]
+        heard = {kind: _by_stamp(recording, topic_of(recording, kind, namespace)) for kind in SERIES}
+        wall = _wall_time(recording)
+    common = set.intersection(*map(set, heard.values()))
+    stamps = np.array(sorted(stamp for stamp in common if cell.clock.step(stamp) >= 0), np.int64)
+    if stamps.size < 2:
+        raise RecordingError(recording.path, "holds no pass: poses, wrenches and deflections of at least one period")
+    rows = {kind: np.array([values[stamp] for stamp in stamps.tolist()]) for kind, values in heard.items()}
+    last = cell.clock.steps(reference.duration_ns)
+    complete = int(stamps[-1]) >= int(cell.clock.stamp(last))
+    expected = (last if complete else max(cell.clock.step(int(stamps[-1])), 0)) + 1
+    lost = sum(max(0, expected - len(values)) for values in heard.values())
+    result = _result(cell, reference, stamps, rows, wall)
+    ran = ScoredPass(name or recording.path.stem, reference, result, scored(cell, result))
+    return RecordedPass(ran, cell, lost, complete and not recording.cut_off)
+
+
+def _by_stamp(recording: Recording, topic: str) -> dict[int, np.ndarray]:
+    """Values by stamp; of a repeated stamp the last, which is what counted when an exchange was iterated."""
+    found = series(recording, topic)
+    once = topic.endswith("deflection")  # published once an exchange
+    passes = int(np.count_nonzero(found.stamp == 0))
+    if once and passes > 1:
+        raise RecordingError(recording.path, f"holds {passes} passes; every pass needs a recording of its own")
+    return dict(zip(found.stamp.tolist(), found.values, strict=True))
+
+
+def _wall_time(recording: Recording) -> float:
+    """[s], as the robot said it in /diagnostics; NaN if it did not."""
+    wall = float("nan")
+    if DIAGNOSTICS in recording.topics():
+        for _, msg in recording.decoded([DIAGNOSTICS]):
+            for pair in (pair for status in msg.status for pair in status.values if pair.key == "wall_s"):
+                with contextlib.suppress(ValueError):
+                    wall = float(pair.value)
+    return wall
+
+
+def _result(cell: Cell, reference: Trajectory, stamps: np.ndarray, rows: dict, wall: float) -> PassResult:
+    course, tool = reference.sample(stamps), rows["tool_pose"][:, :3]
+    shift = course + rows["deflection"][:, :3] - tool
+    return PassResult(
+        stamps, cell.target().sample(stamps), course, tool, rows["deflection"], rows["wrench"],
+        np.sqrt(np.sum(shift**2, axis=1)), *_cut_again(cell, stamps, tool), wall,
+    )  # fmt: skip
+
+
+def _cut_again(cell: Cell, stamps: np.ndarray, tool: np.ndarray) -> tuple:
+    """What no message carries: torque (n + 1,), volume (n + 1,), micro-steps, area and volume in all.
+
+    From the recorded tool centres on a fresh workpiece; across a hole in the recording the tool goes straight.
+    """
+    cut, clock = cell.cut(), cell.clock
+    steps = [clock.step(stamp) * clock.micro_steps for stamp in stamps.tolist()]
+    torque, volume = np.zeros(stamps.size), np.zeros(stamps.size)
+    for i in range(1, stamps.size):
+        before = cut.removed_volume
+        cut.sweep(tool[i - 1], tool[i], steps[i - 1], steps[i] - steps[i - 1])
+        torque[i], volume[i] = cut.torque, cut.removed_volume - before
+    return torque, volume, steps[-1], cut.removed_area, cut.removed_volume

@@ -1,0 +1,64 @@
+"""What a process of the graph finds in its environment: discovery on this host only, unless the user wants another.
+
+No ROS is imported here, so that the command line can say in one sentence that it is missing.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from kr270_milling.config_file import find_file
+from kr270_milling.errors import MillingError
+
+__all__ = ["RosMissing", "child_environment", "keep_to_this_host", "require_ros"]
+
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+#: set by the bootstrapper of the ROS wheels when it has put this interpreter's libraries into LD_LIBRARY_PATH
+GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+#: a node ends when its parent is no longer this process, so that a killed runner leaves no orphans
+PARENT = "KR270_MILLING_PARENT"
+
+
+class RosMissing(MillingError):
+    """There is no rclpy."""
+
+    def __init__(self):
+        super().__init__(
+            "ROS 2 is not here: install it with \"pip install 'kr270_milling[ros]'\", or source the setup file of an "
+            "installed ROS 2 first"
+        )
+
+
+def require_ros() -> None:
+    """Raises RosMissing."""
+    if importlib.util.find_spec("rclpy") is None:
+        raise RosMissing
+
+
+def this_host_only(environ: Mapping[str, str]) -> dict[str, str]:
+    """The variables to add: the shipped profile and a discovery range, where the user has not set any of his own."""
+    added = {}
+    if environ.get(RANGE, "LOCALHOST") == "LOCALHOST":
+        added[RANGE] = "LOCALHOST"
+        if not any(environ.get(name) for name in PROFILES):
+            added[PROFILES[0]] = str(Path(find_file("fastdds.xml")).resolve())
+    return added
+
+
+def keep_to_this_host() -> None:
+    """For this process; before the first ROS context is made."""
+    os.environ.update(this_host_only(os.environ))
+
+
+def child_environment() -> dict[str, str]:
+    """For a node started by this process; another interpreter than ours must find its own libraries."""
+    environ = {**os.environ, **this_host_only(os.environ), PARENT: str(os.getpid())}
+    environ.pop(GUARD, None)
+    package = str(Path(__file__).resolve().parents[2])
+    if "site-packages" not in package:  # a source checkout that is not installed
+        environ["PYTHONPATH"] = os.pathsep.join(filter(None, [package, environ.get("PYTHONPATH")]))
+    return environ

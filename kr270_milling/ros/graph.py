@@ -1,0 +1,236 @@
+"""The four nodes as processes: started, driven through the lifecycle, watched, and always stopped again."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+import signal
+import sys
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from kr270_milling.cell import Cell
+from kr270_milling.errors import MillingError
+from kr270_milling.ros.cell_file import write_cell
+from kr270_milling.ros.driver import Driver
+from kr270_milling.ros.environment import keep_to_this_host
+from kr270_milling.ros.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unmatched
+from kr270_milling.ros.processes import Child, RunError, remove_litter, stop
+
+__all__ = ["AlreadyRunning", "Graph", "PassRun"]
+
+UP = 60.0  # [s] for a node to come up, to compile at its first use, or to revise a long trajectory
+MATCH = 10.0  # [s] for the nodes to find each other
+SILENT = 2.0  # [s] without a report after which a node counts as lost
+METHOD = "compensation.method"
+
+
+class AlreadyRunning(MillingError):
+    """Another graph has the same node names; node is one of them."""
+
+    def __init__(self, node: str):
+        self.node = node
+        super().__init__(
+            f"a node {node} already runs in this ROS domain: stop that graph first, or choose another --namespace or "
+            "ROS_DOMAIN_ID"
+        )
+
+
+@dataclass(frozen=True)
+class PassRun:
+    """What the graph itself tells of one pass; the rest is in the recording."""
+
+    name: str
+    recording: Path
+    reference: str  #: fingerprint of the reference trajectory
+    wall_s: float  #: from the first exchange to the last [s]
+    errors: tuple[float, ...]  #: remaining error of every pass of this method so far [m], as the compensator sees it
+    finished: bool  #: the compensator will not improve any more
+
+
+class Graph:
+    """Context manager: on entry the nodes come up, on exit they are gone, whatever happened in between.
+
+    out: an existing directory that gets cell.yaml, logs and recordings. Raises RunError, AlreadyRunning.
+    """
+
+    def __init__(self, cell: Cell, out: Path, namespace: str = "", extra: tuple[str, ...] = (), stagger: float = 0.0):
+        self.cell, self.out = cell, Path(out).resolve()
+        self.extra, self._stagger = extra, stagger
+        self.children: dict[str, Child] = {}
+        self.ended: list[Child] = []  # recorders of the passes that are done
+        self._namespace, self._signals, self._handlers = namespace, [], {}
+        self._excused: set[str] = {ROBOT, CUT, COMPENSATOR, RECORDER}  # may be silent now
+        self._up = False
+
+    def __enter__(self) -> Graph:
+        started = time.monotonic()
+        keep_to_this_host()
+        (self.out / "log").mkdir(exist_ok=True)
+        write_cell(self.cell, self.out / "cell.yaml")
+        if threading.current_thread() is threading.main_thread():
+            for number in (signal.SIGINT, signal.SIGTERM):
+                self._handlers[number] = signal.signal(number, lambda caught, _: self._signals.append(caught))
+        self.driver = None
+        try:
+            self.driver = Driver(self._namespace, self.check)
+            self._start(started)
+        except BaseException:
+            self.close()
+            raise
+        return self
+
+    def _start(self, started: float) -> None:
+        for name in (ROBOT, CUT, COMPENSATOR):
+            self._spawn(name, self.out / "cell.yaml", *self.extra)
+            self._pause(self._stagger)
+        nodes = (ROBOT, CUT, COMPENSATOR)
+        self.driver.until(lambda: all(map(self.driver.status, nodes)), "coming up", UP)
+        self.driver.transitions([(ROBOT, "configure"), (CUT, "configure")], UP)
+        self._excused = {RECORDER}
+        self._up = True
+        self._wait_matched(recorded=False)
+        self.up_s = time.monotonic() - started
+
+    def _pause(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.check()
+            self.driver.spin()
+
+    def _spawn(self, name: str, parameters: Path, *arguments: str) -> None:
+        space = ["-r", f"__ns:={self.driver.namespace}"] if self.driver.namespace != "/" else []
+        arguments = ["--ros-args", "--params-file", str(parameters), *space, *arguments]
+        self.driver.statuses.pop(self.driver.name_of(name), None)
+        self.children[name] = Child(name, arguments, self.out / "log" / f"{name}.log")
+
+    def check(self) -> None:
+        """Called all the time while something is waited for; raises when the graph cannot go on."""
+        if self._signals:
+            if self._signals[0] == signal.SIGTERM:
+                raise SystemExit(128 + signal.SIGTERM)
+            raise KeyboardInterrupt
+        if self.driver is None:
+            return
+        ours = {self.driver.name_of(name): child for name, child in self.children.items()}
+        for name, child in ours.items():
+            status = self.driver.statuses.get(name)
+            if status is not None and status.values.get("pid", str(child.pid)) != str(child.pid):
+                raise AlreadyRunning(name)
+        for name, child in self.children.items():
+            if not child.alive:
+                raise RunError(name, child.why_ended())
+        for name, message in self.driver.errors:
+            if name in ours:
+                raise RunError(ours[name].name, message)
+        for name in set(self.children) - self._excused:
+            status = self.driver.status(name)
+            if status is not None and time.monotonic() - status.at > SILENT:
+                raise RunError(name, f"has not been heard of for {SILENT:g} s")
+
+    @contextlib.contextmanager
+    def _excuse(self, *names: str):
+        """Nodes that are busy with something long are not expected to report."""
+        self._excused |= set(names)
+        yield
+        self.driver.spin()
+        for name in names:
+            self.driver.until(lambda n=name: self._is_fresh(n), "reporting again", UP, name)
+        self._excused -= set(names)
+
+    def _is_fresh(self, name: str) -> bool:
+        status = self.driver.status(name)
+        return status is not None and time.monotonic() - status.at < 0.5 * SILENT
+
+    def _wait_matched(self, recorded: bool) -> None:
+        try:
+            self.driver.until(lambda: not unmatched(self.driver, recorded), "matching", MATCH)
+        except RunError as error:
+            if error.node == "graph":
+                raise RunError("graph", unmatched(self.driver, recorded) or error.reason) from None
+            raise
+
+    def choose(self, method: str) -> None:
+        """Tell the compensator the method; it revises at once from the pass along the target."""
+        revision = self._says("revision")
+        with self._excuse(COMPENSATOR):
+            self.driver.set_text(COMPENSATOR, METHOD, method, UP)
+            self.driver.until(lambda: self._says("revision") != revision, "choosing the method", UP, COMPENSATOR)
+
+    def _says(self, key: str, node: str = COMPENSATOR) -> str:
+        status = self.driver.status(node)
+        return "" if status is None else status.values.get(key, "")
+
+    def run_pass(self, name: str) -> PassRun:
+        """One pass on a fresh workpiece, recorded to ``out/name``."""
+        self._record(name)
+        self._wait_matched(recorded=True)
+        self.driver.until(self._same_reference, "handing over the reference trajectory", MATCH, ROBOT)
+        reference, revision = self._says("reference"), self._says("revision")
+        self.driver.transition(CUT, "activate", UP)
+        self.driver.transition(ROBOT, "activate", UP)
+        self.driver.until(self._pass_complete, "the pass", float("inf"), ROBOT)
+        with self._excuse(COMPENSATOR):
+            self.driver.until(lambda: self._says("revision") != revision, "revising", UP, COMPENSATOR)
+        wall = float(self._says("wall_s", ROBOT))
+        self.driver.transition(ROBOT, "deactivate", UP)
+        with self._excuse(CUT):
+            self.driver.transition(CUT, "deactivate", UP)
+        self._end_recording()
+        errors = tuple(float(e) * 1e-6 for e in self._says("remaining_error_um").split())
+        finished = self._says("finished") == "True"
+        return PassRun(name, self.out / name, reference, wall, errors, finished)
+
+    def _pass_complete(self) -> bool:
+        status = self.driver.status(ROBOT)
+        return status.message.startswith("pass complete")
+
+    def _same_reference(self) -> bool:
+        return bool(self._says("reference")) and self._says("reference") == self._says("reference", ROBOT)
+
+    def _record(self, name: str) -> None:
+        space = self.driver.namespace
+        attach = [str(self.out / "cell.yaml")] + ([self.cell.path.file] if self.cell.path.file else [])
+        values = {"directory": str(self.out / name), "attach": attach, "command": shlex.join(sys.argv)}
+        if space != "/":
+            values["topics"] = [f"{space}/*", "/diagnostics", "/clock"]
+        file = self.out / "log" / f"recorder_{name}.yaml"
+        file.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), encoding="utf-8")
+        self._spawn(RECORDER, file)
+        with self._excuse(RECORDER):
+            self.driver.until(lambda: self.driver.status(RECORDER), "coming up", UP, RECORDER)
+
+    def _end_recording(self) -> None:
+        """The recorder closes its file while the next workpiece is made."""
+        recorder = self.children.pop(RECORDER)
+        self._excused.add(RECORDER)
+        self.ended.append(recorder)
+        recorder.note_shared()
+        recorder.signal(signal.SIGINT)
+        with self._excuse(CUT):
+            self.driver.transition(CUT, "cleanup", UP)
+            self.driver.transition(CUT, "configure", UP)
+        self.driver.until(lambda: not recorder.alive, "closing its file", UP, RECORDER)
+        if recorder.process.returncode != 0:
+            raise RunError(RECORDER, recorder.why_ended())
+        self._wait_matched(recorded=False)
+
+    def close(self) -> None:
+        """Stop everything; the recorder last, so that it has the others' last words."""
+        recorder = self.children.pop(RECORDER, None)
+        try:
+            stop(self.children.values())
+            stop([recorder] if recorder else [])
+            remove_litter([*self.children.values(), *self.ended, *([recorder] if recorder else [])])
+        finally:
+            if self.driver is not None:
+                self.driver.close()
+            for number, handler in self._handlers.items():
+                signal.signal(number, handler)
+
+    def __exit__(self, *_) -> None:
+        self.close()

@@ -1,0 +1,112 @@
+"""Node processes: started in a session of their own, told to end, and ended if they do not."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from pathlib import Path
+
+from kr270_milling.errors import MillingError
+from kr270_milling.ros.environment import child_environment
+
+__all__ = ["Child", "RunError", "remove_litter", "stop"]
+
+GRACE = 3.0  # [s] that a node has to end by itself
+SHARED = "/dev/shm/"
+
+
+class RunError(MillingError):
+    """The graph cannot go on; node names the culprit, reason tells what happened."""
+
+    def __init__(self, node: str, reason: str):
+        self.node, self.reason = node, reason
+        super().__init__(f"{node}: {reason}")
+
+
+class Child:
+    """One node as a process; what it prints goes to ``log``."""
+
+    def __init__(self, name: str, arguments: Iterable[str], log: Path):
+        self.name, self.log = name, log
+        self.shared: set[str] = set()  #: files under /dev/shm that it has used
+        command = [sys.executable, "-m", f"kr270_milling.nodes.{name}", *arguments]
+        with open(log, "ab") as stream:
+            self.process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=log.parent,
+                env=child_environment(), start_new_session=True,
+            )  # fmt: skip
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
+    @property
+    def alive(self) -> bool:
+        return self.process.poll() is None
+
+    def why_ended(self) -> str:
+        """One sentence about a process that is no longer there."""
+        code = self.process.returncode
+        if code < 0:
+            return f"was ended by {signal.Signals(-code).name}"
+        return f"ended with exit code {code} ({self.last_words() or 'it printed nothing'}; see {self.log})"
+
+    def last_words(self) -> str:
+        with open(self.log, "rb") as stream:
+            stream.seek(max(0, os.fstat(stream.fileno()).st_size - 4096))
+            lines = stream.read().decode("utf-8", "replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+    def signal(self, number: int) -> None:
+        if self.alive:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self.pid, number)
+
+    def note_shared(self) -> None:
+        self.shared |= _shared_files(self.pid)
+
+
+def stop(children: Iterable[Child], grace: float = GRACE) -> list[str]:
+    """End node after node, all at once, and wait for them; returns the names of those that had to be killed."""
+    children = [c for c in children if c.alive]
+    for child in children:
+        child.note_shared()
+        child.signal(signal.SIGINT)
+        child.signal(signal.SIGCONT)  # a stopped process hears no signal
+    end = time.monotonic() + grace
+    while any(child.alive for child in children) and time.monotonic() < end:
+        time.sleep(0.01)
+    killed = [child for child in children if child.alive]
+    for child in killed:
+        child.signal(signal.SIGKILL)
+        child.process.wait()
+    return [child.name for child in killed]
+
+
+def _shared_files(pid: int | str) -> set[str]:
+    """Files of Fast DDS under /dev/shm that a process has mapped or open."""
+    found: set[str] = set()
+    with contextlib.suppress(OSError):  # it has ended, or belongs to somebody else
+        with open(f"/proc/{pid}/maps", encoding="utf-8", errors="replace") as stream:
+            found.update(line.split(maxsplit=5)[5].strip() for line in stream if SHARED in line)
+        for entry in os.listdir(f"/proc/{pid}/fd"):
+            found.add(os.readlink(f"/proc/{pid}/fd/{entry}"))
+    return {name for name in found if name.startswith((SHARED + "fastrtps_", SHARED + "sem.fastrtps_"))}
+
+
+def remove_litter(children: Iterable[Child]) -> list[str]:
+    """Remove what killed nodes left in /dev/shm and nobody else uses; returns the files."""
+    left = {name for child in children for name in child.shared if os.path.exists(name)}
+    if not left:
+        return []
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        left -= _shared_files(pid)
+    for name in sorted(left):
+        with contextlib.suppress(OSError):
+            os.unlink(name)
+    return sorted(left)
