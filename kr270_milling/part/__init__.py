@@ -1,0 +1,13 @@
+"""The part that a pass leaves: deviations along the path, errors of floors and walls, the part as STL."""
+
+from __future__ import annotations
+
+from kr270_milling.part.assessment import FeatureRow, PartAssessment, assess
+from kr270_milling.part.machined import heights_at, machined
+from kr270_milling.part.stl import write_stl
+from kr270_milling.part.surface import Floors, Surface, Walls, surface
+
+__all__ = [
+    "FeatureRow", "Floors", "PartAssessment", "Surface", "Walls", "assess", "heights_at", "machined", "surface",
+    "write_stl",
+]  # fmt: skip

@@ -1,0 +1,97 @@
+"""Predicted error of the surfaces that a pass leaves on the part, against those of a rigid arm on the same path.
+
+Positive errors: material is left standing. Floors come from two height maps on the same grid, so that the grid's own
+error cancels; their resolution is one level of the map (thickness of the stock / 65535) and the stock's floor
+tolerance. Walls come from the passages of the teeth: one value per tooth and side, cusps of f_z^2 / 8R neglected.
+The tool is upright: what the arm's rotation would tilt the floor by is not part of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from kr270_milling.cell import Cell
+from kr270_milling.cutting import Cut
+from kr270_milling.part.course import Course
+from kr270_milling.part.machined import machined
+from kr270_milling.part.walls import Walls, marks, remaining_walls
+
+__all__ = ["Floors", "Surface", "Walls", "surface"]
+
+MOST_NODES = 400  #: of the map of floors along the longer side of the stock
+SLOPE = 0.02  #: a steeper floor is a wall
+
+
+@dataclass(frozen=True, eq=False)
+class Floors:
+    """A map of the stock seen from above; NaN where there is no floor that was cut: walls, borders, untouched top."""
+
+    x: np.ndarray  #: [m], (a,)
+    y: np.ndarray  #: [m], (b,)
+    height: np.ndarray  #: of the rigid arm's part [m], (a, b), everywhere
+    error: np.ndarray  #: machined minus rigid height [m], (a, b)
+    feature: np.ndarray  #: index into the features of the path, (a, b); -1: none
+
+    def errors(self, feature: int | None = None) -> np.ndarray:
+        """[m], (m,), of one feature or of all."""
+        known = np.isfinite(self.error) & (True if feature is None else self.feature == feature)
+        return self.error[known]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """What remains of a pass."""
+
+    floors: Floors
+    walls: Walls
+    floor_resolution: float  #: [m]
+
+
+def surface(cell: Cell, path: Course, target: np.ndarray, actual: np.ndarray, rigid: Cut | None = None) -> Surface:
+    """Surface errors of a pass with tool centres ``actual`` where ``target`` was wanted, (n + 1, 3) [m].
+
+    rigid: the workpiece that the target leaves, if it is known already.
+    """
+    rigid = machined(cell, target) if rigid is None else rigid
+    cut = machined(cell, actual)
+    largest = float(np.abs(actual - target)[:, :2].max(initial=0.0))
+    floors = _floors(rigid, cut, path, target, cell.tool.radius, largest)
+    found = marks(cell.tool, path, cell.clock.period, target, actual)
+    walls = remaining_walls(rigid, path, found)
+    return Surface(floors, walls, 2.0 * rigid.params.level_step + cell.stock.floor_tolerance)
+
+
+def _floors(rigid: Cut, cut: Cut, path: Course, target: np.ndarray, radius: float, largest: float) -> Floors:
+    """largest: deviation in the plane [m]; nodes that are nearer to a wall may be on its other side."""
+    stock = rigid.stock
+    thinning = max(1, round(max(stock.nodes) / MOST_NODES))
+    x, y, height = rigid.heights(thinning=thinning)
+    error = cut.heights(thinning=thinning)[2] - height
+    spacing, level = stock.grid_step * thinning, rigid.params.level_step
+    width = 1 + 2 * int(np.ceil((largest + 2.0 * stock.grid_step) / spacing))
+    rise = maximum_filter(height, width, mode="nearest") - minimum_filter(height, width, mode="nearest")
+    floor = (rise <= 2.0 * level + SLOPE * width * spacing) & (height < stock.max[2] - 0.5 * level)
+    error = np.where(floor, error, np.nan)
+    return Floors(x, y, height, error, _owners(x, y, height, path, target, radius, level))
+
+
+def _owners(x, y, height, path: Course, target: np.ndarray, radius: float, level: float) -> np.ndarray:
+    """(a, b): the feature that was last at the height of each node, -1 where none was."""
+    owner = np.full(height.shape, -1, np.int64)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target, axis=0), axis=1))])
+    steps = np.searchsorted(way, np.arange(0.0, way[-1], 0.25 * radius))
+    turns = np.flatnonzero(np.abs(np.diff(np.unwrap(path.heading))) > 0.1)
+    steps = np.unique(np.concatenate([steps, turns, [way.size - 1]]))
+    top, slack = float(height.max()), np.abs(np.gradient(target[steps, 2])) + 2.0 * level
+    for k, tolerance in zip(steps, slack, strict=True):
+        cx, cy, z = target[k]
+        if z > top + level:
+            continue
+        i, j = (slice(*np.searchsorted(axis, [c - radius, c + radius])) for axis, c in ((x, cx), (y, cy)))
+        near = (x[i, None] - cx) ** 2 + (y[None, j] - cy) ** 2 < radius**2
+        near &= np.abs(height[i, j] - z) <= tolerance
+        owner[i, j][near] = path.feature[k]
+    return owner

@@ -1,0 +1,122 @@
+"""Errors of the walls that stay on the part, from where the teeth were when they passed them.
+
+A tooth marks the wall to the left (right) of the path when it points there. The wall is the farthest reach of the
+marks nearby: between two marks a cusp of f_z^2 / 8R stays, with a vibrating tool a deep mark cuts its neighbours off.
+Grid nodes only tell which walls are still there at the end, so the grid step does not blur the error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from kr270_milling.cutting import Cut, Tool
+from kr270_milling.part.course import Course
+from kr270_milling.part.machined import heights_at
+
+__all__ = ["Marks", "Walls", "marks", "remaining_walls"]
+
+DEEPEST = 20e-6  #: [m]; marks this much deeper than their neighbours still are weighed against them
+NEIGHBOURS = 48  #: at most; a tool that rests marks one place with every tooth
+CHUNK = 20_000
+CORNER = 0.1  #: [rad] a larger turn of the path within a period is a corner
+PARALLEL = 0.98  #: cosine between normals of one wall
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """m passages of a tooth by the left or right of the path of a rigid arm, in the order of time for each side."""
+
+    centre: np.ndarray  #: of the rigid tool tip [m], (m, 3)
+    error: np.ndarray  #: actual minus rigid tool centre [m], (m, 2)
+    normal: np.ndarray  #: direction in which the tooth points, into the material, (m, 2)
+    radius: np.ndarray  #: of the tooth [m], (m,)
+    period: np.ndarray  #: number of the exchange period, (m,)
+
+    @property
+    def point(self) -> np.ndarray:
+        """Tip of the rigid tool's tooth [m], (m, 2)."""
+        return self.centre[:, :2] + self.radius[:, None] * self.normal
+
+    def __getitem__(self, chosen) -> Marks:
+        return Marks(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True, eq=False)
+class Walls:
+    """Points on the walls that stay; errors are along the normal, positive where material is left standing."""
+
+    position: np.ndarray  #: on the wall of a rigid arm, at the bottom of the tool that made it [m], (m, 3)
+    normal: np.ndarray  #: out of the material, (m, 2)
+    height: np.ndarray  #: of the wall there [m], (m,)
+    error: np.ndarray  #: [m], (m,)
+    feature: np.ndarray  #: index into the features of the path, (m,)
+
+
+def marks(tool: Tool, path: Course, period: float, rigid: np.ndarray, actual: np.ndarray) -> Marks:
+    """All marks of a pass with tool centres rigid and actual (n + 1, 3) [m] every ``period`` [s]."""
+    heading = np.unwrap(path.heading)
+    first, last = heading[:-1], heading[1:]
+    first = np.where(np.abs(last - first) > CORNER, last, first)  # in a corner at once to the new direction
+    start = np.arange(len(rigid) - 1) * period * tool.spindle_speed
+    turn, found = period * tool.spindle_speed, []
+    for side in (1.0, -1.0):
+        rows = []
+        for angle, radius in zip(tool.angles, tool.radii, strict=True):
+            lead = angle - tool.sense * side * np.pi / 2
+            low, high = lead + start - tool.sense * first, lead + start + turn - tool.sense * last
+            whole = np.ceil(low / (2 * np.pi)) * 2 * np.pi
+            k = np.flatnonzero(whole < high)
+            share = (whole[k] - low[k]) / (high[k] - low[k])
+            rows.append((k, share, np.full(k.size, radius)))
+        k, share, radius = (np.concatenate(r) for r in zip(*rows, strict=True))
+        order = np.argsort(k + share, kind="stable")
+        found.append((k[order], share[order], radius[order], np.full(k.size, side)))
+    k, share, radius, side = (np.concatenate(r) for r in zip(*found, strict=True))
+    part = share[:, None]
+    centre = rigid[k] + part * (rigid[k + 1] - rigid[k])
+    error = actual[k] + part * (actual[k + 1] - actual[k]) - centre
+    along = first[k] + share * (last[k] - first[k]) + side * np.pi / 2
+    return Marks(centre, error[:, :2], np.column_stack([np.cos(along), np.sin(along)]), radius, k)
+
+
+def remaining_walls(cut: Cut, path: Course, found: Marks) -> Walls:
+    """The walls of the finished part; cut: the workpiece of the rigid arm."""
+    stock, beyond = cut.stock, 2.0 * cut.stock.grid_step
+    found = found[found.centre[:, 2] < stock.max[2] - cut.params.level_step]
+    outside = heights_at(cut, found.point + beyond * found.normal)
+    with np.errstate(invalid="ignore"):  # NaN: beside the stock
+        here = outside > found.centre[:, 2] + 2.0 * cut.params.level_step
+    kept, outside = found[here], outside[here]
+    inside = heights_at(cut, kept.point - beyond * kept.normal)
+    inside = np.where(np.isfinite(inside), np.minimum(inside, kept.centre[:, 2]), kept.centre[:, 2])
+    position = np.column_stack([kept.point, kept.centre[:, 2]])
+    error = -_reach(found, kept, 2.0 * cut.params.level_step)
+    return Walls(position, -kept.normal, outside - inside, error, path.feature[kept.period])
+
+
+def _reach(found: Marks, kept: Marks, level: float) -> np.ndarray:
+    """How much farther the actual teeth reached than the rigid ones at each kept mark [m], (m,)."""
+    out = np.empty(len(kept.period))
+    if not out.size:
+        return out
+    tree = cKDTree(found.point)
+    bound = float(np.sqrt(2.0 * found.radius.max() * DEEPEST))
+    for first in range(0, out.size, CHUNK):
+        mine = kept[first : first + CHUNK]
+        _, near = tree.query(mine.point, k=min(NEIGHBOURS, len(found.period)), distance_upper_bound=bound)
+        near = near.reshape(len(mine.period), -1)
+        exists = near < len(found.period)
+        theirs = found[np.where(exists, near, 0)]
+        same = exists & (np.einsum("mkd,md->mk", theirs.normal, mine.normal) > PARALLEL)
+        same &= theirs.centre[..., 2] <= mine.centre[:, None, 2] + level  # a higher pass does not touch the wall here
+        away = theirs.centre[..., :2] - mine.point[:, None]
+        across = away[..., 0] * mine.normal[:, None, 1] - away[..., 1] * mine.normal[:, None, 0]
+        arc = np.sqrt(np.maximum(theirs.radius**2 - across**2, 0.0))
+        rigid = np.einsum("mkd,md->mk", away, mine.normal) + arc
+        moved = rigid + np.einsum("mkd,md->mk", theirs.error, mine.normal)
+        farthest = [np.where(same, reach, -np.inf).max(axis=1) for reach in (moved, rigid)]
+        out[first : first + CHUNK] = farthest[0] - farthest[1]
+    return out
