@@ -69,7 +69,7 @@ class Compensator:
     @property
     def cut_off(self) -> float:
         """[m], what max_correction took away from the largest correction."""
-        return max((l.wanted - l.allowed for l in self.limited if l.kind == "size"), default=0.0)
+        return max((found.missing for found in self.limited if found.kind == "size"), default=0.0)
 
     def revise(self, ran: PassRecord) -> Trajectory:
         """The reference for the next pass, from the pass that was run along the present one."""
@@ -79,14 +79,18 @@ class Compensator:
         if self.repeats and self._is_best():
             self.finished, (_, self.reference, self.limited) = True, self._best
             return self.reference
-        limits = {"max_correction": self.parameters.max_correction, "max_rate": self.parameters.max_rate}
+        how = self.parameters
+        limits = {
+            "max_correction": how.max_correction,
+            "max_change": how.max_change_per_tick,
+            "tick": how.tick,
+        }
         if self.method == "mirror":
             modified = self._mirror(self.target, ran.mean_wrench(self.target.time_ns))
             shift = modified.position - self.target.position
             found = corrected(self.target, shift, "mirror", quaternion=modified.quaternion, **limits)
         else:
-            criterion = self.parameters.criterion
-            found = revise(self.method, self.target, self.reference, ran, criterion=criterion, **limits)
+            found = revise(self.method, self.target, self.reference, ran, criterion=how.criterion, **limits)
         self.reference, self.limited = found
         return self.reference
 

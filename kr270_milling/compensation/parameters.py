@@ -33,10 +33,5 @@ class Compensation(Record):
     tick: float = parameter(12e-3, unit="ms", low=1.0, high=1000.0, text="cycle in which the controller takes it")
 
     @property
-    def max_rate(self) -> float:
-        """Fastest change of the correction [m/s]."""
-        return self.max_change_per_tick / self.tick
-
-    @property
     def tick_ns(self) -> int:
         return round(self.tick * 1e9)

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.compensation.limiting import Limited, limit_change, limit_size, resting, steepest
+from kr270_milling.compensation.limiting import Limited, describe, limit_change, limit_size, resting
 from kr270_milling.compensation.spline_fit import knot_rates, spline_fit
 from kr270_milling.errors import MillingError
 from kr270_milling.trajectory.trajectory import Trajectory, slerp
 
 __all__ = ["PassRecord", "RevisionError", "chord_error", "corrected", "revise", "spline_fit"]
 
-ROUNDS = 30  #: of steepening a spline's limits until its slopes between the knots keep them
+ROUNDS = 30  #: of tightening the limits at the knots until the spline between them keeps them too
 
 
 class RevisionError(MillingError):
@@ -64,13 +64,14 @@ def revise(
     *,
     criterion: str = "min_max",
     max_correction: float = np.inf,
-    max_rate: float = np.inf,
+    max_change: float = np.inf,
+    tick: float = 12e-3,
 ) -> tuple[Trajectory, tuple[Limited, ...]]:
     """The next reference trajectory after a pass along ``reference``, and where its correction was limited.
 
     method: "linear" (the paper's: sampled displacement, straight lines between the knots), "spline" (C2 through the
     same knots) or "learned" (spline knots that minimise the remaining error of the last pass, to be repeated).
-    max_correction [m] and max_rate [m/s] bound the correction and its change.
+    max_correction [m] bounds the correction, max_change [m] its change within each tick [s] of the controller.
     """
     if len(ran.time_ns) < 2 or not np.all(np.isfinite(ran.position)):
         raise RevisionError("a pass of at least two finite tool positions is needed to revise the reference")
@@ -82,7 +83,8 @@ def revise(
     else:
         shift = ran.displacement(reference)
         knots = -np.column_stack([np.interp(knots_ns, ran.time_ns, axis) for axis in shift.T])
-    return corrected(target, knots, method, max_correction=max_correction, max_rate=max_rate)
+    limits = {"max_correction": max_correction, "max_change": max_change, "tick": tick}
+    return corrected(target, knots, method, **limits)
 
 
 def corrected(
@@ -92,7 +94,8 @@ def corrected(
     *,
     quaternion: np.ndarray | None = None,
     max_correction: float = np.inf,
-    max_rate: float = np.inf,
+    max_change: float = np.inf,
+    tick: float = 12e-3,
 ) -> tuple[Trajectory, tuple[Limited, ...]]:
     """The target with corrections (k, 3) [m] of its knots and, if given, orientations (k, 4) that go with them.
 
@@ -102,13 +105,18 @@ def corrected(
     robot program is one of the trajectory. While the target rests the correction is held at its mean: the chips end
     with the feed, and a tool that crept with the fading load would leave a mark that no program point can undo.
     """
-    time, still = target.time, resting(target.velocity, len(target))
-    wanted = _held(target, still, np.asarray(correction, float))
-    knots, found = limit_size(time, wanted, max_correction)
+    still = resting(target.velocity, len(target))
     smooth = method != "linear" and not (method == "mirror" and target.velocity is None)
     ends = "not-a-knot" if method == "learned" else "natural"
-    knots, steep = _limited_change(time, knots, max_rate, still if smooth else None, ends)
-    rates = knot_rates(time, knots, still, ends) if smooth else None
+
+    def slopes(knots: np.ndarray) -> np.ndarray | None:
+        return knot_rates(target.time, knots, still, ends) if smooth else None
+
+    wanted = _held(target, still, np.asarray(correction, float))
+    shorter = limit_size(wanted, max_correction)
+    knots = _slower(target, shorter, slopes, max_change, tick)
+    found = describe("size", target.time, wanted, shorter) + describe("change", target.time, shorter, knots)
+    rates = slopes(knots)
     velocity = None if rates is None else target.sample_velocity(target.time_ns) + rates
     turned = target.quaternion
     if quaternion is not None:
@@ -116,7 +124,7 @@ def corrected(
         share = np.linalg.norm(knots, axis=1, keepdims=True) / np.maximum(size, 1e-300)
         turned = slerp(target.quaternion, quaternion, np.where(size > 0, np.minimum(share, 1.0), 1.0))
     position = target.sample(target.time_ns) + knots
-    return Trajectory(target.time_ns, position, turned, velocity, target.frame), (*found, *steep)
+    return Trajectory(target.time_ns, position, turned, velocity, target.frame), found
 
 
 def _held(target: Trajectory, still: np.ndarray, correction: np.ndarray) -> np.ndarray:
@@ -129,21 +137,23 @@ def _held(target: Trajectory, still: np.ndarray, correction: np.ndarray) -> np.n
     return mean[rest]
 
 
-def _limited_change(time, knots, rate: float, still, ends: str) -> tuple[np.ndarray, list[Limited]]:
-    """Corrections whose spline (still: its resting knots; None: straight lines) is nowhere steeper than ``rate``."""
-    most, first = np.full(time.size - 1, rate), []
-    given = knots
-    for _ in range(ROUNDS):
-        slopes = None if still is None else knot_rates(time, knots, still, ends)
-        steep = steepest(time, knots, slopes)
-        over = steep > rate * (1.0 + 1e-6)
+def _slower(target: Trajectory, given: np.ndarray, slopes, max_change: float, tick: float) -> np.ndarray:
+    """Corrections [m] of which no tick sees more than max_change [m]; slopes(knots): those of the spline, or None."""
+    if not np.isfinite(max_change):
+        return given
+    ticks = np.rint(np.arange(0.0, target.time[-1] + tick, tick) * 1e9).astype(np.int64)
+    first, last = (target.locate(t)[0] for t in (ticks[:-1], np.minimum(ticks[1:], target.duration_ns) - 1))
+    knots, most = given, np.diff(target.time) * (max_change / tick)
+    for tried in range(ROUNDS):
+        run = target.with_position(knots, slopes(knots))
+        change = np.linalg.norm(np.diff(run.sample(ticks), axis=0), axis=1)
+        over = change > max_change * (1.0 + 1e-6)
         if not over.any():
-            return knots, first
-        most = np.where(over, np.minimum(most, np.linalg.norm(np.diff(knots, axis=0), axis=1) / np.diff(time)), most)
-        most = np.where(over, most * 0.98 * rate / steep, most)
-        knots, found = limit_change(time, given, most)
-        first = found
-    return knots * (rate / steep.max()), first  # a spline of the same shape is as steep as it is high
+            return knots
+        for segment in (first, last) if tried else ():
+            np.multiply.at(most, segment[over], 0.999 * max_change / change[over])
+        knots = limit_change(given, most)
+    return knots * (max_change / change.max())  # a spline of the same shape is as steep as it is high
 
 
 def chord_error(target: Trajectory) -> float:

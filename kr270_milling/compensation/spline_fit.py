@@ -14,6 +14,7 @@ from scipy.linalg import solve_banded, solveh_banded
 __all__ = ["knot_rates", "spline_fit"]
 
 ROUNDS = 200  #: most reweightings
+PATIENCE = 10  #: rounds within which it must gain half a percent
 CLOSE = 1.01  #: the largest error of a fit is within 1 % of the least possible one: it is good enough
 BARELY = 1e-6  #: weight of a sample that only keeps the spline bounded
 PAIRS = [(a, b) for a in range(4) for b in range(a, 4)]
@@ -121,6 +122,7 @@ def _min_max(basis: _Basis, values: np.ndarray, scored: np.ndarray) -> np.ndarra
     """Lawson: samples with a large error gain weight. The weighted mean square is a lower bound of the largest error,
     so the end is known when it comes near."""
     weight, best, least = np.where(scored, 1.0, BARELY), None, np.inf
+    reached = [np.inf] * PATIENCE
     for _ in range(ROUNDS):
         fit = basis.solve(values, weight)
         rest = np.abs(values - basis.sample(fit))[scored]
@@ -129,6 +131,9 @@ def _min_max(basis: _Basis, values: np.ndarray, scored: np.ndarray) -> np.ndarra
             best, least = fit, largest
         share = weight[scored]
         if largest < 1e-12 or least <= CLOSE * np.sqrt(np.sum(share * rest**2) / np.sum(share)):
+            break
+        reached.append(least)
+        if least > 0.995 * reached[-1 - PATIENCE]:
             break
         share = share * rest / largest
         weight[scored] = np.maximum(share / share.mean(), 1e-4)
