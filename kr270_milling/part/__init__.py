@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from kr270_milling.part.assessment import FeatureRow, PartAssessment, assess
+from kr270_milling.part.assessment import FeatureRow, PartAssessment, assess, assess_all
 from kr270_milling.part.machined import heights_at, machined
 from kr270_milling.part.stl import write_stl
 from kr270_milling.part.surface import Floors, Surface, Walls, surface
 
 __all__ = [
-    "FeatureRow", "Floors", "PartAssessment", "Surface", "Walls", "assess", "heights_at", "machined", "surface",
+    "FeatureRow", "Floors", "PartAssessment", "Surface", "Walls", "assess", "assess_all", "heights_at", "machined", "surface",
     "write_stl",
 ]  # fmt: skip

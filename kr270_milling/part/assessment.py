@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,10 +10,11 @@ import numpy as np
 from kr270_milling.cell import Cell
 from kr270_milling.cutting import Cut
 from kr270_milling.part.course import Course, course, deviations
+from kr270_milling.part.machined import machined
 from kr270_milling.part.surface import Surface, surface
 from kr270_milling.passes import ScoredPass
 
-__all__ = ["FeatureRow", "PartAssessment", "assess"]
+__all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all"]
 
 QUANTILE = 0.95
 
@@ -103,6 +105,13 @@ def assess(cell: Cell, ran: ScoredPass, rigid: Cut | None = None) -> PartAssessm
     rows = [_row(name, series, k) for k, name in zip(features, path.features, strict=True)]
     rows = tuple(row for row in rows if row.cut_length > 0.0)
     return PartAssessment(ran.name, *series, rows, _row("whole part", series, None))
+
+
+def assess_all(cell: Cell, passes: Sequence[ScoredPass]) -> tuple[PartAssessment, ...]:
+    """Several passes of one cell; the part of the rigid arm is made once."""
+    rigid = machined(cell, passes[0].result.target)
+    same = [np.array_equal(p.result.target, passes[0].result.target) for p in passes]
+    return tuple(assess(cell, p, rigid if s else None) for p, s in zip(passes, same, strict=True))
 
 
 def _row(name: str, series: tuple, feature: int | None) -> FeatureRow:

@@ -38,7 +38,7 @@ def _lattice(cut: Cut, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
     stock = cut.stock
     thinning = max(1, round(spacing / stock.grid_step))
     count = [-(-n // thinning) + 2 for n in stock.nodes]
-    most = 2 * 2 * count[0] * count[1]
+    most = 2 * count[0] * count[1] + 6 * sum(count)
     if not spacing > 0.0 or most > MOST_TRIANGLES:
         shown = f"larger: the part would have {most} triangles, more than {MOST_TRIANGLES}"
         raise ParameterError("STL spacing [mm]", spacing * 1e3, shown)
@@ -52,14 +52,12 @@ def _lattice(cut: Cut, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarr
 def _triangles(x: np.ndarray, y: np.ndarray, z: np.ndarray, bottom: float) -> np.ndarray:
     """(m, 3, 3), counterclockwise seen from outside."""
     grid = np.stack([*np.meshgrid(x, y, indexing="ij"), z], -1)
-    under = grid.copy()
-    under[..., 2] = bottom
-    sides = [
-        (under[:, 0], grid[:, 0]), (under[::-1, -1], grid[::-1, -1]),
-        (under[0, ::-1], grid[0, ::-1]), (under[-1], grid[-1]),
-    ]  # fmt: skip
-    sheets = [grid, under[:, ::-1], *(np.stack(pair, 1) for pair in sides)]
-    return np.concatenate([_sheet(points) for points in sheets])
+    border = np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, ::-1]])  # around, closed
+    under = border.copy()
+    under[:, 2] = bottom
+    middle = np.broadcast_to([0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1]), bottom], under[1:].shape)
+    floor = np.stack([under[1:], under[:-1], middle], axis=1)
+    return np.concatenate([_sheet(grid), _sheet(np.stack([under, border], axis=1)), floor])
 
 
 def _sheet(p: np.ndarray) -> np.ndarray:

@@ -81,17 +81,23 @@ def _floors(rigid: Cut, cut: Cut, path: Course, target: np.ndarray, radius: floa
 def _owners(x, y, height, path: Course, target: np.ndarray, radius: float, level: float) -> np.ndarray:
     """(a, b): the feature that was last at the height of each node, -1 where none was."""
     owner = np.full(height.shape, -1, np.int64)
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target, axis=0), axis=1))])
-    steps = np.searchsorted(way, np.arange(0.0, way[-1], 0.25 * radius))
-    turns = np.flatnonzero(np.abs(np.diff(np.unwrap(path.heading))) > 0.1)
-    steps = np.unique(np.concatenate([steps, turns, [way.size - 1]]))
-    top, slack = float(height.max()), np.abs(np.gradient(target[steps, 2])) + 2.0 * level
-    for k, tolerance in zip(steps, slack, strict=True):
+    top, reach = float(height.max()), 0.25 * radius
+    rise = np.abs(path.tangent[:, 2])
+    slack = np.where(rise < 0.5, rise * reach, 0.0) + 2.0 * level  # a plunge leaves its floor at its end
+    for k in _stations(path, target, reach):
         cx, cy, z = target[k]
         if z > top + level:
             continue
         i, j = (slice(*np.searchsorted(axis, [c - radius, c + radius])) for axis, c in ((x, cx), (y, cy)))
         near = (x[i, None] - cx) ** 2 + (y[None, j] - cy) ** 2 < radius**2
-        near &= np.abs(height[i, j] - z) <= tolerance
+        near &= np.abs(height[i, j] - z) <= slack[k]
         owner[i, j][near] = path.feature[k]
     return owner
+
+
+def _stations(path: Course, target: np.ndarray, reach: float) -> np.ndarray:
+    """Rows of the series at most ``reach`` [m] apart on the way, and those where the path turns or ends."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target, axis=0), axis=1))])
+    even = np.searchsorted(way, np.arange(0.0, way[-1], reach))
+    turns = np.flatnonzero(np.sum(path.tangent[1:] * path.tangent[:-1], axis=1) < 0.99)
+    return np.unique(np.concatenate([even, turns, turns + 1, [way.size - 1]]))
