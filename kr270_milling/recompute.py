@@ -135,6 +135,7 @@ class Robot:
                 (model.pose if name == "tool_pose" else model.wrench)(heard)
 
     def finish(self) -> None:
+        self.model.finish()
         self.cut.finish()
         for channel in self.channels.values():
             channel.finish()

@@ -14,7 +14,7 @@ from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.frames import rotation_from_quaternion
 from kr270_milling.passes import commanded_joints, compensator
 from kr270_milling.recompute_inputs import TOOL, Sample, trajectory_of
-from kr270_milling.recompute_models import JOINT_NAMES
+from kr270_milling.recompute_models import JOINT_NAMES, WORKPIECE
 from kr270_milling.recording import encode
 from kr270_milling.recording.compare import Channel
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -63,21 +63,25 @@ class CompensatorModel:
         self._state: Compensator | None = None  # of the node, where the recording tells it
         self._ran: list[Sample] | None = None  # the poses of the complete pass
         self._ran_report: Report | None = None
-        self._wrenches: dict[int, Sample] = {}
-        self._poses: list[Sample] = []
 
     def run(self, data: bytes) -> None:
         """The reference that the next pass runs, as it was recorded."""
         self.reference = trajectory_of(data, as_sent=True)
         clock = self.cell.clock
         self._listener = PassListener(int(clock.stamp(clock.steps(self.reference.duration_ns))))
-        self._wrenches = {}
+        self._wrenches: dict[int, np.ndarray] = {}  # stamp -> (6,), workpiece axes
 
     def hear_target(self, data: bytes) -> None:
         self.target, self._state = trajectory_of(data), None
 
     def wrench(self, heard: Sample) -> None:
-        self._wrenches[heard.stamp] = heard
+        if not self._listener.stamps or heard.frame not in (WORKPIECE, TOOL) or not heard.finite:
+            return
+        values = np.array(heard.values)
+        if heard.frame == TOOL:
+            turn = rotation_from_quaternion(np.array(self._listener.items[-1].values[3:]))
+            values = np.concatenate([turn @ values[:3], turn @ values[3:]])
+        self._wrenches[heard.stamp] = values
 
     @property
     def complete(self) -> bool:
@@ -85,8 +89,15 @@ class CompensatorModel:
         return self._ran is not None
 
     def pose(self, heard: Sample) -> None:
-        if self._listener.hear(heard.stamp, heard):
-            self._ran, self._ran_report = list(self._listener.items), self.report
+        listener = self._listener
+        if heard.frame != WORKPIECE or not heard.finite:
+            return
+        if heard.stamp == 0 and listener.stamps != [0]:
+            self._wrenches = {}
+        if listener.stamps and heard.stamp == listener.stamps[-1]:
+            listener.items[-1] = heard  # the exchange is iterated, or the robot asked again
+        elif listener.hear(heard.stamp, heard):
+            self._ran, self._ran_report = listener.items, self.report
 
     def hear_reference(self, data: bytes, first: bool) -> None:
         """A recorded reference: compare it with what the pass before it gives, then go on from it."""
@@ -174,12 +185,9 @@ class CompensatorModel:
         return PassRecord(stamps, positions, self.cell.scored_from_ns, wrench)
 
     def _wrench_series(self, last_wrench: bool) -> np.ndarray:
-        series = np.zeros((len(self._ran), 6))
-        for i, pose in enumerate(self._ran if last_wrench else self._ran[:-1]):
-            heard = self._wrenches.get(pose.stamp)
-            if heard is not None:
-                series[i] = heard.values
-                if heard.frame == TOOL:
-                    turn = rotation_from_quaternion(np.array(pose.values[3:]))
-                    series[i] = np.concatenate([turn @ series[i, :3], turn @ series[i, 3:]])
-        return series
+        """(n, 6) at the stamps of the poses, as the node makes it of what it heard."""
+        times = np.array(sorted(t for t in self._wrenches if last_wrench or t < self._ran[-1].stamp))
+        if not times.size:
+            return np.zeros((len(self._ran), 6))
+        values = np.array([self._wrenches[stamp] for stamp in times.tolist()])
+        return np.column_stack([np.interp([p.stamp for p in self._ran], times, axis) for axis in values.T])

@@ -87,7 +87,7 @@ def cell_of(recording: Recording) -> Cell:
     with tempfile.TemporaryDirectory() as directory:
         for name in names:
             Path(directory, name).write_bytes(recording.attachment(name))
-        _refuse_foreign_files(recording, Path(directory, main))
+        _localise(recording, Path(directory, main), names)
         try:
             cell = read_cell(Path(directory, main))
             cell.timed_path  # noqa: B018 - reads the tool path while its file is there
@@ -101,16 +101,26 @@ def _is_plain(name: str) -> bool:
     return bool(name) and name == Path(name).name and name not in (".", "..") and "\0" not in name
 
 
-def _refuse_foreign_files(recording: Recording, file: Path) -> None:
-    """A recording from elsewhere must not make us read any file of this machine."""
+def _localise(recording: Recording, file: Path, names: list[str]) -> None:
+    """Let a parameter file name the attached files, wherever they lay; it must not make us read any other file of
+    this machine but a shipped one."""
     try:
-        tree = yaml.safe_load(file.read_bytes())["/**"]["ros__parameters"]
-        named = [*(tree.get("includes") or []), (tree.get("path") or {}).get("file") or "a"]
+        tree = yaml.safe_load(file.read_bytes())
+        parameters = tree["/**"]["ros__parameters"]
+        path = parameters.get("path") or {}
+        named = [*(parameters.get("includes") or []), path.get("file") or "none"]
     except (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return  # read_cell says what is wrong with it
-    foreign = [n for n in named if not isinstance(n, str) or not _is_plain(n)]
+    far = [n for n in named if not isinstance(n, str) or not _is_plain(n)]
+    foreign = [n for n in far if not isinstance(n, str) or Path(n).name not in names]
     if foreign:
-        raise RecordingError(recording.path, f"its {file.name} names {foreign[0]!r}, which is not a plain file name")
+        raise RecordingError(recording.path, f"its {file.name} names {foreign[0]!r}, which is not attached")
+    if far:
+        if parameters.get("includes"):
+            parameters["includes"] = [Path(n).name for n in parameters["includes"]]
+        if path.get("file"):
+            path["file"] = Path(path["file"]).name
+        file.write_text(yaml.safe_dump(tree), encoding="utf-8")
 
 
 def in_file_order(recording: Recording, progress=None) -> Iterator[RawMessage]:

@@ -29,8 +29,28 @@ class RobotModel:
         self.cell, self._out, self._stop = cell, outputs, stop
         self.reference: bytes | None = None  #: the latest recorded reference trajectory
         self._passes, self._side, self._stopped = Passes(), None, False
+        self._held: list[Sample] = []
 
     def wrench(self, heard: Sample) -> None:
+        """The next wrench. Where the exchange is iterated, those of one stamp wait until they are all there: the
+        robot drops the second answer to a question that it asked twice, which repeats the one before."""
+        if self._held and self._held[0].stamp != heard.stamp:
+            self.finish()
+        self._held.append(heard)
+        if self.cell.exchange.iterations == 1:
+            self.finish()
+
+    def finish(self) -> None:
+        """No more of the present stamp will come."""
+        held, self._held = self._held, []
+        surplus = len(held) - self.cell.exchange.iterations
+        for i, heard in enumerate(held):
+            if surplus > 0 and i and heard == held[i - 1]:
+                surplus -= 1
+            else:
+                self._take(heard)
+
+    def _take(self, heard: Sample) -> None:
         if self._passes.begins(heard.stamp) or (self._side is None and not self._stopped):
             self._begin(heard.stamp)
         side = self._side

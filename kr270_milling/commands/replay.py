@@ -39,12 +39,9 @@ def run(args) -> int:
 
 
 def _play(args) -> int:
-    try:
-        import rclpy  # noqa: F401
-    except ImportError:
-        from kr270_milling.errors import InputError
+    from kr270_milling.ros.environment import require_ros
 
-        raise InputError("replay", "playing needs rclpy; --recompute and --compensate do without ROS") from None
+    require_ros()
     from kr270_milling.nodes.player import play
 
     return play(PlayOptions.of(args), ["--ros-args", *args.ros_args] if args.ros_args else [])
