@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json, progress
+from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json, print_table, progress
 
 
 def add_arguments(parser) -> None:
     add_cell(parser)
     parser.add_argument("--reference", metavar="FILE.csv", help="run along this trajectory, as written by compensate")
-    parser.add_argument("--out", metavar="DIR", help="write the series of the pass here as CSV")
+    parser.add_argument(
+        "--out", metavar="DIR", help="write the series of the pass here as CSV; of a tool path also the part as STL"
+    )
     add_common(parser)
 
 
@@ -24,23 +26,64 @@ def run(args) -> None:
     with progress("milling") as report:
         ran = simulate(cell, reference, "original" if reference is None else Path(args.reference).stem, report)
     found = summary(cell, ran)
+    if cell.path.file:
+        found |= _part(cell, ran, args.out)
     if args.out:
         from kr270_milling.report.series import write_series
 
-        found["files"] = [str(p) for p in write_series(output_directory(args.out), cell, [ran])]
+        found["files"] = [str(p) for p in write_series(output_directory(args.out), cell, [ran])] + found.get(
+            "files", []
+        )
     if args.json:
         print_json(found)
         return
+    if cell.path.file:
+        _print_features(found)
+    else:
+        _print_scores(found)
+    print(f"removed area        {found['removed_area_mm2']:10.3f} mm2")
+    print(f"{found['steps']} micro-steps in {found['wall_s']:.3f} s, {found['real_time_factor']:.1f} x real time")
+    for name in found.get("files", []):
+        print(name)
+
+
+def _print_scores(found: dict) -> None:
     x, y, z = found["mean_force_n"]
     print(f"static deviation    {found['static_deviation_mm'] * 1e3:10.3f} um   mean over the last quarter")
     print(f"max deviation       {found['max_deviation_mm'] * 1e3:10.3f} um   once fully engaged")
     ringing = found["ringing_frequency_hz"]
     print(f"low frequency       {found['low_frequency_hz']:10.3f} Hz   model; ringing {ringing:.3f} Hz")
     print(f"mean force          {x:10.3f} {y:.3f} {z:.3f} N   last quarter, workpiece axes")
-    print(f"removed area        {found['removed_area_mm2']:10.3f} mm2")
-    print(f"{found['steps']} micro-steps in {found['wall_s']:.3f} s, {found['real_time_factor']:.1f} x real time")
-    for name in found.get("files", []):
-        print(name)
+
+
+def _part(cell, ran, out: str | None) -> dict:
+    """Per-feature results of a tool path, and with ``out`` the machined part."""
+    from kr270_milling.part import assess, machined, write_stl
+
+    found = assess(cell, ran).as_dict()
+    del found["name"]
+    if out:
+        path = output_directory(out) / "part.stl"
+        write_stl(path, machined(cell, ran.result.actual))
+        found["files"] = [str(path)]
+    return found
+
+
+def _print_features(found: dict) -> None:
+    columns = {
+        "feature": "feature", "cut [mm]": "cut_length_mm", "max": "max_normal_um", "mean": "mean_normal_um",
+        "95 %": "q95_normal_um", "wall": "max_wall_error_um", "floor": "max_floor_error_um", "force [N]": "max_force_n",
+        "power [W]": "max_power_w",
+    }  # fmt: skip
+    rows = [
+        [
+            value if isinstance(value := row[key], str) else f"{value:.1f}".replace("nan", "-")
+            for key in columns.values()
+        ]
+        for row in (*found["features"], found["whole_part"])
+    ]
+    title = "Deviation to the side of the path while cutting, and largest errors of what remains [um]"
+    print_table(title, list(columns), rows)
 
 
 def _reference(path: str | None):

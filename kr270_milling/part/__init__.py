@@ -8,6 +8,6 @@ from kr270_milling.part.stl import write_stl
 from kr270_milling.part.surface import Floors, Surface, Walls, surface
 
 __all__ = [
-    "FeatureRow", "Floors", "PartAssessment", "Surface", "Walls", "assess", "assess_all", "heights_at", "machined", "surface",
-    "write_stl",
+    "FeatureRow", "Floors", "PartAssessment", "Surface", "Walls", "assess", "assess_all", "heights_at", "machined",
+    "surface", "write_stl",
 ]  # fmt: skip
