@@ -10,20 +10,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.checks.parameters import Limits
 from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.config import Record, build, find_file, override, parameter, read_tree, specs
 from kr270_milling.cutting import Cut, Cutting, Stock, Tool
 from kr270_milling.errors import InputError, ParameterError
 from kr270_milling.frames import Pose, rotation_from_quaternion
 from kr270_milling.robot import Arm, Mount, inverse_near
+from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.simulation.arm_model import arm_model, modal_models
 from kr270_milling.simulation.dynamics import ArmModel, Dynamics, ModalModel
 from kr270_milling.simulation.exchange import Clock, Exchange
 from kr270_milling.trajectory.joint_limits import limit_by_joints
+from kr270_milling.trajectory.krl import Program
 from kr270_milling.trajectory.readers import read_toolpath
 from kr270_milling.trajectory.timing import TimedPath, Timing, time_path
 from kr270_milling.trajectory.toolpath import Toolpath
 from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.verdict.parameters import Uncertainty
 
 __all__ = ["Cell", "Path", "Workpiece", "read_cell"]
 
@@ -83,6 +87,9 @@ class Cell(Record):
     exchange: Exchange
     compensation: Compensation
     timing: Timing = dataclasses.field(default_factory=Timing)
+    program: Program = dataclasses.field(default_factory=Program)
+    limits: Limits = dataclasses.field(default_factory=Limits)
+    uncertainty: Uncertainty = dataclasses.field(default_factory=Uncertainty)
 
     def check(self) -> None:
         turn = 2.0 * np.pi / self.exchange.micro_step
@@ -102,14 +109,26 @@ class Cell(Record):
         return self.exchange.clock(self.tool.spindle_speed)
 
     @functools.cached_property
-    def timed_path(self) -> TimedPath | None:
-        """The tool path of ``path.file`` run under the limits of controller and joints; None for a straight cut."""
+    def fed_path(self) -> TimedPath | None:
+        """The tool path of ``path.file`` run under the limits of the controller alone; None for a straight cut."""
         if not self.path.file:
             return None
         toolpath = read_toolpath(self.path.file)
         self._check_spindle(toolpath)
-        timed = time_path(toolpath, self.timing)
-        joints = self.joints(timed.trajectory)
+        return time_path(toolpath, self.timing)
+
+    @functools.cached_property
+    def timed_path(self) -> TimedPath | None:
+        """The tool path of ``path.file`` run under the limits of controller and joints; None for a straight cut."""
+        timed = self.fed_path
+        if timed is None:
+            return None
+        try:
+            joints = self.joints(timed.trajectory)
+        except (ReachError, JointLimitError, SingularityError) as error:
+            point = error.index[0] if error.index else 0
+            line = int(timed.toolpath.line[timed.block[point]])
+            raise InputError(self.path.file, f"point {point + 1} of the path: {error}", line) from None
         slower = limit_by_joints(
             timed.trajectory, joints, self.arm.joint_speed_limit, self.arm.joint_acceleration_limit
         )

@@ -1,0 +1,1 @@
+"""Whether a path may be run: reach, joints, singularities, correction, stock, spindle."""
