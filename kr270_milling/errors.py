@@ -15,6 +15,8 @@ _short.maxlevel, _short.maxstring, _short.maxother, _short.maxlist, _short.maxdi
 
 def _shown(value) -> str:
     """The value on one line of bearable length, whatever a file made of it."""
+    if getattr(value, "ndim", None) == 0:  # a NumPy number
+        value = value.item()
     try:
         text = _short.repr(value)
     except ValueError:  # Python does not write out whole numbers of thousands of digits

@@ -195,11 +195,11 @@ def test_without_a_wrench_there_is_no_mean():
 
 
 @pytest.mark.parametrize("method", ["linear", "spline", "learned"])
-def test_a_limited_change_holds_between_the_knots_too_and_is_told(method):
-    target, rate = line(), 0.5e-3
-    _, nothing = revise(method, target, target, ran(target, ringing), max_rate=1.0)
-    limited, found = revise(method, target, target, ran(target, ringing), max_rate=rate)
-    stamps = np.arange(0, target.duration_ns, 1_000_000)
-    speed = np.linalg.norm(limited.sample_velocity(stamps) - target.sample_velocity(stamps), axis=1)
-    assert nothing == () and speed.max() < 1.05 * rate
+def test_a_limited_change_holds_in_every_tick_and_is_told(method):
+    target, most, tick = line(), 6e-6, 12e-3
+    _, nothing = revise(method, target, target, ran(target, ringing), max_change=1e-3, tick=tick)
+    limited, found = revise(method, target, target, ran(target, ringing), max_change=most, tick=tick)
+    stamps = np.arange(0, target.duration_ns, round(tick * 1e9) // 12)
+    correction = limited.sample(stamps) - target.sample(stamps)
+    assert nothing == () and np.linalg.norm(correction[12:] - correction[:-12], axis=1).max() < 1.05 * most
     assert {f.kind for f in found} == {"change"} and all(f.missing > 0 for f in found)
