@@ -19,7 +19,11 @@ COMMANDS = {
         "run config/paper.yaml --method spline --out out",
     ),
     "simulate": ("simulate one pass of a cell", "simulate config/paper.yaml --set path.depth_of_cut_mm=1"),
-    "compensate": ("revise the trajectory of a cell", "compensate config/paper.yaml --method spline --out out"),
+    "compensate": (
+        "revise the trajectory of a cell; tables, report and robot programs",
+        "compensate config/test_piece.yaml --out out",
+    ),
+    "check": ("say whether a path, or its corrected trajectory, may be run", "check config/test_piece.yaml"),
     "stiffness": (
         "pose, stiffness and natural frequencies of an arm at one posture",
         "stiffness config/kr270_2.yaml --joints-deg 90,-50,120,180,25,180",
