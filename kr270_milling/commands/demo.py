@@ -4,28 +4,44 @@ from __future__ import annotations
 
 from kr270_milling.commands.console import add_common, output_directory, print_json, print_table, progress
 
+METHODS = ("linear", "spline", "learned")
 PAPER = {"original": ("58.10", "63.20"), "linear": ("0.14", "4.70")}
 
 
 def add_arguments(parser) -> None:
     parser.add_argument("--out", metavar="DIR", default="out", help="where report and series go (default: out)")
+    parser.add_argument("--plain", action="store_true", help="the plain loop, also where ROS is installed")
     add_common(parser)
 
 
 def run(args) -> None:
+    import importlib.util
+
     from kr270_milling.cell import read_cell
     from kr270_milling.config import find_file
-    from kr270_milling.passes import compensated, simulate
 
     source = find_file("paper.yaml")
     cell = read_cell(source)
-    directory = output_directory(args.out)
+    if args.plain or importlib.util.find_spec("rclpy") is None:
+        how = "plain loop in one process" + ("" if args.plain else ", since rclpy is not installed")
+        return finish(args, output_directory(args.out), cell, _plain(cell), source, how)
+    from kr270_milling.commands.run import run_cell, summary
+
+    found = run_cell(cell, METHODS, args.out, quiet=args.json)
+    passes = [ran.scored for ran in found["passes"]]
+    how = f"four ROS 2 nodes and a recorder, graph up in {found['graph_up_s']:.2f} s"
+    return finish(args, found["out"], cell, passes, source, how, summary(found))
+
+
+def _plain(cell) -> list:
+    from kr270_milling.passes import compensated, simulate
+
     with progress("original") as report:
         passes = [simulate(cell, progress=report)]
-    for method in ("linear", "spline", "learned"):
+    for method in METHODS:
         with progress(method) as report:
             passes.append(compensated(cell, passes[0], method, report))
-    finish(args, directory, cell, passes, source, "plain loop in one process (rclpy is not installed)")
+    return passes
 
 
 def finish(args, directory, cell, passes, source, how: str, extra: dict | None = None) -> None:
@@ -43,8 +59,8 @@ def finish(args, directory, cell, passes, source, how: str, extra: dict | None =
         )  # fmt: skip
         write_series(directory, cell, passes)
     if args.json:
-        rows = [p.row() for p in passes]
-        print_json({"passes": rows, "report": str(report), "out": str(directory), "ran_as": how, **(extra or {})})
+        rows = {"passes": [p.row() for p in passes], **(extra or {})}
+        print_json({**rows, "report": str(report), "out": str(directory), "ran_as": how})
         return
     rows = [_row(p) for p in passes]
     print_table("Path deviation [um], Table 2", ["pass", "static", "paper", "max", "paper", "low frequency [Hz]"], rows)
