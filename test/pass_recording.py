@@ -101,10 +101,20 @@ def _exchange(cell, reference, record: list):
             joints = encode.joint_state_bytes(stamp, NAMES, course[step // thinned])
             yield Message("joint_states", joints.data, stamp)
         step += 1
+    yield Message("workpiece", _workpiece(cell, cut, stamp), stamp)
+
+
+def _workpiece(cell, cut, stamp: int) -> bytes:
+    """Percent of the stock's height that is left, every 0.2 mm."""
+    stock, thinning = cell.stock, round(0.2e-3 / cell.stock.grid_step)
+    height = cut.cut.heights(thinning=thinning)[2]
+    left = np.rint(100 * (1 - (stock.max[2] - height) / (stock.max[2] - stock.min[2])))
+    return encode.map_bytes(stamp, "workpiece", thinning * stock.grid_step, stock.min, left.astype(np.int8)).data
 
 
 TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states": JOINTS,
-         "reference_trajectory": REFERENCE, "joint_trajectory": PROGRAM}  # fmt: skip
+         "reference_trajectory": REFERENCE, "joint_trajectory": PROGRAM,
+         "workpiece": "nav_msgs/msg/OccupancyGrid"}  # fmt: skip
 
 
 def write(directory, messages, *, namespaces=("",), attachments=None, cell: str | None = None) -> Path:
@@ -113,7 +123,9 @@ def write(directory, messages, *, namespaces=("",), attachments=None, cell: str 
     with BagWriter(directory, attachments=kept, metadata={"seed": "1"}) as writer:
         for namespace in namespaces:
             for name, kind in TYPES.items():
-                writer.add_topic(f"{namespace}/{name}", kind, [LATCHED] if "trajectory" in name else [{}])
+                writer.add_topic(
+                    f"{namespace}/{name}", kind, [LATCHED] if "trajectory" in name or name == "workpiece" else [{}]
+                )
         for i, message in enumerate(messages):
             for namespace in namespaces:
                 writer.write(f"{namespace}/{message.topic}", message.data, 10**9 + i)

@@ -44,7 +44,7 @@ def test_a_recorded_exchange_is_recomputed_to_the_last_bit_on_every_channel(tmp_
     assert found.verdict == "identical" and found.first is None and not found.stops
     counts = {topic: c.compared for topic, c in found.channels.items()}
     assert counts == {"/tool_pose": STEPS, "/wrench": STEPS, "/deflection": STEPS, "/joint_states": 7,
-                      "/reference_trajectory": 2, "/joint_trajectory": 2}  # fmt: skip
+                      "/reference_trajectory": 2, "/joint_trajectory": 2, "/workpiece": 1}  # fmt: skip
     assert all(c.waiting == c.missing == c.given == 0 for c in found.channels.values())
 
 
@@ -75,6 +75,12 @@ def test_bytes_between_the_fields_do_not_count(tmp_path):
     messages = made.changed(made.one_pass(), "tool_pose", 5, flip(pad))
     assert messages != list(made.one_pass())
     assert recompute(made.write(tmp_path / "r", messages)).verdict == "identical"
+
+
+def test_a_changed_map_of_the_workpiece_is_found(tmp_path):
+    messages = made.changed(made.one_pass(), "workpiece", 0, flip(-2000))
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.first.topic == "/workpiece" and found.first.field.startswith("data[")
 
 
 def test_a_changed_revised_reference_is_found(tmp_path):
@@ -154,7 +160,7 @@ def test_two_robots_in_two_namespaces_are_recomputed_side_by_side(tmp_path):
 def test_a_recording_that_was_cut_off_is_compared_up_to_its_end(tmp_path):
     whole = made.write(tmp_path / "r", made.one_pass()) / "r.mcap"
     cut = tmp_path / "cut.mcap"
-    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 4])
     found = recompute(cut)
     assert found.cut_off and found.verdict == "identical"
     assert 0 < found.channels["/wrench"].compared < STEPS
@@ -304,3 +310,47 @@ def test_a_killed_recorders_file_is_recomputed_as_far_as_it_goes(of_nodes, tmp_p
         stream.truncate(int(file.stat().st_size * 0.6))
     found = recompute(cut)
     assert found.cut_off and found.verdict == "identical" and found.channels["/wrench"].compared > 0
+
+
+@needs_ros
+def test_the_bytes_made_here_are_those_of_the_middlewares_serialiser():
+    import numpy as np
+    from geometry_msgs.msg import PoseStamped, TwistStamped
+    from nav_msgs.msg import OccupancyGrid
+    from rclpy.serialization import deserialize_message, serialize_message
+    from rosgraph_msgs.msg import Clock
+    from std_msgs.msg import String
+
+    from kr270_milling.recording import encode
+    from kr270_milling.ros import messages
+    from kr270_milling.trajectory.trajectory import Trajectory
+
+    def same(message, encoded: encode.Encoded) -> bool:
+        """The serialiser leaves rubbish between the fields and behind the last one."""
+        kind, wire = type(message), serialize_message(message)
+        whole = encode.Encoded(encoded.data, encoded.pads).same(wire[: len(encoded.data)])
+        return whole and deserialize_message(encoded.data, kind) == deserialize_message(wire, kind)
+
+    random = np.random.default_rng(7).normal(size=40)
+    line = Trajectory.straight_line([0.0, 0.0, 0.1], [1.0, 0.0, 0.0], 0.01, 0.05, 0.05)
+    curve = Trajectory.spline(np.arange(5) * 40_000_000, random[:15].reshape(5, 3))
+    stamp, removed = 3_000_000_001, np.abs(np.sin(random[:28])).reshape(7, 4)
+    cells = np.rint(100 * (1 - removed)).astype(np.int8)
+    pairs = [
+        (messages.pose_to_msg(stamp, random[:3], random[3:7]),
+         encode.pose_bytes(stamp, "workpiece", random[:3], random[3:7])),
+        (messages.wrench_to_msg(stamp, random[:6]), encode.vectors_bytes(stamp, "workpiece", random[:6])),
+        (messages.twist_to_msg(stamp, random[:6]), encode.vectors_bytes(stamp, "workpiece", random[:6])),
+        (messages.joint_state_to_msg(stamp, random[:6]), encode.joint_state_bytes(stamp, made.NAMES, random[:6])),
+        (Clock(clock=messages.stamp_from_ns(stamp)), encode.clock_bytes(stamp)),
+        (String(data="fräsen"), encode.string_bytes("fräsen")),
+        (messages.joint_trajectory_to_msg(curve, random[:30].reshape(5, 6)),
+         encode.joint_trajectory_bytes("base_link", made.NAMES, curve.time_ns, random[:30].reshape(5, 6))),
+        (messages.workpiece_to_msg(stamp, removed, random[:3], 2e-4),
+         encode.map_bytes(stamp, "workpiece", 2e-4, random[:3], cells)),
+    ]  # fmt: skip
+    for run in (line, curve):
+        encoded = encode.trajectory_bytes(run.frame, "tool0", run.time_ns, run.position, run.quaternion, run.velocity)
+        pairs.append((messages.trajectory_to_msg(run), encoded))
+    assert [same(message, encoded) for message, encoded in pairs] == [True] * len(pairs)
+    assert {PoseStamped, TwistStamped, OccupancyGrid} <= {type(message) for message, _ in pairs}

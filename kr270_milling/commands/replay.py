@@ -44,7 +44,11 @@ def _play(args) -> int:
     require_ros()
     from kr270_milling.nodes.player import play
 
-    return play(PlayOptions.of(args), ["--ros-args", *args.ros_args] if args.ros_args else [])
+    with progress("playing") as report:
+        code, count = play(PlayOptions.of(args), ["--ros-args", *args.ros_args] if args.ros_args else [], report)
+    if args.json:
+        print_json({"file": args.file, "messages": count, "exit_code": code})
+    return code
 
 
 def _recompute(args) -> int:

@@ -47,7 +47,7 @@ class Player(ReportingNode):
         try:
             super().__init__("player", **kwargs)
             self._prepare(options)
-        except RecordingError:
+        except BaseException:
             self.recording.close()
             raise
         self._progress = progress
@@ -93,7 +93,7 @@ class Player(ReportingNode):
     def _start(self) -> None:
         start, end = self._span
         paused = self.options.start_paused and self.rounds == 0
-        self._clock = PlayClock(start, self.options.rate, self._begin_at, paused)
+        self._pace = PlayClock(start, self.options.rate, self._begin_at, paused)
         topics = set(self._outlets)
         first = opening(self.recording, start, topics)
         self._opening, self._passage = first, passage(self.recording, start, end, topics)
@@ -103,9 +103,9 @@ class Player(ReportingNode):
     @guarded
     def _tick(self) -> None:
         now = time.monotonic()
-        if self.done or self._clock.paused or now < self._begin_at:
+        if self.done or self._pace.paused or now < self._begin_at:
             return
-        position = self._clock.position(now)
+        position = self._pace.position(now)
         for message in self._opening:
             self._publish(message)
         self._opening = []
@@ -144,7 +144,7 @@ class Player(ReportingNode):
             self.done = True
 
     def _set_paused(self, paused: bool, response):
-        (self._clock.pause if paused else self._clock.resume)(time.monotonic())
+        (self._pace.pause if paused else self._pace.resume)(time.monotonic())
         self.report(WARN if paused else OK, "paused" if paused else "playing")
         response.success = True
         return response
@@ -156,7 +156,7 @@ class Player(ReportingNode):
         return self._set_paused(False, response)
 
     def _toggle(self, _, response):
-        return self._set_paused(not self._clock.paused, response)
+        return self._set_paused(not self._pace.paused, response)
 
     def watch(self) -> dict:
         return {"messages": getattr(self, "count", 0), "rounds": getattr(self, "rounds", 0)}
@@ -202,9 +202,16 @@ def _duration(value) -> Duration | None:
     return Duration(seconds=seconds, nanoseconds=rest) if limited else None
 
 
-def play(options: PlayOptions, ros_args: list[str] | None = None, progress=None) -> int:
-    """Run the player as this process; returns its exit code."""
-    return run_node(lambda **kwargs: Player(options, progress, **kwargs), ros_args or [])
+def play(options: PlayOptions, ros_args: list[str] | None = None, progress=None) -> tuple[int, int]:
+    """Run the player as this process; returns its exit code and how many messages it published."""
+    players: list[Player] = []
+
+    def make(**kwargs) -> Player:
+        players.append(Player(options, progress, **kwargs))
+        return players[0]
+
+    code = run_node(make, ros_args or [])
+    return code, sum(player.count for player in players)
 
 
 def main(args: list[str] | None = None) -> int:
@@ -215,7 +222,7 @@ def main(args: list[str] | None = None) -> int:
     )
     parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording")
     add_play_arguments(parser)
-    return play(PlayOptions.of(parser.parse_args(remove_ros_args(words)[1:])), words)
+    return play(PlayOptions.of(parser.parse_args(remove_ros_args(words)[1:])), words)[0]
 
 
 if __name__ == "__main__":

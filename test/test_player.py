@@ -1,0 +1,295 @@
+"""The player: which bytes it publishes when, with the options of ``ros2 bag play``."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pass_recording as made
+import pytest
+
+from kr270_milling.recording.errors import RecordingError
+from kr270_milling.recording.playback import PlayClock, PlayOptions, add_play_arguments, opening, passage, span
+from kr270_milling.recording.reader import Recording
+
+pytestmark = made.needs_messages
+needs_ros = pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed")
+END = 60_000_000  # [ns] of the pass
+FIRST = ("/reference_trajectory", "/joint_trajectory")
+DOMAINS = itertools.count(20 + os.getpid() % 60)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    return made.write(tmp_path_factory.mktemp("player") / "r", made.one_pass())
+
+
+def options(*words: str) -> PlayOptions:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("file")
+    add_play_arguments(parser)
+    return PlayOptions.of(parser.parse_args(list(words)))
+
+
+def test_the_options_parse_as_in_ros2_bag_play():
+    short = options("bag", "-r", "2", "-l", "-p", "-d", "0.5", "--clock")
+    long = options("bag", "--rate", "2", "--loop", "--start-paused", "--delay", "0.5", "--clock", "40")
+    assert short == long == PlayOptions(Path("bag"), 2.0, loop=True, start_paused=True, clock=40.0, delay=0.5)
+    some = options("bag", "--start-offset", "0.5", "--playback-duration", "2", "--topics", "/a", "/b")
+    assert (some.start_offset, some.playback_duration, some.topics) == (0.5, 2.0, ("/a", "/b"))
+    assert options("bag") == PlayOptions(Path("bag"))
+
+
+@pytest.mark.parametrize("words", [["--rate", "0"], ["--rate", "-1"], ["--rate", "nan"], ["--start-offset", "-1"],
+                                   ["--clock", "0"], ["--topics"], ["--playback-duration", "inf"]])  # fmt: skip
+def test_senseless_options_are_refused(words):
+    with pytest.raises(SystemExit) as ended:
+        options("bag", *words)
+    assert ended.value.code == 2
+
+
+def test_the_clock_of_a_playback_runs_at_its_rate_and_stands_while_paused():
+    clock = PlayClock(5, 2.0, 100.0)
+    assert (clock.position(99.0), clock.position(100.0), clock.position(101.5)) == (5, 5, 5 + 3 * 10**9)
+    clock.pause(101.0)
+    assert clock.position(200.0) == 5 + 2 * 10**9
+    clock.resume(200.0)
+    assert clock.position(200.5) == 5 + 3 * 10**9
+
+
+def played(bag, *words: str) -> list:
+    how = options(str(bag), *words)
+    with Recording(bag) as recording:
+        topics = set(how.topics or recording.topics())
+        start, end = span(recording, how)
+        return [*opening(recording, start, topics), *passage(recording, start, end, topics)]
+
+
+def test_everything_is_played_once_in_the_order_of_the_recording(bag):
+    found = [(m.topic, m.data) for m in played(bag)]
+    expected = made.raw(bag)
+    assert sorted(found) == sorted(expected)
+    volatile = [pair for pair in expected if pair[0] not in (*FIRST, "/workpiece")]
+    assert [pair for pair in found if pair[0] not in (*FIRST, "/workpiece")] == volatile
+    assert {topic for topic, _ in found[:4]} == set(FIRST)
+
+
+def test_with_an_offset_the_last_latched_messages_from_before_come_first(bag):
+    found = played(bag, "--start-offset", "0.03")
+    recorded = dict(made.raw(bag))  # the last of each topic
+    assert [(m.topic, m.data) for m in found[:2]] == [(t, recorded[t]) for t in (m.topic for m in found[:2])]
+    assert {m.topic for m in found[:2]} == set(FIRST)
+    assert found[2].log_time == END // 2 and all(m.log_time >= END // 2 for m in found[2:])
+
+
+def test_the_duration_ends_a_playback(bag):
+    found = played(bag, "--start-offset", "0.03", "--playback-duration", "0.01", "--topics", "/wrench")
+    assert [m.log_time for m in found] == list(range(30_000_000, 40_000_001, 500_000))
+
+
+class Listener:
+    """A player and a node that hears it, in a world of their own, stepped by hand."""
+
+    def __init__(self, bag, words=(), names=("/tool_pose", "/wrench", *FIRST), late=False, arguments=()):
+        import rclpy
+        from geometry_msgs.msg import PoseStamped, WrenchStamped
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from rosgraph_msgs.msg import Clock
+        from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+
+        from kr270_milling.nodes.player import Player
+        from kr270_milling.ros import topics
+
+        self.context = Context()
+        rclpy.init(args=[], context=self.context, domain_id=next(DOMAINS))
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.node = Node("listener", context=self.context, use_global_arguments=False)
+        self.executor.add_node(self.node)
+        self.heard: list[tuple[str, bytes]] = []
+        self.times: dict[str, list[float]] = {}
+        types = {"tool_pose": PoseStamped, "wrench": WrenchStamped, "reference_trajectory": MultiDOFJointTrajectory,
+                 "joint_trajectory": JointTrajectory, "clock": Clock}  # fmt: skip
+        self.player = Player(
+            options(str(bag), "--start-paused", *words), context=self.context, cli_args=["--ros-args", *arguments]
+        )
+        for name in names:
+            latched = "trajectory" in name
+            qos = topics.LATCHED if latched else 1000
+            kind = types[name.rpartition("/")[2]]
+            self.node.create_subscription(kind, name, lambda data, n=name: self._hear(n, data), qos, raw=True)
+        self.until(lambda: all(self.node.count_publishers(name) for name in names))
+        self.executor.add_node(self.player)
+        matched = [o for t, o in self.player._outlets.items() if t in names]
+        self.until(lambda: all(o.get_subscription_count() for o in matched))
+
+    def _hear(self, name: str, data: bytes) -> None:
+        self.heard.append((name, data))
+        self.times.setdefault(name, []).append(time.monotonic())
+
+    def until(self, reached, limit: float = 30.0) -> None:
+        end = time.monotonic() + limit
+        while not reached():
+            assert time.monotonic() < end, f"waited in vain; {len(self.heard)} messages heard"
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def resume(self, name: str = "/player/resume") -> None:
+        from std_srvs.srv import Trigger
+
+        client = self.node.create_client(Trigger, name)
+        self.until(client.service_is_ready)
+        answer = client.call_async(Trigger.Request())
+        self.until(answer.done)
+        assert answer.result().success
+
+    def play(self, count: int | None = None) -> list[tuple[str, bytes]]:
+        self.resume()
+        self.until(lambda: self.player.done if count is None else len(self.heard) >= count)
+        for _ in range(20):
+            self.executor.spin_once(timeout_sec=0.02)
+        return self.heard
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.player.close()
+        self.executor.shutdown()
+        self.player.destroy_node()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+def of_topic(pairs, topic: str) -> list[bytes]:
+    return [data for name, data in pairs if name == topic]
+
+
+@needs_ros
+def test_messages_arrive_byte_by_byte_and_in_their_order(bag):
+    with Listener(bag) as graph:
+        heard = graph.play()
+    for topic in ("/tool_pose", "/wrench"):
+        assert of_topic(heard, topic) == of_topic(made.raw(bag), topic)
+    for topic in FIRST:
+        assert of_topic(heard, topic)[-1] == of_topic(made.raw(bag), topic)[-1]
+
+
+@needs_ros
+def test_latched_messages_arrive_whatever_the_offset(bag):
+    with Listener(bag, ["--start-offset", "0.05"]) as graph:
+        heard = graph.play()
+    recorded = made.raw(bag)
+    assert [of_topic(heard, t) for t in FIRST] == [of_topic(recorded, t)[-1:] for t in FIRST]
+    assert of_topic(heard, "/wrench") == of_topic(recorded, "/wrench")[100:]
+
+
+@needs_ros
+def test_a_slower_rate_takes_longer_in_proportion(bag):
+    spans = {}
+    for rate in (0.05, 0.1):  # 1.2 s and 0.6 s
+        with Listener(bag, ["--rate", str(rate)], names=("/tool_pose",)) as graph:
+            graph.play()
+            spans[rate] = graph.times["/tool_pose"][-1] - graph.times["/tool_pose"][0]
+    assert 1.1 < spans[0.05] < 4.0 and spans[0.1] > 0.5
+    assert spans[0.1] < 0.8 * spans[0.05]
+
+
+@needs_ros
+def test_only_the_chosen_topics_are_played(bag):
+    with Listener(bag, ["--topics", "/wrench"], names=("/wrench",)) as graph:
+        assert {topic for topic, _ in graph.play()} == {"/wrench"}
+        assert not graph.node.count_publishers("/tool_pose")
+
+
+@needs_ros
+def test_a_loop_begins_again(bag):
+    with Listener(bag, ["--loop", "--topics", "/wrench"], names=("/wrench",)) as graph:
+        heard = of_topic(graph.play(count=300), "/wrench")
+        assert not graph.player.done
+    once = of_topic(made.raw(bag), "/wrench")
+    assert heard[:300] == (once * 3)[:300]
+
+
+@needs_ros
+def test_nothing_is_played_before_the_service_resumes(bag):
+    with Listener(bag) as graph:
+        for _ in range(30):
+            graph.executor.spin_once(timeout_sec=0.01)
+        assert graph.heard == []
+        assert graph.play()
+
+
+@needs_ros
+def test_the_clock_is_told_on_demand(bag):
+    from rclpy.serialization import deserialize_message
+    from rosgraph_msgs.msg import Clock
+
+    with Listener(bag, ["--clock", "100", "--rate", "0.1", "--topics", "/wrench"], names=("/clock",)) as graph:
+        heard = [deserialize_message(data, Clock).clock for _, data in graph.play()]
+    stamps = [c.sec * 10**9 + c.nanosec for c in heard]
+    assert stamps == sorted(stamps) and 20 < len(stamps) < 70 and max(stamps) <= END
+
+
+@needs_ros
+def test_names_follow_namespace_and_remapping(bag):
+    arguments = ["-r", "__ns:=/left", "-r", "wrench:=force"]
+    with Listener(bag, names=("/left/tool_pose",), arguments=arguments) as graph:
+        assert graph.node.count_publishers("/left/force") == 1
+        assert graph.node.count_publishers("/wrench") == graph.node.count_publishers("/tool_pose") == 0
+        graph.resume("/left/player/resume")
+        graph.until(lambda: graph.player.done)
+
+
+@needs_ros
+def test_a_recording_without_a_wanted_topic_is_refused(bag):
+    with pytest.raises(RecordingError, match="/nothing"):
+        Listener(bag, ["--topics", "/nothing"])
+
+
+@needs_ros
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_the_process_with_exit_code_0(bag, tmp_path, number):
+    root = Path(__file__).resolve().parent.parent
+    environment = {**os.environ, "PYTHONPATH": str(root), "ROS_DOMAIN_ID": str(next(DOMAINS)),
+                   "ROS_LOG_DIR": str(tmp_path)}  # fmt: skip
+    command = [sys.executable, "-m", "kr270_milling.cli", "replay", str(bag), "--loop", "--ros-args", "-r", "__ns:=/a"]
+    with open(tmp_path / "log", "wb") as log:
+        process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
+    end = time.monotonic() + 60
+    while b"playing" not in (tmp_path / "log").read_bytes():
+        assert process.poll() is None and time.monotonic() < end, (tmp_path / "log").read_text()
+        time.sleep(0.02)
+    process.send_signal(number)
+    assert process.wait(20) == 0
+    assert "Traceback" not in (tmp_path / "log").read_text()
+
+
+@needs_ros
+def test_a_playback_ends_by_itself_and_an_unusable_file_ends_with_2(bag, tmp_path):
+    root = Path(__file__).resolve().parent.parent
+    environment = {**os.environ, "PYTHONPATH": str(root), "ROS_DOMAIN_ID": str(next(DOMAINS)),
+                   "ROS_LOG_DIR": str(tmp_path)}  # fmt: skip
+    player = [sys.executable, "-m", "kr270_milling.nodes.player"]
+    done = subprocess.run([*player, str(bag)], env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0 and f"{len(made.one_pass())} messages played" in done.stderr
+    done = subprocess.run([*player, "nowhere.mcap"], env=environment, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "nowhere.mcap" in done.stderr
+
+
+@needs_ros
+def test_replay_tells_as_json_how_much_it_played(bag, tmp_path):
+    root = Path(__file__).resolve().parent.parent
+    environment = {**os.environ, "PYTHONPATH": str(root), "ROS_DOMAIN_ID": str(next(DOMAINS)),
+                   "ROS_LOG_DIR": str(tmp_path)}  # fmt: skip
+    command = [sys.executable, "-m", "kr270_milling.cli", "replay", str(bag), "--topics", "/wrench", "--json"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    assert json.loads(done.stdout) == {"file": str(bag), "messages": 121, "exit_code": 0}
