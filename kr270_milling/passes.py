@@ -82,10 +82,13 @@ def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Co
 
 
 def mirrored(cell: Cell, target: Trajectory, wrench: np.ndarray) -> Trajectory:
-    """Target points modified by (30)-(32) for wrenches (k, 6) at the knots, in workpiece axes."""
+    """Target points modified by (30)-(32) for wrenches (k, 6) at the knots, in workpiece axes.
+
+    Without the sag under the link weights: who commands the joints deals with that, see ``commanded_joints``.
+    """
     turn = cell.workpiece.pose.rotation
     in_base = np.concatenate([wrench[:, :3] @ turn.T, wrench[:, 3:] @ turn.T], axis=1)
-    modified = cell.workpiece.pose.inverse() @ _mirror(cell, target, in_base).pose
+    modified = cell.workpiece.pose.inverse() @ _mirror(cell, target, in_base, True).pose
     return Trajectory(target.time_ns, modified.position, modified.quaternion, None, target.frame)
 
 
@@ -96,15 +99,14 @@ def commanded_joints(cell: Cell, reference: Trajectory) -> np.ndarray:
     """
     if cell.compensation.sag_compensated:
         return cell.joints(reference)
-    return _mirror(cell, reference, np.zeros((len(reference), 6))).joints
+    return _mirror(cell, reference, np.zeros((len(reference), 6)), False).joints
 
 
-def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray) -> Mirror:
+def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool) -> Mirror:
     tool = cell.workpiece.pose @ Pose(target.position, rotation_from_quaternion(target.quaternion))
-    how = cell.compensation
     return mirror(
         cell.arm, cell.mount, tool, wrench_in_base, cell.start_joints,
-        relaxation=how.relaxation, sag_compensated=how.sag_compensated,
+        relaxation=cell.compensation.relaxation, sag_compensated=sag_compensated,
     )  # fmt: skip
 
 

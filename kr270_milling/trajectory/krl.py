@@ -59,6 +59,8 @@ class Cell:
     turn: int  #: T of the first point
     load_mass: float = 0.0  #: [kg], spindle and tool, for a comment
     load_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m], in the flange frame
+    revised_status: int | None = None  #: of the compensated program, where its first point differs in that
+    revised_turn: int | None = None
 
 
 def turn_bits(joints) -> int:
@@ -165,7 +167,11 @@ def _modules(program: Program, cell: Cell, kind: str, run: Trajectory, points: n
     abc = np.degrees(abc_from_rotation(rotation_from_quaternion(run.quaternion)))
     rows = np.hstack([run.position * 1e3, abc]) + 0.0
     speed, stops = _speeds(program, run, points), _stops(run)
-    first = f"DECL E6POS XP1={{{_frame(rows[0])},S {cell.status},T {cell.turn},{_external()}}}"
+    status, turn = cell.status, cell.turn
+    if kind == "CMP":  # an axis that starts at zero may be negative in one program only
+        status = status if cell.revised_status is None else cell.revised_status
+        turn = turn if cell.revised_turn is None else cell.revised_turn
+    first = f"DECL E6POS XP1={{{_frame(rows[0])},S {status},T {turn},{_external()}}}"
     src, dat, modules = _preamble(program, cell), [first], {}
     for number, (start, stop) in enumerate(pieces, 1):
         numbers = points[start:stop]
