@@ -1,5 +1,7 @@
 """Errors that carry their numbers; ``str(error)`` is one sentence for the user."""
 
+from __future__ import annotations
+
 import reprlib
 
 __all__ = ["MillingError", "ParameterError", "ConfigError", "InputError"]
