@@ -132,6 +132,7 @@ class Cell(Record):
         slower = limit_by_joints(
             timed.trajectory, joints, self.arm.joint_speed_limit, self.arm.joint_acceleration_limit
         )
+        self._check_stock(slower)
         return dataclasses.replace(timed, trajectory=slower)
 
     def _check_spindle(self, toolpath: Toolpath) -> None:
@@ -143,6 +144,17 @@ class Cell(Record):
             rpm = 30.0 / np.pi * np.array([toolpath.spindle_speed[k], self.tool.spindle_speed])
             reason = f"the spindle speed S{rpm[0]:.6g} is not the tool.spindle_speed_rpm of the cell, {rpm[1]:.6g}"
             raise InputError(self.path.file, reason, int(toolpath.line[k]))
+
+    def _check_stock(self, trajectory: Trajectory) -> None:
+        """A path that leaves the stock alone must be a mistake of placement."""
+        step = self.tool.radius / 8 / max(float(np.max(trajectory.feed(trajectory.time_ns))), 1e-6)
+        stamps = np.linspace(0, trajectory.duration_ns, 2 + int(trajectory.time[-1] / step)).astype(np.int64)
+        at, radius = trajectory.sample(stamps), self.tool.radii.max()
+        beside = np.maximum(np.maximum(self.stock.min - at, at - self.stock.max), 0.0)[:, :2]
+        if not np.any((np.hypot(*beside.T) < radius) & (at[:, 2] < self.stock.max[2])):
+            low, high = self.stock.min * 1e3, self.stock.max * 1e3
+            box = " x ".join(f"{a:g}..{b:g}" for a, b in zip(low, high, strict=True))
+            raise InputError(self.path.file, f"the tool never reaches the stock, which is {box} mm (x, y, z)")
 
     def target(self) -> Trajectory:
         """The programmed trajectory of the tool tip in the workpiece frame, knots at the controller step."""
@@ -196,6 +208,14 @@ class Cell(Record):
     def cut(self) -> Cut:
         """Fresh workpiece."""
         return Cut(self.tool, self.cutting, self.stock, self.exchange.micro_step)
+
+    @property
+    def feed_rate(self) -> float:
+        """[m/s], the highest that is programmed for cutting moves."""
+        if self.timed_path is None:
+            return self.path.feed_rate
+        toolpath = self.timed_path.toolpath
+        return float(np.max(toolpath.feed[~toolpath.rapid], initial=0.0))
 
     @property
     def full_engagement(self) -> float:

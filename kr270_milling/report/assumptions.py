@@ -104,7 +104,7 @@ def _of_the_paper(cell: Cell) -> list[Assumption]:
 
 def _cut(cell: Cell) -> list[Assumption]:
     tool = cell.tool
-    per_tooth = cell.path.feed_rate * 2 * np.pi / tool.spindle_speed / tool.teeth
+    per_tooth = cell.feed_rate * 2 * np.pi / tool.spindle_speed / tool.teeth
     rows = []
     if cell.cutting.law == "fractional":
         force = float(cell.cutting.force_per_depth(per_tooth)[0]) * 1e-3
@@ -165,12 +165,21 @@ def _arm(cell: Cell) -> list[Assumption]:
             f"stiffness {gravity} link weights; the controller {sag} the sag",
             "The constant sag under the arm's own weight is not part of the deviations shown.",
         ),
-        Assumption(
-            "posture",
-            "stiffness and mass of the start of the path hold for the whole pass",
-            f"The path is {cell.path.length * 1e3:.0f} mm long, short beside the arm's reach.",
-        ),
+        _posture(cell),
     ]
+
+
+def _posture(cell: Cell) -> Assumption:
+    if cell.dynamics.follow_pose:
+        spacing = f"{cell.dynamics.posture_spacing * 1e3:g} mm"
+        reason = f"They are computed every {spacing} of the path at most and interpolated linearly in between."
+        return Assumption("posture", "stiffness and mass follow the posture along the path", reason)
+    way = cell.timed_path.toolpath.length if cell.timed_path is not None else cell.path.length
+    return Assumption(
+        "posture",
+        "stiffness and mass of the start of the path hold for the whole pass",
+        f"The path is {way * 1e3:.0f} mm long. Where that is not short beside the arm's reach, set follow_pose.",
+    )
 
 
 def _numerics(cell: Cell) -> list[Assumption]:

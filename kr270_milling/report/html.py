@@ -13,10 +13,12 @@ from markupsafe import Markup
 from kr270_milling import __version__
 from kr270_milling.cell import Cell
 from kr270_milling.config import flatten
+from kr270_milling.part import PartAssessment
 from kr270_milling.passes import ScoredPass, mean_force
 from kr270_milling.report.assumptions import assumptions
 from kr270_milling.report.gallery import Picture
 from kr270_milling.report.paper import PAPER, TABLE_2
+from kr270_milling.report.part_gallery import feature_table, part_verdict
 from kr270_milling.report.symbols import SYMBOLS
 
 __all__ = ["fixed", "page"]
@@ -40,6 +42,7 @@ def page(
     command: str,
     date: str,
     paper: bool,
+    parts: Sequence[PartAssessment] = (),
 ) -> str:
     """The whole HTML text; every text from outside is escaped."""
     environment = jinja2.Environment(
@@ -53,7 +56,8 @@ def page(
         title=title,
         paper=paper,
         paper_source=PAPER,
-        verdict=verdict(passes),
+        verdict=part_verdict(parts) if parts else verdict(passes),
+        part=feature_table(parts) if parts else None,
         run=_run(cell, source, command, date),
         scores=[_score_row(p, paper) for p in passes],
         inputs=_inputs(cell),
@@ -92,10 +96,14 @@ def inline(picture: Picture) -> Markup:
 
 def _run(cell: Cell, source: str, command: str, date: str) -> list[tuple[str, str]]:
     tool, path = cell.tool, cell.path
+    cut = f"{path.length * 1e3:g} mm at {path.feed_rate * 60:g} m/min, {path.depth_of_cut * 1e3:.4g} mm deep"
+    if cell.timed_path is not None:
+        way, duration = cell.timed_path.toolpath.length, cell.target().duration_ns * 1e-9
+        cut = f"{Path(path.file).name}: {way:.4g} m of path, {duration:.4g} s, at most {cell.feed_rate * 60:g} m/min"
     return [
         ("cell", source),
         ("arm", cell.arm.name),
-        ("cut", f"{path.length * 1e3:g} mm at {path.feed_rate * 60:g} m/min, {path.depth_of_cut * 1e3:.4g} mm deep"),
+        ("cut", cut),
         ("tool", f"{tool.diameter * 1e3:g} mm, {tool.teeth} teeth, {tool.spindle_speed * 30 / np.pi:.0f} rpm"),
         ("command", command),
         ("version", f"kr270_milling {__version__}"),
@@ -144,7 +152,7 @@ def _detail_row(cell: Cell, one: ScoredPass) -> dict:
 
 
 def _warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:
-    per_tooth = cell.path.feed_rate * 2 * np.pi / cell.tool.spindle_speed / cell.tool.teeth
+    per_tooth = cell.feed_rate * 2 * np.pi / cell.tool.spindle_speed / cell.tool.teeth
     share = max(float(p.result.correction.max()) for p in passes) / per_tooth
     if share <= cell.exchange.warn_correction:
         return ""
