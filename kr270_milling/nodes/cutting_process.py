@@ -35,7 +35,8 @@ class CuttingProcess(ManagedNode):
 
     def configure(self) -> None:
         self._compile()
-        self._side = CuttingSide(self.cell.cut(), self.cell.clock)
+        self._side, self.stamp_ns = CuttingSide(self.cell.cut(), self.cell.clock), 0
+        self._publish_map()  # so that nobody who comes now takes the last part for this one
         self.report(OK, "configured: fresh workpiece")
 
     def _compile(self) -> None:

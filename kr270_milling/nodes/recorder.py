@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import functools
 import importlib
 import shlex
 import sys
@@ -15,12 +16,12 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from kr270_milling.errors import InputError
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.writer import BagWriter
+from kr270_milling.ros.drain import DEPTH, DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode
 from kr270_milling.ros.spin import run_node
 
 __all__ = ["Recorder", "main"]
 
-DEPTH = 20_000  # messages that may wait for the writer
 LOOK_AROUND = 0.1  # [s] between two looks for new topics and two looks at the chunk's age
 SILENT = ("/rosout", "/parameter_events")  # recorded only when asked for by name
 
@@ -44,6 +45,7 @@ class Recorder(ReportingNode):
         self._there: set[str] = set()  # topics with a publisher
         self._gone: set[str] = set()  # topics that had one
         self.create_timer(LOOK_AROUND, self._look_around)
+        self.create_timer(DRAIN_PERIOD, self._drain)
         self.report(OK, f"recording to {self.writer.path}")
 
     def _text(self, name: str, about: str) -> str:
@@ -99,13 +101,12 @@ class Recorder(ReportingNode):
             self.report(WARN, f"{topic} is not recorded: {error}")
             return
 
-        def keep(data: bytes) -> None:
-            self._keep(self._write, topic, data)
+        write = functools.partial(self.writer.write, topic)
+        self._subscriptions_of[topic] = aside(self, kind, topic, write, _matching(publishers))
 
-        self._subscriptions_of[topic] = self.create_subscription(kind, topic, keep, _matching(publishers), raw=True)
-
-    def _write(self, topic: str, data: bytes) -> None:
-        self.writer.write(topic, data, time.time_ns())
+    def _drain(self) -> None:
+        for _, published, write, data in drain(s for s in self._subscriptions_of.values() if s is not None):
+            self._keep(write, data, published)
 
     def _keep(self, call, *args) -> None:
         """Nothing is written after the first error; the recording so far stays readable."""
@@ -126,6 +127,7 @@ class Recorder(ReportingNode):
 
     def settled(self) -> bool:
         """After a signal: nothing more came in since the last look."""
+        self._drain()
         before, self._before = self._before, self.writer.count
         return before == self.writer.count
 
@@ -158,7 +160,7 @@ def _matching(publishers) -> QoSProfile:
 
 def main(args: list[str] | None = None) -> int:
     """Console script ``recorder``."""
-    return run_node(Recorder, args)
+    return run_node(Recorder, args, drained=True)
 
 
 if __name__ == "__main__":

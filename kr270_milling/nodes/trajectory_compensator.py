@@ -14,6 +14,7 @@ from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.frames import rotation_from_quaternion
 from kr270_milling.passes import commanded_joints, compensator
 from kr270_milling.ros import messages, raw, topics
+from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded
 from kr270_milling.ros.parameters import declare_cell
 from kr270_milling.ros.spin import run_node
@@ -42,12 +43,13 @@ class TrajectoryCompensator(ReportingNode):
         self._joints = self.create_publisher(*topics.JOINT_TRAJECTORY)
         target, pose, wrench = topics.TARGET_TRAJECTORY, topics.TOOL_POSE, topics.WRENCH
         self.create_subscription(target.type, target.name, self._on_target, target.qos)
-        self._pose = self.create_subscription(pose.type, pose.name, self._on_pose, pose.qos, raw=True)
-        self._wrench = self.create_subscription(wrench.type, wrench.name, self._on_wrench, wrench.qos, raw=True)
+        self._pose = aside(self, pose.type, pose.name, self._on_pose, pose.qos)
+        self._wrench = aside(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
         self.create_service(Trigger, "reset", self._on_reset)
         self.compensator, self._revision = None, 0
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(LOOK, self._watch_pass)
+        self.create_timer(DRAIN_PERIOD, self._drain)
         if own:
             self._begin(self.cell.target())
         else:
@@ -89,6 +91,11 @@ class TrajectoryCompensator(ReportingNode):
         self._wrenches: dict[int, np.ndarray] = {}  # stamp -> on the tool, workpiece axes
         self._last_poses = self._last_wrenches = self.cell.exchange.iterations
         self._ended = None  # when the last pose came [s of the wall]
+
+    @guarded
+    def _drain(self) -> None:
+        for _, _, callback, data in drain((self._pose, self._wrench)):
+            callback(data)
 
     @guarded
     def _on_wrench(self, data: bytes) -> None:
@@ -179,7 +186,7 @@ class TrajectoryCompensator(ReportingNode):
 
 def main(args: list[str] | None = None) -> int:
     """Console script ``trajectory_compensator``."""
-    return run_node(TrajectoryCompensator, args)
+    return run_node(TrajectoryCompensator, args, drained=True)
 
 
 if __name__ == "__main__":

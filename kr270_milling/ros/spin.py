@@ -9,6 +9,7 @@ import sys
 import rclpy
 from rclpy.context import Context
 from rclpy.exceptions import ParameterException
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
@@ -18,10 +19,11 @@ from kr270_milling.ros.environment import PARENT, keep_to_this_host
 __all__ = ["run_node"]
 
 
-def run_node(make, args: list[str] | None = None) -> int:
+def run_node(make, args: list[str] | None = None, drained: bool = False) -> int:
     """Spin ``make(context=...)`` until a signal, until its parent is gone, or until it sets ``failure`` or ``done``.
 
     Exit code: 0 after a signal or when done, 1 when the node failed, 2 when it could not be made (bad parameters).
+    drained: the node takes its messages itself, by ``drain``, which EventsExecutor would do in its place.
     rclpy's own signal handlers now and then end with 1, and EventsExecutor.spin() does not return on a signal.
     """
     stop: list[int] = []
@@ -41,7 +43,7 @@ def run_node(make, args: list[str] | None = None) -> int:
         except (MillingError, ParameterException) as error:
             print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
             return 2
-        return _spin(node, EventsExecutor(context=context), stop)
+        return _spin(node, (SingleThreadedExecutor if drained else EventsExecutor)(context=context), stop)
     finally:
         context.try_shutdown()
 
