@@ -102,6 +102,14 @@ def test_learning_keeps_the_target_where_every_revision_harms():
     assert found.finished and found.errors[1] > found.errors[0]
 
 
+@pytest.mark.parametrize(("share", "passes"), [(-0.995, 2), (-0.98, 4)])
+def test_learning_stops_at_a_pass_that_brings_less_than_a_percent(share, passes):
+    """An arm that takes all but 1 + share of each correction back."""
+    found = compensator("learned", max_passes=3)
+    found.improve(pass_along(TARGET, share), lambda r: pass_along(r, share))
+    assert found.finished and len(found.errors) == passes
+
+
 def test_learning_stops_where_noise_is_all_that_is_left():
     found = compensator("learned", max_passes=50)
     found.improve(pass_along(TARGET, noise=1e-6), lambda r: pass_along(r, noise=1e-6))

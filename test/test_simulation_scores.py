@@ -42,9 +42,9 @@ def test_a_tool_that_rests_has_no_deviation():
 
 
 def test_the_static_deviation_is_the_mean_over_the_last_quarter():
-    """Samples 6 and 7 of 8."""
-    y = np.array([100.0, 90, 80, 70, 60, 50, 4, 2]) * 1e-6
-    found = score(np.arange(8.0), np.outer(y, Y), np.zeros((8, 3)), along(X, 8), 0.0, 6.7, y)
+    """Samples 9, 10 and 11 of 12."""
+    y = np.array([100.0, 90, 80, 70, 60, 50, 40, 30, 20, 4, 3, 2]) * 1e-6
+    found = score(np.arange(12.0), np.outer(y, Y), np.zeros((12, 3)), along(X, 12), 0.0, 6.7, y)
     assert found.static_deviation == pytest.approx(3e-6, rel=1e-12) and found.low_frequency == 6.7
 
 
