@@ -11,7 +11,7 @@ import numpy as np
 from kr270_milling.cell import Cell
 from kr270_milling.errors import ParameterError
 from kr270_milling.trajectory.trajectory import Trajectory
-from kr270_milling.verdict.samples import perturbed, run_sample
+from kr270_milling.verdict.samples import coarser, perturbed, run_sample
 
 __all__ = ["HELPS", "INDIFFERENT", "UNTRUSTED", "Verdict", "judge", "monte_carlo"]
 
@@ -70,12 +70,11 @@ def monte_carlo(
     if not samples >= 1:
         raise ParameterError("samples", samples, "a whole number of at least 1")
     scored_from = None if cell.path.file else cell.full_engagement
+    nominal = coarser(cell) if cell.path.file else cell
     rows = np.full((samples, 2, 2), np.nan)
     start, done = time.perf_counter(), 0
     while done < samples:
-        plant = perturbed(cell, rng)
-        for k, reference in enumerate((target, revised)):
-            rows[done, k] = run_sample(plant, target, reference, scored_from)
+        rows[done] = run_sample(perturbed(nominal, rng), target, (target, revised), scored_from)
         done += 1
         if done == 2:  # the first one may have had to compile
             each = (time.perf_counter() - start) / 2
