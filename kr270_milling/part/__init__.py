@@ -5,9 +5,9 @@ from __future__ import annotations
 from kr270_milling.part.assessment import FeatureRow, PartAssessment, assess, assess_all
 from kr270_milling.part.machined import heights_at, machined
 from kr270_milling.part.stl import write_stl
-from kr270_milling.part.surface import Floors, Surface, Walls, surface
+from kr270_milling.part.surface import Floors, IdealPart, Surface, Walls, ideal_part, surface
 
 __all__ = [
-    "FeatureRow", "Floors", "PartAssessment", "Surface", "Walls", "assess", "assess_all", "heights_at", "machined",
-    "surface", "write_stl",
+    "FeatureRow", "Floors", "IdealPart", "PartAssessment", "Surface", "Walls", "assess", "assess_all", "heights_at",
+    "ideal_part", "machined", "surface", "write_stl",
 ]  # fmt: skip

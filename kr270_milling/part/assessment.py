@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.cell import Cell
-from kr270_milling.cutting import Cut
 from kr270_milling.part.course import Course, course, deviations
-from kr270_milling.part.machined import machined
-from kr270_milling.part.surface import Surface, surface
+from kr270_milling.part.surface import IdealPart, Surface, ideal_part, surface
 from kr270_milling.passes import ScoredPass
 
 __all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all"]
@@ -92,14 +90,14 @@ class PartAssessment:
         }
 
 
-def assess(cell: Cell, ran: ScoredPass, rigid: Cut | None = None) -> PartAssessment:
-    """Assess a pass of a cell; rigid: the workpiece that the target itself leaves, if it is known already."""
+def assess(cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None) -> PartAssessment:
+    """Assess a pass of a cell; ideal: the part that the target itself leaves, if it is known already."""
     result = ran.result
     path = course(cell, result.time_ns)
     deviation = deviations(path, result.actual - result.target)
     force = np.linalg.norm(result.wrench[:, :3], axis=1)
     power = result.torque * cell.tool.spindle_speed
-    left = surface(cell, path, result.target, result.actual, rigid)
+    left = surface(cell, path, result.target, result.actual, ideal)
     series = (path, deviation, result.volume > 0.0, force, result.torque, power, left)
     features = range(len(path.features))
     rows = [_row(name, series, k) for k, name in zip(features, path.features, strict=True)]
@@ -109,9 +107,10 @@ def assess(cell: Cell, ran: ScoredPass, rigid: Cut | None = None) -> PartAssessm
 
 def assess_all(cell: Cell, passes: Sequence[ScoredPass]) -> tuple[PartAssessment, ...]:
     """Several passes of one cell; the part of the rigid arm is made once."""
-    rigid = machined(cell, passes[0].result.target)
-    same = [np.array_equal(p.result.target, passes[0].result.target) for p in passes]
-    return tuple(assess(cell, p, rigid if s else None) for p, s in zip(passes, same, strict=True))
+    first = passes[0].result
+    ideal = ideal_part(cell, course(cell, first.time_ns), first.target)
+    same = [np.array_equal(p.result.target, first.target) for p in passes]
+    return tuple(assess(cell, p, ideal if s else None) for p, s in zip(passes, same, strict=True))
 
 
 def _row(name: str, series: tuple, feature: int | None) -> FeatureRow:

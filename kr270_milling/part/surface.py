@@ -14,12 +14,12 @@ import numpy as np
 from scipy.ndimage import maximum_filter, minimum_filter
 
 from kr270_milling.cell import Cell
-from kr270_milling.cutting import Cut
+from kr270_milling.cutting import Stock
 from kr270_milling.part.course import Course
 from kr270_milling.part.machined import machined
-from kr270_milling.part.walls import Walls, marks, remaining_walls
+from kr270_milling.part.walls import IdealWalls, Walls, ideal_walls, marks, remaining_walls
 
-__all__ = ["Floors", "Surface", "Walls", "surface"]
+__all__ = ["Floors", "IdealPart", "Surface", "Walls", "ideal_part", "surface"]
 
 MOST_NODES = 400  #: of the map of floors along the longer side of the stock
 SLOPE = 0.02  #: a steeper floor is a wall
@@ -50,32 +50,52 @@ class Surface:
     floor_resolution: float  #: [m]
 
 
-def surface(cell: Cell, path: Course, target: np.ndarray, actual: np.ndarray, rigid: Cut | None = None) -> Surface:
+@dataclass(frozen=True, eq=False)
+class IdealPart:
+    """What a rigid arm would leave: thinned, so that a large workpiece need not be kept."""
+
+    x: np.ndarray  #: [m], (a,)
+    y: np.ndarray  #: [m], (b,)
+    height: np.ndarray  #: [m], (a, b)
+    owner: np.ndarray  #: index of the feature that made each floor, (a, b); -1: none
+    walls: IdealWalls
+    level: float  #: of the height map [m]
+    thinning: int
+
+
+def ideal_part(cell: Cell, path: Course, target: np.ndarray) -> IdealPart:
+    """The part after a rigid arm moved the tool tip through ``target`` (n + 1, 3) [m]."""
+    cut = machined(cell, target)
+    thinning, level = max(1, round(max(cell.stock.nodes) / MOST_NODES)), cut.params.level_step
+    x, y, height = cut.heights(thinning=thinning)
+    owner = _owners(x, y, height, path, target, cell.tool.radius, level)
+    walls = ideal_walls(cut, marks(cell.tool, path, cell.clock.period, target))
+    return IdealPart(x, y, height, owner, walls, level, thinning)
+
+
+def surface(
+    cell: Cell, path: Course, target: np.ndarray, actual: np.ndarray, ideal: IdealPart | None = None
+) -> Surface:
     """Surface errors of a pass with tool centres ``actual`` where ``target`` was wanted, (n + 1, 3) [m].
 
-    rigid: the workpiece that the target leaves, if it is known already.
+    ideal: the part that the target itself leaves, if it is known already.
     """
-    rigid = machined(cell, target) if rigid is None else rigid
-    cut = machined(cell, actual)
+    ideal = ideal_part(cell, path, target) if ideal is None else ideal
+    walls = remaining_walls(ideal.walls, path, actual - target, ideal.level)
+    machined_height = machined(cell, actual).heights(thinning=ideal.thinning)[2]
     largest = float(np.abs(actual - target)[:, :2].max(initial=0.0))
-    floors = _floors(rigid, cut, path, target, cell.tool.radius, largest)
-    found = marks(cell.tool, path, cell.clock.period, target, actual)
-    walls = remaining_walls(rigid, path, found)
-    return Surface(floors, walls, 2.0 * rigid.params.level_step + cell.stock.floor_tolerance)
+    floors = _floors(cell.stock, ideal, machined_height, largest)
+    return Surface(floors, walls, 2.0 * ideal.level + cell.stock.floor_tolerance)
 
 
-def _floors(rigid: Cut, cut: Cut, path: Course, target: np.ndarray, radius: float, largest: float) -> Floors:
+def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) -> Floors:
     """largest: deviation in the plane [m]; nodes that are nearer to a wall may be on its other side."""
-    stock = rigid.stock
-    thinning = max(1, round(max(stock.nodes) / MOST_NODES))
-    x, y, height = rigid.heights(thinning=thinning)
-    error = cut.heights(thinning=thinning)[2] - height
-    spacing, level = stock.grid_step * thinning, rigid.params.level_step
+    spacing = stock.grid_step * ideal.thinning
     width = 1 + 2 * int(np.ceil((largest + 2.0 * stock.grid_step) / spacing))
-    rise = maximum_filter(height, width, mode="nearest") - minimum_filter(height, width, mode="nearest")
-    floor = (rise <= 2.0 * level + SLOPE * width * spacing) & (height < stock.max[2] - 0.5 * level)
-    error = np.where(floor, error, np.nan)
-    return Floors(x, y, height, error, _owners(x, y, height, path, target, radius, level))
+    rise = maximum_filter(ideal.height, width, mode="nearest") - minimum_filter(ideal.height, width, mode="nearest")
+    floor = (rise <= 2.0 * ideal.level + SLOPE * width * spacing) & (ideal.height < stock.max[2] - 0.5 * ideal.level)
+    error = np.where(floor, height - ideal.height, np.nan)
+    return Floors(ideal.x, ideal.y, ideal.height, error, ideal.owner)
 
 
 def _owners(x, y, height, path: Course, target: np.ndarray, radius: float, level: float) -> np.ndarray:
