@@ -115,7 +115,9 @@ class Cell(Record):
             return None
         toolpath = read_toolpath(self.path.file)
         self._check_spindle(toolpath)
-        return time_path(toolpath, self.timing)
+        timed = time_path(toolpath, self.timing)
+        self._check_stock(timed)
+        return timed
 
     @functools.cached_property
     def timed_path(self) -> TimedPath | None:
@@ -132,7 +134,6 @@ class Cell(Record):
         slower = limit_by_joints(
             timed.trajectory, joints, self.arm.joint_speed_limit, self.arm.joint_acceleration_limit
         )
-        self._check_stock(slower)
         return dataclasses.replace(timed, trajectory=slower)
 
     def _check_spindle(self, toolpath: Toolpath) -> None:
@@ -145,16 +146,21 @@ class Cell(Record):
             reason = f"the spindle speed S{rpm[0]:.6g} is not the tool.spindle_speed_rpm of the cell, {rpm[1]:.6g}"
             raise InputError(self.path.file, reason, int(toolpath.line[k]))
 
-    def _check_stock(self, trajectory: Trajectory) -> None:
-        """A path that leaves the stock alone must be a mistake of placement."""
-        step = self.tool.radius / 8 / max(float(np.max(trajectory.feed(trajectory.time_ns))), 1e-6)
-        stamps = np.linspace(0, trajectory.duration_ns, 2 + int(trajectory.time[-1] / step)).astype(np.int64)
-        at, radius = trajectory.sample(stamps), self.tool.radii.max()
+    def _check_stock(self, timed: TimedPath) -> None:
+        """A path that leaves the stock alone must be a mistake of placement, or of the unit."""
+        run, toolpath = timed.trajectory, timed.toolpath
+        step = self.tool.radius / 8 / max(float(np.max(run.feed(run.time_ns))), 1e-6)
+        stamps = np.linspace(0, run.duration_ns, 2 + int(min(run.time[-1] / step, MOST_STEPS))).astype(np.int64)
+        at, radius = run.sample(stamps), self.tool.radii.max()
         beside = np.maximum(np.maximum(self.stock.min - at, at - self.stock.max), 0.0)[:, :2]
-        if not np.any((np.hypot(*beside.T) < radius) & (at[:, 2] < self.stock.max[2])):
-            low, high = self.stock.min * 1e3, self.stock.max * 1e3
-            box = " x ".join(f"{a:g}..{b:g}" for a, b in zip(low, high, strict=True))
-            raise InputError(self.path.file, f"the tool never reaches the stock, which is {box} mm (x, y, z)")
+        if np.any((np.hypot(*beside.T) < radius) & (at[:, 2] < self.stock.max[2])):
+            return
+        path, box = _extent(at.min(axis=0), at.max(axis=0)), _extent(self.stock.min, self.stock.max)
+        cutting = np.flatnonzero(~toolpath.rapid[1:]) + 1
+        line = int(toolpath.line[cutting[0] if cutting.size else 0])
+        hint = "check the datum and the unit (G20, G21)"
+        reason = f"the tool never reaches the stock: it goes through {path} mm, the stock fills {box} mm; {hint}"
+        raise InputError(self.path.file, reason, line)
 
     def target(self) -> Trajectory:
         """The programmed trajectory of the tool tip in the workpiece frame, knots at the controller step."""
@@ -228,6 +234,11 @@ class Cell(Record):
     def scored_from_ns(self) -> int:
         """[ns], full engagement as a stamp."""
         return round(self.full_engagement * 1e9)
+
+
+def _extent(low: np.ndarray, high: np.ndarray) -> str:
+    """A box [m] in words, in mm."""
+    return ", ".join(f"{axis} {1e3 * a:.6g} to {1e3 * b:.6g}" for axis, a, b in zip("xyz", low, high, strict=True))
 
 
 def read_cell(path, assignments=()) -> Cell:

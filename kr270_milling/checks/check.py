@@ -8,7 +8,7 @@ import numpy as np
 
 from kr270_milling.cell import Cell
 from kr270_milling.checks.arm import arm_findings
-from kr270_milling.checks.cut import cut_findings, missed_stock
+from kr270_milling.checks.cut import cut_findings
 from kr270_milling.errors import InputError
 from kr270_milling.passes import ScoredPass, simulate
 from kr270_milling.trajectory.limits import Finding, corner_blending, correction_per_tick, correction_size
@@ -59,7 +59,7 @@ def check(
     """Check the cell's own path, or a corrected one; motion: LIN or SPLINE, default: that of ``program``.
 
     ran: the pass along it, if it was simulated already. Where the arm cannot make the path, nothing is simulated.
-    Raises InputError for a path that cannot be read and for a reference of another path.
+    Raises InputError for a path that cannot be read or misses the stock, and for a reference of another path.
     """
     fed = cell.fed_path
     programmed = cell.target() if fed is None else fed.trajectory
@@ -74,8 +74,6 @@ def check(
         if ran is None:
             ran = simulate(cell, run, "checked", progress)
         found += cut_findings(cell, run, ran)
-    elif (sentence := missed_stock(cell, run)) is not None:
-        found.append(Finding("stock missed", 1, 0.0, 0.0, "stop", sentence))
     found = sorted(found, key=lambda f: (SEVERITIES.index(f.severity), f.point))
     return Checked(tuple(found), _lines(cell, found), len(run), ran if reachable else None)
 
