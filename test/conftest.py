@@ -1,0 +1,159 @@
+"""What the ROS tests share: a domain of their own, a context, nodes stepped by hand, conditions with deadlines."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+
+#: a pass of 120 exchanges: air, the first touch and some teeth in the stock
+SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]")
+
+
+@pytest.fixture
+def domain():
+    """A ROS domain id that no other test run on this machine uses now; locked by a file, given back by the kernel."""
+    directory = Path(tempfile.gettempdir(), "kr270_milling_domains")
+    directory.mkdir(exist_ok=True)
+    for offset in range(100):
+        number = 1 + (os.getpid() + offset) % 100
+        with open(directory / str(number), "w") as stream:
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                continue
+            yield number
+            return
+    pytest.fail("every ROS domain id is in use by another test run")
+
+
+@pytest.fixture
+def ros_environment(domain, monkeypatch):
+    """For processes that a test starts."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.delenv(name, raising=False)
+    root = str(Path(__file__).parents[1])
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")])))
+    return dict(os.environ)
+
+
+@pytest.fixture(scope="session")
+def short_cell():
+    from kr270_milling.cell import read_cell
+    from kr270_milling.config_file import find_file
+
+    return read_cell(find_file("paper.yaml"), SHORT)
+
+
+@pytest.fixture
+def world(domain, monkeypatch):
+    """Nodes in one context, stepped by hand."""
+    pytest.importorskip("rclpy")
+    from kr270_milling.ros.environment import keep_to_this_host
+
+    keep_to_this_host()
+    with contextlib.closing(World(domain)) as made:
+        yield made
+
+
+class World:
+    """A context, an executor and the nodes in it."""
+
+    def __init__(self, domain: int):
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.signals import SignalHandlerOptions
+
+        self.context = Context()
+        rclpy.init(args=[], context=self.context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.nodes: list = []
+
+    def add(self, kind, *arguments: str, cell=None, directory: Path | None = None, **kwargs):
+        """A node of this package; arguments as behind --ros-args; cell: its parameters."""
+        from kr270_milling.ros.cell_file import write_cell
+
+        arguments = list(arguments)
+        if cell is not None:
+            file = Path(directory, f"cell_{len(self.nodes)}.yaml")
+            write_cell(cell, file)
+            arguments = ["--params-file", str(file), *arguments]
+        node = kind(context=self.context, use_global_arguments=False, cli_args=["--ros-args", *arguments], **kwargs)
+        return self.take(node)
+
+    def partner(self, name: str = "partner", namespace: str = "/"):
+        """A plain node that plays a part of the graph."""
+        from rclpy.node import Node
+
+        return self.take(Node(name, namespace=namespace, context=self.context, use_global_arguments=False))
+
+    def take(self, node):
+        self.executor.add_node(node)
+        self.nodes.append(node)
+        return node
+
+    def remove(self, node) -> None:
+        """As if its process had ended."""
+        self.executor.remove_node(node)
+        self.nodes.remove(node)
+        node.destroy_node()
+
+    def until(self, condition, deadline: float = 10.0, what: str = ""):
+        """Step the nodes until the condition holds; returns its value."""
+        end = time.monotonic() + deadline
+        while not (value := condition()):
+            assert time.monotonic() < end, f"not within {deadline} s: {what or condition}"
+            self.executor.spin_once(timeout_sec=0.02)
+        return value
+
+    def step(self, seconds: float) -> None:
+        """Let wall time pass for what must NOT happen."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.01)
+
+    def listen(self, node, topic, callback=None) -> list:
+        """Everything that comes on a topic of the table."""
+        heard: list = []
+        node.create_subscription(topic.type, topic.name, callback or heard.append, topic.qos)
+        return heard
+
+    def diagnostics(self, node) -> Diagnostics:
+        return Diagnostics(self, node)
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        for node in self.nodes:
+            node.destroy_node()
+        self.context.try_shutdown()
+
+
+class Diagnostics:
+    """What the nodes said in /diagnostics."""
+
+    def __init__(self, world: World, node):
+        from kr270_milling.ros import topics
+
+        self.all: list[tuple[str, int, str]] = []  # node, level, message
+        self.last: dict = {}  # node -> values
+        topic = topics.DIAGNOSTICS
+        node.create_subscription(topic.type, topic.name, self._hear, topic.qos)
+        self._world = world
+
+    def _hear(self, msg) -> None:
+        for status in msg.status:
+            self.all.append((status.name, status.level[0], status.message))
+            self.last[status.name] = {pair.key: pair.value for pair in status.values}
+
+    def said(self, node: str, text: str, level: int | None = None) -> bool:
+        return any(n == node and text in m and level in (None, v) for n, v, m in self.all)
+
+    def until(self, node: str, text: str, level: int | None = None, deadline: float = 10.0) -> None:
+        self._world.until(lambda: self.said(node, text, level), deadline, f"{node}: {text!r}; heard {self.all[-5:]}")
