@@ -110,15 +110,18 @@ def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_comp
     )  # fmt: skip
 
 
-def compensated(cell: Cell, original: ScoredPass, method: str, progress=None) -> ScoredPass:
-    """The pass along the trajectory that ``method`` makes from the original pass."""
+def compensated(
+    cell: Cell, original: ScoredPass, method: str, progress=None, by: Compensator | None = None
+) -> ScoredPass:
+    """The pass along the trajectory that ``method`` makes from the original pass; by: a compensator to do it with."""
     passes: dict[int, ScoredPass] = {}
 
     def run(reference: Trajectory) -> PassRecord:
         passes[id(reference)] = simulate(cell, reference, method, progress)
         return record_of(cell, passes[id(reference)].result)
 
-    reference = compensator(cell, cell.target(), method).improve(record_of(cell, original.result), run)
+    by = by or compensator(cell, cell.target(), method)
+    reference = by.improve(record_of(cell, original.result), run)
     return passes.get(id(reference)) or simulate(cell, reference, method, progress)
 
 

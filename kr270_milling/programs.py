@@ -18,7 +18,7 @@ from kr270_milling.trajectory.rsi import RSI_TICKS_NS, write_joint_table, write_
 from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.trajectory.trajectory_csv import write_csv
 
-__all__ = ["as_commanded", "source_hash", "write_programs"]
+__all__ = ["as_commanded", "remove_stale", "source_hash", "write_programs"]
 
 
 def write_programs(
@@ -60,6 +60,15 @@ def write_programs(
         write_joint_table(path, run, q)
     write_csv(files["trajectory"][0], revised, joints[1])
     return files
+
+
+def remove_stale(folder, name: str, kept: Sequence[Path]) -> list[Path]:
+    """Remove modules of a longer program of this name that was in the folder before; returns them."""
+    pattern, kept = re.compile(rf"{re.escape(name)}_(ORG|CMP)(_[0-9]{{3}})?\.(src|dat)"), {path.name for path in kept}
+    found = [p for p in sorted(Path(folder).iterdir()) if pattern.fullmatch(p.name) and p.name not in kept]
+    for path in found:
+        path.unlink()
+    return found
 
 
 def as_commanded(cell: Cell, run: Trajectory, joints) -> Trajectory:

@@ -1,42 +1,220 @@
-"""``kr270_milling compensate``: the revised trajectory of a cell and what it is predicted to achieve."""
+"""``kr270_milling compensate``: the revised trajectory of a cell, what it is predicted to achieve, and the programs.
+
+Exit code 1 where the check finds that the revised path must not be run; everything is written all the same.
+"""
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json, print_table, progress
+from kr270_milling.commands.console import add_cell, add_common, print_json, print_table, progress
 from kr270_milling.compensation.methods import METHODS
+
+SAMPLES = 32
+BUDGET = 300.0  #: [s], of the verdict; beyond it fewer plants are run
+SHOWN = 3  #: limited stretches that are printed
 
 
 def add_arguments(parser) -> None:
     add_cell(parser)
     parser.add_argument("--method", choices=METHODS, help="default: the cell's compensation.method")
-    parser.add_argument("--out", metavar="DIR", required=True, help="where the revised trajectory goes")
+    parser.add_argument("--out", metavar="DIR", default="out", help="where everything goes (default: out)")
+    parser.add_argument(
+        "--krl", choices=("LIN", "SPLINE"), action="append",
+        help="motions of the robot programs; may be given twice (default: the cell's program.motion)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--verdict", metavar="N", type=_count, nargs="?", const=SAMPLES,
+        help=f"judge the compensation by N plants (default {SAMPLES}) drawn from the cell's uncertainty; by fewer, but "
+        f"at least 8, where they take more than {BUDGET:.0f} s",
+    )  # fmt: skip
+    parser.add_argument("--seed", metavar="N", type=_count, default=1, help="of the verdict's plants (default: 1)")
     add_common(parser)
 
 
-def run(args) -> None:
+def _count(text: str) -> int:
+    import argparse
+
+    if not (text.isascii() and text.isdigit() and 1 <= len(text) <= 6 and int(text) >= 1):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 999999")
+    return int(text)
+
+
+def run(args) -> int:
     from kr270_milling.cell import read_cell
     from kr270_milling.config import find_file
-    from kr270_milling.passes import commanded_joints, compensated, simulate
-    from kr270_milling.trajectory.trajectory_csv import write_csv
+    from kr270_milling.passes import compensated, compensator, simulate
+    from kr270_milling.staging import staged
 
-    cell = read_cell(find_file(args.cell), args.set)
+    source = find_file(args.cell)
+    cell = read_cell(source, args.set)
     method = args.method or cell.compensation.method
-    directory = output_directory(args.out)
-    with progress("original pass") as report:
-        original = simulate(cell, progress=report)
-    with progress(f"{method} pass") as report:
-        revised = compensated(cell, original, method, report)
-    path = directory / f"reference_{method}.csv"
-    write_csv(path, revised.reference, commanded_joints(cell, revised.reference))
-    found = {"method": method, "trajectory": str(path), "points": len(revised.reference)}
-    found |= {k: v for k, v in revised.row().items() if k != "name"}
-    found["original"] = {k: v for k, v in original.row().items() if k != "name"}
+    with staged(args.out) as (draft, final):
+        with progress("original pass") as report:
+            original = simulate(cell, progress=report)
+        by = compensator(cell, cell.target(), method)
+        with progress(f"{method} pass") as report:
+            revised = compensated(cell, original, method, report, by)
+        passes = original, revised
+        found = {"method": method, "points": len(revised.reference)}
+        found |= {k: v for k, v in revised.row().items() if k != "name"}
+        found["original"] = {k: v for k, v in original.row().items() if k != "name"}
+        found |= _correction(cell, revised, by)
+        parts = _parts(cell, passes)
+        found["features"] = {part.name: part.table() for part in parts}
+        checked = _check(cell, revised, args.krl)
+        found["check"] = checked.as_dict()
+        found["verdict"] = _verdict(cell, revised, args)
+        found |= _write(draft, final, cell, passes, parts, args, source)
+    _remove_stale(cell, found["programs"])
     if args.json:
         print_json(found)
-        return
-    rows = [
-        [p.name, f"{p.scores.static_deviation * 1e6:.2f}", f"{p.scores.max_deviation * 1e6:.2f}"]
-        for p in (original, revised)
-    ]
-    print_table("Predicted path deviation [um]", ["pass", "static", "max"], rows)
-    print(f"{found['points']} reference points: {path}")
+    else:
+        _print(cell, passes, found, checked)
+    return 1 if checked.stops else 0
+
+
+def _correction(cell, revised, by) -> dict:
+    """How large the correction is, and what of it was not let through."""
+    import dataclasses
+
+    import numpy as np
+
+    from kr270_milling.compensation.revision import chord_error
+
+    size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
+    limited = [dataclasses.asdict(part) | {"sentence": part.sentence} for part in by.limited]
+    found = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
+    if by.errors[1:]:
+        found["remaining_errors_mm"] = [1e3 * error for error in by.errors]
+    if by.method == "linear":
+        found["chord_error_mm"] = 1e3 * chord_error(cell.target())
+    return found
+
+
+def _parts(cell, passes) -> tuple:
+    """Assessments feature by feature, of a tool path."""
+    if not cell.path.file:
+        return ()
+    from kr270_milling.part import assess_all
+
+    with progress("surfaces"):
+        return assess_all(cell, passes)
+
+
+def _check(cell, revised, motions):
+    """What ``kr270_milling check`` finds, for LIN motions if there are any: these are blended."""
+    from kr270_milling.checks.check import check
+
+    motions = motions or [cell.program.motion]
+    return check(cell, revised.reference, "LIN" if "LIN" in motions else motions[0], ran=revised)
+
+
+def _verdict(cell, revised, args) -> dict | None:
+    if args.verdict is None:
+        return None
+    import numpy as np
+
+    from kr270_milling.verdict.verdict import monte_carlo
+
+    rng = np.random.default_rng(args.seed)
+    with progress("verdict") as report:
+        return monte_carlo(
+            cell, cell.target(), revised.reference, rng, args.verdict, budget=BUDGET, seed=args.seed, progress=report
+        ).as_dict()
+
+
+def _write(draft, final, cell, passes, parts, args, source) -> dict:
+    """All files; their final paths by kind."""
+    import datetime
+
+    from kr270_milling.programs import source_hash, write_programs
+
+    date = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+    original, revised = passes
+    with progress("files"):
+        files = write_programs(
+            draft, cell, original.reference, revised.reference, method=revised.name, date=date,
+            motions=args.krl or (), source=source_hash(cell),
+        )  # fmt: skip
+        placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
+        placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
+        if parts:
+            placed |= _write_part(draft, final, cell, passes, parts, args, source, date)
+    return placed
+
+
+def _remove_stale(cell, programs: dict) -> None:
+    from pathlib import Path
+
+    from kr270_milling.programs import remove_stale
+
+    for kind, paths in programs.items():
+        if kind.startswith("krl_"):
+            remove_stale(Path(paths[0]).parent, cell.program.name, [Path(path) for path in paths])
+
+
+def _write_part(draft, final, cell, passes, parts, args, source, date: str) -> dict:
+    """Report with the error maps, and the part as it is predicted."""
+    from kr270_milling.part import machined, write_stl
+    from kr270_milling.report import write_report
+
+    title = f"{cell.path.file.rsplit('/', 1)[-1]}: before and after compensation ({passes[1].name})"
+    report = write_report(
+        draft, cell, passes, title=title, source=str(source), command="kr270_milling compensate", date=date,
+        parts=parts,
+    )  # fmt: skip
+    stl = draft / f"part_{passes[1].name}.stl"
+    write_stl(stl, machined(cell, passes[1].result.actual))
+    return {"report": str(final(report)), "part": str(final(stl))}
+
+
+def _print(cell, passes, found: dict, checked) -> None:
+    from kr270_milling.commands.check import print_findings
+
+    if cell.path.file:
+        _print_features(found["features"], found["method"])
+    else:
+        rows = [
+            [p.name, f"{p.scores.static_deviation * 1e6:.2f}", f"{p.scores.max_deviation * 1e6:.2f}"] for p in passes
+        ]
+        print_table("Predicted path deviation [um]", ["pass", "static", "max"], rows)
+    print(f"largest correction {found['largest_correction_mm']:.4f} mm")
+    for part in found["limited"][:SHOWN]:
+        print(part["sentence"])
+    if len(found["limited"]) > SHOWN:
+        print(f"and so at {len(found['limited']) - SHOWN} more places (--json lists them)")
+    if "chord_error_mm" in found:
+        print(f"LIN chords stand off the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um")
+    print_findings(checked)
+    if found["verdict"]:
+        _print_verdict(found["verdict"])
+    print(f"{found['points']} reference points: {found['trajectory']}")
+    for kind, paths in found["programs"].items():
+        print(f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}")
+    for kind in ("report", "part"):
+        if kind in found:
+            print(f"{kind}: {found[kind]}")
+
+
+def _print_features(features: dict, method: str) -> None:
+    """Before and after, side by side."""
+    before, after = ({row["feature"]: row for row in features[name]} for name in ("original", method))
+    keys = ("max_normal_um", "mean_normal_um", "max_wall_error_um", "max_floor_error_um")
+    rows = []
+    for name, row in before.items():
+        pairs = [(row[key], after.get(name, {}).get(key, float("nan"))) for key in keys]
+        rows.append([name] + [f"{v:.1f}".replace("nan", "-") for pair in pairs for v in pair])
+    columns = ["feature", "max", "after", "mean", "after", "wall", "after", "floor", "after"]
+    print_table(
+        f"Before and after ({method}) [um]: deviation to the side while cutting, errors that remain", columns, rows
+    )
+
+
+def _print_verdict(verdict: dict) -> None:
+    rows = []
+    for which in ("original", "compensated"):
+        for name in ("max", "static"):
+            band = verdict[which][f"{name}_deviation_mm"]
+            rows.append([f"{which}, {name}"] + [f"{1e3 * v:.1f}" for v in band])
+    title = f"{verdict['samples']} plants, seed {verdict['seed']}: deviation [um]"
+    print_table(title, ["", "5 %", "50 %", "95 %"], rows)
+    print(f"verdict: compensation {verdict['verdict']}: {verdict['reason']}")
