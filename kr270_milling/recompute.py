@@ -6,8 +6,11 @@ the nodes. Several robots in their namespaces are recomputed side by side, with 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
+
+import numpy as np
 
 from kr270_milling import __version__
 from kr270_milling.cell import Cell
@@ -150,9 +153,10 @@ class Robots:
         namespaces = sorted({ns for ns, _ in self._names.values()})
         firsts, openings = self._first_references(), self._reports()
         self._openings = {ns: found[0] for ns, found in openings.items()}
-        self.robots = {
-            ns: Robot(self.cell, ns, self._channels(ns), firsts.get(ns), self._openings.get(ns)) for ns in namespaces
-        }
+        self.robots: dict[str, Robot] = {}
+        for ns in namespaces:
+            with self._usable(f"{ns}/reference_trajectory"):
+                self.robots[ns] = Robot(self.cell, ns, self._channels(ns), firsts.get(ns), self._openings.get(ns))
 
     def _find_topics(self) -> dict[str, tuple[str, str]]:
         """Topic -> (namespace, name), of the topics that have the right name and type."""
@@ -205,17 +209,25 @@ class Robots:
         for message in in_file_order(self.recording, progress):
             if message.topic in self._names:
                 namespace, name = self._names[message.topic]
-                try:
+                with self._usable(message.topic):
                     hear(self.robots[namespace], name, message.data)
-                except ValueError as error:
-                    what = f"a message on {message.topic} cannot be used: {error}"
-                    raise RecordingError(self.recording.path, what) from error
             elif message.topic in diagnostics:
                 for namespace, report in _reports_in(diagnostics[message.topic](message.data)):
                     if namespace in self.robots and self.robots[namespace].compensator:
                         self.robots[namespace].compensator.report = report
-        for robot in self.robots.values():
-            robot.finish()
+        for namespace, robot in self.robots.items():
+            with self._usable(f"{namespace}/wrench"):
+                robot.finish()
+
+    @contextlib.contextmanager
+    def _usable(self, topic: str):
+        """Bytes that are no message of their type, or one that no model can take."""
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # a force of 1e300 N is an input like any other
+                yield
+        except (ValueError, OverflowError) as error:
+            what = f"a message on {topic} cannot be used: {' '.join(str(error).split())}"
+            raise RecordingError(self.recording.path, what) from error
 
 
 def _reports_in(array):

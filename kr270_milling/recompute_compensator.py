@@ -143,7 +143,10 @@ class CompensatorModel:
             states.append(state)
         decided = [s for s in states if s.reference is not None and (before.finished or self._decided(s))]
         if len(decided) < len(states):
-            self._stop(self._ran[-1].stamp, "learned goes back to the best of earlier passes: not decidable from here")
+            self._stop(
+                self._ran[-1].stamp,
+                f"whether {before.method} goes on or back to an earlier pass is not decidable from this file",
+            )
         return decided
 
     @property
@@ -160,19 +163,22 @@ class CompensatorModel:
         if reference_bytes(self.reference).same(reference_bytes(self.target).data):
             return state
         report = self._ran_report or self._opening
+        if report is None and state.repeats:
+            self._stop(self._ran[-1].stamp, "nothing in the recording tells how good the passes before this one were")
+            return None
         earlier = report.errors if report else ()
-        if report and self._ran_report is None:
+        if report and self._ran_report is None:  # the report came behind this pass
             earlier = earlier[:-1]
         state.reference, state.errors = self.reference, list(earlier)
         if report and report.finished and self._ran_report is not None:
-            state.finished, state._best = True, (min(earlier), self.reference)
+            state.finished, state._best = True, (min(earlier), self.reference, ())
         elif earlier:
-            state._best = (min(earlier), None)  # that trajectory is not in this recording
+            state._best = (min(earlier), None, ())  # that trajectory is not in this recording
         return state
 
     def _decided(self, state: Compensator) -> bool:
         """Whether the rounding of earlier errors in the diagnostics leaves no doubt about "learned"."""
-        if state.method != "learned" or len(state.errors) < 2:
+        if not state.repeats or len(state.errors) < 2:
             return True
         earlier, last = min(state.errors[:-1]), state.errors[-1]
         exact = self._state is not None

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kr270_milling.cell import Cell
+from kr270_milling.cell import MOST_STEPS, Cell
 from kr270_milling.frames import rotation_from_quaternion
 from kr270_milling.recompute_inputs import TOOL, Sample, trajectory_of
 from kr270_milling.recording import encode
@@ -18,6 +18,7 @@ __all__ = ["CutModel", "JOINT_NAMES", "RobotModel", "WORKPIECE"]
 JOINT_NAMES = [f"joint_a{i}" for i in range(1, 7)]
 WORKPIECE = "workpiece"
 MAP_STEP = 0.2e-3  # [m], of the workpiece map
+MOST_AHEAD = 10  # exchange periods that a map may stand before its pose
 
 Stop = Callable[[int, str], None]  # (stamp [ns], reason)
 
@@ -75,6 +76,8 @@ class RobotModel:
         if self._stopped:
             return
         reference = trajectory_of(self.reference)
+        if self.cell.clock.steps(reference.duration_ns) > MOST_STEPS:
+            raise ValueError(f"the reference trajectory takes {reference.duration_ns * 1e-9:g} s")
         model = self.cell.arm_model(reference)
         self._side = side = RobotSide(model, self.cell.clock, reference, self.cell.exchange.iterations)
         self._thinned, self._step = self.cell.thinned_steps(), 0
@@ -129,9 +132,16 @@ class CutModel:
             self._compare_maps()
 
     def workpiece(self, stamp: int, data: bytes) -> None:
-        """A recorded map; it shows the part as it was behind the last pose that was answered."""
-        self._maps.append((stamp, data))
-        self._compare_maps()
+        """A recorded map; it shows the part as it was behind the last pose that was answered.
+
+        It may stand a little before that pose in the file. One from far ahead is latched from the pass before.
+        """
+        ahead = stamp - self._stamp
+        if self._stamp >= 0 and 0 <= ahead <= MOST_AHEAD * self.cell.exchange.period * 1e9:
+            self._maps.append((stamp, data))
+            self._compare_maps()
+        else:
+            self._out["workpiece"].take(data)
 
     def _compare_maps(self) -> None:
         while self._maps and self._maps[0][0] <= self._stamp:

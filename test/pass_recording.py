@@ -58,6 +58,15 @@ def cell_of(method: str = "linear", iterations: int = 1):
         return read_cell(file)
 
 
+def diagnostics(node: str, values: dict[str, str]) -> Message:
+    """One diagnostic status of a node."""
+    array = encode.Builder().header(0, "").pack("I", 1).pack("B", 0).string(node).string("").string("")
+    array.pack("I", len(values))
+    for key, value in values.items():
+        array.string(key).string(value)
+    return Message("diagnostics", array.done().data, 0)
+
+
 def reference_data(run) -> bytes:
     return encode.trajectory_bytes(run.frame, "tool0", run.time_ns, run.position, run.quaternion, run.velocity).data
 
@@ -114,7 +123,7 @@ def _workpiece(cell, cut, stamp: int) -> bytes:
 
 TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states": JOINTS,
          "reference_trajectory": REFERENCE, "joint_trajectory": PROGRAM,
-         "workpiece": "nav_msgs/msg/OccupancyGrid"}  # fmt: skip
+         "workpiece": "nav_msgs/msg/OccupancyGrid", "diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}  # fmt: skip
 
 
 def write(directory, messages, *, namespaces=("",), attachments=None, cell: str | None = None) -> Path:

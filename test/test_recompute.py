@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import shutil
@@ -12,10 +13,11 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pass_recording as made
 import pytest
 
-from kr270_milling.errors import ConfigError
+from kr270_milling.errors import ConfigError, MillingError
 from kr270_milling.recompensate import compensate
 from kr270_milling.recompute import recompute
 from kr270_milling.recording.errors import RecordingError
@@ -83,6 +85,14 @@ def test_a_changed_map_of_the_workpiece_is_found(tmp_path):
     assert found.first.topic == "/workpiece" and found.first.field.startswith("data[")
 
 
+def test_a_map_that_is_latched_from_the_pass_before_is_not_compared_with_this_one(tmp_path):
+    messages = made.changed(made.one_pass(), "workpiece", 0, flip(-2000))
+    latched = [m for m in messages if m.topic == "workpiece"]
+    found = recompute(made.write(tmp_path / "r", [*latched, *made.one_pass()]))
+    assert found.verdict == "identical"
+    assert (found.channels["/workpiece"].given, found.channels["/workpiece"].compared) == (1, 1)
+
+
 def test_a_changed_revised_reference_is_found(tmp_path):
     messages = made.changed(made.one_pass(), "reference_trajectory", 1, flip(-1 - 100))
     found = recompute(made.write(tmp_path / "r", messages))
@@ -148,6 +158,43 @@ def test_a_pass_along_a_revised_reference_needs_no_earlier_pass(tmp_path, method
     reference = found.channels["/reference_trajectory"]
     assert (reference.given, reference.compared) == (1, 1)
     assert found.channels["/joint_trajectory"].compared == 2
+
+
+def later_pass_of_learned(errors: list[float] | None, finished: bool = False) -> list:
+    """The second pass of "learned" with what its compensator told in /diagnostics before it."""
+    messages = list(made.one_pass("learned", 1, 2))
+    start = [i for i, m in enumerate(messages) if m.topic == "reference_trajectory"][1]
+    if errors is None:
+        return messages[start:]
+    told = {"method": "learned", "finished": str(finished), "remaining_error_um": " ".join(map(repr, errors))}
+    return [made.diagnostics("/trajectory_compensator", told), *messages[start:]]
+
+
+@pytest.mark.parametrize(
+    "errors, finished, verdict",
+    [
+        ([48.6], False, "identical"),  # it goes on to learn, as the pass was better than the one before
+        (None, False, "incomplete"),  # nobody tells how good the passes before were
+        ([1e-9], False, "incomplete"),  # an earlier pass was better, whose reference is not in the file
+    ],
+)
+def test_learned_is_decided_only_where_the_file_tells_enough(tmp_path, errors, finished, verdict):
+    messages = later_pass_of_learned(errors, finished)
+    found = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("learned")))
+    assert found.verdict == verdict and found.first is None
+    assert found.channels["/wrench"].compared == STEPS
+    assert found.channels["/reference_trajectory"].compared == (verdict == "identical")
+    assert all("earlier pass" in s.reason or "before this one" in s.reason for s in found.stops)
+
+
+def test_learned_keeps_its_reference_when_it_has_finished(tmp_path):
+    messages = later_pass_of_learned([48.6], finished=True)
+    kept = next(m for m in messages if m.topic == "reference_trajectory").data
+    messages = made.changed(messages, "reference_trajectory", 1, lambda data: kept)
+    messages = made.changed(messages, "joint_trajectory", 1, lambda data: next(
+        m.data for m in messages if m.topic == "joint_trajectory"))  # fmt: skip
+    found = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("learned")))
+    assert found.verdict == "identical" and found.channels["/reference_trajectory"].compared == 1
 
 
 def test_two_robots_in_two_namespaces_are_recomputed_side_by_side(tmp_path):
@@ -314,7 +361,6 @@ def test_a_killed_recorders_file_is_recomputed_as_far_as_it_goes(of_nodes, tmp_p
 
 @needs_ros
 def test_the_bytes_made_here_are_those_of_the_middlewares_serialiser():
-    import numpy as np
     from geometry_msgs.msg import PoseStamped, TwistStamped
     from nav_msgs.msg import OccupancyGrid
     from rclpy.serialization import deserialize_message, serialize_message
@@ -354,3 +400,22 @@ def test_the_bytes_made_here_are_those_of_the_middlewares_serialiser():
         pairs.append((messages.trajectory_to_msg(run), encoded))
     assert [same(message, encoded) for message, encoded in pairs] == [True] * len(pairs)
     assert {PoseStamped, TwistStamped, OccupancyGrid} <= {type(message) for message, _ in pairs}
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_messages_with_any_content_end_in_a_verdict_or_a_sentence(tmp_path, seed):
+    random = np.random.default_rng(seed)
+    messages = list(made.one_pass()[:60]) + [m for m in made.one_pass()[60:] if "trajectory" in m.topic]
+    for _ in range(3):
+        at = int(random.integers(len(messages)))
+        data = bytearray(messages[at].data)
+        where = int(random.integers(len(data)))
+        if random.random() < 0.3:
+            del data[where:]
+        else:
+            data[where : where + 8] = random.bytes(8)[: len(data) - where]
+        messages[at] = made.Message(messages[at].topic, bytes(data), 0)
+    directory = made.write(tmp_path / "r", messages)
+    for job in (recompute, compensate):
+        with contextlib.suppress(MillingError):
+            job(directory)

@@ -60,18 +60,25 @@ def _recompute(args) -> int:
         print_json(result.as_dict())
         return EXIT_FAILED if result.verdict != "identical" else 0
     names = ["compared", "differing", "missing", "repeated", "given", "not_compared"]
-    rows = [[topic, *(str(c.as_dict()[name]) for name in names)] for topic, c in sorted(result.channels.items())]
+    rows = [
+        [_shown(topic), *(str(c.as_dict()[name]) for name in names)] for topic, c in sorted(result.channels.items())
+    ]
     print_table(result.file, ["topic", *(name.replace("_", " ") for name in names)], rows)
     if result.cut_off:
         print("The recording was cut off; what is there was compared.")
     for stop in result.stops:
-        print(stop)
+        print(_shown(stop))
     if result.first:
-        print(f"first difference: {result.first}")
+        print(f"first difference: {_shown(result.first)}")
     print(f"{result.verdict}: {result.compared} messages compared bit for bit")
     if result.verdict == "different" and result.as_dict()["version"] != result.version:
         print(f"(recorded by version {result.version}, recomputed by {result.as_dict()['version']})")
     return EXIT_FAILED if result.verdict != "identical" else 0
+
+
+def _shown(value) -> str:
+    """A file from elsewhere must not steer the terminal."""
+    return "".join(c if c.isprintable() else "?" for c in str(value))
 
 
 def _compensate(args) -> int:
@@ -85,8 +92,8 @@ def _compensate(args) -> int:
         return 0
     for revised, file in zip(found, files, strict=True):
         print(
-            f"{revised.robot or '/'}: {revised.method}, {len(revised.reference)} points; the recorded pass was off by "
-            f"up to {revised.remaining_error * 1e6:.2f} um, the largest correction is "
+            f"{_shown(revised.robot or '/')}: {revised.method}, {len(revised.reference)} points; the recorded pass was "
+            f"off by up to {revised.remaining_error * 1e6:.2f} um, the largest correction is "
             f"{revised.largest_correction * 1e6:.2f} um"
         )
         told = {True: "identical to what the node published", False: "NOT what the node published"}
