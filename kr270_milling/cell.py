@@ -14,7 +14,7 @@ from kr270_milling.checks.parameters import Limits
 from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.config import Record, build, find_file, override, parameter, read_tree, specs
 from kr270_milling.cutting import Cut, Cutting, Stock, Tool
-from kr270_milling.errors import InputError, ParameterError
+from kr270_milling.errors import InputError, MillingError, ParameterError
 from kr270_milling.frames import Pose, rotation_from_quaternion
 from kr270_milling.robot import Arm, Mount, inverse_near
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
@@ -128,13 +128,24 @@ class Cell(Record):
         try:
             joints = self.joints(timed.trajectory)
         except (ReachError, JointLimitError, SingularityError) as error:
-            point = error.index[0] if error.index else 0
-            line = int(timed.toolpath.line[timed.block[point]])
-            raise InputError(self.path.file, f"point {point + 1} of the path: {error}", line) from None
+            raise self._unreachable(timed, error) from None
         slower = limit_by_joints(
             timed.trajectory, joints, self.arm.joint_speed_limit, self.arm.joint_acceleration_limit
         )
         return dataclasses.replace(timed, trajectory=slower)
+
+    def _unreachable(self, timed: TimedPath, error: MillingError) -> InputError:
+        """What the arm refuses, with point and line, and a hint where the path is far larger than the stock."""
+        point = error.index[0] if error.index else 0
+        line = int(timed.toolpath.line[timed.block[point] if point else 0])
+        reason = str(error).removesuffix(f" (pose {point})")
+        extent, stock = (
+            np.ptp(timed.toolpath.position[:, :2], axis=0).max(),
+            (self.stock.max - self.stock.min)[:2].max(),
+        )
+        if extent > 5.0 * stock:
+            reason += f"; the path is {extent / stock:.0f} times as wide as the stock, check the unit (G20, G21)"
+        return InputError(self.path.file, f"point {point + 1} of the path: {reason}", line)
 
     def _check_spindle(self, toolpath: Toolpath) -> None:
         """A programmed spindle speed, where there is one, must be that of the model."""
