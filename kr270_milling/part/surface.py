@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import maximum_filter, minimum_filter
+from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
 from kr270_milling.cell import Cell
 from kr270_milling.cutting import Stock
@@ -112,7 +112,8 @@ def _owners(x, y, height, path: Course, target: np.ndarray, radius: float, level
         near = (x[i, None] - cx) ** 2 + (y[None, j] - cy) ** 2 < radius**2
         near &= np.abs(height[i, j] - z) <= slack[k]
         owner[i, j][near] = path.feature[k]
-    return owner
+    _, nearest = distance_transform_edt(owner < 0, return_indices=True)
+    return np.where(height < top - 0.5 * level, owner[tuple(nearest)], -1)  # slivers between two of these places
 
 
 def _stations(path: Course, target: np.ndarray, reach: float) -> np.ndarray:

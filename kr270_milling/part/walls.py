@@ -71,17 +71,17 @@ def marks(tool: Tool, path: Course, period: float, rigid: np.ndarray) -> Marks:
     """All marks of a pass with tool centres (n + 1, 3) [m] every ``period`` [s]."""
     heading = np.unwrap(path.heading)
     first, last = heading[:-1], heading[1:]
-    first = np.where(np.abs(last - first) > CORNER, last, first)  # in a corner at once to the new direction
-    start = np.arange(len(rigid) - 1) * period * tool.spindle_speed
+    corner = np.abs(last - first) > CORNER  # there the path turns at once to its new direction
+    first = np.where(corner, last, first)
     turn, found = period * tool.spindle_speed, []
+    relative = np.arange(len(rigid)) * turn - tool.sense * heading
     for side in (1.0, -1.0):
         rows = []
         for angle, radius in zip(tool.angles, tool.radii, strict=True):
-            lead = angle - tool.sense * side * np.pi / 2
-            low, high = lead + start - tool.sense * first, lead + start + turn - tool.sense * last
-            whole = np.ceil(low / (2 * np.pi)) * 2 * np.pi
-            k = np.flatnonzero(whole < high)
-            share = (whole[k] - low[k]) / (high[k] - low[k])
+            phase = (angle - tool.sense * side * np.pi / 2 + relative) / (2 * np.pi)  # whole numbers are passages
+            low, high = np.where(corner, phase[1:] - turn / (2 * np.pi), phase[:-1]), phase[1:]
+            k = np.flatnonzero(np.ceil(high) > np.ceil(low))
+            share = (np.ceil(low[k]) - low[k]) / (high[k] - low[k])
             rows.append((k, share, np.full(k.size, radius)))
         k, share, radius = (np.concatenate(r) for r in zip(*rows, strict=True))
         order = np.argsort(k + share, kind="stable")

@@ -1,0 +1,38 @@
+"""A small tool path in the paper's cell: a corner with a stop, an arc, an exit; some 1.5 s of milling."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kr270_milling.cell import Cell, read_cell
+from kr270_milling.config import find_file
+
+GCODE = """\
+G21 G90 S8000 M3
+(entry)
+G0 X-14 Y0 Z2
+G0 Z-0.5
+(leg)
+G1 X12 F4000
+G1 Y10
+(arc)
+G2 X20 Y18 I8 J0
+G1 X26
+G0 Z2
+M5
+M30
+"""
+SET = (
+    "stock.min_mm=[0,-14,-10]", "stock.max_mm=[40,40,0]", "stock.grid_step_um=50", "timing.controller_step_ms=12",
+)  # fmt: skip
+
+
+def small_part(directory, gcode: str | bytes = GCODE, *more: str) -> Cell:
+    """The cell with the G-code written to ``directory``; more: further ``key=value``."""
+    return read_cell(find_file("paper.yaml"), assignments(directory, gcode, *more))
+
+
+def assignments(directory, gcode: str | bytes = GCODE, *more: str) -> list[str]:
+    path = Path(directory, "part.nc")
+    path.write_bytes(gcode if isinstance(gcode, bytes) else gcode.encode())
+    return [f"path.file={path}", *SET, *more]
