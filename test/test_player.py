@@ -151,12 +151,19 @@ class Listener:
         self.until(answer.done)
         assert answer.result().success
 
-    def play(self, count: int | None = None) -> list[tuple[str, bytes]]:
+    def play(self) -> list[tuple[str, bytes]]:
         self.resume()
-        self.until(lambda: self.player.done if count is None else len(self.heard) >= count)
-        for _ in range(20):
-            self.executor.spin_once(timeout_sec=0.02)
+        self.until(lambda: self.player.done)
+        self.settle()
         return self.heard
+
+    def settle(self) -> None:
+        """Hear on until nothing has come for half a second."""
+        quiet_from, count = time.monotonic(), len(self.heard)
+        while time.monotonic() < quiet_from + 0.5:
+            self.executor.spin_once(timeout_sec=0.02)
+            if len(self.heard) != count:
+                quiet_from, count = time.monotonic(), len(self.heard)
 
     def __enter__(self):
         return self
@@ -213,7 +220,9 @@ def test_only_the_chosen_topics_are_played(bag):
 @needs_ros
 def test_a_loop_begins_again(bag):
     with Listener(bag, ["--loop", "--topics", "/wrench"], names=("/wrench",)) as graph:
-        heard = of_topic(graph.play(count=300), "/wrench")
+        graph.resume()
+        graph.until(lambda: len(graph.heard) >= 300)
+        heard = of_topic(graph.heard, "/wrench")
         assert not graph.player.done
     once = of_topic(made.raw(bag), "/wrench")
     assert heard[:300] == (once * 3)[:300]
