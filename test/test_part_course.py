@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_part import CONFIG, HEAD, POCKET, small_cell
+from milled_part import CONFIG, HEAD, POCKET, small_cell
 
 from kr270_milling.cell import read_cell
 from kr270_milling.part.course import course, deviations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_part import POCKET, small_cell
+from milled_part import POCKET, small_cell
 
 from kr270_milling.cutting import GridError
 from kr270_milling.part import heights_at, machined

@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 import pytest
-from small_part import POCKET, small_cell
+from milled_part import POCKET, small_cell
 
 from kr270_milling.errors import InputError, ParameterError
 from kr270_milling.part import machined, write_stl

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_part import HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
+from milled_part import HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
 
 from kr270_milling.part import heights_at, ideal_part, machined, surface
 from kr270_milling.part.course import course
