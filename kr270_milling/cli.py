@@ -35,6 +35,7 @@ COMMANDS = {
         "replay out/pass1 --recompute",
     ),
     "export": ("write the topics of a recording as tables", "export out/pass1 --csv tables"),
+    "report": ("make the report of one or several recordings", "report out"),
     "recover": ("make a whole recording of one that was cut off or damaged", "recover out/pass1"),
     "bench": ("time the sweep of the teeth and the stiffness model", "bench"),
 }
