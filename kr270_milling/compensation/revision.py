@@ -11,13 +11,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.compensation.limiting import Limited, describe, limit_change, limit_size, resting
-from kr270_milling.compensation.spline_fit import knot_rates, spline_fit
+from kr270_milling.compensation.spline_fit import BARELY, knot_rates, spline_fit
 from kr270_milling.errors import MillingError
 from kr270_milling.trajectory.trajectory import Trajectory, slerp
 
 __all__ = ["PassRecord", "RevisionError", "chord_error", "corrected", "revise", "spline_fit"]
 
 ROUNDS = 30  #: of tightening the limits at the knots until the spline between them keeps them too
+
+
+#: weight in a fit of samples out of cut: a tool that swings out beside the part would cut where it should not
+IN_AIR = 0.3
 
 
 class RevisionError(MillingError):
@@ -78,7 +82,8 @@ def revise(
     knots_ns = target.time_ns
     if method == "learned":
         error, still = ran.position - target.sample(ran.time_ns), resting(target.velocity, len(target))
-        fit = spline_fit(knots_ns, ran.time_ns, error, ran.scored, criterion, still)
+        unscored = np.where(ran.time_ns < ran.scored_from_ns, BARELY, IN_AIR)
+        fit = spline_fit(knots_ns, ran.time_ns, error, ran.scored, criterion, still, unscored)
         knots = reference.sample(knots_ns) - target.sample(knots_ns) - fit
     else:
         shift = ran.displacement(reference)

@@ -41,18 +41,21 @@ def knot_rates(time: np.ndarray, values: np.ndarray, resting: np.ndarray | None,
     return solve_banded((1, 1), bands, right)
 
 
-def spline_fit(knots_ns, time_ns, error, scored, criterion: str = "min_max", resting=None) -> np.ndarray:
+def spline_fit(
+    knots_ns, time_ns, error, scored, criterion: str = "min_max", resting=None, unscored=BARELY
+) -> np.ndarray:
     """Values (k, 3) at the knots [ns], (k,), of the spline nearest to ``error`` (n, 3) at times [ns], (n,).
 
     "least_squares", or "min_max" by Lawson's reweighting [Lawson1961], over the samples where ``scored`` (n,) is set;
-    the others only keep the spline bounded. Where ``resting`` (k,) is set the spline has no slope, as ``knot_rates``
-    makes it.
+    the others, with the weight ``unscored``, (n,) or one, only keep the spline bounded. Where ``resting`` (k,) is set
+    the spline has no slope, as ``knot_rates`` makes it.
     """
     inside = (time_ns >= knots_ns[0]) & (time_ns <= knots_ns[-1])
     knots, scored = knots_ns * 1e-9, scored[inside]
     basis = _basis(time_ns[inside] * 1e-9, knots, np.zeros(knots.size, bool) if resting is None else resting)
     fit = _least_squares if criterion == "least_squares" or not scored.any() else _min_max
-    return np.stack([basis.at_knots(fit(basis, e, scored)) for e in error[inside].T], axis=1)
+    weight = np.where(scored, 1.0, np.broadcast_to(unscored, time_ns.shape)[inside])
+    return np.stack([basis.at_knots(fit(basis, e, scored, weight)) for e in error[inside].T], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,14 +117,14 @@ def _basis(time: np.ndarray, knots: np.ndarray, resting: np.ndarray) -> _Basis:
     return _Basis(value, product, column, start, span, merged, breaks, knots)
 
 
-def _least_squares(basis: _Basis, values: np.ndarray, scored: np.ndarray) -> np.ndarray:
-    return basis.solve(values, np.where(scored, 1.0, BARELY))
+def _least_squares(basis: _Basis, values: np.ndarray, scored: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    return basis.solve(values, weight)
 
 
-def _min_max(basis: _Basis, values: np.ndarray, scored: np.ndarray) -> np.ndarray:
+def _min_max(basis: _Basis, values: np.ndarray, scored: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Lawson: samples with a large error gain weight. The weighted mean square is a lower bound of the largest error,
     so the end is known when it comes near."""
-    weight, best, least = np.where(scored, 1.0, BARELY), None, np.inf
+    weight, best, least = weight.copy(), None, np.inf
     reached = [np.inf] * PATIENCE
     for _ in range(ROUNDS):
         fit = basis.solve(values, weight)
