@@ -54,7 +54,7 @@ def part_gallery(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartA
             "surface_map", "Errors of the surfaces that remain", part_figures.surface_maps(some, cell.stock),
             "Predicted part minus the part of a rigid arm: floors as areas, walls as lines. Grey: not machined, or too "
             f"near to a wall. Floors are told to {some[0].surface.floor_resolution * 1e6:.1f} µm; walls come from the "
-            "passages of the teeth, one value per tooth.",
+            "passages of the teeth, one value per tooth. The tool is taken as upright: the arm's tilt is not shown.",
         ),
         (
             "deviation_along_path", "Deviation along the path", part_figures.along_path(parts),
