@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+import os
 import pathlib
 from dataclasses import dataclass
 
@@ -16,6 +17,8 @@ from kr270_milling.config import Record, build, find_file, override, parameter, 
 from kr270_milling.cutting import Cut, Cutting, Stock, Tool
 from kr270_milling.errors import InputError, MillingError, ParameterError
 from kr270_milling.frames import Pose, rotation_from_quaternion
+from kr270_milling.recording.reader import find_file as find_recording
+from kr270_milling.recording.toolpath import is_recording, read_recorded
 from kr270_milling.robot import Arm, Mount, inverse_near
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.simulation.arm_model import arm_model, modal_models
@@ -54,15 +57,23 @@ class Workpiece(Record):
 class Path(Record):
     """YAML ``path``: a tool path file, or a straight cut along +x of the workpiece frame."""
 
-    file: str = parameter("", text="G-code, APT/CL or CSV of points, in the workpiece frame; empty: a straight cut")
+    file: str = parameter(
+        "", text="G-code, APT/CL, CSV of points or a recording of a path, workpiece frame; empty: a straight cut"
+    )
+    topic: str = parameter("", text="of a recording: where its path is, if several topics hold one")
     start: np.ndarray = parameter(
         [0.0, 0.0], unit="mm", size=2, low=-1e5, high=1e5, text="straight cut: x, y of the tool tip at the start"
     )
     depth_of_cut: float = parameter(0.0, unit="mm", low=0.0, high=100.0, text="straight cut: a_p below the stock's top")
     length: float = parameter(0.0, unit="mm", low=0.0, high=10000.0, text="straight cut: its length")
-    feed_rate: float = parameter(0.0, unit="m_per_min", low=0.0, high=60.0, text="straight cut: feed rate v_f")
+    feed_rate: float = parameter(
+        0.0, unit="m_per_min", low=0.0, high=60.0,
+        text="feed rate v_f of a straight cut, or of a recorded path whose poses all have one stamp",
+    )  # fmt: skip
 
     def check(self) -> None:
+        if self.topic and not is_recording(self.file):
+            raise ParameterError("topic", self.topic, "empty where path.file is no recording (.mcap)")
         for spec in specs(Path):
             if not self.file and spec.kind is float and not getattr(self, spec.name) > 0.0:
                 value = getattr(self, spec.name) / spec.scale
@@ -110,12 +121,16 @@ class Cell(Record):
 
     @functools.cached_property
     def fed_path(self) -> TimedPath | None:
-        """The tool path of ``path.file`` run under the limits of the controller alone; None for a straight cut."""
+        """The tool path of ``path.file`` run under the limits of the controller alone; None for a straight cut.
+
+        A recorded trajectory has its times already and keeps them.
+        """
         if not self.path.file:
             return None
-        toolpath = read_toolpath(self.path.file)
-        self._check_spindle(toolpath)
-        timed = time_path(toolpath, self.timing)
+        found = _read_path(self.path)
+        timed = found if isinstance(found, TimedPath) else time_path(found, self.timing)
+        self._check_duration(timed.trajectory)
+        self._check_spindle(timed.toolpath)
         self._check_stock(timed)
         return timed
 
@@ -129,6 +144,8 @@ class Cell(Record):
             joints = self.joints(timed.trajectory)
         except (ReachError, JointLimitError, SingularityError) as error:
             raise self._unreachable(timed, error) from None
+        if timed.timed_by_source:
+            return timed
         slower = limit_by_joints(
             timed.trajectory, joints, self.arm.joint_speed_limit, self.arm.joint_acceleration_limit
         )
@@ -137,7 +154,7 @@ class Cell(Record):
     def _unreachable(self, timed: TimedPath, error: MillingError) -> InputError:
         """What the arm refuses, with point and line, and a hint where the path is far larger than the stock."""
         point = error.index[0] if error.index else 0
-        line = int(timed.toolpath.line[timed.block[point] if point else 0])
+        line = int(timed.toolpath.line[timed.block[point] if point else 0]) or None
         reason = str(error).removesuffix(f" (pose {point})")
         extent, stock = (
             np.ptp(timed.toolpath.position[:, :2], axis=0).max(),
@@ -147,6 +164,14 @@ class Cell(Record):
             reason += f"; the path is {extent / stock:.0f} times as wide as the stock, check the unit (G20, G21)"
         return InputError(self.path.file, f"point {point + 1} of the path: {reason}", line)
 
+    def _check_duration(self, run: Trajectory) -> None:
+        """Memory and time of a pass are in proportion to its steps; a path of days is a mistake of the feed."""
+        steps = run.duration_ns * 1e-9 / self.exchange.period
+        if not steps <= MOST_STEPS:
+            shown = f"{run.duration_ns * 1e-9:.4g} s, {steps:.3g} exchange periods, more than {MOST_STEPS:g}"
+            reason = f"would take {shown}: cut it in pieces, or raise exchange.period_ms"
+            raise InputError(self.path.file, reason)
+
     def _check_spindle(self, toolpath: Toolpath) -> None:
         """A programmed spindle speed, where there is one, must be that of the model."""
         programmed = toolpath.spindle_speed[~toolpath.rapid]
@@ -155,7 +180,7 @@ class Cell(Record):
             k = np.flatnonzero(~toolpath.rapid)[np.argmax(other)]
             rpm = 30.0 / np.pi * np.array([toolpath.spindle_speed[k], self.tool.spindle_speed])
             reason = f"the spindle speed S{rpm[0]:.6g} is not the tool.spindle_speed_rpm of the cell, {rpm[1]:.6g}"
-            raise InputError(self.path.file, reason, int(toolpath.line[k]))
+            raise InputError(self.path.file, reason, int(toolpath.line[k]) or None)
 
     def _check_stock(self, timed: TimedPath) -> None:
         """A path that leaves the stock alone must be a mistake of placement, or of the unit."""
@@ -168,7 +193,7 @@ class Cell(Record):
             return
         path, box = _extent(at.min(axis=0), at.max(axis=0)), _extent(self.stock.min, self.stock.max)
         cutting = np.flatnonzero(~toolpath.rapid[1:]) + 1
-        line = int(toolpath.line[cutting[0] if cutting.size else 0])
+        line = int(toolpath.line[cutting[0] if cutting.size else 0]) or None
         hint = "check the datum and the unit (G20, G21)"
         reason = f"the tool never reaches the stock: it goes through {path} mm, the stock fills {box} mm; {hint}"
         raise InputError(self.path.file, reason, line)
@@ -252,10 +277,19 @@ def _extent(low: np.ndarray, high: np.ndarray) -> str:
     return ", ".join(f"{axis} {1e3 * a:.6g} to {1e3 * b:.6g}" for axis, a, b in zip("xyz", low, high, strict=True))
 
 
+def _read_path(path: Path) -> Toolpath | TimedPath:
+    """What ``path.file`` holds."""
+    if is_recording(path.file):
+        return read_recorded(path.file, path.topic, path.feed_rate)
+    return read_toolpath(path.file)
+
+
 def read_cell(path, assignments=()) -> Cell:
     """The cell of a parameter file, with ``key=value`` texts on top; raises ConfigError."""
     tree, lenient = override(read_tree(path), assignments)
     name = tree.get("path", {}).get("file") if isinstance(tree.get("path"), dict) else None
     if isinstance(name, str) and name:
-        tree["path"]["file"] = str(find_file(name, pathlib.Path(path).parent))
+        beside = pathlib.Path(path).parent
+        recording = os.path.isdir(beside / name)  # the directory that a recorder made
+        tree["path"]["file"] = str(find_recording(beside / name) if recording else find_file(name, beside))
     return build(Cell, tree, path, lenient=lenient)

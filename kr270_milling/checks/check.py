@@ -96,4 +96,4 @@ def _lines(cell: Cell, found: list[Finding]) -> tuple[int | None, ...]:
     if fed is None:
         return (None,) * len(found)
     points = np.clip([f.point - 1 for f in found], 0, len(fed.block) - 1).astype(int)
-    return tuple(fed.toolpath.line[fed.block[points]].tolist()) if found else ()
+    return tuple(line or None for line in fed.toolpath.line[fed.block[points]].tolist()) if found else ()

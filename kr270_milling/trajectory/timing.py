@@ -48,11 +48,14 @@ class TimedPath:
     trajectory: Trajectory
     block: np.ndarray  #: (m,), block of the tool path that each knot lies on
     distance: np.ndarray  #: [m], (m,), along the path
+    timed_by_source: bool = False  #: it came with its times, nothing is to change them
 
     def distance_at(self, time_ns) -> np.ndarray:
         """Distance along the path [m] at times [ns]."""
         k, u, step = self.trajectory.locate(time_ns)
         u, step = u[..., 0], step[..., 0]
+        if self.trajectory.velocity is None:
+            return self.distance[k] + u * (self.distance[k + 1] - self.distance[k])
         speed = np.linalg.norm(self.trajectory.velocity, axis=1)
         move, v0, v1 = self.distance[k + 1] - self.distance[k], speed[k] * step, speed[k + 1] * step
         return self.distance[k] + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
