@@ -7,10 +7,12 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from kr270_milling import __version__
 from kr270_milling.cell import Cell
 from kr270_milling.errors import InputError
-from kr270_milling.frames import quaternion_from_rotation
+from kr270_milling.frames import Pose, quaternion_from_rotation
 from kr270_milling.passes import commanded_joints
 from kr270_milling.robot import pose, status_turn
 from kr270_milling.trajectory import krl
@@ -94,12 +96,17 @@ def source_hash(cell: Cell) -> str:
     return digest.hexdigest()
 
 
+#: the controller's $FLANGE in ``flange``: its z axis points out of the flange, as x does here (kuka_experimental sets
+#: its tool0 frame, "the $FLANGE coordinate system of the KRC", by the same turn)
+KUKA_FLANGE = Pose.from_abc(np.zeros(3), [0.0, np.pi / 2, 0.0])
+
+
 def _controller(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Cell:
     """$TOOL is the mount, $BASE the workpiece, status and turn those of the first point of each program."""
     starts = [cell.joints_at(run.position[:1], run.quaternion[:1])[0] for run in (original, revised)]
     (status, turn), (revised_status, revised_turn) = (map(int, status_turn(cell.arm, q)) for q in starts)
-    mount = cell.mount
+    mount, to_kuka = cell.mount, KUKA_FLANGE.inverse()
     return krl.Cell(
-        mount.pose, cell.workpiece.pose, status, turn, mount.mass, tuple(mount.mass_centre.tolist()), revised_status,
-        revised_turn,
+        to_kuka @ mount.pose, cell.workpiece.pose, status, turn, mount.mass,
+        tuple(to_kuka.apply(mount.mass_centre).tolist()), revised_status, revised_turn,
     )  # fmt: skip

@@ -53,12 +53,12 @@ class Program(Record):
 class Cell:
     """What the controller must know of the cell beside the points."""
 
-    tool: Pose  #: tool0 on the flange as the controller sees it ($TOOL)
+    tool: Pose  #: tool0 in $FLANGE, whose z points out of the flange ($TOOL)
     base: Pose  #: the workpiece frame on $ROBROOT ($BASE)
     status: int  #: S of the first point
     turn: int  #: T of the first point
     load_mass: float = 0.0  #: [kg], spindle and tool, for a comment
-    load_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m], in the flange frame
+    load_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m], in $FLANGE
     revised_status: int | None = None  #: of the compensated program, where its first point differs in that
     revised_turn: int | None = None
 
