@@ -12,6 +12,10 @@ from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["cut_findings"]
 
+#: share of the largest removal between two points that a rapid move may remove: an arm that springs back as the tool
+#: lifts off shaves a little from the wall
+SCRAPE = 0.02
+
 
 def _inside(cell: Cell, position: np.ndarray) -> np.ndarray:
     """(n,) True where the tool's end reaches into the box of the stock."""
@@ -46,7 +50,7 @@ def _rapid(cell: Cell, removed: np.ndarray) -> list[Finding]:
     """removed [m^3], (n,): on the way to each point."""
     timed = cell.timed_path
     into = timed.toolpath.rapid[timed.block]  # both ends in rapid moves: a knot where a cut ends belongs to either
-    rapid = into & np.concatenate([into[:1], into[:-1]]) & (removed > 0.0)
+    rapid = into & np.concatenate([into[:1], into[:-1]]) & (removed > SCRAPE * removed.max())
     found = []
     for k, where in runs(rapid, removed):
         sentence = f"a rapid move cuts at {where}"
