@@ -37,6 +37,7 @@ COMMANDS = {
     "export": ("write the topics of a recording as tables", "export out/pass1 --csv tables"),
     "report": ("make the report of one or several recordings", "report out"),
     "recover": ("make a whole recording of one that was cut off or damaged", "recover out/pass1"),
+    "verify": ("run the list of physical checks and print the verification book", "verify --only stability"),
     "bench": ("time the sweep of the teeth and the stiffness model", "bench"),
 }
 EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130

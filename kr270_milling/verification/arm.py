@@ -1,0 +1,183 @@
+"""Checks of the arm: kinematics, equilibrium (7)-(10), stiffness (14)-(17)."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from kr270_milling.config import find_file
+from kr270_milling.robot import (
+    BARE,
+    Mount,
+    compliance,
+    equilibrium,
+    forward,
+    inverse,
+    jacobian,
+    link_loads,
+    loaded_stiffness,
+    pose,
+    rotate_matrix,
+    wrench_for_pose,
+)
+from kr270_milling.robot.analysis import read_arm
+from kr270_milling.robot.loads import load_torque
+from kr270_milling.verification.checks import Skipped, check
+
+PAPER = np.radians([90.0, -50.0, 120.0, 180.0, 25.0, 180.0])  # [Klimchik2012], Table 1
+SPINDLE = Mount(xyz=np.array([0.3, 0.0, 0.1]), mass=60.0, mass_centre=np.array([0.1, 0.03, 0.02]))
+KILONEWTON = 1000 * np.array([0.6, -0.64, 0.48, 0.0, 0.0, 0.0])
+
+
+@functools.cache
+def arm_of(name: str = "kr270_2.yaml"):
+    return read_arm(find_file(name))[0]
+
+
+def postures(n: int = 100) -> np.ndarray:
+    """The same n postures (n, 6) [rad] within the limits, every time."""
+    arm = arm_of()
+    return np.random.default_rng(5).uniform(arm.joint_lower, arm.joint_upper, (n, 6))
+
+
+def flange_position(name, expected):
+    found = pose(arm_of(name), BARE, PAPER).position
+    return 0.0, np.abs(found - expected).max(), 5.1e-5
+
+
+def unloaded_compliance(name, axis, expected):
+    arm = arm_of(name)
+    in_base = compliance(equilibrium(arm, BARE, PAPER, gravity=False), arm)
+    return expected, rotate_matrix(in_base, pose(arm, BARE, PAPER).rotation.T)[axis, axis], 0.6e-10
+
+
+for _name, _file, _flange, _values in (
+    ("KR 270-2", "kr270_2.yaml", (0, -1.6407, 0.4924), (0.7168e-6, 0.6369e-6, 0.1489e-6)),
+    ("KR 270 R2700 ultra", "kr270_r2700_ultra.yaml", (0, -1.6308, 0.2446), (0.7099e-6, 0.7535e-6, 0.1313e-6)),
+):
+    _source = "data sheet chain at the posture of Table 1, rounded to 0.1 mm [derived]"
+    check(f"{_name}: flange position", _source, "m", arguments=(_file, _flange))(flange_position)
+    for _axis, _text, _value in zip((1, 2, 0), ("lateral", "in plane", "along the flange axis"), _values, strict=True):
+        _source = "J diag(compliances of Table 1) J^T in the flange frame [derived]"
+        check(f"{_name}: compliance {_text}", _source, "m/N", arguments=(_file, _axis, _value))(unloaded_compliance)
+
+
+def _oracle():
+    """The chain of the data sheet with the split link masses in pinocchio; its data; the frame of tool0."""
+    try:
+        import pinocchio as pin
+    except ImportError as error:
+        raise Skipped("pinocchio is not installed (pip install pin)") from error
+    arm, model, parent, at = arm_of(), pin.Model(), 0, np.zeros(3)
+    axes = [(0, 0, -1), (0, 1, 0), (0, 1, 0), (-1, 0, 0), (0, 1, 0), (-1, 0, 0)]
+    ends = [(arm.a1, 0, arm.d1), (arm.a2, 0, 0), (0, 0, arm.a3), (arm.d4, 0, 0), (0, 0, 0), (arm.d6, 0, 0)]
+    for j, (axis, end) in enumerate(zip(axes, ends, strict=True)):
+        joint = pin.JointModelRevoluteUnaligned(np.array(axis, float))
+        parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), at), f"j{j}")
+        at = np.array(end, float)
+        inertia = pin.Inertia(arm.link_mass[j], arm.link_mass_centre[j] * at, np.zeros((3, 3)))
+        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+    rider = pin.Inertia(SPINDLE.mass, at + SPINDLE.mass_centre, np.zeros((3, 3)))
+    model.appendBodyToJoint(parent, rider, pin.SE3.Identity())
+    model.gravity.linear = np.array([0, 0, -9.80665])
+    place = pin.SE3(pin.rpy.rpyToMatrix(0.0, np.pi / 2, 0.0), at + SPINDLE.xyz)
+    frame = model.addFrame(pin.Frame("tool0", parent, 0, place, pin.FrameType.OP_FRAME))
+    return pin, model, model.createData(), frame
+
+
+@check("pose at 100 postures", "pinocchio", "m, rad")
+def pinocchio_pose():
+    pin, model, data, frame = _oracle()
+    ours, worst = pose(arm_of(), SPINDLE, postures()), 0.0
+    for i, q in enumerate(postures()):
+        pin.framesForwardKinematics(model, data, q)
+        gap = np.abs(ours.position[i] - data.oMf[frame].translation).max()
+        worst = max(worst, gap, np.abs(ours.rotation[i] - data.oMf[frame].rotation).max())
+    return 0.0, worst, 1e-9
+
+
+@check("Jacobian at 100 postures", "pinocchio", "m/rad")
+def pinocchio_jacobian():
+    pin, model, data, frame = _oracle()
+    theirs = [pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED) for q in postures()]
+    return 0.0, np.abs(jacobian(arm_of(), SPINDLE, postures()) - theirs).max(), 1e-9
+
+
+@check("torque of the link weights at 100 postures", "pinocchio", "N m")
+def pinocchio_gravity():
+    pin, model, data, _ = _oracle()
+    theirs = [-pin.computeGeneralizedGravity(model, data, q) for q in postures()]
+    frames = forward(arm_of(), SPINDLE, postures())
+    return 0.0, np.abs(load_torque(frames, np.zeros((100, 6)), link_loads(arm_of(), SPINDLE)) - theirs).max(), 1e-9
+
+
+@check("inverse kinematics, every branch", "forward kinematics of what it finds", "m, rad")
+def inverse_round_trip():
+    arm, worst = arm_of(), 0.0
+    for q in postures(20):
+        target = pose(arm, SPINDLE, q)
+        back = pose(arm, SPINDLE, inverse(arm, SPINDLE, target))
+        worst = max(worst, np.abs(back.position - target.position).max(), np.abs(back.rotation - target.rotation).max())
+    return 0.0, worst, 1e-9
+
+
+@check("equilibrium (7): largest torque out of balance", "weights and 1 kN at 100 postures near the paper's", "N m")
+def residual():
+    near = PAPER + np.random.default_rng(3).uniform(-0.3, 0.3, (100, 6))
+    return 0.0, equilibrium(arm_of(), SPINDLE, near, KILONEWTON).residual.max(), 1e-9
+
+
+@check("wrench of a loaded pose, f of (31) after f^-1 of (30)", "the wrench that bent the arm", "N, N m")
+def both_ways():
+    wrench = KILONEWTON + [0, 0, 0, 80.0, -120.0, 40.0]
+    there = equilibrium(arm_of(), SPINDLE, PAPER, wrench)
+    return 0.0, np.abs(wrench_for_pose(arm_of(), SPINDLE, PAPER, there.pose).wrench - wrench).max(), 1e-4
+
+
+def _hinge():
+    """An arm with only joint 2 soft, 1e6 N m/rad, stretched along x; its length [m]."""
+    soft = np.array([1e-12, 1e-6, 1e-12, 1e-12, 1e-12, 1e-12])
+    return arm_of().replace(a3=0.0, joint_compliance=soft), 1.25 + 1.1 + 0.23
+
+
+@check("column on one hinge: H / K at half its critical load", "H = F L, critical at F L = K")
+def column():
+    arm, length = _hinge()
+    solved = equilibrium(arm, BARE, np.zeros(6), [-0.5e6 / length, 0, 0, 0, 0, 0], gravity=False)
+    return 0.5, solved.hessian[1, 1] / 1e6, 1e-9
+
+
+@check("hinge under a dead side load", "K theta = F L cos(theta)", "rad")
+def dead_load():
+    arm, length = _hinge()
+    theta = equilibrium(arm, BARE, np.zeros(6), [0, 0, -0.15e6 / length, 0, 0, 0], gravity=False).theta[1]
+    return 0.15 * np.cos(theta), theta, 1e-8
+
+
+@check("loaded compliance (17), weights, 1 kN and moments", "numerical differentiation of whole equilibria")
+def differentiated():
+    arm, wrench = arm_of(), KILONEWTON + [0, 0, 0, 80.0, -120.0, 40.0]
+    ours = compliance(equilibrium(arm, SPINDLE, PAPER, wrench), arm)
+    quotient = np.empty((6, 6))
+    for k in range(6):
+        step = (20.0 if k < 3 else 10.0) * np.eye(6)[k]
+        ahead, behind = (equilibrium(arm, SPINDLE, PAPER, wrench + s * step).pose for s in (1, -1))
+        turn = Rotation.from_matrix(ahead.rotation @ behind.rotation.T).as_rotvec()
+        quotient[:, k] = np.concatenate([ahead.position - behind.position, turn]) / (2 * step[k])
+    size = np.sqrt(np.outer(np.diag(ours), np.diag(ours)))
+    return 0.0, (np.abs(quotient - ours) / size).max(), 1e-6
+
+
+@check("reciprocity: C - C^T under weights and 1 kN", "Maxwell-Betti; forces have a potential")
+def reciprocity():
+    arm = arm_of()
+    soft = compliance(equilibrium(arm, SPINDLE, PAPER, KILONEWTON), arm)
+    return 0.0, (np.abs(soft - soft.T) / np.sqrt(np.outer(np.diag(soft), np.diag(soft)))).max(), 1e-10
+
+
+@check("K_C C_C - 1 under weights, 1 kN and moments", "(17) and its inverse")
+def inverse_of_each_other():
+    solved, stiff = loaded_stiffness(arm_of(), SPINDLE, PAPER, KILONEWTON + [0, 0, 0, 80.0, -120.0, 40.0])
+    return 0.0, np.abs(stiff @ compliance(solved, arm_of()) - np.eye(6)).max(), 1e-8

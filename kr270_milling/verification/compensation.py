@@ -1,0 +1,76 @@
+"""Checks of the compensation: the static mirror (30)-(32), the revision of the trajectory at the controller step."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from kr270_milling.cell import read_cell
+from kr270_milling.compensation.mirror import mirror
+from kr270_milling.compensation.revision import PassRecord, revise
+from kr270_milling.config import find_file
+from kr270_milling.passes import compensated, simulate
+from kr270_milling.robot import equilibrium, pose
+from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.verification.arm import PAPER, SPINDLE, arm_of
+from kr270_milling.verification.checks import check
+
+WRENCH = np.array([800.0, -600.0, 400.0, 60.0, -90.0, 40.0])  # [N, N m]
+ALPHA = 0.9
+
+
+@functools.cache
+def _mirrored():
+    target = pose(arm_of(), SPINDLE, PAPER[None])
+    return target, mirror(arm_of(), SPINDLE, target, WRENCH, PAPER, relaxation=ALPHA, sag_compensated=False)
+
+
+@check("mirror (31): loaded tool where the target is", "the target; 1 kN, moments, link weights", "m")
+def mirror_target():
+    target, found = _mirrored()
+    loaded = equilibrium(arm_of(), SPINDLE, found.joints, WRENCH).pose
+    return 0.0, np.abs(loaded.position - target.position).max(), 1e-9
+
+
+@check("mirror (32): error of an iteration / of the one before", "1 - alpha for a nearly linear arm, alpha = 0.9")
+def mirror_rate():
+    history = np.array(_mirrored()[1].history)
+    return 1 - ALPHA, float(np.exp(np.diff(np.log(history))[1:].mean())), 0.01
+
+
+def interpolation_order(method, expected):
+    """Remaining error of a revised reference for a displacement that is a sine of time."""
+    steps, errors = [20, 40, 80, 160], []
+    time = np.arange(0, 1_200_000_001, 100_000)
+    wave = 50e-6 * np.sin(2 * np.pi * 1.7 * time * 1e-9)
+    for n in steps:
+        knots = np.round(np.linspace(0, 1.2e9, n + 1)).astype(np.int64)
+        target = Trajectory(knots, np.outer(knots * 1e-9, [0.07, 0.0, 0.0]), np.array([1.0, 0, 0, 0]))
+        ran = target.sample(time) + np.outer(wave, [0.0, 1.0, 0.0])
+        revised, _ = revise(method, target, target, PassRecord(time, ran))
+        inner = slice(len(time) // 4, -len(time) // 4)  # a natural spline is of lower order at its ends
+        errors.append(np.abs(revised.sample(time)[inner, 1] + wave[inner]).max())
+    return expected, -np.polyfit(np.log(steps), np.log(errors), 1)[0], 0.2
+
+
+check("order of the interpolation, linear", "2: straight lines between the knots", arguments=("linear", 2.0))(
+    interpolation_order
+)
+check("order of the interpolation, spline", "4: cubic C2 spline through the knots", arguments=("spline", 4.0))(
+    interpolation_order
+)
+
+
+@check(
+    "order in the controller step of the pass compensated by lines", "2: interpolation; the teeth's ripple taken off"
+)
+def controller_order():
+    """What a spline at the shortest step leaves is the vibration at tooth passing, which no reference can follow."""
+    steps, errors = np.array([50.0, 25.0, 12.5]), []
+    for step in steps:
+        cell = read_cell(find_file("paper.yaml"), (f"timing.controller_step_ms={step}",))
+        original = simulate(cell)
+        errors.append(compensated(cell, original, "linear").scores.max_deviation)
+    ripple = compensated(cell, original, "spline").scores.max_deviation
+    return 2.0, np.polyfit(np.log(steps), np.log(np.array(errors) - ripple), 1)[0], 0.4

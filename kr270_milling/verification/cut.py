@@ -1,0 +1,122 @@
+"""Checks of the cut: force laws (26)-(28), sum over the teeth (29), chips A_i / (R dphi), the sweep."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from scipy.integrate import quad
+
+from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
+from kr270_milling.cutting.convergence import convergence
+from kr270_milling.verification.checks import check
+
+FEED, DEPTH = 0.125e-3, 1e-3  # [m] a tooth, [m]
+LAWS = ("fractional", "linear_edge")
+
+
+def _tool() -> Tool:
+    return Tool(diameter=20e-3, teeth=4, spindle_speed=8000 * 2 * np.pi / 60)
+
+
+def _engaged(cutting: Cutting, low: float = -12e-3, high: float = 12e-3):
+    """The paper's cutter on y = 0, fully engaged in material from y = low to high; where it is, micro-steps so far."""
+    stock = Stock(min=np.array([0.0, low, -5e-3]), max=np.array([20e-3, high, 0.0]))
+    cut = Cut(_tool(), cutting, stock, np.radians(1.0))
+    end = np.array([-10.1e-3 + 96 * FEED, 0.0, -DEPTH])
+    cut.sweep([-10.1e-3, 0.0, -DEPTH], end, 0, 24 * 360)
+    return cut, end, 24 * 360
+
+
+@functools.cache
+def _mean(law: str, low: float = -12e-3, high: float = 12e-3) -> np.ndarray:
+    """Mean force (2,) [N] over four revolutions."""
+    cut, here, first = _engaged(Cutting(law=law), low, high)
+    return cut.sweep(here, here + [16 * FEED, 0.0, 0.0], first, 4 * 360)[:2]
+
+
+@check("force of one tooth at h = 0.125 mm, 1 mm deep", "(26), k_0 read per millimetre of depth [derived]", "N")
+def one_tooth():
+    return 133.3, Cutting().force_per_depth(FEED)[0] * DEPTH, 0.05
+
+
+@check("radial over tangential force", "k_r of [Klimchik2012], section 6")
+def radial():
+    tangential, found = Cutting().force_per_depth(40e-6)
+    return 0.3, found / tangential, 1e-12
+
+
+def slot_mean(law, axis, expected):
+    return expected, _mean(law)[axis], 5e-3 * abs(expected)
+
+
+for _axis, _expected in ((0, -44.39), (1, 147.98)):
+    _name = f"rigid slot, fractional law, mean F_{'xy'[_axis]}"
+    check(
+        _name, "integral of (26)-(29), 4 teeth, 1 mm deep [derived]", "N", arguments=("fractional", _axis, _expected)
+    )(slot_mean)
+for _axis, _expected in ((0, -180.96 * 0.125 - 4 / np.pi * 20.42), (1, 600.46 * 0.125 + 4 / np.pi * 17.9)):
+    _name = f"rigid slot, linear-edge law, mean F_{'xy'[_axis]}"
+    _case = ("linear_edge", _axis, _expected)
+    check(_name, "-+ N a (K f_z / 4 + K_e / pi), Al7075-T6", "N", arguments=_case)(slot_mean)
+
+
+def half_immersion(low, high, entry, leave, axis):
+    """h = f_z cos(phi) leaves out terms of f_z / R, 1.25 %, which a half immersion does not average away."""
+
+    def integrand(phi, which):
+        tangential, radial = (DEPTH * float(f) for f in Cutting().force_per_depth(FEED * np.cos(phi)))
+        if which == 0:
+            return -radial * np.cos(phi) + tangential * np.sin(phi)
+        return radial * np.sin(phi) + tangential * np.cos(phi)
+
+    expected = [quad(integrand, entry, leave, args=(k,))[0] * 4 / (2 * np.pi) for k in (0, 1)]
+    return expected[axis], _mean("fractional", low, high)[axis], 0.0125 * np.hypot(*expected)
+
+
+for _way, _sides in (("up", (0.0, 12e-3, -np.pi / 2, 0.0)), ("down", (-12e-3, 0.0, 0.0, np.pi / 2))):
+    for _axis in (0, 1):
+        _name = f"half immersion, {_way}-milling, mean F_{'xy'[_axis]}"
+        check(_name, "quadrature of (26)-(29) with h = f_z cos(phi)", "N", arguments=(*_sides, _axis))(half_immersion)
+
+
+@check("removed area of a slot 10 mm long", "2 R L + pi R^2 / 2: the half disc at its end", "m^2")
+def area():
+    stock = Stock(min=np.array([0.0, -12e-3, -5e-3]), max=np.array([25e-3, 12e-3, 0.0]))
+    cut = Cut(_tool(), Cutting(), stock, np.radians(1.0))
+    end = np.array([10e-3, 0.0, -DEPTH])
+    cut.sweep([-10.1e-3, 0.0, -DEPTH], end, 0, 15000)
+    cut.sweep(end, end, 15000, 360)  # so that every tooth reaches the end; scallops on the walls: 1e-9 m^2
+    return 20e-3 * 10e-3 + np.pi / 2 * 1e-4, cut.removed_area, 0.2 * 10e-6 * (20e-3 + np.pi * 10e-3)
+
+
+@check("work of the tangential force / (K_tc volume removed)", "energy: power is torque times spindle speed")
+def work():
+    law = LinearEdgeLaw(tangential_edge=0.0, radial_cutting=0.0, radial_edge=0.0)
+    cut, here, first = _engaged(Cutting(law="linear_edge", linear_edge=law))
+    before = cut.removed_volume
+    cut.sweep(here, here + [16 * FEED, 0.0, 0.0], first, 4 * 360)
+    energy = cut.power / cut.tool.spindle_speed * 4 * 2 * np.pi
+    return 1.0, energy / (600.46e6 * (cut.removed_volume - before)), 1e-9
+
+
+@check("force of a tool that backs off", "(27): no chip, no force", "N")
+def backing_off():
+    cut, here, first = _engaged(Cutting())
+    cut.sweep(here, here, first, 360)
+    return 0.0, np.abs(cut.sweep(here, here - [2e-3, 0.0, 0.0], first + 360, 1440)).max(), 0.0
+
+
+@functools.cache
+def _convergence() -> dict:
+    return convergence(_tool(), Cutting())
+
+
+@check("order of convergence in the grid step", "1.5: noise of the nodes along the border of a sector")
+def grid_order():
+    return 1.5, _convergence()["grid_order"], 0.4
+
+
+@check("order of convergence in the angle step", "2: force at mid-angle")
+def angle_order():
+    return 2.0, _convergence()["angle_order"], 0.4

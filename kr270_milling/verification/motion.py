@@ -1,0 +1,133 @@
+"""Checks of eq. (1) in discrete time and of the exchange between robot and cut."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from scipy.linalg import expm
+
+from kr270_milling.cell import read_cell
+from kr270_milling.config import find_file
+from kr270_milling.passes import simulate
+from kr270_milling.simulation.arm_model import arm_model
+from kr270_milling.simulation.dynamics import advance, discretise, modes
+from kr270_milling.simulation.sides import CuttingSide, RobotSide
+from kr270_milling.verification.checks import check
+
+STIFFNESS, MASS, ZETA = 1.395e6, 790.4, 0.18  # [N/m], [kg]: the paper's arm across the feed
+OMEGA = np.sqrt(STIFFNESS / MASS)
+SHORT = "path.length_mm=14.4"
+
+
+def _one_degree():
+    """Only y moves."""
+    return modes(np.diag([1e-9, 1 / STIFFNESS] + [1e-9] * 4), np.diag([0, MASS, 0, 0, 0, 0.0]))
+
+
+def _run(model, zeta, period, steps, state, wrench):
+    """States (steps + 1, 2r) and the last deflection (6,) with the wrench held."""
+    arrays = arm_model([model], zeta, period).arrays
+    states, deflection = np.zeros((steps + 1, state.size)), np.zeros(6)
+    states[0] = state
+    for n in range(steps):
+        advance(n, states[n], wrench, arrays, states[n + 1], deflection)
+    return states, deflection
+
+
+@check("free vibration of one degree of freedom over 0.5 s", "closed form, relative to the start")
+def free_vibration():
+    states, _ = _run(_one_degree(), ZETA, 1e-3, 500, np.array([1e-4, 2e-3]), np.zeros(6))
+    t, damped = np.arange(501) * 1e-3, OMEGA * np.sqrt(1 - ZETA**2)
+    sine = (2e-3 + ZETA * OMEGA * 1e-4) / damped
+    expected = np.exp(-ZETA * OMEGA * t) * (1e-4 * np.cos(damped * t) + sine * np.sin(damped * t))
+    return 0.0, np.abs(states[:, 0] - expected).max() / 1e-4, 1e-11
+
+
+@check("step of 81 N on one degree of freedom", "closed form, relative to F / k")
+def step_response():
+    states, _ = _run(_one_degree(), ZETA, 5e-4, 1000, np.zeros(2), np.array([0, 81.0, 0, 0, 0, 0]))
+    t, damped = np.arange(1001) * 5e-4, OMEGA * np.sqrt(1 - ZETA**2)
+    rest = np.exp(-ZETA * OMEGA * t) * (np.cos(damped * t) + ZETA * OMEGA / damped * np.sin(damped * t))
+    return 0.0, np.abs(states[:, 0] * STIFFNESS / 81.0 - (1 - rest)).max(), 1e-11
+
+
+@functools.cache
+def _paper():
+    cell = read_cell(find_file("paper.yaml"))
+    return cell, cell.modal_model
+
+
+@check("one period of (1) for the paper's arm", "matrix exponential of (1), relative")
+def exponential():
+    cell, model = _paper()
+    r, to_mass = model.frequency.size, model.mass @ model.shape
+    stiff, damping = (to_mass @ np.diag(d) @ to_mass.T for d in (model.frequency**2, 2 * ZETA * model.frequency))
+    inverse = np.linalg.inv(model.mass)
+    system = np.block([[np.zeros((r, r)), np.eye(r)], [-inverse @ stiff, -inverse @ damping]])
+    exact = expm(system * cell.exchange.period)
+    return 0.0, np.abs(discretise(model, ZETA, cell.exchange.period)[0] - exact).max() / np.abs(exact).max(), 1e-12
+
+
+@check("energy of an undamped vibration after 10,000 periods / at the start", "conservation of energy")
+def energy():
+    _, model = _paper()
+    to_mass, r = model.mass @ model.shape, model.frequency.size
+    stiff = to_mass @ np.diag(model.frequency**2) @ to_mass.T
+    states, _ = _run(model, 0.0, 5e-4, 10_000, np.linspace(1e-5, 1e-4, 2 * r), np.zeros(6))
+    total = [x[:r] @ stiff @ x[:r] + x[r:] @ model.mass @ x[r:] for x in states[[0, -1]]]
+    return 1.0, total[1] / total[0], 1e-10
+
+
+@check("long held wrench: deflection of all six components", "compliance times wrench (condensed, not sliced)")
+def static_limit():
+    soft = np.diag([4e-4] * 6) @ (np.arange(36).reshape(6, 6) % 7 + np.arange(36).reshape(6, 6).T % 7) / 30
+    soft = soft @ soft + np.diag([1e-6] * 6)
+    model = modes(soft, np.diag([MASS] * 3 + [0.0] * 3))
+    wrench = np.array([100.0, -50.0, 30.0, 4.0, -7.0, 5.0])
+    _, found = _run(model, 0.3, 0.05, 400, np.zeros(6), wrench)
+    return 0.0, np.abs(found - soft @ wrench).max() / np.abs(soft @ wrench).max(), 1e-9
+
+
+@functools.cache
+def _pass(micro_steps: int, *assignments: str):
+    period = f"exchange.period_ms={micro_steps / 48!r}"  # 1 deg at 8000 rpm is 1/48 ms
+    return simulate(read_cell(find_file("paper.yaml"), (period, *assignments))).result
+
+
+def _gap(result, reference, every: int) -> float:
+    """Largest difference of the deflection at common instants, as a share of the largest deflection."""
+    there = reference.deflection[::every, :3][: len(result.deflection)]
+    return np.abs(result.deflection[: len(there), :3] - there).max() / np.abs(reference.deflection[:, :3]).max()
+
+
+@check("H = 0.5 ms against an exchange at every micro-step", "paper's pass, share of its deflection", at_most=True)
+def default_period():
+    return 0.0, _gap(_pass(24), _pass(1), 24), 0.002
+
+
+@check("order of convergence in the exchange period H", "2: force held at its mean over H")
+def period_order():
+    steps = (6, 12, 24, 48)
+    errors = [_gap(_pass(m, SHORT), _pass(1, SHORT), m) for m in steps]
+    return 2.0, np.polyfit(np.log(steps), np.log(errors), 1)[0], 0.6
+
+
+@check("correction of the predicted pose, H = 0.5 ms", "some nanometres: dF H^2 / 2 M [derived]", "m", at_most=True)
+def correction():
+    return 2e-8, _pass(24).correction.max(), 0.0
+
+
+@check("two sides of the exchange against the compiled pass", "the same numbers, bit for bit", "m, N")
+def sides():
+    cell = read_cell(find_file("paper.yaml"), (SHORT,))
+    target, compiled = cell.target(), simulate(cell).result
+    robot, cutting = RobotSide(cell.arm_model(target), cell.clock, target), CuttingSide(cell.cut(), cell.clock)
+    worst = 0.0
+    for n in range(robot.steps + 1):
+        tool = robot.tool.copy()
+        wrench = cutting.answer(robot.awaited_ns, tool)
+        deflection = robot.answer(robot.awaited_ns, wrench)
+        gaps = (tool - compiled.tool[n], wrench - compiled.wrench[n], deflection - compiled.deflection[n])
+        worst = max(worst, *(np.abs(gap).max() for gap in gaps))
+    return 0.0, worst, 0.0

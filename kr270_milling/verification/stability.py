@@ -1,0 +1,170 @@
+"""The limit depth of cut that the time-domain model finds for a tool with one flexible mode along the feed.
+
+The published benchmark [Insperger2004]: two teeth, 922 Hz, damping 0.011, 0.03993 kg, K_t = 6e8, K_n = 2e8 N/m^2,
+forces linear in the chip. It has no cutter diameter, because there the delay is constant and the chip is the feed and
+the vibration projected on the tooth. Here a chip is A_i / (R dphi) (Fig. 6), which a tooth's vibration along its
+motion changes too, by its share of the cutting speed; both agree for a feed per tooth that is small beside the radius.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
+from kr270_milling.simulation.arm_model import arm_model
+from kr270_milling.simulation.dynamics import ArmModel, modes
+from kr270_milling.simulation.milling_pass import CompliantArm
+from kr270_milling.verification.checks import check
+
+__all__ = ["BENCHMARK", "Milling", "Mode", "growth", "limit_depth"]
+
+GRID = 1e-6  # [m]
+CHIP = 5  # nodes in a feed per tooth
+RADIUS = 1000  # feeds per tooth in the radius
+MICRO_STEP = math.radians(1.0)
+PERIODS = 80  # tooth periods of a run at most
+LOST, LARGE = 0.004, 0.35  # of the feed per tooth: below, the grid's noise reigns; above, teeth leave the cut
+
+
+@dataclass(frozen=True)
+class Mode:
+    """One mode of the tool along x, and the coefficients of the cut."""
+
+    frequency: float  #: [Hz]
+    damping: float
+    mass: float  #: [kg]
+    tangential: float  #: K_t [N/m^2]
+    normal: float  #: K_n [N/m^2]
+
+
+BENCHMARK = Mode(922.0, 0.011, 0.03993, 6e8, 2e8)
+
+
+@dataclass(frozen=True)
+class Milling:
+    """A two-tooth cutter fed along +x into a straight wall, a half immersion or a slot."""
+
+    spindle_rpm: float
+    immersion: str  #: slot, up, down: half immersion up- or down-milling
+
+    @property
+    def wall(self) -> tuple[float, float]:
+        """Material from y to y as shares of the radius."""
+        return {"slot": (-1.1, 1.1), "up": (0.0, 1.1), "down": (-1.1, 0.0)}[self.immersion]
+
+
+def _workpiece(mode: Mode, milling: Milling) -> Cut:
+    feed, radius = CHIP * GRID, RADIUS * CHIP * GRID
+    law = LinearEdgeLaw(tangential_cutting=mode.tangential, tangential_edge=0.0, radial_cutting=mode.normal,
+                        radial_edge=0.0)  # fmt: skip
+    low, high = np.multiply(milling.wall, radius)
+    stock = Stock(min=np.array([-1.1 * radius, low, -0.05]), max=np.array([1.1 * radius + 2 * PERIODS * feed, high, 0]),
+                  grid_step=GRID)  # fmt: skip
+    tool = Tool(diameter=2 * radius, teeth=2, spindle_speed=milling.spindle_rpm * 2 * np.pi / 60)
+    return Cut(tool, Cutting(law="linear_edge", linear_edge=law), stock, MICRO_STEP)
+
+
+def _model(mode: Mode, spindle_speed: float) -> ArmModel:
+    """Eq. (1) with inertia along x alone; exchange period: one micro-step."""
+    soft = 1.0 / (mode.mass * (2 * np.pi * mode.frequency) ** 2)
+    found = modes(np.diag([soft] + [1e-12] * 5), np.diag([mode.mass] + [0.0] * 5))
+    return arm_model([found], mode.damping, MICRO_STEP / spindle_speed)
+
+
+def _orbit(model: ArmModel, force: np.ndarray) -> np.ndarray:
+    """The periodic state (n + 1, 2) under the periodic force (n,) [N] of a rigid tool.
+
+    On it the teeth follow each other's way, so that the chips are those of the rigid tool.
+    """
+    a, b = model.transition[0], model.input[0][:, 0]
+    state = np.zeros((force.size + 1, 2))
+    for _ in range(2):  # from rest first, whose end tells where the periodic state starts
+        for n, f in enumerate(force):
+            state[n + 1] = a @ state[n] + b * f
+        if not state[0].any():
+            state[0] = np.linalg.solve(np.eye(2) - np.linalg.matrix_power(a, force.size), state[-1])
+    return state
+
+
+class _Run:
+    """One cut from the periodic motion on, disturbed by a fifth of the feed per tooth."""
+
+    def __init__(self, mode: Mode, milling: Milling, depth: float):
+        self.cut = _workpiece(mode, milling)
+        self.turn = self.cut.params.steps
+        self.feed = 2 * CHIP * GRID
+        self.start, self.step = np.array([0.0, 0.0, -depth]), 0
+        self.model = _model(mode, self.cut.tool.spindle_speed)
+        self.cut.sweep(self.start, self.start, 0, self.turn)  # a hole as large as the tool, without feed
+        self.start = self.start - [self.feed, 0.0, 0.0]
+        self.step = self.turn
+        self._rigid(2)
+        self.orbit = _orbit(self.model, self._rigid(1))
+        self.arm = CompliantArm(self.model)
+        kick = 0.1 * self.feed * np.array([1.0, 2 * np.pi * mode.frequency]) / np.sqrt(2)
+        self.arm.state = self.orbit[0] + kick
+        self.before = self._course(self.step) + [self.orbit[0, 0], 0.0, 0.0]
+        for _ in range(self.turn):  # the surface that the undisturbed motion leaves
+            self._to(self._course(self.step + 1) + [self.orbit[(self.step + 1) % self.turn, 0], 0.0, 0.0])
+
+    def _course(self, step: int) -> np.ndarray:
+        return self.start + [self.feed * step / self.turn, 0.0, 0.0]
+
+    def _rigid(self, turns: int) -> np.ndarray:
+        """Force along x (n,) [N] on the undeflected tool."""
+        n, forces = turns * self.turn, np.zeros((turns * self.turn, 3))
+        self.cut.sweep(self._course(self.step), self._course(self.step + n), self.step, n, forces)
+        self.step += n
+        return forces[:, 0]
+
+    def _to(self, tool: np.ndarray) -> np.ndarray:
+        wrench = self.cut.sweep(self.before, tool, self.step, 1)
+        self.before, self.step = tool, self.step + 1
+        return wrench
+
+    def period(self) -> float:
+        """Mill one tooth period; rms deviation from the periodic motion per feed per tooth."""
+        total, half = 0.0, self.turn // 2
+        for _ in range(half):
+            tool = self._course(self.step + 1) + self.arm.predict()[:3]  # predict, answer, correct: Fig. 7
+            deflection = self.arm.correct(self._to(tool))
+            total += (deflection[0] - self.orbit[(self.step - 1) % self.turn + 1, 0]) ** 2
+        return math.sqrt(total / half) / (0.5 * self.feed)
+
+
+def growth(mode: Mode, milling: Milling, depth: float) -> float:
+    """Logarithmic growth of a small disturbance per tooth period at a depth of cut [m]; negative: it dies out."""
+    run, levels = _Run(mode, milling, depth), []
+    while len(levels) < PERIODS and (len(levels) < 6 or LOST < levels[-1] < LARGE):
+        levels.append(run.period())
+    late = np.arange(len(levels))[len(levels) // 3 :]
+    return float(np.polyfit(late, np.log(np.array(levels)[late]), 1)[0])
+
+
+def limit_depth(mode: Mode, milling: Milling, low: float, high: float, tolerance: float = 5e-3) -> float:
+    """Depth of cut [m] between two where disturbances neither grow nor die; tolerance: of the depth, relative."""
+    return float(brentq(lambda depth: growth(mode, milling, depth), low, high, xtol=tolerance * low))
+
+
+SEMI_DISCRETISATION = "first-order semi-discretisation of the benchmark of [Insperger2004], test/test_stability.py"
+
+#: what test_stability.py finds, [m]
+LIMITS = {
+    Milling(15000.0, "up"): 0.2590e-3,  # Hopf, at the foot of a lobe
+    Milling(14000.0, "up"): 1.4397e-3,  # Hopf, within a lobe
+    Milling(15000.0, "down"): 2.597e-3,  # period doubling
+}
+
+
+def _limit(milling: Milling) -> tuple[float, float, float]:
+    expected = LIMITS[milling]
+    return expected, limit_depth(BENCHMARK, milling, 0.8 * expected, 1.25 * expected), 0.05 * expected
+
+
+for _case in LIMITS:
+    _name = f"stability limit, half immersion {_case.immersion}-milling, {_case.spindle_rpm:.0f} rpm"
+    check(_name, SEMI_DISCRETISATION, "m", arguments=(_case,))(_limit)
