@@ -62,9 +62,9 @@ def test_every_finding_has_the_line_of_its_point(cell, ran):
 
 
 def test_out_of_reach_names_all_points_that_are(cell):
-    far = Trajectory(np.arange(9) * 10**9, np.outer(np.linspace(0, 2, 9), [1.0, 0.0, 0.0]), TOOL_DOWN)
+    far = Trajectory(np.arange(9) * 10**9, np.outer(np.linspace(0, 2, 9), [-1.0, 0.0, 0.0]), TOOL_DOWN)
     found, joints = arm_findings(cell, far)
-    tool, arm = cell.workpiece.pose.apply(far.position), cell.arm  # the workpiece's x axis leads away from the arm
+    tool, arm = cell.workpiece.pose.apply(far.position), cell.arm  # -x leads away from the arm and up
     centre = tool + arm.d6 * cell.workpiece.pose.rotation[:, 2]  # no tool: the flange is d6 in front of the wrist
     away = np.hypot(np.hypot(*centre[:, :2].T) - arm.a1, centre[:, 2] - arm.d1)
     lost = np.flatnonzero(away > arm.a2 + arm.forearm) + 1
