@@ -5,10 +5,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rclpy.lifecycle import TransitionCallbackReturn  # noqa: E402
+from rclpy.lifecycle import TransitionCallbackReturn
 
-from kr270_milling.nodes.compliant_robot import CompliantRobot  # noqa: E402
-from kr270_milling.ros import messages, topics  # noqa: E402
+from kr270_milling.nodes.compliant_robot import CompliantRobot
+from kr270_milling.ros import messages, topics
 
 ERROR, WARN = 2, 1
 NAME = "/compliant_robot"

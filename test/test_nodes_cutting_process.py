@@ -5,11 +5,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from std_srvs.srv import Trigger  # noqa: E402
+from std_srvs.srv import Trigger
 
-from kr270_milling.nodes.cutting_process import CuttingProcess  # noqa: E402
-from kr270_milling.ros import messages, topics  # noqa: E402
-from kr270_milling.simulation.sides import CuttingSide  # noqa: E402
+from kr270_milling.nodes.cutting_process import CuttingProcess
+from kr270_milling.ros import messages, topics
+from kr270_milling.simulation.sides import CuttingSide
 
 ERROR = 2
 NAME = "/cutting_process"

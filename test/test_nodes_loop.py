@@ -7,12 +7,12 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from kr270_milling.nodes.compliant_robot import CompliantRobot  # noqa: E402
-from kr270_milling.nodes.cutting_process import CuttingProcess  # noqa: E402
-from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator  # noqa: E402
-from kr270_milling.passes import compensator, record_of, simulate  # noqa: E402
-from kr270_milling.ros import messages, topics  # noqa: E402
-from kr270_milling.ros.messages import trajectory_from_msg  # noqa: E402
+from kr270_milling.nodes.compliant_robot import CompliantRobot
+from kr270_milling.nodes.cutting_process import CuttingProcess
+from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator
+from kr270_milling.passes import compensator, record_of, simulate
+from kr270_milling.ros import messages, topics
+from kr270_milling.ros.messages import trajectory_from_msg
 
 ERROR = 2
 

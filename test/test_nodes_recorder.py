@@ -12,13 +12,13 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
-from std_msgs.msg import String  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
 
-from kr270_milling.nodes.recorder import Recorder  # noqa: E402
-from kr270_milling.recording.reader import Recording  # noqa: E402
-from kr270_milling.recording.series import series  # noqa: E402
-from kr270_milling.ros import messages, topics  # noqa: E402
+from kr270_milling.nodes.recorder import Recorder
+from kr270_milling.recording.reader import Recording
+from kr270_milling.recording.series import series
+from kr270_milling.ros import messages, topics
 
 WARN = 1
 NAME = "/recorder"

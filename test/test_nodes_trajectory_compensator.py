@@ -5,12 +5,12 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from rclpy.parameter import Parameter  # noqa: E402
-from std_srvs.srv import Trigger  # noqa: E402
+from rclpy.parameter import Parameter
+from std_srvs.srv import Trigger
 
-from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator  # noqa: E402
-from kr270_milling.passes import compensator, record_of, simulate  # noqa: E402
-from kr270_milling.ros import messages, topics  # noqa: E402
+from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator
+from kr270_milling.passes import compensator, record_of, simulate
+from kr270_milling.ros import messages, topics
 
 ERROR = 2
 NAME = "/trajectory_compensator"

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 pytest.importorskip("rclpy")
 
-from geometry_msgs.msg import PoseStamped  # noqa: E402
-from rclpy.serialization import deserialize_message, serialize_message  # noqa: E402
+from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import deserialize_message, serialize_message
 
-from kr270_milling.ros import messages, raw  # noqa: E402
+from kr270_milling.ros import messages, raw
 
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
 NUMBERS = st.floats(-1e100, 1e100)

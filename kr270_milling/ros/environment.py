@@ -16,6 +16,7 @@ from kr270_milling.errors import MillingError
 __all__ = ["RosMissing", "child_environment", "keep_to_this_host", "require_ros"]
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+FAST_DDS = "rmw_fastrtps_cpp"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 #: set by the bootstrapper of the ROS wheels when it has put this interpreter's libraries into LD_LIBRARY_PATH
 GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
@@ -41,11 +42,14 @@ def require_ros() -> None:
 
 def this_host_only(environ: Mapping[str, str]) -> dict[str, str]:
     """The variables to add: the shipped profile and a discovery range, where the user has not set any of his own."""
-    added = {}
-    if environ.get(RANGE, "LOCALHOST") == "LOCALHOST":
-        added[RANGE] = "LOCALHOST"
-        if not any(environ.get(name) for name in PROFILES):
-            added[PROFILES[0]] = str(Path(find_file("fastdds.xml")).resolve())
+    if environ.get(RANGE, "LOCALHOST") != "LOCALHOST":
+        return {}  # the user wants to be seen by others
+    added = {RANGE: "LOCALHOST"}
+    other = environ.get("RMW_IMPLEMENTATION", FAST_DDS) != FAST_DDS or any(environ.get(name) for name in PROFILES)
+    if not other:
+        added[PROFILES[0]] = str(Path(find_file("fastdds.xml")).resolve())
+        if RANGE not in environ:  # the profile alone opens less: LOCALHOST adds sockets on every interface to send from
+            added[RANGE] = "SYSTEM_DEFAULT"
     return added
 
 

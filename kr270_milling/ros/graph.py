@@ -170,6 +170,8 @@ class Graph:
         self._record(name)
         self._wait_matched(recorded=True)
         self.driver.until(self._same_reference, "handing over the reference trajectory", MATCH, ROBOT)
+        for child in self.children.values():
+            child.note_shared()  # of a node that is killed later this cannot be found out any more
         reference, revision = self._says("reference"), self._says("revision")
         self.driver.transition(CUT, "activate", UP)
         self.driver.transition(ROBOT, "activate", UP)
@@ -225,10 +227,10 @@ class Graph:
         try:
             stop(self.children.values())
             stop([recorder] if recorder else [])
-            remove_litter([*self.children.values(), *self.ended, *([recorder] if recorder else [])])
         finally:
             if self.driver is not None:
                 self.driver.close()
+            remove_litter([*self.children.values(), *self.ended, *([recorder] if recorder else [])])
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 

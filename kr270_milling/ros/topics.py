@@ -18,8 +18,9 @@ __all__ = [
     "ROBOT_DESCRIPTION", "TARGET_TRAJECTORY", "TOOL_POSE", "Topic", "WORKPIECE", "WRENCH",
 ]  # fmt: skip
 
-#: the loop of one exchange: lockstep, one message in flight
-LOOP = QoSProfile(depth=10, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+#: the loop of one exchange: lockstep, one message in flight; the publisher keeps so many that a recorder which was
+#: held up for half a second can still ask for what it has missed
+LOOP = QoSProfile(depth=2000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 #: the last one is kept for whoever comes late
 LATCHED = QoSProfile(
     depth=1,
