@@ -101,11 +101,13 @@ def surface_maps(parts: Sequence[PartAssessment], stock: Stock) -> Figure:
         extent = [side[axis] * 1e3 for axis in (0, 1) for side in (stock.min, stock.max)]
         axes.imshow(floors.error.T * 1e6, extent=extent, origin="lower", cmap=MAP, vmin=-most, vmax=most,
                     interpolation="nearest", zorder=1)  # fmt: skip
-        few = slice(None, None, max(1, walls.error.size // (4 * POINTS)))
-        place = walls.position[few, :2] * 1e3
-        axes.scatter(*place.T, s=11, color=GREY, linewidths=0, rasterized=True, snap=False, zorder=2)
-        shown = axes.scatter(*place.T, c=walls.error[few] * 1e6, s=7, cmap=MAP, vmin=-most, vmax=most, linewidths=0,
-                             rasterized=True, snap=False, zorder=3)  # fmt: skip
+        place = walls.position[:, :2] * 1e3
+        joined = np.flatnonzero(np.hypot(*np.diff(place, axis=0).T) < 1.0)  # [mm]: neighbours on one wall
+        pieces = np.stack([place[joined], place[joined + 1]], axis=1)
+        axes.add_collection(LineCollection(pieces, colors=GREY, linewidths=3.0, rasterized=True, zorder=2))
+        shown = LineCollection(pieces, cmap=MAP, linewidths=2.0, capstyle="round", rasterized=True, zorder=3)
+        shown.set(array=walls.error[joined] * 1e6, clim=(-most, most))
+        axes.add_collection(shown)
         whole = part.whole
         axes.set_title(f"{plain(part.name)}: walls {whole.max_wall * 1e6:.1f} µm, floor {whole.max_floor * 1e6:.1f} µm")
     maps[0].set_ylabel("y [mm]")
