@@ -140,8 +140,11 @@ class BagWriter:
         channel = self.channels[self.topics[topic]]
         stamp = stamp_of(data, channel.stamped)
         if log_time is None:
-            latest = publish_time if self._latest is None else self._latest
-            log_time = latest if stamp is None else stamp
+            log_time = stamp
+            if stamp is None or (stamp == 0 and channel.type.startswith("trajectory_msgs/")):
+                # a trajectory's stamp of 0 means "start at once" and says nothing of when it was published
+                fallback = publish_time if stamp is None else stamp
+                log_time = fallback if self._latest is None else self._latest
         self._append(channel, data, publish_time, log_time, channel.count, stamp)
 
     def write_raw(self, channel_id: int, data: bytes, publish_time: int, log_time: int, sequence: int) -> None:
