@@ -1,0 +1,149 @@
+"""Wrong signs and factors in the numbered equations: does a test notice? By hand: ``python test/mutations.py [TEXT]``.
+
+Each mutation goes into a fresh copy of the package; the tests of that part run until the first one fails. TEXT chooses
+the mutations whose equation or file contains it. Exit code 1 if one survives. Takes about ten minutes.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+TOP = Path(__file__).resolve().parents[1]
+LOADS, BALANCE, STIFF = "robot/loads.py", "robot/equilibrium.py", "robot/elastostatics.py"
+MASS, LAWS, SWEEP = "robot/mass.py", "cutting/laws.py", "cutting/sweep.py"
+MOTION, MIRROR, REVISION = "simulation/dynamics.py", "compensation/mirror.py", "compensation/revision.py"
+TESTS = {
+    LOADS: ["robot_loads", "robot_equilibrium", "robot_elastostatics"],
+    BALANCE: ["robot_equilibrium", "robot_elastostatics"],
+    STIFF: ["robot_elastostatics"],
+    MASS: ["robot_mass"],
+    LAWS: ["cutting_laws", "cutting_force"],
+    SWEEP: ["cutting_force", "cutting_cut"],
+    MOTION: ["simulation_dynamics", "simulation_arm_model"],
+    MIRROR: ["compensation_mirror"],
+    REVISION: ["compensation_revision"],
+}
+
+#: equation, file, a text that stands there once, with <<what it is|what it becomes>>
+MUTATIONS = [
+    ("(1)", MOTION, "decay * (c <<+|->> z * w / damped * s), decay"),
+    ("(1)", MOTION, "a21, a22 = <<-|+>>decay * w * w"),
+    ("(1)", MOTION, "(1.0 <<-|+>> a11) / w**2"),
+    ("(1)", MOTION, "(-<<a21|2 * a21>> / w**2)"),
+    ("(1) condensed", MOTION, "output[free] = <<coupling|-coupling>>, coupling.T"),
+    ("(1) condensed", MOTION, "compliance[np.ix_(free, free)] <<-|+>> compliance"),
+    ("(7) weights", LOADS, "<<+|->> cross(_moment_arms(frames, loads), loads.gravity)"),
+    ("(7) wrench", LOADS, "about_axis = cross(arms, force) <<+|->> moment"),
+    ("(7) springs", BALANCE, "error = load_torque(frames, wrench[todo], loads) - <<arm|2 * arm>>"),
+    ("(7) split weights", LOADS, "arm.link_mass * (1 <<-|+>> arm.link_mass_centre)"),
+    ("(8)", BALANCE, "<<target.position - now.position|now.position - target.position>>, turn]"),
+    ("(9)", BALANCE, "balance = load_torque(frames, wrench, loads) <<-|+>> arm"),
+    ("(10) F", BALANCE, "wrench[going] <<+=|-=>> change"),
+    ("(10) theta", BALANCE, "theta[going] <<+=|-=>> change"),
+    ("(14) force", LOADS, "cross(cross(axes, arms), <<force|-force>>) + weight"),
+    ("(14) moment", LOADS, "symmetric <<+|->> np.tril(cross(axes, moment)"),
+    ("(15) weights", LOADS, "force) <<+|->> weight"),
+    ("(15) weights", LOADS, "weight = <<cross|2 * cross>>(cross(axes, _moment_arms"),
+    ("(16)", BALANCE, "load_hessian(frames, wrench, loads) <<-|+>> np.diag"),
+    ("(16)", BALANCE, "springs = np.diag(arm.joint_stiffness) - <<load|300 * load>>_hessian(frames, wrench[todo]"),
+    ("(17) compliance", STIFF, "equilibrium.jacobian\n    springs = np.diag(arm.joint_stiffness) <<-|+>> equ"),
+    ("(17) stiffness", STIFF, "equilibrium.jacobian)\n    springs = np.diag(arm.joint_stiffness) <<-|+>> equ"),
+    ("(18) Q_j", MASS, "per_length, <<per_length / 2|per_length>>, per_length / 2"),
+    ("(18) Q_j", MASS, "per_length = mass * radius**2 <</ length|>>"),
+    ("(19) axial", MASS, "put(1, 1, m / <<3|2>>)"),
+    ("(20) torsion", MASS, "put(4, 10, rho_i_p * l / <<6|3>>)"),
+    ("(21) f", MASS, "put(1, 7, <<m|-m>> / 6)"),
+    ("(21) g", MASS, "<<39 * m / 280|9 * m / 70>>"),
+    ("(21) g", MASS, "<<33 * m / 140|13 * m / 35>>"),
+    ("(21) h", MASS, "put(axis, axis + 6, <<2|-2>> * rho_i * l / 15)"),
+    ("(22) D", MASS, "put(2, 6, <<3|-3>> * m * l / 35)"),
+    ("(22) D", MASS, "put(5, 9, <<-11|11>> * m * l / 280)"),
+    ("(23)", MASS, "<<2 * m|m>> * l**2 / 105"),
+    ("(24)", MASS, "total[..., span, span] <<+=|=>> _turned"),
+    ("(24) spindle", MASS, "total[..., 36:, 36:] <<+=|-=>> _turned"),
+    ("(25)", MASS, "inverse = <<np.linalg.inv|np.array>>(jacobian_at(frames, frames.tool.position))"),
+    ("(25) M_theta", MASS, "jacobian_at(frames, frames.nodes[..., j, :], <<j|6>>)"),
+    ("(26)", LAWS, "(u <<+|->> r * u * u) / (1.0 + u)"),
+    ("(26)", LAWS, "(u + r * u * u) / (1.0 <<+|->> u)"),
+    ("(26) reading", LAWS, "READING_DEPTH = <<1e-3|1.0>>"),
+    ("(27)", LAWS, "u = <<np.maximum(h, 0.0)|h>> / h_s"),
+    ("(27) linear edge", LAWS, "k_e * (h <<>|>=>> 0.0)"),
+    ("(28)", LAWS, "return tangential, <<c|-c>>[3] * tangential"),
+    ("(29) F_x, F_r", SWEEP, "force_x += <<-|+>>f_r * c"),
+    ("(29) F_x, F_t", SWEEP, "-f_r * c <<+|->> p.sense * f_t * d"),
+    ("(29) F_y, F_r", SWEEP, "force_y += <<-|+>>f_r * d"),
+    ("(29) F_y, F_t", SWEEP, "-f_r * d <<-|+>> p.sense * f_t * c"),
+    ("h_i = A_i / (R dphi)", SWEEP, "(<<height|2 * height>> * p.radii[i] * p.micro_step)"),
+    ("A_i", SWEEP, "total = s.tally[0] * (depth <<-|+>> level * p.level_step) + s.tally[1]"),
+    ("torque", SWEEP, "torque <<+=|-=>> f_t * p.radii[i]"),
+    ("(30)", MIRROR, "commanded.position <<+ loaded.position - |- loaded.position + >>sagged.position"),
+    ("(30) rotation", MIRROR, "turned = <<loaded|sagged>>.rotation @ np.swapaxes(sagged.rotation, -1, -2)"),
+    ("(30) weights", MIRROR, "loaded = equilibrium(arm, mount, joints, wrench, gravity=<<True|False>>).pose"),
+    ("(31)", MIRROR, "shift = <<target.position - loaded.position|loaded.position - target.position>>"),
+    ("(32)", MIRROR, "modified.position <<+|->> relaxation * shift"),
+    ("(32) alpha", MIRROR, "modified.position + <<relaxation|2 * relaxation>> * shift"),
+    ("(32) rotation", MIRROR, "from_rotvec(<<relaxation|-relaxation>> * vector)"),
+    ("Fig. 14", REVISION, "knots = <<-np|np>>.column_stack"),
+    ("Fig. 14 learned", REVISION, "target.sample(knots_ns) <<-|+>> fit"),
+]
+
+
+def copy_into(folder: Path) -> None:
+    """The package with its tests and configuration, without compiled code."""
+    without = shutil.ignore_patterns("__pycache__", ".git", ".*_cache", ".hypothesis")
+    for name in ("kr270_milling", "config", "test"):
+        shutil.copytree(TOP / name, folder / name, ignore=without)
+    shutil.copy(TOP / "pyproject.toml", folder)
+
+
+def run(folder: Path, tests: list[str]) -> str:
+    """Name of the first test that fails, "" if none does."""
+    files = [f"test/test_{name}.py" for name in tests]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider", *files]
+    environment = {**os.environ, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
+    try:
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+    except subprocess.TimeoutExpired:
+        return "no end within 300 s"
+    found = re.search(r"^(?:FAILED|ERROR) test/(\S+)", done.stdout, re.MULTILINE)
+    return "" if done.returncode == 0 else found.group(1) if found else f"pytest ended with {done.returncode}"
+
+
+def mutate(file: str, pattern: str) -> str:
+    """First test that fails with the mutation, "" if it survives."""
+    before, old, new, after = re.fullmatch(r"(.*?)<<(.*?)\|(.*?)>>(?!>)(.*)", pattern, re.DOTALL).groups()
+    with tempfile.TemporaryDirectory() as name:
+        copy_into(Path(name))
+        source = Path(name, "kr270_milling", file)
+        text = source.read_text()
+        if text.count(before + old + after) != 1:
+            return "NOT APPLIED: the text is not there exactly once"
+        source.write_text(text.replace(before + old + after, before + new + after))
+        return run(Path(name), TESTS[file])
+
+
+def main(wanted: str) -> int:
+    chosen = [m for m in MUTATIONS if wanted in m[0] or wanted in m[1]]
+    with tempfile.TemporaryDirectory() as name:
+        copy_into(Path(name))
+        broken = run(Path(name), sorted({t for m in chosen for t in TESTS[m[1]]}))
+    if broken:
+        print(f"without any mutation {broken} fails already")
+        return 1
+    alive = 0
+    for equation, file, pattern in chosen:
+        killer = mutate(file, pattern)
+        alive += not killer or killer.startswith("NOT APPLIED")
+        print(f"{equation:20} {file:26} {pattern!r:80} {killer or 'SURVIVED'}", flush=True)
+    print(f"{len(chosen)} mutations, {alive} survived")
+    return 1 if alive else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1] if len(sys.argv) > 1 else ""))
