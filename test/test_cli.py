@@ -83,7 +83,7 @@ def test_the_version_is_that_of_the_package(capsys):
     assert exited.value.code == 0 and capsys.readouterr().out == f"kr270_milling {__version__}\n"
 
 
-@pytest.mark.parametrize("words", [[], ["mill"], ["--fast"], ["stiffness"], ["simulate"], ["compensate", "paper.yaml"]])
+@pytest.mark.parametrize("words", [[], ["mill"], ["--fast"], ["stiffness"], ["simulate"], ["compensate"], ["check"]])
 def test_a_call_that_is_not_understood_exits_with_2(capsys, words):
     assert "error:" in refused(capsys, *words)
 
