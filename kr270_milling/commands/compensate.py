@@ -19,7 +19,8 @@ def add_arguments(parser) -> None:
     parser.add_argument("--out", metavar="DIR", default="out", help="where everything goes (default: out)")
     parser.add_argument(
         "--krl", choices=("LIN", "SPLINE"), action="append",
-        help="motions of the robot programs; may be given twice (default: the cell's program.motion)",
+        help="motions of the robot programs; may be given twice (default: LIN for the method linear, which corrects "
+        "in straight lines, else the cell's program.motion)",
     )  # fmt: skip
     parser.add_argument(
         "--verdict", metavar="N", type=_count, nargs="?", const=SAMPLES,
@@ -47,6 +48,7 @@ def run(args) -> int:
     source = find_file(args.cell)
     cell = read_cell(source, args.set)
     method = args.method or cell.compensation.method
+    motions = args.krl or ["LIN" if method == "linear" else cell.program.motion]
     with staged(args.out) as (draft, final):
         with progress("original pass") as report:
             original = simulate(cell, progress=report)
@@ -60,10 +62,10 @@ def run(args) -> int:
         found |= _correction(cell, revised, by)
         parts = _parts(cell, passes)
         found["features"] = {part.name: part.table() for part in parts}
-        checked = _check(cell, revised, args.krl)
+        checked = _check(cell, revised, motions)
         found["check"] = checked.as_dict()
         found["verdict"] = _verdict(cell, revised, args)
-        found |= _write(draft, final, cell, passes, parts, args, source)
+        found |= _write(draft, final, cell, passes, parts, motions, args, source)
     _remove_stale(cell, found["programs"])
     if args.json:
         print_json(found)
@@ -104,7 +106,6 @@ def _check(cell, revised, motions):
     """What ``kr270_milling check`` finds, for LIN motions if there are any: these are blended."""
     from kr270_milling.checks.check import check
 
-    motions = motions or [cell.program.motion]
     return check(cell, revised.reference, "LIN" if "LIN" in motions else motions[0], ran=revised)
 
 
@@ -122,7 +123,7 @@ def _verdict(cell, revised, args) -> dict | None:
         ).as_dict()
 
 
-def _write(draft, final, cell, passes, parts, args, source) -> dict:
+def _write(draft, final, cell, passes, parts, motions, args, source) -> dict:
     """All files; their final paths by kind."""
     import datetime
 
@@ -133,7 +134,7 @@ def _write(draft, final, cell, passes, parts, args, source) -> dict:
     with progress("files"):
         files = write_programs(
             draft, cell, original.reference, revised.reference, method=revised.name, date=date,
-            motions=args.krl or (), source=source_hash(cell),
+            motions=motions, source=source_hash(cell),
         )  # fmt: skip
         placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
         placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
