@@ -89,6 +89,8 @@ def in_mid_pass(out: Path) -> dict[str, int]:
     """Wait until the original pass runs; returns the nodes."""
     log = out / "log" / "cutting_process.log"
     wait_until(lambda: log.exists() and "]: cutting" in log.read_text(), 40, "the pass does not start")
+    file = out / "original" / "original.mcap"
+    wait_until(lambda: file.stat().st_size > 30_000, 10, "nothing of the pass is written")
     return nodes_of(out)
 
 
@@ -146,7 +148,8 @@ def test_killed_node_is_named_within_3_s_and_nothing_is_left(runner, tmp_path, n
     assert node in told and "SIGKILL" in told
     assert not nodes_of(tmp_path)
     used = {name for pid in filter(str.isdigit, os.listdir("/proc")) for name in _shared_files(pid)}
-    assert shared and not [name for name in shared - used if os.path.exists(name)]
+    left = sorted(name for name in shared - used if os.path.exists(name))
+    assert shared and not left, left
     with Recording(tmp_path / "o" / "original") as recording:
         assert recording.cut_off == (node == "recorder")
         assert recording.topics()["/wrench"].count > 0

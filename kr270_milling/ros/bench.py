@@ -1,0 +1,109 @@
+"""How fast the graph is, beside its yardsticks: the wall clock, and mcap's own writer."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from kr270_milling.cell import read_cell
+from kr270_milling.config_file import find_file
+from kr270_milling.recorded import pass_from_recording
+from kr270_milling.recording.bench import bench_writer
+from kr270_milling.recording.reader import Recording
+from kr270_milling.ros.environment import child_environment, require_ros
+from kr270_milling.ros.graph import Graph
+
+__all__ = ["bench_ros"]
+
+SMALL_RATE, SMALL_SECONDS = 20_000, 10.0  # messages a second; seconds
+LARGE, LARGE_COUNT = 1_000_000, 1000  # bytes; messages
+
+
+def bench_ros(passes: int = 3) -> dict:
+    """Paper's pass with four processes and recorder; graph up; recorder alone with small and with large messages."""
+    require_ros()
+    with tempfile.TemporaryDirectory() as directory:
+        found = _passes(Path(directory, "graph"), passes)
+        staggered = Path(directory, "staggered")
+        staggered.mkdir()
+        with Graph(_paper(), staggered, stagger=0.5) as graph:
+            # the last of the three nodes starts one second after the first; the pauses do not count
+            found["graph_up_staggered_s"] = graph.up_s - 3 * 0.5
+        found |= _recorder_small(Path(directory, "small")) | _recorder_large(Path(directory, "large"))
+    writer = bench_writer()
+    found["plain_writer_small_per_s"] = writer["plain_small_per_s"]
+    found["plain_writer_large_mb_per_s"] = writer["plain_large_mb_per_s"]
+    found["recorder_large_share_of_plain"] = found["recorder_large_mb_per_s"] / writer["plain_large_mb_per_s"]
+    return found
+
+
+def _paper():
+    return read_cell(find_file("paper.yaml"))
+
+
+def _passes(out: Path, count: int) -> dict:
+    out.mkdir()
+    walls, lost = [], 0
+    with Graph(_paper(), out) as graph:
+        for number in range(count):
+            ran = graph.run_pass(f"pass_{number + 1}")
+            found = pass_from_recording(ran.recording)
+            walls.append(ran.wall_s)
+            lost += found.messages_lost
+        up = graph.up_s
+    duration = float(found.scored.result.time[-1])
+    return {
+        "graph_up_s": up,
+        "pass_s": duration,
+        "pass_wall_s": walls,
+        "real_time_factor": duration / min(walls),
+        "messages_lost": lost,
+    }
+
+
+def _recorder_small(out: Path) -> dict:
+    """Poses at a given rate from another process into a recorder that has nothing else to do."""
+    sent, seconds, _, received = _record(out, SMALL_RATE, round(SMALL_RATE * SMALL_SECONDS), 0)
+    return {
+        "recorder_small_per_s": sent / seconds,
+        "recorder_small_sent": sent,
+        "recorder_small_lost": sent - received,
+    }
+
+
+def _recorder_large(out: Path) -> dict:
+    """Maps of 1 MB, as fast as they are taken."""
+    sent, _, seconds, received = _record(out, 0, LARGE_COUNT, LARGE)
+    return {
+        "recorder_large_mb_per_s": received * LARGE * 1e-6 / seconds,
+        "recorder_large_sent": sent,
+        "recorder_large_lost": sent - received,
+    }
+
+
+def _record(out: Path, rate: int, count: int, size: int) -> tuple[int, float, float, int]:
+    """Messages sent, seconds that took, seconds until they were written, messages in the recording."""
+    environment = child_environment()
+    node = [sys.executable, "-m", "kr270_milling.nodes.recorder", "--ros-args", "-p", f"directory:={out}"]
+    source = [sys.executable, "-m", "kr270_milling.ros.bench_source", str(rate), str(count), str(size)]
+    quiet = {"env": environment, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen([*node, "-p", "topics:=bench"], **quiet) as recorder:
+        try:
+            told = subprocess.run(source, stdout=subprocess.PIPE, text=True, timeout=120, check=True, **quiet).stdout
+        finally:
+            recorder.send_signal(signal.SIGINT)
+    sent, seconds, written = told.split()
+    with Recording(out) as recording:
+        return int(sent), float(seconds), float(written), recording.topics()["/bench"].count
+
+
+if __name__ == "__main__":
+    begun = time.monotonic()
+    for key, value in bench_ros().items():
+        print(f"{key:32} {value}")
+    print(f"{os.cpu_count()} cores, {time.monotonic() - begun:.1f} s")
