@@ -84,13 +84,18 @@ def test_what_was_limited_is_said(quick, tmp_path, capsys):
 def test_a_path_that_must_not_be_run_ends_with_1_and_says_so(quick, tmp_path, capsys):
     assert main(command(tmp_path, sets=["limits.spindle_power_kw=0.01"])) == 1
     text = capsys.readouterr().out
-    assert "the path must not be run" in text and (tmp_path / "out" / "krl_spline").is_dir()
+    assert "the path must not be run" in text
+    # the cell's method is linear, which LIN motions run
+    assert sorted(p.name for p in (tmp_path / "out").iterdir() if p.name.startswith("krl")) == ["krl_lin"]
 
 
 def test_a_second_run_leaves_no_modules_of_a_longer_program(quick, tmp_path):
-    assert main(command(tmp_path, sets=["program.line_limit=120", "timing.controller_step_ms=4"])) == 0
+    assert (
+        main(command(tmp_path, "--method", "spline", sets=["program.line_limit=120", "timing.controller_step_ms=4"]))
+        == 0
+    )
     assert (tmp_path / "out" / "krl_spline" / "MILLING_CMP_003.src").exists()
-    assert main(command(tmp_path)) == 0
+    assert main(command(tmp_path, "--method", "spline")) == 0
     names = {p.name for p in (tmp_path / "out" / "krl_spline").iterdir()}
     assert names == {f"MILLING_{kind}.{end}" for kind in ("ORG", "CMP") for end in ("src", "dat")}
 
