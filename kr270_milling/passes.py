@@ -22,6 +22,7 @@ __all__ = [
     "compensator",
     "mean_force",
     "mirrored",
+    "pass_record",
     "record_of",
     "scored",
     "simulate",
@@ -73,7 +74,13 @@ def scored(cell: Cell, result: PassResult) -> Scores:
 
 def record_of(cell: Cell, result: PassResult) -> PassRecord:
     """What the compensator learns from: stamps and tool centres, as a node hears them on ``tool_pose``."""
-    return PassRecord(result.time_ns, result.tool, cell.scored_from_ns, result.wrench)
+    return pass_record(cell, result.time_ns, result.tool, result.wrench)
+
+
+def pass_record(cell: Cell, time_ns: np.ndarray, tool: np.ndarray, wrench: np.ndarray) -> PassRecord:
+    """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], heard, recorded or simulated."""
+    revolution = 2e9 * np.pi / cell.tool.spindle_speed
+    return PassRecord(time_ns, tool, cell.scored_from_ns, wrench, revolution)
 
 
 def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Compensator:

@@ -12,7 +12,7 @@ from kr270_milling.compensation.compensator import LEAST_GAIN, Compensator, Pass
 from kr270_milling.compensation.parameters import METHODS
 from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.frames import rotation_from_quaternion
-from kr270_milling.passes import commanded_joints, compensator
+from kr270_milling.passes import commanded_joints, compensator, pass_record
 from kr270_milling.recompute_inputs import TOOL, Sample, trajectory_of
 from kr270_milling.recompute_models import JOINT_NAMES, WORKPIECE
 from kr270_milling.recording import encode
@@ -130,16 +130,16 @@ class CompensatorModel:
     def revise(self, method: str | None = None) -> list[Compensator]:
         """The compensator after the complete pass; none if the recording does not decide it.
 
-        With "mirror" the wrench that answers the last pose may have come before or behind the revision.
+        The wrench that answers the last pose may have come before the revision, or not in time.
         """
         before = self._before(method)
         if before is None:
             return []
         states = []
-        for last_wrench in (True, False) if before.method == "mirror" else (True,):
+        for last_wrench in (True, False):
             state = copy.copy(before)
             state.errors = list(before.errors)
-            state.revise(self._record(state.method, last_wrench))
+            state.revise(self._record(last_wrench))
             states.append(state)
         decided = [s for s in states if s.reference is not None and (before.finished or self._decided(s))]
         if len(decided) < len(states):
@@ -184,11 +184,10 @@ class CompensatorModel:
         exact = self._state is not None
         return exact or min(abs(last - earlier), abs(last - (1.0 - LEAST_GAIN) * earlier)) > ROUNDING
 
-    def _record(self, method: str, last_wrench: bool) -> PassRecord:
+    def _record(self, last_wrench: bool) -> PassRecord:
         stamps = np.array([p.stamp for p in self._ran])
         positions = np.array([p.values[:3] for p in self._ran])
-        wrench = self._wrench_series(last_wrench) if method == "mirror" else None
-        return PassRecord(stamps, positions, self.cell.scored_from_ns, wrench)
+        return pass_record(self.cell, stamps, positions, self._wrench_series(last_wrench))
 
     def _wrench_series(self, last_wrench: bool) -> np.ndarray:
         """(n, 6) at the stamps of the poses, as the node makes it of what it heard."""

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.cell import Cell, read_cell
+from kr270_milling.cell import Cell
 from kr270_milling.passes import ScoredPass, scored
+from kr270_milling.recompute_inputs import cell_of
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.reader import Recording
 from kr270_milling.recording.series import series
@@ -18,7 +17,7 @@ from kr270_milling.recording.trajectory import TRAJECTORY, trajectories
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["RecordedPass", "cell_from_recording", "pass_from_recording", "references", "topic_of"]
+__all__ = ["RecordedPass", "pass_from_recording", "references", "topic_of"]
 
 DIAGNOSTICS = "/diagnostics"
 SERIES = ("tool_pose", "deflection", "wrench")
@@ -32,39 +31,6 @@ class RecordedPass:
     cell: Cell
     messages_lost: int  #: poses, wrenches and deflections that the pass must have had and the file has not
     complete: bool  #: the pass ran to the end of its reference, and the file was closed
-
-
-def cell_from_recording(recording: Recording) -> Cell:
-    """The cell whose parameter file is attached; a tool path file may be attached beside it."""
-    names = [about.name for about in recording.attachments]
-    files = [name for name in names if name.endswith((".yaml", ".yml"))]
-    chosen = "cell.yaml" if "cell.yaml" in files else next(iter(files), None)
-    if chosen is None:
-        raise RecordingError(recording.path, "no cell file is attached, so that nothing can be computed from it")
-    with tempfile.TemporaryDirectory() as directory:
-        for name in names:
-            if Path(name).name == name:  # never write outside of the directory
-                (Path(directory) / name).write_bytes(recording.attachment(name))
-        text = (Path(directory) / chosen).read_text(encoding="utf-8", errors="replace")
-        (Path(directory) / chosen).write_text(_beside(text, names), encoding="utf-8")
-        cell = read_cell(Path(directory) / chosen)
-        cell.target()  # a tool path file is read while it is there
-    return cell
-
-
-def _beside(text: str, names: list[str]) -> str:
-    """A parameter file whose ``path.file`` is the attached one, whatever folder it lay in when it was recorded."""
-    import yaml
-
-    try:
-        tree = yaml.safe_load(text)
-        file = tree["/**"]["ros__parameters"]["path"]["file"]
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, RecursionError):
-        return text  # the strict reader tells what is wrong, if anything is
-    if not isinstance(file, str) or Path(file).name not in names:
-        return text
-    tree["/**"]["ros__parameters"]["path"]["file"] = Path(file).name
-    return yaml.safe_dump(tree, sort_keys=False)
 
 
 def topic_of(recording: Recording, name: str, namespace: str | None = None) -> str:
@@ -101,7 +67,7 @@ def references(recording: Recording, namespace: str | None = None) -> list[Traje
 def pass_from_recording(path, name: str | None = None, namespace: str | None = None) -> RecordedPass:
     """The pass that a recording holds; a file that was cut off gives the part that is there."""
     with Recording(path) as recording:
-        cell, reference = cell_from_recording(recording), references(recording, namespace)[0]
+        cell, reference = cell_of(recording), references(recording, namespace)[0]
         heard = {kind: _by_stamp(recording, topic_of(recording, kind, namespace)) for kind in SERIES}
         wall = _wall_time(recording)
     common = set.intersection(*map(set, heard.values()))

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from kr270_milling.cell import read_cell
-from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.config_file import find_file
-from kr270_milling.passes import commanded_joints, compensator
+from kr270_milling.passes import commanded_joints, compensator, pass_record
 from kr270_milling.recording import encode
 from kr270_milling.recording.reader import Recording
 from kr270_milling.recording.writer import BagWriter
@@ -81,7 +80,7 @@ def one_pass(method: str = "linear", iterations: int = 1, passes: int = 1) -> tu
         record = []
         found += _exchange(cell, state.reference, record)
         stamps, positions, wrenches = (np.array(column) for column in zip(*record, strict=True))
-        state.revise(PassRecord(stamps, positions, cell.scored_from_ns, wrenches))
+        state.revise(pass_record(cell, stamps, positions, wrenches))
         found += _published(cell, state.reference)
     return tuple(found)
 

@@ -203,3 +203,15 @@ def test_a_limited_change_holds_in_every_tick_and_is_told(method):
     correction = limited.sample(stamps) - target.sample(stamps)
     assert nothing == () and np.linalg.norm(correction[12:] - correction[:-12], axis=1).max() < 1.05 * most
     assert {f.kind for f in found} == {"change"} and all(f.missing > 0 for f in found)
+
+
+def test_the_sampled_displacement_is_free_of_what_repeats_every_revolution():
+    target = Trajectory.straight_line([0, 0, 0], [1, 0, 0], 0.05, 0.05, 0.05)
+    time_ns, revolution = np.arange(0, 10**9, 500_000), 7_500_000
+    slow = 50e-6 + 20e-6 * time_ns * 1e-9  # [m]
+    ripple = 15e-6 * np.sin(2 * np.pi * 4 * time_ns / revolution)  # four teeth, 15 samples a revolution
+    moved = np.column_stack([np.zeros(time_ns.size), slow + ripple, np.zeros(time_ns.size)])
+    record = PassRecord(time_ns, target.sample(time_ns) + moved, revolution_ns=revolution)
+    inner = target.time_ns[(target.time_ns > revolution) & (target.time_ns < 10**9 - revolution)]
+    found = record.sampled_displacement(target, inner)[:, 1]
+    assert np.abs(found - (50e-6 + 20e-6 * inner * 1e-9)).max() < 1e-8  # the ripple alone is 15e-6

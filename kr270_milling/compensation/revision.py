@@ -36,6 +36,7 @@ class PassRecord:
     position: np.ndarray  #: [m], (n, 3), in the frame of the trajectories
     scored_from_ns: int = 0  #: the tool is fully engaged from here on
     wrench: np.ndarray | None = None  #: on the tool [N, N m], (n, 6), in the frame of the trajectories; for "mirror"
+    revolution_ns: float = 0.0  #: [ns], of the spindle: what the teeth do within it is no error that a knot can follow
 
     @property
     def scored(self) -> np.ndarray:
@@ -58,6 +59,22 @@ class PassRecord:
     def displacement(self, reference: Trajectory) -> np.ndarray:
         """[m], (n, 3): what the load did to the reference that was run."""
         return self.position - reference.sample(self.time_ns)
+
+    def sampled_displacement(self, reference: Trajectory, knots_ns: np.ndarray) -> np.ndarray:
+        """[m], (k, 3): at the knots, each the mean over one revolution, so that no tooth passing is aliased."""
+        time, shift = self.time_ns.astype(float), self.displacement(reference)
+        steps = 0.5 * (shift[1:] + shift[:-1]) * np.diff(time)[:, None]
+        area = np.concatenate([np.zeros((1, shift.shape[1])), np.cumsum(steps, axis=0)])
+        knots = np.clip(knots_ns.astype(float), time[0], time[-1])
+        half = np.minimum(0.5 * self.revolution_ns, np.minimum(knots - time[0], time[-1] - knots))
+        wide = half > 0.0
+        means = []
+        for axis, total in zip(shift.T, area.T, strict=True):
+            mean = np.interp(knots, time, axis)
+            over = np.interp((knots + half)[wide], time, total) - np.interp((knots - half)[wide], time, total)
+            mean[wide] = over / (2.0 * half[wide])
+            means.append(mean)
+        return np.column_stack(means)
 
 
 def revise(
@@ -86,8 +103,7 @@ def revise(
         fit = spline_fit(knots_ns, ran.time_ns, error, ran.scored, criterion, still, unscored)
         knots = reference.sample(knots_ns) - target.sample(knots_ns) - fit
     else:
-        shift = ran.displacement(reference)
-        knots = -np.column_stack([np.interp(knots_ns, ran.time_ns, axis) for axis in shift.T])
+        knots = -ran.sampled_displacement(reference, knots_ns)
     limits = {"max_correction": max_correction, "max_change": max_change, "tick": tick}
     return corrected(target, knots, method, **limits)
 

@@ -10,9 +10,8 @@ from std_srvs.srv import Trigger
 
 from kr270_milling.compensation.compensator import PassListener
 from kr270_milling.compensation.parameters import METHODS
-from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.frames import rotation_from_quaternion
-from kr270_milling.passes import commanded_joints, compensator
+from kr270_milling.passes import commanded_joints, compensator, pass_record
 from kr270_milling.ros import messages, raw, topics
 from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded
@@ -149,7 +148,7 @@ class TrajectoryCompensator(ReportingNode):
     def _revise(self) -> None:
         stamps = np.array(self._heard.stamps)
         positions = np.array([position for position, _ in self._heard.items])
-        self.compensator.revise(PassRecord(stamps, positions, self.cell.scored_from_ns, self._wrench_series(stamps)))
+        self.compensator.revise(pass_record(self.cell, stamps, positions, self._wrench_series(stamps)))
         self._publish(f"revised after pass {len(self.compensator.errors)}")
 
     def _wrench_series(self, stamps: np.ndarray) -> np.ndarray:
