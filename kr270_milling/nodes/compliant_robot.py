@@ -22,6 +22,7 @@ __all__ = ["CompliantRobot", "main"]
 RETRY = 0.5  # [s] of the wall without an answer until the tool pose is published again
 GIVE_UP = 2.0  # [s] of the wall without an answer until the pass is given up
 LOOK = 0.1  # [s] of the wall between two looks whether answers come
+SETTLE = 0.5  # [s] of the wall without another listener before a pass starts: a recorder has to find the topics first
 
 
 class CompliantRobot(ManagedNode):
@@ -36,6 +37,7 @@ class CompliantRobot(ManagedNode):
         self.pace = self.declare_parameter("pace", 0.0, described).value
         self._reference = self._side = self._pace_timer = None
         self._given_up, self._asked, self._stale = False, 0, 0
+        self._listeners, self._changed = (), time.monotonic()
         self._pose = self.create_publisher(*topics.TOOL_POSE)
         self._deflection = self.create_publisher(*topics.DEFLECTION)
         self._joints = self.create_publisher(*topics.JOINT_STATES)
@@ -71,12 +73,12 @@ class CompliantRobot(ManagedNode):
     @guarded
     def _watch_answer(self) -> None:
         """Start the pass when everybody is there; ask again, and give up, when no answer comes."""
-        side = self._side
+        side, settled = self._side, self._is_settled()
         if not self.active or (side is not None and (side.done or self._given_up)):
             return
         cut = self._pose.get_subscription_count() and self._wrench.get_publisher_count()
         if side is None:
-            if cut and self._reference is not None:
+            if cut and settled and self._reference is not None:
                 self._start()
             return
         silent = time.monotonic() - self._answered
@@ -89,6 +91,13 @@ class CompliantRobot(ManagedNode):
         elif silent > RETRY:
             self.report(WARN, "no wrench: asking again" if side.awaited_ns else "the cutting process is not active yet")
             self._publish_pose()
+
+    def _is_settled(self) -> bool:
+        """Nobody has come or gone for a while."""
+        listeners = tuple(p.get_subscription_count() for p in (self._pose, self._deflection, self._joints))
+        if listeners != self._listeners:
+            self._listeners, self._changed = listeners, time.monotonic()
+        return time.monotonic() - self._changed >= SETTLE
 
     def _start(self) -> None:
         cell, reference = self.cell, self._reference
