@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from kr270_milling.commands.console import add_common, print_json, print_table, progress
+from kr270_milling.commands.console import add_common, print_json, progress
 
 
 def add_arguments(parser) -> None:
@@ -60,14 +60,16 @@ def _cells(outcome) -> list[str]:
 
 
 def _print(outcomes, markdown: bool, seconds: float) -> None:
-    columns = ["check", "expected", "got", "tolerance", "verdict", "source of the expected value"]
     rows = [_cells(o) for o in outcomes]
     if markdown:
+        columns = ["check", "expected", "got", "tolerance", "verdict", "source of the expected value"]
         for row in (columns, ["---"] * len(columns), *rows):
             print("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |")
-        print()
-    else:
-        print_table("Verification book", columns, rows)
+    else:  # two lines a check: a table of this width would be cut off
+        for name, expected, got, tolerance, verdict, source in rows:
+            print(f"{verdict:8} {name}")
+            print(f"         {f'{got} for {expected}, tolerance {tolerance}; ' if got else ''}{source}")
+    print()
     verdicts = [o.verdict for o in outcomes]
     count = ", ".join(f"{verdicts.count(v)} {v}" for v in ("ok", "FAILED", "skipped"))
     print(f"{len(outcomes)} checks: {count}; {seconds:.1f} s")
