@@ -139,7 +139,8 @@ def test_recordings_are_never_overwritten(tmp_path):
 def test_killed_node_is_named_within_3_s_and_nothing_is_left(runner, tmp_path, node):
     process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
     pids = in_mid_pass(tmp_path / "o")
-    shared = {name for pid in pids.values() for name in _shared_files(pid)}
+    # the ports 70xx are common to every graph on this machine
+    shared = {name for pid in pids.values() for name in _shared_files(pid) if "_port70" not in name}
     os.kill(pids[node], signal.SIGKILL)
     killed = time.monotonic()
     code, _, told = finished(process, 10)
