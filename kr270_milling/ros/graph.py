@@ -196,7 +196,9 @@ class Graph:
 
     def _record(self, name: str) -> None:
         space = self.driver.namespace
-        attach = [str(self.out / "cell.yaml")] + ([self.cell.path.file] if self.cell.path.file else [])
+        attach = [str(self.out / "cell.yaml")]
+        if self.cell.path.file:
+            attach.append(str(Path(self.cell.path.file).resolve()))  # the nodes run in another directory
         values = {"directory": str(self.out / name), "attach": attach, "command": shlex.join(sys.argv)}
         if space != "/":
             values["topics"] = [f"{space}/*", "/diagnostics", "/clock"]
