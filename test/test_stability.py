@@ -12,7 +12,7 @@ import pytest
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
-from kr270_milling.verification.stability import BENCHMARK, LIMITS, Milling, growth, limit_depth
+from kr270_milling.verification.stability import BENCHMARK, LIMITS, BracketError, Milling, growth, limit_depth
 
 OMEGA, ZETA, MASS, TEETH = 2 * np.pi * 922.0, 0.011, 0.03993, 2
 ENGAGED = {"slot": (0.0, np.pi), "up": (0.0, np.pi / 2), "down": (np.pi / 2, np.pi)}  # phi from +y, clockwise
@@ -113,6 +113,7 @@ def test_the_verification_book_quotes_semi_discretisation():
         (Milling(14000.0, "up"), 0.02),  # in a lobe
         (Milling(15000.0, "up"), 0.02),
         (Milling(15000.0, "down"), 0.02),  # period doubling
+        (Milling(12000.0, "slot"), 0.02),  # period doubling
         (Milling(5000.0, "slot"), 0.05),
     ],
     ids=lambda v: f"{v.immersion} {v.spindle_rpm:.0f}" if isinstance(v, Milling) else "",
@@ -128,3 +129,8 @@ def test_disturbances_grow_and_die_as_fast_as_the_multiplier_says(share):
     depth = share * semi_discretisation(case)[0]
     largest = np.abs(multipliers(depth, 0.002, directional("up", 160))).max()
     assert growth(BENCHMARK, case, depth) == pytest.approx(np.log(largest), rel=0.12)
+
+
+def test_two_stable_depths_are_no_bracket():
+    with pytest.raises(BracketError, match="must lie between"):
+        limit_depth(BENCHMARK, Milling(15000.0, "up"), 0.1e-3, 0.15e-3)

@@ -15,19 +15,31 @@ import numpy as np
 from scipy.optimize import brentq
 
 from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
+from kr270_milling.errors import MillingError
 from kr270_milling.simulation.arm_model import arm_model
 from kr270_milling.simulation.dynamics import ArmModel, modes
 from kr270_milling.simulation.milling_pass import CompliantArm
 from kr270_milling.verification.checks import check
 
-__all__ = ["BENCHMARK", "Milling", "Mode", "growth", "limit_depth"]
+__all__ = ["BENCHMARK", "BracketError", "Milling", "Mode", "growth", "limit_depth"]
 
 GRID = 1e-6  # [m]
 CHIP = 5  # nodes in a feed per tooth
 RADIUS = 1000  # feeds per tooth in the radius
 MICRO_STEP = math.radians(1.0)
 PERIODS = 80  # tooth periods of a run at most
-LOST, LARGE = 0.004, 0.35  # of the feed per tooth: below, the grid's noise reigns; above, teeth leave the cut
+LOST, LARGE = 0.03, 0.35  # of the feed per tooth: below, the grid's noise reigns; above, teeth leave the cut
+
+
+class BracketError(MillingError):
+    """No stability limit between two depths of cut."""
+
+    def __init__(self, low: float, high: float, at_low: float, at_high: float):
+        self.low, self.high, self.at_low, self.at_high = low, high, at_low, at_high
+        super().__init__(
+            f"disturbances grow by {at_low:.3g} a tooth period at {low:.4g} m and by {at_high:.3g} at {high:.4g} m: "
+            "the limit depth must lie between the two"
+        )
 
 
 @dataclass(frozen=True)
@@ -146,8 +158,16 @@ def growth(mode: Mode, milling: Milling, depth: float) -> float:
 
 
 def limit_depth(mode: Mode, milling: Milling, low: float, high: float, tolerance: float = 5e-3) -> float:
-    """Depth of cut [m] between two where disturbances neither grow nor die; tolerance: of the depth, relative."""
-    return float(brentq(lambda depth: growth(mode, milling, depth), low, high, xtol=tolerance * low))
+    """Depth of cut [m] between two where disturbances neither grow nor die; tolerance: of the depth, relative.
+
+    Raises BracketError where they do the same at both ends.
+    """
+    rates = {depth: growth(mode, milling, depth) for depth in (low, high)}
+    if not rates[low] * rates[high] < 0.0:
+        raise BracketError(low, high, rates[low], rates[high])
+    return float(
+        brentq(lambda d: rates[d] if d in rates else growth(mode, milling, d), low, high, xtol=tolerance * low)
+    )
 
 
 SEMI_DISCRETISATION = "first-order semi-discretisation of the benchmark of [Insperger2004], test/test_stability.py"
