@@ -15,6 +15,7 @@ from kr270_milling.checks.parameters import Limits
 from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.config import Record, build, find_file, override, parameter, read_tree, specs
 from kr270_milling.cutting import Cut, Cutting, Stock, Tool
+from kr270_milling.effort import MOST_STEPS, check_effort, check_postures, sinking
 from kr270_milling.errors import InputError, MillingError, ParameterError
 from kr270_milling.frames import Pose, rotation_from_quaternion
 from kr270_milling.recording.reader import find_file as find_recording
@@ -35,7 +36,6 @@ from kr270_milling.verdict.parameters import Uncertainty
 __all__ = ["Cell", "Path", "Workpiece", "read_cell"]
 
 SAME_SPEED = 0.1  # [rad/s], 1 rpm: spindle speeds that differ by less are one
-MOST_STEPS = 5e6  # exchange periods or reference points of one pass; its series take some 250 bytes a step
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +114,7 @@ class Cell(Record):
             shown = self.path.feed_rate * 60.0
             allowed = f"faster: the pass would take {steps:.3g} steps, more than {MOST_STEPS:g}"
             raise ParameterError("path.feed_rate_m_per_min", shown, allowed)
+        check_effort(self.exchange, self.tool, self.stock, self.path.length / self.path.feed_rate)
 
     @functools.cached_property
     def clock(self) -> Clock:
@@ -171,6 +172,8 @@ class Cell(Record):
             shown = f"{run.duration_ns * 1e-9:.4g} s, {steps:.3g} exchange periods, more than {MOST_STEPS:g}"
             reason = f"would take {shown}: cut it in pieces, or raise exchange.period_ms"
             raise InputError(self.path.file, reason)
+        sinks = sinking(run.time, run.position[:, 2], float(self.stock.max[2]))
+        check_effort(self.exchange, self.tool, self.stock, run.duration_ns * 1e-9, sinks)
 
     def _check_spindle(self, toolpath: Toolpath) -> None:
         """A programmed spindle speed, where there is one, must be that of the model."""
@@ -230,6 +233,7 @@ class Cell(Record):
             fastest = float(np.max(reference.feed(reference.time_ns)))
             between = max(1, int(spacing / max(fastest, 1e-9) / period))
             knots = -(-self.clock.steps(reference.duration_ns) // between)
+            check_postures(knots + 1, spacing)
             stamps = self.clock.stamp(np.arange(knots + 1) * between)
         joints = self.joints_at(reference.sample(stamps), reference.sample_orientation(stamps))
         models = modal_models(self.arm, self.mount, self.dynamics, self.workpiece.pose, joints)

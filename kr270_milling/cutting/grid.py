@@ -6,6 +6,7 @@ stock's top in levels of thickness / 65535 (0: untouched). With the tool at one 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ __all__ = ["Stock", "TILE", "GridError", "tile_count", "levels_in_window"]
 
 TILE = 256  # nodes along a tile's side; the compiled code shifts by 8 and 16 bits
 LEVELS = 65535
+MAX_TABLE = 1 << 24  # tiles that a stock may have, used or not: 4 bytes each
 MAX_TILES = 32768  # of 128 KiB each; a node's place in the pool then fits an int32
 
 
@@ -44,7 +46,7 @@ class Stock(Record):
     def check(self) -> None:
         if not np.all(self.max - self.min >= [self.grid_step, self.grid_step, 1e-6]):
             raise ParameterError("max_mm", (1e3 * self.max).tolist(), "above min_mm in x, y and z by a grid step")
-        if max(self.nodes) > 2**30:
+        if max(self.nodes) > 2**30 or math.prod(tile_count(self)) > MAX_TABLE:
             raise ParameterError("grid_step_um", 1e6 * self.grid_step, "larger: the grid has too many nodes")
 
     @property

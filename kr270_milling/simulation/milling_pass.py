@@ -15,13 +15,26 @@ from numba import njit
 from kr270_milling.cutting import Cut, GridError, UndoError, sweep, undo
 from kr270_milling.cutting.grid import TILE
 from kr270_milling.cutting.state import FAILED, LEVEL_SUM
+from kr270_milling.errors import MillingError
 from kr270_milling.simulation.dynamics import ArmModel, advance
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["CompliantArm", "PassResult", "run_pass"]
+__all__ = ["CompliantArm", "PassError", "PassResult", "run_pass"]
 
 CHUNK = 200  # exchange periods between two reports of progress
+FLIGHT = 0.05  # [m]; an arm that is linear about its posture is no model of one that is pushed so far
+
+
+class PassError(MillingError):
+    """A pass whose numbers mean nothing: the deflection [m] at a time [s]."""
+
+    def __init__(self, deflection: float, at: float):
+        self.deflection, self.at = deflection, at
+        super().__init__(
+            f"the cut would push the tool {deflection:.3g} m away at {at:.6g} s, for which the linear model of the arm "
+            "does not hold: check the force law, the feed per tooth, the compliances and the masses"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +99,13 @@ class CompliantArm:
         return deflection
 
 
+def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
+    far = ~(np.abs(deflections[:, :3]).max(axis=1) <= FLIGHT)  # NaN is far
+    if far.any():
+        first = int(np.argmax(far))
+        raise PassError(float(np.linalg.norm(deflections[first, :3])), float(stamps[first]) * 1e-9)
+
+
 @njit(cache=True, error_model="numpy")
 def _exchange(first, last, iterations, reference, arrays, state, wrench, cut_state, cut_params, micro_steps, out):
     """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large."""
@@ -124,8 +144,8 @@ def run_pass(
 ) -> PassResult:
     """One pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
 
-    progress(done, total) is called every 200 exchange periods. Raises GridError if the grid has no tile left, and
-    UndoError if the periods are too long to be iterated.
+    progress(done, total) is called every 200 exchange periods. Raises GridError if the grid has no tile left,
+    UndoError if the periods are too long to be iterated, and PassError where the arm would fly off.
     """
     n = clock.steps(reference.duration_ns)
     stamps = clock.stamp(np.arange(n + 1))
@@ -143,6 +163,7 @@ def run_pass(
             raise GridError(cut.state.pool.size // TILE**2)
         if not whole:
             raise UndoError(cut.state.log_level.size)
+        _refuse_flight(stamps[first : last + 1], out[1][first : last + 1])
         if progress is not None:
             progress(last, n)
     wall = time.perf_counter() - start

@@ -22,7 +22,7 @@ __all__ = ["Timing", "TimedPath", "time_path"]
 
 TANGENT = 1e-3  #: [rad] smaller turns come from rounded coordinates; at 4 m/min and 50 ms they cut 0.4 um
 FAIR = 0.2  #: share of the feed below which a corner is not worth rounding
-MOST_KNOTS = 20_000_000
+MOST_KNOTS = 5_000_000  # a trajectory takes some 200 bytes a knot while it is made
 
 
 @dataclass(frozen=True, eq=False)
