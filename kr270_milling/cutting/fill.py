@@ -154,7 +154,7 @@ def clear_quad(s, xs, ys, nx, ny, level):
         for i in range(4):
             j = (i + 1) & 3
             if (xs[i] <= ix) != (xs[j] <= ix):
-                y = ys[i] + (ix - xs[i]) * ((ys[j] - ys[i]) / (xs[j] - xs[i]))
+                y = ys[i] + (ix - xs[i]) / (xs[j] - xs[i]) * (ys[j] - ys[i])  # a share of 0 to 1: no overflow
                 n += 1  # insert y into a <= b <= c <= d
                 d = min(d, max(c, y))
                 c = min(c, max(b, y))

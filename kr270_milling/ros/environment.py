@@ -62,6 +62,8 @@ def child_environment() -> dict[str, str]:
     """For a node started by this process; another interpreter than ours must find its own libraries."""
     environ = {**os.environ, **this_host_only(os.environ), PARENT: str(os.getpid())}
     environ.pop(GUARD, None)
+    for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        environ.setdefault(library, "1")  # small matrices only: more threads take the processors from the other nodes
     package = str(Path(__file__).resolve().parents[2])
     if "site-packages" not in package:  # a source checkout that is not installed
         environ["PYTHONPATH"] = os.pathsep.join(filter(None, [package, environ.get("PYTHONPATH")]))
