@@ -73,7 +73,7 @@ def test_robot_says_within_3_s_that_its_cut_is_silent(world, robot, short_cell):
     world.until(lambda: len(partner.poses) > 10)
     partner.answering = False
     partner.told.until(NAME, "no wrench: asking again", WARN, deadline=1.5)
-    partner.told.until(NAME, "no wrench for 2 s; the cutting process is gone", ERROR, deadline=3.0)
+    partner.told.until(NAME, "no wrench for 2.6 s; the cutting process is gone", ERROR, deadline=3.0)
     partner.answering = True
     count = len(partner.deflections)
     partner.answer(partner.poses[-1])

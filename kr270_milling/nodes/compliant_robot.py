@@ -20,7 +20,7 @@ from kr270_milling.simulation.sides import RobotSide
 __all__ = ["CompliantRobot", "main"]
 
 RETRY = 0.5  # [s] of the wall without an answer until the tool pose is published again
-GIVE_UP = 2.0  # [s] of the wall without an answer until the pass is given up
+GIVE_UP = 2.6  # [s] of the wall without an answer until the pass is given up; a cut held up for 2 s is waited for
 LOOK = 0.1  # [s] of the wall between two looks whether answers come
 SETTLE = 0.5  # [s] of the wall without another listener before a pass starts: a recorder has to find the topics first
 

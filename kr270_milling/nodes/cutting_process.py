@@ -23,7 +23,7 @@ class CuttingProcess(ManagedNode):
     def __init__(self, **kwargs):
         super().__init__("cutting_process", **kwargs)
         self.cell = declare_cell(self)
-        self._side, self._end_ns = None, 0  # end of the reference trajectory, if one was heard
+        self._side, self._robots, self._end_ns = None, 0, 0  # end of the reference trajectory, if one was heard
         self._wrench = self.create_publisher(*topics.WRENCH)
         self._map = self.create_publisher(*topics.WORKPIECE)
         pose, reference = topics.TOOL_POSE, topics.REFERENCE_TRAJECTORY
@@ -45,6 +45,7 @@ class CuttingProcess(ManagedNode):
         self.cell.cut().sweep(above, above, 0, 1)
 
     def activate(self) -> None:
+        self._robots = 0  # not counted yet
         self.report(OK, "waiting for the tool")
 
     def deactivate(self) -> None:
@@ -63,7 +64,8 @@ class CuttingProcess(ManagedNode):
         wrench = self._side.answer(stamp_ns, tool)
         self._wrench.publish(raw.wrench_to_bytes(stamp_ns, wrench))
         self.stamp_ns = stamp_ns
-        if self._side.step == 1:
+        if self._side.step == 1 and self._robots == 0:
+            self._robots = self._pose.get_publisher_count()
             self.report(OK, "cutting")
 
     @guarded
@@ -73,8 +75,13 @@ class CuttingProcess(ManagedNode):
     @guarded
     def _watch_robot(self) -> None:
         under_way = self.active and self._side is not None and self._side.step >= 0 and self.stamp_ns < self._end_ns
-        if under_way and not self._pose.get_publisher_count():
+        if not under_way:
+            return
+        robots = self._pose.get_publisher_count()
+        if not robots:
             self.report(ERROR, "the robot is gone in mid-pass: nobody publishes tool_pose any more")
+        elif self._robots and robots > self._robots:
+            self.report(ERROR, "another robot has come in mid-pass: was compliant_robot restarted? Begin a new pass")
 
     @guarded
     def _publish_map(self) -> bool:

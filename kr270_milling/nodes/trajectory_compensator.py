@@ -22,6 +22,7 @@ __all__ = ["TrajectoryCompensator", "main"]
 
 METHOD = "compensation.method"
 LOOK = 0.1  # [s] of the wall between two looks whether the publishers are there
+UNHEARD = 20  # poses of a pass without its start after which this is told
 LAST_WRENCH = 0.5  # [s] of the wall after the last pose that its wrench is waited for
 
 
@@ -118,6 +119,8 @@ class TrajectoryCompensator(ReportingNode):
             heard.items[-1] = position, quaternion  # the exchange is iterated
         else:
             heard.hear(stamp, (position, quaternion))
+        if not heard.stamps and 0 < stamp < heard.end_ns and heard.ignored == UNHEARD:
+            self.report(ERROR, "the pass is under way, but this compensator has not heard its start: it is not used")
         if not heard.stamps or stamp != heard.stamps[-1]:
             return  # older than the last one, or the start was not heard
         self.stamp_ns = stamp

@@ -6,6 +6,7 @@ message; on two cores that costs the loop more than the recording itself.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterable
 
 from rclpy.callback_groups import CallbackGroup
@@ -40,12 +41,27 @@ def aside(node, kind: type, topic: str, callback: Callable, qos: QoSProfile) -> 
 
 def drain(subscriptions: Iterable[Subscription]) -> list[Taken]:
     """Everything that has arrived, in the order of arrival."""
-    taken: list[Taken] = []
+    taken: list[list[Taken]] = []
     for subscription in subscriptions:
-        handle = subscription.handle
+        handle, series = subscription.handle, []
         with handle:
             while (found := handle.take_message(subscription.msg_type, True)) is not None:
                 data, info = found
-                taken.append((info["received_timestamp"], info["source_timestamp"], subscription.callback, data))
-    taken.sort(key=lambda item: item[0])
-    return taken
+                series.append((info["received_timestamp"], info["source_timestamp"], subscription.callback, data))
+        taken.append(series)
+    return _in_order(taken)
+
+
+def _in_order(series: list[list[Taken]]) -> list[Taken]:
+    """Those of several readers by arrival. Each reader has its own in order, whatever the wall clock did meanwhile."""
+    back = [(new[0], old[0]) for one in series for old, new in itertools.pairwise(one) if new[0] < old[0]]
+    if not back:
+        return sorted((item for one in series for item in one), key=lambda item: item[0])
+    middle = sum(min(back, key=lambda step: step[0] - step[1])) // 2  # the clock was set back: from above to below this
+    keyed = []
+    for one in series:
+        latest = (False, 0)
+        for item in one:
+            latest = max(latest, (item[0] < middle, item[0]))
+            keyed.append((latest, item))
+    return [item for _, item in sorted(keyed, key=lambda pair: pair[0])]

@@ -25,7 +25,9 @@ __all__ = ["AlreadyRunning", "Graph", "PassRun"]
 
 UP = 60.0  # [s] for a node to come up, to compile at its first use, or to revise a long trajectory
 MATCH = 10.0  # [s] for the nodes to find each other
-SILENT = 2.0  # [s] without a report after which a node counts as lost
+QUIET = 1.0  # [s] without a report after which this is told
+SILENT = 2.6  # [s] without a report after which a node counts as lost; one held up for 2 s may go on
+HELD_UP = 0.5  # [s] between two looks of this process, after which the reports that wait are heard first
 METHOD = "compensation.method"
 
 
@@ -66,6 +68,7 @@ class Graph:
         self._namespace, self._signals, self._handlers = namespace, [], {}
         self._excused: set[str] = {ROBOT, CUT, COMPENSATOR, RECORDER}  # may be silent now
         self._up = False
+        self._looked, self._hear_until, self._quiet = time.monotonic(), 0.0, set()
 
     def __enter__(self) -> Graph:
         started = time.monotonic()
@@ -127,10 +130,26 @@ class Graph:
         for name, message in self.driver.errors:
             if name in ours:
                 raise RunError(ours[name].name, message)
+        self._check_silence(time.monotonic())
+
+    def _check_silence(self, now: float) -> None:
+        if now - self._looked > HELD_UP:  # it was us who did not listen
+            self._hear_until = now + HELD_UP
+        self._looked = now
+        if now < self._hear_until:
+            return
         for name in set(self.children) - self._excused:
             status = self.driver.status(name)
-            if status is not None and time.monotonic() - status.at > SILENT:
+            silent = 0.0 if status is None else now - status.at
+            if silent > SILENT:
                 raise RunError(name, f"has not been heard of for {SILENT:g} s")
+            if silent > QUIET and name not in self._quiet:
+                self.tell(f"{name}: has not been heard of for {QUIET:g} s; waiting")
+            (self._quiet.add if silent > QUIET else self._quiet.discard)(name)
+
+    def tell(self, sentence: str) -> None:
+        """What the user should know while the run goes on."""
+        print(f"kr270_milling: {sentence}", file=sys.stderr)
 
     @contextlib.contextmanager
     def _excuse(self, *names: str):

@@ -6,6 +6,7 @@ import functools
 import os
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
@@ -51,6 +52,10 @@ class Reporting:
         self._values: dict[str, object] = {}
         self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
         self._report_timer = self.create_timer(REPORT_PERIOD, self.publish_report)
+
+    def create_timer(self, period: float, callback, **kwargs):
+        """On the monotonic clock: one on the node's own would stand still when the wall clock is set back."""
+        return super().create_timer(period, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME), **kwargs})
 
     def report(self, level, message: str, **values) -> None:
         """Set the node's status; a new message is also logged and published at once."""
