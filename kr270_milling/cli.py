@@ -45,25 +45,39 @@ EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
 
 def main(argv: list[str] | None = None) -> int:
     """Exit code 0, 1 (a check failed), 2 (unusable input: one sentence on stderr) or 130 (Ctrl-C)."""
-    argv = _join_negative(sys.argv[1:] if argv is None else argv)
-    args = _parser(argv).parse_args(argv)
-    from kr270_milling.errors import MillingError
-
     try:
-        return args.run(args) or EXIT_OK
-    except MillingError as error:
-        print(f"kr270_milling: {error}", file=sys.stderr)
-        return EXIT_USAGE
+        return _run(sys.argv[1:] if argv is None else argv)
     except BrokenPipeError:  # the reader of our output, head for example, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_OK
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        print(f"kr270_milling: {where}{error.strerror or error}", file=sys.stderr)
-        return EXIT_USAGE
+        return _refuse(f"{where}{error.strerror or error}")
+    except MemoryError:
+        return _refuse("there is not enough memory for this; a larger stock.grid_step_um or a shorter path needs less")
     except KeyboardInterrupt:
         print("kr270_milling: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+
+
+def _run(argv: list[str]) -> int:
+    argv = _join_negative(argv)
+    args = _parser(argv).parse_args(argv)
+    from kr270_milling.errors import MillingError
+
+    if hasattr(sys.stdout, "reconfigure"):  # a file name need not be text that can be printed
+        sys.stdout.reconfigure(errors="backslashreplace")
+    try:
+        return args.run(args) or EXIT_OK
+    except MillingError as error:
+        return _refuse(str(error))
+
+
+def _refuse(sentence: str) -> int:
+    from kr270_milling.errors import one_line
+
+    print(f"kr270_milling: {one_line(sentence)}", file=sys.stderr)
+    return EXIT_USAGE
 
 
 def _join_negative(argv: list[str]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import reprlib
 
-__all__ = ["MillingError", "ParameterError", "ConfigError", "InputError"]
+__all__ = ["MillingError", "ParameterError", "ConfigError", "InputError", "one_line"]
 
 
 class MillingError(Exception):
@@ -26,7 +26,8 @@ def _shown(value) -> str:
     return text if len(text) <= 200 else text[:197] + "..."
 
 
-def _one_line(text: str) -> str:
+def one_line(text: str) -> str:
+    """Without anything that steers a terminal or breaks the line: names and values come from files."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
@@ -49,7 +50,7 @@ class ConfigError(MillingError):
         self.file, self.key, self.value, self.allowed = str(file), key, value, allowed
         what = f"{self.file}: " + (f"{key}: " if key else "")
         what += f"{_shown(value)} is not usable, it must be {allowed}" if value is not None else allowed
-        super().__init__(_one_line(what))
+        super().__init__(one_line(what))
 
 
 class InputError(MillingError):

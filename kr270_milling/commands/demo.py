@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_common, output_directory, print_json, print_table, progress
+from kr270_milling.commands.console import add_common, print_json, print_table, progress
 
 METHODS = ("linear", "spline", "learned")
 PAPER = {"original": ("58.10", "63.20"), "linear": ("0.14", "4.70")}
@@ -19,18 +19,23 @@ def run(args) -> None:
 
     from kr270_milling.cell import read_cell
     from kr270_milling.config import find_file
+    from kr270_milling.staging import staged
 
     source = find_file("paper.yaml")
     cell = read_cell(source)
     if args.plain or importlib.util.find_spec("rclpy") is None:
         how = "plain loop in one process" + ("" if args.plain else ", since rclpy is not installed")
-        return finish(args, output_directory(args.out), cell, _plain(cell), source, how)
+        with staged(args.out) as (draft, final):
+            passes = _plain(cell)
+            report = final(_write(draft, cell, passes, source))
+        return _tell(args, passes, {"report": str(report), "out": args.out, "ran_as": how})
     from kr270_milling.commands.run import run_cell, summary
 
     found = run_cell(cell, METHODS, args.out, quiet=args.json)
     passes = [ran.scored for ran in found["passes"]]
     how = f"four ROS 2 nodes and a recorder, graph up in {found['graph_up_s']:.2f} s"
-    return finish(args, found["out"], cell, passes, source, how, summary(found))
+    report = _write(found["out"], cell, passes, source)
+    return _tell(args, passes, {**summary(found), "report": str(report), "ran_as": how})
 
 
 def _plain(cell) -> list:
@@ -44,8 +49,8 @@ def _plain(cell) -> list:
     return passes
 
 
-def finish(args, directory, cell, passes, source, how: str, extra: dict | None = None) -> None:
-    """Write report and series, print table or JSON."""
+def _write(directory, cell, passes, source):
+    """Report and series; returns the path of the report."""
     import datetime
 
     from kr270_milling.report import write_report
@@ -58,13 +63,17 @@ def finish(args, directory, cell, passes, source, how: str, extra: dict | None =
             command="kr270_milling demo", date=date, paper=True,
         )  # fmt: skip
         write_series(directory, cell, passes)
+    return report
+
+
+def _tell(args, passes, found: dict) -> None:
+    """Print table or JSON."""
     if args.json:
-        rows = {"passes": [p.row() for p in passes], **(extra or {})}
-        print_json({**rows, "report": str(report), "out": str(directory), "ran_as": how})
+        print_json({"passes": [p.row() for p in passes], **found})
         return
     rows = [_row(p) for p in passes]
     print_table("Path deviation [um], Table 2", ["pass", "static", "paper", "max", "paper", "low frequency [Hz]"], rows)
-    print(f"ran as: {how}\nreport: {report}")
+    print(f"ran as: {found['ran_as']}\nreport: {found['report']}")
 
 
 def _row(p) -> list[str]:

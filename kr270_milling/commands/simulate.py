@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
-from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json, print_table, progress
+from kr270_milling.commands.console import add_cell, add_common, print_json, print_table, progress
 
 
 def add_arguments(parser) -> None:
@@ -20,20 +21,18 @@ def run(args) -> None:
     from kr270_milling.cell import read_cell
     from kr270_milling.config import find_file
     from kr270_milling.passes import simulate
+    from kr270_milling.staging import staged
 
     cell = read_cell(find_file(args.cell), args.set)
     reference = _reference(args.reference)
-    with progress("milling") as report:
-        ran = simulate(cell, reference, "original" if reference is None else Path(args.reference).stem, report)
-    found = summary(cell, ran)
-    if cell.path.file:
-        found |= _part(cell, ran, args.out)
-    if args.out:
-        from kr270_milling.report.series import write_series
-
-        found["files"] = [str(p) for p in write_series(output_directory(args.out), cell, [ran])] + found.get(
-            "files", []
-        )
+    with staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final):
+        with progress("milling") as report:
+            ran = simulate(cell, reference, "original" if reference is None else Path(args.reference).stem, report)
+        found = summary(cell, ran)
+        if cell.path.file:
+            found |= _part(cell, ran)
+        if draft:
+            found["files"] = [str(final(path)) for path in _write(draft, cell, ran)]
     if args.json:
         print_json(found)
         return
@@ -56,17 +55,25 @@ def _print_scores(found: dict) -> None:
     print(f"mean force          {x:10.3f} {y:.3f} {z:.3f} N   last quarter, workpiece axes")
 
 
-def _part(cell, ran, out: str | None) -> dict:
-    """Per-feature results of a tool path, and with ``out`` the machined part."""
-    from kr270_milling.part import assess, machined, write_stl
+def _part(cell, ran) -> dict:
+    """Per-feature results of a tool path."""
+    from kr270_milling.part import assess
 
     found = assess(cell, ran).as_dict()
     del found["name"]
-    if out:
-        path = output_directory(out) / "part.stl"
-        write_stl(path, machined(cell, ran.result.actual))
-        found["files"] = [str(path)]
     return found
+
+
+def _write(directory: Path, cell, ran) -> list[Path]:
+    """The series, and of a tool path the machined part."""
+    from kr270_milling.part import machined, write_stl
+    from kr270_milling.report.series import write_series
+
+    files = write_series(directory, cell, [ran])
+    if cell.path.file:
+        files.append(directory / "part.stl")
+        write_stl(files[-1], machined(cell, ran.result.actual))
+    return files
 
 
 def _print_features(found: dict) -> None:

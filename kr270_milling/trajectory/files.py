@@ -61,7 +61,8 @@ def write_files(contents: dict[Path, Iterable[str]], newline: str = "\n") -> Non
         for path, chunks in contents.items():
             part = parts[Path(path)]
             part.unlink(missing_ok=True)
-            with open(part, "x", encoding="utf-8", newline=newline) as stream:
+            # a file name in a text need not be text that UTF-8 can hold
+            with open(part, "x", encoding="utf-8", errors="backslashreplace", newline=newline) as stream:
                 stream.writelines(chunks)
         for path, part in parts.items():
             part.replace(path)
