@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
-import tempfile
 import time
 from pathlib import Path
 
 import pytest
+from ros_domain import DISCOVERY, environment_of_processes, own_domain
 
 #: a pass of 120 exchanges: air, the first touch and some teeth in the stock
 SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]")
@@ -17,29 +16,18 @@ SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]")
 
 @pytest.fixture
 def domain():
-    """A ROS domain id that no other test run on this machine uses now; locked by a file, given back by the kernel."""
-    directory = Path(tempfile.gettempdir(), "kr270_milling_domains")
-    directory.mkdir(exist_ok=True)
-    for offset in range(100):
-        number = 1 + (os.getpid() + offset) % 100
-        with open(directory / str(number), "w") as stream:
-            try:
-                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                continue
-            yield number
-            return
-    pytest.fail("every ROS domain id is in use by another test run")
+    """A ROS domain id that no other test run on this machine uses now."""
+    with own_domain() as number:
+        yield number
 
 
 @pytest.fixture
 def ros_environment(domain, monkeypatch):
     """For processes that a test starts."""
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
-    for name in ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+    for name in DISCOVERY:
         monkeypatch.delenv(name, raising=False)
-    root = str(Path(__file__).parents[1])
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [root, os.environ.get("PYTHONPATH")])))
+    for name, value in environment_of_processes(domain).items():
+        monkeypatch.setenv(name, value)
     return dict(os.environ)
 
 

@@ -34,6 +34,7 @@ WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"
 REFERENCE, PROGRAM = "trajectory_msgs/msg/MultiDOFJointTrajectory", "trajectory_msgs/msg/JointTrajectory"
 LATCHED = {"durability": "transient_local", "depth": 1}
 NAMES = [f"joint_a{i}" for i in range(1, 7)]
+STEPS = 121  # 4 mm at 4 m/min, every 0.5 ms
 
 
 @dataclasses.dataclass
@@ -154,6 +155,20 @@ def changed(messages, topic: str, index: int, change) -> list[Message]:
         else:
             found.append(message)
     return found
+
+
+def flip(offset: int, bit: int = 0):
+    def change(data: bytes) -> bytes:
+        other = bytearray(data)
+        other[offset] ^= 1 << bit
+        return bytes(other)
+
+    return change
+
+
+def force_offset(axis: int) -> int:
+    """Where a wrench's force stands: behind 4 bytes, a stamp, "workpiece" with its length, aligned to 8."""
+    return 4 + 8 + 4 + 10 + 2 + 8 * axis - (4 + 8 + 4 + 10 + 2 - 4) % 8
 
 
 def raw(directory) -> list[tuple[str, bytes]]:

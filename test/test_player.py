@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
-import itertools
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -15,28 +12,21 @@ from pathlib import Path
 
 import pass_recording as made
 import pytest
+from player_listener import FIRST, Listener, options
+from ros_domain import environment_of_processes
 
 from kr270_milling.recording.errors import RecordingError
-from kr270_milling.recording.playback import PlayClock, PlayOptions, add_play_arguments, opening, passage, span
+from kr270_milling.recording.playback import PlayClock, PlayOptions, opening, passage, span
 from kr270_milling.recording.reader import Recording
 
 pytestmark = made.needs_messages
 needs_ros = pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed")
 END = 60_000_000  # [ns] of the pass
-FIRST = ("/reference_trajectory", "/joint_trajectory")
-DOMAINS = itertools.count(20 + os.getpid() % 60)
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
     return made.write(tmp_path_factory.mktemp("player") / "r", made.one_pass())
-
-
-def options(*words: str) -> PlayOptions:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("file")
-    add_play_arguments(parser)
-    return PlayOptions.of(parser.parse_args(list(words)))
 
 
 def test_the_options_parse_as_in_ros2_bag_play():
@@ -73,21 +63,35 @@ def played(bag, *words: str) -> list:
         return [*opening(recording, start, topics), *passage(recording, start, end, topics)]
 
 
+def of_topic(pairs, topic: str) -> list[bytes]:
+    return [data for name, data in pairs if name == topic]
+
+
 def test_everything_is_played_once_in_the_order_of_the_recording(bag):
+    """The revised reference, stamped 0 as every "start at once", comes behind the pass that it was revised from."""
     found = [(m.topic, m.data) for m in played(bag)]
-    expected = made.raw(bag)
-    assert sorted(found) == sorted(expected)
-    volatile = [pair for pair in expected if pair[0] not in (*FIRST, "/workpiece")]
-    assert [pair for pair in found if pair[0] not in (*FIRST, "/workpiece")] == volatile
-    assert {topic for topic, _ in found[:4]} == set(FIRST)
+    assert found == made.raw(bag)
+    assert {topic for topic, _ in found[:2]} == set(FIRST)
+    last_pose = max(i for i, (topic, _) in enumerate(found) if topic == "/tool_pose")
+    assert [found[i][0] in FIRST for i in range(2, last_pose)] == [False] * (last_pose - 2)
+    assert {topic for topic, _ in found[last_pose:]} >= set(FIRST)
+
+
+def test_latched_messages_come_first_where_several_stand_at_the_first_moment(tmp_path):
+    first, second, pose, *rest = made.one_pass()
+    assert (pose.topic, pose.stamp) == ("tool_pose", 0)
+    found = played(made.write(tmp_path / "r", [pose, first, second, *rest]))
+    assert [m.topic for m in found[:3]] == [*FIRST, "/tool_pose"]
 
 
 def test_with_an_offset_the_last_latched_messages_from_before_come_first(bag):
     found = played(bag, "--start-offset", "0.03")
-    recorded = dict(made.raw(bag))  # the last of each topic
-    assert [(m.topic, m.data) for m in found[:2]] == [(t, recorded[t]) for t in (m.topic for m in found[:2])]
-    assert {m.topic for m in found[:2]} == set(FIRST)
+    recorded = made.raw(bag)
+    before = {topic: of_topic(recorded, topic)[0] for topic in FIRST}  # the others are revised from this pass
+    assert {m.topic: m.data for m in found[:2]} == before
     assert found[2].log_time == END // 2 and all(m.log_time >= END // 2 for m in found[2:])
+    behind = played(bag, "--start-offset", "0.061")
+    assert {m.topic: m.data for m in behind if m.topic in FIRST} == {t: of_topic(recorded, t)[-1] for t in FIRST}
 
 
 def test_the_duration_ends_a_playback(bag):
@@ -95,94 +99,9 @@ def test_the_duration_ends_a_playback(bag):
     assert [m.log_time for m in found] == list(range(30_000_000, 40_000_001, 500_000))
 
 
-class Listener:
-    """A player and a node that hears it, in a world of their own, stepped by hand."""
-
-    def __init__(self, bag, words=(), names=("/tool_pose", "/wrench", *FIRST), late=False, arguments=()):
-        import rclpy
-        from geometry_msgs.msg import PoseStamped, WrenchStamped
-        from rclpy.context import Context
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.node import Node
-        from rosgraph_msgs.msg import Clock
-        from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
-
-        from kr270_milling.nodes.player import Player
-        from kr270_milling.ros import topics
-
-        self.context = Context()
-        rclpy.init(args=[], context=self.context, domain_id=next(DOMAINS))
-        self.executor = SingleThreadedExecutor(context=self.context)
-        self.node = Node("listener", context=self.context, use_global_arguments=False)
-        self.executor.add_node(self.node)
-        self.heard: list[tuple[str, bytes]] = []
-        self.times: dict[str, list[float]] = {}
-        types = {"tool_pose": PoseStamped, "wrench": WrenchStamped, "reference_trajectory": MultiDOFJointTrajectory,
-                 "joint_trajectory": JointTrajectory, "clock": Clock}  # fmt: skip
-        self.player = Player(
-            options(str(bag), "--start-paused", *words), context=self.context, cli_args=["--ros-args", *arguments]
-        )
-        for name in names:
-            latched = "trajectory" in name
-            qos = topics.LATCHED if latched else 1000
-            kind = types[name.rpartition("/")[2]]
-            self.node.create_subscription(kind, name, lambda data, n=name: self._hear(n, data), qos, raw=True)
-        self.until(lambda: all(self.node.count_publishers(name) for name in names))
-        self.executor.add_node(self.player)
-        matched = [o for t, o in self.player._outlets.items() if t in names]
-        self.until(lambda: all(o.get_subscription_count() for o in matched))
-
-    def _hear(self, name: str, data: bytes) -> None:
-        self.heard.append((name, data))
-        self.times.setdefault(name, []).append(time.monotonic())
-
-    def until(self, reached, limit: float = 30.0) -> None:
-        end = time.monotonic() + limit
-        while not reached():
-            assert time.monotonic() < end, f"waited in vain; {len(self.heard)} messages heard"
-            self.executor.spin_once(timeout_sec=0.02)
-
-    def resume(self, name: str = "/player/resume") -> None:
-        from std_srvs.srv import Trigger
-
-        client = self.node.create_client(Trigger, name)
-        self.until(client.service_is_ready)
-        answer = client.call_async(Trigger.Request())
-        self.until(answer.done)
-        assert answer.result().success
-
-    def play(self) -> list[tuple[str, bytes]]:
-        self.resume()
-        self.until(lambda: self.player.done)
-        self.settle()
-        return self.heard
-
-    def settle(self) -> None:
-        """Hear on until nothing has come for half a second."""
-        quiet_from, count = time.monotonic(), len(self.heard)
-        while time.monotonic() < quiet_from + 0.5:
-            self.executor.spin_once(timeout_sec=0.02)
-            if len(self.heard) != count:
-                quiet_from, count = time.monotonic(), len(self.heard)
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self.player.close()
-        self.executor.shutdown()
-        self.player.destroy_node()
-        self.node.destroy_node()
-        self.context.try_shutdown()
-
-
-def of_topic(pairs, topic: str) -> list[bytes]:
-    return [data for name, data in pairs if name == topic]
-
-
 @needs_ros
-def test_messages_arrive_byte_by_byte_and_in_their_order(bag):
-    with Listener(bag) as graph:
+def test_messages_arrive_byte_by_byte_and_in_their_order(bag, domain):
+    with Listener(domain, bag) as graph:
         heard = graph.play()
     for topic in ("/tool_pose", "/wrench"):
         assert of_topic(heard, topic) == of_topic(made.raw(bag), topic)
@@ -191,19 +110,19 @@ def test_messages_arrive_byte_by_byte_and_in_their_order(bag):
 
 
 @needs_ros
-def test_latched_messages_arrive_whatever_the_offset(bag):
-    with Listener(bag, ["--start-offset", "0.05"]) as graph:
+def test_latched_messages_arrive_whatever_the_offset(bag, domain):
+    with Listener(domain, bag, ["--start-offset", "0.05"]) as graph:
         heard = graph.play()
     recorded = made.raw(bag)
-    assert [of_topic(heard, t) for t in FIRST] == [of_topic(recorded, t)[-1:] for t in FIRST]
+    assert [of_topic(heard, t) for t in FIRST] == [of_topic(recorded, t) for t in FIRST]
     assert of_topic(heard, "/wrench") == of_topic(recorded, "/wrench")[100:]
 
 
 @needs_ros
-def test_a_slower_rate_takes_longer_in_proportion(bag):
+def test_a_slower_rate_takes_longer_in_proportion(bag, domain):
     spans = {}
     for rate in (0.05, 0.1):  # 1.2 s and 0.6 s
-        with Listener(bag, ["--rate", str(rate)], names=("/tool_pose",)) as graph:
+        with Listener(domain, bag, ["--rate", str(rate)], names=("/tool_pose",)) as graph:
             graph.play()
             spans[rate] = graph.times["/tool_pose"][-1] - graph.times["/tool_pose"][0]
     assert 1.1 < spans[0.05] < 4.0 and spans[0.1] > 0.5
@@ -211,15 +130,15 @@ def test_a_slower_rate_takes_longer_in_proportion(bag):
 
 
 @needs_ros
-def test_only_the_chosen_topics_are_played(bag):
-    with Listener(bag, ["--topics", "/wrench"], names=("/wrench",)) as graph:
+def test_only_the_chosen_topics_are_played(bag, domain):
+    with Listener(domain, bag, ["--topics", "/wrench"], names=("/wrench",)) as graph:
         assert {topic for topic, _ in graph.play()} == {"/wrench"}
         assert not graph.node.count_publishers("/tool_pose")
 
 
 @needs_ros
-def test_a_loop_begins_again(bag):
-    with Listener(bag, ["--loop", "--topics", "/wrench"], names=("/wrench",)) as graph:
+def test_a_loop_begins_again(bag, domain):
+    with Listener(domain, bag, ["--loop", "--topics", "/wrench"], names=("/wrench",)) as graph:
         graph.resume()
         graph.until(lambda: len(graph.heard) >= 300)
         heard = of_topic(graph.heard, "/wrench")
@@ -229,8 +148,8 @@ def test_a_loop_begins_again(bag):
 
 
 @needs_ros
-def test_nothing_is_played_before_the_service_resumes(bag):
-    with Listener(bag) as graph:
+def test_nothing_is_played_before_the_service_resumes(bag, domain):
+    with Listener(domain, bag) as graph:
         for _ in range(30):
             graph.executor.spin_once(timeout_sec=0.01)
         assert graph.heard == []
@@ -238,20 +157,20 @@ def test_nothing_is_played_before_the_service_resumes(bag):
 
 
 @needs_ros
-def test_the_clock_is_told_on_demand(bag):
+def test_the_clock_is_told_on_demand(bag, domain):
     from rclpy.serialization import deserialize_message
     from rosgraph_msgs.msg import Clock
 
-    with Listener(bag, ["--clock", "100", "--rate", "0.1", "--topics", "/wrench"], names=("/clock",)) as graph:
+    with Listener(domain, bag, ["--clock", "100", "--rate", "0.1", "--topics", "/wrench"], names=("/clock",)) as graph:
         heard = [deserialize_message(data, Clock).clock for _, data in graph.play()]
     stamps = [c.sec * 10**9 + c.nanosec for c in heard]
     assert stamps == sorted(stamps) and 20 < len(stamps) < 70 and max(stamps) <= END
 
 
 @needs_ros
-def test_names_follow_namespace_and_remapping(bag):
+def test_names_follow_namespace_and_remapping(bag, domain):
     arguments = ["-r", "__ns:=/left", "-r", "wrench:=force"]
-    with Listener(bag, names=("/left/tool_pose",), arguments=arguments) as graph:
+    with Listener(domain, bag, names=("/left/tool_pose",), arguments=arguments) as graph:
         assert graph.node.count_publishers("/left/force") == 1
         assert graph.node.count_publishers("/wrench") == graph.node.count_publishers("/tool_pose") == 0
         graph.resume("/left/player/resume")
@@ -259,17 +178,15 @@ def test_names_follow_namespace_and_remapping(bag):
 
 
 @needs_ros
-def test_a_recording_without_a_wanted_topic_is_refused(bag):
+def test_a_recording_without_a_wanted_topic_is_refused(bag, domain):
     with pytest.raises(RecordingError, match="/nothing"):
-        Listener(bag, ["--topics", "/nothing"])
+        Listener(domain, bag, ["--topics", "/nothing"])
 
 
 @needs_ros
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_process_with_exit_code_0(bag, tmp_path, number):
-    root = Path(__file__).resolve().parent.parent
-    environment = {**os.environ, "PYTHONPATH": str(root), "ROS_DOMAIN_ID": str(next(DOMAINS)),
-                   "ROS_LOG_DIR": str(tmp_path)}  # fmt: skip
+def test_a_signal_ends_the_process_with_exit_code_0(bag, domain, tmp_path, number):
+    environment = environment_of_processes(domain, ROS_LOG_DIR=str(tmp_path))
     command = [sys.executable, "-m", "kr270_milling.cli", "replay", str(bag), "--loop", "--ros-args", "-r", "__ns:=/a"]
     with open(tmp_path / "log", "wb") as log:
         process = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
@@ -283,10 +200,8 @@ def test_a_signal_ends_the_process_with_exit_code_0(bag, tmp_path, number):
 
 
 @needs_ros
-def test_a_playback_ends_by_itself_and_an_unusable_file_ends_with_2(bag, tmp_path):
-    root = Path(__file__).resolve().parent.parent
-    environment = {**os.environ, "PYTHONPATH": str(root), "ROS_DOMAIN_ID": str(next(DOMAINS)),
-                   "ROS_LOG_DIR": str(tmp_path)}  # fmt: skip
+def test_a_playback_ends_by_itself_and_an_unusable_file_ends_with_2(bag, domain, tmp_path):
+    environment = environment_of_processes(domain, ROS_LOG_DIR=str(tmp_path))
     player = [sys.executable, "-m", "kr270_milling.nodes.player"]
     done = subprocess.run([*player, str(bag)], env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and f"{len(made.one_pass())} messages played" in done.stderr
@@ -295,10 +210,8 @@ def test_a_playback_ends_by_itself_and_an_unusable_file_ends_with_2(bag, tmp_pat
 
 
 @needs_ros
-def test_replay_tells_as_json_how_much_it_played(bag, tmp_path):
-    root = Path(__file__).resolve().parent.parent
-    environment = {**os.environ, "PYTHONPATH": str(root), "ROS_DOMAIN_ID": str(next(DOMAINS)),
-                   "ROS_LOG_DIR": str(tmp_path)}  # fmt: skip
+def test_replay_tells_as_json_how_much_it_played(bag, domain, tmp_path):
+    environment = environment_of_processes(domain, ROS_LOG_DIR=str(tmp_path))
     command = [sys.executable, "-m", "kr270_milling.cli", "replay", str(bag), "--topics", "/wrench", "--json"]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
     assert json.loads(done.stdout) == {"file": str(bag), "messages": 121, "exit_code": 0}

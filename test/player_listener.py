@@ -1,0 +1,100 @@
+"""A player of a recording and a node that hears it, for the tests of the player."""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+from kr270_milling.recording.playback import PlayOptions, add_play_arguments
+
+FIRST = ("/reference_trajectory", "/joint_trajectory")
+
+
+def options(*words: str) -> PlayOptions:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("file")
+    add_play_arguments(parser)
+    return PlayOptions.of(parser.parse_args(list(words)))
+
+
+class Listener:
+    """A player and a node that hears it, in a world of their own, stepped by hand."""
+
+    def __init__(self, domain: int, bag, words=(), names=("/tool_pose", "/wrench", *FIRST), arguments=()):
+        import rclpy
+        from geometry_msgs.msg import PoseStamped, WrenchStamped
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from rosgraph_msgs.msg import Clock
+        from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+
+        from kr270_milling.nodes.player import Player
+        from kr270_milling.ros import topics
+        from kr270_milling.ros.environment import keep_to_this_host
+
+        keep_to_this_host()
+        self.context = Context()
+        rclpy.init(args=[], context=self.context, domain_id=domain)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.node = Node("listener", context=self.context, use_global_arguments=False)
+        self.executor.add_node(self.node)
+        self.heard: list[tuple[str, bytes]] = []
+        self.times: dict[str, list[float]] = {}
+        types = {"tool_pose": PoseStamped, "wrench": WrenchStamped, "reference_trajectory": MultiDOFJointTrajectory,
+                 "joint_trajectory": JointTrajectory, "clock": Clock}  # fmt: skip
+        self.player = Player(
+            options(str(bag), "--start-paused", *words), context=self.context, cli_args=["--ros-args", *arguments]
+        )
+        for name in names:
+            latched = "trajectory" in name
+            qos = topics.LATCHED if latched else 1000
+            kind = types[name.rpartition("/")[2]]
+            self.node.create_subscription(kind, name, lambda data, n=name: self._hear(n, data), qos, raw=True)
+        self.until(lambda: all(self.node.count_publishers(name) for name in names))
+        self.executor.add_node(self.player)
+        matched = [o for t, o in self.player._outlets.items() if t in names]
+        self.until(lambda: all(o.get_subscription_count() for o in matched))
+
+    def _hear(self, name: str, data: bytes) -> None:
+        self.heard.append((name, data))
+        self.times.setdefault(name, []).append(time.monotonic())
+
+    def until(self, reached, limit: float = 30.0) -> None:
+        end = time.monotonic() + limit
+        while not reached():
+            assert time.monotonic() < end, f"waited in vain; {len(self.heard)} messages heard"
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def resume(self, name: str = "/player/resume") -> None:
+        from std_srvs.srv import Trigger
+
+        client = self.node.create_client(Trigger, name)
+        self.until(client.service_is_ready)
+        answer = client.call_async(Trigger.Request())
+        self.until(answer.done)
+        assert answer.result().success
+
+    def play(self) -> list[tuple[str, bytes]]:
+        self.resume()
+        self.until(lambda: self.player.done)
+        self.settle()
+        return self.heard
+
+    def settle(self) -> None:
+        """Hear on until nothing has come for half a second."""
+        quiet_from, count = time.monotonic(), len(self.heard)
+        while time.monotonic() < quiet_from + 0.5:
+            self.executor.spin_once(timeout_sec=0.02)
+            if len(self.heard) != count:
+                quiet_from, count = time.monotonic(), len(self.heard)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.player.close()
+        self.executor.shutdown()
+        self.player.destroy_node()
+        self.node.destroy_node()
+        self.context.try_shutdown()
