@@ -1,0 +1,101 @@
+"""``kr270_milling selftest``: faults in mid-pass and long runs of the whole graph. Exit code 1 if a row fails."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+
+from kr270_milling.commands.console import add_common, print_json, print_table, progress
+
+
+def add_arguments(parser) -> None:
+    kind = parser.add_mutually_exclusive_group(required=True)
+    kind.add_argument("--faults", action="store_true", help="kill, stop and restart nodes in mid-pass, and worse")
+    kind.add_argument("--soak", action="store_true", help="many passes in one graph, and a long recording")
+    parser.add_argument("--repeats", type=_count, default=10, metavar="N", help="of every fault (default: 10)")
+    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the times of the faults (default: 1)")
+    parser.add_argument("--only", metavar="NAME", help="only the faults whose name contains this")
+    parser.add_argument("--passes", type=_count, default=100, metavar="N", help="of the soak (default: 100)")
+    parser.add_argument("--minutes", type=_minutes, default=10.0, metavar="M", help="of its recording (default: 10)")
+    parser.add_argument("--out", metavar="DIR", help="keep recordings and logs there (default: they are removed)")
+    parser.add_argument("--markdown", action="store_true", help="print a table in Markdown")
+    add_common(parser)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text) <= 1000:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 1000")
+    return int(text)
+
+
+def _minutes(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.1 <= value <= 1000.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0.1 to 1000")
+    return value
+
+
+def run(args) -> int:
+    from kr270_milling.ros.environment import require_ros
+    from kr270_milling.selftest.directory import kept_or_temporary
+    from kr270_milling.selftest.domain import choose_domain
+
+    require_ros()
+    print(choose_domain(), file=sys.stderr)
+    with kept_or_temporary(args.out) as directory:
+        return (_faults if args.faults else _soak)(args, directory)
+
+
+def _faults(args, directory) -> int:
+    from kr270_milling.errors import InputError
+    from kr270_milling.selftest.faults import FAULTS
+    from kr270_milling.selftest.rows import COLUMNS, expected_seconds, run_faults
+
+    faults = [fault for fault in FAULTS if (args.only or "").lower() in fault.name.lower()]
+    if not faults:
+        raise InputError(
+            "--only", f"no fault is named like {args.only!r}; there are {', '.join(f.name for f in FAULTS)}"
+        )
+    minutes = expected_seconds(faults, args.repeats) / 60
+    print(f"seed {args.seed}; this takes about {minutes:.0f} min", file=sys.stderr)
+    start = time.perf_counter()
+    with progress("faults") as report:
+        rows = run_faults(faults, args.repeats, args.seed, directory, report)
+    seconds, failed = time.perf_counter() - start, sum(bool(row.problems) for row in rows)
+    if args.json:
+        print_json({"seed": args.seed, "rows": [r.as_dict() for r in rows], "failed": failed, "wall_s": seconds})
+    else:
+        _print("Faults in mid-pass", list(COLUMNS), [row.cells() for row in rows], args.markdown)
+        print(f"{len(rows)} rows, {failed} FAILED; seed {args.seed}; {seconds:.0f} s")
+        for row in rows:
+            print("".join(f"{row.fault.name}, {problem}\n" for problem in row.problems), end="")
+    return 1 if failed else 0
+
+
+def _soak(args, directory) -> int:
+    from kr270_milling.selftest.soak import COLUMNS, run_soak
+
+    print(f"this takes about {args.minutes + args.passes * 5 / 60:.0f} min", file=sys.stderr)
+    with progress("soak") as report:
+        rows = run_soak(args.passes, args.minutes * 60, directory, report)
+    failed = sum(bool(row.problems) for row in rows)
+    if args.json:
+        print_json({"rows": [row.as_dict() for row in rows], "failed": failed})
+    else:
+        _print("Long runs", list(COLUMNS), [row.cells() for row in rows], args.markdown)
+        for row in rows:
+            print("".join(f"{row.name}: {problem}\n" for problem in row.problems), end="")
+    return 1 if failed else 0
+
+
+def _print(title: str, columns: list[str], rows: list[list[str]], markdown: bool) -> None:
+    if not markdown:
+        print_table(title, columns, rows)
+        return
+    for row in (columns, ["---"] * len(columns), *rows):
+        print("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |")
+    print()

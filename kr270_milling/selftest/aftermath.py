@@ -1,0 +1,64 @@
+"""What a fault leaves: processes, shared memory, and the recording, held against a pass that nobody disturbed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.recompute import recompute
+from kr270_milling.recording.info import info
+from kr270_milling.recording.reader import Recording
+from kr270_milling.recording.series import series
+from kr270_milling.simulation.milling_pass import PassResult
+
+__all__ = ["Recorded", "is_alive", "read_back"]
+
+WIDTH = {"/tool_pose": 3, "/wrench": 6, "/deflection": 6}  # numbers of a message that are compared
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A recording after a fault."""
+
+    cut_off: bool
+    messages: int
+    missing: int  #: holes in it, counted from the stamps
+    behind_s: float  #: from its last pose to the fault [s of the wall clock]; 0 where it goes on behind it
+    complete: bool  #: it holds the pass to its end
+    same: bool  #: every pose, wrench and deflection in it is that of the undisturbed pass, bit for bit
+    verdict: str  #: of recompute; empty where it was not asked
+
+
+def read_back(path: Path, expected: PassResult, struck_ns: int, again: bool) -> Recorded:
+    """again: recompute it too. struck_ns: when the fault was [ns of the wall clock]. Raises RecordingError."""
+    with Recording(path) as recording:
+        about = info(recording)
+        wrong, ends = False, {}
+        for topic, values in zip(WIDTH, (expected.tool, expected.wrench, expected.deflection), strict=True):
+            found = series(recording, topic)
+            ends[topic] = found.stamp[-1] if found.stamp.size else -1
+            wrong = wrong or not _same(found, expected.time_ns, values, WIDTH[topic])
+        last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=0)
+    complete = all(end == expected.time_ns[-1] for end in ends.values())
+    behind = max(0.0, (struck_ns - last) * 1e-9)
+    verdict = recompute(path).verdict if again else ""
+    return Recorded(about["cut_off"], about["messages"], about["missing"], behind, complete, not wrong, verdict)
+
+
+def _same(found, stamps: np.ndarray, values: np.ndarray, width: int) -> bool:
+    rows = np.searchsorted(stamps, found.stamp)
+    known = rows < stamps.size
+    if not known.all() or not np.array_equal(stamps[rows], found.stamp):
+        return False
+    return np.array_equal(found.values[:, :width], values[rows])
+
+
+def is_alive(pid: int) -> bool:
+    """Whether a process is there, and not only its exit code."""
+    try:
+        with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as stream:
+            return stream.read().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False

@@ -1,0 +1,129 @@
+"""A graph to which something happens in mid-pass; it keeps what is said in return, and when."""
+
+from __future__ import annotations
+
+import dataclasses
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from kr270_milling.cell import Cell
+from kr270_milling.ros.graph import Graph
+from kr270_milling.ros.matching import ROBOT
+from kr270_milling.ros.processes import Child, remove_litter
+from kr270_milling.selftest.clock import SteppedClock
+
+__all__ = ["Disturbed", "Told"]
+
+WARN = b"\x01"
+
+
+class Told(NamedTuple):
+    """A sentence, and when it was heard [s of the monotonic clock]."""
+
+    at: float
+    sentence: str
+
+
+class Disturbed(Graph):
+    """``disturb`` takes a script that begins so many seconds after the next pass has begun."""
+
+    def __init__(self, cell: Cell, out: Path, clock: SteppedClock | None = None):
+        super().__init__(cell, out)
+        self.clock = clock
+        self.told: list[Told] = []
+        self.beside: list[subprocess.Popen] = []  #: processes that are no nodes
+        self.struck_at: float | None = None  #: [s of the monotonic clock]
+        self.struck_wall_ns = 0
+        self.recording = Path(out)
+        self._script: Iterator[float] | None = None
+        self._next, self._given = 0.0, {}
+
+    def disturb(self, script: Iterator[float], after: float) -> None:
+        self.told, self.struck_at = [], None
+        self._script, self._next = self._delayed(script, after), 0.0
+
+    def _delayed(self, script: Iterator[float], after: float) -> Iterator[float]:
+        while self._says("state", ROBOT) != "active" or self.driver.status(ROBOT).message != "pass running":
+            yield 0.0
+        yield after
+        yield from script
+
+    def run_pass(self, name: str):
+        self.recording = self.out / name
+        return super().run_pass(name)
+
+    def check(self) -> None:
+        if self._script is not None and time.monotonic() >= self._next:
+            pause = next(self._script, None)
+            self._script = None if pause is None else self._script
+            self._next = time.monotonic() + (pause or 0.0)
+        self._listen()
+        super().check()
+
+    def _listen(self) -> None:
+        """Warnings and errors since the fault."""
+        if self.struck_at is None or self.driver is None:
+            return
+        for name, status in list(self.driver.statuses.items()):
+            sentence = f"{name.rpartition('/')[2]}: {status.message}"
+            said = any(sentence == told.sentence for told in self.told)
+            if status.level >= WARN and status.at > self.struck_at and not said:
+                self.told.append(Told(status.at, sentence))
+
+    def tell(self, sentence: str) -> None:
+        self.told.append(Told(time.monotonic(), sentence))
+
+    def struck(self) -> None:
+        """The fault happens now."""
+        for child in self.children.values():
+            child.note_shared()
+        self.struck_at, self.struck_wall_ns = time.monotonic(), time.time_ns()
+
+    def strike(self, node: str, number: int) -> None:
+        self.struck()
+        self.children[node].signal(number)
+
+    def _spawn(self, name: str, parameters: Path, *arguments: str) -> None:
+        self._given[name] = parameters, arguments
+        super()._spawn(name, parameters, *arguments)
+
+    def restart(self, node: str, *more: str) -> None:
+        """As a supervisor does: kill, and start again with the same arguments; this graph does not notice by itself."""
+        self.strike(node, signal.SIGKILL)
+        self.children[node].process.wait()
+        for _ in range(5):
+            self.driver.spin()  # its last words
+        self.ended.append(self.children[node])
+        name, before = self.driver.name_of(node), self.driver.status(node)
+        parameters, arguments = self._given[node]
+        super()._spawn(node, parameters, *arguments, *more)
+        values = {key: value for key, value in before.values.items() if key != "pid"}
+        self.driver.statuses[name] = dataclasses.replace(before, values=values, at=time.monotonic())
+
+    def end_beside(self) -> None:
+        for process in self.beside:
+            process.kill()
+            process.wait()
+        self.beside.clear()
+
+    def all_children(self) -> list[Child]:
+        return [*self.children.values(), *self.ended]
+
+    def close(self) -> None:
+        known = self.all_children()
+        for child in known:
+            child.note_shared()
+        self._script = None
+        self.end_beside()
+        try:
+            super().close()
+        finally:
+            self.ended = known
+
+    def litter(self) -> list[str]:
+        """Files that its nodes left in shared memory; removed now."""
+        return remove_litter(self.ended)

@@ -1,0 +1,135 @@
+"""The faults of the self test: what is done to whom, what is said in return, and what the designed reaction is."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from kr270_milling.recording.reader import find_file
+from kr270_milling.ros.matching import COMPENSATOR, CUT, RECORDER, ROBOT
+from kr270_milling.selftest.disturbed import Disturbed
+
+__all__ = ["ENDS", "FAULTS", "GOES_ON", "Fault"]
+
+HELD = 2.0  # [s] that a node is stopped
+ENDS, GOES_ON = "run ends", "pass goes on"
+#: in how many words a sentence may name a node
+NAMES = {
+    ROBOT: (ROBOT, "robot"),
+    CUT: (CUT, "cutting process"),
+    COMPENSATOR: (COMPENSATOR, "compensator"),
+    RECORDER: (RECORDER,),
+}
+Script = Iterator[float]  #: does something, and yields after how many seconds to go on
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One row of the table."""
+
+    name: str
+    node: str  #: the one that must be named; empty: nobody is at fault
+    strike: Callable[[Disturbed], Script]
+    reaction: str  #: ENDS or GOES_ON
+    design: str  #: the reaction in a sentence
+    told: bool = True  #: it must be said within 3 s
+    clock: bool = False  #: the nodes run on a wall clock that can be set
+
+    def names_it(self, sentence: str) -> bool:
+        return any(name in sentence for name in NAMES[self.node]) if self.node else True
+
+
+def _kill(node: str):
+    def strike(graph: Disturbed) -> Script:
+        graph.strike(node, signal.SIGKILL)
+        yield 0.0
+
+    return strike
+
+
+def _hold(node: str):
+    def strike(graph: Disturbed) -> Script:
+        held = graph.children[node]
+        graph.strike(node, signal.SIGSTOP)
+        yield HELD
+        held.signal(signal.SIGCONT)
+
+    return strike
+
+
+def _restart(node: str):
+    def strike(graph: Disturbed) -> Script:
+        graph.restart(node, *(("-p", "autostart:=true") if node in (ROBOT, CUT) else ()))
+        yield 0.0
+
+    return strike
+
+
+def _fill_disk(graph: Disturbed) -> Script:
+    """The recorder may not write beyond the present size of its file, but for 20 kB."""
+    size = os.path.getsize(find_file(graph.recording)) + 20_000
+    graph.struck()
+    resource.prlimit(graph.children[RECORDER].pid, resource.RLIMIT_FSIZE, (size, size))
+    yield 0.0
+
+
+def _slow_disk(graph: Disturbed) -> Script:
+    """The recorder is held up again and again, as by a write that does not return; harder, as it hears nothing."""
+    held = graph.children[RECORDER]
+    graph.struck()
+    for _ in range(5):
+        held.signal(signal.SIGSTOP)
+        yield 0.3
+        held.signal(signal.SIGCONT)
+        yield 0.1
+
+
+def _load(graph: Disturbed) -> Script:
+    """Two busy processes a core, which end by themselves should we not be there to end them."""
+    busy = "import time\nend = time.monotonic() + 20\nwhile time.monotonic() < end: pass"
+    graph.struck()
+    for _ in range(2 * (os.cpu_count() or 1)):
+        graph.beside.append(subprocess.Popen([sys.executable, "-c", busy], start_new_session=True))
+    yield 2.0
+    graph.end_beside()
+
+
+def _set_clock(graph: Disturbed) -> Script:
+    """An hour back, two on, a second back, and right again."""
+    graph.struck()
+    for offset in (-3600.0, 3600.0, 3599.0, 0.0):
+        graph.clock.set(offset)
+        yield 0.25
+
+
+def _of_node(node: str, kill: str, hold: str, restart: str, restarted: str = ENDS) -> list[Fault]:
+    return [
+        Fault(f"{node}, SIGKILL", node, _kill(node), ENDS, kill),
+        Fault(f"{node}, SIGSTOP 2 s", node, _hold(node), GOES_ON, hold),
+        Fault(f"{node}, restart", node, _restart(node), restarted, restart),
+    ]
+
+
+CLOSED = "run ends with a sentence, recording is closed whole"
+WAITED = "told as a warning, waited for, same result"
+
+FAULTS = (
+    *_of_node(ROBOT, CLOSED, WAITED, "cutting process says that another robot came; run ends"),
+    *_of_node(CUT, CLOSED, WAITED, "new cut has not seen the start and refuses, or robot gives up; run ends"),
+    *_of_node(COMPENSATOR, CLOSED, WAITED, "new compensator has not heard the start and says so; run ends"),
+    *_of_node(
+        RECORDER,
+        "run ends with a sentence; file is cut off, at most the last second is missing",
+        "told as a warning; queues keep what comes, what they cannot is counted",
+        "never overwrites the recording: refuses with a sentence; run ends",
+    ),
+    Fault("disk full", RECORDER, _fill_disk, ENDS, "recorder stops at the last whole chunk and says so; run ends"),
+    Fault("slow disk", "", _slow_disk, GOES_ON, "queues keep what comes, what they cannot is counted", told=False),
+    Fault("2x load", "", _load, GOES_ON, "slower, same result", told=False),
+    Fault("clock set", "", _set_clock, GOES_ON, "no effect: time is the stamp", told=False, clock=True),
+)

@@ -1,0 +1,151 @@
+"""Every fault so many times, at times of a seeded generator; one row of the table each."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kr270_milling.cell import Cell, read_cell
+from kr270_milling.config_file import find_file
+from kr270_milling.errors import MillingError
+from kr270_milling.passes import simulate
+from kr270_milling.selftest.aftermath import is_alive
+from kr270_milling.selftest.clock import SteppedClock, compiler
+from kr270_milling.selftest.disturbed import Disturbed
+from kr270_milling.selftest.faults import ENDS, Fault
+from kr270_milling.selftest.trial import Trial, run_trial
+
+__all__ = ["Row", "expected_seconds", "fault_cell", "run_faults"]
+
+#: a pass of 4,800 exchanges, some two seconds at full speed
+CELL = ("path.length_mm=40", "stock.grid_step_um=50", "exchange.period_ms=0.125")
+AFTER = (0.05, 0.8)  # [s] from the start of the pass to the fault
+SECONDS = {True: 7.0, False: 5.0}  # [s] that a trial takes, with and without a graph of its own
+COLUMNS = ("fault", "repeats", "detected within max [s]", "named", "others", "orphans", "litter", "recording")
+
+
+@dataclass(frozen=True)
+class Row:
+    """A fault with all its trials."""
+
+    fault: Fault
+    trials: tuple[Trial, ...]
+    skipped: str = ""  #: why it was not tried
+
+    @property
+    def problems(self) -> list[str]:
+        return [f"trial {n}: {p}" for n, trial in enumerate(self.trials, 1) for p in trial.problems]
+
+    def cells(self) -> list[str]:
+        """As text, in the order of COLUMNS."""
+        if self.skipped:
+            return [self.fault.name, "0", "-", "-", f"skipped: {self.skipped}", "-", "-", "-"]
+        count, trials = len(self.trials), self.trials
+        times = [t.detected_s for t in trials if t.detected_s is not None]
+        named = f"{len(times)} of {count}" if self.fault.told else "-"
+        held = sum(not t.problems for t in trials)
+        others = f"{self.fault.design}" + ("" if held == count else f"; FAILED {count - held} of {count}")
+        orphans, litter = sum(t.orphans for t in trials), sum(t.litter for t in trials)
+        slowest = f"{max(times):.2f}" if times else "-"
+        return [self.fault.name, str(count), slowest, named, others, str(orphans), str(litter), self._recording()]
+
+    def _recording(self) -> str:
+        found = [t.recording for t in self.trials if t.recording]
+        if len(found) < len(self.trials) or not all(r.same for r in found):
+            return "FAILED"
+        lost, cut = sum(r.missing for r in found), sum(r.cut_off for r in found)
+        state = "complete" if all(r.complete for r in found) else "complete up to the fault"
+        if any(r.behind_s > 0.05 for r in found):
+            state = f"readable, ends at most {max(r.behind_s for r in found):.2f} s before the fault"
+        return f"{state}{f', cut off {cut} times' if cut else ''}, {f'lost and counted: {lost}' if lost else 'no hole'}"
+
+    def as_dict(self) -> dict:
+        return {
+            "fault": self.fault.name,
+            "design": self.fault.design,
+            "skipped": self.skipped,
+            "failed": bool(self.problems),
+            "problems": self.problems,
+            "cells": dict(zip(COLUMNS, self.cells(), strict=True)),
+            "trials": [trial.as_dict() for trial in self.trials],
+        }
+
+
+def fault_cell() -> Cell:
+    return read_cell(find_file("paper.yaml"), list(CELL))
+
+
+def expected_seconds(faults: Sequence[Fault], repeats: int) -> float:
+    return 5.0 + sum(SECONDS[fault.reaction == ENDS] * repeats for fault in faults)
+
+
+def run_faults(
+    faults: Sequence[Fault], repeats: int, seed: int, out: Path, progress: Callable[[int, int], None]
+) -> list[Row]:
+    """Rows in the order of the faults; recordings and logs go to directories below ``out``."""
+    cell, chance = fault_cell(), random.Random(seed)
+    plain, rows = simulate(cell).result, []
+    for number, fault in enumerate(faults):
+        times = [chance.uniform(*AFTER) for _ in range(repeats)]
+        directory = out / f"fault_{number + 1:02d}"
+        directory.mkdir()
+        if fault.clock and compiler() is None:
+            rows.append(Row(fault, (), "no C compiler to make a clock that can be set"))
+            continue
+        with SteppedClock(directory) if fault.clock else contextlib.nullcontext() as clock:
+            done = _Trials(cell, fault, directory, plain, clock)
+            for repeat, after in enumerate(times):
+                done.run(repeat, after)
+                progress(number * repeats + repeat + 1, len(faults) * repeats)
+            done.end()
+        rows.append(Row(fault, tuple(done.trials)))
+    return rows
+
+
+class _Trials:
+    """All trials of a fault: in one graph as long as it lives."""
+
+    def __init__(self, cell: Cell, fault: Fault, out: Path, plain, clock):
+        self.cell, self.fault, self.out, self.plain, self.clock = cell, fault, out, plain, clock
+        self.trials: list[Trial] = []
+        self._graph: Disturbed | None = None
+
+    def run(self, repeat: int, after: float) -> None:
+        try:
+            graph = self._graph or self._begin(repeat)
+            trial = run_trial(graph, self.fault, f"pass_{repeat + 1}", after, self.plain, repeat == 0)
+        except MillingError as error:  # of a graph that did not come up
+            trial = Trial(self.fault.name, after, problems=[str(error)])
+        except BaseException:
+            self.end()
+            raise
+        self.trials.append(trial)
+        if trial.reaction != self._goes_on or trial.problems:
+            self.end()
+
+    @property
+    def _goes_on(self) -> str:
+        return "" if self.fault.reaction == ENDS else self.fault.reaction
+
+    def _begin(self, repeat: int) -> Disturbed:
+        directory = self.out / f"graph_{repeat + 1}"
+        directory.mkdir()
+        self._graph = Disturbed(self.cell, directory, self.clock)
+        return self._graph.__enter__()
+
+    def end(self) -> None:
+        """Close the graph and look at what is left of it."""
+        graph, self._graph = self._graph, None
+        if graph is None:
+            return
+        pids = [child.pid for child in graph.all_children()]
+        graph.close()
+        if self.trials:
+            last = self.trials[-1]
+            last.orphans = sum(map(is_alive, pids))
+            last.litter = len(graph.litter())
+            last.problems += [f"{last.orphans} processes are left"] if last.orphans else []
+            last.problems += [f"{last.litter} files are left in shared memory"] if last.litter else []

@@ -1,0 +1,91 @@
+"""One fault, once: struck at its time, watched, and judged."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import asdict, dataclass, field
+
+from kr270_milling.errors import MillingError
+from kr270_milling.selftest.aftermath import Recorded, read_back
+from kr270_milling.selftest.disturbed import Disturbed, Told
+from kr270_milling.selftest.faults import ENDS, GOES_ON, Fault
+from kr270_milling.simulation.milling_pass import PassResult
+
+__all__ = ["TELL_WITHIN", "Trial", "run_trial"]
+
+TELL_WITHIN = 3.0  # [s] from the fault to a sentence that names the node
+KEPT = 1.0  # [s] before the fault that a recording may miss
+
+
+@dataclass
+class Trial:
+    """What happened; ``problems`` is empty where all was as designed."""
+
+    fault: str
+    after_s: float  #: from the start of the pass to the fault
+    detected_s: float | None = None  #: from the fault to the sentence that names the node
+    sentence: str = ""
+    reaction: str = ""
+    lost: int = 0  #: messages that the recording has not, counted
+    recording: Recorded | None = None
+    orphans: int = 0
+    litter: int = 0
+    problems: list[str] = field(default_factory=list)
+
+    def as_dict(self) -> dict:
+        return {**asdict(self), "ok": not self.problems}
+
+
+def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: PassResult, again: bool) -> Trial:
+    """One pass with the fault in it; again: recompute the recording. The graph is closed if the fault ends it."""
+    trial = Trial(fault.name, after)
+    graph.disturb(fault.strike(graph), after)
+    try:
+        graph.run_pass(name)
+        trial.reaction = GOES_ON
+    except MillingError as error:
+        graph.told.append(Told(time.monotonic(), str(error)))
+        trial.reaction = ENDS
+        graph.close()
+    finally:
+        graph.end_beside()
+    if graph.struck_at is None:
+        trial.problems.append("the fault came too late: the pass was over")
+        return trial
+    _judge_words(trial, fault, graph)
+    _judge_recording(trial, fault, graph, plain, again)
+    return trial
+
+
+def _judge_words(trial: Trial, fault: Fault, graph: Disturbed) -> None:
+    named = [told for told in graph.told if fault.names_it(told.sentence)]
+    if fault.told and named:
+        trial.detected_s, trial.sentence = named[0].at - graph.struck_at, named[0].sentence
+    elif graph.told:
+        trial.sentence = graph.told[0].sentence
+    if fault.told and trial.detected_s is None:
+        trial.problems.append(f"not named; heard {[told.sentence for told in graph.told]}")
+    elif fault.told and trial.detected_s > TELL_WITHIN:
+        trial.problems.append(f"told after {trial.detected_s:.2f} s")
+    if trial.reaction != fault.reaction:
+        trial.problems.append(f"{trial.reaction}: {graph.told[-1].sentence if graph.told else 'nothing was told'}")
+
+
+def _judge_recording(trial: Trial, fault: Fault, graph: Disturbed, plain: PassResult, again: bool) -> None:
+    try:
+        found = read_back(graph.recording, plain, graph.struck_wall_ns, again)
+    except MillingError as error:
+        trial.problems.append(f"recording: {error}")
+        return
+    trial.recording, trial.lost = found, found.missing
+    counted = fault.reaction == GOES_ON and found.missing > 0  # by the recorder itself, from the stamps
+    if not found.same:
+        trial.problems.append("the recording differs from the undisturbed pass")
+    if again and found.verdict != "identical" and not counted:
+        trial.problems.append(f"recomputed: {found.verdict}")
+    if fault.reaction == GOES_ON and not (found.complete or trial.problems):
+        trial.problems.append("the recording does not hold the whole pass")
+    if fault.reaction == ENDS and found.missing:
+        trial.problems.append(f"{found.missing} messages are missing before the fault")
+    if found.behind_s > KEPT:
+        trial.problems.append(f"the recording ends {found.behind_s:.2f} s before the fault")
