@@ -38,6 +38,10 @@ COMMANDS = {
     "report": ("make the report of one or several recordings", "report out"),
     "recover": ("make a whole recording of one that was cut off or damaged", "recover out/pass1"),
     "verify": ("run the list of physical checks and print the verification book", "verify --only stability"),
+    "selftest": (
+        "disturb the graph of nodes on purpose, or run it for long, and judge what it does",
+        "selftest --faults --repeats 1",
+    ),
     "bench": ("time the sweep of the teeth and the stiffness model", "bench"),
 }
 EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
