@@ -1,0 +1,35 @@
+"""What a process holds: memory, threads, open files; and how these develop."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+__all__ = ["Footprint", "footprint", "slope"]
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Of one process at one time."""
+
+    memory_mb: float  #: resident
+    threads: int
+    files: int  #: open handles
+
+
+def footprint(pid: int) -> Footprint:
+    """Raises OSError where there is no such process."""
+    lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
+    values = dict(line.split(":", 1) for line in lines if ":" in line)
+    memory = float(values["VmRSS"].split()[0]) / 1024
+    return Footprint(memory, int(values["Threads"]), len(os.listdir(f"/proc/{pid}/fd")))
+
+
+def slope(times, values) -> float:
+    """Of the straight line with the least squares [unit of the values per unit of the times]."""
+    times, values = np.asarray(times, float), np.asarray(values, float)
+    around = times - times.mean()
+    return float(around @ (values - values.mean()) / max(around @ around, 1e-300))

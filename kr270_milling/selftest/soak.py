@@ -1,0 +1,156 @@
+"""Long runs: many passes in one graph, and a long recording. What the processes hold must not grow."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+from kr270_milling.recording.reader import Recording
+from kr270_milling.ros.environment import child_environment
+from kr270_milling.ros.graph import Graph
+from kr270_milling.ros.processes import RunError
+from kr270_milling.selftest.footprint import Footprint, footprint, slope
+from kr270_milling.selftest.rows import fault_cell
+
+__all__ = ["COLUMNS", "Growth", "run_soak"]
+
+COLUMNS = ("process", "samples", "memory [MB]", "growth [MB]", "slope", "threads", "file handles")
+ONCE = {"recorder": "recorder (a new one each pass)"}
+SETTLED = 0.2  # share of the run after which everything has been allocated once
+MOST_GROWTH = 5.0  # [MB] from then to the end, by the fitted slope
+TOPICS = ("tool_pose", "wrench", "deflection")  # of an exchange
+RATE = 2000  # [1/s] exchanges, as with the default period in real time
+LOOK = 0.5  # [s] between two looks at the recorder
+PATIENCE = 30.0  # [s] for a process to come up or to end
+
+
+@dataclass
+class Growth:
+    """One process over a run; the times are numbers of passes, or seconds."""
+
+    name: str
+    unit: str
+    times: list[float] = field(default_factory=list)
+    samples: list[Footprint] = field(default_factory=list)
+    lost: int = 0  #: messages that are not in the recording
+
+    def look(self, at: float, pid: int) -> None:
+        self.times.append(at)
+        self.samples.append(footprint(pid))
+
+    @property
+    def _steady(self) -> slice:
+        return slice(min(int(SETTLED * len(self.samples)), len(self.samples) - 2), None)
+
+    @property
+    def slope(self) -> float:
+        """[MB] a pass or a second, of the steady part."""
+        return slope(self.times[self._steady], [s.memory_mb for s in self.samples[self._steady]])
+
+    @property
+    def growth(self) -> float:
+        """[MB] in the steady part, by its slope."""
+        times = self.times[self._steady]
+        return self.slope * (times[-1] - times[0])
+
+    @property
+    def problems(self) -> list[str]:
+        if len(self.samples) < 2:
+            return ["was not seen twice"]
+        found, steady = [], self.samples[self._steady]
+        if self.growth > MOST_GROWTH:
+            found.append(f"memory grew by {self.growth:.1f} MB, more than {MOST_GROWTH:g}")
+        for what in ("threads", "files"):
+            first, last = getattr(steady[0], what), getattr(steady[-1], what)
+            if last > first:
+                found.append(f"{what} grew from {first} to {last}")
+        return found + ([f"{self.lost} messages are not in the recording"] if self.lost else [])
+
+    def cells(self) -> list[str]:
+        """As text, in the order of COLUMNS; from the first to the last sample."""
+        a, b = self.samples[0], self.samples[-1]
+        return [
+            self.name, str(len(self.samples)), f"{a.memory_mb:.1f} -> {b.memory_mb:.1f}", f"{self.growth:+.2f}",
+            f"{self.slope * 1000:+.2f} kB/{self.unit}", f"{a.threads} -> {b.threads}", f"{a.files} -> {b.files}",
+        ]  # fmt: skip
+
+    def as_dict(self) -> dict:
+        return {
+            "name": self.name, "growth_mb": self.growth, "slope_mb": self.slope, "unit": self.unit, "lost": self.lost,
+            "problems": self.problems, "first": asdict(self.samples[0]), "last": asdict(self.samples[-1]),
+        }  # fmt: skip
+
+
+def run_soak(passes: int, seconds: float, out: Path, progress: Callable[[int, int], None]) -> list[Growth]:
+    """A row for each process. Recordings of the passes are removed as they are made."""
+    share = passes * 5  # [s]
+    total = int(share + seconds)
+    rows = _passes(passes, out, lambda done: progress(int(done * 5), total))
+    rows.append(_long_recording(seconds, out / "long", lambda done: progress(int(share + done), total)))
+    return rows
+
+
+class _Watched(Graph):
+    """Looks at its processes at the end of every pass."""
+
+    def __init__(self, cell, out: Path):
+        super().__init__(cell, out)
+        self.rows: dict[str, Growth] = {}
+
+    def _end_recording(self) -> None:
+        pids = {name: child.pid for name, child in self.children.items()}
+        for name, pid in {**pids, "runner": os.getpid()}.items():
+            row = self.rows.setdefault(name, Growth(ONCE.get(name, name), "pass"))
+            row.look(len(row.samples) + 1, pid)
+        super()._end_recording()
+
+
+def _passes(count: int, out: Path, progress: Callable[[float], None]) -> list[Growth]:
+    with _Watched(fault_cell(), out) as graph:
+        for number in range(1, count + 1):
+            recording = graph.run_pass(f"pass_{number}").recording
+            for file in recording.glob("*"):
+                file.unlink()
+            progress(number)
+    return list(graph.rows.values())
+
+
+def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]) -> Growth:
+    """The exchange's three topics at the rate of a pass in real time."""
+    found = Growth("recorder (one long recording)", "s")
+    environment = child_environment()
+    names = ",".join(TOPICS)
+    node = [sys.executable, "-m", "kr270_milling.nodes.recorder", "--ros-args", "-p", f"directory:={out}"]
+    source = [sys.executable, "-m", "kr270_milling.selftest.source", str(RATE), str(seconds)]
+    with (
+        open(out.parent / "recorder.log", "wb") as log,
+        subprocess.Popen([*node, "-p", f"topics:={names}"], env=environment, stderr=log) as recorder,
+    ):
+        try:
+            with subprocess.Popen(source, env=environment, stdout=subprocess.PIPE, text=True) as sending:
+                _watch(sending, recorder, found, seconds, progress)
+                told = sending.communicate(timeout=PATIENCE)[0]
+        finally:
+            recorder.send_signal(signal.SIGINT)
+            recorder.wait(PATIENCE)
+    with Recording(out) as recording:
+        found.lost = int(told) * len(TOPICS) - recording.count
+    return found
+
+
+def _watch(sending, recorder, found: Growth, seconds: float, progress: Callable[[float], None]) -> None:
+    begin = time.monotonic()
+    while sending.poll() is None:
+        now = time.monotonic() - begin
+        if recorder.poll() is not None or now > 2 * seconds + PATIENCE:
+            sending.kill()
+            raise RunError("recorder", "has ended" if recorder.poll() is not None else "the source does not end")
+        found.look(now, recorder.pid)
+        progress(min(now, seconds))
+        time.sleep(LOOK)
