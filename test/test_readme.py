@@ -1,0 +1,212 @@
+"""What the README says is so: its commands, its tables, its numbers."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import re
+import shlex
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from kr270_milling.cell import Cell, read_cell
+from kr270_milling.cli import COMMANDS, _parser, main
+from kr270_milling.compensation.methods import METHODS
+from kr270_milling.config_file import find_file
+from kr270_milling.passes import compensated, simulate
+
+ROOT = Path(__file__).resolve().parents[1]
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
+NODES = ("compliant_robot", "cutting_process", "trajectory_compensator", "recorder", "player")
+
+
+def block(name: str) -> str:
+    """What stands between two markers, without the fence."""
+    (found,) = re.findall(rf"<!-- {name} -->\n```\w*\n(.*?)```\n<!-- end -->", TEXT, re.DOTALL)
+    return found
+
+
+def shell_lines() -> list[str]:
+    return [line for text in re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL) for line in text.splitlines()]
+
+
+def commands() -> list[str]:
+    """Every call of ``kr270_milling``, in blocks and in sentences, without the program's name."""
+    sentences = re.findall(r"`kr270_milling\s+([^`]+)`", re.sub(r"```.*?```", "", TEXT, flags=re.DOTALL))
+    lines = [m[1] for line in shell_lines() if (m := re.search(r"(?:^|bin/)kr270_milling (.+)", line))]
+    return [" ".join(text.split()) for text in (*lines, *sentences)]
+
+
+def rows(header: str) -> list[list[str]]:
+    """The cells of a Markdown table whose first line begins so."""
+    lines = TEXT[TEXT.index(f"\n| {header}") + 1 :].splitlines()[2:]
+    end = next(i for i, line in enumerate(lines) if not line.startswith("|"))
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines[:end]]
+
+
+def numbers(text: str) -> list[float]:
+    return [float(word) for word in re.findall(r"-?\d+(?:\.\d+)?", text)]
+
+
+@cache
+def deviations(*overrides: str) -> tuple[float, float]:
+    """Static and largest [um] of the paper's pass."""
+    scores = simulate(read_cell(find_file("paper.yaml"), overrides)).scores
+    return scores.static_deviation * 1e6, scores.max_deviation * 1e6
+
+
+# --- commands ---
+
+
+@pytest.mark.parametrize("words", commands())
+def test_every_command_is_one_that_the_program_takes(words):
+    words = shlex.split(words)
+    args = _parser(words).parse_args(words)
+    assert args.command == words[0] and hasattr(args, "run")
+
+
+def test_every_command_of_the_program_is_shown():
+    assert set(COMMANDS) - {words.split()[0] for words in commands()} == set()
+
+
+def test_every_cell_and_path_that_is_named_is_shipped():
+    named = set(re.findall(r"config/[\w.]+", TEXT))
+    assert {str(p.relative_to(ROOT)) for p in ROOT.glob("config/*.[yx]*ml")} == named
+    for link in re.findall(r"\]\(([^)#:]+)\)", TEXT):
+        assert (ROOT / link).exists(), link
+
+
+@pytest.mark.parametrize("words", [w for w in commands() if w.startswith(("stiffness", "simulate"))])
+def test_the_quick_commands_run(words, capsys, monkeypatch):
+    monkeypatch.chdir(ROOT)
+    words = shlex.split(words)
+    if words[0] == "simulate":
+        words += ["--set", "path.length_mm=4", "--set", "stock.grid_step_um=20"]
+    assert main(words) == 0 and capsys.readouterr().out
+
+
+def test_the_console_scripts_are_those_of_the_setup():
+    (entry,) = re.findall(r"^nodes = (\[.*\])$", (ROOT / "setup.py").read_text(), re.MULTILINE)
+    assert sorted(ast.literal_eval(entry)) == sorted(NODES)
+    nodes = TEXT[TEXT.index("## The nodes") :]
+    lines = re.search(r"```sh\n(.*?)```", nodes, re.DOTALL)[1].splitlines()
+    assert sorted(shlex.split(line)[0] for line in lines) == sorted(NODES)
+
+
+def test_the_nodes_have_the_parameters_that_are_set_by_hand(world, short_cell, tmp_path):
+    from kr270_milling.nodes.compliant_robot import CompliantRobot
+    from kr270_milling.nodes.cutting_process import CuttingProcess
+    from kr270_milling.nodes.recorder import Recorder
+
+    made = {
+        "compliant_robot": world.add(CompliantRobot, cell=short_cell, directory=tmp_path),
+        "cutting_process": world.add(CuttingProcess, cell=short_cell, directory=tmp_path),
+        "recorder": world.add(Recorder, "-p", f"directory:={tmp_path / 'r'}"),
+    }
+    given = [(line.split()[0], key) for line in shell_lines() for key in re.findall(r"-p (\w+):=", line)]
+    assert len(given) == 4
+    for node, key in given:
+        assert made[node].has_parameter(key), (node, key)
+
+
+def test_the_oldest_python_is_that_of_the_setup():
+    assert 'python_requires=">=3.10"' in (ROOT / "setup.py").read_text() and "Python 3.10 to 3.13" in TEXT
+
+
+# --- tables ---
+
+
+def test_the_demo_prints_what_is_shown(capsys, monkeypatch, tmp_path):
+    """Digit by digit, but for the last: compilers and processors may round it the other way."""
+    monkeypatch.setattr("kr270_milling.commands.demo._write", lambda draft, *_: draft / "report.html")
+    assert main(["demo", "--plain", "--out", str(tmp_path)]) == 0
+    shown, printed = (text.split("ran as")[0].splitlines() for text in (block("demo output"), capsys.readouterr().out))
+    digits = re.compile(r"-?\d+\.\d+")
+    assert [digits.sub("#", line).replace(" ", "") for line in shown] == [
+        digits.sub("#", line).replace(" ", "") for line in printed
+    ]
+    for a, b in zip(shown, printed, strict=True):
+        assert numbers(a) == pytest.approx(numbers(b), abs=0.0101), (a, b)
+    assert re.search(r"\nran as: four ROS 2 nodes .*\nreport: out/report.html\n$", block("demo output"))
+
+
+def test_the_topics_are_those_of_the_graph():
+    pytest.importorskip("rclpy")
+    from kr270_milling.ros import topics
+
+    known = {t.name: t.type for t in vars(topics).values() if isinstance(t, topics.Topic)}
+    shown = {}
+    for names, types, *_ in rows("topic (relative)"):
+        names, types = re.findall(r"`([/\w]+)`", names), re.findall(r"\w+_msgs[/\w]*", types)
+        shown |= dict(zip(names, types, strict=True))
+    assert set(shown) == set(known)
+    for name, kind in shown.items():
+        package, _, message = kind.partition("/")
+        assert known[name].__module__.startswith(package) and message in ("", known[name].__name__), name
+
+
+def test_the_methods_are_all_named_in_their_order():
+    assert tuple(re.findall(r"`(\w+)`", names)[0] for names, _ in rows("method")) == METHODS
+
+
+def test_the_folders_are_those_of_the_package():
+    (tree,) = re.findall(r"```\nkr270_milling/\n(.*?)```", TEXT, re.DOTALL)
+    shown = {name for line in tree.splitlines() for name in re.findall(r"(\w+)/", line.strip().split("  ")[0])}
+    assert shown == {path.parent.name for path in (ROOT / "kr270_milling").glob("*/__init__.py")}
+
+
+def test_the_groups_with_defaults_are_those_of_the_cell():
+    (sentence,) = re.findall(r"with defaults, (.*?)\. Every key", TEXT, re.DOTALL)
+    fields = {f.name for f in dataclasses.fields(Cell) if f.default_factory is not dataclasses.MISSING}
+    assert set(re.findall(r"`(\w+)` \(", sentence)) == fields - {"timing"}
+
+
+# --- numbers ---
+
+
+@pytest.mark.parametrize(
+    ("row", "place", "overrides"),
+    [
+        (0, 0, []),
+        (2, 1, ["stock.grid_step_um=20"]),
+        (2, 2, ["stock.grid_step_um=40"]),
+        (3, 2, ["exchange.micro_step_deg=2"]),
+    ],
+)
+def test_the_convergence_table_is_what_comes_out(row, place, overrides):
+    _, *cells = rows("the paper's pass")[row]
+    shown = [numbers(cell)[place] for cell in cells]
+    assert shown == pytest.approx(deviations(*overrides), abs=0.00051)
+
+
+def test_little_damping_leaves_what_is_said():
+    found = re.search(
+        r"\((0\.\d+) here\) the same pass peaks at ([\d.]+) µm, and compensation leaves\s+(.*?)\.\n", TEXT
+    )
+    cell = read_cell(find_file("paper.yaml"), [f"dynamics.damping_ratio={found[1]}"])
+    original = simulate(cell)
+    assert original.scores.max_deviation * 1e6 == pytest.approx(float(found[2]), abs=0.051)
+    left = re.findall(r"([\d.]+) µm \(`(\w+)`\)", found[3])
+    assert [method for _, method in left] == ["linear", "spline", "learned"]
+    for value, method in left:
+        assert compensated(cell, original, method).scores.max_deviation * 1e6 == pytest.approx(float(value), abs=0.051)
+
+
+def test_what_was_identified_is_in_the_shipped_cell():
+    cell = read_cell(find_file("paper.yaml"))
+    depth, _, damping, _, _ = numbers(re.search(r"a_p = .*", TEXT)[0])
+    assert (depth, damping) == (cell.path.depth_of_cut * 1e3, cell.dynamics.damping_ratio)
+
+
+def test_queue_and_lease_are_as_said():
+    profile = find_file("fastdds.xml").read_text()
+    sec, nanosec = re.search(r"<leaseDuration><sec>(\d+)</sec><nanosec>(\d+)<", profile).groups()
+    assert f"lease of {int(sec) + int(nanosec) * 1e-9:g} s" in " ".join(TEXT.split())
+    pytest.importorskip("rclpy")
+    from kr270_milling.ros import topics
+
+    known = [t for t in vars(topics).values() if isinstance(t, topics.Topic)]
+    assert {t.qos.depth for t in known if t.qos.durability.name == "VOLATILE"} == {2000}
+    assert "keep the last 2000 messages" in " ".join(TEXT.split())
