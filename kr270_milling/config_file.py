@@ -12,6 +12,8 @@ from kr270_milling.errors import ConfigError
 
 __all__ = ["find_file", "merge", "override", "read_tree", "refusal"]
 
+MOST_BYTES = 256 * 1024  # the YAML reader takes some seconds for them
+
 
 def refusal(file, key: str, value, allowed: str) -> ConfigError:
     """The error about a value of a file; a key without a value is told from a value."""
@@ -24,6 +26,8 @@ def read_tree(path, seen: tuple = ()) -> dict:
     """The ``/**: ros__parameters:`` dict of a parameter file, merged over the files that its ``includes`` names."""
     path = Path(path)
     try:
+        if path.stat().st_size > MOST_BYTES:
+            raise ConfigError(path, "", None, f"has more than {MOST_BYTES} bytes, so it is no parameter file")
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigError(path, "", None, f"cannot be read ({error.strerror})") from None

@@ -23,8 +23,8 @@ def add_cell(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def numbers(count: int):
-    """An argparse type: so many finite numbers, separated by commas."""
+def numbers(count: int, most: float = math.inf):
+    """An argparse type: so many finite numbers of at most that size, separated by commas."""
 
     def parse(text: str) -> list[float]:
         try:
@@ -33,6 +33,8 @@ def numbers(count: int):
             values = []
         if len(values) != count or not all(map(math.isfinite, values)):
             raise argparse.ArgumentTypeError(f"{text!r} is not {count} finite numbers separated by commas")
+        if max(map(abs, values)) > most:
+            raise argparse.ArgumentTypeError(f"{text!r} goes beyond {most:g}")
         return values
 
     return parse

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from kr270_milling.commands.console import add_cell, add_common, print_json, print_table, progress
 
+FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
+
 
 def add_arguments(parser) -> None:
     add_cell(parser)
@@ -24,7 +26,7 @@ def run(args) -> None:
     from kr270_milling.staging import staged
 
     cell = read_cell(find_file(args.cell), args.set)
-    reference = _reference(args.reference)
+    reference = _reference(cell, args.reference)
     with staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final):
         with progress("milling") as report:
             ran = simulate(cell, reference, "original" if reference is None else Path(args.reference).stem, report)
@@ -93,12 +95,22 @@ def _print_features(found: dict) -> None:
     print_table(title, list(columns), rows)
 
 
-def _reference(path: str | None):
+def _reference(cell, path: str | None):
     if path is None:
         return None
+    import numpy as np
+
+    from kr270_milling.errors import InputError
     from kr270_milling.trajectory.trajectory_csv import read_csv
 
-    return read_csv(Path(path))[0]
+    run, target = read_csv(Path(path))[0], cell.target()
+    if run.duration_ns != target.duration_ns:
+        both = f"{run.duration_ns * 1e-9:.9g} s, but the path of this cell {target.duration_ns * 1e-9:.9g} s"
+        raise InputError(path, f"is no reference for this cell: it lasts {both}")
+    far = float(np.max(np.linalg.norm(run.position - target.sample(run.time_ns), axis=1)))
+    if not far <= FARTHEST:
+        raise InputError(path, f"is no reference for this cell: it goes {far:.3g} m away from its path")
+    return run
 
 
 def summary(cell, ran) -> dict:

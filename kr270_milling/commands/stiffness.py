@@ -7,7 +7,7 @@ from kr270_milling.commands.console import add_common, numbers, print_json, prin
 
 def add_arguments(parser) -> None:
     parser.add_argument("arm", metavar="ARM.yaml", help="arm or cell file; the flange is the tool point of a bare arm")
-    parser.add_argument("--joints-deg", type=numbers(6), required=True, metavar="A1,...,A6")
+    parser.add_argument("--joints-deg", type=numbers(6, most=720.0), required=True, metavar="A1,...,A6")
     parser.add_argument("--wrench", type=numbers(6), default=[0.0] * 6, metavar="FX,FY,FZ,MX,MY,MZ", help="[N, N m]")
     parser.add_argument("--frame", choices=("base", "tool"), default="base", help="of wrench and matrices")
     parser.add_argument("--gravity", action="store_true", help="load the arm with its link weights too")

@@ -10,6 +10,8 @@ from kr270_milling.errors import InputError
 
 __all__ = ["read_lines", "ends_in_mid_line", "short", "write_files"]
 
+MOST_BYTES = 1 << 30  # read at once; a block of a tool path has some 30
+
 
 def read_lines(path) -> list[str]:
     """The lines of a UTF-8 (or ASCII) text file without their ends; the last item is "" if the last line has an end.
@@ -19,6 +21,8 @@ def read_lines(path) -> list[str]:
     try:
         if not Path(path).is_file():  # a directory, a pipe, a device
             raise InputError(path, "is no file" if Path(path).exists() else "is no such file")
+        if Path(path).stat().st_size > MOST_BYTES:
+            raise InputError(path, f"has more than {MOST_BYTES} bytes; cut the path in pieces")
         data = Path(path).read_bytes()
     except (OSError, ValueError) as error:
         raise InputError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None

@@ -1,0 +1,94 @@
+"""What the tests with hostile input share: commands run in this process, and what every answer must be like."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import os
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from kr270_milling.cli import main
+
+POSTURE = "--joints-deg=90,-50,120,180,25,180"
+#: a pass of 120 exchanges
+SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]")
+LONGEST = 20.0  # [s] that any command here may take on a busy machine
+
+
+class Answer(NamedTuple):
+    """What a command said."""
+
+    code: int
+    out: str
+    err: str
+
+
+def ask(*words: str) -> Answer:
+    """Run a command; only exit codes 0, 1 and 2 may come, and no exception."""
+    out, err = (io.TextIOWrapper(io.BytesIO(), encoding="utf-8") for _ in range(2))
+    begin = time.monotonic()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        try:
+            code = main(list(words))
+        except SystemExit as exited:  # argparse
+            code = exited.code
+    assert time.monotonic() - begin < LONGEST
+    texts = []
+    for stream in (out, err):
+        stream.flush()
+        texts.append(stream.buffer.getvalue().decode())
+    assert code in (0, 1, 2), texts
+    return Answer(code, *texts)
+
+
+def refused(*words: str) -> str:
+    """The one sentence about a command that exits with 2."""
+    answer = ask(*words)
+    assert answer.code == 2 and answer.out == "", answer
+    lines = answer.err.rstrip("\n").split("\n")
+    assert lines[-1].startswith("kr270_milling"), answer.err
+    assert len(lines) == 1 or lines[0].startswith("usage:"), answer.err
+    assert lines[-1].isprintable() and "Traceback" not in answer.err
+    return lines[-1]
+
+
+def refused_or_sound(*words: str) -> Answer:
+    """A command with --json either refuses in one sentence or gives numbers that can be."""
+    answer = ask(*words, "--json")
+    if answer.code == 2:
+        assert answer.out == "" and answer.err.count("\n") == 1, answer
+        return answer
+    assert answer.err == "", answer.err
+    for key, value in _numbers(json.loads(answer.out, parse_constant=lambda c: pytest.fail(f"{c} is no JSON"))):
+        assert math.isfinite(value) and abs(value) < 1e15, f"{key} is {value}"
+    return answer
+
+
+def _numbers(value, key: str = ""):
+    if isinstance(value, dict):
+        for name, item in value.items():
+            yield from _numbers(item, f"{key}.{name}")
+    elif isinstance(value, list):
+        for item in value:
+            yield from _numbers(item, key)
+    elif isinstance(value, (int, float)) and not isinstance(value, bool):
+        yield key, value
+
+
+def contents(directory) -> dict[str, bytes | str]:
+    """Everything below a directory by its relative name: bytes of files, "dir", "-> target" of links."""
+    found = {}
+    for path in sorted(Path(directory).rglob("*")):
+        name = str(path.relative_to(directory))
+        found[name] = f"-> {os.readlink(path)}" if path.is_symlink() else "dir" if path.is_dir() else path.read_bytes()
+    return found
+
+
+def settings(*assignments: str) -> list[str]:
+    return [word for text in assignments for word in ("--set", text)]
