@@ -38,6 +38,7 @@ class CompliantRobot(ManagedNode):
         self._reference = self._side = self._pace_timer = None
         self._given_up, self._asked, self._stale = False, 0, 0
         self._listeners, self._changed = (), time.monotonic()
+        self._answered = self._looked = time.monotonic()
         self._pose = self.create_publisher(*topics.TOOL_POSE)
         self._deflection = self.create_publisher(*topics.DEFLECTION)
         self._joints = self.create_publisher(*topics.JOINT_STATES)
@@ -74,6 +75,9 @@ class CompliantRobot(ManagedNode):
     def _watch_answer(self) -> None:
         """Start the pass when everybody is there; ask again, and give up, when no answer comes."""
         side, settled = self._side, self._is_settled()
+        held_up, self._looked = time.monotonic() - self._looked, time.monotonic()
+        if held_up > RETRY:
+            self._answered = max(self._answered, self._looked)  # it was us who did not listen
         if not self.active or (side is not None and (side.done or self._given_up)):
             return
         cut = self._pose.get_subscription_count() and self._wrench.get_publisher_count()

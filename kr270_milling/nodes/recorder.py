@@ -122,6 +122,7 @@ class Recorder(ReportingNode):
         return {
             "file": self.writer.path,
             "messages": self.writer.count,
+            "latest_ns": " ".join(f"{c.topic}={c.gaps.last}" for c in self.writer.channels.values() if c.gaps.last),
             "missing": sum(entry.get("missing", 0) for entry in self.writer.report().values()),
         }
 

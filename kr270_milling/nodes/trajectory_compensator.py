@@ -63,7 +63,7 @@ class TrajectoryCompensator(ReportingNode):
         self.compensator = compensator(self.cell, target)
         self._publish("the target itself")
 
-    def _publish(self, what: str) -> None:
+    def _publish(self, what: str, missing: int = 0) -> None:
         reference = self.compensator.reference
         joints = commanded_joints(self.cell, reference)  # out of reach is told before anything is published
         clock = self.cell.clock
@@ -81,7 +81,9 @@ class TrajectoryCompensator(ReportingNode):
             "finished": self.compensator.finished,
             "reference": messages.fingerprint(reference),
         }
-        if limited > 0.0:
+        if missing:
+            self.report(WARN, f"reference: {what}, of which {missing} poses were not heard", **told)
+        elif limited > 0.0:
             self.report(WARN, f"reference: {what}, shortened by up to {limited * 1e6:.1f} um to the limit", **told)
         else:
             self.report(OK, f"reference: {what}", **told)
@@ -152,7 +154,7 @@ class TrajectoryCompensator(ReportingNode):
         stamps = np.array(self._heard.stamps)
         positions = np.array([position for position, _ in self._heard.items])
         self.compensator.revise(pass_record(self.cell, stamps, positions, self._wrench_series(stamps)))
-        self._publish(f"revised after pass {len(self.compensator.errors)}")
+        self._publish(f"revised after pass {len(self.compensator.errors)}", _holes(stamps))
 
     def _wrench_series(self, stamps: np.ndarray) -> np.ndarray:
         """(n, 6) at the stamps of the poses, interpolated where a sensor has others; 0 where none was heard."""
@@ -184,6 +186,12 @@ class TrajectoryCompensator(ReportingNode):
         else:
             response.message = "no target trajectory yet"
         return response
+
+
+def _holes(stamps: np.ndarray) -> int:
+    """How many poses are missing in a pass, where they come at one period."""
+    steps = np.diff(stamps) / np.median(np.diff(stamps))
+    return int(np.sum(np.rint(steps) - 1)) if np.max(np.abs(steps - np.rint(steps))) < 0.25 else 0
 
 
 def main(args: list[str] | None = None) -> int:

@@ -28,6 +28,7 @@ MATCH = 10.0  # [s] for the nodes to find each other
 QUIET = 1.0  # [s] without a report after which this is told
 SILENT = 2.6  # [s] without a report after which a node counts as lost; one held up for 2 s may go on
 HELD_UP = 0.5  # [s] between two looks of this process, after which the reports that wait are heard first
+CATCH_UP = 5.0  # [s] that a recorder has at the end of a pass to ask for what it was too slow for
 METHOD = "compensation.method"
 
 
@@ -229,6 +230,10 @@ class Graph:
 
     def _end_recording(self) -> None:
         """The recorder closes its file while the next workpiece is made."""
+        end = time.monotonic() + CATCH_UP
+        self.driver.until(lambda: self._all_recorded() or time.monotonic() > end, "catching up", UP, RECORDER)
+        if not self._all_recorded():
+            self.tell("recorder: has not received the end of the pass; its recording is not complete")
         recorder = self.children.pop(RECORDER)
         self._excused.add(RECORDER)
         self.ended.append(recorder)
@@ -241,6 +246,12 @@ class Graph:
         if recorder.process.returncode != 0:
             raise RunError(RECORDER, recorder.why_ended())
         self._wait_matched(recorded=False)
+
+    def _all_recorded(self) -> bool:
+        """The recorder has the last message of every topic of the exchange."""
+        latest = self.driver.status(RECORDER).counts("latest_ns")
+        last = float(self._says("pass_time_s", ROBOT)) * 1e9 - 1000  # told in microseconds
+        return all(latest.get(self.driver.name_of(t), -1) >= last for t in ("tool_pose", "wrench", "deflection"))
 
     def close(self) -> None:
         """Stop everything; the recorder last, so that it has the others' last words."""

@@ -19,8 +19,8 @@ __all__ = [
 ]  # fmt: skip
 
 #: the loop of one exchange: lockstep, one message in flight; the publisher keeps so many that a recorder which was
-#: held up for half a second can still ask for what it has missed
-LOOP = QoSProfile(depth=2000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+#: held up for two seconds can still ask for what it has missed
+LOOP = QoSProfile(depth=20_000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
 #: the last one is kept for whoever comes late
 LATCHED = QoSProfile(
     depth=1,
