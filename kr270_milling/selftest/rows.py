@@ -11,12 +11,13 @@ from pathlib import Path
 from kr270_milling.cell import Cell, read_cell
 from kr270_milling.config_file import find_file
 from kr270_milling.errors import MillingError
-from kr270_milling.passes import simulate
+from kr270_milling.passes import compensator, record_of, simulate
 from kr270_milling.selftest.aftermath import is_alive
 from kr270_milling.selftest.clock import SteppedClock, compiler
 from kr270_milling.selftest.disturbed import Disturbed
 from kr270_milling.selftest.faults import ENDS, Fault
 from kr270_milling.selftest.trial import Trial, run_trial
+from kr270_milling.simulation.milling_pass import PassResult
 
 __all__ = ["Row", "expected_seconds", "fault_cell", "run_faults"]
 
@@ -74,6 +75,20 @@ class Row:
         }
 
 
+class Undisturbed:
+    """The passes of a graph that nobody disturbs, in one process: each along the reference that the last one gave."""
+
+    def __init__(self, cell: Cell):
+        self.cell, self._passes = cell, [simulate(cell).result]
+        self._compensator = compensator(cell, cell.target())
+
+    def __getitem__(self, number: int) -> PassResult:
+        while len(self._passes) <= number:
+            reference = self._compensator.revise(record_of(self.cell, self._passes[-1]))
+            self._passes.append(simulate(self.cell, reference).result)
+        return self._passes[number]
+
+
 def fault_cell() -> Cell:
     return read_cell(find_file("paper.yaml"), list(CELL))
 
@@ -87,7 +102,7 @@ def run_faults(
 ) -> list[Row]:
     """Rows in the order of the faults; recordings and logs go to directories below ``out``."""
     cell, chance = fault_cell(), random.Random(seed)
-    plain, rows = simulate(cell).result, []
+    plain, rows = Undisturbed(cell), []
     for number, fault in enumerate(faults):
         times = [chance.uniform(*AFTER) for _ in range(repeats)]
         directory = out / f"fault_{number + 1:02d}"
@@ -112,11 +127,14 @@ class _Trials:
         self.cell, self.fault, self.out, self.plain, self.clock = cell, fault, out, plain, clock
         self.trials: list[Trial] = []
         self._graph: Disturbed | None = None
+        self._passes = 0  # of this graph
 
     def run(self, repeat: int, after: float) -> None:
         try:
             graph = self._graph or self._begin(repeat)
-            trial = run_trial(graph, self.fault, f"pass_{repeat + 1}", after, self.plain, repeat == 0)
+            plain = self.plain[self._passes]
+            trial = run_trial(graph, self.fault, f"pass_{repeat + 1}", after, plain, repeat == 0)
+            self._passes += 1
         except MillingError as error:  # of a graph that did not come up
             trial = Trial(self.fault.name, after, problems=[str(error)])
         except BaseException:
@@ -133,6 +151,7 @@ class _Trials:
     def _begin(self, repeat: int) -> Disturbed:
         directory = self.out / f"graph_{repeat + 1}"
         directory.mkdir()
+        self._passes = 0
         self._graph = Disturbed(self.cell, directory, self.clock)
         return self._graph.__enter__()
 

@@ -26,6 +26,8 @@ class Trial:
     detected_s: float | None = None  #: from the fault to the sentence that names the node
     sentence: str = ""
     reaction: str = ""
+    ended_s: float | None = None  #: from the fault to the end of the run, where it ended
+    last_words: str = ""  #: then
     lost: int = 0  #: messages that the recording has not, counted
     recording: Recorded | None = None
     orphans: int = 0
@@ -67,6 +69,8 @@ def _judge_words(trial: Trial, fault: Fault, graph: Disturbed) -> None:
         trial.problems.append(f"not named; heard {[told.sentence for told in graph.told]}")
     elif fault.told and trial.detected_s > TELL_WITHIN:
         trial.problems.append(f"told after {trial.detected_s:.2f} s")
+    if trial.reaction == ENDS:
+        trial.ended_s, trial.last_words = graph.told[-1].at - graph.struck_at, graph.told[-1].sentence
     if trial.reaction != fault.reaction:
         trial.problems.append(f"{trial.reaction}: {graph.told[-1].sentence if graph.told else 'nothing was told'}")
 
