@@ -136,8 +136,12 @@ def _is_file(place: Path) -> bool:
 
 
 def shipped_directories() -> list[Path]:
-    """Where the shipped ``config`` lies: under the ament index, under the Python prefix, in a source checkout."""
+    """Where the shipped ``config`` lies: in the source checkout that runs, under the ament index or Python's prefix.
+
+    The checkout first, so that its code never meets the files of another version that is installed beside it.
+    """
+    source = Path(__file__).resolve().parent.parent
+    checkout = [source / "config"] if (source / "package.xml").is_file() else []
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) + [sysconfig.get_path("data")]
-    found = [Path(p) / "share" / "kr270_milling" / "config" for p in prefixes if p]
-    found.append(Path(__file__).resolve().parent.parent / "config")
-    return [p for p in found if p.is_dir()]
+    installed = [Path(p) / "share" / "kr270_milling" / "config" for p in prefixes if p]
+    return [p for p in (*checkout, *installed) if p.is_dir()]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices only, and some tests run five processes on two cores
+
+import contextlib
 import time
 from pathlib import Path
 

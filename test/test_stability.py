@@ -7,6 +7,8 @@ K_t = 6e8, K_n = 2e8 N/m^2.
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -37,11 +39,11 @@ def multipliers(depth, delay, h):
     """
     k = len(h)
     step, transition = delay / k, np.eye(k + 2)
-    for strength in depth * np.asarray(h) / MASS:
-        system = np.zeros((4, 4))  # x, x', delayed term, its rate
-        system[0, 1], system[1, :2] = 1.0, [-(OMEGA**2) - strength, -2 * ZETA * OMEGA]
-        system[1, 2], system[2, 3] = strength, 1.0
-        exact = expm(system * step)[:2]
+    strength = depth * np.asarray(h) / MASS
+    system = np.zeros((k, 4, 4))  # x, x', delayed term, its rate
+    system[:, 0, 1], system[:, 1, 0], system[:, 1, 1] = 1.0, -(OMEGA**2) - strength, -2 * ZETA * OMEGA
+    system[:, 1, 2], system[:, 2, 3] = strength, 1.0
+    for exact in expm(system * step)[:, :2]:
         ends = np.outer(exact[:, 2] - exact[:, 3] / step, transition[k + 1])  # from x(t_i - tau) ...
         ends += np.outer(exact[:, 3] / step, transition[k])  # ... to x(t_i+1 - tau)
         now = exact[:, :2] @ transition[:2] + ends
@@ -65,6 +67,7 @@ def limit(delay, coarse, fine, depths):
     return found, largest[np.argmax(np.abs(largest))]
 
 
+@functools.cache
 def semi_discretisation(case, intervals=160):
     coarse, fine = (directional(case.immersion, n) for n in (40, intervals))
     return limit(60.0 / case.spindle_rpm / TEETH, coarse, fine, np.geomspace(1e-4, 6e-3, 30))
