@@ -66,6 +66,8 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(argv: list[str]) -> int:
     argv = _join_negative(argv)
+    if any("\0" in word for word in argv):  # no shell can pass one on, but a caller of main can
+        return _refuse("an argument holds a zero byte")
     args = _parser(argv).parse_args(argv)
     from kr270_milling.errors import MillingError
 

@@ -12,10 +12,13 @@ from kr270_milling.errors import ParameterError
 from kr270_milling.robot.arm import BARE, Arm, Mount
 from kr270_milling.robot.elastostatics import compliance, rotate_matrix, stiffness
 from kr270_milling.robot.equilibrium import equilibrium
+from kr270_milling.robot.errors import ConditionError
 from kr270_milling.robot.kinematics import pose
 from kr270_milling.robot.mass import MODELS, cartesian_mass, mode_frequencies
 
 __all__ = ["analyse", "read_arm"]
+
+MOST_CONDITION = 1e6  # its square times the rounding of 1e-16 is what the stiffness is wrong by
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +49,9 @@ def analyse(arm: Arm, mount: Mount, q, wrench, frame: str = "base", gravity: boo
     turn = np.eye(3) if frame == "base" else start.rotation.T  # base axes to the chosen ones
     both = np.kron(np.eye(2), turn)
     loaded = equilibrium(arm, mount, q, both.T @ np.asarray(wrench, float), gravity)
+    condition = float(np.linalg.cond(loaded.jacobian))
+    if not condition <= MOST_CONDITION:
+        raise ConditionError(condition, MOST_CONDITION)
     shift = loaded.pose.position - start.position
     tilt = Rotation.from_matrix(loaded.pose.rotation @ start.rotation.T).as_rotvec()
     soft = compliance(loaded, arm)
@@ -59,5 +65,5 @@ def analyse(arm: Arm, mount: Mount, q, wrench, frame: str = "base", gravity: boo
         "deflection": (both @ np.concatenate([shift, tilt])).tolist(),
         "joint_deflection_rad": loaded.theta.tolist(),
         "mode_frequencies_hz": {m: found.tolist() for m, found in modes.items()},
-        "condition_number": float(np.linalg.cond(loaded.jacobian)),
+        "condition_number": condition,
     }

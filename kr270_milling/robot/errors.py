@@ -9,8 +9,8 @@ import math
 
 from kr270_milling.errors import MillingError
 
-__all__ = ["ReachError", "JointLimitError", "SingularityError", "UnstableLoadError", "DeflectionError",
-           "EquilibriumError"]  # fmt: skip
+__all__ = ["ReachError", "JointLimitError", "SingularityError", "ConditionError", "UnstableLoadError",
+           "DeflectionError", "EquilibriumError"]  # fmt: skip
 
 
 def _place(index) -> str:
@@ -51,6 +51,17 @@ class SingularityError(MillingError):
             "wrist": "keep axis 5 away from 0 deg",
         }[which]
         super().__init__(f"the arm stands in its {which} singularity (measure {measure:.2g}); {cure}{_place(index)}")
+
+
+class ConditionError(MillingError):
+    """The Jacobian's condition number (lengths in m) is too large for its inverse to be computed."""
+
+    def __init__(self, condition: float, limit: float):
+        self.condition, self.limit = condition, limit
+        super().__init__(
+            f"the arm stands too near a singular posture for a stiffness: the condition number of its Jacobian is "
+            f"{condition:.3g}, but must be at most {limit:g}"
+        )
 
 
 class UnstableLoadError(MillingError):

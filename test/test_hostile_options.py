@@ -1,0 +1,82 @@
+"""Options with values that nobody can mean, in every command: exit code 2 and no pass begun."""
+
+from __future__ import annotations
+
+import pytest
+from hostile import POSTURE, SHORT, ask, contents, refused, refused_or_sound, settings
+from hypothesis import HealthCheck, given
+from hypothesis import settings as examples
+from hypothesis import strategies as st
+
+NUMBERS = ("", "nan", "inf", "-inf", "1e999", "-1", "9" * 5000, "0x10", "ä", "1;2", "--", "1e30")
+COUNTS = ("", "nan", "inf", "1e30", "-1", "0", "1.5", "9" * 5000, "1_0", "0x10", "٣", "²")
+SIX = ("", "1", "1,2,3,4,5", "1,2,3,4,5,6,7", "nan,0,0,0,0,0", "0,0,0,0,0,inf", "1e30,0,0,0,0,0", ",,,,,",
+       "a,b,c,d,e,f", "-1e300,0,0,0,0,0", "721,0,0,0,0,0")  # fmt: skip
+CELL = ("paper.yaml", *settings(*SHORT))
+
+
+@pytest.mark.parametrize("text", SIX)
+def test_joints_that_no_arm_has_are_refused(text):
+    refused("stiffness", "kr270_2.yaml", "--joints-deg", text)
+    refused("stiffness", "kr270_2.yaml", f"--joints-deg={text}")
+
+
+@pytest.mark.parametrize("text", [t for t in SIX if t != "721,0,0,0,0,0"])
+def test_wrenches_that_no_arm_holds_are_refused(text):
+    refused("stiffness", "kr270_2.yaml", POSTURE, f"--wrench={text}")
+
+
+@pytest.mark.parametrize(("command", "option", "values"), [
+    ("compensate", "--verdict", COUNTS), ("compensate", "--seed", COUNTS), ("run", "--passes", COUNTS),
+    ("compensate", "--method", ("", "best", "LINEAR")), ("run", "--method", ("", "best")),
+    ("compensate", "--krl", ("", "PTP")), ("check", "--motion", ("", "PTP")),
+])  # fmt: skip
+def test_counts_and_choices_are_held_to_what_they_may_be(command, option, values, tmp_path):
+    for value in values:
+        out = ["--out", str(tmp_path / "out")] if command != "check" else []
+        refused(command, *CELL, f"{option}={value}", *out)
+    assert contents(tmp_path) == {}
+
+
+@pytest.mark.parametrize("option", ["--rate", "--start-offset", "--playback-duration", "--delay", "--clock"])
+@pytest.mark.parametrize("value", NUMBERS)
+def test_playback_takes_no_number_that_is_none(option, value, tmp_path, monkeypatch):
+    """The file is missing: a number that is taken (or an empty one, which is no option's value) ends there."""
+    pytest.importorskip("rclpy")
+    monkeypatch.setattr("sys.argv", ["kr270_milling"])  # the player calls itself by the name of its program
+    refused("replay", str(tmp_path / "none.mcap"), f"{option}={value}")
+
+
+@pytest.mark.parametrize("words", [
+    ["stiffness", "kr270_2.yaml", "--joints-deg"], ["stiffness", "kr270_2.yaml"], ["stiffness"],
+    ["simulate", "paper.yaml", "--set"], ["simulate", "paper.yaml", "--out"], ["simulate", "paper.yaml", "--reference"],
+    ["compensate", "paper.yaml", "--method"], ["compensate", "paper.yaml", "--out"],
+    ["compensate", "paper.yaml", "--seed"],
+    ["check"], ["check", "paper.yaml", "--reference"], ["run"], ["run", "paper.yaml", "--passes"], ["demo", "--out"],
+    ["replay"], ["replay", "a", "--recompute", "--compensate"], ["replay", "a", "--rate"], ["info"], ["info", "a", "b"],
+    ["export"], ["export", "a"], ["export", "a", "--csv"], ["export", "a", "--csv", "x", "--topics"], ["recover"],
+    ["report"], ["bench", "x"], ["verify", "--only"], ["verify", "x"], ["demo", "x"], ["bench", "--steps=3"], [],
+    ["", ""], ["simulate", ""], ["simulate", "paper.yaml", "--set", ""], ["simulate", "paper.yaml", "--set", "="],
+    ["simulate", "paper.yaml", "--set", "tool..teeth=3"], ["simulate", "paper.yaml", "--set", "tool=3"],
+    ["simulate", "paper.yaml", "--set", "tool.teeth.more=3"], ["simulate", "paper.yaml", "--set", "tool.teeth=[3"],
+    ["run", "paper.yaml", "--namespace", "a b", "--out", "/proc/x"], ["verify", "--only", "no such check"],
+])  # fmt: skip
+def test_a_call_that_misses_something_or_has_too_much_is_refused(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refused(*words)
+    assert contents(tmp_path) == {}
+
+
+@examples(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.lists(st.floats(), min_size=6, max_size=6), st.lists(st.floats(), min_size=6, max_size=6), st.booleans())
+def test_any_posture_under_any_wrench_is_refused_or_has_finite_numbers(joints, wrench, gravity):
+    words = [f"--joints-deg={','.join(map(repr, joints))}", f"--wrench={','.join(map(repr, wrench))}"]
+    answer = ask("stiffness", "kr270_2.yaml", *words, *["--gravity"] * gravity, "--json")
+    assert answer.code in (0, 2)
+
+
+@examples(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.lists(st.floats(-720, 720), min_size=6, max_size=6), st.lists(st.floats(-1e6, 1e6), min_size=6, max_size=6))
+def test_any_posture_that_can_be_has_numbers_that_can_be(joints, wrench):
+    words = [f"--joints-deg={','.join(map(repr, joints))}", f"--wrench={','.join(map(repr, wrench))}"]
+    refused_or_sound("stiffness", "kr270_2.yaml", *words, "--frame", "tool")
