@@ -7,8 +7,11 @@ import os
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices only, and some tests run five processes on two cores
 
 import contextlib
+import io
+import json
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from ros_domain import DISCOVERY, environment_of_processes, own_domain
@@ -40,6 +43,25 @@ def short_cell():
     from kr270_milling.config_file import find_file
 
     return read_cell(find_file("paper.yaml"), SHORT)
+
+
+@pytest.fixture(scope="session")
+def demo(tmp_path_factory):
+    """``kr270_milling demo --plain``, run once: its passes, what it prints for people and what as JSON."""
+    from kr270_milling.cli import main
+    from kr270_milling.commands import demo as command
+
+    told, tell = [], command._tell
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(command, "_tell", lambda *arguments: told.append(arguments))
+        assert main(["demo", "--plain", "--out", str(tmp_path_factory.mktemp("demo") / "out")]) == 0
+    args, passes, found = told[0]
+    texts = []
+    for args.json in (False, True):
+        with contextlib.redirect_stdout(io.StringIO()) as stream:
+            tell(args, passes, found)
+        texts.append(stream.getvalue())
+    return SimpleNamespace(passes={p.name: p for p in passes}, text=texts[0], json=json.loads(texts[1]))
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import pytest
 
 from kr270_milling.cell import read_cell
 from kr270_milling.config import ConfigError, find_file
-from kr270_milling.passes import commanded_joints, compensated, simulate
+from kr270_milling.passes import commanded_joints
 from kr270_milling.robot import Mount, equilibrium, pose
 
 FILE = find_file("paper.yaml")
@@ -15,10 +15,9 @@ PAPER = read_cell(FILE)
 
 
 @pytest.fixture(scope="module")
-def passes():
-    """The four passes of Table 2, once."""
-    original = simulate(PAPER)
-    return {"original": original} | {m: compensated(PAPER, original, m) for m in ("linear", "spline", "learned")}
+def passes(demo):
+    """The four passes of Table 2."""
+    return demo.passes
 
 
 def micrometres(scores):

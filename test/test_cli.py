@@ -228,8 +228,8 @@ def test_compensate_writes_a_trajectory_that_simulate_runs_to_the_predicted_scor
     assert again["max_deviation_mm"] == pytest.approx(found["max_deviation_mm"], rel=1e-6)
 
 
-def test_the_demo_prints_four_passes_and_writes_report_and_series(capsys, tmp_path):
-    found = answer(capsys, "demo", "--plain", "--out", str(tmp_path / "out"))
+def test_the_demo_prints_four_passes_and_writes_report_and_series(demo):
+    found = demo.json
     assert [p["name"] for p in found["passes"]] == ["original", "linear", "spline", "learned"]
     for ran in found["passes"]:
         assert {"static_deviation_mm", "max_deviation_mm", "low_frequency_hz"} <= set(ran)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import njit
 
 from kr270_milling.cutting import Cut, Cutting, Stock, Tool
 
@@ -36,14 +37,12 @@ class Oracle:
 
     def __init__(self, cut, margin=0.08):
         self.cut, self.margin = cut, margin
-        middle = (np.arange(NODES) + 0.5) * STEP
-        self.nodes = np.stack(np.meshgrid(middle, middle, indexing="ij"), -1)
-        self.must, self.may = np.zeros((2, NODES, NODES), int)
+        self.must, self.may = np.zeros((2, NODES, NODES), np.int64)
         teeth = cut.tool.teeth
-        self.side = np.zeros((teeth, NODES, NODES), int)  # of the node when it was last clear of the line
-        self.level = np.zeros((teeth, NODES, NODES), int)  # then
-        self.within = np.zeros((teeth, NODES, NODES), bool)  # was it inside the tooth's length since?
-        self.near = np.zeros((teeth, NODES, NODES), bool)  # was it anywhere near that since?
+        self.side = np.zeros((teeth, NODES, NODES), np.int64)  # of the node when it was last clear of the line
+        self.level = np.zeros((teeth, NODES, NODES), np.int64)  # then
+        self.within = np.zeros((teeth, NODES, NODES), np.bool_)  # was it inside the tooth's length since?
+        self.near = np.zeros((teeth, NODES, NODES), np.bool_)  # was it anywhere near that since?
 
     def sweep(self, start, end, first, n):
         samples = 9 + int(8 * np.hypot(*(end - start)[:2]) / STEP / n)
@@ -53,27 +52,34 @@ class Oracle:
             centres = start[:2] + parts[:, None] * (end - start)[:2]
             turns = (first + parts * n) * self.cut.params.micro_step
             for i, radius in enumerate(self.cut.tool.radii):
-                for centre, phi in zip(centres, self.cut.tool.angles[i] + turns, strict=True):
-                    self._line(i, centre, phi, radius, level)
+                state = self.must, self.may, self.side[i], self.level[i], self.within[i], self.near[i]
+                angles = self.cut.tool.angles[i] + turns
+                lines = np.stack([np.cos(angles), self.cut.tool.sense * np.sin(angles)], 1)
+                pass_over(centres / STEP, lines, radius / STEP, self.margin, level, *state)
 
-    def _line(self, i, centre, phi, radius, level):
-        tooth = np.array([np.cos(phi), self.cut.tool.sense * np.sin(phi)])
-        away = (self.nodes - centre) / STEP
-        along, beside = away @ tooth, away[..., 0] * tooth[1] - away[..., 1] * tooth[0]
-        within = (along > self.margin) & (along < radius / STEP - self.margin)
-        outside = (along < -self.margin) | (along > radius / STEP + self.margin)
-        clear = np.abs(beside) > self.margin
-        side = np.where(clear, np.sign(beside).astype(int), 0)
-        crossed = clear & (side == -self.side[i])
-        lowest = np.minimum(self.level[i], level)
-        self.must = np.where(crossed & within & self.within[i], np.maximum(self.must, lowest), self.must)
-        reached = (crossed & (~outside | self.near[i])) | (~outside & ~clear)
-        highest = np.maximum(np.where(crossed, self.level[i], 0), level)
-        self.may = np.where(reached, np.maximum(self.may, highest), self.may)
-        self.within[i] = within & (clear | self.within[i])
-        self.near[i] = ~outside | (~clear & self.near[i])
-        self.side[i] = np.where(clear, side, self.side[i])
-        self.level[i] = np.where(clear, level, lowest)
+
+@njit
+def pass_over(centres, lines, radius, margin, level, must, may, side, last, within, near):
+    """Move one tooth through some positions (k, 2) and directions (k, 2); lengths in nodes."""
+    for k in range(len(centres)):
+        for row in range(NODES):
+            for column in range(NODES):
+                at = row, column
+                x, y = row + 0.5 - centres[k, 0], column + 0.5 - centres[k, 1]
+                along, beside = x * lines[k, 0] + y * lines[k, 1], x * lines[k, 1] - y * lines[k, 0]
+                inside = margin < along < radius - margin
+                outside = along < -margin or along > radius + margin
+                clear, now = abs(beside) > margin, 1 if beside > 0 else -1
+                crossed = clear and now == -side[at]
+                if crossed and inside and within[at]:
+                    must[at] = max(must[at], min(last[at], level))
+                if (crossed and (not outside or near[at])) or not (outside or clear):
+                    may[at] = max(may[at], level, last[at] if crossed else 0)
+                within[at] = inside and (clear or within[at])
+                near[at] = not outside or (not clear and near[at])
+                last[at] = level if clear else min(last[at], level)
+                if clear:
+                    side[at] = now
 
 
 @st.composite
@@ -104,7 +110,7 @@ def passes(draw):
     return tool, legs
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(passes())
 def test_every_node_has_the_level_that_brute_force_gives_it(case):
     tool, (here, *legs) = case
