@@ -92,11 +92,12 @@ class Page(html.parser.HTMLParser):
 
 EVIL = "<script>alert(1)</script><img src=x onerror=alert(2)>&lt;{{ 7*7 }}\"'"
 GCODE = """G21 G90 S8000 M3
-(<img src=x onerror=evil3>)
 G0 X-14 Y0 Z2
 G0 Z-0.5
 (</title></svg><script>evil4</script>)
 G1 X6 F4000
+(<img src=x onerror=evil3>)
+G1 X8 Y2
 G0 Z2
 M30
 """
