@@ -225,6 +225,25 @@ def test_compensator_that_comes_in_mid_pass_says_that_it_has_not_heard_the_start
     told.until("/trajectory_compensator", "has not heard its start", 2, deadline=3.0)
 
 
+def test_recorder_that_hangs_while_it_closes_its_file_is_ended_with_the_graph(short_cell, tmp_path):
+    class Hanging:
+        name, pid, shared = "recorder", 0, set()
+        process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, start_new_session=True)
+        alive = property(lambda self: self.process.poll() is None)
+        note_shared = lambda self: None  # noqa: E731
+
+        def signal(self, number: int) -> None:
+            self.process.send_signal(number)
+
+    hanging = Hanging()
+    hanging.signal(signal.SIGSTOP)
+    graph = Graph(short_cell, tmp_path)
+    graph.driver, graph.ended = None, [hanging]
+    graph.close()
+    assert not hanging.alive
+    hanging.process.stdin.close()
+
+
 def test_stopped_process_can_be_told_from_an_ended_one():
     process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
     process.send_signal(signal.SIGSTOP)

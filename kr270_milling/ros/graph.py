@@ -255,14 +255,14 @@ class Graph:
 
     def close(self) -> None:
         """Stop everything; the recorder last, so that it has the others' last words."""
-        recorder = self.children.pop(RECORDER, None)
+        recorders = [*self.ended, *filter(None, [self.children.pop(RECORDER, None)])]  # one may be closing its file
         try:
             stop(self.children.values())
-            stop([recorder] if recorder else [])
+            stop(recorders)
         finally:
             if self.driver is not None:
                 self.driver.close()
-            remove_litter([*self.children.values(), *self.ended, *([recorder] if recorder else [])])
+            remove_litter([*self.children.values(), *recorders])
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 

@@ -99,12 +99,24 @@ def _shared_files(pid: int | str) -> set[str]:
     return {name for name in found if name.startswith((SHARED + "fastrtps_", SHARED + "sem.fastrtps_"))}
 
 
+def _ports_of_domain() -> set[str]:
+    """Files of the ports of our ROS domain under /dev/shm (7400 and 250 a domain: RTPS, section 9.6.1)."""
+    text = os.environ.get("ROS_DOMAIN_ID", "")
+    first = 7400 + 250 * (int(text) if text.isdecimal() else 0)
+    ports = tuple(f"fastrtps_port{number}" for number in range(first, first + 250))
+    found = os.listdir(SHARED) if os.path.isdir(SHARED) else []
+    whole = {name: name.removeprefix("sem.").partition("_mutex")[0].removesuffix("_el") for name in found}
+    return {SHARED + name for name, port in whole.items() if port in ports}
+
+
 def remove_litter(children: Iterable[Child]) -> list[str]:
     """Remove what killed nodes left in /dev/shm and no other process uses; returns the files.
 
-    This process does not count: Fast DDS keeps the segment of a partner mapped when all is closed.
+    This process does not count: Fast DDS keeps the segment of a partner mapped when all is closed. It counts for
+    the other ports of our ROS domain, which a node may have made anew after it was looked at.
     """
     left = {name for child in children for name in child.shared if os.path.exists(name)}
+    left |= _ports_of_domain() - _shared_files(os.getpid())
     if not left:
         return []
     for pid in filter(str.isdigit, os.listdir("/proc")):
