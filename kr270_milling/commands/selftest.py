@@ -6,7 +6,7 @@ import argparse
 import sys
 import time
 
-from kr270_milling.commands.console import add_common, print_json, print_table, progress
+from kr270_milling.commands.console import add_common, print_json, progress
 
 
 def add_arguments(parser) -> None:
@@ -69,7 +69,7 @@ def _faults(args, directory) -> int:
     if args.json:
         print_json({"seed": args.seed, "rows": [r.as_dict() for r in rows], "failed": failed, "wall_s": seconds})
     else:
-        _print("Faults in mid-pass", list(COLUMNS), [row.cells() for row in rows], args.markdown)
+        _print(list(COLUMNS), [row.cells() for row in rows], args.markdown)
         print(f"{len(rows)} rows, {failed} FAILED; seed {args.seed}; {seconds:.0f} s")
         for row in rows:
             print("".join(f"{row.fault.name}, {problem}\n" for problem in row.problems), end="")
@@ -86,16 +86,19 @@ def _soak(args, directory) -> int:
     if args.json:
         print_json({"rows": [row.as_dict() for row in rows], "failed": failed})
     else:
-        _print("Long runs", list(COLUMNS), [row.cells() for row in rows], args.markdown)
+        _print(list(COLUMNS), [row.cells() for row in rows], args.markdown)
         for row in rows:
             print("".join(f"{row.name}: {problem}\n" for problem in row.problems), end="")
     return 1 if failed else 0
 
 
-def _print(title: str, columns: list[str], rows: list[list[str]], markdown: bool) -> None:
-    if not markdown:
-        print_table(title, columns, rows)
+def _print(columns: list[str], rows: list[list[str]], markdown: bool) -> None:
+    if markdown:
+        for row in (columns, ["---"] * len(columns), *rows):
+            print("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |")
+        print()
         return
-    for row in (columns, ["---"] * len(columns), *rows):
-        print("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |")
-    print()
+    for row in rows:  # a table of this width would be cut off
+        print(row[0])
+        for name, cell in zip(columns[1:], row[1:], strict=True):
+            print(f"    {name:28} {cell}")
