@@ -112,7 +112,7 @@ def looked_at(path: Path) -> Page:
 
 
 def test_a_report_shows_texts_from_files_and_does_not_run_them(tmp_path):
-    """Names of the arm, the features, the cell file and its folder."""
+    """Names of arm, cell file and folder; a comment of the program names a feature only if it is one word."""
     folder = tmp_path / "<script>alert(5)<" / "b onclick=x"
     folder.mkdir(parents=True)
     (folder / "path <i>.nc").write_text(GCODE)
@@ -125,14 +125,7 @@ def test_a_report_shows_texts_from_files_and_does_not_run_them(tmp_path):
     assert answer.code in (0, 1), answer
     page = looked_at(tmp_path / "out" / "report.html")
     shown = " ".join(page.texts)
-    for part in (
-        "<script>alert(1)</script>",
-        "onerror=evil3",
-        "alert(4)",
-        "{{ 7*7 }}",
-        "cell <u>.yaml",
-        "path <i>.nc",
-    ):
+    for part in ("<script>alert(1)</script>", "{{ 7*7 }}", "cell <u>.yaml", "path <i>.nc"):
         assert part in shown, part
     drawings = list((tmp_path / "out").rglob("*.svg"))
     assert drawings
