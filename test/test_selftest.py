@@ -63,7 +63,7 @@ def test_soak_measures_every_process_and_loses_nothing(ros_environment, tmp_path
     rows = {row["name"]: row for row in found["rows"]}
     assert len(rows) == 6 and all(row["lost"] == 0 for row in rows.values())
     for row in rows.values():
-        assert row["first"]["memory_mb"] > 10 and row["last"]["threads"] >= 1 and row["last"]["files"] > 3
+        assert row["settled"]["memory_mb"] > 10 and row["last"]["threads"] >= 1 and row["last"]["files"] > 3
     assert code == 0, (told, [row["problems"] for row in rows.values()])
 
 
@@ -78,8 +78,10 @@ def test_growth_is_found_by_its_slope_and_its_handles():
         row.look(i, os.getpid())
     assert row.problems == []
     row.samples = [type(s)(s.memory_mb + 0.2 * i, s.threads, s.files + i // 40) for i, s in enumerate(row.samples)]
-    assert row.growth == pytest.approx(0.2 * 39, abs=0.5)
-    assert len(row.problems) == 2
+    assert row.growth == pytest.approx(0.2 * 24, abs=0.5)
+    assert row.problems == [f"files grew from {row.samples[25].files} to {row.samples[-1].files}"]
+    row.samples = [type(s)(3 * s.memory_mb, s.threads, 9) for s in row.samples]
+    assert len(row.problems) == 1 and "memory grew by 14" in row.problems[0]
 
 
 def test_slope_is_that_of_a_line():

@@ -22,7 +22,7 @@ __all__ = ["COLUMNS", "Growth", "run_soak"]
 
 COLUMNS = ("process", "samples", "memory [MB]", "growth [MB]", "slope", "threads", "file handles")
 ONCE = {"recorder": "recorder (a new one each pass)"}
-SETTLED = 0.2  # share of the run after which everything has been allocated once
+SETTLED = 0.5  # share of the run after which everything has been allocated once; queues keep their longest length
 MOST_GROWTH = 5.0  # [MB] from then to the end, by the fitted slope
 TOPICS = ("tool_pose", "wrench", "deflection")  # of an exchange
 RATE = 2000  # [1/s] exchanges, as with the default period in real time
@@ -46,7 +46,7 @@ class Growth:
 
     @property
     def _steady(self) -> slice:
-        return slice(min(int(SETTLED * len(self.samples)), len(self.samples) - 2), None)
+        return slice(max(0, min(int(SETTLED * len(self.samples)), len(self.samples) - 2)), None)
 
     @property
     def slope(self) -> float:
@@ -73,8 +73,8 @@ class Growth:
         return found + ([f"{self.lost} messages are not in the recording"] if self.lost else [])
 
     def cells(self) -> list[str]:
-        """As text, in the order of COLUMNS; from the first to the last sample."""
-        a, b = self.samples[0], self.samples[-1]
+        """As text, in the order of COLUMNS; from the middle to the end of the run."""
+        a, b = self.samples[self._steady][0], self.samples[-1]
         return [
             self.name, str(len(self.samples)), f"{a.memory_mb:.1f} -> {b.memory_mb:.1f}", f"{self.growth:+.2f}",
             f"{self.slope * 1000:+.2f} kB/{self.unit}", f"{a.threads} -> {b.threads}", f"{a.files} -> {b.files}",
@@ -83,7 +83,8 @@ class Growth:
     def as_dict(self) -> dict:
         return {
             "name": self.name, "growth_mb": self.growth, "slope_mb": self.slope, "unit": self.unit, "lost": self.lost,
-            "problems": self.problems, "first": asdict(self.samples[0]), "last": asdict(self.samples[-1]),
+            "problems": self.problems, "settled": asdict(self.samples[self._steady][0]),
+            "last": asdict(self.samples[-1]),
         }  # fmt: skip
 
 
