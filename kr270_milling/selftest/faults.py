@@ -100,18 +100,18 @@ def _load(graph: Disturbed) -> Script:
 
 
 def _set_clock(graph: Disturbed) -> Script:
-    """An hour back, two on, a second back, and right again."""
+    """An hour back, for so long that a node whose timers wait for that hour counts as lost; then two on."""
     graph.struck()
-    for offset in (-3600.0, 3600.0, 3599.0, 0.0):
+    for offset, seconds in ((-3600.0, 3.0), (3600.0, 0.25), (0.0, 0.0)):
         graph.clock.set(offset)
-        yield 0.25
+        yield seconds
 
 
-def _of_node(node: str, kill: str, hold: str, restart: str, restarted: str = ENDS) -> list[Fault]:
+def _of_node(node: str, kill: str, hold: str, restart: str) -> list[Fault]:
     return [
         Fault(f"{node}, SIGKILL", node, _kill(node), ENDS, kill),
         Fault(f"{node}, SIGSTOP 2 s", node, _hold(node), GOES_ON, hold),
-        Fault(f"{node}, restart", node, _restart(node), restarted, restart),
+        Fault(f"{node}, restart", node, _restart(node), ENDS, restart),
     ]
 
 

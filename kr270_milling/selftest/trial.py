@@ -51,6 +51,8 @@ def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: Pa
         graph.close()
     finally:
         graph.end_beside()
+        if graph.clock is not None:
+            graph.clock.set(0.0)
     if graph.struck_at is None:
         trial.problems.append("the fault came too late: the pass was over")
         return trial
@@ -69,6 +71,8 @@ def _judge_words(trial: Trial, fault: Fault, graph: Disturbed) -> None:
         trial.problems.append(f"not named; heard {[told.sentence for told in graph.told]}")
     elif fault.told and trial.detected_s > TELL_WITHIN:
         trial.problems.append(f"told after {trial.detected_s:.2f} s")
+    if fault.clock and graph.told:
+        trial.problems.append(f"has an effect: {graph.told[0].sentence}")
     if trial.reaction == ENDS:
         trial.ended_s, trial.last_words = graph.told[-1].at - graph.struck_at, graph.told[-1].sentence
     if trial.reaction != fault.reaction:
