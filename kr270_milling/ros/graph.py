@@ -69,6 +69,7 @@ class Graph:
         self._namespace, self._signals, self._handlers = namespace, [], {}
         self._excused: set[str] = {ROBOT, CUT, COMPENSATOR, RECORDER}  # may be silent now
         self._up = False
+        self._of_pass: dict[str, str] = {}  # process id of each node when the pass began
         self._looked, self._hear_until, self._quiet = time.monotonic(), 0.0, set()
 
     def __enter__(self) -> Graph:
@@ -131,6 +132,9 @@ class Graph:
         for name, message in self.driver.errors:
             if name in ours:
                 raise RunError(ours[name].name, message)
+        for name, pid in self._of_pass.items():
+            if self._says("pid", name) not in ("", pid):
+                raise RunError(name, "was restarted in mid-pass")
         self._check_silence(time.monotonic())
 
     def _check_silence(self, now: float) -> None:
@@ -193,11 +197,13 @@ class Graph:
         for child in self.children.values():
             child.note_shared()  # of a node that is killed later this cannot be found out any more
         reference, revision = self._says("reference"), self._says("revision")
+        self._of_pass = {node: self._says("pid", node) for node in self.children}
         self.driver.transition(CUT, "activate", UP)
         self.driver.transition(ROBOT, "activate", UP)
         self.driver.until(self._pass_complete, "the pass", float("inf"), ROBOT)
         with self._excuse(COMPENSATOR):
             self.driver.until(lambda: self._says("revision") != revision, "revising", UP, COMPENSATOR)
+        self._of_pass = {}
         wall = float(self._says("wall_s", ROBOT))
         self.driver.transition(ROBOT, "deactivate", UP)
         with self._excuse(CUT):

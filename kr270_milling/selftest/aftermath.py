@@ -31,8 +31,11 @@ class Recorded:
     verdict: str  #: of recompute; empty where it was not asked
 
 
-def read_back(path: Path, expected: PassResult, struck_ns: int, again: bool) -> Recorded:
-    """again: recompute it too. struck_ns: when the fault was [ns of the wall clock]. Raises RecordingError."""
+def read_back(path: Path, expected: PassResult, struck_ns: int, begun_ns: int, again: bool) -> Recorded:
+    """again: recompute it too. struck_ns: when the fault was, begun_ns: when the pass began [ns of the wall clock].
+
+    Raises RecordingError.
+    """
     with Recording(path) as recording:
         about = info(recording)
         wrong, ends = False, {}
@@ -40,7 +43,7 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, again: bool) -> 
             found = series(recording, topic)
             ends[topic] = found.stamp[-1] if found.stamp.size else -1
             wrong = wrong or not _same(found, expected.time_ns, values, WIDTH[topic])
-        last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=0)
+        last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=begun_ns)
     complete = all(end == expected.time_ns[-1] for end in ends.values())
     behind = max(0.0, (struck_ns - last) * 1e-9)
     verdict = recompute(path).verdict if again else ""

@@ -119,9 +119,13 @@ CLOSED = "run ends with a sentence, recording is closed whole"
 WAITED = "told as a warning, waited for, same result"
 
 FAULTS = (
-    *_of_node(ROBOT, CLOSED, WAITED, "cutting process says that another robot came; run ends"),
-    *_of_node(CUT, CLOSED, WAITED, "new cut has not seen the start and refuses, or robot gives up; run ends"),
-    *_of_node(COMPENSATOR, CLOSED, WAITED, "new compensator has not heard the start and says so; run ends"),
+    *_of_node(
+        ROBOT, CLOSED, WAITED, "cutting process says that another robot came, or told that it was restarted; run ends"
+    ),
+    *_of_node(
+        CUT, CLOSED, WAITED, "new cut has not seen the start and refuses, or told that it was restarted; run ends"
+    ),
+    *_of_node(COMPENSATOR, CLOSED, WAITED, "told that it was restarted, or that it has not heard the start; run ends"),
     *_of_node(
         RECORDER,
         "run ends with a sentence; file is cut off, at most the last second is missing",

@@ -81,7 +81,8 @@ def _judge_words(trial: Trial, fault: Fault, graph: Disturbed) -> None:
 
 def _judge_recording(trial: Trial, fault: Fault, graph: Disturbed, plain: PassResult, again: bool) -> None:
     try:
-        found = read_back(graph.recording, plain, graph.struck_wall_ns, again)
+        struck = graph.struck_wall_ns
+        found = read_back(graph.recording, plain, struck, struck - round(trial.after_s * 1e9), again)
     except MillingError as error:
         trial.problems.append(f"recording: {error}")
         return
