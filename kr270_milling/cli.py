@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import os
 import re
+import signal
 import sys
 
 from kr270_milling import __version__
@@ -50,6 +52,7 @@ EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
 def main(argv: list[str] | None = None) -> int:
     """Exit code 0, 1 (a check failed), 2 (unusable input: one sentence on stderr) or 130 (Ctrl-C)."""
     try:
+        _hear_interrupts()
         return _run(sys.argv[1:] if argv is None else argv)
     except BrokenPipeError:  # the reader of our output, head for example, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -62,6 +65,25 @@ def main(argv: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("kr270_milling: interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED
+
+
+def _hear_interrupts() -> None:
+    """Ctrl-C as Python has it, but not in the midst of a compilation, which would leave the compiler half made and
+    could crash at the end: it waits for that, some seconds at most, unless it comes twice."""
+    pressed: list[int] = []
+
+    def interrupt(number, frame):
+        pressed.extend([number] * (number == signal.SIGINT))
+        compiler = sys.modules.get("numba.core.compiler_lock")
+        if compiler and compiler.global_compiler_lock.is_locked() and len(pressed) < 2:
+            signal.signal(signal.SIGALRM, interrupt)
+            signal.setitimer(signal.ITIMER_REAL, 0.02)  # look again
+            return
+        raise KeyboardInterrupt
+
+    with contextlib.suppress(ValueError):  # only the main thread may
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, interrupt)
 
 
 def _run(argv: list[str]) -> int:

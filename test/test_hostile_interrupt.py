@@ -80,3 +80,33 @@ def test_ctrl_c_while_files_are_written_leaves_none(function, tmp_path):
         assert contents(tmp_path) == {}
     else:
         assert not [name for name in contents(tmp_path) if "part" in name]
+
+
+COMPILING = """
+import os, signal
+from numba.core.compiler_lock import global_compiler_lock as lock
+from kr270_milling.cli import _hear_interrupts
+_hear_interrupts()
+with lock:
+    os.kill(os.getpid(), signal.SIGINT)
+    sum(range(10**6))
+    print("still here")
+try:
+    while True:
+        signal.pause()
+except KeyboardInterrupt:
+    print("now")
+with lock:
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt:
+        print("at once when pressed again")
+"""
+
+
+def test_ctrl_c_waits_for_a_compilation_unless_it_comes_twice(tmp_path):
+    ran = subprocess.run(
+        [sys.executable, "-c", COMPILING], env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+        timeout=30,
+    )  # fmt: skip
+    assert ran.stdout.split("\n") == ["still here", "now", "at once when pressed again", ""], ran.stderr
