@@ -125,6 +125,16 @@ def test_every_node_has_the_level_that_brute_force_gives_it(case):
         assert np.all(levels(cut) <= oracle.may + 1), "a node that no tooth reached is gone"
 
 
+def test_a_node_beside_the_axis_is_not_left_standing_when_the_centre_passes_it():
+    """Seen from the centre it turns by half a turn, away from the teeth, while the whole sectors are swept."""
+    cut = small_cut(radius=10.0, teeth=5, degrees=6.0, pitch=np.radians([90.0, 67.5, 67.5, 67.5, 67.5]))
+    start, end = np.array([1.138e-3, 1.824e-3, -4e-4]), np.array([1.259e-3, 1.782e-3, -4e-4])
+    oracle = Oracle(cut)
+    cut.sweep(start, end, 0, 30)
+    oracle.sweep(start, end, 0, 30)
+    assert np.all(levels(cut) >= oracle.must)
+
+
 def test_the_oracle_leaves_little_undecided():
     cut = small_cut()
     oracle = Oracle(cut)

@@ -131,14 +131,15 @@ def _path(s, start, end):
 def _plan(s, p, step, level):
     """Whether teeth must sweep whole sectors now, and else the centre's way in the last window [m].
 
-    Only the rim is new ground if the footprint was swept before: by a run of whole sectors over one window, and from
-    then on because the tool moves little in a window. A tool that sinks below the FLOOR so left needs a new run.
+    Only the rim is new ground if the footprint was swept before: by a run of whole sectors over one window and half a
+    turn, as far as a point near the axis turns away from the teeth when the centre goes by, and from then on because
+    the tool moves little in a window. A tool that sinks below the FLOOR so left needs a new run.
     """
     far = FAR * p.shortest
     if s.ints[RUN] >= 0:
         if _path(s, s.ints[RUN], step + 1) > far:
             s.ints[RUN], s.ints[RUN_LEVEL] = step, level
-        elif step - s.ints[RUN] >= p.window:
+        elif step - s.ints[RUN] >= p.window + p.steps // 2:
             s.ints[FLOOR], s.ints[RUN] = s.ints[RUN_LEVEL], -1
     path = 0.0
     if s.ints[RUN] < 0:
