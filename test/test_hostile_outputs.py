@@ -101,7 +101,7 @@ def test_permissions_are_those_of_the_umask(name, recordings, tmp_path):
     assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == 0o750
 
 
-@pytest.mark.parametrize("name", ["simulate", "compensate", "revise", "report"])
+@pytest.mark.parametrize("name", ["simulate", "compensate", "revise", "report", "export"])
 def test_a_reader_never_sees_half_a_file(name, recordings, tmp_path):
     """While a command writes over its files again and again, each file is always as long as the whole one."""
     out = tmp_path / "out"

@@ -129,8 +129,8 @@ def _export(recording: Recording, directory, topics, progress, open_table: Calla
 
 
 def _export_topic(recording, topic, type_name, handle, directory, open_table, suffix, others) -> list[Path]:
-    """A topic's files: one, and a further one each time the columns change."""
-    files, table, columns = [], None, None
+    """A topic's files: one, and a further one each time the columns change. They appear when all are written."""
+    files, table, columns, whole = [], None, None, False
     try:
         for names, values in _tables(recording, topic, type_name):
             if names != columns:
@@ -140,12 +140,15 @@ def _export_topic(recording, topic, type_name, handle, directory, open_table, su
                 path = _free_path(directory, _word(topic), suffix, [*others, *files])
                 if len(files) == MAX_FILES:
                     raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
-                table, columns = open_table(_create(handle, path), names), names
                 files.append(path)
+                table, columns = open_table(_create(handle, path), names), names
             table.write(values)
+        whole = True
     finally:
         if table:
             table.close()
+        for path in files:
+            _settle(handle, path, whole)
     return files
 
 
@@ -158,11 +161,24 @@ def _free_path(directory: Path, stem: str, suffix: str, taken: list[Path]) -> Pa
 
 
 def _create(handle: int, path: Path):
-    """A new file in the directory in place of one with that name; a link there is removed and not followed."""
+    """A new file in the directory, under a name of its own until it is whole; a link there is not followed."""
     with suppress(FileNotFoundError):
-        os.unlink(path.name, dir_fd=handle)
+        os.unlink(_part(path), dir_fd=handle)
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
-    return os.fdopen(os.open(path.name, flags, 0o666, dir_fd=handle), "wb")
+    return os.fdopen(os.open(_part(path), flags, 0o666, dir_fd=handle), "wb")
+
+
+def _part(path: Path) -> str:
+    return f".{path.name}.{os.getpid()}.part"
+
+
+def _settle(handle: int, path: Path, whole: bool) -> None:
+    """Give a file its name, in place of one that has it, a link included; or remove what is not whole."""
+    if whole:
+        os.replace(_part(path), path.name, src_dir_fd=handle, dst_dir_fd=handle)
+        return
+    with suppress(FileNotFoundError):
+        os.unlink(_part(path), dir_fd=handle)
 
 
 class _CsvTable:
