@@ -130,10 +130,11 @@ class Cut:
         low, high = np.full(nx, np.inf), np.full(nx, -np.inf)
         for tx, ty in np.argwhere(self.state.table >= 0):
             tile = self.state.pool[self.state.table[tx, ty] * TILE**2 :][: TILE**2].reshape(TILE, TILE)
-            column, row = np.nonzero(tile)
-            column, row = column + tx * TILE, row + ty * TILE
-            np.minimum.at(low, column, row)
-            np.maximum.at(high, column, row)
+            cleared = tile > 0
+            found = np.flatnonzero(cleared.any(axis=1))
+            column, first, last = found + tx * TILE, cleared[found].argmax(axis=1), cleared[found, ::-1].argmax(axis=1)
+            low[column] = np.minimum(low[column], first + ty * TILE)
+            high[column] = np.maximum(high[column], (ty + 1) * TILE - 1 - last)
         cut = np.flatnonzero(low <= high)
         x, y = self.params.origin_x, self.params.origin_y
         step = self.params.spacing
