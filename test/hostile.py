@@ -58,15 +58,15 @@ def refused(*words: str) -> str:
     return lines[-1]
 
 
-def refused_or_sound(*words: str) -> Answer:
-    """A command with --json either refuses in one sentence or gives numbers that can be."""
+def refused_or_sound(*words: str, most: float = 1e15) -> Answer:
+    """A command with --json either refuses in one sentence or gives numbers that can be, of at most a size."""
     answer = ask(*words, "--json")
     if answer.code == 2:
         assert answer.out == "" and answer.err.count("\n") == 1, answer
         return answer
     assert answer.err == "", answer.err
     for key, value in _numbers(json.loads(answer.out, parse_constant=lambda c: pytest.fail(f"{c} is no JSON"))):
-        assert math.isfinite(value) and abs(value) < 1e15, f"{key} is {value}"
+        assert math.isfinite(value) and abs(value) < most, f"{key} is {value}"
     return answer
 
 

@@ -79,4 +79,5 @@ def test_any_posture_under_any_wrench_is_refused_or_has_finite_numbers(joints, w
 @given(st.lists(st.floats(-720, 720), min_size=6, max_size=6), st.lists(st.floats(-1e6, 1e6), min_size=6, max_size=6))
 def test_any_posture_that_can_be_has_numbers_that_can_be(joints, wrench):
     words = [f"--joints-deg={','.join(map(repr, joints))}", f"--wrench={','.join(map(repr, wrench))}"]
-    refused_or_sound("stiffness", "kr270_2.yaml", *words, "--frame", "tool")
+    # springs of some 1e7 N m/rad over the square of the condition number that is let through, 1e6
+    refused_or_sound("stiffness", "kr270_2.yaml", *words, "--frame", "tool", most=1e20)
