@@ -120,9 +120,9 @@ BOMB = "\n".join(
 )  # fmt: skip
 def test_yaml_made_to_hurt_is_refused_quickly(text, place):
     place.write_text(text)
-    begin = time.monotonic()
+    begin = time.process_time()
     refused("simulate", str(place))
-    assert time.monotonic() - begin < 10.0
+    assert time.process_time() - begin < 10.0
 
 
 def test_numbers_at_the_edge_of_what_is_allowed_still_end_within_seconds(place):
