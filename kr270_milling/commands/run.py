@@ -47,11 +47,23 @@ def run_cell(cell, methods, out, passes=None, namespace: str = "", quiet: bool =
     from kr270_milling.ros.graph import Graph
     from kr270_milling.ros.plan import fresh_directory, run_plan
 
+    _compile(cell)
     directory = fresh_directory(out)
     tell = (lambda name: None) if quiet or not sys.stderr.isatty() else _tell
     with Graph(cell, directory, namespace) as graph:
         ran = run_plan(graph, methods, passes, tell)
         return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
+
+
+def _compile(cell) -> None:
+    """What the nodes run compiled is made once and kept on disk: here, so that no node of the graph waits for it."""
+    import numpy as np
+
+    from kr270_milling.simulation.milling_pass import CompliantArm
+
+    above = np.array([0.0, 0.0, float(cell.stock.max[2]) + 1.0])
+    cell.cut().sweep(above, above, 0, 1)
+    CompliantArm(cell.arm_model(cell.target())).predict()
 
 
 def _tell(name: str) -> None:
