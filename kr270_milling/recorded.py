@@ -30,6 +30,7 @@ class RecordedPass:
     scored: ScoredPass
     cell: Cell
     messages_lost: int  #: poses, wrenches and deflections that the pass must have had and the file has not
+    lost_to_end: int  #: the same, where the pass is known to have run to the end of its reference
     complete: bool  #: the pass ran to the end of its reference, and the file was closed
 
 
@@ -77,11 +78,11 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
     rows = {kind: np.array([values[stamp] for stamp in stamps.tolist()]) for kind, values in heard.items()}
     last = cell.clock.steps(reference.duration_ns)
     complete = int(stamps[-1]) >= int(cell.clock.stamp(last))
-    expected = (last if complete else max(cell.clock.step(int(stamps[-1])), 0)) + 1
-    lost = sum(max(0, expected - len(values)) for values in heard.values())
+    end = last if complete else max(cell.clock.step(int(stamps[-1])), 0)
+    lost, lost_to_end = (sum(max(0, n + 1 - len(values)) for values in heard.values()) for n in (end, last))
     result = _result(cell, reference, stamps, rows, wall)
     ran = ScoredPass(name or recording.path.stem, reference, result, scored(cell, result))
-    return RecordedPass(ran, cell, lost, complete and not recording.cut_off)
+    return RecordedPass(ran, cell, lost, lost_to_end, complete and not recording.cut_off)
 
 
 def _by_stamp(recording: Recording, topic: str) -> dict[int, np.ndarray]:

@@ -14,9 +14,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from kr270_milling.ros import graph
 from kr270_milling.ros.drain import _in_order
 from kr270_milling.ros.graph import QUIET, SILENT, Graph
 from kr270_milling.ros.processes import RunError
+from kr270_milling.selftest import faults
 from kr270_milling.selftest.aftermath import is_alive
 from kr270_milling.selftest.clock import SteppedClock, compiler
 from kr270_milling.selftest.domain import choose_domain
@@ -56,6 +58,18 @@ def test_reaction_other_than_the_designed_one_fails_the_row(ros_environment, tmp
     row = run_faults([wrong], 1, 1, tmp_path, lambda done, total: None)[0]
     assert any("not named" in problem for problem in row.problems)
     assert any("run ends: cutting_process: was ended by SIGKILL" in problem for problem in row.problems)
+
+
+def test_tail_that_a_recorder_lost_is_told_and_counted(ros_environment, tmp_path, monkeypatch):
+    """Held for longer than the lease, so that the others forget it and what they send then never reaches it."""
+    held = next(fault for fault in FAULTS if fault.name.startswith("recorder, SIGSTOP"))
+    monkeypatch.setattr(faults, "HELD", 4.0)
+    monkeypatch.setattr(graph, "SILENT", 30.0)
+    monkeypatch.setattr(graph, "CATCH_UP", 0.5)
+    row = run_faults([held], 1, 1, tmp_path, lambda done, total: None)[0]
+    trial = row.trials[0]
+    assert row.problems == [] and trial.reaction == GOES_ON and not trial.recording.complete
+    assert trial.lost > 100 and f"1 without the end, lost and counted: {trial.lost}" in row.cells()
 
 
 def test_soak_measures_every_process_and_loses_nothing(ros_environment, tmp_path):

@@ -21,7 +21,7 @@ from kr270_milling.ros.environment import keep_to_this_host
 from kr270_milling.ros.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unmatched
 from kr270_milling.ros.processes import Child, RunError, remove_litter, stop
 
-__all__ = ["AlreadyRunning", "Graph", "PassRun"]
+__all__ = ["NOT_COMPLETE", "AlreadyRunning", "Graph", "PassRun"]
 
 UP = 60.0  # [s] for a node to come up, to compile at its first use, or to revise a long trajectory
 MATCH = 10.0  # [s] for the nodes to find each other
@@ -30,6 +30,7 @@ SILENT = 2.6  # [s] without a report after which a node counts as lost; one held
 HELD_UP = 0.5  # [s] between two looks of this process, after which the reports that wait are heard first
 CATCH_UP = 5.0  # [s] that a recorder has at the end of a pass to ask for what it was too slow for
 METHOD = "compensation.method"
+NOT_COMPLETE = "its recording is not complete"
 
 
 class AlreadyRunning(MillingError):
@@ -239,7 +240,7 @@ class Graph:
         end = time.monotonic() + CATCH_UP
         self.driver.until(lambda: self._all_recorded() or time.monotonic() > end, "catching up", UP, RECORDER)
         if not self._all_recorded():
-            self.tell("recorder: has not received the end of the pass; its recording is not complete")
+            self.tell(f"recorder: has not received the end of the pass; {NOT_COMPLETE}")
         recorder = self.children.pop(RECORDER)
         self._excused.add(RECORDER)
         self.ended.append(recorder)

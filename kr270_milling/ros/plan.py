@@ -60,7 +60,7 @@ def run_plan(
         progress(name)
         told = graph.run_pass(name)
         found = pass_from_recording(told.recording, name, graph.driver.namespace)
-        return RanPass(told, found.scored, found.messages_lost)
+        return RanPass(told, found.scored, found.lost_to_end)
 
     rows = [run("original")]
     for method in methods:

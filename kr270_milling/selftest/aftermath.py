@@ -25,6 +25,7 @@ class Recorded:
     cut_off: bool
     messages: int
     missing: int  #: holes in it, counted from the stamps
+    short: int  #: messages of the whole pass that it has not
     behind_s: float  #: from its last pose to the fault [s of the wall clock]; 0 where it goes on behind it
     complete: bool  #: it holds the pass to its end
     same: bool  #: every pose, wrench and deflection in it is that of the undisturbed pass, bit for bit
@@ -38,16 +39,17 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, begun_ns: int, a
     """
     with Recording(path) as recording:
         about = info(recording)
-        wrong, ends = False, {}
+        wrong, short, ends = False, 0, {}
         for topic, values in zip(WIDTH, (expected.tool, expected.wrench, expected.deflection), strict=True):
             found = series(recording, topic)
             ends[topic] = found.stamp[-1] if found.stamp.size else -1
+            short += expected.time_ns.size - np.unique(found.stamp).size
             wrong = wrong or not _same(found, expected.time_ns, values, WIDTH[topic])
         last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=begun_ns)
     complete = all(end == expected.time_ns[-1] for end in ends.values())
     behind = max(0.0, (struck_ns - last) * 1e-9)
     verdict = recompute(path).verdict if again else ""
-    return Recorded(about["cut_off"], about["messages"], about["missing"], behind, complete, not wrong, verdict)
+    return Recorded(about["cut_off"], about["messages"], about["missing"], short, behind, complete, not wrong, verdict)
 
 
 def _same(found, stamps: np.ndarray, values: np.ndarray, width: int) -> bool:

@@ -57,8 +57,11 @@ class Row:
         found = [t.recording for t in self.trials if t.recording]
         if len(found) < len(self.trials) or not all(r.same for r in found):
             return "FAILED"
-        lost, cut = sum(r.missing for r in found), sum(r.cut_off for r in found)
-        state = "complete" if all(r.complete for r in found) else "complete up to the fault"
+        lost, cut = sum(t.lost for t in self.trials), sum(r.cut_off for r in found)
+        whole = sum(r.complete for r in found)
+        state = "complete" if whole == len(found) else "complete up to the fault"
+        if self.fault.reaction != ENDS and whole < len(found):
+            state = f"{len(found) - whole} without the end"
         if any(r.behind_s > 0.05 for r in found):
             state = f"readable, ends at most {max(r.behind_s for r in found):.2f} s before the fault"
         return f"{state}{f', cut off {cut} times' if cut else ''}, {f'lost and counted: {lost}' if lost else 'no hole'}"

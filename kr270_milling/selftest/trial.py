@@ -6,6 +6,7 @@ import time
 from dataclasses import asdict, dataclass, field
 
 from kr270_milling.errors import MillingError
+from kr270_milling.ros.graph import NOT_COMPLETE
 from kr270_milling.selftest.aftermath import Recorded, read_back
 from kr270_milling.selftest.disturbed import Disturbed, Told
 from kr270_milling.selftest.faults import ENDS, GOES_ON, Fault
@@ -86,14 +87,15 @@ def _judge_recording(trial: Trial, fault: Fault, graph: Disturbed, plain: PassRe
     except MillingError as error:
         trial.problems.append(f"recording: {error}")
         return
-    trial.recording, trial.lost = found, found.missing
-    counted = fault.reaction == GOES_ON and found.missing > 0  # by the recorder itself, from the stamps
+    goes_on = fault.reaction == GOES_ON
+    trial.recording, trial.lost = found, found.short if goes_on else found.missing
+    counted = goes_on and trial.lost > 0
     if not found.same:
         trial.problems.append("the recording differs from the undisturbed pass")
     if again and found.verdict != "identical" and not counted:
         trial.problems.append(f"recomputed: {found.verdict}")
-    if fault.reaction == GOES_ON and not (found.complete or trial.problems):
-        trial.problems.append("the recording does not hold the whole pass")
+    if goes_on and not found.complete and not any(NOT_COMPLETE in told.sentence for told in graph.told):
+        trial.problems.append("the recording does not hold the whole pass, and nobody said so")
     if fault.reaction == ENDS and found.missing:
         trial.problems.append(f"{found.missing} messages are missing before the fault")
     if found.behind_s > KEPT:
