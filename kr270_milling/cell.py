@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-import os
 import pathlib
 from dataclasses import dataclass
 
@@ -13,13 +12,12 @@ import numpy as np
 
 from kr270_milling.checks.parameters import Limits
 from kr270_milling.compensation.parameters import Compensation
-from kr270_milling.config import Record, build, find_file, override, parameter, read_tree, specs
+from kr270_milling.config import Record, build, override, parameter, read_tree, specs
 from kr270_milling.cutting import Cut, Cutting, Stock, Tool
 from kr270_milling.effort import MOST_STEPS, check_effort, check_postures, sinking
 from kr270_milling.errors import InputError, MillingError, ParameterError
 from kr270_milling.frames import Pose, rotation_from_quaternion
-from kr270_milling.recording.reader import find_file as find_recording
-from kr270_milling.recording.toolpath import is_recording, read_recorded
+from kr270_milling.recording.toolpath import find_tool_path, is_recording, read_recorded
 from kr270_milling.robot import Arm, Mount, inverse_near
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.simulation.arm_model import arm_model, modal_models
@@ -293,7 +291,5 @@ def read_cell(path, assignments=()) -> Cell:
     tree, lenient = override(read_tree(path), assignments)
     name = tree.get("path", {}).get("file") if isinstance(tree.get("path"), dict) else None
     if isinstance(name, str) and name:
-        beside = pathlib.Path(path).parent
-        recording = os.path.isdir(beside / name)  # the directory that a recorder made
-        tree["path"]["file"] = str(find_recording(beside / name) if recording else find_file(name, beside))
+        tree["path"]["file"] = str(find_tool_path(name, pathlib.Path(path).parent))
     return build(Cell, tree, path, lenient=lenient)

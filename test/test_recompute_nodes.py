@@ -15,8 +15,8 @@ import pytest
 from pass_recording import STEPS
 from ros_domain import environment_of_processes, own_domain
 
-from kr270_milling.recompensate import compensate
-from kr270_milling.recompute import recompute
+from kr270_milling.replay.compensate import compensate
+from kr270_milling.replay.recompute import recompute
 
 pytest.importorskip("rclpy")
 

@@ -6,9 +6,9 @@ import pass_recording as made
 import pytest
 from pass_recording import STEPS, flip
 
-from kr270_milling.recompensate import compensate
-from kr270_milling.recompute import recompute
 from kr270_milling.recording.errors import RecordingError
+from kr270_milling.replay.compensate import compensate
+from kr270_milling.replay.recompute import recompute
 
 pytestmark = made.needs_messages
 

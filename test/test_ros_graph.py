@@ -16,8 +16,8 @@ import pytest
 pytest.importorskip("rclpy")
 
 from kr270_milling.passes import compensated, simulate
-from kr270_milling.recorded import pass_from_recording
 from kr270_milling.recording.reader import Recording
+from kr270_milling.replay.recorded import pass_from_recording
 from kr270_milling.ros.plan import fresh_directory
 from kr270_milling.ros.processes import GRACE, _shared_files
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -51,10 +52,8 @@ def test_fault_is_told_by_name_in_time_and_leaves_nothing(ros_environment, tmp_p
 
 def test_reaction_other_than_the_designed_one_fails_the_row(ros_environment, tmp_path):
     """A killed cut where the pass is said to go on, and a name that nobody says."""
-    import dataclasses
-
     killed = next(fault for fault in FAULTS if fault.name == "cutting_process, SIGKILL")
-    wrong = dataclasses.replace(killed, node="recorder", reaction=GOES_ON)
+    wrong = replace(killed, node="recorder", reaction=GOES_ON)
     row = run_faults([wrong], 1, 1, tmp_path, lambda done, total: None)[0]
     assert any("not named" in problem for problem in row.problems)
     assert any("run ends: cutting_process: was ended by SIGKILL" in problem for problem in row.problems)
@@ -91,10 +90,12 @@ def test_growth_is_found_by_its_slope_and_its_handles():
     for i in range(50):
         row.look(i, os.getpid())
     assert row.problems == []
-    row.samples = [type(s)(s.memory_mb + 0.2 * i, s.threads, s.files + i // 40) for i, s in enumerate(row.samples)]
+    row.samples = [
+        replace(s, memory_mb=s.memory_mb + 0.2 * i, files=s.files + i // 40) for i, s in enumerate(row.samples)
+    ]
     assert row.growth == pytest.approx(0.2 * 24, abs=0.5)
     assert row.problems == [f"files grew from {row.samples[25].files} to {row.samples[-1].files}"]
-    row.samples = [type(s)(3 * s.memory_mb, s.threads, 9) for s in row.samples]
+    row.samples = [replace(s, memory_mb=3 * s.memory_mb, files=9) for s in row.samples]
     assert len(row.problems) == 1 and "memory grew by 14" in row.problems[0]
 
 

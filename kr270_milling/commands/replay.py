@@ -52,7 +52,7 @@ def _play(args) -> int:
 
 
 def _recompute(args) -> int:
-    from kr270_milling.recompute import recompute
+    from kr270_milling.replay.recompute import recompute
 
     with progress("recomputing") as report:
         result = recompute(args.file, report)
@@ -82,7 +82,7 @@ def _shown(value) -> str:
 
 
 def _compensate(args) -> int:
-    from kr270_milling.recompensate import compensate
+    from kr270_milling.replay.compensate import compensate
 
     with progress("compensating") as report:
         found = compensate(args.file, args.method, report)

@@ -16,7 +16,7 @@ def add_arguments(parser) -> None:
 def run(args) -> None:
     import datetime
 
-    from kr270_milling.recorded import pass_from_recording
+    from kr270_milling.replay.recorded import pass_from_recording
     from kr270_milling.report import write_report
     from kr270_milling.report.series import write_series
 

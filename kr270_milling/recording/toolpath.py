@@ -7,20 +7,22 @@ empty orientation and the headings of planners have it, they say nothing about a
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from kr270_milling import config_file
 from kr270_milling.recording.cdr import Cursor
 from kr270_milling.recording.errors import RecordingError
-from kr270_milling.recording.reader import Recording
+from kr270_milling.recording.reader import Recording, find_file
 from kr270_milling.recording.trajectory import TRAJECTORY, TrajectoryRecord, read_trajectory
 from kr270_milling.trajectory.timing import TimedPath
 from kr270_milling.trajectory.toolpath import REACH, Toolpath
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 
-__all__ = ["PATH", "PathRecord", "is_recording", "read_path", "read_recorded"]
+__all__ = ["PATH", "PathRecord", "find_tool_path", "is_recording", "read_path", "read_recorded"]
 
 PATH = "nav_msgs/msg/Path"
 TOOL, WORKPIECE = "tool0", "workpiece"
@@ -35,6 +37,16 @@ class PathRecord:
     time: np.ndarray  #: [ns], (n,) int64, the stamps
     position: np.ndarray  #: [m], (n, 3)
     quaternion: np.ndarray  #: x y z w, (n, 4)
+
+
+def find_tool_path(name: str, beside: Path = Path()) -> Path:
+    """A tool path's file: one beside another file, a shipped one, or that in the directory of a recording.
+
+    Raises ConfigError, RecordingError.
+    """
+    if os.path.isdir(beside / name):
+        return find_file(beside / name)
+    return config_file.find_file(name, beside)
 
 
 def is_recording(path) -> bool:

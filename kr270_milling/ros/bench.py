@@ -12,9 +12,9 @@ from pathlib import Path
 
 from kr270_milling.cell import read_cell
 from kr270_milling.config_file import find_file
-from kr270_milling.recorded import pass_from_recording
 from kr270_milling.recording.bench import bench_writer
 from kr270_milling.recording.reader import Recording
+from kr270_milling.replay.recorded import pass_from_recording
 from kr270_milling.ros.environment import child_environment, require_ros
 from kr270_milling.ros.graph import Graph
 

@@ -19,6 +19,7 @@ from kr270_milling.cell import Cell
 from kr270_milling.config import Record, Spec, build, specs
 from kr270_milling.config_file import find_file, merge, read_tree
 from kr270_milling.errors import ConfigError
+from kr270_milling.recording.toolpath import find_tool_path
 
 __all__ = ["declare", "declare_cell"]
 
@@ -61,7 +62,7 @@ def declare_cell(node, writable: tuple[str, ...] = ()) -> Cell:
     """The whole cell as parameters of a node; a tool path file may go by the name of a shipped one."""
     cell = declare(node, Cell, writable)
     if cell.path.file:
-        cell = cell.replace(path=cell.path.replace(file=str(find_file(cell.path.file))))
+        cell = cell.replace(path=cell.path.replace(file=str(find_tool_path(cell.path.file))))
     return cell
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from kr270_milling.passes import ScoredPass
-from kr270_milling.recorded import pass_from_recording
+from kr270_milling.replay.recorded import pass_from_recording
 from kr270_milling.ros.graph import Graph, PassRun
 
 __all__ = ["RanPass", "fresh_directory", "run_plan"]

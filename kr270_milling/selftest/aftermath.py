@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.recompute import recompute
 from kr270_milling.recording.info import info
 from kr270_milling.recording.reader import Recording
 from kr270_milling.recording.series import series
+from kr270_milling.replay.recompute import recompute
 from kr270_milling.simulation.milling_pass import PassResult
 
 __all__ = ["Recorded", "is_alive", "read_back"]

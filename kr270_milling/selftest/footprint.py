@@ -15,7 +15,8 @@ __all__ = ["Footprint", "footprint", "slope"]
 class Footprint:
     """Of one process at one time."""
 
-    memory_mb: float  #: resident
+    memory_mb: float  #: resident and its own
+    shared_mb: float  #: resident pages of shared memory: at most the segments of the middleware, which all nodes share
     threads: int
     files: int  #: open handles
 
@@ -24,8 +25,8 @@ def footprint(pid: int) -> Footprint:
     """Raises OSError where there is no such process."""
     lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
     values = dict(line.split(":", 1) for line in lines if ":" in line)
-    memory = float(values["VmRSS"].split()[0]) / 1024
-    return Footprint(memory, int(values["Threads"]), len(os.listdir(f"/proc/{pid}/fd")))
+    resident, shared = (float(values[key].split()[0]) / 1024 for key in ("VmRSS", "RssShmem"))
+    return Footprint(resident - shared, shared, int(values["Threads"]), len(os.listdir(f"/proc/{pid}/fd")))
 
 
 def slope(times, values) -> float:

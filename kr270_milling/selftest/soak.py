@@ -20,7 +20,7 @@ from kr270_milling.selftest.rows import fault_cell
 
 __all__ = ["COLUMNS", "Growth", "run_soak"]
 
-COLUMNS = ("process", "samples", "memory [MB]", "growth [MB]", "slope", "threads", "file handles")
+COLUMNS = ("process", "samples", "memory [MB]", "growth [MB]", "slope", "shared [MB]", "threads", "file handles")
 ONCE = {"recorder": "recorder (a new one each pass)"}
 SETTLED = 0.5  # share of the run after which everything has been allocated once; queues keep their longest length
 MOST_GROWTH = 5.0  # [MB] from then to the end, by the fitted slope
@@ -77,7 +77,8 @@ class Growth:
         a, b = self.samples[self._steady][0], self.samples[-1]
         return [
             self.name, str(len(self.samples)), f"{a.memory_mb:.1f} -> {b.memory_mb:.1f}", f"{self.growth:+.2f}",
-            f"{self.slope * 1000:+.2f} kB/{self.unit}", f"{a.threads} -> {b.threads}", f"{a.files} -> {b.files}",
+            f"{self.slope * 1000:+.2f} kB/{self.unit}", f"{a.shared_mb:.1f} -> {b.shared_mb:.1f}",
+            f"{a.threads} -> {b.threads}", f"{a.files} -> {b.files}",
         ]  # fmt: skip
 
     def as_dict(self) -> dict:

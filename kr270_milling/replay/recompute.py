@@ -14,14 +14,14 @@ import numpy as np
 
 from kr270_milling import __version__
 from kr270_milling.cell import Cell
-from kr270_milling.recompute_compensator import CompensatorModel, Report, read_report
-from kr270_milling.recompute_inputs import cell_of, in_file_order, sample
-from kr270_milling.recompute_models import CutModel, RobotModel
 from kr270_milling.recording import encode
 from kr270_milling.recording.cdr import stamp_of
 from kr270_milling.recording.compare import Channel, Difference
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.reader import Recording
+from kr270_milling.replay.compensator import CompensatorModel, Report, read_report
+from kr270_milling.replay.inputs import cell_of, in_file_order, sample
+from kr270_milling.replay.models import CutModel, RobotModel
 from kr270_milling.robot.urdf import urdf
 
 __all__ = ["Recomputed", "Robot", "Robots", "Stop", "recompute"]

@@ -13,10 +13,10 @@ from kr270_milling.compensation.parameters import METHODS
 from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.frames import rotation_from_quaternion
 from kr270_milling.passes import commanded_joints, compensator, pass_record
-from kr270_milling.recompute_inputs import TOOL, Sample, trajectory_of
-from kr270_milling.recompute_models import JOINT_NAMES, WORKPIECE
 from kr270_milling.recording import encode
 from kr270_milling.recording.compare import Channel
+from kr270_milling.replay.inputs import TOOL, Sample, trajectory_of
+from kr270_milling.replay.models import JOINT_NAMES, WORKPIECE
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["CompensatorModel", "Report", "read_report"]

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.passes import commanded_joints
-from kr270_milling.recompute import Robot, Robots
-from kr270_milling.recompute_compensator import reference_bytes
-from kr270_milling.recompute_inputs import sample
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.reader import Recording
+from kr270_milling.replay.compensator import reference_bytes
+from kr270_milling.replay.inputs import sample
+from kr270_milling.replay.recompute import Robot, Robots
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Revised", "compensate"]

@@ -9,11 +9,11 @@ import numpy as np
 
 from kr270_milling.cell import Cell
 from kr270_milling.passes import ScoredPass, scored
-from kr270_milling.recompute_inputs import cell_of
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.reader import Recording
 from kr270_milling.recording.series import series
 from kr270_milling.recording.trajectory import TRAJECTORY, trajectories
+from kr270_milling.replay.inputs import cell_of
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.trajectory.trajectory import Trajectory
 

@@ -1,0 +1,1 @@
+"""Recorded passes through the models again, without graph and clock: recomputed, compensated, scored."""
