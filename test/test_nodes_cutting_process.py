@@ -11,7 +11,7 @@ from kr270_milling.nodes.cutting_process import CuttingProcess
 from kr270_milling.ros import messages, topics
 from kr270_milling.simulation.sides import CuttingSide
 
-ERROR = 2
+OK, WARN, ERROR = 0, 1, 2
 NAME = "/cutting_process"
 
 
@@ -119,6 +119,16 @@ def test_cut_says_within_a_second_that_the_robot_left_in_mid_pass(world, robot):
         robot.exchange(step)
     world.remove(robot.node)
     watcher.until(NAME, "the robot is gone in mid-pass", ERROR, deadline=1.5)
+
+
+def test_cut_says_within_3_s_that_a_robot_which_is_still_there_is_silent(world, robot):
+    """As one that was killed: its publisher is known for as long as its lease."""
+    watcher = world.diagnostics(world.partner("watcher"))
+    for step in range(5):
+        robot.exchange(step)
+    watcher.until(NAME, "no tool_pose for 2.6 s in mid-pass", WARN, deadline=3.0)
+    assert robot.exchange(5)[0] == robot.stamps[5]
+    watcher.until(NAME, "cutting again", OK)
 
 
 def test_robot_that_leaves_after_the_pass_is_no_fault(world, robot):

@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import String
 
@@ -20,7 +21,7 @@ from kr270_milling.recording.reader import Recording
 from kr270_milling.recording.series import series
 from kr270_milling.ros import messages, topics
 
-WARN = 1
+OK, WARN = 0, 1
 NAME = "/recorder"
 
 
@@ -83,6 +84,19 @@ def test_vanished_publisher_is_told_as_a_warning(world, recorder):
     world.until(lambda: "/wrench=1" in told.last.get(NAME, {}).get("heard", ""))
     world.remove(partner)
     told.until(NAME, "nobody publishes /wrench any more", WARN, deadline=1.5)
+
+
+def test_node_that_reports_no_more_is_told_as_a_warning(world, recorder):
+    """As one that was killed: its publishers are known for as long as its lease."""
+    partner = world.partner()
+    told = world.diagnostics(world.partner("watcher"))
+    publisher = partner.create_publisher(*topics.DIAGNOSTICS)
+    world.until(lambda: publisher.get_subscription_count() == 2)
+    report = DiagnosticArray(status=[DiagnosticStatus(name="/spindle", message="turning")])
+    publisher.publish(report)
+    told.until(NAME, "/spindle not heard of for 2.6 s", WARN, deadline=3.2)
+    publisher.publish(report)
+    told.until(NAME, "recording to", OK)
 
 
 def test_only_the_listed_topics_are_recorded_where_there_is_a_list(world, tmp_path):

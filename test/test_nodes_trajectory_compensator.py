@@ -12,7 +12,7 @@ from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator
 from kr270_milling.passes import compensator, record_of, simulate
 from kr270_milling.ros import messages, topics
 
-ERROR = 2
+OK, WARN, ERROR = 0, 1, 2
 NAME = "/trajectory_compensator"
 
 
@@ -115,6 +115,14 @@ def test_vanished_publisher_of_poses_is_told_in_mid_pass(machine, ran, world):
     world.step(0.1)
     world.remove(machine.node)
     watcher.until(NAME, "the pass broke off", ERROR, deadline=1.5)
+
+
+def test_poses_that_stay_away_in_mid_pass_are_told_and_may_come_again(machine, ran, world):
+    watcher = world.diagnostics(world.partner("watcher"))
+    machine.play(ran, range(20))
+    watcher.until(NAME, "no tool_pose for 2.6 s in mid-pass", WARN, deadline=3.2)
+    machine.play(ran, range(20, 25))
+    watcher.until(NAME, "the pass goes on", OK)
 
 
 def test_target_of_the_user_replaces_that_of_the_cell(machine, short_cell, world):

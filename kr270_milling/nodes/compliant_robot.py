@@ -12,7 +12,7 @@ from std_msgs.msg import String
 from kr270_milling.frames import rotation_from_quaternion
 from kr270_milling.robot.urdf import urdf
 from kr270_milling.ros import messages, raw, topics
-from kr270_milling.ros.node import ERROR, OK, WARN, ManagedNode, guarded
+from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, guarded
 from kr270_milling.ros.parameters import declare_cell
 from kr270_milling.ros.spin import run_node
 from kr270_milling.simulation.sides import RobotSide
@@ -20,7 +20,6 @@ from kr270_milling.simulation.sides import RobotSide
 __all__ = ["CompliantRobot", "main"]
 
 RETRY = 0.5  # [s] of the wall without an answer until the tool pose is published again
-GIVE_UP = 2.6  # [s] of the wall without an answer until the pass is given up; a cut held up for 2 s is waited for
 LOOK = 0.1  # [s] of the wall between two looks whether answers come
 SETTLE = 0.5  # [s] of the wall without another listener before a pass starts: a recorder has to find the topics first
 
@@ -88,8 +87,8 @@ class CompliantRobot(ManagedNode):
         silent = time.monotonic() - self._answered
         if not cut and not side.awaited_ns:
             self.activate()  # it went before the pass began
-        elif side.awaited_ns and (not cut or silent > GIVE_UP):
-            what = "no wrench: nobody publishes it any more" if not cut else f"no wrench for {GIVE_UP:g} s"
+        elif side.awaited_ns and (not cut or silent > SILENT):
+            what = "no wrench: nobody publishes it any more" if not cut else f"no wrench for {SILENT:g} s"
             self._given_up = True
             self.report(ERROR, f"{what}; the cutting process is gone and the pass is given up")
         elif silent > RETRY:

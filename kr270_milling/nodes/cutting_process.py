@@ -6,7 +6,7 @@ import numpy as np
 from std_srvs.srv import Trigger
 
 from kr270_milling.ros import messages, raw, topics
-from kr270_milling.ros.node import ERROR, OK, WARN, ManagedNode, guarded
+from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
 from kr270_milling.ros.parameters import declare_cell
 from kr270_milling.ros.spin import run_node
 from kr270_milling.simulation.sides import CuttingSide
@@ -24,6 +24,7 @@ class CuttingProcess(ManagedNode):
         super().__init__("cutting_process", **kwargs)
         self.cell = declare_cell(self)
         self._side, self._robots, self._end_ns = None, 0, 0  # end of the reference trajectory, if one was heard
+        self._silence, self._waiting = Silence(), False
         self._wrench = self.create_publisher(*topics.WRENCH)
         self._map = self.create_publisher(*topics.WORKPIECE)
         pose, reference = topics.TOOL_POSE, topics.REFERENCE_TRAJECTORY
@@ -60,6 +61,7 @@ class CuttingProcess(ManagedNode):
     def _on_pose(self, data: bytes) -> None:
         if not self.active:
             return
+        self._silence.heard()
         stamp_ns, tool, _ = raw.pose_from_bytes(data)
         wrench = self._side.answer(stamp_ns, tool)
         self._wrench.publish(raw.wrench_to_bytes(stamp_ns, wrench))
@@ -67,6 +69,9 @@ class CuttingProcess(ManagedNode):
         if self._side.step == 1 and self._robots == 0:
             self._robots = self._pose.get_publisher_count()
             self.report(OK, "cutting")
+        elif self._waiting:
+            self._waiting = False
+            self.report(OK, "cutting again")
 
     @guarded
     def _on_reference(self, data: bytes) -> None:
@@ -74,6 +79,7 @@ class CuttingProcess(ManagedNode):
 
     @guarded
     def _watch_robot(self) -> None:
+        silent = self._silence.look()
         under_way = self.active and self._side is not None and self._side.step >= 0 and self.stamp_ns < self._end_ns
         if not under_way:
             return
@@ -82,6 +88,9 @@ class CuttingProcess(ManagedNode):
             self.report(ERROR, "the robot is gone in mid-pass: nobody publishes tool_pose any more")
         elif self._robots and robots > self._robots:
             self.report(ERROR, "another robot has come in mid-pass: was compliant_robot restarted? Begin a new pass")
+        elif silent > SILENT and not self._waiting:
+            self._waiting = True
+            self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: is the robot gone?")
 
     @guarded
     def _publish_map(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fnmatch
 import functools
 import importlib
@@ -10,20 +11,23 @@ import sys
 import time
 from pathlib import Path
 
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
 
 from kr270_milling.errors import InputError
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.writer import BagWriter
 from kr270_milling.ros.drain import DEPTH, DRAIN_PERIOD, aside, drain
-from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode
+from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence
 from kr270_milling.ros.spin import run_node
 
 __all__ = ["Recorder", "main"]
 
 LOOK_AROUND = 0.1  # [s] between two looks for new topics and two looks at the chunk's age
-SILENT = ("/rosout", "/parameter_events")  # recorded only when asked for by name
+UNASKED = ("/rosout", "/parameter_events")  # recorded only when asked for by name
 
 
 class Recorder(ReportingNode):
@@ -44,6 +48,8 @@ class Recorder(ReportingNode):
         self._stopped, self._before = False, -1
         self._there: set[str] = set()  # topics with a publisher
         self._gone: set[str] = set()  # topics that had one
+        self._silences: dict[str, Silence] = {}  # of the nodes that report to /diagnostics
+        self._quiet: set[str] = set()
         self.create_timer(LOOK_AROUND, self._look_around)
         self.create_timer(DRAIN_PERIOD, self._drain)
         self.report(OK, f"recording to {self.writer.path}")
@@ -68,7 +74,7 @@ class Recorder(ReportingNode):
 
     def _is_wanted(self, topic: str) -> bool:
         wanted = (t if "*" in t or "?" in t else self.resolve_topic_name(t) for t in self._topics)
-        return any(fnmatch.fnmatchcase(topic, t) for t in wanted) if self._topics else topic not in SILENT
+        return any(fnmatch.fnmatchcase(topic, t) for t in wanted) if self._topics else topic not in UNASKED
 
     def _look_around(self) -> None:
         """Subscribe to topics that are new, close an old chunk, tell whose publisher is gone."""
@@ -80,6 +86,7 @@ class Recorder(ReportingNode):
                 self._subscribe(topic, types, publishers)
         self._keep(self.writer.tick, time.monotonic())
         self._watch_publishers()
+        self._watch_nodes()
 
     def _watch_publishers(self) -> None:
         there = {t for t, s in self._subscriptions_of.items() if s is not None and s.get_publisher_count()}
@@ -87,6 +94,22 @@ class Recorder(ReportingNode):
         self._there = there
         if self._gone - gone and not self._stopped:
             self.report(WARN, f"nobody publishes {', '.join(sorted(self._gone))} any more")
+
+    def _watch_nodes(self) -> None:
+        """One that was killed publishes no farewell; its lease runs out much later."""
+        quiet = {name for name, silence in self._silences.items() if silence.look() > SILENT}
+        told, self._quiet = self._quiet, quiet
+        if quiet - told and not self._stopped:
+            self.report(WARN, f"{', '.join(sorted(quiet))} not heard of for {SILENT:g} s")
+        elif told and not quiet and not self._stopped:
+            self.report(OK, f"recording to {self.writer.path}")
+
+    def _on_report(self, topic: str, data: bytes, published: int) -> None:
+        self.writer.write(topic, data, published)
+        with contextlib.suppress(rclpy_implementation.RMWError):  # no report: recorded as it came
+            for status in deserialize_message(data, DiagnosticArray).status:
+                if status.name != self.get_fully_qualified_name():
+                    self._silences.setdefault(status.name, Silence()).heard()
 
     def _subscribe(self, topic: str, types: list[str], publishers) -> None:
         try:
@@ -101,7 +124,7 @@ class Recorder(ReportingNode):
             self.report(WARN, f"{topic} is not recorded: {error}")
             return
 
-        write = functools.partial(self.writer.write, topic)
+        write = functools.partial(self._on_report if kind is DiagnosticArray else self.writer.write, topic)
         self._subscriptions_of[topic] = aside(self, kind, topic, write, _matching(publishers))
 
     def _drain(self) -> None:

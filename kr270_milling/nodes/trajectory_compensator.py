@@ -14,7 +14,7 @@ from kr270_milling.frames import rotation_from_quaternion
 from kr270_milling.passes import commanded_joints, compensator, pass_record
 from kr270_milling.ros import messages, raw, topics
 from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
-from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded
+from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
 from kr270_milling.ros.parameters import declare_cell
 from kr270_milling.ros.spin import run_node
 
@@ -47,6 +47,7 @@ class TrajectoryCompensator(ReportingNode):
         self._wrench = aside(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
         self.create_service(Trigger, "reset", self._on_reset)
         self.compensator, self._revision = None, 0
+        self._silence, self._waiting = Silence(), False
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(LOOK, self._watch_pass)
         self.create_timer(DRAIN_PERIOD, self._drain)
@@ -126,6 +127,10 @@ class TrajectoryCompensator(ReportingNode):
         if not heard.stamps or stamp != heard.stamps[-1]:
             return  # older than the last one, or the start was not heard
         self.stamp_ns = stamp
+        self._silence.heard()
+        if self._waiting:
+            self._waiting = False
+            self.report(OK, "the pass goes on")
         if stamp >= heard.end_ns:
             self._last_poses -= 1
             self._ended = time.monotonic()
@@ -139,6 +144,7 @@ class TrajectoryCompensator(ReportingNode):
     @guarded
     def _watch_pass(self) -> None:
         """Go on without a last wrench that does not come; tell when the publishers vanish in mid-pass."""
+        silent = self._silence.look()
         if self.compensator is None or not self._heard.stamps:
             return
         if self._ended is not None:
@@ -149,6 +155,9 @@ class TrajectoryCompensator(ReportingNode):
             if not what.get_publisher_count() and (what is self._pose or self._wrenches):
                 self.report(ERROR, f"the pass broke off: nobody publishes {what.topic_name} any more")
                 return
+        if silent > SILENT and not self._waiting:
+            self._waiting = True
+            self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: waiting for it")
 
     def _revise(self) -> None:
         stamps = np.array(self._heard.stamps)

@@ -19,14 +19,14 @@ from kr270_milling.ros.cell_file import write_cell
 from kr270_milling.ros.driver import Driver
 from kr270_milling.ros.environment import keep_to_this_host
 from kr270_milling.ros.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unmatched
+from kr270_milling.ros.node import SILENT
 from kr270_milling.ros.processes import Child, RunError, remove_litter, stop
 
-__all__ = ["NOT_COMPLETE", "AlreadyRunning", "Graph", "PassRun"]
+__all__ = ["NOT_COMPLETE", "SILENT", "AlreadyRunning", "Graph", "PassRun"]
 
 UP = 60.0  # [s] for a node to come up, to compile at its first use, or to revise a long trajectory
 MATCH = 10.0  # [s] for the nodes to find each other
 QUIET = 1.0  # [s] without a report after which this is told
-SILENT = 2.6  # [s] without a report after which a node counts as lost; one held up for 2 s may go on
 HELD_UP = 0.5  # [s] between two looks of this process, after which the reports that wait are heard first
 CATCH_UP = 5.0  # [s] that a recorder has at the end of a pass to ask for what it was too slow for
 METHOD = "compensation.method"
@@ -144,14 +144,23 @@ class Graph:
         self._looked = now
         if now < self._hear_until:
             return
-        for name in set(self.children) - self._excused:
-            status = self.driver.status(name)
-            silent = 0.0 if status is None else now - status.at
+        silences = {name: self._silent(name, now) for name in set(self.children) - self._excused}
+        if len(silences) > 1 and max(silences.values()) > SILENT and min(silences.values()) > SILENT - HELD_UP:
+            self.driver.stuck = True
+            what = (
+                f"no node has been heard of for {SILENT - HELD_UP:g} s: the middleware of this process may be blocked"
+            )
+            raise RunError("graph", what)
+        for name, silent in silences.items():
             if silent > SILENT:
                 raise RunError(name, f"has not been heard of for {SILENT:g} s")
             if silent > QUIET and name not in self._quiet:
                 self.tell(f"{name}: has not been heard of for {QUIET:g} s; waiting")
             (self._quiet.add if silent > QUIET else self._quiet.discard)(name)
+
+    def _silent(self, name: str, now: float) -> float:
+        status = self.driver.status(name)
+        return 0.0 if status is None else now - status.at
 
     def tell(self, sentence: str) -> None:
         """What the user should know while the run goes on."""
@@ -264,11 +273,11 @@ class Graph:
         """Stop everything; the recorder last, so that it has the others' last words."""
         recorders = [*self.ended, *filter(None, [self.children.pop(RECORDER, None)])]  # one may be closing its file
         try:
+            if self.driver is not None:
+                self.driver.close()  # before the others leave
+        finally:
             stop(self.children.values())
             stop(recorders)
-        finally:
-            if self.driver is not None:
-                self.driver.close()
             remove_litter([*self.children.values(), *recorders])
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)

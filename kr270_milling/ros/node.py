@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -15,10 +16,12 @@ from kr270_milling.errors import MillingError
 from kr270_milling.ros import topics
 from kr270_milling.ros.messages import stamp_from_ns
 
-__all__ = ["ManagedNode", "ReportingNode", "guarded"]
+__all__ = ["SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded"]
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 REPORT_PERIOD = 0.2  # [s] of the wall; a partner's death must be told within 3 s
+SILENT = 2.6  # [s] of the wall after which a silence is told; a partner that is held up for 2 s is only waited for
+HELD_UP = 0.5  # [s] between two looks after which it was us who did not listen
 OWN = ("/rosout", "/parameter_events")  # topics that every node has for itself
 
 
@@ -38,6 +41,24 @@ def guarded(callback):
         return None
 
     return wrapped
+
+
+class Silence:
+    """Since when a partner has not been heard; a time in which this process did not listen does not count."""
+
+    def __init__(self):
+        self.heard()
+
+    def heard(self) -> None:
+        self._last = self._looked = time.monotonic()
+
+    def look(self) -> float:
+        """[s] of the wall; to be called several times a second."""
+        now = time.monotonic()
+        if now - self._looked > HELD_UP:
+            self._last = now
+        self._looked = now
+        return now - self._last
 
 
 class Reporting:

@@ -18,6 +18,8 @@ from kr270_milling.ros.environment import PARENT, keep_to_this_host
 
 __all__ = ["run_node"]
 
+LEAVE = 3  # [s] of the wall to leave the graph
+
 
 def run_node(make, args: list[str] | None = None, drained: bool = False) -> int:
     """Spin ``make(context=...)`` until a signal, until its parent is gone, or until it sets ``failure`` or ``done``.
@@ -63,6 +65,10 @@ def _spin(node, executor, stop: list[int]) -> int:
     failure = node.failure or closed
     if failure:
         print(f"{node.get_name()}: {failure}", file=sys.stderr)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
+        signal.signal(number, signal.SIG_DFL)
+    signal.alarm(LEAVE)  # Fast DDS may block for ever now, and Python with it (eProsima/Fast-DDS#6502)
     executor.shutdown()
     node.destroy_node()
+    signal.alarm(0)
     return 1 if failure else 0
