@@ -17,6 +17,7 @@ from kr270_milling.cutting import Cut, Cutting, Stock, Tool
 from kr270_milling.effort import MOST_STEPS, check_effort, check_postures, sinking
 from kr270_milling.errors import InputError, MillingError, ParameterError
 from kr270_milling.frames import Pose, rotation_from_quaternion
+from kr270_milling.path_checks import check_path
 from kr270_milling.recording.toolpath import find_tool_path, is_recording, read_recorded
 from kr270_milling.robot import Arm, Mount, inverse_near
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
@@ -32,8 +33,6 @@ from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.verdict.parameters import Uncertainty
 
 __all__ = ["Cell", "Path", "Workpiece", "read_cell"]
-
-SAME_SPEED = 0.1  # [rad/s], 1 rpm: spindle speeds that differ by less are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,8 +128,7 @@ class Cell(Record):
         found = _read_path(self.path)
         timed = found if isinstance(found, TimedPath) else time_path(found, self.timing)
         self._check_duration(timed.trajectory)
-        self._check_spindle(timed.toolpath)
-        self._check_stock(timed)
+        check_path(self.path.file, timed, self.tool, self.stock)
         return timed
 
     @functools.cached_property
@@ -172,32 +170,6 @@ class Cell(Record):
             raise InputError(self.path.file, reason)
         sinks = sinking(run.time, run.position[:, 2], float(self.stock.max[2]))
         check_effort(self.exchange, self.tool, self.stock, run.duration_ns * 1e-9, sinks)
-
-    def _check_spindle(self, toolpath: Toolpath) -> None:
-        """A programmed spindle speed, where there is one, must be that of the model."""
-        programmed = toolpath.spindle_speed[~toolpath.rapid]
-        other = (programmed > 0) & (np.abs(programmed - self.tool.spindle_speed) > SAME_SPEED)
-        if other.any():
-            k = np.flatnonzero(~toolpath.rapid)[np.argmax(other)]
-            rpm = 30.0 / np.pi * np.array([toolpath.spindle_speed[k], self.tool.spindle_speed])
-            reason = f"the spindle speed S{rpm[0]:.6g} is not the tool.spindle_speed_rpm of the cell, {rpm[1]:.6g}"
-            raise InputError(self.path.file, reason, int(toolpath.line[k]) or None)
-
-    def _check_stock(self, timed: TimedPath) -> None:
-        """A path that leaves the stock alone must be a mistake of placement, or of the unit."""
-        run, toolpath = timed.trajectory, timed.toolpath
-        step = self.tool.radius / 8 / max(float(np.max(run.feed(run.time_ns))), 1e-6)
-        stamps = np.linspace(0, run.duration_ns, 2 + int(min(run.time[-1] / step, MOST_STEPS))).astype(np.int64)
-        at, radius = run.sample(stamps), self.tool.radii.max()
-        beside = np.maximum(np.maximum(self.stock.min - at, at - self.stock.max), 0.0)[:, :2]
-        if np.any((np.hypot(*beside.T) < radius) & (at[:, 2] < self.stock.max[2])):
-            return
-        path, box = _extent(at.min(axis=0), at.max(axis=0)), _extent(self.stock.min, self.stock.max)
-        cutting = np.flatnonzero(~toolpath.rapid[1:]) + 1
-        line = int(toolpath.line[cutting[0] if cutting.size else 0]) or None
-        hint = "check the datum and the unit (G20, G21)"
-        reason = f"the tool never reaches the stock: it goes through {path} mm, the stock fills {box} mm; {hint}"
-        raise InputError(self.path.file, reason, line)
 
     def target(self) -> Trajectory:
         """The programmed trajectory of the tool tip in the workpiece frame, knots at the controller step."""
@@ -263,20 +235,15 @@ class Cell(Record):
 
     @property
     def full_engagement(self) -> float:
-        """[s], R / v_f: when the tool that enters from the border is fully engaged; 0 for a tool path file."""
+        """[s], when the middle of a tool that enters along x has come to the stock's border; 0 for a tool path file."""
         if self.path.file:
             return 0.0
-        return 0.5 * self.tool.diameter / self.path.feed_rate
+        return max(0.0, float(self.stock.min[0] - self.path.start[0])) / self.path.feed_rate
 
     @property
     def scored_from_ns(self) -> int:
         """[ns], full engagement as a stamp."""
         return round(self.full_engagement * 1e9)
-
-
-def _extent(low: np.ndarray, high: np.ndarray) -> str:
-    """A box [m] in words, in mm."""
-    return ", ".join(f"{axis} {1e3 * a:.6g} to {1e3 * b:.6g}" for axis, a, b in zip("xyz", low, high, strict=True))
 
 
 def _read_path(path: Path) -> Toolpath | TimedPath:

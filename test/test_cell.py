@@ -143,6 +143,14 @@ def test_a_cell_that_cannot_be_is_refused_with_its_key(assignment, key, says):
     assert "np.float64" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("start", "diameter", "seconds"), [(-10, 20, 0.15), (-30, 20, 0.45), (-10, 16, 0.15), (5, 20, 0.0)]
+)
+def test_the_score_begins_when_the_middle_of_the_tool_is_at_the_border(start, diameter, seconds):
+    cell = read_cell(FILE, [f"path.start_mm=[{start},0]", f"tool.diameter_mm={diameter}", "stock.min_mm=[0,-20,-20]"])
+    assert cell.full_engagement == pytest.approx(seconds, abs=1e-12)
+
+
 def test_messages_are_thinned_to_a_hundred_a_second():
     assert PAPER.thinned_steps() == 20 and PAPER.thinned_steps(0.0101) == 21 and PAPER.thinned_steps(1e-6) == 1
 

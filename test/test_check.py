@@ -205,6 +205,18 @@ def test_the_command_checks_a_corrected_trajectory(tmp_path, capsys, cell):
     assert "the correction exceeds 2 mm" in capsys.readouterr().out
 
 
+def test_a_correction_in_straight_lines_is_checked_as_lin_motions(cell, ran):
+    target = cell.target()
+    shift = np.linspace(0.0, 1e-4, len(target))[:, None] * [0.0, 1.0, 0.0]
+    straight, smooth = (
+        target.with_position(target.position + shift),
+        target.with_position(target.position + shift, target.velocity),
+    )
+    strict = with_limits(cell, blending_share=1e-9)
+    assert "corner blending" in kinds(check(strict, straight, ran=ran), "warning")
+    assert "corner blending" not in kinds(check(strict, smooth, ran=ran), "warning")
+
+
 def test_many_findings_of_one_kind_are_summed_up(tmp_path, capsys):
     zigzag = "".join(f"G1 Y{y}\nG1 X{x}\n" for x, y in zip(range(12, 24), [1, -1] * 6, strict=True))
     assert main(command(tmp_path, gcode=GCODE.replace("G1 Y10\n", zigzag + "G1 X12 Y10\n"))) == 0

@@ -150,7 +150,7 @@ def test_limits_hold_along_the_path_and_what_they_took_is_told(cell, passes, met
     by = compensator(own, cell.target(), method)
     by.revise(record_of(cell, passes["original"][1].result))
     target = cell.target()
-    assert correction_size(target, by.reference, most * 1.0001) == []
+    assert correction_size(target, by.reference, own.compensation.tick_ns, most * 1.0001) == []
     assert correction_per_tick(target, by.reference, own.compensation.tick_ns, change * 1.0001) == []
     free = compensator(cell, target, method)
     free.revise(record_of(cell, passes["original"][1].result))

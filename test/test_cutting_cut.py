@@ -36,6 +36,12 @@ def test_removed_area_of_a_slot_is_the_area_that_the_tool_swept(grid_step):
     assert cut.removed_volume == pytest.approx(cut.removed_area * 1e-3, rel=1e-9)
 
 
+def test_a_narrow_sheet_has_a_row_of_heights_however_much_it_is_thinned():
+    cut = new_cut(size=(30e-3, 0.2e-3))
+    x, y, height = cut.heights(thinning=100)
+    assert height.shape == (x.size, 1) == (30, 1) and abs(y[0]) <= 0.1e-3 and np.all(height == 0.0)
+
+
 def test_restore_brings_back_the_very_same_grid_and_force():
     cut, other = new_cut(), new_cut()
     here = np.array([-8e-3, 0.0, Z])

@@ -84,6 +84,11 @@ def test_a_file_of_unbearable_size_is_refused_before_anything_is_written(cut, tm
     assert not list(tmp_path.iterdir())
 
 
+def test_a_large_part_is_written_as_finely_as_the_size_of_the_file_allows(cut, tmp_path, monkeypatch):
+    monkeypatch.setattr("kr270_milling.part.stl.MOST_TRIANGLES", 20_000)
+    assert 10_000 < write_stl(tmp_path / "part.stl", cut) <= 20_000
+
+
 def test_a_file_that_cannot_be_written_leaves_nothing(cut, tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         write_stl(tmp_path / "missing" / "part.stl", cut, 1e-3)

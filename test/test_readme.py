@@ -198,13 +198,35 @@ def test_what_was_identified_is_in_the_shipped_cell():
     assert (depth, damping) == (cell.path.depth_of_cut * 1e3, cell.dynamics.damping_ratio)
 
 
-def test_queue_and_lease_are_as_said():
-    profile = find_file("fastdds.xml").read_text()
-    sec, nanosec = re.search(r"<leaseDuration><sec>(\d+)</sec><nanosec>(\d+)<", profile).groups()
-    assert f"lease of {int(sec) + int(nanosec) * 1e-9:g} s" in " ".join(TEXT.split())
+def test_queue_and_silence_are_as_said():
     pytest.importorskip("rclpy")
     from kr270_milling.ros import topics
+    from kr270_milling.ros.node import SILENT
 
+    said = " ".join(TEXT.split())
+    assert f"silent for {SILENT:g} s" in said
     known = [t for t in vars(topics).values() if isinstance(t, topics.Topic)]
     (depth,) = {t.qos.depth for t in known if t.qos.durability.name == "VOLATILE"}
-    assert f"keep the last {depth} messages" in " ".join(TEXT.split())
+    assert f"keep the last {depth} messages" in said
+
+
+def test_the_fault_table_is_that_of_the_self_test():
+    pytest.importorskip("rclpy")
+    from kr270_milling.selftest.faults import FAULTS
+    from kr270_milling.selftest.rows import COLUMNS
+
+    found = rows("fault |")
+    assert [row[0] for row in found] == [fault.name for fault in FAULTS]
+    for row in (dict(zip(COLUMNS, row, strict=True)) for row in found):
+        assert int(row["repeats"]) >= 10 and "FAILED" not in " ".join(row.values())
+        assert row["orphans"] == row["litter"] == "0"
+        assert row["detected within max [s]"] == "-" or float(row["detected within max [s]"]) < 3.0
+
+
+def test_the_printed_book_has_every_check():
+    from kr270_milling.verification import chosen
+
+    text = (ROOT / "kr270_milling/verification/README.md").read_text(encoding="utf-8")
+    printed = [line.strip("|").split(" | ") for line in text.splitlines() if line.startswith("| ")][2:]
+    assert [row[0].strip() for row in printed] == [one.name.replace("|", "\\|") for one in chosen(None)]
+    assert {row[4] for row in printed} == {"ok"}

@@ -15,6 +15,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from kr270_milling.config_file import find_file
 from kr270_milling.ros import graph
 from kr270_milling.ros.drain import _in_order
 from kr270_milling.ros.graph import QUIET, SILENT, Graph
@@ -60,7 +61,13 @@ def test_reaction_other_than_the_designed_one_fails_the_row(ros_environment, tmp
 
 
 def test_tail_that_a_recorder_lost_is_told_and_counted(ros_environment, tmp_path, monkeypatch):
-    """Held for longer than the lease, so that the others forget it and what they send then never reaches it."""
+    """Held for longer than the lease, here a short one, so that the others forget it and what they send is lost."""
+    lease = (
+        "<leaseDuration><sec>1</sec></leaseDuration><leaseAnnouncement><nanosec>200000000</nanosec></leaseAnnouncement>"
+    )
+    profile = find_file("fastdds.xml").read_text().replace("<discovery_config>", f"<discovery_config>{lease}")
+    (tmp_path / "short.xml").write_text(profile)
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(tmp_path / "short.xml"))
     held = next(fault for fault in FAULTS if fault.name.startswith("recorder, SIGSTOP"))
     monkeypatch.setattr(faults, "HELD", 4.0)
     monkeypatch.setattr(graph, "SILENT", 30.0)

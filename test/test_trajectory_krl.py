@@ -185,6 +185,12 @@ def test_no_module_exceeds_the_line_limit(tmp_path, motion):
     assert max(len(path.read_text().splitlines()) for path in files) <= 100
 
 
+def test_more_modules_than_a_main_module_can_call_are_refused(tmp_path):
+    with pytest.raises(TrajectoryError, match="raise program.line_limit"):
+        write(tmp_path, Program(motion="LIN", line_limit=100), *swaying(4000))
+    assert not list(tmp_path.rglob("*.src"))
+
+
 def test_modules_end_at_a_stop_where_one_is_near(tmp_path):
     run = milled(tmp_path, "G0 X0 Y0 Z0\n" + "G1 X30 F4000\nX0\n" * 20 + "M30\n")
     (tmp_path / "out").mkdir()

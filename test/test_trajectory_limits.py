@@ -17,6 +17,7 @@ from kr270_milling.trajectory.limits import (
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory
 
 LINE = Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], 0.08, 4 / 60, 0.05)
+TICK = 4_000_000  # [ns]
 
 
 def shifted(lateral) -> Trajectory:
@@ -38,9 +39,9 @@ def test_what_is_not_a_number_is_a_finding_and_what_equals_the_limit_is_none():
 def test_a_large_correction_is_found_at_its_point():
     lateral = np.zeros(25)
     lateral[7] = 1.2e-3
-    (finding,) = correction_size(LINE, shifted(lateral), 1e-3)
+    (finding,) = correction_size(LINE, shifted(lateral), TICK, 1e-3)
     assert finding.point == 8 and finding.value == pytest.approx(1.2e-3) and "1.2 mm" in finding.sentence
-    assert correction_size(LINE, shifted(lateral), 1.3e-3) == []
+    assert correction_size(LINE, shifted(lateral), TICK, 1.3e-3) == []
 
 
 def test_a_step_of_the_correction_is_shared_by_the_ticks_of_its_interval():

@@ -56,7 +56,9 @@ def check(
     cell: Cell, reference: Trajectory | None = None, motion: str | None = None, ran: ScoredPass | None = None,
     progress=None,
 ) -> Checked:  # fmt: skip
-    """Check the cell's own path, or a corrected one; motion: LIN or SPLINE, default: that of ``program``.
+    """Check the cell's own path, or a corrected one; motion: LIN or SPLINE.
+
+    Default: LIN for a correction in straight lines of a smooth path, as compensate writes it, else that of ``program``.
 
     ran: the pass along it, if it was simulated already. Where the arm cannot make the path, nothing is simulated.
     Raises InputError for a path that cannot be read or misses the stock, and for a reference of another path.
@@ -70,7 +72,9 @@ def check(
         run = cell.target()  # slowed down to what the joints can do
         found, _ = arm_findings(cell, run)
     if reachable:
-        found += _correction(cell, cell.target(), run, motion or cell.program.motion)
+        target = cell.target()
+        straight = run.velocity is None and target.velocity is not None
+        found += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
         if ran is None:
             ran = simulate(cell, run, "checked", progress)
         found += cut_findings(cell, run, ran)
@@ -84,7 +88,7 @@ def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) ->
     if run is target:
         return []
     how = cell.compensation
-    found = correction_size(target, run, how.max_correction + 1e-8)
+    found = correction_size(target, run, how.tick_ns, how.max_correction + 1e-8)
     found += correction_per_tick(target, run, how.tick_ns, how.max_change_per_tick + 1e-9)
     if motion == "LIN":
         found += corner_blending(target, run, cell.program.blend_distance, cell.limits.blending_share)

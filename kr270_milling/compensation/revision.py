@@ -134,7 +134,7 @@ def corrected(
         return knot_rates(target.time, knots, still, ends) if smooth else None
 
     wanted = _held(target, still, np.asarray(correction, float))
-    shorter = limit_size(wanted, max_correction)
+    shorter = _smaller(target, limit_size(wanted, max_correction), still, slopes, max_correction, tick)
     knots = _slower(target, shorter, slopes, max_change, tick)
     found = describe("size", target.time, wanted, shorter) + describe("change", target.time, shorter, knots)
     rates = slopes(knots)
@@ -158,11 +158,35 @@ def _held(target: Trajectory, still: np.ndarray, correction: np.ndarray) -> np.n
     return mean[rest]
 
 
+def _ticks(target: Trajectory, tick: float) -> np.ndarray:
+    """[ns], every ``tick`` [s] of the target and one beyond its end."""
+    return np.rint(np.arange(0.0, target.time[-1] + tick, tick) * 1e9).astype(np.int64)
+
+
+def _smaller(target: Trajectory, given: np.ndarray, still, slopes, largest: float, tick: float) -> np.ndarray:
+    """Corrections [m] of which no tick sees more than ``largest`` [m]: a spline overshoots its shortened knots."""
+    if not np.isfinite(largest):
+        return given
+    ticks = _ticks(target, tick)
+    before = np.clip(np.searchsorted(target.time_ns, ticks, side="right") - 1, 0, len(target) - 2)
+    knots = given
+    for _ in range(ROUNDS):
+        size = np.linalg.norm(target.with_position(knots, slopes(knots)).sample(ticks), axis=1)
+        over = size > largest * (1.0 + 1e-9)
+        if not over.any():
+            return knots
+        share = np.ones(len(knots))
+        for beside in (before[over], before[over] + 1):
+            np.minimum.at(share, beside, 0.999 * largest / size[over])
+        knots = _held(target, still, knots * share[:, None])
+    return knots * (largest / size.max())
+
+
 def _slower(target: Trajectory, given: np.ndarray, slopes, max_change: float, tick: float) -> np.ndarray:
     """Corrections [m] of which no tick sees more than max_change [m]; slopes(knots): those of the spline, or None."""
     if not np.isfinite(max_change):
         return given
-    ticks = np.rint(np.arange(0.0, target.time[-1] + tick, tick) * 1e9).astype(np.int64)
+    ticks = _ticks(target, tick)
     first, last = (target.locate(t)[0] for t in (ticks[:-1], np.minimum(ticks[1:], target.duration_ns) - 1))
     knots, most = given, np.diff(target.time) * (max_change / tick)
     for tried in range(ROUNDS):

@@ -118,7 +118,7 @@ class Cut:
             places = (np.arange(count) + 0.5) * self.stock.grid_step + self.stock.min[axis]
             first = 0 if low is None else np.searchsorted(places, low[axis])
             last = count if high is None else np.searchsorted(places, high[axis], side="right")
-            numbers = np.arange(first, last)[thinning // 2 :: thinning]
+            numbers = np.arange(first, last)[min(thinning, last - first) // 2 :: thinning]  # one at least
             axes.append((numbers, places[numbers]))
         (ix, x), (iy, y) = axes
         levels = levels_in_window(self.state.pool, self.state.table, ix, iy)

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
+import math
 import os
 from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.cutting import Cut
+from kr270_milling.cutting import Cut, Stock
 from kr270_milling.errors import InputError, ParameterError
 
 __all__ = ["write_stl"]
 
 MOST_TRIANGLES = 4_000_000  #: 200 MB
+FINE = 0.25e-3  #: [m]
 
 
-def write_stl(path, cut: Cut, spacing: float = 0.25e-3) -> int:
+def write_stl(path, cut: Cut, spacing: float | None = None) -> int:
     """Write the part of ``cut`` as seen in heights ``spacing`` [m] apart, coordinates in mm; returns the triangles.
 
-    The file appears whole or not at all. Raises ParameterError where it would have more than 4 million triangles, and
-    InputError where it cannot be written.
+    Default: 0.25 mm, or the least that a large part allows. The file appears whole or not at all. Raises ParameterError
+    where it would have more than 4 million triangles, and InputError where it cannot be written.
     """
-    x, y, z = _lattice(cut, spacing)
+    x, y, z = _lattice(cut, _spacing(cut) if spacing is None else spacing)
     triangles = _triangles(x * 1e3, y * 1e3, z * 1e3, float(cut.stock.min[2]) * 1e3)
     record = np.zeros(
         len(triangles), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -33,12 +35,25 @@ def write_stl(path, cut: Cut, spacing: float = 0.25e-3) -> int:
     return len(record)
 
 
+def _spacing(cut: Cut) -> float:
+    """[m]"""
+    thinning = max(1, round(FINE / cut.stock.grid_step))
+    while _count(cut.stock, thinning) > MOST_TRIANGLES:
+        thinning = math.ceil(1.1 * thinning)
+    return thinning * cut.stock.grid_step
+
+
+def _count(stock: Stock, thinning: int) -> int:
+    """Triangles at most."""
+    count = [-(-n // thinning) + 2 for n in stock.nodes]
+    return 2 * count[0] * count[1] + 6 * sum(count)
+
+
 def _lattice(cut: Cut, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Nodes at the middles of thinned cells, and on the stock's borders; heights (a, b) [m]."""
     stock = cut.stock
     thinning = max(1, round(spacing / stock.grid_step))
-    count = [-(-n // thinning) + 2 for n in stock.nodes]
-    most = 2 * count[0] * count[1] + 6 * sum(count)
+    most = _count(stock, thinning)
     if not spacing > 0.0 or most > MOST_TRIANGLES:
         shown = f"larger: the part would have {most} triangles, more than {MOST_TRIANGLES}"
         raise ParameterError("STL spacing [mm]", spacing * 1e3, shown)

@@ -70,7 +70,7 @@ def _of_the_paper(cell: Cell) -> list[Assumption]:
             "radial engagement",
             f"full slot, fully engaged from {cell.full_engagement:.3f} s on",
             "Not given. The text says 'straight borders', 'engaging progressively' and 'fully engaged': a slot that is "
-            "entered from an edge, complete after R / v_f.",
+            "entered from an edge, complete when the middle of the tool has come to it.",
         ),
         Assumption(
             "static and largest deviation",

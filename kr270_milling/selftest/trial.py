@@ -12,9 +12,10 @@ from kr270_milling.selftest.disturbed import Disturbed, Told
 from kr270_milling.selftest.faults import ENDS, GOES_ON, Fault
 from kr270_milling.simulation.milling_pass import PassResult
 
-__all__ = ["TELL_WITHIN", "Trial", "run_trial"]
+__all__ = ["TELL_WITHIN", "TOO_LATE", "Trial", "run_trial"]
 
 TELL_WITHIN = 3.0  # [s] from the fault to a sentence that names the node
+TOO_LATE = "the fault came too late: the pass was over"
 KEPT = 1.0  # [s] before the fault that a recording may miss
 
 
@@ -55,7 +56,7 @@ def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: Pa
         if graph.clock is not None:
             graph.clock.set(0.0)
     if graph.struck_at is None:
-        trial.problems.append("the fault came too late: the pass was over")
+        trial.problems.append(TOO_LATE)
         return trial
     _judge_words(trial, fault, graph)
     _judge_recording(trial, fault, graph, plain, again)
@@ -63,7 +64,7 @@ def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: Pa
 
 
 def _judge_words(trial: Trial, fault: Fault, graph: Disturbed) -> None:
-    named = [told for told in graph.told if fault.names_it(told.sentence)]
+    named = [told for told in graph.told if fault.names_it(told.sentence) and told.at >= graph.struck_at]
     if fault.told and named:
         trial.detected_s, trial.sentence = named[0].at - graph.struck_at, named[0].sentence
     elif graph.told:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 import re
 
+import numpy as np
+
 from kr270_milling.errors import InputError
 from kr270_milling.trajectory.arcs import ArcError, centre_from_radius, flatten
 from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
@@ -27,6 +29,7 @@ GROUPS = {0: "motion", 1: "motion", 2: "motion", 3: "motion", 80: "cycle", 17: "
 M_GROUPS = {2: "end", 30: "end", 3: "spindle", 5: "spindle"}
 AXES = {"X": 0, "Y": 1, "Z": 2}
 INCH, MM = 0.0254, 0.001
+FLAT = 1e4  # [m] radius beyond which no arc can be meant
 
 
 def read_gcode(path, chord_tolerance: float = 2e-6, closing_tolerance: float = 10e-6) -> Toolpath:
@@ -176,7 +179,10 @@ class _Reader:
             return
         clockwise = self.motion == 2
         offset = [axes.get(letter, 0.0) * self.unit for letter in "IJR"]
+        far = next((letter for letter in "IJR" if not abs(axes.get(letter, 0.0)) * self.unit <= FLAT), None)
         try:
+            if far:
+                raise ArcError(f"{far}{axes[far]:g} is more than {FLAT / 1e3:g} km; wrong unit?")
             if "R" in axes and ("I" in axes or "J" in axes):
                 raise ArcError("an arc is given by I and J or by R, not by both")
             if "R" in axes:
@@ -186,6 +192,8 @@ class _Reader:
             else:
                 raise ArcError(f"G{self.motion} without I, J or R")
             points, curvature = flatten(start, end, centre, clockwise, self.closing, self.chord)
+            if not np.abs(points).max() <= REACH:
+                raise ArcError(f"the arc leads more than {REACH:g} m away; wrong unit?")
         except ArcError as error:
             self.refuse(str(error), number)
         for point in points.tolist():

@@ -158,6 +158,9 @@ def _pieces(program: Program, points: np.ndarray, stops: np.ndarray) -> list[tup
         pieces.append((start, len(points)))
     if len(pieces) > 999:
         raise TrajectoryError(f"{len(points)} points need more than 999 modules of {program.line_limit} lines")
+    if len(pieces) > 1 and len(pieces) + RESERVED > program.line_limit:
+        reason = f"{len(points)} points need {len(pieces)} modules, more than a main module of"
+        raise TrajectoryError(f"{reason} {program.line_limit} lines can call; raise program.line_limit")
     return pieces
 
 
@@ -191,6 +194,7 @@ def _preamble(program: Program, cell: Cell) -> list[str]:
     return [
         f"; set on the controller: $LOAD={{M {cell.load_mass:.3f},CM {{X {x:.3f},Y {y:.3f},Z {z:.3f},"
         "A 0.0,B 0.0,C 0.0}}",
+        "; $BASE is that of a robot whose $ROBROOT is zero in $WORLD; on a pedestal or a rail set it by hand",
         "BAS(#INITMOV,0)",
         f"$TOOL={{{_frame(_row(cell.tool))}}}",
         f"$BASE={{{_frame(_row(cell.base))}}}",

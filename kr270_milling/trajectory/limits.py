@@ -48,19 +48,25 @@ def exceeding(kind: str, value, limit: float, what: str, unit: str, scale: float
     return findings
 
 
-def correction_size(original: Trajectory, revised: Trajectory, limit: float) -> list[Finding]:
-    """Where the correction [m] at a knot is larger than allowed."""
+def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Finding]:
+    """Where the correction [m] is larger than allowed, at a knot or at a tick on the way to it."""
+    time_ns, shift, _ = offsets(original, revised, tick_ns)
     size = np.linalg.norm(revised.position - original.position, axis=1)
+    size = np.fmax(size, _on_the_way(original, time_ns, np.linalg.norm(shift, axis=1)))
     return exceeding("correction size", size, limit, "the correction", "mm", 1e3)
+
+
+def _on_the_way(original: Trajectory, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The largest value of the ticks that lead to each knot, (n,)."""
+    largest = np.zeros(len(original))
+    np.maximum.at(largest, np.clip(np.searchsorted(original.time_ns, time_ns), 1, len(original) - 1), values)
+    return largest
 
 
 def correction_per_tick(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Finding]:
     """Where the correction [m] changes by more from one tick to the next than the controller takes."""
     time_ns, shift, _ = offsets(original, revised, tick_ns)
-    change = np.linalg.norm(np.diff(shift, axis=0), axis=1)
-    knot = np.clip(np.searchsorted(original.time_ns, time_ns[1:]), 1, len(original) - 1)
-    largest = np.zeros(len(original))  # in the step that leads to each knot
-    np.maximum.at(largest, knot, change)
+    largest = _on_the_way(original, time_ns[1:], np.linalg.norm(np.diff(shift, axis=0), axis=1))
     return exceeding("correction per tick", largest, limit, "the change of the correction per tick", "um", 1e6)
 
 
