@@ -11,6 +11,7 @@ from typing import NamedTuple
 from kr270_milling.recording.decode import plain
 from kr270_milling.recording.encode import Encoded
 from kr270_milling.recording.errors import RecordingError
+from kr270_milling.recording.gaps import Passes
 
 __all__ = ["Channel", "Difference", "first_difference"]
 
@@ -45,19 +46,6 @@ class Made(NamedTuple):
     order: tuple
     stamp: int
     message: Encoded
-
-
-class Passes:
-    """Counts passes in a row of stamps [ns]: one begins where the stamps go back to 0."""
-
-    def __init__(self):
-        self.number, self._last = 0, 0
-
-    def begins(self, stamp: int) -> bool:
-        again = stamp == 0 and self._last > 0
-        self.number += again
-        self._last = stamp
-        return again
 
 
 class Channel:

@@ -80,7 +80,7 @@ def _trajectory_tables(recording: Recording, topic: str) -> Iterator[Table]:
 def _any_tables(recording: Recording, topic: str) -> Iterator[Table]:
     """Any other type: a column per number or text, sequences as JSON in one cell."""
     rows, columns = [], None
-    for message, decoded in recording.decoded([topic]):
+    for message, decoded in recording.decoded([topic], as_written=True):
         cells = {"log_time_ns": message.log_time, **_flat(plain(decoded))}
         if rows and (columns != list(cells) or len(rows) == ROWS):
             yield columns, list(zip(*rows, strict=True))

@@ -113,8 +113,10 @@ def _joint_layout(data: bytes) -> Layout:
 
 
 def batches(recording: Recording, topic: str) -> Iterator[Rows]:
-    """The messages of a topic in their order, in tables of up to 4096 rows; raises RecordingError where one is not
-    what its type says."""
+    """The messages of a topic as they were written, in tables of up to 4096 rows.
+
+    Raises RecordingError where one is not what its type says.
+    """
     about = recording.topics().get(topic)
     if about is None:
         raise RecordingError(recording.path, f"has no topic {topic}")
@@ -122,7 +124,7 @@ def batches(recording: Recording, topic: str) -> Iterator[Rows]:
         raise RecordingError(recording.path, f"{topic} is {about.type or 'of no type'}, which is no series of numbers")
     layout_of = _joint_layout if about.type == JOINTS else _fixed_layout(len(FIXED[about.type]))
     waiting: list = []
-    for message in recording.messages([topic]):
+    for message in recording.messages([topic], as_written=True):
         if waiting and (len(waiting) == BATCH or len(message.data) != len(waiting[0].data)):
             yield from _tables(recording, topic, waiting, layout_of)
             waiting = []

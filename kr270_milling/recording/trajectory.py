@@ -32,10 +32,10 @@ class TrajectoryRecord:
 
 
 def trajectories(recording: Recording, topic: str) -> Iterator[TrajectoryRecord]:
-    """Every trajectory on a topic."""
+    """Every trajectory on a topic, as they were written."""
     if getattr(recording.topics().get(topic), "type", "") != TRAJECTORY:
         raise RecordingError(recording.path, f"{topic} is no topic with trajectories in it")
-    for message in recording.messages([topic]):
+    for message in recording.messages([topic], as_written=True):
         yield _read(recording, topic, message.data)
 
 

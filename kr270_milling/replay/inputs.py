@@ -17,7 +17,6 @@ from kr270_milling.recording.cdr import Cursor
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.reader import RawMessage, Recording
 from kr270_milling.recording.trajectory import read_trajectory
-from kr270_milling.recording.unpack import Unpacker
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Sample", "cell_of", "in_file_order", "sample", "trajectory_of"]
@@ -124,16 +123,11 @@ def _localise(recording: Recording, file: Path, names: list[str]) -> None:
 
 
 def in_file_order(recording: Recording, progress=None) -> Iterator[RawMessage]:
-    """All messages as they were written: several passes, whose stamps begin at 0 each, stay apart."""
-    done = 0
-    with open(recording.path, "rb") as stream:
-        unpack = Unpacker(stream)
-        for chunk in recording.chunks:
-            found = unpack(chunk)
-            for log_time, begin, end, channel, publish_time, _ in found.index:
-                done += 1
-                if channel in recording.channels:
-                    topic = recording.channels[channel].topic
-                    yield RawMessage(topic, log_time, publish_time, found.data[begin:end])
-            if progress:
-                progress(done, recording.count)
+    """All messages as they were written: several passes, whose stamps begin at 0 each, stay apart.
+
+    Raises RecordingError where the file is damaged.
+    """
+    for done, message in enumerate(recording.messages(as_written=True), 1):
+        yield message
+        if progress and (done % 1000 == 0 or done == recording.count):
+            progress(done, recording.count)
