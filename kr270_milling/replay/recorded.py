@@ -43,6 +43,7 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
         found = [topic for topic in recording.topics() if topic.rpartition("/")[2] == name]
     if len(found) != 1:
         several = f"is there several times ({', '.join(found)}): name a namespace" if found else "is not recorded"
+        several += f" in the namespace {namespace}" if namespace is not None else ""
         raise RecordingError(recording.path, f"the topic {name} {several}")
     return found[0]
 
