@@ -10,7 +10,7 @@ from pathlib import Path
 
 from kr270_milling.errors import ConfigError
 
-__all__ = ["find_file", "merge", "override", "read_tree", "refusal"]
+__all__ = ["find_file", "merge", "override", "parse", "read_tree", "read_yaml", "refusal"]
 
 MOST_BYTES = 256 * 1024  # the YAML reader takes some seconds for them
 
@@ -25,15 +25,7 @@ def refusal(file, key: str, value, allowed: str) -> ConfigError:
 def read_tree(path, seen: tuple = ()) -> dict:
     """The ``/**: ros__parameters:`` dict of a parameter file, merged over the files that its ``includes`` names."""
     path = Path(path)
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise ConfigError(path, "", None, f"has more than {MOST_BYTES} bytes, so it is no parameter file")
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(path, "", None, f"cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise ConfigError(path, "", None, "is not UTF-8 text") from None
-    tree = _parse(text, path, "")
+    tree = read_yaml(path)
     for key in ("/**", "ros__parameters"):
         if not isinstance(tree, dict) or set(tree) != {key}:
             raise ConfigError(path, "", None, "must have the form '/**: ros__parameters: ...' of a ROS parameter file")
@@ -51,8 +43,21 @@ def read_tree(path, seen: tuple = ()) -> dict:
     return merge(merged, tree)
 
 
-def _parse(text: str, file, key: str):
-    """What a YAML text says; raises ConfigError."""
+def read_yaml(path: Path):
+    """What a YAML file of bearable size says; raises ConfigError."""
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise ConfigError(path, "", None, f"has more than {MOST_BYTES} bytes, so it is no parameter file")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(path, "", None, f"cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise ConfigError(path, "", None, "is not UTF-8 text") from None
+    return parse(text, path, "")
+
+
+def parse(text: str, file, key: str):
+    """What a YAML text says, without keys that stand twice or are merged ("<<"); raises ConfigError."""
     import yaml
 
     try:
@@ -107,7 +112,7 @@ def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, froze
         key, equals, value = text.partition("=")
         if not equals or not all(key.split(".")):
             raise ConfigError("--set", text, None, "must have the form key=value")
-        parsed = _parse(value, "--set", key)
+        parsed = parse(value, "--set", key)
         for part in reversed(key.split(".")):
             parsed = {part: parsed}
         tree = merge(tree, typing.cast(dict, parsed))

@@ -15,6 +15,7 @@ import pytest
 from player_listener import FIRST, Listener, options
 from ros_domain import environment_of_processes
 
+from kr270_milling.errors import InputError
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.playback import PlayClock, PlayOptions, opening, passage, span
 from kr270_milling.recording.reader import Recording
@@ -39,11 +40,19 @@ def test_the_options_parse_as_in_ros2_bag_play():
 
 
 @pytest.mark.parametrize("words", [["--rate", "0"], ["--rate", "-1"], ["--rate", "nan"], ["--start-offset", "-1"],
-                                   ["--clock", "0"], ["--topics"], ["--playback-duration", "inf"]])  # fmt: skip
+                                   ["--clock", "0"], ["--topics"], ["--playback-duration", "inf"],
+                                   ["--start-offset", "1e300"], ["--playback-duration", "1e300"]])  # fmt: skip
 def test_senseless_options_are_refused(words):
     with pytest.raises(SystemExit) as ended:
         options("bag", *words)
     assert ended.value.code == 2
+
+
+@pytest.mark.parametrize("seconds", [1e300, 1e10, -1.0, float("nan")])
+@pytest.mark.parametrize("name", ["start_offset", "playback_duration"])
+def test_a_time_that_no_recording_has_is_refused_in_one_sentence(bag, name, seconds):
+    with Recording(bag) as recording, pytest.raises(InputError, match=f"--{name.replace('_', '-')}: .* is no time"):
+        span(recording, PlayOptions(bag, **{name: seconds}))
 
 
 def test_the_clock_of_a_playback_runs_at_its_rate_and_stands_while_paused():

@@ -13,6 +13,7 @@ from pass_recording import STEPS, flip, force_offset
 
 from kr270_milling.errors import ConfigError, MillingError
 from kr270_milling.recording.errors import RecordingError
+from kr270_milling.recording.reader import Recording
 from kr270_milling.replay.compensate import compensate
 from kr270_milling.replay.recompute import recompute
 
@@ -86,6 +87,71 @@ def test_a_missing_output_is_counted_and_nothing_stops(tmp_path):
     found = recompute(made.write(tmp_path / "r", messages))
     assert found.verdict == "identical"
     assert (found.channels["/deflection"].missing, found.channels["/deflection"].compared) == (1, STEPS - 1)
+
+
+def test_invented_outputs_behind_the_end_are_not_called_identical(tmp_path):
+    last = [m for m in made.one_pass() if m.topic == "deflection"][-1]
+    invented = [made.Message("deflection", stamped(last.data, last.stamp + i * 500_000), 0) for i in range(1, 400)]
+    found = recompute(made.write(tmp_path / "r", [*made.one_pass(), *invented]))
+    assert found.verdict == "incomplete" and found.channels["/deflection"].waiting == 399
+    (told,) = found.stops
+    assert str(told).startswith("/: 399 messages on /deflection from 0.060500 s on were not compared")
+
+
+def stamped(data: bytes, stamp: int) -> bytes:
+    return data[:4] + struct.pack("<iI", stamp // 10**9, stamp % 10**9) + data[12:]
+
+
+@pytest.mark.parametrize("kept", [4, 1])
+def test_outputs_that_were_cut_away_from_a_closed_file_are_missed(tmp_path, kept):
+    states = [m for m in made.one_pass() if m.topic == "joint_states"]
+    messages = [m for m in made.one_pass() if m not in states[kept:]]
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.verdict == "incomplete" and found.first is None
+    assert found.channels["/joint_states"].missing == len(states) - kept
+    assert [s.reason.split(" are ")[0] for s in found.stops] == [f"{7 - kept} messages that belong on /joint_states"]
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_outputs_of_either_pass_are_missed(tmp_path, number):
+    messages, passes = [], 0
+    for message in made.one_pass(passes=2):
+        passes += message.topic == "tool_pose" and message.stamp == 0
+        if not (passes == number and message.topic == "deflection" and message.stamp > 30_000_000):
+            messages.append(message)
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.verdict == "incomplete" and found.channels["/deflection"].missing == 60
+    assert recompute(made.write(tmp_path / "whole", made.one_pass(passes=2))).verdict == "identical"
+
+
+def test_a_recording_without_any_exchange_is_not_called_identical(tmp_path):
+    found = recompute(made.write(tmp_path / "r", made.one_pass()[:1]))
+    assert found.compared == 1 and found.verdict == "incomplete"
+    assert "no pass is in the recording" in str(found.stops[0])
+
+
+@pytest.mark.parametrize("end", range(200, 230, 3))
+def test_a_recorder_that_was_stopped_in_mid_pass_has_lost_nothing(tmp_path, end):
+    found = recompute(made.write(tmp_path / "r", made.one_pass()[:end]))
+    assert not found.cut_off and found.verdict == "identical"
+
+
+@pytest.mark.parametrize("end", range(200, 212))
+def test_a_pass_that_broke_off_and_was_started_again_has_lost_nothing(tmp_path, end):
+    found = recompute(made.write(tmp_path / "r", [*made.one_pass()[:end], *made.one_pass()[2:]]))
+    assert found.verdict == "identical", found.stops
+
+
+@pytest.mark.parametrize("job", [recompute, compensate])
+def test_a_flipped_bit_in_the_first_chunk_is_one_sentence(tmp_path, job):
+    file = made.write(tmp_path / "r", made.one_pass()) / "r.mcap"
+    with Recording(file) as recording:
+        chunk = recording.chunks[0]
+    data = bytearray(file.read_bytes())
+    data[chunk.start + chunk.size // 2] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(RecordingError, match="a chunk .*; recover may save the rest"):
+        job(file)
 
 
 def test_a_pass_that_began_before_the_recording_is_not_guessed(tmp_path):

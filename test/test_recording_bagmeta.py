@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -51,3 +52,16 @@ def test_durations_are_given_in_nanoseconds_or_as_they_stand():
 @pytest.mark.parametrize("text", ["", "3", "[1, 2]", "a: b", "{", "!!python/object:os.system x", "[" * 5000])
 def test_foreign_text_in_place_of_profiles_is_no_profile(text):
     assert read_qos(text) == []
+
+
+def test_merged_keys_that_double_with_every_line_are_no_profile_and_take_no_time():
+    lines = ["- &a0 {a: b}", *(f"- &a{i + 1} {{<<: [*a{i}, *a{i}]}}" for i in range(24))]
+    begin = time.process_time()
+    assert read_qos("\n".join(lines)) == []
+    assert time.process_time() - begin < 1.0
+
+
+def test_what_rosbag2_of_other_versions_writes_is_read():
+    deadline = "deadline:\n    sec: 9223372036\n    nsec: 854775807"
+    older = f"- history: 3\n  depth: 0\n  reliability: 1\n  durability: 2\n  {deadline}"
+    assert read_qos(older)[0]["deadline"] == dict(sec=9223372036, nsec=854775807)

@@ -3,14 +3,15 @@ from __future__ import annotations
 import csv
 import importlib.util
 import json
+import resource
 
 import numpy as np
 import pytest
 from mcap.writer import Writer
-from test_recording_samples import JOINTS, PERIOD, POSE, TOPICS, joints, pose, raw, record
+from test_recording_samples import GRID, JOINTS, PERIOD, POSE, TOPICS, header, joints, make, pose, raw, record, time
 
 from kr270_milling.recording.errors import RecordingError
-from kr270_milling.recording.export import export_csv, export_parquet
+from kr270_milling.recording.export import _any_tables, export_csv, export_parquet
 from kr270_milling.recording.reader import Recording
 from kr270_milling.recording.writer import BagWriter
 
@@ -127,3 +128,40 @@ def test_parquet_is_written_where_pyarrow_is_and_else_told(tmp_path):
         files = export_parquet(recording, tmp_path / "parquet")
     table = pyarrow.parquet.read_table(next(f for f in files if f.stem == "tool_pose"))
     assert table["position_y_m"].to_pylist() == [step + 0.1 for step in range(5)]
+
+
+@pytest.fixture
+def full_disk():
+    """Files of this process may not grow beyond 4 kB: writing on ends in an error, as on a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+@pytest.mark.parametrize("steps", [30, 5000])
+def test_nothing_stays_where_the_disk_is_full(tmp_path, steps, request):
+    """In the last bytes, which are written when the file is closed, or long before."""
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/tool_pose", POSE)
+        for step in range(steps):
+            writer.write("/tool_pose", raw(pose(step * PERIOD, np.full(7, 0.1 + step / 7))), 0)
+    with Recording(tmp_path / "a") as recording:
+        request.getfixturevalue("full_disk")
+        with pytest.raises(RecordingError, match="the tables cannot be written"):
+            export_csv(recording, tmp_path / "csv")
+    assert list((tmp_path / "csv").iterdir()) == []
+
+
+def test_large_messages_of_any_type_are_not_gathered_by_the_thousand(tmp_path):
+    """Each becomes a text of five times its size ("100, ")."""
+    size, count = 100_000, 25
+    about = make("nav_msgs/msg/MapMetaData", time(0), 1e-5, size, 1, pose(0, [0, 0, 0, 0, 0, 0, 1]).pose)
+    data = raw(make(GRID, header(0), about, np.full(size, 100, np.int8)))
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/workpiece", GRID)
+        for _ in range(count):
+            writer.write("/workpiece", data, 0)
+    with Recording(tmp_path / "a") as recording:
+        rows = [len(values[0]) for _, values in _any_tables(recording, "/workpiece")]
+    assert sum(rows) == count and max(rows) == 10  # 1 MB of messages

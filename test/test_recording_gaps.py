@@ -49,3 +49,10 @@ def test_repeated_and_backward_stamps_are_counted_on_their_own():
 def test_fewer_than_three_differences_say_nothing(number):
     assert count([i * 10 for i in range(number)]).period_ns in (None, 0)
     assert count([0, 10, 20, 30, 60]).missing == 2
+
+
+@given(st.sets(st.integers(1, 398), max_size=150), st.sets(st.integers(1, 398), max_size=150))
+def test_a_second_pass_is_counted_like_the_first(first, second):
+    stamps = [i * 10 for dropped in (first, second) for i in range(400) if i not in dropped]
+    counter = count(stamps, 10)
+    assert (counter.missing, counter.backwards) == (len(first) + len(second), 0)

@@ -66,6 +66,16 @@ def test_rosbags_reads_what_was_recovered_but_not_the_cut_off_file(source, tmp_p
     assert (tmp_path / "a.mcap").read_bytes() == data[: len(data) // 2]
 
 
+def test_a_recordings_directory_gets_its_copy_beside_it_and_stays_as_it_was(source, tmp_path, monkeypatch):
+    (tmp_path / "r").mkdir()
+    (tmp_path / "r" / "a.mcap").write_bytes(source[0])
+    monkeypatch.chdir(tmp_path / "r")
+    assert recover(".").directory == str(tmp_path / "r_recovered")
+    assert [file.name for file in (tmp_path / "r").iterdir()] == ["a.mcap"]
+    with pytest.raises(RecordingError, match="exists already"):
+        recover(f"{tmp_path}/r/")
+
+
 @given(st.integers(60, 10**6))
 @RELAXED
 def test_a_cut_file_keeps_every_whole_chunk(source, tmp_path_factory, place):

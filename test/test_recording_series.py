@@ -109,3 +109,17 @@ def test_100000_poses_are_read_in_less_than_two_seconds(tmp_path):
         found = series(recording, "/t")
         assert time.process_time() - begin < 2.0
     np.testing.assert_array_equal(found.values, np.tile(np.arange(7.0), (100_000, 1)))
+
+
+def test_large_messages_are_read_some_megabytes_at_a_time(tmp_path):
+    message = joints(0, [0.5] * 2000, names=[f"{i:0500d}" for i in range(2000)])  # 1 MB
+    with Recording(written(tmp_path / "a", JOINTS, [message] * 20)) as recording:
+        assert [len(rows.stamp) for rows in batches(recording, "/t")] == [4, 4, 4, 4, 4]
+
+
+def test_frames_that_are_books_are_refused_where_all_of_them_would_be_kept(tmp_path):
+    messages = [wrench(i, np.zeros(6), f"{i:0200000d}") for i in range(10)]
+    with Recording(written(tmp_path / "a", WRENCH, messages)) as recording:
+        with pytest.raises(RecordingError, match="names frames of more than"):
+            series(recording, "/t")
+        assert sum(len(rows.stamp) for rows in batches(recording, "/t")) == 10

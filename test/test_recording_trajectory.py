@@ -101,3 +101,13 @@ def test_trajectories_of_a_recording_come_one_by_one(tmp_path):
             next(found)
         with pytest.raises(RecordingError, match="no topic with trajectories"):
             next(trajectories(recording, "/tool_pose"))
+
+
+def test_points_without_content_for_many_bodies_are_refused_before_room_is_made_for_them():
+    """56 kB that would ask for 1 GB of NaN."""
+    names, points = 4000, 1800
+    head = struct.pack("<4BiII1s3xI", 0, 1, 0, 0, 0, 0, 1, b"\0", names) + struct.pack("<I1s3x", 1, b"\0") * names
+    data = head + struct.pack("<I", points) + struct.pack("<IIIiI", 0, 0, 0, 0, 0) * points
+    assert len(data) < 70_000
+    with pytest.raises(ValueError, match="leave out most of the 4000 bodies"):
+        read_trajectory(data)

@@ -9,7 +9,10 @@ from kr270_milling.commands.console import add_common, output_directory, print_j
 
 def add_arguments(parser) -> None:
     parser.add_argument("recording", metavar="FILE-or-DIR", help="a recording, or a directory that holds some")
-    parser.add_argument("--out", metavar="DIR", help="where the report goes (default: beside the recordings)")
+    parser.add_argument("--namespace", metavar="NAME", help="of the robot, where a recording holds several")
+    parser.add_argument(
+        "--out", metavar="DIR", help="where the report goes (default: report in DIR, or beside the FILE)"
+    )
     add_common(parser)
 
 
@@ -20,15 +23,15 @@ def run(args) -> None:
     from kr270_milling.report import write_report
     from kr270_milling.report.series import write_series
 
-    paths = recordings(Path(args.recording))
+    place = Path(args.recording)
+    paths = recordings(place)
     with progress("reading") as report:
         found = []
         for number, path in enumerate(paths, 1):
-            found.append(pass_from_recording(path, path.stem))
+            found.append(pass_from_recording(path, path.stem, args.namespace))
             report(number, len(paths))
     cell, passes = found[0].cell, [one.scored for one in found]
-    default = paths[0].parent.parent if len(paths) > 1 else paths[0].parent
-    directory = output_directory(args.out or default / "report")
+    directory = output_directory(args.out or (place if place.is_dir() else place.parent) / "report")
     date = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     title, command = f"Milling passes of {cell.arm.name}, recorded", f"kr270_milling report {args.recording}"
     page = write_report(directory, cell, passes, title=title, source=args.recording, command=command, date=date)

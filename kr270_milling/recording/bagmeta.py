@@ -6,6 +6,9 @@ from collections.abc import Iterable, Mapping
 
 import yaml
 
+from kr270_milling import config_file
+from kr270_milling.errors import ConfigError
+
 __all__ = ["bag_information", "describe_qos", "qos_text", "read_qos"]
 
 INFINITE = 2**63 - 1  # [ns], as rosbag2 writes a duration without limit
@@ -52,8 +55,8 @@ def qos_text(profiles: Iterable) -> str:
 def read_qos(text: str) -> list[dict]:
     """The profiles in a channel's metadata; none where the text of a foreign file is not a list of mappings."""
     try:
-        profiles = yaml.safe_load(text[:100_000])
-    except (yaml.YAMLError, ValueError, RecursionError):
+        profiles = config_file.parse(text[:100_000], "", "offered_qos_profiles")
+    except ConfigError:
         return []
     usable = isinstance(profiles, list) and all(isinstance(p, dict) for p in profiles)
     return profiles if usable else []

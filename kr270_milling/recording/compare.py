@@ -11,6 +11,7 @@ from typing import NamedTuple
 from kr270_milling.recording.decode import plain
 from kr270_milling.recording.encode import Encoded
 from kr270_milling.recording.errors import RecordingError
+from kr270_milling.recording.gaps import GapCounter, Passes
 
 __all__ = ["Channel", "Difference", "first_difference"]
 
@@ -47,19 +48,6 @@ class Made(NamedTuple):
     message: Encoded
 
 
-class Passes:
-    """Counts passes in a row of stamps [ns]: one begins where the stamps go back to 0."""
-
-    def __init__(self):
-        self.number, self._last = 0, 0
-
-    def begins(self, stamp: int) -> bool:
-        again = stamp == 0 and self._last > 0
-        self.number += again
-        self._last = stamp
-        return again
-
-
 class Channel:
     """One topic: what was recorded and what is recomputed, each in its own order, matched by pass and stamp.
 
@@ -69,7 +57,7 @@ class Channel:
     def __init__(self, topic: str, rank: int = 0, decode: Callable[[bytes], object] | None = None):
         self.topic, self.rank, self._decode = topic, rank, decode
         self.compared = self.differing = 0
-        self.missing = 0  #: recomputed, but not in the recording although later ones are
+        self.missing = 0  #: recomputed, but not in the recording
         self.repeated = 0  #: the same message once more: a retry
         self.given = 0  #: taken as they are, because their cause is not in the recording
         self.first: Difference | None = None
@@ -77,11 +65,16 @@ class Channel:
         self._made: deque[Made] = deque()
         self._heard_passes, self._made_passes = Passes(), Passes()
         self._index, self._last, self._last_made = -1, b"", None
+        self.holes = GapCounter()  #: told by the recorded stamps alone
+        self._skipped = 0  # missing although later ones of the same pass are there
+        self._tails: list[tuple[int, int]] = []  # (pass, stamp) of those behind the last recorded one of their pass
+        self._ends: dict[int, int] = {}  # pass -> latest recomputed stamp
 
     def heard(self, stamp: int, data: bytes) -> None:
         """Take the next recorded message."""
         self._index += 1
         self._heard_passes.begins(stamp)
+        self.holes.add(stamp)
         self._heard.append(Heard((self._heard_passes.number, stamp), self._index, stamp, data))
         self._match()
 
@@ -94,6 +87,7 @@ class Channel:
     def made(self, stamp: int, message: Encoded) -> None:
         """Take the next recomputed message."""
         self._made_passes.begins(stamp)
+        self._ends[self._made_passes.number] = stamp
         self._made.append(Made((self._made_passes.number, stamp), stamp, message))
         self._match()
 
@@ -111,8 +105,7 @@ class Channel:
         while self._heard and self._made:
             heard, made = self._heard[0], self._made[0]
             if heard.order > made.order:
-                self.missing += made.message != self._last_made  # a repeated answer need not be there
-                self._last_made = self._made.popleft().message
+                self._miss(tail=heard.order[0] > made.order[0])
             elif heard.order == made.order and made.message.same(heard.data):
                 self.compared += 1
                 self._next(both=True)
@@ -121,6 +114,18 @@ class Channel:
                 self._next(both=False)
             else:
                 self._differ(heard, made if heard.order == made.order else None)
+
+    def _miss(self, tail: bool) -> None:
+        """The next recomputed message is not in the recording; a repeated answer need not be there."""
+        made, before = self._made.popleft(), self._last_made
+        self._last_made = made.message
+        if made.message == before:
+            return
+        self.missing += 1
+        if tail:
+            self._tails.append(made.order)
+        else:
+            self._skipped += 1
 
     def _next(self, both: bool) -> None:
         self._last = self._heard.popleft().data
@@ -140,10 +145,26 @@ class Channel:
             self.first = Difference(self.topic, heard.index, heard.stamp, *found, (*heard.order, self.rank))
 
     def finish(self) -> None:
-        """No more will come: what is repeated at the end is not waiting for anything."""
+        """No more will come: what is repeated at the end is not waiting for anything, what is not there is missing."""
         while self._heard and self._heard[0].data == self._last:
             self.repeated += 1
             self._heard.popleft()
+        while self._made:
+            self._miss(tail=True)
+        self.holes.finish()
+
+    @property
+    def leftover(self) -> int | None:
+        """Stamp [ns] of the first recorded message that nothing recomputed has come for."""
+        return self._heard[0].stamp if self._heard else None
+
+    def lacking(self, under_way: int, done: bool, iterations: int = 1) -> int:
+        """Recomputed messages that the recording should have: no hole in its stamps tells of them, and they were not
+        made in the last ``under_way`` [ns] of a pass that may have broken off. done: the last pass did not.
+        iterations: messages of one stamp."""
+        whole = self._made_passes.number if done else -1
+        ends = sum(number == whole or stamp < self._ends[number] - under_way for number, stamp in self._tails)
+        return ends + max(0, self._skipped - iterations * self.holes.missing)
 
     def as_dict(self) -> dict:
         return dict(compared=self.compared, differing=self.differing, missing=self.missing, repeated=self.repeated,

@@ -29,7 +29,7 @@ POINT = ([f"position_{a}_m" for a in "xyz"] + [f"orientation_{a}" for a in "xyzw
 )  # fmt: skip
 TWIST = "geometry_msgs/msg/TwistStamped"
 MAX_FILES = 100  # of one topic; a new one begins where the columns change
-ROWS = 1024
+ROWS, ROW_BYTES = 1024, 1024 * 1024  # of messages in one table; as Python's numbers and texts they take far more
 
 
 def _tables(recording: Recording, topic: str, type_name: str) -> Iterator[Table]:
@@ -79,13 +79,13 @@ def _trajectory_tables(recording: Recording, topic: str) -> Iterator[Table]:
 
 def _any_tables(recording: Recording, topic: str) -> Iterator[Table]:
     """Any other type: a column per number or text, sequences as JSON in one cell."""
-    rows, columns = [], None
-    for message, decoded in recording.decoded([topic]):
+    rows, columns, size = [], None, 0
+    for message, decoded in recording.decoded([topic], as_written=True):
         cells = {"log_time_ns": message.log_time, **_flat(plain(decoded))}
-        if rows and (columns != list(cells) or len(rows) == ROWS):
+        if rows and (columns != list(cells) or len(rows) == ROWS or size + len(message.data) > ROW_BYTES):
             yield columns, list(zip(*rows, strict=True))
-            rows = []
-        columns = list(cells)
+            rows, size = [], 0
+        columns, size = list(cells), size + len(message.data)
         rows.append(list(cells.values()))
     if rows:
         yield columns, list(zip(*rows, strict=True))
@@ -130,26 +130,37 @@ def _export(recording: Recording, directory, topics, progress, open_table: Calla
 
 def _export_topic(recording, topic, type_name, handle, directory, open_table, suffix, others) -> list[Path]:
     """A topic's files: one, and a further one each time the columns change. They appear when all are written."""
-    files, table, columns, whole = [], None, None, False
+    files: list[Path] = []
+    whole = False
+
+    def begin(names: list[str]):
+        if len(files) == MAX_FILES:
+            raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
+        files.append(_free_path(directory, _word(topic), suffix, [*others, *files]))
+        return open_table(_create(handle, files[-1]), names)
+
     try:
-        for names, values in _tables(recording, topic, type_name):
+        _write_all(_tables(recording, topic, type_name), begin)
+        whole = True
+    finally:
+        for path in files:
+            _settle(handle, path, whole)
+    return files
+
+
+def _write_all(tables: Iterator[Table], begin: Callable) -> None:
+    table, columns = None, None
+    try:
+        for names, values in tables:
             if names != columns:
                 if table:
                     table.close()
                     table = None
-                path = _free_path(directory, _word(topic), suffix, [*others, *files])
-                if len(files) == MAX_FILES:
-                    raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
-                files.append(path)
-                table, columns = open_table(_create(handle, path), names), names
+                table, columns = begin(names), names
             table.write(values)
-        whole = True
     finally:
         if table:
-            table.close()
-        for path in files:
-            _settle(handle, path, whole)
-    return files
+            table.close()  # raises once more where the disk is full
 
 
 def _free_path(directory: Path, stem: str, suffix: str, taken: list[Path]) -> Path:

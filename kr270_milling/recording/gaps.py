@@ -2,9 +2,24 @@
 
 from __future__ import annotations
 
-__all__ = ["GapCounter"]
+__all__ = ["SHARED", "GapCounter", "Passes"]
 
 LEARN = 20  # differences that are looked at before a period is believed
+#: types of topics that many nodes publish on: their stamps are several series in one, and none of them tells a pass
+SHARED = frozenset(["diagnostic_msgs/msg/DiagnosticArray"])
+
+
+class Passes:
+    """Counts passes in a row of stamps [ns]: one begins where the stamps go back to 0."""
+
+    def __init__(self):
+        self.number, self._last = 0, 0
+
+    def begins(self, stamp: int) -> bool:
+        again = stamp == 0 and self._last > 0
+        self.number += again
+        self._last = stamp
+        return again
 
 
 class GapCounter:
@@ -12,19 +27,21 @@ class GapCounter:
 
     period_ns: the time between two messages; None: learned, as the smallest of the first 20 differences, if these
     are all multiples of it within a quarter and most of them are the period itself. A series that is not periodic
-    has no gaps. Repeated and backward stamps are counted on their own and do not move the series.
+    has no gaps. A stamp that goes back to 0 begins a new pass, which is counted like the one before; other backward
+    stamps, and repeated ones, are counted on their own and do not move the series.
     """
 
     def __init__(self, period_ns: int | None = None):
         self.period_ns = period_ns
         self.received = self.missing = self.gaps = self.repeated = self.backwards = 0
         self.last: int | None = None
+        self.passes = Passes()
         self._differences: list[int] | None = [] if period_ns is None else None
 
     def add(self, stamp: int) -> int:
         """Take the next stamp and return how many messages are known to be missing before it."""
         self.received += 1
-        if self.last is None:
+        if self.passes.begins(stamp) or self.last is None:
             self.last = stamp
             return 0
         difference = stamp - self.last

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from kr270_milling.recording.cdr import stamp_of
-from kr270_milling.recording.gaps import GapCounter
+from kr270_milling.recording.gaps import SHARED, GapCounter, Passes
 from kr270_milling.recording.reader import Recording
 from kr270_milling.recording.schemas import starts_with_stamp
 
@@ -17,14 +17,15 @@ def info(recording: Recording, progress: Callable[[int, int], None] | None = Non
     topics = recording.topics()
     stamped = {
         name for name, about in topics.items()
-        if about.schema_encoding == "ros2msg" and starts_with_stamp(about.type, about.schema)
+        if about.schema_encoding == "ros2msg" and about.type not in SHARED
+        and starts_with_stamp(about.type, about.schema)
     }  # fmt: skip
     counters = {name: GapCounter() for name in stamped}
     sizes = dict.fromkeys(topics, 0)
-    spans: dict[str, list[int]] = {}
-    for number, message in enumerate(recording.messages()):
+    spans = {name: _Span() for name in topics}
+    for number, message in enumerate(recording.messages(as_written=True)):
         sizes[message.topic] += len(message.data)
-        spans.setdefault(message.topic, [message.log_time, 0])[1] = message.log_time
+        spans[message.topic].add(message.log_time)
         if message.topic in stamped and (stamp := stamp_of(message.data)) is not None:
             counters[message.topic].add(stamp)
         if progress and number % 10_000 == 0:
@@ -38,9 +39,7 @@ def info(recording: Recording, progress: Callable[[int, int], None] | None = Non
         start_ns=first,
         end_ns=last,
         duration_s=(last - first) / 1e9 if recording.count else 0.0,
-        topics={
-            name: _topic(about, sizes[name], spans.get(name), counters.get(name)) for name, about in topics.items()
-        },
+        topics={name: _topic(about, sizes[name], spans[name], counters.get(name)) for name, about in topics.items()},
         missing=sum(counter.missing for counter in counters.values()),
         metadata={k: v for k, v in recording.metadata().items() if k != "rosbag2"},
         attachments=[dict(name=a.name, media_type=a.media_type, size_bytes=a.size) for a in recording.attachments],
@@ -49,9 +48,32 @@ def info(recording: Recording, progress: Callable[[int, int], None] | None = Non
     )
 
 
-def _topic(about, size: int, span: list[int] | None, counter: GapCounter | None) -> dict:
-    seconds = abs(span[1] - span[0]) / 1e9 if span else 0.0
-    rate = (about.count - 1) / seconds if seconds else None
+class _Span:
+    """How long the messages of a topic take, each pass for itself."""
+
+    def __init__(self):
+        self._passes, self._before = Passes(), 0
+        self._first: int | None = None
+        self._last = 0
+
+    def add(self, log_time: int) -> None:
+        if self._passes.begins(log_time):
+            self._before, self._first = self.length, None
+        self._last = log_time if self._first is None else max(self._last, log_time)
+        self._first = log_time if self._first is None else min(self._first, log_time)
+
+    @property
+    def length(self) -> int:
+        """[ns]"""
+        return self._before + (0 if self._first is None else self._last - self._first)
+
+    def rate(self, count: int) -> float | None:
+        """[Hz], of ``count`` messages."""
+        return (count - 1 - self._passes.number) / (self.length / 1e9) if self.length else None
+
+
+def _topic(about, size: int, span: _Span, counter: GapCounter | None) -> dict:
+    rate = span.rate(about.count)
     gaps = counter.finish().as_dict() if counter else None
     return dict(type=about.type, count=about.count, size_bytes=size, rate_hz=rate, gaps=gaps)
 

@@ -8,13 +8,16 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from kr270_milling.errors import InputError
 from kr270_milling.recording.bagmeta import read_qos
 from kr270_milling.recording.decode import Topic
+from kr270_milling.recording.parts import parts
 from kr270_milling.recording.reader import RawMessage, Recording
 
 __all__ = ["PlayClock", "PlayOptions", "add_play_arguments", "is_latched", "opening", "passage", "span"]
 
 CLOCK_RATE = 40.0  # [Hz], of --clock without a number, as in ros2 bag play
+MOST = 9e9  # [s], and as a rate; some 285 years, as many nanoseconds as a log time can count
 
 
 def _number(low: float, inclusive: bool):
@@ -23,8 +26,9 @@ def _number(low: float, inclusive: bool):
             value = float(text)
         except ValueError:
             value = math.nan
-        if not (value >= low if inclusive else value > low) or math.isinf(value):
-            raise argparse.ArgumentTypeError(f"{text!r} is not a number {'from' if inclusive else 'above'} {low:g}")
+        if not (low <= value <= MOST) or (value == low and not inclusive):
+            first = f"{'from' if inclusive else 'above'} {low:g}"
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number {first} up to {MOST:g}")
         return value
 
     return parse
@@ -98,31 +102,52 @@ def is_latched(about: Topic) -> bool:
     return bool(profiles) and all(p.get("durability") in ("transient_local", 1) for p in profiles)
 
 
+def _ns(option: str, seconds: float) -> int:
+    if not 0.0 <= seconds <= MOST:
+        raise InputError(option, f"{seconds:g} s is no time in a recording, which are those from 0 to {MOST:g} s")
+    return round(seconds * 1e9)
+
+
 def span(recording: Recording, options: PlayOptions) -> tuple[int, int]:
-    """First log time and the one behind the last [ns] of what is played."""
-    first, last = recording.first_log_time or 0, recording.last_log_time or 0
-    start = first + round(options.start_offset * 1e9)
-    end = last + 1
+    """First time and the one behind the last [ns] of what is played; passes follow each other. Raises InputError."""
+    found = parts(recording)
+    start = found[0].first + _ns("--start-offset", options.start_offset)
+    end = found[-1].last + found[-1].shift + 1
     if options.playback_duration is not None:
-        end = min(end, start + round(options.playback_duration * 1e9) + 1)
+        end = min(end, start + _ns("--playback-duration", options.playback_duration) + 1)
     return start, end
+
+
+def _latched(recording: Recording, topics: set[str]) -> set[str]:
+    return {t for t, about in recording.topics().items() if t in topics and is_latched(about)}
 
 
 def opening(recording: Recording, start: int, topics: set[str]) -> list[RawMessage]:
     """The last message from before ``start`` of each latched topic: what a late joiner would have got then."""
-    latched = {t for t, about in recording.topics().items() if t in topics and is_latched(about)}
+    latched = _latched(recording, topics)
     last: dict[str, RawMessage] = {}
-    if latched:
-        for message in recording.messages(latched, end=start):
-            last[message.topic] = message
+    for part in parts(recording) if latched else ():
+        if part.first + part.shift < start:
+            for message in recording.messages(latched, end=start - part.shift, within=part.within):
+                last[message.topic] = message
     return list(last.values())
 
 
 def passage(recording: Recording, start: int, end: int, topics: set[str]) -> Iterator[RawMessage]:
-    """What is played, latched topics first where several stand at the first moment."""
-    latched = {t for t, about in recording.topics().items() if t in topics and is_latched(about)}
+    """What is played, one pass after the other; log times go on from pass to pass. Latched topics come first where
+    several stand at the first moment."""
+    latched = _latched(recording, topics)
+    for part in parts(recording):
+        begin, behind = max(start - part.shift, part.first), end - part.shift
+        for message in _of_part(recording, part.within, begin, behind, topics, latched):
+            yield message._replace(log_time=message.log_time + part.shift)
+
+
+def _of_part(recording: Recording, within, begin: int, end: int, topics: set[str], latched: set[str]):
+    if begin >= end:
+        return
     if latched:
-        yield from recording.messages(latched, start=start, end=start + 1)
-    for message in recording.messages(topics, start=start, end=end):
-        if message.log_time > start or message.topic not in latched:
+        yield from recording.messages(latched, start=begin, end=begin + 1, within=within)
+    for message in recording.messages(topics, start=begin, end=end, within=within):
+        if message.log_time > begin or message.topic not in latched:
             yield message

@@ -1,4 +1,4 @@
-"""A recording read back: whole files in the order of their log times, cut-off ones in the order of the file.
+"""A recording read back, in the order of its log times or, cut off or asked for, in the order of the file.
 
 Nothing is read at once that grows with the file: messages come one by one out of at most 64 MB of unpacked chunks.
 """
@@ -12,18 +12,20 @@ import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 from kr270_milling.recording import scan
 from kr270_milling.recording.decode import Topic, make_decoder
 from kr270_milling.recording.errors import RecordingError
+from kr270_milling.recording.find import find_file
 from kr270_milling.recording.scan import MAGIC, Attachment, Chunk, Damage
 from kr270_milling.recording.unpack import Unpacker
 
 __all__ = ["RawMessage", "Recording", "Topic", "find_file"]
 
 FOOTER_SIZE = 9 + 20 + len(MAGIC)
+Place = tuple[int, float]  # of a message in its file: offset of the chunk, offset in the unpacked chunk
+BEGIN, END = (0, 0), (2**64, 0)  # no message stands before and none behind
 
 
 class RawMessage(NamedTuple):
@@ -33,17 +35,6 @@ class RawMessage(NamedTuple):
     log_time: int
     publish_time: int
     data: bytes
-
-
-def find_file(path) -> Path:
-    """The MCAP file itself, or the one in a recording's directory."""
-    path = Path(path)
-    if not path.is_dir():
-        return path
-    files = sorted(path.glob("*.mcap"))
-    if len(files) != 1:
-        raise RecordingError(path, f"holds {len(files)} MCAP files where a recording has one")
-    return files[0]
 
 
 class Recording:
@@ -212,15 +203,21 @@ class Recording:
         raise RecordingError(self.path, f"nothing named {name!r} is attached")
 
     def messages(
-        self, topics: Collection[str] | None = None, start: int | None = None, end: int | None = None
-    ) -> Iterator[RawMessage]:
+        self, topics: Collection[str] | None = None, start: int | None = None, end: int | None = None, *,
+        as_written: bool = False, within: tuple[Place, Place] | None = None,
+    ) -> Iterator[RawMessage]:  # fmt: skip
         """All messages, or those of some topics with ``start`` <= log time < ``end`` [ns]. In log-time order; a file
-        that is cut off in its own order."""
+        that is cut off in its own order, and any file ``as_written``, so that its passes stay apart. within: the place
+        of the first message and the one behind the last."""
         low, high = start or 0, 2**64 if end is None else end
         names = {n: c.topic for n, c in self.channels.items() if topics is None or c.topic in topics}
-        chunks = [c for c in self.chunks if c.last_time >= low and c.first_time < high]
+        first, behind = within or (BEGIN, END)
+        chunks = [c for c in self.chunks if c.last_time >= low and c.first_time < high
+                  and first[0] <= c.offset <= behind[0]]  # fmt: skip
         try:
-            for log_time, _, begin, stop, channel, publish_time, _, chunk in self._entries(chunks):
+            for log_time, at, begin, stop, channel, publish_time, _, chunk in self._entries(chunks, as_written):
+                if not first <= (at, begin) < behind:
+                    continue
                 if channel in names and low <= log_time < high:
                     yield RawMessage(names[channel], log_time, publish_time, self._unpack(chunk).data[begin:stop])
                 elif channel not in self.channels:
@@ -228,8 +225,17 @@ class Recording:
         except Damage as damage:
             raise self._error(damage) from damage
 
-    def _entries(self, chunks: list[Chunk]) -> Iterator[tuple]:
-        if self.cut_off:
+    def places(self) -> Iterator[tuple[Place, str, int]]:
+        """Place, topic and log time of every message as written."""
+        try:
+            for log_time, at, begin, _, channel, _, _, _ in self._entries(self.chunks, True):
+                if channel in self.channels:
+                    yield (at, begin), self.channels[channel].topic, log_time
+        except Damage as damage:
+            raise self._error(damage) from damage
+
+    def _entries(self, chunks: list[Chunk], as_written: bool) -> Iterator[tuple]:
+        if self.cut_off or as_written:
             for chunk in chunks:
                 yield from self._chunk_entries(chunk, ordered=False)
             return

@@ -43,13 +43,15 @@ class Recovered:
 
 
 def recover(source, target=None, progress: Callable[[int, int], None] | None = None) -> Recovered:
-    """Write what is readable of ``source`` into the new directory ``target`` (default: beside it, "_recovered").
+    """Write what is readable of ``source`` into the new directory ``target`` (default: beside the source, which may be
+    a file or a recording's directory, under its name with "_recovered").
 
     The source is not touched. The target appears at once when it is complete; it must not exist before.
     """
     file = find_file(source)
-    stem = Path(source).name if Path(source).is_dir() else file.stem
-    target = Path(os.path.abspath(target or file.parent / f"{stem}_recovered"))
+    place = Path(os.path.abspath(source))
+    name = place.name if place.is_dir() else place.stem
+    target = Path(os.path.abspath(target or place.with_name(f"{name}_recovered")))
     if os.path.lexists(target):
         raise RecordingError(target, "exists already and is not overwritten")
     part = target.with_name(f".{target.name}.{os.getpid()}.part")

@@ -18,7 +18,8 @@ from kr270_milling.recording.reader import Recording
 
 __all__ = ["FIXED", "JOINTS", "JointSeries", "Series", "batches", "joint_series", "series"]
 
-BATCH = 4096
+BATCH, BATCH_BYTES = 4096, 4 * 1024 * 1024
+MOST_FRAMES = 1024 * 1024  # [characters] of the names of all frames on one topic
 JOINTS = "sensor_msgs/msg/JointState"
 #: type -> (column, unit) of the numbers behind its header
 FIXED = {
@@ -113,8 +114,10 @@ def _joint_layout(data: bytes) -> Layout:
 
 
 def batches(recording: Recording, topic: str) -> Iterator[Rows]:
-    """The messages of a topic in their order, in tables of up to 4096 rows; raises RecordingError where one is not
-    what its type says."""
+    """The messages of a topic as they were written, in tables of up to 4096 rows or 4 MB.
+
+    Raises RecordingError where one is not what its type says.
+    """
     about = recording.topics().get(topic)
     if about is None:
         raise RecordingError(recording.path, f"has no topic {topic}")
@@ -122,8 +125,10 @@ def batches(recording: Recording, topic: str) -> Iterator[Rows]:
         raise RecordingError(recording.path, f"{topic} is {about.type or 'of no type'}, which is no series of numbers")
     layout_of = _joint_layout if about.type == JOINTS else _fixed_layout(len(FIXED[about.type]))
     waiting: list = []
-    for message in recording.messages([topic]):
-        if waiting and (len(waiting) == BATCH or len(message.data) != len(waiting[0].data)):
+    for message in recording.messages([topic], as_written=True):
+        size = len(message.data)
+        full = len(waiting) == BATCH or (len(waiting) + 1) * size > BATCH_BYTES
+        if waiting and (full or size != len(waiting[0].data)):
             yield from _tables(recording, topic, waiting, layout_of)
             waiting = []
         waiting.append(message)
@@ -176,12 +181,18 @@ def series(recording: Recording, topic: str) -> Series:
     about = recording.topics().get(topic)
     if about is None or about.type not in FIXED:
         raise RecordingError(recording.path, f"{topic} is no topic with poses, wrenches or twists in it")
-    tables = list(batches(recording, topic))
-    frames = tuple(dict.fromkeys(frame for rows in tables for frame in rows.frame_ids))
-    columns = len(FIXED[about.type])
-    values = _joined([rows.values for rows in tables], (0, columns))
-    times = [_joined([getattr(rows, key) for rows in tables], (0,), np.int64) for key in ("log_time", "stamp")]
-    return Series(topic, about.type, *times, frames, values)
+    frames: dict[str, None] = {}
+    tables, length = [], 0
+    for rows in batches(recording, topic):
+        new = dict.fromkeys(frame for frame in rows.frame_ids if frame not in frames)
+        frames.update(new)
+        length += sum(map(len, new))
+        if length > MOST_FRAMES:
+            raise RecordingError(recording.path, f"{topic} names frames of more than {MOST_FRAMES} characters in all")
+        tables.append((rows.log_time, rows.stamp, rows.values))
+    log_time, stamp, values = zip(*tables, strict=True) if tables else ((), (), ())
+    times = [_joined(list(column), (0,), np.int64) for column in (log_time, stamp)]
+    return Series(topic, about.type, *times, tuple(frames), _joined(list(values), (0, len(FIXED[about.type]))))
 
 
 def joint_series(recording: Recording, topic: str) -> JointSeries:

@@ -32,10 +32,10 @@ class TrajectoryRecord:
 
 
 def trajectories(recording: Recording, topic: str) -> Iterator[TrajectoryRecord]:
-    """Every trajectory on a topic."""
+    """Every trajectory on a topic, as they were written."""
     if getattr(recording.topics().get(topic), "type", "") != TRAJECTORY:
         raise RecordingError(recording.path, f"{topic} is no topic with trajectories in it")
-    for message in recording.messages([topic]):
+    for message in recording.messages([topic], as_written=True):
         yield _read(recording, topic, message.data)
 
 
@@ -54,6 +54,8 @@ def read_trajectory(data: bytes) -> TrajectoryRecord:
     count = cursor.number("I")
     if 20 * count > len(data):  # a point without any content has 20 bytes
         raise ValueError("the message ends too early")
+    if 8 * count * len(names) > len(data):  # points may leave lists out, but the room for them is made for all
+        raise ValueError(f"its {count} points leave out most of the {len(names)} bodies")
     times = np.empty(count, np.int64)
     tables = [np.full((count, len(names), width), np.nan) for width in WIDTHS]
     done, window = 0, 16

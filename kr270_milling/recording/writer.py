@@ -15,7 +15,7 @@ from kr270_milling import __version__
 from kr270_milling.recording import bagmeta, schemas
 from kr270_milling.recording.cdr import stamp_of
 from kr270_milling.recording.errors import RecordingError
-from kr270_milling.recording.gaps import GapCounter
+from kr270_milling.recording.gaps import SHARED, GapCounter
 from kr270_milling.recording.sink import Sink, open_directory, plain_name, write_new
 
 __all__ = ["BagWriter", "Channel"]
@@ -165,9 +165,18 @@ class BagWriter:
         self.start = log_time if self.start is None else min(self.start, log_time)
         self.end = max(self.end, log_time)
         if stamp is not None:
+            self._take_stamp(channel, stamp)
+
+    def _take_stamp(self, channel: Channel, stamp: int) -> None:
+        """Count gaps, and follow the time of the pass, which goes back to 0 when the next one begins."""
+        shared = channel.type in SHARED
+        if not shared:
+            before = channel.gaps.passes.number
             channel.gaps.add(stamp)
-            if self._latest is None or stamp > self._latest:
+            if channel.gaps.passes.number > before:
                 self._latest = stamp
+        if self._latest is None or (stamp > self._latest and not shared):
+            self._latest = stamp
 
     def tick(self, now: float) -> None:
         """Close the chunk when it is ``chunk_period`` old; now [s]: any clock that does not go back."""

@@ -11,19 +11,20 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
+from kr270_milling import config_file
 from kr270_milling.cell import Cell, read_cell
-from kr270_milling.errors import ConfigError
+from kr270_milling.errors import ConfigError, one_line
 from kr270_milling.recording.cdr import Cursor
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.reader import RawMessage, Recording
 from kr270_milling.recording.trajectory import read_trajectory
-from kr270_milling.recording.unpack import Unpacker
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Sample", "cell_of", "in_file_order", "sample", "trajectory_of"]
 
 CELL = "cell.yaml"
 TOOL = "tool0"
+LONGEST_NAME = 200  # [bytes], of an attached file
 MOST_ATTACHED = 64 * 1024 * 1024  # [bytes] of attachments that are unpacked to read the cell
 
 
@@ -87,7 +88,7 @@ def cell_of(recording: Recording) -> Cell:
     with tempfile.TemporaryDirectory() as directory:
         for name in names:
             Path(directory, name).write_bytes(recording.attachment(name))
-        _localise(recording, Path(directory, main), names)
+        _localise(recording, Path(directory, main), names, set())
         try:
             cell = read_cell(Path(directory, main))
             cell.timed_path  # noqa: B018 - reads the tool path while its file is there
@@ -98,42 +99,49 @@ def cell_of(recording: Recording) -> Cell:
 
 
 def _is_plain(name: str) -> bool:
-    return bool(name) and name == Path(name).name and name not in (".", "..") and "\0" not in name
+    alone = bool(name) and name == Path(name).name and name not in (".", "..") and "\0" not in name
+    return alone and len(name.encode()) <= LONGEST_NAME
 
 
-def _localise(recording: Recording, file: Path, names: list[str]) -> None:
-    """Let a parameter file name the attached files, wherever they lay; it must not make us read any other file of
-    this machine but a shipped one."""
-    try:
-        tree = yaml.safe_load(file.read_bytes())
-        parameters = tree["/**"]["ros__parameters"]
-        path = parameters.get("path") or {}
-        named = [*(parameters.get("includes") or []), path.get("file") or "none"]
-    except (yaml.YAMLError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        return  # read_cell says what is wrong with it
+def _localise(recording: Recording, file: Path, names: list[str], seen: set[str]) -> None:
+    """Let a parameter file, and those that it includes, name the attached files, wherever they lay; none of them may
+    make us read any other file of this machine but a shipped one."""
+    seen.add(file.name)
+    parameters, tree = _parameters(file)
+    includes, path = parameters.get("includes"), parameters.get("path")
+    includes, path = includes if isinstance(includes, list) else [], path if isinstance(path, dict) else {}
+    named = [*includes, *([path["file"]] if path.get("file") else [])]
     far = [n for n in named if not isinstance(n, str) or not _is_plain(n)]
     foreign = [n for n in far if not isinstance(n, str) or Path(n).name not in names]
     if foreign:
-        raise RecordingError(recording.path, f"its {file.name} names {foreign[0]!r}, which is not attached")
+        reason = f"its {file.name} names {repr(foreign[0])[:100]}, which is not attached"
+        raise RecordingError(recording.path, one_line(reason))
     if far:
-        if parameters.get("includes"):
-            parameters["includes"] = [Path(n).name for n in parameters["includes"]]
+        includes[:] = [Path(n).name for n in includes]
         if path.get("file"):
             path["file"] = Path(path["file"]).name
         file.write_text(yaml.safe_dump(tree), encoding="utf-8")
+    for name in includes:
+        if Path(name).name in names and Path(name).name not in seen:
+            _localise(recording, file.with_name(Path(name).name), names, seen)
+
+
+def _parameters(file: Path) -> tuple[dict, dict]:
+    """The parameters and the whole tree of an attached file; nothing of what cannot be used: read_cell tells why."""
+    try:
+        tree = config_file.read_yaml(file)
+        parameters = tree["/**"]["ros__parameters"]
+    except (ConfigError, LookupError, TypeError):
+        return {}, {}
+    return (parameters, tree) if isinstance(parameters, dict) else ({}, {})
 
 
 def in_file_order(recording: Recording, progress=None) -> Iterator[RawMessage]:
-    """All messages as they were written: several passes, whose stamps begin at 0 each, stay apart."""
-    done = 0
-    with open(recording.path, "rb") as stream:
-        unpack = Unpacker(stream)
-        for chunk in recording.chunks:
-            found = unpack(chunk)
-            for log_time, begin, end, channel, publish_time, _ in found.index:
-                done += 1
-                if channel in recording.channels:
-                    topic = recording.channels[channel].topic
-                    yield RawMessage(topic, log_time, publish_time, found.data[begin:end])
-            if progress:
-                progress(done, recording.count)
+    """All messages as they were written: several passes, whose stamps begin at 0 each, stay apart.
+
+    Raises RecordingError where the file is damaged.
+    """
+    for done, message in enumerate(recording.messages(as_written=True), 1):
+        yield message
+        if progress and (done % 1000 == 0 or done == recording.count):
+            progress(done, recording.count)

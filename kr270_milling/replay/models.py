@@ -9,16 +9,17 @@ import numpy as np
 from kr270_milling.cell import MOST_STEPS, Cell
 from kr270_milling.frames import rotation_from_quaternion
 from kr270_milling.recording import encode
-from kr270_milling.recording.compare import Channel, Passes
+from kr270_milling.recording.compare import Channel
+from kr270_milling.recording.gaps import Passes
 from kr270_milling.replay.inputs import TOOL, Sample, trajectory_of
 from kr270_milling.simulation.sides import CuttingSide, RobotSide
 
-__all__ = ["CutModel", "JOINT_NAMES", "RobotModel", "WORKPIECE"]
+__all__ = ["CutModel", "JOINT_NAMES", "MOST_AHEAD", "RobotModel", "WORKPIECE"]
 
 JOINT_NAMES = [f"joint_a{i}" for i in range(1, 7)]
 WORKPIECE = "workpiece"
 MAP_STEP = 0.2e-3  # [m], of the workpiece map
-MOST_AHEAD = 10  # exchange periods that a map may stand before its pose
+MOST_AHEAD = 10  # exchange periods that a message may stand before its cause in the file
 
 Stop = Callable[[int, str], None]  # (stamp [ns], reason)
 
@@ -31,6 +32,11 @@ class RobotModel:
         self.reference: bytes | None = None  #: the latest recorded reference trajectory
         self._passes, self._side, self._stopped = Passes(), None, False
         self._held: list[Sample] = []
+
+    @property
+    def done(self) -> bool:
+        """Whether the latest pass ran to its end."""
+        return self._side is not None and self._side.done
 
     def wrench(self, heard: Sample) -> None:
         """The next wrench. Where the exchange is iterated, those of one stamp wait until they are all there: the

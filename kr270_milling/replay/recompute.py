@@ -20,6 +20,7 @@ from kr270_milling.recording.compare import Channel, Difference
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.reader import Recording
 from kr270_milling.replay.compensator import CompensatorModel, Report, read_report
+from kr270_milling.replay.complete import Stop, incomplete
 from kr270_milling.replay.inputs import cell_of, in_file_order, sample
 from kr270_milling.replay.models import CutModel, RobotModel
 from kr270_milling.robot.urdf import urdf
@@ -43,20 +44,9 @@ DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 
 @dataclass(frozen=True)
-class Stop:
-    """Where a model could not go on."""
-
-    robot: str  #: namespace
-    stamp_ns: int
-    reason: str
-
-    def __str__(self) -> str:
-        return f"{self.robot or '/'}: cannot go on at {self.stamp_ns * 1e-9:.6f} s: {self.reason}"
-
-
-@dataclass(frozen=True)
 class Recomputed:
-    """The verdict: "identical", "different", or "incomplete" where a model could not go on."""
+    """The verdict: "identical", "different", or "incomplete" where a model could not go on, or where not all was
+    compared that should have been."""
 
     file: str
     cut_off: bool
@@ -247,15 +237,7 @@ def recompute(path, progress=None) -> Recomputed:
         firsts = [c.first for c in channels.values() if c.first]
         stops = [stop for robot in robots.robots.values() for stop in robot.stops]
         for robot in robots.robots.values():
-            stops += _unmoved(robot)
+            stops += incomplete(robot, recording.cut_off)
         version = recording.metadata().get("kr270_milling", {}).get("kr270_milling_version", "")
         first = min(firsts, key=lambda d: d.order, default=None)
         return Recomputed(str(recording.path), recording.cut_off, channels, first, tuple(stops), version)
-
-
-def _unmoved(robot: Robot) -> list[Stop]:
-    """Outputs in the recording whose inputs are not there at all."""
-    if robot.stops:
-        return []
-    names = [name for name, c in robot.channels.items() if c.waiting and not c.compared]
-    return [Stop(robot.namespace, 0, f"the inputs of {', '.join(names)} are not in the recording")] if names else []

@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 
-from kr270_milling.cell import Cell
+from kr270_milling.cell import MOST_STEPS, Cell
 from kr270_milling.passes import ScoredPass, scored
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.reader import Recording
@@ -43,6 +43,7 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
         found = [topic for topic in recording.topics() if topic.rpartition("/")[2] == name]
     if len(found) != 1:
         several = f"is there several times ({', '.join(found)}): name a namespace" if found else "is not recorded"
+        several += f" in the namespace {namespace}" if namespace is not None else ""
         raise RecordingError(recording.path, f"the topic {name} {several}")
     return found[0]
 
@@ -71,12 +72,14 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
         cell, reference = cell_of(recording), references(recording, namespace)[0]
         heard = {kind: _by_stamp(recording, topic_of(recording, kind, namespace)) for kind in SERIES}
         wall = _wall_time(recording)
-    common = set.intersection(*map(set, heard.values()))
-    stamps = np.array(sorted(stamp for stamp in common if cell.clock.step(stamp) >= 0), np.int64)
+    last = cell.clock.steps(reference.duration_ns)
+    if last > MOST_STEPS:
+        raise RecordingError(recording.path, f"its reference trajectory takes {reference.duration_ns * 1e-9:g} s")
+    heard = {kind: {s: v for s, v in at.items() if 0 <= cell.clock.step(s) <= last} for kind, at in heard.items()}
+    stamps = np.array(sorted(set.intersection(*map(set, heard.values()))), np.int64)
     if stamps.size < 2:
         raise RecordingError(recording.path, "holds no pass: poses, wrenches and deflections of at least one period")
     rows = {kind: np.array([values[stamp] for stamp in stamps.tolist()]) for kind, values in heard.items()}
-    last = cell.clock.steps(reference.duration_ns)
     complete = int(stamps[-1]) >= int(cell.clock.stamp(last))
     end = last if complete else max(cell.clock.step(int(stamps[-1])), 0)
     lost, lost_to_end = (sum(max(0, n + 1 - len(values)) for values in heard.values()) for n in (end, last))
