@@ -59,6 +59,19 @@ def test_latched_message_of_an_earlier_publisher_is_recorded(world, recorder):
     world.until(lambda: recorder.writer.report().get("/robot_description", {}).get("count") == 1)
 
 
+def test_description_that_comes_before_every_stamp_does_not_make_the_recording_last_for_decades(world, tmp_path):
+    recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}", "-p", "topics:=robot_description,tool_pose")
+    partner = world.partner()
+    description, pose = (partner.create_publisher(*t) for t in (topics.ROBOT_DESCRIPTION, topics.TOOL_POSE))
+    description.publish(String(data="<robot/>"))
+    world.until(lambda: pose.get_subscription_count() and recorder.writer.report()["/robot_description"]["count"])
+    pose.publish(messages.pose_to_msg(500_000, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
+    world.until(lambda: recorder.writer.report()["/tool_pose"]["count"])
+    assert recorder.close() is None
+    with Recording(tmp_path / "rec") as recording:
+        assert [m.log_time for m in recording.messages()] == [0, 500_000]
+
+
 def test_topic_that_appears_late_is_found(world, recorder):
     world.step(0.3)
     publisher = world.partner().create_publisher(String, "late", 10)
