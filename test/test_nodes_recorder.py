@@ -187,6 +187,24 @@ def test_full_disk_is_told_and_what_was_written_stays_readable(world, ros_enviro
         assert recording.topics()["/noise"].count > 0
 
 
+def test_topic_with_an_impossible_name_is_refused_before_anything_is_written(ros_environment, tmp_path):
+    with start(ros_environment, tmp_path / "rec", "-p", "topics:=wrench,bad name!") as process:
+        assert process.wait(20) == 2
+        told = process.stderr.read()
+    assert told.count("\n") == 1 and "topics: 'bad name!' must be" in told
+    assert not (tmp_path / "rec").exists()
+
+
+def test_missing_messages_are_told_of_all_that_there_should_be(world, tmp_path, capfd):
+    recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}")
+    publisher = world.partner().create_publisher(*topics.WRENCH)
+    world.until(lambda: publisher.get_subscription_count())
+    publish_wrenches(world, publisher, [i for i in range(30) if not 10 <= i < 15])
+    world.until(lambda: recorder.writer.report()["/wrench"]["count"] == 25)
+    recorder.close()
+    assert "/wrench: 5 of 30 messages are missing" in capfd.readouterr().err
+
+
 def test_directory_with_a_recording_is_not_overwritten(ros_environment, tmp_path):
     (tmp_path / "rec").mkdir()
     (tmp_path / "rec" / "metadata.yaml").write_text("old")
