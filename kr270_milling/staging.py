@@ -16,7 +16,7 @@ __all__ = ["staged"]
 
 @contextlib.contextmanager
 def staged(directory) -> Iterator[tuple[Path, Callable[[object], Path]]]:
-    """A fresh directory beside ``directory`` to write into; when the block ends well, its files move there.
+    """A fresh directory to write into; when the block ends well, its files move to ``directory``.
 
     Yields it and the function that tells where one of its files will be. After an error nothing is left behind, and
     ``directory`` is as it was. Files of the same names are replaced; a link on the way is refused, so that nothing is
@@ -27,7 +27,9 @@ def staged(directory) -> Iterator[tuple[Path, Callable[[object], Path]]]:
         final.parent.mkdir(parents=True, exist_ok=True)
         if final.exists() and not final.is_dir():
             raise InputError(final, "is a file, but must be a directory to write into")
-        draft = Path(tempfile.mkdtemp(prefix=f".{final.name}.", suffix=".part", dir=final.parent))
+        # inside of one that exists: it may be a mount point, to which nothing moves from outside
+        place = final if final.is_dir() else final.parent
+        draft = Path(tempfile.mkdtemp(prefix=f".{final.name}.", suffix=".part", dir=place))
     except OSError as error:
         raise InputError(final, f"cannot be written into ({error.strerror})") from None
     draft.chmod(0o777 & ~_umask())

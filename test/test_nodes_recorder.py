@@ -59,6 +59,19 @@ def test_latched_message_of_an_earlier_publisher_is_recorded(world, recorder):
     world.until(lambda: recorder.writer.report().get("/robot_description", {}).get("count") == 1)
 
 
+def test_description_that_comes_before_every_stamp_does_not_make_the_recording_last_for_decades(world, tmp_path):
+    recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}", "-p", "topics:=robot_description,tool_pose")
+    partner = world.partner()
+    description, pose = (partner.create_publisher(*t) for t in (topics.ROBOT_DESCRIPTION, topics.TOOL_POSE))
+    description.publish(String(data="<robot/>"))
+    world.until(lambda: pose.get_subscription_count() and recorder.writer.report()["/robot_description"]["count"])
+    pose.publish(messages.pose_to_msg(500_000, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
+    world.until(lambda: recorder.writer.report()["/tool_pose"]["count"])
+    assert recorder.close() is None
+    with Recording(tmp_path / "rec") as recording:
+        assert [m.log_time for m in recording.messages()] == [0, 500_000]
+
+
 def test_topic_that_appears_late_is_found(world, recorder):
     world.step(0.3)
     publisher = world.partner().create_publisher(String, "late", 10)
@@ -172,6 +185,24 @@ def test_full_disk_is_told_and_what_was_written_stays_readable(world, ros_enviro
         assert "are safe" in process.stderr.read()
     with Recording(tmp_path / "rec") as recording:
         assert recording.topics()["/noise"].count > 0
+
+
+def test_topic_with_an_impossible_name_is_refused_before_anything_is_written(ros_environment, tmp_path):
+    with start(ros_environment, tmp_path / "rec", "-p", "topics:=wrench,bad name!") as process:
+        assert process.wait(20) == 2
+        told = process.stderr.read()
+    assert told.count("\n") == 1 and "topics: 'bad name!' must be" in told
+    assert not (tmp_path / "rec").exists()
+
+
+def test_missing_messages_are_told_of_all_that_there_should_be(world, tmp_path, capfd):
+    recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}")
+    publisher = world.partner().create_publisher(*topics.WRENCH)
+    world.until(lambda: publisher.get_subscription_count())
+    publish_wrenches(world, publisher, [i for i in range(30) if not 10 <= i < 15])
+    world.until(lambda: recorder.writer.report()["/wrench"]["count"] == 25)
+    recorder.close()
+    assert "/wrench: 5 of 30 messages are missing" in capfd.readouterr().err
 
 
 def test_directory_with_a_recording_is_not_overwritten(ros_environment, tmp_path):

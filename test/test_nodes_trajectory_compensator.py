@@ -10,6 +10,7 @@ from std_srvs.srv import Trigger
 
 from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator
 from kr270_milling.passes import compensator, record_of, simulate
+from kr270_milling.robot.errors import ReachError
 from kr270_milling.ros import messages, topics
 
 OK, WARN, ERROR = 0, 1, 2
@@ -141,14 +142,79 @@ def test_target_out_of_reach_is_refused_in_a_sentence(machine, short_cell):
     assert len(machine.references) == 1
 
 
-def test_reset_goes_back_to_the_target(machine, ran, short_cell):
-    machine.play(ran, range(ran.time_ns.size))
-    machine.reference(1)
+def raised(short_cell):
+    """A target that no arm of this size can reach."""
+    target = short_cell.target()
+    return messages.trajectory_to_msg(target.with_position(target.position + [0.0, 0.0, 9.0]))
+
+
+def reset(machine):
     client = machine.node.create_client(Trigger, "reset")
     machine.world.until(client.service_is_ready)
     future = client.call_async(Trigger.Request())
     machine.world.until(future.done)
-    assert future.result().success
+    return future.result()
+
+
+def test_refused_target_leaves_the_one_before_in_its_place(machine, node, ran, short_cell):
+    machine.node.create_publisher(*topics.TARGET_TRAJECTORY).publish(raised(short_cell))
+    machine.told.until(NAME, "reach", ERROR)
+    machine.play(ran, range(ran.time_ns.size), wrench=False)
+    expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
+    assert np.array_equal(machine.reference(1).position, expected.position)
+    assert reset(machine).success
+    assert node.failure is None
+
+
+def test_first_target_that_is_refused_leaves_the_node_waiting_for_another(world, short_cell, tmp_path):
+    node = world.add(TrajectoryCompensator, "-p", "use_cell_path:=false", cell=short_cell, directory=tmp_path)
+    partner = world.partner()
+    told, references = world.diagnostics(partner), world.listen(partner, topics.REFERENCE_TRAJECTORY)
+    publisher = partner.create_publisher(*topics.TARGET_TRAJECTORY)
+    publisher.publish(raised(short_cell))
+    told.until(NAME, "reach", ERROR)
+    world.step(0.3)
+    assert node.failure is None and not references
+    publisher.publish(messages.trajectory_to_msg(short_cell.target()))
+    world.until(lambda: references)
+
+
+def out_of_reach(monkeypatch) -> None:
+    """As when a correction leads to the border of the reach."""
+
+    def refuse(cell, reference):
+        raise ReachError(3.0, (0.5, 2.5))
+
+    monkeypatch.setattr("kr270_milling.nodes.trajectory_compensator.commanded_joints", refuse)
+
+
+def test_reset_and_method_that_are_refused_are_answered_with_the_sentence(machine, node, monkeypatch):
+    out_of_reach(monkeypatch)
+    answer = reset(machine)
+    assert not answer.success and "would be 3.0000 m" in answer.message
+    refused = node.set_parameters([Parameter("compensation.method", value="spline")])[0]
+    assert not refused.successful and "would be 3.0000 m" in refused.reason
+    assert node.compensator.method == "linear" == node.get_parameter("compensation.method").value
+    monkeypatch.undo()
+    assert reset(machine).success
+
+
+def test_pass_whose_revision_is_refused_is_told_once_and_the_next_one_counts(machine, node, ran, short_cell):
+    with pytest.MonkeyPatch.context() as patch:
+        out_of_reach(patch)
+        machine.play(ran, range(ran.time_ns.size))
+        machine.told.until(NAME, "would be 3.0000 m", ERROR)
+        machine.world.step(0.7)
+    assert node.refused == 1 and node.compensator.errors == []
+    machine.play(ran, range(ran.time_ns.size))
+    expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
+    assert np.array_equal(machine.reference(1).position, expected.position)
+
+
+def test_reset_goes_back_to_the_target(machine, ran, short_cell):
+    machine.play(ran, range(ran.time_ns.size))
+    machine.reference(1)
+    assert reset(machine).success
     assert np.array_equal(machine.reference(2).position, short_cell.target().position)
 
 

@@ -118,6 +118,18 @@ def test_run_gives_the_plain_loop_bit_for_bit_and_tells_so(runner, tmp_path, sho
     assert not nodes_of(tmp_path)
 
 
+def test_namespace_that_cannot_be_is_refused_before_anything_is_written(runner, tmp_path):
+    code, _, told = finished(runner(tmp_path / "o", "--namespace", "a b"))
+    assert code == 2 and told.count("\n") == 1 and "--namespace: 'a b' must be a ROS namespace" in told
+    assert not (tmp_path / "o").exists()
+
+
+def test_method_given_twice_is_run_once(runner, tmp_path):
+    code, out, told = finished(runner(tmp_path / "o", "--method", "linear", "--method", "linear", "--json"))
+    assert code == 0, told
+    assert [row["name"] for row in json.loads(out)["passes"]] == ["original", "linear"]
+
+
 def test_learned_row_is_the_best_of_its_passes(runner, tmp_path):
     process = runner(tmp_path / "o", "--method", "learned", "--passes", "3", "--json")
     code, out, told = finished(process)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+from pathlib import Path
 
 import pytest
 
@@ -37,6 +38,39 @@ def test_after_an_error_everything_is_as_it_was(tmp_path, error):
         (draft / "half.txt").write_text("half")
         raise error("x", "y")
     assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_after_an_error_a_directory_that_was_there_is_as_it_was(tmp_path, error):
+    (tmp_path / "old.txt").write_text("stays")
+    with pytest.raises(error), staged(tmp_path) as (draft, _):
+        (draft / "half.txt").write_text("half")
+        (draft / "old.txt").write_text("new")
+        raise error
+    assert names(tmp_path) == ["old.txt"] and (tmp_path / "old.txt").read_text() == "stays"
+
+
+@pytest.mark.skipif(not os.path.ismount("/dev/shm"), reason="no mount point that everybody may write into")
+def test_mount_point_can_be_written_into():
+    """A mounted stick, or the directory of a container: nothing can be renamed into it from outside."""
+    place = Path("/dev/shm", f"kr270_milling_staging_{os.getpid()}.txt")
+    try:
+        with staged("/dev/shm") as (draft, final):
+            (draft / place.name).write_text("whole")
+            assert final(draft / place.name) == place and not place.exists()
+        assert place.read_text() == "whole" and not draft.exists()
+    finally:
+        place.unlink(missing_ok=True)
+
+
+def test_directory_in_a_place_that_is_not_ours_is_enough(tmp_path):
+    """No draft beside it, where its owner may not be allowed to make one."""
+    out = tmp_path / "out"
+    out.mkdir()
+    with staged(out) as (draft, _):
+        (draft / "a.txt").touch()
+        assert os.listdir(tmp_path) == ["out"]
+    assert os.listdir(out) == ["a.txt"]
 
 
 def test_permissions_are_those_of_ordinary_files(tmp_path):

@@ -35,7 +35,8 @@ def run(args) -> None:
 
     require_ros()
     cell = read_cell(find_file(args.cell), args.set)
-    found = run_cell(cell, args.method or [cell.compensation.method], args.out, args.passes, args.namespace, args.json)
+    methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
+    found = run_cell(cell, methods, args.out, args.passes, args.namespace, args.json)
     if args.json:
         print_json(summary(found))
         return
@@ -45,8 +46,10 @@ def run(args) -> None:
 def run_cell(cell, methods, out, passes=None, namespace: str = "", quiet: bool = False) -> dict:
     """Run a cell's passes; returns graph_up_s, out (the directory used) and passes, a list of RanPass."""
     from kr270_milling.ros.graph import Graph
+    from kr270_milling.ros.names import full_namespace
     from kr270_milling.ros.plan import fresh_directory, run_plan
 
+    namespace = full_namespace(namespace, "--namespace") if namespace else ""
     _compile(cell)
     directory = fresh_directory(out)
     tell = (lambda name: None) if quiet or not sys.stderr.isatty() else _tell

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import sys
 import time
 
 from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
+from kr270_milling.errors import InputError, one_line
 from kr270_milling.recording.bagmeta import read_qos
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.playback import (
@@ -26,7 +27,8 @@ from kr270_milling.recording.playback import (
 )
 from kr270_milling.recording.reader import Recording
 from kr270_milling.ros.messages import stamp_from_ns
-from kr270_milling.ros.node import OK, WARN, ReportingNode, guarded
+from kr270_milling.ros.names import NameRefused, message_class, plain_topic
+from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded
 from kr270_milling.ros.spin import run_node
 
 __all__ = ["Player", "main", "play", "qos_of"]
@@ -36,6 +38,8 @@ AT_ONCE = 500  # messages in one look, so that signals and services are heard in
 DEPTH = 1000  # messages that may wait for a slow reader
 #: topics of the whole graph, which stay where they are when the player runs in a namespace
 GLOBAL = ("/clock", "/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
+#: the largest values of options that are numbers; beyond them a time is no longer one in whole nanoseconds
+LARGEST = {"rate": 1e6, "clock": 1e6, "start_offset": 1e9, "playback_duration": 1e9, "delay": 1e9}
 FOREVER = 9_000_000_000  # [s]; what rosbag2 writes for "no limit" is above
 
 
@@ -43,6 +47,10 @@ class Player(ReportingNode):
     """Publishes the messages of a recording at the pace of their log times; ends behind the last one."""
 
     def __init__(self, options: PlayOptions, progress=None, **kwargs):
+        for name, most in LARGEST.items():
+            if not (getattr(options, name) or 0.0) <= most:
+                option = "--" + name.replace("_", "-")
+                raise InputError(option, f"is {getattr(options, name):g}, but must be at most {most:g}")
         self.recording = Recording(options.file)
         try:
             super().__init__("player", **kwargs)
@@ -78,17 +86,15 @@ class Player(ReportingNode):
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if options.clock else None
 
     def _outlet(self, topic: str, about):
-        """The publisher of a topic; None, with a warning, where its type is not installed."""
+        """The publisher of a topic; None, with a warning, where there can be none of this name and type."""
         try:
             if about.encoding != "cdr":
-                raise ImportError(f"its encoding is {about.encoding}")
-            package, _, name = about.type.split("/")
-            kind = getattr(importlib.import_module(f"{package}.msg"), name)
-        except (ImportError, AttributeError, ValueError) as error:
-            self.get_logger().warning(f"{topic} is not played: {error}")
+                raise NameRefused(f"its encoding is {about.encoding}")
+            kind, name = message_class(about.type), plain_topic(topic)
+            return self.create_publisher(kind, name if name in GLOBAL else name.lstrip("/"), qos_of(about))
+        except (NameRefused, NameValidationException, ImportError) as error:
+            self.get_logger().warning(one_line(f"{topic} is not played: {error}"))
             return None
-        name = topic if topic in GLOBAL else topic.lstrip("/")
-        return self.create_publisher(kind, name, qos_of(about))
 
     def _start(self) -> None:
         start, end = self._span
@@ -102,8 +108,14 @@ class Player(ReportingNode):
 
     @guarded
     def _tick(self) -> None:
-        now = time.monotonic()
-        if self.done or self._pace.paused or now < self._begin_at:
+        try:
+            self._play_on(time.monotonic())
+        except RecordingError as error:  # nothing can be read behind a damage, in a loop neither
+            self.failure = str(error)
+            self.report(ERROR, self.failure)
+
+    def _play_on(self, now: float) -> None:
+        if self.done or self.failure is not None or self._pace.paused or now < self._begin_at:
             return
         position = self._pace.position(now)
         for message in self._opening:
@@ -132,7 +144,7 @@ class Player(ReportingNode):
     def _tell_time(self, position: int) -> None:
         if self._clock_publisher is not None and position >= self._clock_due:
             self._clock_publisher.publish(Clock(clock=stamp_from_ns(position)))
-            period = int(1e9 * self.options.rate / self.options.clock)
+            period = max(1, int(1e9 * self.options.rate / self.options.clock))
             self._clock_due += period * ((position - self._clock_due) // period + 1)
 
     def _end(self) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import fnmatch
 import functools
-import importlib
 import shlex
 import sys
 import time
@@ -21,6 +20,7 @@ from kr270_milling.errors import InputError
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.writer import BagWriter
 from kr270_milling.ros.drain import DEPTH, DRAIN_PERIOD, aside, drain
+from kr270_milling.ros.names import NameRefused, message_class, resolved_topic
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence
 from kr270_milling.ros.spin import run_node
 
@@ -35,13 +35,17 @@ class Recorder(ReportingNode):
 
     def __init__(self, **kwargs):
         super().__init__("recorder", **kwargs)
-        self._topics = self._texts("topics", "names, relative or absolute, with * and ?; empty: every topic")
+        self._where = "parameters of " + self.get_fully_qualified_name()
+        topics = self._texts("topics", "names, relative or absolute, with * and ?; empty: every topic")
+        self._topics = [
+            t if "*" in t or "?" in t else resolved_topic(self, t, f"{self._where}: topics") for t in topics
+        ]
         directory = self._text("directory", "the recording's directory, which must not hold one yet")
         attachments = self._texts("attach", "files to keep inside the recording")
         seed = self._text("seed", "seed of the run, kept inside the recording")
         command = self._text("command", "command line to keep inside the recording; empty: that of the node")
         if not directory:
-            raise InputError("parameters of " + self.get_fully_qualified_name(), "directory is missing")
+            raise InputError(self._where, "directory is missing")
         about = {"command": command or shlex.join(sys.argv), "seed": seed}
         self.writer = BagWriter(directory, attachments=self._read(attachments), metadata=about)
         self._subscriptions_of: dict[str, object] = {}
@@ -69,12 +73,10 @@ class Recorder(ReportingNode):
         try:
             return {Path(name).name: Path(name).read_bytes() for name in names}
         except OSError as error:
-            where = "parameters of " + self.get_fully_qualified_name()
-            raise InputError(where, f"attach: {error.filename} cannot be read ({error.strerror})") from None
+            raise InputError(self._where, f"attach: {error.filename} cannot be read ({error.strerror})") from None
 
     def _is_wanted(self, topic: str) -> bool:
-        wanted = (t if "*" in t or "?" in t else self.resolve_topic_name(t) for t in self._topics)
-        return any(fnmatch.fnmatchcase(topic, t) for t in wanted) if self._topics else topic not in UNASKED
+        return any(fnmatch.fnmatchcase(topic, t) for t in self._topics) if self._topics else topic not in UNASKED
 
     def _look_around(self) -> None:
         """Subscribe to topics that are new, close an old chunk, tell whose publisher is gone."""
@@ -115,11 +117,10 @@ class Recorder(ReportingNode):
         try:
             if len(types) != 1:
                 raise RecordingError(self.writer.path, f"{topic} has several types: {', '.join(types)}")
-            package, _, name = types[0].split("/")
-            kind = getattr(importlib.import_module(f"{package}.msg"), name)
-            periodic = None if package != "diagnostic_msgs" else 0  # several nodes, each with its own stamps
+            kind = message_class(types[0])
+            periodic = 0 if types[0].startswith("diagnostic_msgs/") else None  # several nodes, each with its own stamps
             self.writer.add_topic(topic, types[0], [p.qos_profile for p in publishers], periodic)
-        except (ImportError, AttributeError, RecordingError) as error:
+        except (ImportError, NameRefused, RecordingError) as error:
             self._subscriptions_of[topic] = None
             self.report(WARN, f"{topic} is not recorded: {error}")
             return
@@ -165,7 +166,8 @@ class Recorder(ReportingNode):
             return str(error)
         for topic, entry in self.writer.report().items():
             if entry.get("missing"):
-                self.get_logger().warning(f"{topic}: {entry['missing']} of {entry['count']} messages are missing")
+                came, missing = entry["count"], entry["missing"]
+                self.get_logger().warning(f"{topic}: {missing} of {came + missing} messages are missing")
         self.get_logger().info(f"{self.writer.count} messages in {self.writer.path}")
         return None
 

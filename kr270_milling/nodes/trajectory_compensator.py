@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import time
 
 import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from std_srvs.srv import Trigger
 
-from kr270_milling.compensation.compensator import PassListener
+from kr270_milling.compensation.compensator import Compensator, PassListener
 from kr270_milling.compensation.parameters import METHODS
 from kr270_milling.frames import rotation_from_quaternion
 from kr270_milling.passes import commanded_joints, compensator, pass_record
@@ -47,6 +48,7 @@ class TrajectoryCompensator(ReportingNode):
         self._wrench = aside(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
         self.create_service(Trigger, "reset", self._on_reset)
         self.compensator, self._revision = None, 0
+        self._await_pass(0)
         self._silence, self._waiting = Silence(), False
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(LOOK, self._watch_pass)
@@ -61,17 +63,21 @@ class TrajectoryCompensator(ReportingNode):
         self._begin(messages.trajectory_from_msg(msg))
 
     def _begin(self, target) -> None:
-        self.compensator = compensator(self.cell, target)
-        self._publish("the target itself")
+        self._publish(compensator(self.cell, target), "the target itself")
 
-    def _publish(self, what: str, missing: int = 0) -> None:
-        reference = self.compensator.reference
-        joints = commanded_joints(self.cell, reference)  # out of reach is told before anything is published
-        clock = self.cell.clock
-        self._heard = PassListener(int(clock.stamp(clock.steps(reference.duration_ns))))
-        self._start_over()
-        self._reference.publish(messages.trajectory_to_msg(reference))
-        self._joints.publish(messages.joint_trajectory_to_msg(reference, joints))
+    def _publish(self, made: Compensator, what: str, missing: int = 0) -> None:
+        """Go on with ``made`` and its reference; whatever may refuse it comes before anything has changed."""
+        reference, clock = made.reference, self.cell.clock
+        joints = messages.joint_trajectory_to_msg(reference, commanded_joints(self.cell, reference))
+        poses = messages.trajectory_to_msg(reference)
+        end_ns = int(clock.stamp(clock.steps(reference.duration_ns)))
+        self.compensator = made
+        self._await_pass(end_ns)
+        self._reference.publish(poses)
+        self._joints.publish(joints)
+        self._tell(what, missing)
+
+    def _tell(self, what: str, missing: int) -> None:
         limited = self.compensator.cut_off
         self._revision += 1
         told = {
@@ -80,7 +86,7 @@ class TrajectoryCompensator(ReportingNode):
             "passes": len(self.compensator.errors),
             "remaining_error_um": " ".join(repr(float(e) * 1e6) for e in self.compensator.errors),
             "finished": self.compensator.finished,
-            "reference": messages.fingerprint(reference),
+            "reference": messages.fingerprint(self.compensator.reference),
         }
         if missing:
             self.report(WARN, f"reference: {what}, of which {missing} poses were not heard", **told)
@@ -88,6 +94,10 @@ class TrajectoryCompensator(ReportingNode):
             self.report(WARN, f"reference: {what}, shortened by up to {limited * 1e6:.1f} um to the limit", **told)
         else:
             self.report(OK, f"reference: {what}", **told)
+
+    def _await_pass(self, end_ns: int) -> None:
+        self._heard = PassListener(end_ns)
+        self._start_over()
 
     def _start_over(self) -> None:
         """Nothing of this pass was heard yet; each exchange brings as many poses and wrenches as it has iterations."""
@@ -162,8 +172,11 @@ class TrajectoryCompensator(ReportingNode):
     def _revise(self) -> None:
         stamps = np.array(self._heard.stamps)
         positions = np.array([position for position, _ in self._heard.items])
-        self.compensator.revise(pass_record(self.cell, stamps, positions, self._wrench_series(stamps)))
-        self._publish(f"revised after pass {len(self.compensator.errors)}", _holes(stamps))
+        ran = pass_record(self.cell, stamps, positions, self._wrench_series(stamps))
+        self._await_pass(self._heard.end_ns)  # this one is over, also if nothing can be made of it
+        made = _twin(self.compensator)
+        made.revise(ran)
+        self._publish(made, f"revised after pass {len(made.errors)}", _holes(stamps))
 
     def _wrench_series(self, stamps: np.ndarray) -> np.ndarray:
         """(n, 6) at the stamps of the poses, interpolated where a sensor has others; 0 where none was heard."""
@@ -178,23 +191,32 @@ class TrajectoryCompensator(ReportingNode):
         for change in changes:
             if change.name == METHOD and change.value not in METHODS:
                 return SetParametersResult(successful=False, reason=f"{METHOD} must be one of {', '.join(METHODS)}")
-            if change.name == METHOD and self.compensator is not None:
-                self._choose(change.value)
+            if change.name == METHOD and self.compensator is not None and not self._change("choose", change.value):
+                return SetParametersResult(successful=False, reason=self._message)
         return SetParametersResult(successful=True)
 
     @guarded
-    def _choose(self, method: str) -> None:
-        self.compensator.choose(method)
-        self._publish(f"method {method}")
+    def _change(self, how: str, *arguments: str) -> bool:
+        """``choose`` another method or ``reset``; None where that is refused, which then is the node's message."""
+        made = _twin(self.compensator)
+        getattr(made, how)(*arguments)
+        self._publish(made, f"method {made.method}" if how == "choose" else "the target itself")
+        return True
 
     def _on_reset(self, _, response):
-        response.success = self.compensator is not None
-        if response.success:
-            self.compensator.reset()
-            self._publish("the target itself")
-        else:
-            response.message = "no target trajectory yet"
+        if self.compensator is None:
+            response.success, response.message = False, "no target trajectory yet"
+            return response
+        response.success = bool(self._change("reset"))
+        response.message = "" if response.success else self._message
         return response
+
+
+def _twin(made: Compensator) -> Compensator:
+    """One to try something with, and to leave this as it is if that is refused."""
+    twin = copy.copy(made)
+    twin.errors = list(made.errors)
+    return twin
 
 
 def _holes(stamps: np.ndarray) -> int:

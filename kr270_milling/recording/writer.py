@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,12 +17,15 @@ from kr270_milling.recording import bagmeta, schemas
 from kr270_milling.recording.cdr import stamp_of
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.gaps import SHARED, GapCounter
+from kr270_milling.recording.logtime import LogTimes
 from kr270_milling.recording.sink import Sink, open_directory, plain_name, write_new
 
 __all__ = ["BagWriter", "Channel"]
 
 CHUNK_SIZE = 1024 * 1024  # [bytes] before compression
 CHUNK_PERIOD = 0.2  # [s]; what a SIGKILL can lose
+HOLD_PERIOD = 0.5  # [s] that messages wait for the first stamp, and what a SIGKILL can lose until it has come
+HOLD_SIZE = 256 * 1024  # [bytes] of them that may wait
 
 
 @dataclass
@@ -45,7 +49,8 @@ class BagWriter:
     attachments: name -> text or bytes, such as {"cell.yaml": ...}; metadata: key -> text, such as seed and command
     line; they stand at the begin of the file, the package's version with them. The first error of the file system
     ends the file: what is in it stays readable, and every later call raises the same RecordingError.
-    start_time: the log time [ns] of a message without a stamp before any stamp was seen (default: publish time).
+    Messages without a stamp wait for the first stamp, to take it as their log time; start_time [ns]: they do not
+    wait, but have this log time until then.
     """
 
     def __init__(
@@ -66,7 +71,8 @@ class BagWriter:
         self.channels: dict[int, Channel] = {}
         self.error: RecordingError | None = None
         self.start, self.end, self.count, self.kept = None, 0, 0, 0
-        self._latest, self._chunk_period, self._last_tick = start_time, chunk_period, None
+        self._chunk_period, self._last_tick = chunk_period, None
+        self._times, self._held, self._held_size, self._held_since = LogTimes(start_time), deque(), 0, None
         self._custom = {"kr270_milling_version": __version__, **{k: str(v) for k, v in (metadata or {}).items()}}
         self._schemas: dict[tuple, int] = {}
         self._directory = open_directory(self.directory)
@@ -140,12 +146,35 @@ class BagWriter:
         channel = self.channels[self.topics[topic]]
         stamp = stamp_of(data, channel.stamped)
         if log_time is None:
-            log_time = stamp
-            if stamp is None or (stamp == 0 and channel.type.startswith("trajectory_msgs/")):
-                # a trajectory's stamp of 0 means "start at once" and says nothing of when it was published
-                fallback = publish_time if stamp is None else stamp
-                log_time = fallback if self._latest is None else self._latest
+            self._check_times(publish_time)
+            log_time = self._times.of(channel.type, stamp, publish_time)
+        if log_time is None:
+            self._hold(channel, data, publish_time, stamp)
+            return
+        self._release(log_time)
         self._append(channel, data, publish_time, log_time, channel.count, stamp)
+
+    def _hold(self, channel: Channel, data: bytes, publish_time: int, stamp: int | None) -> None:
+        """Keep a message until a stamp has told the time; bounded, for a graph in which none comes."""
+        self._guard(lambda: None)
+        self._held.append((channel, data, publish_time, stamp))
+        self._held_size += len(data)
+        if self._held_size > HOLD_SIZE:
+            self._release()
+            self.flush()
+
+    def _release(self, first: int = 0) -> None:
+        """Append what was held, in its order. Where no stamp has come, log times begin at ``first``, or are publish
+        times if there is not even a topic with stamps."""
+        if not self._held:
+            return
+        by_wall = first == 0 and not any(channel.stamped for channel in self.channels.values())
+        self._times.begin(self._held[0][2] if by_wall else first, by_wall)
+        while self._held:
+            channel, data, publish_time, stamp = self._held.popleft()
+            log_time = self._times.of(channel.type, stamp, publish_time)
+            self._append(channel, data, publish_time, log_time, channel.count, stamp)
+        self._held_size, self._held_since = 0, None
 
     def write_raw(self, channel_id: int, data: bytes, publish_time: int, log_time: int, sequence: int) -> None:
         """Append a message with everything given."""
@@ -153,8 +182,7 @@ class BagWriter:
         self._append(channel, data, publish_time, log_time, sequence, stamp_of(data, channel.stamped))
 
     def _append(self, channel: Channel, data, publish_time: int, log_time: int, sequence: int, stamp: int | None):
-        if not (0 <= log_time < 2**63 and 0 <= publish_time < 2**63):
-            raise RecordingError(self.path, f"{log_time} and {publish_time} ns are not both times after 1970")
+        self._check_times(log_time, publish_time)
         if self.error is None and self._open:
             channel.count += 1
             self.count += 1
@@ -165,21 +193,30 @@ class BagWriter:
         self.start = log_time if self.start is None else min(self.start, log_time)
         self.end = max(self.end, log_time)
         if stamp is not None:
-            self._take_stamp(channel, stamp)
+            self._take_stamp(channel, stamp, log_time)
 
-    def _take_stamp(self, channel: Channel, stamp: int) -> None:
+    def _take_stamp(self, channel: Channel, stamp: int, log_time: int) -> None:
         """Count gaps, and follow the time of the pass, which goes back to 0 when the next one begins."""
-        shared = channel.type in SHARED
-        if not shared:
-            before = channel.gaps.passes.number
-            channel.gaps.add(stamp)
-            if channel.gaps.passes.number > before:
-                self._latest = stamp
-        if self._latest is None or (stamp > self._latest and not shared):
-            self._latest = stamp
+        if channel.type in SHARED:
+            return
+        before = channel.gaps.passes.number
+        channel.gaps.add(stamp)
+        if channel.gaps.passes.number > before:
+            self._times.latest = log_time
+
+    def _check_times(self, *times: int) -> None:
+        for time in times:
+            if not 0 <= time < 2**63:
+                raise RecordingError(self.path, f"{time} ns is not a time after 1970")
 
     def tick(self, now: float) -> None:
-        """Close the chunk when it is ``chunk_period`` old; now [s]: any clock that does not go back."""
+        """Close the chunk when it is ``chunk_period`` old, and wait no longer than HOLD_PERIOD for a first stamp;
+        now [s]: any clock that does not go back."""
+        if self._held and (self._held_since is None or now < self._held_since):
+            self._held_since = now
+        if self._held and now - self._held_since >= HOLD_PERIOD:
+            self._release()
+            self.flush()
         if self._last_tick is None or now < self._last_tick:
             self._last_tick = now
         if now - self._last_tick >= self._chunk_period:
@@ -187,7 +224,7 @@ class BagWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Put everything that was written so far into the file."""
+        """Put everything that was written so far into the file, but for what waits for the first stamp."""
         if self._open and self.kept < self.count:
             self._guard(self._mcap.flush)
             self.kept = self.count
@@ -209,7 +246,7 @@ class BagWriter:
             self._open = False
             text = (
                 f"writing ended with an error ({error.strerror or error}); {self.kept} messages in "
-                f"{self._sink.position} bytes are safe, the last {self.count - self.kept} are lost"
+                f"{self._sink.position} bytes are safe, the last {self.count - self.kept + len(self._held)} are lost"
             )
             self.error = RecordingError(self.path, text)
             raise self.error from error
@@ -222,6 +259,7 @@ class BagWriter:
         """Finish the file and write ``metadata.yaml``; nothing happens the second time or after an error."""
         if not self._open:
             return
+        self._release()
         for channel in self.channels.values():
             channel.gaps.finish()
         topics = [dict(name=c.topic, type=c.type, encoding=c.encoding, qos=c.qos, hash=c.hash, count=c.count)
