@@ -17,8 +17,8 @@ def add_arguments(parser) -> None:
     what = parser.add_mutually_exclusive_group()
     what.add_argument(
         "--recompute", action="store_true",
-        help="no playback: recompute every output and compare bit for bit; exit code 1 if one differs or the "
-        "recompute cannot go on",
+        help="no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is "
+        "missing or is left over, or the recompute cannot go on",
     )  # fmt: skip
     what.add_argument(
         "--compensate", action="store_true", help="no playback: the revised trajectory from the recorded pass"
