@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import itertools
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from kr270_milling.errors import MillingError
@@ -18,6 +20,8 @@ __all__ = ["Child", "RunError", "remove_litter", "stop"]
 
 GRACE = 3.0  # [s] that a node has to end by itself
 SHARED = "/dev/shm/"
+LOCKS = ("_el", "_sl")  # behind the name of a port or segment: locked by its one listener or owner, or by several
+MAKING = 0.2  # [s] of the wall in which whoever makes a port has locked it as well
 
 
 class RunError(MillingError):
@@ -99,14 +103,53 @@ def _shared_files(pid: int | str) -> set[str]:
     return {name for name in found if name.startswith((SHARED + "fastrtps_", SHARED + "sem.fastrtps_"))}
 
 
+def _whole(file: str) -> str:
+    """The port or segment that a file under /dev/shm belongs to, as which its locks and its mutex count too."""
+    name = file.removeprefix(SHARED).removeprefix("sem.").partition("_mutex")[0]
+    return SHARED + name.removesuffix("_el").removesuffix("_sl")
+
+
 def _ports_of_domain() -> set[str]:
     """Files of the ports of our ROS domain under /dev/shm (7400 and 250 a domain: RTPS, section 9.6.1)."""
     text = os.environ.get("ROS_DOMAIN_ID", "")
     first = 7400 + 250 * (int(text) if text.isdecimal() else 0)
-    ports = tuple(f"fastrtps_port{number}" for number in range(first, first + 250))
+    ports = {f"{SHARED}fastrtps_port{number}" for number in range(first, first + 250)}
     found = os.listdir(SHARED) if os.path.isdir(SHARED) else []
-    whole = {name: name.removeprefix("sem.").partition("_mutex")[0].removesuffix("_el") for name in found}
-    return {SHARED + name for name, port in whole.items() if port in ports}
+    return {SHARED + name for name in found if _whole(SHARED + name) in ports}
+
+
+@contextlib.contextmanager
+def _claimed(whole: str) -> Iterator[bool]:
+    """Whether nobody listens at a port or owns a segment any more, and that it stays so in the block.
+
+    Fast DDS holds a lock on a file beside it (flock) for as long as its maker lives; unlike /proc this also tells of
+    processes in other containers that share /dev/shm. One that has no such file yet may just be in the making.
+    """
+    with contextlib.ExitStack() as stack:
+        yield _lock(whole, stack)
+
+
+def _lock(whole: str, stack: contextlib.ExitStack) -> bool:
+    locks = _locks(whole)
+    if not locks and os.path.exists(whole):
+        time.sleep(MAKING)
+        locks = _locks(whole)
+    ours = _shared_files(os.getpid())  # a middleware that is stuck in this process keeps its own
+    return all(name in ours or _try_lock(name, stack) for name in locks)
+
+
+def _locks(whole: str) -> list[str]:
+    return [whole + kind for kind in LOCKS if os.path.exists(whole + kind)]
+
+
+def _try_lock(name: str, stack: contextlib.ExitStack) -> bool:
+    try:
+        file = os.open(name, os.O_RDONLY | os.O_NOFOLLOW)
+        stack.callback(os.close, file)
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:  # locked, or of another user
+        return False
+    return True
 
 
 def remove_litter(children: Iterable[Child]) -> list[str]:
@@ -122,7 +165,10 @@ def remove_litter(children: Iterable[Child]) -> list[str]:
     for pid in filter(str.isdigit, os.listdir("/proc")):
         if int(pid) != os.getpid():
             left -= _shared_files(pid)
-    for name in sorted(left):
-        with contextlib.suppress(OSError):
-            os.unlink(name)
-    return sorted(left)
+    removed = []
+    for whole, files in itertools.groupby(sorted(left, key=_whole), _whole):
+        with contextlib.suppress(OSError), _claimed(whole) as free:
+            for name in files if free else ():
+                os.unlink(name)
+                removed.append(name)
+    return sorted(removed)
