@@ -44,6 +44,16 @@ class Graph:
             assert alive and time.monotonic() < end, {node: self.log(node) for node in self.running}
             time.sleep(0.02)
 
+    def activate(self, node: str) -> None:
+        code = f"""
+from kr270_milling.ros.driver import Driver
+driver = Driver("/", lambda: None)
+for step in ("configure", "activate"):
+    driver.transition({node!r}, step, 60.0)
+driver.close()
+"""
+        subprocess.run([sys.executable, "-c", code], env=self.environment, check=True, timeout=150)
+
     def log(self, node: str) -> str:
         return (self.directory / node).read_text(errors="replace")
 
@@ -58,6 +68,13 @@ def heard_all(recording: Path) -> bool:
     count = Counter(topic for topic, _ in made.raw(next(recording.glob("*.mcap"))))
     revised = count["/reference_trajectory"], count["/joint_trajectory"]
     return revised == (2, 2) and count["/deflection"] == STEPS and count["/joint_states"] == count["/clock"] == 7
+
+
+def recorder_hears(recording: Path, *topics: str) -> bool:
+    """As its own last report in the file says; a recorder that finds the topics late would miss the first messages."""
+    reports = [data for topic, data in made.raw(next(recording.glob("*.mcap"))) if topic == "/diagnostics"]
+    own = [data for data in reports if b"/recorder\0" in data]
+    return bool(own) and all(f"{topic}=1".encode() in own[-1] for topic in topics)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +97,9 @@ def record_a_pass(directory: Path, domain: int) -> Path:
         graph.start("cutting_process", *parameters, "-p", "autostart:=true")
         graph.wait_for("cutting_process", "waiting for the tool")
         graph.wait_for("trajectory_compensator", "the target itself")
-        graph.start("compliant_robot", *parameters, "-p", "autostart:=true", "-p", "pace:=0.1")
+        graph.start("compliant_robot", *parameters, "-p", "pace:=0.1")
+        graph.wait_until(lambda: recorder_hears(directory / "r", "/tool_pose", "/deflection", "/clock", "/wrench"))
+        graph.activate("compliant_robot")
         graph.wait_for("trajectory_compensator", "revised after pass 1")
         graph.wait_until(lambda: heard_all(directory / "r"))
     finally:
