@@ -18,7 +18,7 @@ pytest.importorskip("rclpy")
 from kr270_milling.config_file import find_file
 from kr270_milling.ros import graph
 from kr270_milling.ros.drain import _in_order
-from kr270_milling.ros.graph import QUIET, SILENT, Graph
+from kr270_milling.ros.graph import LOST, QUIET, Graph
 from kr270_milling.ros.processes import RunError
 from kr270_milling.selftest import faults
 from kr270_milling.selftest.aftermath import is_alive
@@ -70,7 +70,7 @@ def test_tail_that_a_recorder_lost_is_told_and_counted(ros_environment, tmp_path
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(tmp_path / "short.xml"))
     held = next(fault for fault in FAULTS if fault.name.startswith("recorder, SIGSTOP"))
     monkeypatch.setattr(faults, "HELD", 4.0)
-    monkeypatch.setattr(graph, "SILENT", 30.0)
+    monkeypatch.setattr(graph, "LOST", 30.0)
     monkeypatch.setattr(graph, "CATCH_UP", 0.5)
     row = run_faults([held], 1, 1, tmp_path, lambda done, total: None)[0]
     trial = row.trials[0]
@@ -202,7 +202,7 @@ def test_silent_node_is_told_once_and_then_given_up(short_cell, tmp_path):
         graph._check_silence(time.monotonic())
     assert len(graph.said) == 1 and "cutting_process" in graph.said[0]
     with pytest.raises(RunError, match="cutting_process: has not been heard of"):
-        Quiet(short_cell, tmp_path, SILENT + 0.1)._check_silence(time.monotonic())
+        Quiet(short_cell, tmp_path, LOST + 0.1)._check_silence(time.monotonic())
 
 
 def test_runner_that_was_held_up_itself_hears_the_reports_first(short_cell, tmp_path):

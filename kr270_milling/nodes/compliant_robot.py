@@ -12,7 +12,7 @@ from std_msgs.msg import String
 from kr270_milling.frames import rotation_from_quaternion
 from kr270_milling.robot.urdf import urdf
 from kr270_milling.ros import messages, raw, topics
-from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, guarded
+from kr270_milling.ros.node import ERROR, LOST, OK, WARN, ManagedNode, guarded
 from kr270_milling.ros.parameters import declare_cell
 from kr270_milling.ros.spin import run_node
 from kr270_milling.simulation.sides import RobotSide
@@ -87,12 +87,17 @@ class CompliantRobot(ManagedNode):
         silent = time.monotonic() - self._answered
         if not cut and not side.awaited_ns:
             self.activate()  # it went before the pass began
-        elif side.awaited_ns and (not cut or silent > SILENT):
-            what = "no wrench: nobody publishes it any more" if not cut else f"no wrench for {SILENT:g} s"
+        elif side.awaited_ns and (not cut or silent > LOST):
+            what = "no wrench: nobody publishes it any more" if not cut else f"no wrench for {LOST:g} s"
             self._given_up = True
             self.report(ERROR, f"{what}; the cutting process is gone and the pass is given up")
         elif silent > RETRY:
-            self.report(WARN, "no wrench: asking again" if side.awaited_ns else "the cutting process is not active yet")
+            self.report(
+                WARN,
+                "no wrench from the cutting process: asking again"
+                if side.awaited_ns
+                else "the cutting process is not active yet",
+            )
             self._publish_pose()
 
     def _is_settled(self) -> bool:

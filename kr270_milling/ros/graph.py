@@ -19,10 +19,10 @@ from kr270_milling.ros.cell_file import write_cell
 from kr270_milling.ros.driver import Driver
 from kr270_milling.ros.environment import keep_to_this_host
 from kr270_milling.ros.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unmatched
-from kr270_milling.ros.node import SILENT
+from kr270_milling.ros.node import LOST
 from kr270_milling.ros.processes import Child, RunError, remove_litter, stop
 
-__all__ = ["NOT_COMPLETE", "SILENT", "AlreadyRunning", "Graph", "PassRun"]
+__all__ = ["NOT_COMPLETE", "LOST", "AlreadyRunning", "Graph", "PassRun"]
 
 UP = 60.0  # [s] for a node to come up, to compile at its first use, or to revise a long trajectory
 MATCH = 10.0  # [s] for the nodes to find each other
@@ -145,15 +145,13 @@ class Graph:
         if now < self._hear_until:
             return
         silences = {name: self._silent(name, now) for name in set(self.children) - self._excused}
-        if len(silences) > 1 and max(silences.values()) > SILENT and min(silences.values()) > SILENT - HELD_UP:
+        if len(silences) > 1 and max(silences.values()) > LOST and min(silences.values()) > LOST - HELD_UP:
             self.driver.stuck = True
-            what = (
-                f"no node has been heard of for {SILENT - HELD_UP:g} s: the middleware of this process may be blocked"
-            )
+            what = f"no node has been heard of for {LOST - HELD_UP:g} s: the middleware of this process may be blocked"
             raise RunError("graph", what)
         for name, silent in silences.items():
-            if silent > SILENT:
-                raise RunError(name, f"has not been heard of for {SILENT:g} s")
+            if silent > LOST:
+                raise RunError(name, f"has not been heard of for {LOST:g} s")
             if silent > QUIET and name not in self._quiet:
                 self.tell(f"{name}: has not been heard of for {QUIET:g} s; waiting")
             (self._quiet.add if silent > QUIET else self._quiet.discard)(name)
@@ -178,7 +176,7 @@ class Graph:
 
     def _is_fresh(self, name: str) -> bool:
         status = self.driver.status(name)
-        return status is not None and time.monotonic() - status.at < 0.5 * SILENT
+        return status is not None and time.monotonic() - status.at < QUIET
 
     def _wait_matched(self, recorded: bool) -> None:
         try:

@@ -16,11 +16,12 @@ from kr270_milling.errors import MillingError
 from kr270_milling.ros import topics
 from kr270_milling.ros.messages import stamp_from_ns
 
-__all__ = ["SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded"]
+__all__ = ["LOST", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded"]
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 REPORT_PERIOD = 0.2  # [s] of the wall; a partner's death must be told within 3 s
 SILENT = 2.6  # [s] of the wall after which a silence is told; a partner that is held up for 2 s is only waited for
+LOST = 4.0  # [s] of the wall after which one that must answer is given up; a busy machine takes long to go on
 HELD_UP = 0.5  # [s] between two looks after which it was us who did not listen
 OWN = ("/rosout", "/parameter_events")  # topics that every node has for itself
 
