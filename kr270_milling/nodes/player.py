@@ -13,7 +13,7 @@ from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from kr270_milling.errors import InputError, one_line
+from kr270_milling.errors import one_line
 from kr270_milling.recording.bagmeta import read_qos
 from kr270_milling.recording.errors import RecordingError
 from kr270_milling.recording.playback import (
@@ -38,8 +38,6 @@ AT_ONCE = 500  # messages in one look, so that signals and services are heard in
 DEPTH = 1000  # messages that may wait for a slow reader
 #: topics of the whole graph, which stay where they are when the player runs in a namespace
 GLOBAL = ("/clock", "/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
-#: the largest values of options that are numbers; beyond them a time is no longer one in whole nanoseconds
-LARGEST = {"rate": 1e6, "clock": 1e6, "start_offset": 1e9, "playback_duration": 1e9, "delay": 1e9}
 FOREVER = 9_000_000_000  # [s]; what rosbag2 writes for "no limit" is above
 
 
@@ -47,10 +45,6 @@ class Player(ReportingNode):
     """Publishes the messages of a recording at the pace of their log times; ends behind the last one."""
 
     def __init__(self, options: PlayOptions, progress=None, **kwargs):
-        for name, most in LARGEST.items():
-            if not (getattr(options, name) or 0.0) <= most:
-                option = "--" + name.replace("_", "-")
-                raise InputError(option, f"is {getattr(options, name):g}, but must be at most {most:g}")
         self.recording = Recording(options.file)
         try:
             super().__init__("player", **kwargs)

@@ -17,18 +17,19 @@ from kr270_milling.recording.reader import RawMessage, Recording
 __all__ = ["PlayClock", "PlayOptions", "add_play_arguments", "is_latched", "opening", "passage", "span"]
 
 CLOCK_RATE = 40.0  # [Hz], of --clock without a number, as in ros2 bag play
-MOST = 9e9  # [s], and as a rate; some 285 years, as many nanoseconds as a log time can count
+MOST = 9e9  # [s], some 285 years, as many nanoseconds as a log time can count
+MOST_RATE = 1e6  # and of --clock [Hz]
 
 
-def _number(low: float, inclusive: bool):
+def _number(low: float, inclusive: bool, most: float = MOST):
     def parse(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
             value = math.nan
-        if not (low <= value <= MOST) or (value == low and not inclusive):
+        if not (low <= value <= most) or (value == low and not inclusive):
             first = f"{'from' if inclusive else 'above'} {low:g}"
-            raise argparse.ArgumentTypeError(f"{text!r} is not a number {first} up to {MOST:g}")
+            raise argparse.ArgumentTypeError(f"{text!r} is not a number {first}, at most {most:g}")
         return value
 
     return parse
@@ -36,7 +37,7 @@ def _number(low: float, inclusive: bool):
 
 def add_play_arguments(parser) -> None:
     """The options of ``ros2 bag play`` that the player has."""
-    above, least = _number(0.0, False), _number(0.0, True)
+    above, least = _number(0.0, False, MOST_RATE), _number(0.0, True)
     parser.add_argument("-r", "--rate", type=above, default=1.0, help="how many times as fast as recorded")
     parser.add_argument(
         "--start-offset", type=least, default=0.0, metavar="S",
