@@ -89,7 +89,7 @@ MUTATIONS = [
     ("(32)", MIRROR, "modified.position <<+|->> relaxation * shift"),
     ("(32) alpha", MIRROR, "modified.position + <<relaxation|2 * relaxation>> * shift"),
     ("(32) rotation", MIRROR, "from_rotvec(<<relaxation|-relaxation>> * vector)"),
-    ("Fig. 14", REVISION, "knots = <<-np|np>>.column_stack"),
+    ("Fig. 14", REVISION, "knots = <<-|>>ran.sampled_displacement(reference, knots_ns)"),
     ("Fig. 14 learned", REVISION, "target.sample(knots_ns) <<-|+>> fit"),
 ]
 
