@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import atexit
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -32,6 +33,7 @@ TRANSITIONS = {
     "cleanup": Transition.TRANSITION_CLEANUP,
 }
 ERROR = b"\x02"
+LEAVE = 10  # [s] to leave the graph
 LOOK = 0.02  # [s] between two looks at the processes while waiting
 
 
@@ -156,9 +158,11 @@ class Driver:
         if self.stuck:
             atexit.register(_end_at_once)
             return
+        signal.alarm(LEAVE)  # rather ended than blocked for ever; the nodes end with us
         self._executor.shutdown()
         self.node.destroy_node()
         self._context.try_shutdown()
+        signal.alarm(0)
 
 
 def _end_at_once() -> None:
