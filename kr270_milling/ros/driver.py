@@ -154,7 +154,7 @@ class Driver:
         return self.node.get_publishers_info_by_topic(topic), self.node.get_subscriptions_info_by_topic(topic)
 
     def close(self) -> None:
-        """Leave the graph; not when Fast DDS is stuck (eProsima/Fast-DDS#6502): neither this nor an exit would return."""
+        """Leave the graph; not when Fast DDS is stuck (eProsima/Fast-DDS#6502): neither this nor an exit would end."""
         if self.stuck:
             atexit.register(_end_at_once)
             return
