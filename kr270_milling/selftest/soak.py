@@ -136,8 +136,11 @@ def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]
     ):
         try:
             with subprocess.Popen(source, env=environment, stdout=subprocess.PIPE, text=True) as sending:
-                _watch(sending, recorder, found, seconds, progress)
-                told = sending.communicate(timeout=PATIENCE)[0]
+                try:
+                    _watch(sending, recorder, found, seconds, progress)
+                    told = sending.communicate(timeout=PATIENCE)[0]
+                finally:
+                    sending.kill()
         finally:
             recorder.send_signal(signal.SIGINT)
             recorder.wait(PATIENCE)
