@@ -91,7 +91,7 @@ def _run(argv: list[str]) -> int:
     if any("\0" in word for word in argv):  # no shell can pass one on, but a caller of main can
         return _refuse("an argument holds a zero byte")
     args = _parser(argv).parse_args(argv)
-    from kr270_milling.errors import MillingError
+    from kr270_milling.base.errors import MillingError
 
     if hasattr(sys.stdout, "reconfigure"):  # a file name need not be text that can be printed
         sys.stdout.reconfigure(errors="backslashreplace")
@@ -102,7 +102,7 @@ def _run(argv: list[str]) -> int:
 
 
 def _refuse(sentence: str) -> int:
-    from kr270_milling.errors import one_line
+    from kr270_milling.base.errors import one_line
 
     print(f"kr270_milling: {one_line(sentence)}", file=sys.stderr)
     return EXIT_USAGE

@@ -42,8 +42,8 @@ def ros_environment(domain, monkeypatch):
 
 @pytest.fixture(scope="session")
 def short_cell():
-    from kr270_milling.cell import read_cell
-    from kr270_milling.config_file import find_file
+    from kr270_milling.base.parameter_file import find_file
+    from kr270_milling.cell.cell import read_cell
 
     return read_cell(find_file("paper.yaml"), SHORT)
 

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kr270_milling.cell import read_cell
-from kr270_milling.config_file import find_file
-from kr270_milling.passes import commanded_joints, compensator, pass_record
-from kr270_milling.recording import encode
-from kr270_milling.recording.reader import Recording
-from kr270_milling.recording.writer import BagWriter
+from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.writer import BagWriter
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import commanded_joints, compensator, pass_record
+from kr270_milling.messages import encode
 from kr270_milling.simulation.sides import CuttingSide, RobotSide
 
 needs_messages = pytest.mark.skipif(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import time
 
-from kr270_milling.recording.playback import PlayOptions, add_play_arguments
+from kr270_milling.bag.playback import PlayOptions, add_play_arguments
 
 FIRST = ("/reference_trajectory", "/joint_trajectory")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.cell import Cell, read_cell
-from kr270_milling.config import find_file
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import Cell, read_cell
 
 GCODE = """\
 G21 G90 S8000 M3

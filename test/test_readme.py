@@ -11,11 +11,11 @@ from pathlib import Path
 
 import pytest
 
-from kr270_milling.cell import Cell, read_cell
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cli import COMMANDS, _parser, main
 from kr270_milling.compensation.methods import METHODS
-from kr270_milling.config_file import find_file
-from kr270_milling.passes import compensated, simulate
 
 ROOT = Path(__file__).resolve().parents[1]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")

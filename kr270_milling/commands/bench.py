@@ -32,9 +32,9 @@ def _pass() -> dict:
     import statistics
     import time
 
-    from kr270_milling.cell import read_cell
-    from kr270_milling.config import find_file
-    from kr270_milling.passes import simulate
+    from kr270_milling.base.record import find_file
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.jobs import simulate
 
     cell = read_cell(find_file("paper.yaml"))
     start = time.perf_counter()
@@ -60,7 +60,7 @@ def _postures() -> dict:
 
     import numpy as np
 
-    from kr270_milling.config import find_file
+    from kr270_milling.base.record import find_file
     from kr270_milling.robot import loaded_stiffness
     from kr270_milling.robot.analysis import read_arm
 

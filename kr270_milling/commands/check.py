@@ -17,9 +17,9 @@ def add_arguments(parser) -> None:
 
 
 def run(args) -> int:
-    from kr270_milling.cell import read_cell
-    from kr270_milling.checks.check import check
-    from kr270_milling.config import find_file
+    from kr270_milling.base.record import find_file
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.decision.check import check
     from kr270_milling.trajectory.trajectory_csv import read_csv
 
     cell = read_cell(find_file(args.cell), args.set)

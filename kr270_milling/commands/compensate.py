@@ -40,10 +40,10 @@ def _count(text: str) -> int:
 
 
 def run(args) -> int:
-    from kr270_milling.cell import read_cell
-    from kr270_milling.config import find_file
-    from kr270_milling.passes import compensated, compensator, simulate
-    from kr270_milling.staging import staged
+    from kr270_milling.base.files import staged
+    from kr270_milling.base.record import find_file
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.jobs import compensated, compensator, simulate
 
     source = find_file(args.cell)
     cell = read_cell(source, args.set)
@@ -96,7 +96,7 @@ def _parts(cell, passes) -> tuple:
     """Assessments feature by feature, of a tool path."""
     if not cell.path.file:
         return ()
-    from kr270_milling.part import assess_all
+    from kr270_milling.decision.part import assess_all
 
     with progress("surfaces"):
         return assess_all(cell, passes)
@@ -104,7 +104,7 @@ def _parts(cell, passes) -> tuple:
 
 def _check(cell, revised, motions):
     """What ``kr270_milling check`` finds, for LIN motions if there are any: these are blended."""
-    from kr270_milling.checks.check import check
+    from kr270_milling.decision.check import check
 
     return check(cell, revised.reference, "LIN" if "LIN" in motions else motions[0], ran=revised)
 
@@ -114,7 +114,7 @@ def _verdict(cell, revised, args) -> dict | None:
         return None
     import numpy as np
 
-    from kr270_milling.verdict.verdict import monte_carlo
+    from kr270_milling.decision.verdict import monte_carlo
 
     rng = np.random.default_rng(args.seed)
     with progress("verdict") as report:
@@ -127,7 +127,7 @@ def _write(draft, final, cell, passes, parts, motions, args, source) -> dict:
     """All files; their final paths by kind."""
     import datetime
 
-    from kr270_milling.programs import source_hash, write_programs
+    from kr270_milling.programs.files import source_hash, write_programs
 
     date = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     original, revised = passes
@@ -146,7 +146,7 @@ def _write(draft, final, cell, passes, parts, motions, args, source) -> dict:
 def _remove_stale(cell, programs: dict) -> None:
     from pathlib import Path
 
-    from kr270_milling.programs import remove_stale
+    from kr270_milling.programs.files import remove_stale
 
     for kind, paths in programs.items():
         if kind.startswith("krl_"):
@@ -155,7 +155,7 @@ def _remove_stale(cell, programs: dict) -> None:
 
 def _write_part(draft, final, cell, passes, parts, args, source, date: str) -> dict:
     """Report with the error maps, and the part as it is predicted."""
-    from kr270_milling.part import machined, write_stl
+    from kr270_milling.decision.part import machined, write_stl
     from kr270_milling.report import write_report
 
     title = f"{cell.path.file.rsplit('/', 1)[-1]}: before and after compensation ({passes[1].name})"

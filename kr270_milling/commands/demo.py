@@ -17,9 +17,9 @@ def add_arguments(parser) -> None:
 def run(args) -> None:
     import importlib.util
 
-    from kr270_milling.cell import read_cell
-    from kr270_milling.config import find_file
-    from kr270_milling.staging import staged
+    from kr270_milling.base.files import staged
+    from kr270_milling.base.record import find_file
+    from kr270_milling.cell.cell import read_cell
 
     source = find_file("paper.yaml")
     cell = read_cell(source)
@@ -39,7 +39,7 @@ def run(args) -> None:
 
 
 def _plain(cell) -> list:
-    from kr270_milling.passes import compensated, simulate
+    from kr270_milling.cell.jobs import compensated, simulate
 
     with progress("original") as report:
         passes = [simulate(cell, progress=report)]

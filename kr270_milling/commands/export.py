@@ -14,9 +14,9 @@ def add_arguments(parser) -> None:
 
 
 def run(args) -> None:
-    from kr270_milling.errors import InputError
-    from kr270_milling.recording.export import export_csv, export_parquet
-    from kr270_milling.recording.reader import Recording
+    from kr270_milling.bag.export import export_csv, export_parquet
+    from kr270_milling.bag.reader import Recording
+    from kr270_milling.base.errors import InputError
 
     if not args.csv and not args.parquet:
         raise InputError("export", "give --csv DIR or --parquet DIR")

@@ -11,8 +11,8 @@ def add_arguments(parser) -> None:
 
 
 def run(args) -> None:
-    from kr270_milling.recording.info import info, info_text
-    from kr270_milling.recording.reader import Recording
+    from kr270_milling.bag.info import info, info_text
+    from kr270_milling.bag.reader import Recording
 
     with progress("reading") as report, Recording(args.file, report) as recording:
         found = info(recording, report)

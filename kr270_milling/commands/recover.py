@@ -12,7 +12,7 @@ def add_arguments(parser) -> None:
 
 
 def run(args) -> None:
-    from kr270_milling.recording.recover import recover
+    from kr270_milling.bag.recover import recover
 
     with progress("recovering") as report:
         found = recover(args.file, args.out, report)

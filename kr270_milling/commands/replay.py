@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from kr270_milling.bag.playback import PlayOptions, add_play_arguments
 from kr270_milling.commands.console import add_common, output_directory, print_json, print_table, progress
 from kr270_milling.compensation.methods import METHODS
-from kr270_milling.recording.playback import PlayOptions, add_play_arguments
 
 EXIT_FAILED = 1
 

@@ -47,7 +47,7 @@ def run(args) -> None:
 
 def recordings(path: Path) -> list[Path]:
     """The .mcap files of a file, a recording's directory or a directory of such, in the order of their writing."""
-    from kr270_milling.errors import InputError
+    from kr270_milling.base.errors import InputError
 
     if path.is_file():
         return [path]

@@ -29,8 +29,8 @@ def _passes(text: str) -> int:
 
 
 def run(args) -> None:
-    from kr270_milling.cell import read_cell
-    from kr270_milling.config_file import find_file
+    from kr270_milling.base.parameter_file import find_file
+    from kr270_milling.cell.cell import read_cell
     from kr270_milling.ros.environment import require_ros
 
     require_ros()
@@ -45,9 +45,9 @@ def run(args) -> None:
 
 def run_cell(cell, methods, out, passes=None, namespace: str = "", quiet: bool = False) -> dict:
     """Run a cell's passes; returns graph_up_s, out (the directory used) and passes, a list of RanPass."""
-    from kr270_milling.ros.graph import Graph
+    from kr270_milling.graph.graph import Graph
+    from kr270_milling.graph.plan import fresh_directory, run_plan
     from kr270_milling.ros.names import full_namespace
-    from kr270_milling.ros.plan import fresh_directory, run_plan
 
     namespace = full_namespace(namespace, "--namespace") if namespace else ""
     _compile(cell)

@@ -51,7 +51,7 @@ def run(args) -> int:
 
 
 def _faults(args, directory) -> int:
-    from kr270_milling.errors import InputError
+    from kr270_milling.base.errors import InputError
     from kr270_milling.selftest.faults import FAULTS
     from kr270_milling.selftest.rows import COLUMNS, expected_seconds, run_faults
 

@@ -20,10 +20,10 @@ def add_arguments(parser) -> None:
 
 
 def run(args) -> None:
-    from kr270_milling.cell import read_cell
-    from kr270_milling.config import find_file
-    from kr270_milling.passes import simulate
-    from kr270_milling.staging import staged
+    from kr270_milling.base.files import staged
+    from kr270_milling.base.record import find_file
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.jobs import simulate
 
     cell = read_cell(find_file(args.cell), args.set)
     reference = _reference(cell, args.reference)
@@ -59,7 +59,7 @@ def _print_scores(found: dict) -> None:
 
 def _part(cell, ran) -> dict:
     """Per-feature results of a tool path."""
-    from kr270_milling.part import assess
+    from kr270_milling.decision.part import assess
 
     found = assess(cell, ran).as_dict()
     del found["name"]
@@ -68,7 +68,7 @@ def _part(cell, ran) -> dict:
 
 def _write(directory: Path, cell, ran) -> list[Path]:
     """The series, and of a tool path the machined part."""
-    from kr270_milling.part import machined, write_stl
+    from kr270_milling.decision.part import machined, write_stl
     from kr270_milling.report.series import write_series
 
     files = write_series(directory, cell, [ran])
@@ -100,7 +100,7 @@ def _reference(cell, path: str | None):
         return None
     import numpy as np
 
-    from kr270_milling.errors import InputError
+    from kr270_milling.base.errors import InputError
     from kr270_milling.trajectory.trajectory_csv import read_csv
 
     run, target = read_csv(Path(path))[0], cell.target()
@@ -115,7 +115,7 @@ def _reference(cell, path: str | None):
 
 def summary(cell, ran) -> dict:
     """What ``--json`` prints of one pass."""
-    from kr270_milling.passes import mean_force
+    from kr270_milling.cell.jobs import mean_force
 
     result = ran.result
     duration = float(result.time[-1])

@@ -17,7 +17,7 @@ def add_arguments(parser) -> None:
 def run(args) -> None:
     import numpy as np
 
-    from kr270_milling.config import find_file
+    from kr270_milling.base.record import find_file
     from kr270_milling.robot.analysis import analyse, read_arm
 
     arm, mount = read_arm(find_file(args.arm))

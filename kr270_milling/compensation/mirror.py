@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.errors import MillingError
-from kr270_milling.frames import Pose
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.frames import Pose
 from kr270_milling.robot import Arm, Mount, equilibrium, inverse_near
 
 __all__ = ["Mirror", "MirrorError", "loaded_pose", "mirror"]

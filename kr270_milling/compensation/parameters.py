@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kr270_milling.base.record import Record, parameter
 from kr270_milling.compensation.methods import METHODS
-from kr270_milling.config import Record, parameter
 
 __all__ = ["Compensation", "METHODS"]
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.errors import MillingError
 from kr270_milling.compensation.limiting import Limited, describe, limit_change, limit_size, resting
 from kr270_milling.compensation.spline_fit import BARELY, knot_rates, spline_fit
-from kr270_milling.errors import MillingError
 from kr270_milling.trajectory.trajectory import Trajectory, slerp
 
 __all__ = ["PassRecord", "RevisionError", "chord_error", "corrected", "revise", "spline_fit"]

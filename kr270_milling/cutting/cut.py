@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
+from kr270_milling.base.errors import MillingError
 from kr270_milling.cutting.grid import TILE, GridError, Stock, levels_in_window
 from kr270_milling.cutting.laws import Cutting
 from kr270_milling.cutting.state import FAILED, LEVEL_SUM, TILES, log_size, make_log, make_params, make_state
 from kr270_milling.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.cutting.tool import Tool
-from kr270_milling.errors import MillingError
 
 __all__ = ["Cut", "SweepError", "UndoError"]
 

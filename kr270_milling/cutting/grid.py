@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.config import Record, parameter
-from kr270_milling.errors import MillingError, ParameterError
+from kr270_milling.base.errors import MillingError, ParameterError
+from kr270_milling.base.record import Record, parameter
 
 __all__ = ["Stock", "TILE", "GridError", "tile_count", "levels_in_window"]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from kr270_milling.config import Record, parameter
+from kr270_milling.base.record import Record, parameter
 
 __all__ = ["FractionalLaw", "LinearEdgeLaw", "Cutting", "fractional", "linear_edge", "force_per_depth"]
 

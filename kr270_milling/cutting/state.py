@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.cutting.grid import MAX_TILES, TILE, Stock, tile_count
 from kr270_milling.cutting.laws import Cutting
 from kr270_milling.cutting.tool import Tool
-from kr270_milling.errors import ParameterError
 
 __all__ = ["Params", "State", "make_params", "make_state", "make_log", "log_size"]
 

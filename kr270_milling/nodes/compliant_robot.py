@@ -9,7 +9,7 @@ from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
-from kr270_milling.frames import rotation_from_quaternion
+from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.robot.urdf import urdf
 from kr270_milling.ros import messages, raw, topics
 from kr270_milling.ros.node import ERROR, LOST, OK, WARN, ManagedNode, guarded

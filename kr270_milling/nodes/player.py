@@ -13,10 +13,9 @@ from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
-from kr270_milling.errors import one_line
-from kr270_milling.recording.bagmeta import read_qos
-from kr270_milling.recording.errors import RecordingError
-from kr270_milling.recording.playback import (
+from kr270_milling.bag.bagmeta import read_qos
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.playback import (
     PlayClock,
     PlayOptions,
     add_play_arguments,
@@ -25,7 +24,8 @@ from kr270_milling.recording.playback import (
     passage,
     span,
 )
-from kr270_milling.recording.reader import Recording
+from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import one_line
 from kr270_milling.ros.messages import stamp_from_ns
 from kr270_milling.ros.names import NameRefused, message_class, plain_topic
 from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded

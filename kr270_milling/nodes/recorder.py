@@ -16,9 +16,9 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
-from kr270_milling.errors import InputError
-from kr270_milling.recording.errors import RecordingError
-from kr270_milling.recording.writer import BagWriter
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.writer import BagWriter
+from kr270_milling.base.errors import InputError
 from kr270_milling.ros.drain import DEPTH, DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.names import NameRefused, message_class, resolved_topic
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence

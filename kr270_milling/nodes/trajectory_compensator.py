@@ -9,10 +9,10 @@ import numpy as np
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from std_srvs.srv import Trigger
 
+from kr270_milling.base.frames import rotation_from_quaternion
+from kr270_milling.cell.jobs import commanded_joints, compensator, pass_record
 from kr270_milling.compensation.compensator import Compensator, PassListener
 from kr270_milling.compensation.parameters import METHODS
-from kr270_milling.frames import rotation_from_quaternion
-from kr270_milling.passes import commanded_joints, compensator, pass_record
 from kr270_milling.ros import messages, raw, topics
 from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.passes import commanded_joints
-from kr270_milling.recording.errors import RecordingError
-from kr270_milling.recording.reader import Recording
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.reader import Recording
+from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.replay.compensator import reference_bytes
 from kr270_milling.replay.inputs import sample
 from kr270_milling.replay.recompute import Robot, Robots

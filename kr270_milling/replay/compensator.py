@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.cell import Cell
+from kr270_milling.base.frames import rotation_from_quaternion
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import commanded_joints, compensator, pass_record
 from kr270_milling.compensation.compensator import LEAST_GAIN, Compensator, PassListener
 from kr270_milling.compensation.parameters import METHODS
 from kr270_milling.compensation.revision import PassRecord
-from kr270_milling.frames import rotation_from_quaternion
-from kr270_milling.passes import commanded_joints, compensator, pass_record
-from kr270_milling.recording import encode
-from kr270_milling.recording.compare import Channel
+from kr270_milling.messages import encode
+from kr270_milling.replay.compare import Channel
 from kr270_milling.replay.inputs import TOOL, Sample, trajectory_of
 from kr270_milling.replay.models import JOINT_NAMES, WORKPIECE
 from kr270_milling.trajectory.trajectory import Trajectory

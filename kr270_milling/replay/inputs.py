@@ -11,13 +11,13 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
-from kr270_milling import config_file
-from kr270_milling.cell import Cell, read_cell
-from kr270_milling.errors import ConfigError, one_line
-from kr270_milling.recording.cdr import Cursor
-from kr270_milling.recording.errors import RecordingError
-from kr270_milling.recording.reader import RawMessage, Recording
-from kr270_milling.recording.trajectory import read_trajectory
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.reader import RawMessage, Recording
+from kr270_milling.base import parameter_file as config_file
+from kr270_milling.base.errors import ConfigError, one_line
+from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.messages.cdr import Cursor
+from kr270_milling.messages.trajectory import read_trajectory
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Sample", "cell_of", "in_file_order", "sample", "trajectory_of"]

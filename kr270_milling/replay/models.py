@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from kr270_milling.cell import MOST_STEPS, Cell
-from kr270_milling.frames import rotation_from_quaternion
-from kr270_milling.recording import encode
-from kr270_milling.recording.compare import Channel
-from kr270_milling.recording.gaps import Passes
+from kr270_milling.bag.gaps import Passes
+from kr270_milling.base.frames import rotation_from_quaternion
+from kr270_milling.cell.cell import MOST_STEPS, Cell
+from kr270_milling.messages import encode
+from kr270_milling.replay.compare import Channel
 from kr270_milling.replay.inputs import TOOL, Sample, trajectory_of
 from kr270_milling.simulation.sides import CuttingSide, RobotSide
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling import __version__
-from kr270_milling.cell import Cell
-from kr270_milling.recording import encode
-from kr270_milling.recording.cdr import stamp_of
-from kr270_milling.recording.compare import Channel, Difference
-from kr270_milling.recording.errors import RecordingError
-from kr270_milling.recording.reader import Recording
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.reader import Recording
+from kr270_milling.cell.cell import Cell
+from kr270_milling.messages import encode
+from kr270_milling.messages.cdr import stamp_of
+from kr270_milling.replay.compare import Channel, Difference
 from kr270_milling.replay.compensator import CompensatorModel, Report, read_report
 from kr270_milling.replay.complete import Stop, incomplete
 from kr270_milling.replay.inputs import cell_of, in_file_order, sample

@@ -7,12 +7,12 @@ import dataclasses
 
 import numpy as np
 
-from kr270_milling.cell import MOST_STEPS, Cell
-from kr270_milling.passes import ScoredPass, scored
-from kr270_milling.recording.errors import RecordingError
-from kr270_milling.recording.reader import Recording
-from kr270_milling.recording.series import series
-from kr270_milling.recording.trajectory import TRAJECTORY, trajectories
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.reader import Recording
+from kr270_milling.cell.cell import MOST_STEPS, Cell
+from kr270_milling.cell.jobs import ScoredPass, scored
+from kr270_milling.messages.series import series
+from kr270_milling.messages.trajectory import TRAJECTORY, trajectories
 from kr270_milling.replay.inputs import cell_of
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.trajectory.trajectory import Trajectory

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from kr270_milling.cell import Cell
-from kr270_milling.errors import InputError
-from kr270_milling.part import PartAssessment, assess_all
-from kr270_milling.passes import ScoredPass
+from kr270_milling.base.errors import InputError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decision.part import PartAssessment, assess_all
 from kr270_milling.report.gallery import gallery
 from kr270_milling.report.html import page
 from kr270_milling.report.part_gallery import part_gallery

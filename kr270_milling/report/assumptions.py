@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.cell import Cell
-from kr270_milling.errors import MillingError
+from kr270_milling.base.errors import MillingError
+from kr270_milling.cell.cell import Cell
 from kr270_milling.simulation.arm_model import modal_models
 
 __all__ = ["Assumption", "assumptions", "mode_frequencies"]

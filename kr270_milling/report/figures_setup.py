@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
 
+from kr270_milling.base.frames import Pose
 from kr270_milling.cutting import Cutting, Stock, Tool
-from kr270_milling.frames import Pose
 from kr270_milling.report.style import COLOURS, GREY, SHADE, new_figure, styled
 from kr270_milling.robot import LinkFrames
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.figure import Figure
 
-from kr270_milling.cell import Cell
-from kr270_milling.passes import ScoredPass
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.report import figures_compare, figures_pass, figures_setup
 from kr270_milling.report.derived import micro_step_forces, slot_walls
 from kr270_milling.report.series import deviation_of

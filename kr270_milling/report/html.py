@@ -11,10 +11,10 @@ import numpy as np
 from markupsafe import Markup
 
 from kr270_milling import __version__
-from kr270_milling.cell import Cell
-from kr270_milling.config import flatten
-from kr270_milling.part import PartAssessment
-from kr270_milling.passes import ScoredPass, mean_force
+from kr270_milling.base.record import flatten
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass, mean_force
+from kr270_milling.decision.part import PartAssessment
 from kr270_milling.report.assumptions import assumptions
 from kr270_milling.report.gallery import Picture
 from kr270_milling.report.paper import PAPER, TABLE_2

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from kr270_milling.cutting import Stock
-from kr270_milling.part import PartAssessment
+from kr270_milling.decision.part import PartAssessment
 from kr270_milling.report.style import COLOURS, GREY, SHADE, colour, line, new_figure, plain, styled
 from kr270_milling.trajectory.toolpath import Toolpath
 

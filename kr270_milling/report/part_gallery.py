@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kr270_milling.cell import Cell
-from kr270_milling.part import PartAssessment
-from kr270_milling.passes import ScoredPass
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decision.part import PartAssessment
 from kr270_milling.report import figures_setup, part_figures
 from kr270_milling.report.gallery import Picture
 from kr270_milling.report.style import svg_text

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.cell import Cell
-from kr270_milling.errors import InputError
-from kr270_milling.passes import ScoredPass
+from kr270_milling.base.errors import InputError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.simulation.scores import path_deviation
 from kr270_milling.trajectory.files import write_files

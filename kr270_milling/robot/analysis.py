@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.config import Record, build, read_tree
-from kr270_milling.errors import ParameterError
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.record import Record, build, read_tree
 from kr270_milling.robot.arm import BARE, Arm, Mount
 from kr270_milling.robot.elastostatics import compliance, rotate_matrix, stiffness
 from kr270_milling.robot.equilibrium import equilibrium

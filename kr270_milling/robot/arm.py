@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.config import Record, parameter
-from kr270_milling.errors import ParameterError
-from kr270_milling.frames import Pose
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.frames import Pose
+from kr270_milling.base.record import Record, parameter
 
 __all__ = ["Arm", "Mount", "BARE", "AXES"]
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.frames import Pose
+from kr270_milling.base.frames import Pose
 from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 from kr270_milling.robot.kinematics import LinkFrames, check_regular, forward, jacobian_at

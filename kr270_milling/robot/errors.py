@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from kr270_milling.errors import MillingError
+from kr270_milling.base.errors import MillingError
 
 __all__ = ["ReachError", "JointLimitError", "SingularityError", "ConditionError", "UnstableLoadError",
            "DeflectionError", "EquilibriumError"]  # fmt: skip

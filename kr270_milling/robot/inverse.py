@@ -9,7 +9,7 @@ import itertools
 
 import numpy as np
 
-from kr270_milling.frames import Pose
+from kr270_milling.base.frames import Pose
 from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.frames import Pose
+from kr270_milling.base.frames import Pose
 from kr270_milling.robot.arm import AXES, Arm, Mount
 from kr270_milling.robot.errors import SingularityError
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kr270_milling.errors import ParameterError
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.kinematics import LinkFrames, check_regular, forward, jacobian_at
 

@@ -6,7 +6,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from kr270_milling.frames import abc_from_rotation
+from kr270_milling.base.frames import abc_from_rotation
 from kr270_milling.robot.arm import Arm, Mount
 
 __all__ = ["urdf"]

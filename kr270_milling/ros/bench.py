@@ -10,13 +10,13 @@ import tempfile
 import time
 from pathlib import Path
 
-from kr270_milling.cell import read_cell
-from kr270_milling.config_file import find_file
-from kr270_milling.recording.bench import bench_writer
-from kr270_milling.recording.reader import Recording
+from kr270_milling.bag.bench import bench_writer
+from kr270_milling.bag.reader import Recording
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.graph.graph import Graph
 from kr270_milling.replay.recorded import pass_from_recording
 from kr270_milling.ros.environment import child_environment, require_ros
-from kr270_milling.ros.graph import Graph
 
 __all__ = ["bench_ros"]
 

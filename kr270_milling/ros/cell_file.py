@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from kr270_milling.cell import Cell
-from kr270_milling.config import Record, specs
+from kr270_milling.base.record import Record, specs
+from kr270_milling.cell.cell import Cell
 
 __all__ = ["cell_text", "write_cell"]
 

@@ -10,8 +10,8 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from kr270_milling.config_file import find_file
-from kr270_milling.errors import MillingError
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.parameter_file import find_file
 
 __all__ = ["RosMissing", "child_environment", "keep_to_this_host", "require_ros"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kr270_milling.ros.driver import Driver, compatible
+from kr270_milling.graph.driver import Driver, compatible
 
 __all__ = ["COMPENSATOR", "CUT", "RECORDER", "ROBOT", "unmatched"]
 

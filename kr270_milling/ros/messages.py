@@ -17,8 +17,8 @@ from trajectory_msgs.msg import (
     MultiDOFJointTrajectoryPoint,
 )
 
-from kr270_milling.errors import MillingError
-from kr270_milling.recording.trajectory import read_trajectory
+from kr270_milling.base.errors import MillingError
+from kr270_milling.messages.trajectory import read_trajectory
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = [

@@ -11,7 +11,7 @@ from rclpy.exceptions import NameValidationException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.validate_namespace import validate_namespace
 
-from kr270_milling.errors import InputError, MillingError
+from kr270_milling.base.errors import InputError, MillingError
 
 __all__ = ["NameRefused", "full_namespace", "message_class", "plain_topic", "resolved_topic"]
 

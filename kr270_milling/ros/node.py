@@ -12,7 +12,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 
-from kr270_milling.errors import MillingError
+from kr270_milling.base.errors import MillingError
 from kr270_milling.ros import topics
 from kr270_milling.ros.messages import stamp_from_ns
 

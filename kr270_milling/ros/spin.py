@@ -13,7 +13,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
-from kr270_milling.errors import MillingError
+from kr270_milling.base.errors import MillingError
 from kr270_milling.ros.environment import PARENT, keep_to_this_host
 
 __all__ = ["run_node"]

@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from kr270_milling.ros.plan import fresh_directory
+from kr270_milling.graph.plan import fresh_directory
 
 __all__ = ["kept_or_temporary"]
 

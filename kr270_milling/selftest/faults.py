@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from kr270_milling.recording.reader import find_file
+from kr270_milling.bag.reader import find_file
 from kr270_milling.ros.matching import COMPENSATOR, CUT, RECORDER, ROBOT
 from kr270_milling.selftest.disturbed import Disturbed
 

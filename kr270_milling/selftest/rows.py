@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from kr270_milling.cell import Cell, read_cell
-from kr270_milling.config_file import find_file
-from kr270_milling.errors import MillingError
-from kr270_milling.passes import compensator, record_of, simulate
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.selftest.aftermath import is_alive
 from kr270_milling.selftest.clock import SteppedClock, compiler
 from kr270_milling.selftest.disturbed import Disturbed

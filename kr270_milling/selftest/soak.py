@@ -11,10 +11,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from kr270_milling.recording.reader import Recording
+from kr270_milling.bag.reader import Recording
+from kr270_milling.graph.graph import Graph
+from kr270_milling.graph.processes import RunError
 from kr270_milling.ros.environment import child_environment
-from kr270_milling.ros.graph import Graph
-from kr270_milling.ros.processes import RunError
 from kr270_milling.selftest.footprint import Footprint, footprint, slope
 from kr270_milling.selftest.rows import fault_cell
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass, field
 
-from kr270_milling.errors import MillingError
-from kr270_milling.ros.graph import NOT_COMPLETE
+from kr270_milling.base.errors import MillingError
+from kr270_milling.graph.graph import NOT_COMPLETE
 from kr270_milling.selftest.aftermath import Recorded, read_back
 from kr270_milling.selftest.disturbed import Disturbed, Told
 from kr270_milling.selftest.faults import ENDS, GOES_ON, Fault

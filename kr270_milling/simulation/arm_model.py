@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kr270_milling.frames import Pose
+from kr270_milling.base.frames import Pose
 from kr270_milling.robot import Arm, Mount, cartesian_mass, compliance, equilibrium
 from kr270_milling.simulation.dynamics import ArmModel, Dynamics, ModalModel, discretise, modes
 

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from scipy.linalg import eigh
 
-from kr270_milling.config import Record, parameter
-from kr270_milling.errors import MillingError
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.record import Record, parameter
 
 __all__ = ["Dynamics", "ArmModel", "ModalModel", "advance", "condense", "discretise", "modes"]
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.config import Record, parameter
-from kr270_milling.errors import ParameterError
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.record import Record, parameter
 
 __all__ = ["Exchange", "Clock"]
 

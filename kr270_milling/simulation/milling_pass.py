@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from kr270_milling.base.errors import MillingError
 from kr270_milling.cutting import Cut, GridError, UndoError, sweep, undo
 from kr270_milling.cutting.grid import TILE
 from kr270_milling.cutting.state import FAILED, LEVEL_SUM
-from kr270_milling.errors import MillingError
 from kr270_milling.simulation.dynamics import ArmModel, advance
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.trajectory.trajectory import Trajectory

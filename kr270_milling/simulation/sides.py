@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from kr270_milling.base.errors import MillingError
 from kr270_milling.cutting import Cut
-from kr270_milling.errors import MillingError
 from kr270_milling.simulation.dynamics import ArmModel
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.simulation.milling_pass import CompliantArm

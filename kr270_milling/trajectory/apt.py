@@ -12,7 +12,7 @@ import re
 
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.errors import InputError
+from kr270_milling.base.errors import InputError
 from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.toolpath import REACH, PathBuilder, Toolpath
 from kr270_milling.trajectory.trajectory import TOOL_DOWN

@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable
 from pathlib import Path
 
-from kr270_milling.errors import InputError
+from kr270_milling.base.errors import InputError
 
 __all__ = ["read_lines", "ends_in_mid_line", "short", "write_files"]
 

@@ -12,7 +12,7 @@ import re
 
 import numpy as np
 
-from kr270_milling.errors import InputError
+from kr270_milling.base.errors import InputError
 from kr270_milling.trajectory.arcs import ArcError, centre_from_radius, flatten
 from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.toolpath import REACH, PathBuilder, Toolpath

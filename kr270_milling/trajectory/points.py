@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from kr270_milling.config import UNITS
-from kr270_milling.errors import InputError
-from kr270_milling.frames import quaternion_from_rotation, rotation_from_abc
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_abc
+from kr270_milling.base.record import UNITS
 from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.toolpath import REACH, PathBuilder, Toolpath
 

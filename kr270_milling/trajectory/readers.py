@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.errors import InputError
+from kr270_milling.base.errors import InputError
 from kr270_milling.trajectory.apt import read_apt
 from kr270_milling.trajectory.gcode import read_gcode
 from kr270_milling.trajectory.points import read_points

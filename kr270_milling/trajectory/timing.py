@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.config import Record, parameter
+from kr270_milling.base.record import Record, parameter
 from kr270_milling.trajectory.profile import Ramps, peak_speeds, ramp_time, vertex_speeds
 from kr270_milling.trajectory.toolpath import Toolpath, ToolpathError
 from kr270_milling.trajectory.trajectory import Trajectory

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.errors import InputError, MillingError
+from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, slerp
 
 __all__ = ["Toolpath", "ToolpathError", "PathBuilder", "REACH"]

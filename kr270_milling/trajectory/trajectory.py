@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from kr270_milling.errors import MillingError
+from kr270_milling.base.errors import MillingError
 
 __all__ = ["Trajectory", "TrajectoryError", "TOOL_DOWN", "slerp"]
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.errors import InputError
+from kr270_milling.base.errors import InputError
 from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, write_files
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 

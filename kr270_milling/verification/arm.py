@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.config import find_file
+from kr270_milling.base.record import find_file
 from kr270_milling.robot import (
     BARE,
     Mount,

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from kr270_milling.errors import MillingError
+from kr270_milling.base.errors import MillingError
 
 __all__ = ["CHECKS", "Check", "Outcome", "Skipped", "UnknownCheckError", "check", "chosen", "run"]
 

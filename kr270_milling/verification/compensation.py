@@ -6,11 +6,11 @@ import functools
 
 import numpy as np
 
-from kr270_milling.cell import read_cell
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.compensation.mirror import mirror
 from kr270_milling.compensation.revision import PassRecord, revise
-from kr270_milling.config import find_file
-from kr270_milling.passes import compensated, simulate
 from kr270_milling.robot import equilibrium, pose
 from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.verification.arm import PAPER, SPINDLE, arm_of

@@ -7,9 +7,9 @@ import functools
 import numpy as np
 from scipy.linalg import expm
 
-from kr270_milling.cell import read_cell
-from kr270_milling.config import find_file
-from kr270_milling.passes import simulate
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import simulate
 from kr270_milling.simulation.arm_model import arm_model
 from kr270_milling.simulation.dynamics import advance, discretise, modes
 from kr270_milling.simulation.sides import CuttingSide, RobotSide

@@ -6,9 +6,9 @@ import functools
 
 import numpy as np
 
-from kr270_milling.cell import read_cell
-from kr270_milling.config import find_file
-from kr270_milling.passes import compensated, mean_force, simulate
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import compensated, mean_force, simulate
 from kr270_milling.report.paper import TABLE_2
 from kr270_milling.verification.checks import check
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
+from kr270_milling.base.errors import MillingError
 from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
-from kr270_milling.errors import MillingError
 from kr270_milling.simulation.arm_model import arm_model
 from kr270_milling.simulation.dynamics import ArmModel, modes
 from kr270_milling.simulation.milling_pass import CompliantArm

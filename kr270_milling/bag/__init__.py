@@ -1,0 +1,1 @@
+"""Recordings in MCAP: writer, reader, recover, export; no ROS is imported here."""

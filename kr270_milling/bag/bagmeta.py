@@ -1,0 +1,98 @@
+"""What rosbag2 wants to know beside the messages: QoS profiles and ``metadata.yaml`` (version 9, as in Jazzy)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+import yaml
+
+from kr270_milling.base import parameter_file as config_file
+from kr270_milling.base.errors import ConfigError
+
+__all__ = ["bag_information", "describe_qos", "qos_text", "read_qos"]
+
+INFINITE = 2**63 - 1  # [ns], as rosbag2 writes a duration without limit
+DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
+#: a topic's profile where the caller states nothing; the order is rosbag2's
+DEFAULT_QOS = dict(
+    history="keep_last",
+    depth=10,
+    reliability="reliable",
+    durability="volatile",
+    deadline=INFINITE,
+    lifespan=INFINITE,
+    liveliness="automatic",
+    liveliness_lease_duration=INFINITE,
+    avoid_ros_namespace_conventions=False,
+)
+
+
+def describe_qos(profile=None) -> dict:
+    """One QoS profile as rosbag2 writes it: from a mapping (missing keys take the default, durations are in ns or
+    already {sec, nsec}), or from an object with the attributes of rclpy's QoSProfile."""
+    if profile is None or isinstance(profile, Mapping):
+        given = dict(profile or {})
+        unknown = sorted(set(given) - set(DEFAULT_QOS))
+        if unknown:
+            raise KeyError(f"{', '.join(unknown)} is no part of a QoS profile")
+    else:
+        given = {key: getattr(profile, key) for key in DEFAULT_QOS}
+    return {key: _plain(key, given.get(key, default)) for key, default in DEFAULT_QOS.items()}
+
+
+def _plain(key: str, value):
+    if key in DURATIONS and not isinstance(value, Mapping):
+        nanoseconds = int(getattr(value, "nanoseconds", value))
+        return dict(sec=nanoseconds // 10**9, nsec=nanoseconds % 10**9)
+    return value.name.lower() if hasattr(value, "name") else value
+
+
+def qos_text(profiles: Iterable) -> str:
+    """The channel metadata ``offered_qos_profiles``: a YAML list of profiles."""
+    return yaml.safe_dump([describe_qos(p) for p in profiles], sort_keys=False).strip()
+
+
+def read_qos(text: str) -> list[dict]:
+    """The profiles in a channel's metadata; none where the text of a foreign file is not a list of mappings."""
+    try:
+        profiles = config_file.parse(text[:100_000], "", "offered_qos_profiles")
+    except ConfigError:
+        return []
+    usable = isinstance(profiles, list) and all(isinstance(p, dict) for p in profiles)
+    return profiles if usable else []
+
+
+def bag_information(file_name: str, topics: list[dict], start: int, end: int, custom: dict[str, str]) -> dict:
+    """The content of ``metadata.yaml`` for one MCAP file.
+
+    topics: per topic name, type, encoding, qos (list of described profiles), hash, count; start, end: first and last
+    log time [ns], of which only a file with messages has any.
+    """
+    count = sum(topic["count"] for topic in topics)
+    begins = {"nanoseconds_since_epoch": start if count else INFINITE}
+    lasts = {"nanoseconds": end - start if count else 0}
+    return dict(
+        version=9,
+        storage_identifier="mcap",
+        duration=lasts,
+        starting_time=begins,
+        message_count=count,
+        topics_with_message_count=[_topic(topic) for topic in topics],
+        compression_format="",  # of whole files or messages; the chunks inside have their own
+        compression_mode="",
+        relative_file_paths=[file_name],
+        files=[dict(path=file_name, starting_time=dict(begins), duration=dict(lasts), message_count=count)],
+        custom_data=custom,
+        ros_distro="jazzy",
+    )
+
+
+def _topic(topic: dict) -> dict:
+    about = dict(
+        name=topic["name"],
+        type=topic["type"],
+        serialization_format=topic["encoding"],
+        offered_qos_profiles=topic["qos"],
+        type_description_hash=topic["hash"],
+    )
+    return dict(topic_metadata=about, message_count=topic["count"])

@@ -1,0 +1,1 @@
+"""Ground floor: parameter records and files, output files, frames, errors."""

@@ -1,0 +1,152 @@
+"""Parameter files, ``/**: ros__parameters: ...`` in YAML: merged over each other, the command line on top."""
+
+from __future__ import annotations
+
+import functools
+import os
+import sysconfig
+import typing
+from pathlib import Path
+
+from kr270_milling.base.errors import ConfigError
+
+__all__ = ["find_file", "merge", "override", "parse", "read_tree", "read_yaml", "refusal"]
+
+MOST_BYTES = 256 * 1024  # the YAML reader takes some seconds for them
+
+
+def refusal(file, key: str, value, allowed: str) -> ConfigError:
+    """The error about a value of a file; a key without a value is told from a value."""
+    if value is None:
+        return ConfigError(file, key, None, f"has no value, it must be {allowed}")
+    return ConfigError(file, key, value, allowed)
+
+
+def read_tree(path, seen: tuple = ()) -> dict:
+    """The ``/**: ros__parameters:`` dict of a parameter file, merged over the files that its ``includes`` names."""
+    path = Path(path)
+    tree = read_yaml(path)
+    for key in ("/**", "ros__parameters"):
+        if not isinstance(tree, dict) or set(tree) != {key}:
+            raise ConfigError(path, "", None, "must have the form '/**: ros__parameters: ...' of a ROS parameter file")
+        tree = tree[key]
+    if not isinstance(tree, dict):
+        raise refusal(path, "/**.ros__parameters", tree, "a group of keys")
+    merged: dict = {}
+    includes = tree.pop("includes", [])
+    if not isinstance(includes, list) or not all(isinstance(i, str) for i in includes):
+        raise refusal(path, "includes", includes, "a list of file names")
+    for name in includes:
+        if path.resolve() in seen:
+            raise ConfigError(path, "includes", name, "free of circles")
+        merged = merge(merged, read_tree(find_file(name, path.parent), (*seen, path.resolve())))
+    return merge(merged, tree)
+
+
+def read_yaml(path: Path):
+    """What a YAML file of bearable size says; raises ConfigError."""
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise ConfigError(path, "", None, f"has more than {MOST_BYTES} bytes, so it is no parameter file")
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(path, "", None, f"cannot be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise ConfigError(path, "", None, "is not UTF-8 text") from None
+    return parse(text, path, "")
+
+
+def parse(text: str, file, key: str):
+    """What a YAML text says, without keys that stand twice or are merged ("<<"); raises ConfigError."""
+    import yaml
+
+    try:
+        return yaml.load(text, Loader=_strict_loader())
+    except RecursionError:
+        raise ConfigError(file, key, None, "is not valid YAML: nested too deeply") from None
+    except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        # beside its own errors PyYAML lets through those of the constructors that an explicit tag chooses
+        raise ConfigError(file, key, None, "is not valid YAML: " + " ".join(str(error).split())) from None
+
+
+@functools.cache
+def _strict_loader():
+    import yaml
+
+    class Loader(yaml.SafeLoader):
+        """Refuses the same key twice, and numbers to the base 60 (1:30), which ROS reads as texts."""
+
+        def construct_mapping(self, node, deep=False):
+            seen = set()
+            for name, _ in node.value:
+                key = self.construct_object(name, deep=True)
+                if not isinstance(key, str):
+                    raise yaml.YAMLError(f"the key in line {name.start_mark.line + 1} is not a text")
+                if key in seen:
+                    raise yaml.YAMLError(f"the key {key!r} stands twice, again in line {name.start_mark.line + 1}")
+                seen.add(key)
+            return super().construct_mapping(node, deep)
+
+        def construct_scalar(self, node):
+            value = super().construct_scalar(node)
+            if ":" in value and node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float"):
+                raise yaml.YAMLError(f"{value} in line {node.start_mark.line + 1} is not a number")
+            return value
+
+    return Loader
+
+
+def merge(below: dict, above: dict) -> dict:
+    """``above`` laid over ``below``, group by group."""
+    merged = dict(below)
+    for key, value in above.items():
+        both = isinstance(value, dict) and isinstance(merged.get(key), dict)
+        merged[key] = merge(merged[key], value) if both else value
+    return merged
+
+
+def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, frozenset]:
+    """Apply ``key=value`` texts (dotted keys); returns the new tree and the keys set, for ``build``'s ``lenient``."""
+    keys = set()
+    for text in assignments:
+        key, equals, value = text.partition("=")
+        if not equals or not all(key.split(".")):
+            raise ConfigError("--set", text, None, "must have the form key=value")
+        parsed = parse(value, "--set", key)
+        for part in reversed(key.split(".")):
+            parsed = {part: parsed}
+        tree = merge(tree, typing.cast(dict, parsed))
+        keys.add(key)
+    return tree, frozenset(keys)
+
+
+def find_file(name: str, beside: Path | None = None) -> Path:
+    """A parameter file by path, beside another file, or among the shipped ones; raises ConfigError if nowhere.
+
+    A shipped one goes by its bare name or as ``config/name``: a mistyped folder never ends at another file.
+    """
+    places = [Path(name)] if beside is None else [beside / name]
+    if Path(name).parent in (Path("."), Path("config")):
+        places += [directory / Path(name).name for directory in shipped_directories()]
+    for place in filter(_is_file, places):
+        return place
+    raise ConfigError(name, "", None, f"is no such file (looked at {', '.join(str(p) for p in places)})")
+
+
+def _is_file(place: Path) -> bool:
+    try:
+        return place.is_file()
+    except (OSError, ValueError):  # too long, in a folder that is not ours to look into, a zero byte in it
+        return False
+
+
+def shipped_directories() -> list[Path]:
+    """Where the shipped ``config`` lies: in the source checkout that runs, under the ament index or Python's prefix.
+
+    The checkout first, so that its code never meets the files of another version that is installed beside it.
+    """
+    source = Path(__file__).resolve().parents[2]
+    checkout = [source / "config"] if (source / "package.xml").is_file() else []
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) + [sysconfig.get_path("data")]
+    installed = [Path(p) / "share" / "kr270_milling" / "config" for p in prefixes if p]
+    return [p for p in (*checkout, *installed) if p.is_dir()]

@@ -1,0 +1,137 @@
+"""The jobs around one pass of a cell: simulate it, score it, compensate it. No ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.cell.cell import Cell
+from kr270_milling.compensation.compensator import Compensator
+from kr270_milling.compensation.mirror import Mirror, mirror
+from kr270_milling.compensation.revision import PassRecord
+from kr270_milling.simulation.milling_pass import PassResult, run_pass
+from kr270_milling.simulation.scores import Scores, score
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = [
+    "ScoredPass",
+    "commanded_joints",
+    "compensated",
+    "compensator",
+    "mean_force",
+    "mirrored",
+    "pass_record",
+    "record_of",
+    "scored",
+    "simulate",
+]
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredPass:
+    """One pass of a report or a table."""
+
+    name: str
+    reference: Trajectory
+    result: PassResult
+    scores: Scores
+
+    def row(self) -> dict:
+        """The keys that every command prints."""
+        return {
+            "name": self.name,
+            "static_deviation_mm": self.scores.static_deviation * 1e3,
+            "max_deviation_mm": self.scores.max_deviation * 1e3,
+            "low_frequency_hz": self.scores.low_frequency,
+            "ringing_frequency_hz": self.scores.ringing_frequency,
+        }
+
+
+def simulate(cell: Cell, reference: Trajectory | None = None, name: str = "original", progress=None) -> ScoredPass:
+    """One pass on a fresh workpiece along ``reference`` (default: the target itself)."""
+    target = cell.target()
+    reference = target if reference is None else reference
+    result = run_pass(
+        cell.arm_model(reference), cell.cut(), cell.clock, target, reference, cell.exchange.iterations, progress
+    )
+    return ScoredPass(name, reference, result, scored(cell, result))
+
+
+def scored(cell: Cell, result: PassResult) -> Scores:
+    feed = cell.target().sample_velocity(result.time_ns)
+    return score(
+        result.time,
+        result.actual,
+        result.target,
+        feed,
+        cell.full_engagement,
+        cell.low_frequency,
+        result.deflection[:, 1],
+    )
+
+
+def record_of(cell: Cell, result: PassResult) -> PassRecord:
+    """What the compensator learns from: stamps and tool centres, as a node hears them on ``tool_pose``."""
+    return pass_record(cell, result.time_ns, result.tool, result.wrench)
+
+
+def pass_record(cell: Cell, time_ns: np.ndarray, tool: np.ndarray, wrench: np.ndarray) -> PassRecord:
+    """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], heard, recorded or simulated."""
+    revolution = 2e9 * np.pi / cell.tool.spindle_speed
+    return PassRecord(time_ns, tool, cell.scored_from_ns, wrench, revolution)
+
+
+def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Compensator:
+    """The compensator of a cell, on line and off line."""
+    return Compensator(cell.compensation, target, method, lambda t, wrench: mirrored(cell, t, wrench))
+
+
+def mirrored(cell: Cell, target: Trajectory, wrench: np.ndarray) -> Trajectory:
+    """Target points modified by (30)-(32) for wrenches (k, 6) at the knots, in workpiece axes.
+
+    Without the sag under the link weights: who commands the joints deals with that, see ``commanded_joints``.
+    """
+    turn = cell.workpiece.pose.rotation
+    in_base = np.concatenate([wrench[:, :3] @ turn.T, wrench[:, 3:] @ turn.T], axis=1)
+    modified = cell.workpiece.pose.inverse() @ _mirror(cell, target, in_base, True).pose
+    return Trajectory(target.time_ns, modified.position, modified.quaternion, None, target.frame)
+
+
+def commanded_joints(cell: Cell, reference: Trajectory) -> np.ndarray:
+    """The inverse kinetostatic model: joint positions [rad], (k, 6), that bring the tool to the reference points.
+
+    Where the controller does not compensate the sag under the link weights, they do.
+    """
+    if cell.compensation.sag_compensated:
+        return cell.joints(reference)
+    return _mirror(cell, reference, np.zeros((len(reference), 6)), False).joints
+
+
+def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool) -> Mirror:
+    tool = cell.workpiece.pose @ Pose(target.position, rotation_from_quaternion(target.quaternion))
+    return mirror(
+        cell.arm, cell.mount, tool, wrench_in_base, cell.start_joints,
+        relaxation=cell.compensation.relaxation, sag_compensated=sag_compensated,
+    )  # fmt: skip
+
+
+def compensated(
+    cell: Cell, original: ScoredPass, method: str, progress=None, by: Compensator | None = None
+) -> ScoredPass:
+    """The pass along the trajectory that ``method`` makes from the original pass; by: a compensator to do it with."""
+    passes: dict[int, ScoredPass] = {}
+
+    def run(reference: Trajectory) -> PassRecord:
+        passes[id(reference)] = simulate(cell, reference, method, progress)
+        return record_of(cell, passes[id(reference)].result)
+
+    by = by or compensator(cell, cell.target(), method)
+    reference = by.improve(record_of(cell, original.result), run)
+    return passes.get(id(reference)) or simulate(cell, reference, method, progress)
+
+
+def mean_force(result: PassResult) -> np.ndarray:
+    """[N], (3,), over the last quarter of the pass."""
+    return result.wrench[-max(1, len(result.wrench) // 4) :, :3].mean(axis=0)

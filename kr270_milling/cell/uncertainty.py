@@ -1,0 +1,29 @@
+"""How well the models are known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from kr270_milling.base.record import Record, parameter
+
+__all__ = ["Uncertainty"]
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty(Record):
+    """YAML ``uncertainty``: relative standard deviations (of log-normal factors) and a standard deviation in mm.
+
+    All defaults are assumed: identified joint compliances scatter by 10 to 20 % between methods and postures, cutting
+    coefficients by as much between batches and tool wear, modal damping by a third from mode to mode; a part is
+    touched off within a few hundredths of a millimetre.
+    """
+
+    joint_compliance: float = parameter(0.15, low=0.0, high=1.0, text="of each joint's compliance")
+    force_coefficient: float = parameter(0.15, low=0.0, high=1.0, text="of each coefficient of the force law")
+    damping_ratio: float = parameter(0.3, low=0.0, high=1.0, text="of the damping ratio of all modes")
+    placement: float = parameter(
+        0.05e-3, unit="mm", low=0.0, high=10.0, text="of the stock's place along each axis of the workpiece frame"
+    )
+    matters_above: float = parameter(
+        10e-6, unit="um", low=0.0, high=1e4, text="deviations below this do not matter to the part"
+    )

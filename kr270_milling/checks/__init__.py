@@ -1,1 +1,0 @@
-"""Whether a path may be run: reach, joints, singularities, correction, stock, spindle."""

@@ -1,0 +1,60 @@
+"""Where a pass was on its tool path: directions, distances and features of its exchange periods."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.cell.cell import Cell
+
+__all__ = ["Course", "course", "deviations"]
+
+UPRIGHT = 1e-6  #: horizontal part of a unit tangent below which the tool moves along the spindle
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """The target of a pass at the ends of its n exchange periods (first row: the start), workpiece frame."""
+
+    distance: np.ndarray  #: [m], (n + 1,), along the tool path
+    tangent: np.ndarray  #: unit vectors, (n + 1, 3), also while the tool rests
+    heading: np.ndarray  #: [rad], (n + 1,), of the tangent in the xy plane; moves along the spindle keep the last one
+    feature: np.ndarray  #: (n + 1,), index into ``features``
+    features: tuple[str, ...]
+
+    @property
+    def left(self) -> np.ndarray:
+        """Horizontal unit normal to the left of the path, (n + 1, 2)."""
+        return np.column_stack([-np.sin(self.heading), np.cos(self.heading)])
+
+
+def course(cell: Cell, time_ns: np.ndarray) -> Course:
+    """The course of the cell's target at times [ns], (n + 1,)."""
+    timed = cell.timed_path
+    if timed is None:
+        target = cell.target()
+        way = np.linalg.norm(target.sample(time_ns) - target.position[0], axis=1)
+        along = target.position[-1] - target.position[0]
+        tangent = np.tile(along / np.linalg.norm(along), (time_ns.size, 1))
+        return Course(way, tangent, _headings(tangent), np.zeros(time_ns.size, np.int64), ("straight cut",))
+    path, distance = timed.toolpath, timed.distance_at(time_ns)
+    _, tangent, _ = path.on_path(distance)
+    feature = path.feature[path.block_at(distance)]
+    names = tuple(name or "unnamed" for name in path.features)
+    return Course(distance, tangent, _headings(tangent), feature, names)
+
+
+def _headings(tangent: np.ndarray) -> np.ndarray:
+    level = np.hypot(tangent[:, 0], tangent[:, 1]) > UPRIGHT
+    if not level.any():
+        return np.zeros(len(tangent))
+    last = np.maximum.accumulate(np.where(level, np.arange(level.size), -1))
+    held = tangent[np.where(last < 0, np.argmax(level), last)]
+    return np.arctan2(held[:, 1], held[:, 0])
+
+
+def deviations(path: Course, error: np.ndarray) -> np.ndarray:
+    """Tangential, normal (to the left) and vertical part of actual minus target, both (n + 1, 3) [m]."""
+    normal = np.sum(error[:, :2] * path.left, axis=1)
+    return np.column_stack([np.sum(error * path.tangent, axis=1), normal, error[:, 2]])

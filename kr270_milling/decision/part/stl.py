@@ -1,0 +1,101 @@
+"""The machined part as binary STL: a closed surface of the height map, thinned, with sides and bottom."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.cutting import Cut, Stock
+
+__all__ = ["write_stl"]
+
+MOST_TRIANGLES = 4_000_000  #: 200 MB
+FINE = 0.25e-3  #: [m]
+
+
+def write_stl(path, cut: Cut, spacing: float | None = None) -> int:
+    """Write the part of ``cut`` as seen in heights ``spacing`` [m] apart, coordinates in mm; returns the triangles.
+
+    Default: 0.25 mm, or the least that a large part allows. The file appears whole or not at all. Raises ParameterError
+    where it would have more than 4 million triangles, and InputError where it cannot be written.
+    """
+    x, y, z = _lattice(cut, _spacing(cut) if spacing is None else spacing)
+    triangles = _triangles(x * 1e3, y * 1e3, z * 1e3, float(cut.stock.min[2]) * 1e3)
+    record = np.zeros(
+        len(triangles), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    )
+    record["corners"] = triangles
+    record["normal"] = _normals(record["corners"].astype(float))
+    header = b"kr270_milling machined part, mm".ljust(80)
+    _write_whole(Path(path), header + np.uint32(len(record)).tobytes(), record)
+    return len(record)
+
+
+def _spacing(cut: Cut) -> float:
+    """[m]"""
+    thinning = max(1, round(FINE / cut.stock.grid_step))
+    while _count(cut.stock, thinning) > MOST_TRIANGLES:
+        thinning = math.ceil(1.1 * thinning)
+    return thinning * cut.stock.grid_step
+
+
+def _count(stock: Stock, thinning: int) -> int:
+    """Triangles at most."""
+    count = [-(-n // thinning) + 2 for n in stock.nodes]
+    return 2 * count[0] * count[1] + 6 * sum(count)
+
+
+def _lattice(cut: Cut, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nodes at the middles of thinned cells, and on the stock's borders; heights (a, b) [m]."""
+    stock = cut.stock
+    thinning = max(1, round(spacing / stock.grid_step))
+    most = _count(stock, thinning)
+    if not spacing > 0.0 or most > MOST_TRIANGLES:
+        shown = f"larger: the part would have {most} triangles, more than {MOST_TRIANGLES}"
+        raise ParameterError("STL spacing [mm]", spacing * 1e3, shown)
+    x, y, z = cut.heights(thinning=thinning)
+    x, y = (np.concatenate([[stock.min[k]], axis, [stock.max[k]]]) for k, axis in enumerate((x, y)))
+    z = np.pad(z, 1, mode="edge")
+    least = stock.min[2] + cut.params.level_step  # where the tool went through, a skin is left: the surface is one
+    return x, y, np.maximum(z, least)
+
+
+def _triangles(x: np.ndarray, y: np.ndarray, z: np.ndarray, bottom: float) -> np.ndarray:
+    """(m, 3, 3), counterclockwise seen from outside."""
+    grid = np.stack([*np.meshgrid(x, y, indexing="ij"), z], -1)
+    border = np.concatenate([grid[:-1, 0], grid[-1, :-1], grid[:0:-1, -1], grid[0, ::-1]])  # around, closed
+    under = border.copy()
+    under[:, 2] = bottom
+    middle = np.broadcast_to([0.5 * (x[0] + x[-1]), 0.5 * (y[0] + y[-1]), bottom], under[1:].shape)
+    floor = np.stack([under[1:], under[:-1], middle], axis=1)
+    return np.concatenate([_sheet(grid), _sheet(np.stack([under, border], axis=1)), floor])
+
+
+def _sheet(p: np.ndarray) -> np.ndarray:
+    """Two triangles for each mesh of points (a, b, 3); their outside is where the first axis turns to the second."""
+    a, b, c, d = p[:-1, :-1], p[1:, :-1], p[1:, 1:], p[:-1, 1:]
+    return np.stack([np.stack([a, b, c], -2), np.stack([a, c, d], -2)], -3).reshape(-1, 3, 3)
+
+
+def _normals(corners: np.ndarray) -> np.ndarray:
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    return normal / np.where(length > 0, length, 1.0)
+
+
+def _write_whole(path: Path, head: bytes, record: np.ndarray) -> None:
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        part.unlink(missing_ok=True)
+        with open(part, "xb") as stream:
+            stream.write(head)
+            record.tofile(stream)
+        part.replace(path)
+    except OSError as error:
+        raise InputError(path, f"cannot be written ({error.strerror})") from None
+    finally:
+        part.unlink(missing_ok=True)

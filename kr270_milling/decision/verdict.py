@@ -1,0 +1,114 @@
+"""Does the compensation help when the plant is not the model? A Monte Carlo answer in one word and its bands."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.decision.samples import coarser, perturbed, run_sample
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["HELPS", "INDIFFERENT", "UNTRUSTED", "Verdict", "judge", "monte_carlo"]
+
+HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
+LEVELS = (0.05, 0.5, 0.95)
+SAMPLES = 32
+FEWEST = 8
+SAME = 0.1  #: changes of the largest deviation by less than this share are none
+FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What the samples say. Deviations in rows of (largest, static) [m], one a sample; NaN: the plant failed."""
+
+    word: str  #: "helps", "does not matter" or "cannot be trusted here"
+    reason: str
+    original: np.ndarray  #: (n, 2)
+    compensated: np.ndarray  #: (n, 2)
+    seed: int | None
+
+    def bands(self, which: str) -> dict[str, tuple[float, ...]]:
+        """5, 50 and 95 % of the largest and of the static deviation [m]; which: "original" or "compensated"."""
+        rows = getattr(self, which)
+        rows = rows[np.isfinite(rows).all(axis=1)]
+        if not len(rows):
+            return {"max": (np.nan,) * 3, "static": (np.nan,) * 3}
+        quantiles = np.quantile(rows, LEVELS, axis=0).T.tolist()
+        return {"max": tuple(quantiles[0]), "static": tuple(quantiles[1])}
+
+    def as_dict(self) -> dict:
+        """For JSON; each band is 5, 50, 95 %."""
+        found = {"verdict": self.word, "reason": self.reason, "samples": len(self.original), "seed": self.seed,
+                 "failed": int(np.isnan(self.compensated).any(axis=1).sum())}  # fmt: skip
+        for which in ("original", "compensated"):
+            bands = {f"{name}_deviation_mm": [1e3 * v for v in band] for name, band in self.bands(which).items()}
+            found[which] = bands
+        return found
+
+
+def monte_carlo(
+    cell: Cell,
+    target: Trajectory,
+    revised: Trajectory,
+    rng: np.random.Generator,
+    samples: int = SAMPLES,
+    *,
+    budget: float = np.inf,
+    seed: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Verdict:
+    """Run ``samples`` plants drawn from ``cell.uncertainty`` along the target and along the revised trajectory.
+
+    budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8. seed: only told.
+    """
+    if not samples >= 1:
+        raise ParameterError("samples", samples, "a whole number of at least 1")
+    scored_from = None if cell.path.file else cell.full_engagement
+    nominal = coarser(cell) if cell.path.file else cell
+    rows = np.full((samples, 2, 2), np.nan)
+    start, done = time.perf_counter(), 0
+    while done < samples:
+        rows[done] = run_sample(perturbed(nominal, rng), target, (target, revised), scored_from)
+        done += 1
+        if done == 2:  # the first one may have had to compile
+            each = (time.perf_counter() - start) / 2
+            samples = min(samples, max(FEWEST, int(budget / each))) if np.isfinite(budget) else samples
+        if progress is not None:
+            progress(done, samples)
+    word, reason = judge(rows[:done, 0, 0], rows[:done, 1, 0], cell.uncertainty.matters_above)
+    return Verdict(word, reason, rows[:done, 0], rows[:done, 1], seed)
+
+
+def judge(original: np.ndarray, compensated: np.ndarray, matters_above: float) -> tuple[str, str]:
+    """The verdict and its reason from the largest deviations [m], (n,), of the same plants on both trajectories.
+
+    In this order: more than 5 % of the plants fail on the compensated trajectory and not on the original: cannot be
+    trusted. 95 % of the originals stay below ``matters_above`` [m] and 95 % of the compensated as well: does not
+    matter. 90 % of the plants change by less than 10 %: does not matter. More than 5 % become worse: cannot be
+    trusted. Half of them gain less than 10 %: does not matter. Else it helps.
+    """
+    lost = float(np.mean(np.isnan(compensated) & np.isfinite(original)))
+    if lost > FAILING:
+        return UNTRUSTED, f"{100 * lost:.0f} % of the plants fail on the compensated trajectory"
+    both = np.isfinite(original) & np.isfinite(compensated)
+    if not both.any():
+        return UNTRUSTED, "no plant survives either trajectory"
+    before, after = original[both], compensated[both]
+    worst = max(np.quantile(before, 0.95), np.quantile(after, 0.95))
+    if worst < matters_above:
+        return INDIFFERENT, f"95 % of the plants stay below {1e6 * worst:.3g} um either way"
+    low, middle, high = np.quantile(after / np.maximum(before, 1e-300), LEVELS)
+    share = f"the largest deviation becomes {100 * middle:.0f} % of what it was ({100 * low:.0f} to {100 * high:.0f} %)"
+    if low > 1.0 - SAME and high < 1.0 + SAME:
+        return INDIFFERENT, share
+    if high >= 1.0:
+        return UNTRUSTED, f"{share}: more than 5 % of the plants become worse"
+    if middle > 1.0 - SAME:
+        return INDIFFERENT, share
+    return HELPS, share

@@ -1,0 +1,1 @@
+"""The graph of nodes: processes, choreography of passes, watchdog."""

@@ -1,0 +1,177 @@
+"""The runner's own small node: changes the states of the others, sets parameters, hears their diagnostics."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import SetParameters
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSCompatibility, qos_check_compatible
+from rclpy.signals import SignalHandlerOptions
+
+from kr270_milling.graph.processes import RunError
+from kr270_milling.ros import topics
+
+__all__ = ["Driver", "Status", "TRANSITIONS", "compatible"]
+
+TRANSITIONS = {
+    "configure": Transition.TRANSITION_CONFIGURE,
+    "activate": Transition.TRANSITION_ACTIVATE,
+    "deactivate": Transition.TRANSITION_DEACTIVATE,
+    "cleanup": Transition.TRANSITION_CLEANUP,
+}
+ERROR = b"\x02"
+LEAVE = 10  # [s] to leave the graph
+LOOK = 0.02  # [s] between two looks at the processes while waiting
+
+
+@dataclass(frozen=True)
+class Status:
+    """What a node said last, and when [s of the monotonic clock]."""
+
+    level: bytes
+    message: str
+    values: dict[str, str]
+    at: float
+
+    def counts(self, key: str) -> dict[str, int]:
+        """The values ``topic=count topic=count ...`` of ``listeners`` and ``heard``."""
+        pairs = (text.rpartition("=") for text in self.values.get(key, "").split())
+        return {topic: int(count) for topic, _, count in pairs}
+
+
+class Driver:
+    """In a context of its own. ``check`` is called all the time while it waits, and may raise."""
+
+    def __init__(self, namespace: str, check: Callable[[], None]):
+        self.check = check
+        self.statuses: dict[str, Status] = {}  #: by fully qualified node name
+        self.errors: list[tuple[str, str]] = []  #: (node, message) of every new ERROR
+        self.stuck = False  #: nothing arrives any more
+        self._context = Context()
+        rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self.node = Node(
+            "milling_run", namespace=namespace, context=self._context, use_global_arguments=False,
+            start_parameter_services=False, enable_rosout=False,
+        )  # fmt: skip
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        topic = topics.DIAGNOSTICS
+        self.node.create_subscription(topic.type, topic.name, self._on_diagnostics, topic.qos)
+        self._clients: dict[str, object] = {}
+        self.namespace = self.node.get_namespace()
+
+    def name_of(self, node: str) -> str:
+        """Fully qualified."""
+        return f"{self.namespace.rstrip('/')}/{node}"
+
+    def status(self, node: str) -> Status | None:
+        return self.statuses.get(self.name_of(node))
+
+    def _on_diagnostics(self, msg) -> None:
+        for status in msg.status:
+            before = self.statuses.get(status.name)
+            values = {pair.key: pair.value for pair in status.values}
+            self.statuses[status.name] = Status(status.level, status.message, values, time.monotonic())
+            known = before is not None and (before.level, before.message) == (status.level, status.message)
+            if status.level == ERROR and not known:
+                self.errors.append((status.name, status.message))
+
+    def until(self, condition: Callable[[], object], what: str, deadline: float, node: str = "graph"):
+        """Wait for a condition and return its value; raises RunError after the deadline [s]."""
+        end = time.monotonic() + deadline
+        while not (value := condition()):
+            self.check()
+            if time.monotonic() > end:
+                raise RunError(node, f"{what} took more than {deadline:g} s")
+            self._executor.spin_once(timeout_sec=LOOK)
+        return value
+
+    def spin(self) -> None:
+        self._executor.spin_once(timeout_sec=LOOK)
+
+    def _call(self, node: str, kind: type, service: str, request, what: str, deadline: float):
+        return self._finish(self._ask(node, kind, service, request, deadline), what, deadline)
+
+    def _ask(self, node: str, kind: type, service: str, request, deadline: float) -> tuple:
+        name = f"{self.name_of(node)}/{service}"
+        if name not in self._clients:
+            self._clients[name] = self.node.create_client(kind, name)
+        client = self._clients[name]
+        self.until(client.service_is_ready, f"finding the service {service}", deadline, node)
+        return node, client, client.call_async(request)
+
+    def _finish(self, asked: tuple, what: str, deadline: float):
+        node, client, future = asked
+        try:
+            self.until(future.done, what, deadline, node)
+        finally:
+            client.remove_pending_request(future)
+        return future.result()
+
+    def transition(self, node: str, name: str, deadline: float) -> None:
+        """Lifecycle transition of a node; raises RunError where it fails."""
+        self.transitions([(node, name)], deadline)
+
+    def transitions(self, steps: list[tuple[str, str]], deadline: float) -> None:
+        """Transitions (node, name) of several nodes at the same time."""
+        asked = []
+        for node, name in steps:
+            request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name], label=name))
+            asked.append(self._ask(node, ChangeState, "change_state", request, deadline))
+        for (node, name), question in zip(steps, asked, strict=True):
+            if not self._finish(question, name, deadline).success:
+                self.until(lambda: self.errors, f"telling why {name} failed", 1.0, node)
+                self.check()
+                raise RunError(node, f"{name} failed")
+
+    def set_text(self, node: str, parameter: str, value: str, deadline: float) -> None:
+        """Set a text parameter of a node; raises RunError where it is refused."""
+        held = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
+        request = SetParameters.Request(parameters=[Parameter(name=parameter, value=held)])
+        result = self._call(node, SetParameters, "set_parameters", request, f"setting {parameter}", deadline).results[0]
+        if not result.successful:
+            raise RunError(node, result.reason)
+
+    def nodes(self) -> list[str]:
+        """Fully qualified names of all nodes seen, one that is there twice twice."""
+        return [f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces()]
+
+    def ends(self, topic: str) -> tuple[list, list]:
+        """Publishers and subscriptions of a fully qualified topic."""
+        return self.node.get_publishers_info_by_topic(topic), self.node.get_subscriptions_info_by_topic(topic)
+
+    def close(self) -> None:
+        """Leave the graph; not when Fast DDS is stuck (eProsima/Fast-DDS#6502): neither this nor an exit would end."""
+        if self.stuck:
+            atexit.register(_end_at_once)
+            return
+        signal.alarm(LEAVE)  # rather ended than blocked for ever; the nodes end with us
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
+        signal.alarm(0)
+
+
+def _end_at_once() -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(2)  # the run has failed
+
+
+def compatible(publisher, subscription) -> bool:
+    """Whether two ends will match."""
+    found, _ = qos_check_compatible(publisher.qos_profile, subscription.qos_profile)
+    return found != QoSCompatibility.ERROR

@@ -1,0 +1,87 @@
+"""Which passes a run makes: the original one, then those of every method, each scored from its recording."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.graph.graph import Graph, PassRun
+from kr270_milling.replay.recorded import pass_from_recording
+
+__all__ = ["RanPass", "fresh_directory", "run_plan"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RanPass:
+    """A row of the table."""
+
+    run: PassRun
+    scored: ScoredPass
+    messages_lost: int
+    learning: tuple[RanPass, ...] = ()  #: every pass that "learned" took; the row itself is the best of them
+
+    def row(self) -> dict:
+        """Keys as the command prints them."""
+        duration = float(self.scored.result.time[-1])
+        row = {
+            **self.scored.row(),
+            "recording": str(self.run.recording),
+            "duration_s": duration,
+            "wall_s": self.run.wall_s,
+            "real_time_factor": duration / self.run.wall_s,
+            "messages_lost": self.messages_lost,
+        }
+        return {**row, "learning": [ran.row() for ran in self.learning]} if self.learning else row
+
+
+def fresh_directory(out) -> Path:
+    """``out`` itself, or a new ``out/run_N`` where it holds recordings already: none is ever overwritten."""
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    if not any(out.glob("*/*.mcap")) and not (out / "cell.yaml").exists():
+        return out
+    for number in range(2, 100_000):
+        try:
+            (out / f"run_{number}").mkdir()
+        except FileExistsError:
+            continue
+        return out / f"run_{number}"
+    raise FileExistsError(f"{out}: holds too many runs")
+
+
+def run_plan(
+    graph: Graph, methods: Sequence[str], passes: int | None = None, progress: Callable[[str], None] = lambda name: None
+) -> list[RanPass]:
+    """The original pass, then each method's; passes: how many in all, the original included (default: as needed)."""
+
+    def run(name: str) -> RanPass:
+        progress(name)
+        told = graph.run_pass(name)
+        found = pass_from_recording(told.recording, name, graph.driver.namespace)
+        return RanPass(told, found.scored, found.lost_to_end)
+
+    rows = [run("original")]
+    for method in methods:
+        if passes is not None and passes < 2:
+            break
+        graph.choose(method)
+        if method == "learned":
+            rows.append(_learn(graph, run, passes))
+            continue
+        for number in range(1, passes or 2):
+            rows.append(run(method if number == 1 else f"{method}_{number}"))
+    return rows
+
+
+def _learn(graph: Graph, run: Callable[[str], RanPass], passes: int | None) -> RanPass:
+    """Passes until the compensator says that it is finished; the one along the best reference counts."""
+    most = passes - 1 if passes else graph.cell.compensation.max_passes
+    tried: list[RanPass] = []
+    while len(tried) < most and not (tried and tried[-1].run.finished):
+        tried.append(run(f"learned_{len(tried) + 1}"))
+    errors = tried[-1].run.errors[1:]  # the first is that of the original pass
+    best = min(range(len(tried)), key=lambda i: errors[i])
+    named = dataclasses.replace(tried[best].scored, name="learned")
+    return dataclasses.replace(tried[best], scored=named, learning=tuple(tried))

@@ -1,0 +1,1 @@
+"""Message bytes to records and back, without ROS."""

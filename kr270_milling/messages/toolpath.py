@@ -1,0 +1,223 @@
+"""The target of a pass out of a recording: a nav_msgs/Path as a tool path, a MultiDOFJointTrajectory as it is timed.
+
+A Path gives positions; the stamps of its poses give the feed, ``feed_rate`` does where it has no times (all stamps
+are equal). Its orientations count where tool0 z points into the part. Where all of them have z straight up, as the
+empty orientation and the headings of planners have it, they say nothing about a tool, and the tool stands upright.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.reader import Recording, find_file
+from kr270_milling.base import parameter_file as config_file
+from kr270_milling.messages.cdr import Cursor
+from kr270_milling.messages.trajectory import TRAJECTORY, TrajectoryRecord, read_trajectory
+from kr270_milling.trajectory.timing import TimedPath
+from kr270_milling.trajectory.toolpath import REACH, Toolpath
+from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
+
+__all__ = ["PATH", "PathRecord", "find_tool_path", "is_recording", "read_path", "read_recorded"]
+
+PATH = "nav_msgs/msg/Path"
+TOOL, WORKPIECE = "tool0", "workpiece"
+UPRIGHT = 1e-9  #: horizontal part of the z axis below which an orientation is a mere heading
+
+
+@dataclass(frozen=True, eq=False)
+class PathRecord:
+    """One message; n poses."""
+
+    frames: tuple[str, ...]  #: of the message, then those of its poses, each once
+    time: np.ndarray  #: [ns], (n,) int64, the stamps
+    position: np.ndarray  #: [m], (n, 3)
+    quaternion: np.ndarray  #: x y z w, (n, 4)
+
+
+def find_tool_path(name: str, beside: Path = Path()) -> Path:
+    """A tool path's file: one beside another file, a shipped one, or that in the directory of a recording.
+
+    Raises ConfigError, RecordingError.
+    """
+    if os.path.isdir(beside / name):
+        return find_file(beside / name)
+    return config_file.find_file(name, beside)
+
+
+def is_recording(path) -> bool:
+    """Whether a file is to be read as a recording, by its name."""
+    return Path(path).suffix.lower() == ".mcap"
+
+
+def read_recorded(path, topic: str = "", feed_rate: float = 0.0) -> Toolpath | TimedPath:
+    """The one path or trajectory of a recording, or that on ``topic``; feed_rate [m/s]: for a Path without times.
+
+    Raises RecordingError where there is none, where there are several, or where it cannot be run.
+    """
+    with Recording(path) as recording:
+        topic, kind = _topic(recording, topic)
+        try:
+            data = _message(recording, topic)
+            if kind == PATH:
+                return _toolpath(read_path(data), feed_rate)
+            return _timed(read_trajectory(data))
+        except (ValueError, TrajectoryError) as error:
+            reason = getattr(error, "reason", error)
+            point = getattr(error, "index", None)
+            where = "" if point is None else f"point {point + 1}: "
+            raise RecordingError(path, f"{topic}: {where}{reason}") from error
+
+
+def _topic(recording: Recording, wanted: str) -> tuple[str, str]:
+    """Name and type of the topic to read."""
+    fits = {name: t.type for name, t in recording.topics().items() if t.type in (PATH, TRAJECTORY) and t.count}
+    if wanted in fits:
+        return wanted, fits[wanted]
+    listed = ", ".join(f"{name} ({kind})" for name, kind in fits.items())
+    if wanted:
+        raise RecordingError(recording.path, f"has no path on path.topic {wanted!r}, but on: {listed or 'no topic'}")
+    if len(fits) != 1:
+        reason = f"several topics hold a path, name one as path.topic: {listed}" if fits else f"holds no {PATH} and no "
+        raise RecordingError(recording.path, reason if fits else reason + TRAJECTORY)
+    return next(iter(fits.items()))
+
+
+def _message(recording: Recording, topic: str) -> bytes:
+    """The message of a topic; one that was sent again, with another stamp at most, is the same."""
+    found = b""
+    for message in recording.messages([topic]):
+        if found and message.data[12:] != found[12:]:
+            raise ValueError("holds different paths one after the other; which one is meant cannot be told")
+        found = found or message.data
+    if recording.topics()[topic].encoding != "cdr" or not found:
+        raise ValueError("holds no message that can be read")
+    return found
+
+
+def read_path(data: bytes) -> PathRecord:
+    """The content of one serialised nav_msgs/Path; raises ValueError where it is none."""
+    cursor = Cursor(data)
+    cursor.number("i"), cursor.number("I")
+    frames = {cursor.string(): None}
+    count = cursor.number("I")
+    if 64 * count > len(data):  # stamp and numbers of a pose alone
+        raise ValueError("the message ends too early")
+    time, numbers = np.empty(count, np.int64), np.empty((count, 7))
+    for k in range(count):
+        seconds, nanoseconds = cursor.number("i"), cursor.number("I")
+        time[k] = seconds * 10**9 + nanoseconds
+        frames[cursor.string()] = None
+        cursor.align(8)
+        numbers[k] = np.frombuffer(data, cursor.order + "f8", 7, cursor.skip(56))
+    cursor.finish()
+    return PathRecord(tuple(frames), time, numbers[:, :3], numbers[:, 3:])
+
+
+def _toolpath(path: PathRecord, feed_rate: float) -> Toolpath:
+    _expect_frame(path.frames[0], *filter(None, path.frames[1:]))  # a pose without one is in that of the message
+    _expect_points(path.position)
+    moves = np.any(np.diff(path.position, axis=0) != 0, axis=1)
+    kept = np.concatenate([[True], moves])
+    feed = np.append(0.0, _feeds(path, moves, feed_rate))[kept]
+    return _blocks(path.position[kept], _orientations(path.quaternion)[kept], feed)
+
+
+def _feeds(path: PathRecord, moves: np.ndarray, feed_rate: float) -> np.ndarray:
+    """[m/s], (n - 1,), from each pose to the next."""
+    step = np.diff(path.time)
+    if not step.any():
+        if not feed_rate > 0.0:
+            raise ValueError("its poses all have one stamp, so they give no feed; set path.feed_rate_m_per_min")
+        return np.full(step.size, feed_rate)
+    bad = (step < 0) | ((step == 0) & moves)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise ValueError(f"pose {k + 2} has no later stamp than the one before, so that its feed is not known")
+    length = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
+    feed = length / np.maximum(step, 1) * 1e9
+    if not feed.max() <= REACH:
+        k = int(np.argmax(feed))
+        raise ValueError(f"by its stamps the tool would go to pose {k + 2} at {feed[k]:.3g} m/s")
+    return _six_digits(feed)
+
+
+def _six_digits(feed: np.ndarray) -> np.ndarray:
+    """Stamps are whole nanoseconds and would make as many feeds of one."""
+    unit = 10.0 ** (np.floor(np.log10(np.where(feed > 0, feed, 1.0))) - 5)
+    return np.round(feed / unit) * unit
+
+
+def _orientations(quaternion: np.ndarray) -> np.ndarray:
+    """Of tool0, (n, 4); where the poses have none that a tool can take, those of an upright tool."""
+    if not np.isfinite(quaternion).all():
+        raise ValueError("an orientation is not finite")
+    x, y, z, w = quaternion.T
+    level = np.hypot(x, y) <= UPRIGHT
+    if level.all():
+        return np.tile(TOOL_DOWN, (len(quaternion), 1))
+    length = np.linalg.norm(quaternion, axis=1)
+    if not np.all(np.abs(length - 1.0) < 1e-3):
+        raise ValueError(f"the orientation of pose {int(np.argmax(~(np.abs(length - 1) < 1e-3))) + 1} has not length 1")
+    up = w**2 + z**2 - x**2 - y**2 > 0.0  # z component of the z axis
+    if up.any():
+        raise ValueError(f"at pose {int(np.argmax(up)) + 1} the z axis, which tool0 has along the spindle away from "
+                         "the flange, points out of the part")  # fmt: skip
+    return quaternion / length[:, None]
+
+
+def _timed(record: TrajectoryRecord) -> TimedPath:
+    """A trajectory as its own tool path: a block from knot to knot, bent as the velocities at its ends tell."""
+    _expect_frame(record.frame_id)
+    if record.names != (TOOL,):
+        raise ValueError(f"is a trajectory of {', '.join(record.names) or 'nothing'} and not of {TOOL}")
+    velocity = record.velocity[:, 0, :3]
+    none = np.isnan(velocity).all()
+    _expect_points(record.position[:, 0])
+    run = Trajectory(record.time, record.position[:, 0], record.quaternion[:, 0], None if none else velocity)
+    moves = np.any(np.diff(run.position, axis=0) != 0, axis=1)
+    kept = np.concatenate([[True], moves])
+    length = np.linalg.norm(np.diff(run.position, axis=0), axis=1)
+    feed = np.append(0.0, length / np.diff(run.time_ns) * 1e9)[kept]
+    bend = np.append(0.0, np.zeros(moves.size) if none else _bends(run))[kept]
+    path = _blocks(run.position[kept], run.quaternion[kept], feed, bend)
+    ends = np.cumsum(path.block_length)[np.cumsum(kept) - 1]
+    return TimedPath(path, run, path.block_at(ends), ends, timed_by_source=True)
+
+
+def _bends(run: Trajectory) -> np.ndarray:
+    """Curvature [1/m] in the xy plane, (n - 1,), of an arc that turns as the velocity does from knot to knot."""
+    plane = run.velocity[:, :2]
+    cross = plane[:-1, 0] * plane[1:, 1] - plane[:-1, 1] * plane[1:, 0]
+    turn = np.arctan2(cross, np.sum(plane[:-1] * plane[1:], axis=1))
+    chord = np.hypot(*np.diff(run.position[:, :2], axis=0).T)
+    sharp = (np.abs(turn) > np.pi / 2) | (chord == 0)  # no arc, but a corner or a stop
+    return np.where(sharp, 0.0, 2 * np.sin(turn / 2) / np.where(chord > 0, chord, 1.0))
+
+
+def _blocks(position: np.ndarray, quaternion: np.ndarray, feed: np.ndarray, bend: np.ndarray | None = None) -> Toolpath:
+    if len(position) < 2:
+        raise ValueError("the path never moves")
+    none = np.zeros(len(position))
+    return Toolpath(
+        position=position, feed=feed, rapid=none, line=none, feature=none, features=("",),
+        curvature=none if bend is None else bend, spindle_speed=none, quaternion=quaternion,
+    )  # fmt: skip
+
+
+def _expect_frame(*frames: str) -> None:
+    other = [frame for frame in frames if frame != WORKPIECE]
+    if other:
+        raise ValueError(f"the frame is {other[0][:40]!r}, but must be {WORKPIECE}")
+
+
+def _expect_points(position: np.ndarray) -> None:
+    if len(position) < 2:
+        raise ValueError("the path never moves")
+    far = ~(np.abs(position).max(axis=1, initial=0.0) <= REACH)  # NaN is far
+    if far.any():
+        raise ValueError(f"point {int(np.argmax(far)) + 1} lies more than {REACH:g} m away, or nowhere; wrong unit?")

@@ -1,0 +1,1 @@
+"""What a controller runs: KRL, RSI tables, joint tables."""

@@ -1,0 +1,53 @@
+"""What a controller or a planner takes besides a program: RSI offset tables and joint trajectories as CSV."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kr270_milling.base.frames import abc_from_rotation, rotation_from_quaternion
+from kr270_milling.trajectory.files import write_files
+from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
+
+__all__ = ["offsets", "write_rsi_table", "write_joint_table", "RSI_TICKS_NS", "JOINT_NAMES"]
+
+RSI_TICKS_NS = (4_000_000, 12_000_000)
+JOINT_NAMES = ("joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6")
+
+
+def offsets(original: Trajectory, revised: Trajectory, tick_ns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Revised minus original at every tick: times [ns], (m,), shifts [m], (m, 3), turns as A, B, C [rad], (m, 3).
+
+    Shifts and turns stand in the axes of the trajectories' frame ($BASE); a turn carries the original orientation into
+    the revised one.
+    """
+    if original.duration_ns != revised.duration_ns or original.frame != revised.frame:
+        raise TrajectoryError("the original and the revised trajectory must share duration and frame")
+    time_ns = np.arange(0, original.duration_ns + tick_ns, tick_ns)
+    before, after = (rotation_from_quaternion(t.sample_orientation(time_ns)) for t in (original, revised))
+    turn = abc_from_rotation(after @ np.swapaxes(before, 1, 2))
+    return time_ns, revised.sample(time_ns) - original.sample(time_ns), turn
+
+
+def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: int = RSI_TICKS_NS[0]) -> None:
+    """The offsets at every RSI tick (4 or 12 ms): time_s, dX, dY, dZ [mm], dA, dB, dC [deg]."""
+    if tick_ns not in RSI_TICKS_NS:
+        raise TrajectoryError(f"RSI corrects every 4 or 12 ms, not every {tick_ns / 1e6:g} ms")
+    time_ns, shift, turn = offsets(original, revised, tick_ns)
+    rows = np.hstack([shift * 1e3, np.degrees(turn)]) + 0.0  # + 0.0 turns -0.0 into 0.0
+    lines = ["time_s,dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg\n"]
+    for time, row in zip(time_ns.tolist(), rows.tolist(), strict=True):
+        lines.append(f"{time // 10**9}.{time % 10**9:09d}," + ",".join(f"{v:.6f}" for v in row) + "\n")
+    write_files({path: lines})
+
+
+def write_joint_table(path, trajectory: Trajectory, joints, velocities=None, names=JOINT_NAMES) -> None:
+    """A joint trajectory: time_s, then one column of positions [rad] per joint, then velocities [rad/s] if given."""
+    tables = [np.asarray(joints, float)] + ([] if velocities is None else [np.asarray(velocities, float)])
+    for table in tables:
+        if table.shape != (len(trajectory), len(names)) or not np.isfinite(table).all():
+            raise TrajectoryError("a joint table needs one finite value per knot and joint")
+    header = [f"{n}_rad" for n in names] + ([] if velocities is None else [f"{n}_rad_per_s" for n in names])
+    lines = ["time_s," + ",".join(header) + "\n"]
+    for time, row in zip(trajectory.time_ns.tolist(), np.hstack(tables).tolist(), strict=True):
+        lines.append(f"{time // 10**9}.{time % 10**9:09d}," + ",".join(map(repr, row)) + "\n")
+    write_files({path: lines})

@@ -1,1 +1,0 @@
-"""Recordings in MCAP: write, read, recover, export; no ROS is imported here."""

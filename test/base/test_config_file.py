@@ -1,0 +1,276 @@
+"""Parameter files: their form, includes, assignments on top; any other text ends in one sentence."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kr270_milling.base.record import ConfigError, Record, build, find_file, override, parameter, read_tree
+
+CONFIG = Path(__file__).resolve().parents[2] / "config"
+
+
+@dataclass(frozen=True, eq=False)
+class Inner(Record):
+    length: float = parameter(unit="mm", above=0.0, high=50.0, text="a length")
+
+
+@dataclass(frozen=True, eq=False)
+class Sample(Record):
+    """Every kind of parameter."""
+
+    speed: float = parameter(unit="rpm", low=10.0, high=600.0, text="a speed")
+    teeth: int = parameter(3, low=1, high=9, text="a count")
+    on: bool = parameter(True, text="a switch")
+    mode: str = parameter("plain", text="a choice", choices=("plain", "fancy"))
+    angles: np.ndarray = parameter([0.0, 0.0], unit="deg", low=-90.0, high=90.0, size=2, text="two angles")
+    topics: tuple = parameter((), text="names")
+    inner: Inner = Inner(0.010)
+
+
+GOOD = {"speed_rpm": 60.0, "teeth": 3, "on": True, "mode": "plain", "angles_deg": [30.0, -90.0], "topics": ["a", "b"]}
+
+
+def write(directory, text, name="cell.yaml") -> Path:
+    path = directory / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def wrapped(body: str) -> str:
+    """The body as the parameters of a ROS parameter file."""
+    return "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in body.splitlines())
+
+
+def test_an_exponent_without_a_point_is_a_number_as_it_is_for_ros(tmp_path):
+    tree = read_tree(write(tmp_path, wrapped("length_mm: 1e1")))
+    assert tree == {"length_mm": "1e1"} and build(Inner, tree).length == 0.010  # YAML 1.1 alone says: a text
+
+
+def refusal_of(path, *names) -> str:
+    """The sentence about a file that cannot be read."""
+    with pytest.raises(ConfigError) as caught:
+        read_tree(path)
+    text = str(caught.value)
+    assert text.startswith(str(path)) and text.isprintable() and all(n in text for n in names), text
+    return text
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        (b"", ["/**: ros__parameters"]),
+        (b"- 1\n- 2\n", ["/**: ros__parameters"]),
+        (b"just words", ["/**: ros__parameters"]),
+        (b"arm: {a: 1}", ["/**: ros__parameters"]),
+        (b"/**:\n  ros__parameters:\n  extra: 1\n", ["/**: ros__parameters"]),
+        (b"/**:\n  ros__parameters: [1]\n", ["ros__parameters", "a group of keys"]),
+        (b"/**:\n  ros__parameters:\n", ["ros__parameters", "has no value"]),
+        ("größe: 1".encode("latin-1"), ["UTF-8"]),
+        ("größe: 1".encode("utf-16"), ["UTF-8"]),
+        (b"a: [1, 2\nb: }", ["YAML"]),
+        (b"a: 1\na: 2\n", ["'a'", "twice", "line 2"]),
+        (wrapped("tool:\n  teeth: 4\n  teeth: 2").encode(), ["'teeth'", "twice", "line 5"]),
+        (b"/**: !!python/object:os.system {}", ["YAML", "python/object"]),
+        (b"/**: !!python/object/apply:os.getcwd []", ["YAML"]),
+        (b"/**: !!map 3", ["YAML"]), (b"/**: !!map [3]", ["YAML"]), (b"/**: !!timestamp never", ["YAML"]),
+        (b"/**: !!bool perhaps", ["YAML"]), (b"/**: !!int ''", ["YAML"]), (b"/**: 2026-99-99", ["YAML"]),
+        (b"/**: !!float 1e", ["YAML"]), (b"/**: 1:30.0", ["YAML", "1:30.0"]), (b"/**: 12:30", ["YAML", "12:30"]),
+        (b"/**: {? [a, b] : c}", ["YAML", "not a text"]), (b"/**: {1: 2}", ["YAML", "not a text"]),
+        (b"/**: {true: 2}", ["YAML", "not a text"]), (b"a: \0", ["YAML"]), (b"<<: {a: 1}", ["YAML"]),
+        (b"[" * 20000, ["nested too deeply"]), (b"{a: " * 20000, ["nested too deeply"]),
+        (b"/**: {ros__parameters: {includes: kr270_2.yaml}}", ["includes", "a list of file names"]),
+        (b"/**: {ros__parameters: {includes: [1]}}", ["includes", "a list of file names"]),
+        (b"/**: {ros__parameters: {includes: }}", ["includes", "has no value"]),
+    ],
+)  # fmt: skip
+def test_a_file_of_another_form_is_refused_in_one_sentence(tmp_path, text, names):
+    refusal_of(write(tmp_path, text), *names)
+
+
+def test_a_directory_and_a_missing_file_are_refused(tmp_path):
+    refusal_of(tmp_path, "cannot be read", "directory")
+    refusal_of(tmp_path / "none.yaml", "cannot be read", "No such file")
+
+
+def test_a_byte_order_mark_does_no_harm(tmp_path):
+    assert read_tree(write(tmp_path, b"\xef\xbb\xbf" + wrapped("a: 1").encode())) == {"a": 1}
+
+
+def test_a_value_that_unfolds_into_billions_is_shown_in_short(tmp_path):
+    layers = "\n".join(f"k{i}: &k{i} [{', '.join([f'*k{i - 1}'] * 10)}]" for i in range(1, 12))
+    tree = read_tree(write(tmp_path, wrapped("k0: &k0 [x]\n" + layers)))
+    with pytest.raises(ConfigError) as caught:
+        build(Inner, {"length_mm": tree["k11"]}, "some.yaml")
+    assert len(str(caught.value)) < 2000
+
+
+def test_a_value_that_holds_itself_is_refused(tmp_path):
+    tree = read_tree(write(tmp_path, "/**: &a\n  ros__parameters:\n    length_mm: &b [*b]\n    again: *a\n"))
+    with pytest.raises(ConfigError, match="length_mm|again"):
+        build(Inner, tree)
+
+
+def test_a_key_with_a_line_break_stays_on_one_line(tmp_path):
+    tree = read_tree(write(tmp_path, wrapped('"a\\nb\\e[31m": 1')))
+    with pytest.raises(ConfigError) as caught:
+        build(Inner, tree, "some.yaml")
+    assert str(caught.value).isprintable()
+
+
+@pytest.mark.parametrize("value", ["0x" + "f" * 5000, "9" * 500])
+def test_a_whole_number_of_thousands_of_digits_is_refused(tmp_path, value):
+    tree = read_tree(write(tmp_path, wrapped(f"teeth: {value}")))
+    with pytest.raises(ConfigError, match="teeth: .* a whole number") as caught:
+        build(Sample, {"speed_rpm": 60.0, **tree})
+    assert len(str(caught.value)) < 400
+
+
+# --- includes ---
+
+
+def test_the_including_file_overrides_the_included_and_later_includes_earlier_ones(tmp_path):
+    write(tmp_path, wrapped("g: {a: 1, b: 1, c: 1, d: 1}"), "one.yaml")
+    write(tmp_path, wrapped("includes: [one.yaml]\ng: {b: 2, c: 2}"), "two.yaml")
+    write(tmp_path, wrapped("g: {c: 3}\nlist: [1, 2]"), "three.yaml")
+    top = write(tmp_path, wrapped("includes: [two.yaml, three.yaml]\ng: {d: 4}\nlist: [5]"))
+    assert read_tree(top) == {"g": {"a": 1, "b": 2, "c": 3, "d": 4}, "list": [5]}
+
+
+def test_an_include_is_looked_for_beside_the_file_that_names_it(tmp_path):
+    (tmp_path / "sub").mkdir()
+    write(tmp_path / "sub", wrapped("includes: [b.yaml]"), "a.yaml")
+    write(tmp_path / "sub", wrapped("x: 1"), "b.yaml")
+    assert read_tree(write(tmp_path, wrapped("includes: [sub/a.yaml]"))) == {"x": 1}
+
+
+@pytest.mark.parametrize("length", [1, 2, 5])
+def test_a_circle_of_includes_is_refused(tmp_path, length):
+    for i in range(length):
+        write(tmp_path, wrapped(f"includes: [f{(i + 1) % length}.yaml]"), f"f{i}.yaml")
+    with pytest.raises(ConfigError, match="includes.*free of circles"):
+        read_tree(tmp_path / "f0.yaml")
+
+
+def test_two_ways_to_one_file_are_no_circle(tmp_path):
+    write(tmp_path, wrapped("x: 1"), "d.yaml")
+    for name in ("b", "c"):
+        write(tmp_path, wrapped("includes: [d.yaml]"), f"{name}.yaml")
+    assert read_tree(write(tmp_path, wrapped("includes: [b.yaml, c.yaml]"))) == {"x": 1}
+
+
+@pytest.mark.parametrize("name", ["none.yaml", "", "..", "sub/none.yaml", "a\\0b", "x" * 300, "wrong/kr270_2.yaml"])
+def test_a_missing_include_is_refused(tmp_path, name):
+    with pytest.raises(ConfigError, match="is no such file"):
+        read_tree(write(tmp_path, wrapped(f'includes: ["{name}"]')))
+
+
+def test_shipped_files_are_found_by_name_from_anywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert find_file("paper.yaml").samefile(CONFIG / "paper.yaml")
+    assert find_file("config/paper.yaml").samefile(CONFIG / "paper.yaml")
+    write(tmp_path, "", "paper.yaml")
+    assert find_file("paper.yaml").resolve() == tmp_path / "paper.yaml"  # one's own comes first
+
+
+def test_a_mistyped_folder_never_ends_at_a_shipped_file():
+    with pytest.raises(ConfigError, match="is no such file"):
+        find_file("confg/paper.yaml")
+
+
+# --- key=value ---
+
+
+def test_an_assignment_sets_a_nested_key_and_the_last_one_wins():
+    tree, keys = override({"g": {"a": 1, "b": 2}}, ["g.a=3", "h.i.j=[1, 2]", "g.a=4", "t=x=y"])
+    assert tree == {"g": {"a": 4, "b": 2}, "h": {"i": {"j": [1, 2]}}, "t": "x=y"}
+    assert keys == {"g.a", "h.i.j", "t"}
+
+
+def test_an_assignment_leaves_the_tree_that_it_changes_alone():
+    tree = {"g": {"a": 1}}
+    override(tree, ["g.a=2"])
+    assert tree == {"g": {"a": 1}}
+
+
+def test_a_typed_whole_number_stands_for_a_float_but_one_in_the_file_does_not():
+    tree, lenient = override(GOOD, ["speed_rpm=60", "angles_deg=[1, 2]", "inner.length_mm=5"])
+    sample = build(Sample, tree, lenient=lenient)
+    assert sample.speed == pytest.approx(2 * math.pi) and sample.inner.length == 0.005
+    with pytest.raises(ConfigError, match=re.escape("write 1.0, not 1")):
+        build(Sample, tree)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("speed_rpm", ["key=value"]), ("=3", ["key=value"]), (".a=3", ["key=value"]), ("a..b=3", ["key=value"]),
+        ("speed_rpm=", ["speed_rpm", "has no value"]), ("speed_rpm=[", ["speed_rpm", "YAML"]),
+        ("speed_rpm=fast", ["speed_rpm", "'fast'", "at most 600"]), ("speed_rpm=1e400", ["speed_rpm", "at most 600"]),
+        (f"speed_rpm={10**400}", ["speed_rpm", "at most 600"]), ("speed_rpm=2026-99-99", ["speed_rpm", "YAML"]),
+        ("speed_rpm=1:30", ["speed_rpm", "YAML"]), ("speed_rpm=" + "[" * 9999, ["speed_rpm", "nested too deeply"]),
+        ("spede_rpm=60", ["spede_rpm", "did you mean speed_rpm?"]), ("inner=3", ["inner", "a group of keys"]),
+        ("teeth=2.0", ["teeth", "a whole number"]), ("angles_deg=[1]", ["angles_deg", "2 finite numbers"]),
+        ("mode=odd", ["mode", "one of plain, fancy"]), ("speed_rpm.x=1", ["speed_rpm", "finite number"]),
+        ("inner={length_mm: 1.0, length_mm: 2.0}", ["inner", "twice"]), ("on=!!python/none", ["on", "YAML"]),
+    ],
+)  # fmt: skip
+def test_a_bad_assignment_is_refused(text, names):
+    with pytest.raises(ConfigError) as caught:
+        tree, lenient = override(GOOD, [text])
+        build(Sample, tree, "some.yaml", lenient=lenient)
+    assert str(caught.value).isprintable() and all(n in str(caught.value) for n in names), str(caught.value)
+
+
+SCALARS = st.one_of(
+    st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=20), st.dates(), st.binary(max_size=8)
+)
+VALUES = st.recursive(
+    SCALARS, lambda v: st.lists(v, max_size=4) | st.dictionaries(st.text(max_size=8), v, max_size=4), max_leaves=10
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(VALUES.map(lambda v: yaml.dump({"/**": {"ros__parameters": v}}).encode()) | st.binary(max_size=200))
+def test_any_file_gives_a_record_or_one_sentence(tmp_path_factory, content):
+    path = write(tmp_path_factory.getbasetemp(), content)
+    try:
+        assert isinstance(build(Sample, read_tree(path), path), Sample)
+    except ConfigError as error:
+        assert str(error).isprintable() and len(str(error)) < 3000
+
+
+TOKENS = st.sampled_from(
+    ["/**:", " ros__parameters:", "\n", "  ", "a", ": ", "- ", "[", "]", "{", "}", ",", "&a ", "*a", "!!int ",
+     "!!map ", "!!set ", "!!omap ", "!!pairs ", "!!binary ", "!!timestamp ", "!!float ", "!!bool ", "!x ", "|", ">",
+     "'", '"', "#", "1", ".", "e", "-", "0x", "0b", "_", ":", "~", "? ", "%", "---\n", "...\n", "<<", "=",
+     "\t", "\x00", "ü"]
+)  # fmt: skip
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.lists(TOKENS, max_size=25).map("".join))
+def test_any_text_out_of_pieces_of_yaml_gives_a_tree_or_one_sentence(tmp_path_factory, text):
+    path = write(tmp_path_factory.getbasetemp(), text)
+    try:
+        assert isinstance(read_tree(path), dict)
+    except ConfigError as error:
+        assert str(error).isprintable()
+
+
+@settings(max_examples=400, deadline=None)
+@given(st.sampled_from(["speed_rpm", "inner", "topics"]), st.lists(TOKENS, max_size=12).map("".join))
+def test_any_assignment_gives_a_record_or_one_sentence(key, text):
+    try:
+        tree, lenient = override(GOOD, [f"{key}={text}"])
+        assert isinstance(build(Sample, tree, lenient=lenient), Sample)
+    except ConfigError as error:
+        assert str(error).isprintable()

@@ -1,0 +1,167 @@
+"""The cell of the paper: its models, its checks between records, and the figures that it must reproduce."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kr270_milling.base.record import ConfigError, find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import commanded_joints
+from kr270_milling.robot import Mount, equilibrium, pose
+
+FILE = find_file("paper.yaml")
+PAPER = read_cell(FILE)
+
+
+@pytest.fixture(scope="module")
+def passes(demo):
+    """The four passes of Table 2."""
+    return demo.passes
+
+
+def micrometres(scores):
+    return 1e6 * abs(scores.static_deviation), 1e6 * scores.max_deviation
+
+
+# --- Table 2; these bounds are the customer's ---
+
+
+def test_the_original_pass_deviates_as_the_paper_says(passes):
+    static, largest = micrometres(passes["original"].scores)
+    assert static == pytest.approx(58.1, rel=0.01)
+    assert largest == pytest.approx(63.2, rel=0.02)
+    assert passes["original"].scores.static_deviation > 0
+
+
+def test_the_low_frequency_is_the_papers(passes):
+    for ran in passes.values():
+        assert ran.scores.low_frequency == pytest.approx(6.70, rel=0.01)
+    assert passes["original"].scores.ringing_frequency == pytest.approx(6.70, rel=0.05)  # found in the pass itself
+
+
+def test_the_papers_own_way_leaves_no_more_than_it_says(passes):
+    static, largest = micrometres(passes["linear"].scores)
+    assert static <= 0.14 and largest <= 4.70
+
+
+def test_a_spline_leaves_a_micrometre(passes):
+    assert micrometres(passes["spline"].scores)[1] <= 1.0
+
+
+def test_learning_leaves_half_a_micrometre(passes):
+    assert micrometres(passes["learned"].scores)[1] <= 0.5
+
+
+def test_each_method_is_better_than_the_one_before(passes):
+    largest = [micrometres(passes[m].scores)[1] for m in ("original", "linear", "spline", "learned")]
+    assert largest == sorted(largest, reverse=True)
+
+
+def test_what_is_printed_of_a_pass_are_its_scores(passes):
+    row = passes["linear"].row()
+    assert row["name"] == "linear" and row["max_deviation_mm"] == 1e3 * passes["linear"].scores.max_deviation
+    assert {"static_deviation_mm", "max_deviation_mm", "low_frequency_hz"} <= set(row)
+
+
+# --- the cell ---
+
+
+def test_the_path_starts_where_the_start_joints_put_the_tool():
+    start = PAPER.workpiece.pose.inverse() @ pose(PAPER.arm, PAPER.mount, PAPER.start_joints)
+    np.testing.assert_allclose(start.position, PAPER.target().position[0], atol=1e-9)
+    np.testing.assert_allclose(start.rotation, np.diag([1.0, -1.0, -1.0]), atol=1e-12)  # tool0 in the workpiece
+    np.testing.assert_allclose(PAPER.joints(PAPER.target())[0], PAPER.start_joints, atol=1e-7)
+
+
+def test_the_joints_command_the_knots():
+    target = PAPER.target()
+    tool = PAPER.workpiece.pose.inverse() @ pose(PAPER.arm, PAPER.mount, PAPER.joints(target))
+    np.testing.assert_allclose(tool.position, target.position, atol=1e-12)
+
+
+def test_the_target_is_the_papers_line():
+    target = PAPER.target()
+    assert target.duration_ns == 1_200_000_000 and set(np.diff(target.time_ns)) == {50_000_000}
+    np.testing.assert_allclose(target.position[-1] - target.position[0], [0.080, 0.0, 0.0], atol=1e-15)
+    assert target.position[0, 2] == pytest.approx(-PAPER.path.depth_of_cut)
+    np.testing.assert_allclose(target.feed(target.time_ns), 4 / 60)
+
+
+def test_full_engagement_is_a_radius_after_the_border():
+    assert PAPER.full_engagement == pytest.approx(0.150) and PAPER.scored_from_ns == 150_000_000
+
+
+def test_the_consistent_mass_gives_a_first_mode_of_11_to_14_hertz():
+    """facts.md."""
+    other = PAPER.replace(dynamics=PAPER.dynamics.replace(mass_model="consistent"))
+    assert 11.0 < other.modal_model.frequency[0] / (2 * np.pi) < 14.0
+
+
+def test_a_fresh_cut_does_not_know_the_last_one():
+    cut = PAPER.cut()
+    start = PAPER.target().position[0]
+    cut.sweep(start, start + [0.002, 0.0, 0.0], 0, 720)
+    assert cut.removed_area > 0.0 and PAPER.cut().removed_area == 0.0
+
+
+def test_joints_that_carry_the_sag_lift_the_arm_where_the_controller_does_not():
+    spindle = Mount(mass=60.0)
+    sagging = PAPER.replace(compensation=PAPER.compensation.replace(sag_compensated=False), mount=spindle)
+    target = PAPER.target()
+    joints = commanded_joints(sagging, target)
+    found = sagging.workpiece.pose.inverse() @ equilibrium(sagging.arm, spindle, joints, gravity=True).pose
+    np.testing.assert_allclose(found.position, target.position, atol=1e-9)
+    plain = PAPER.replace(mount=spindle)
+    np.testing.assert_array_equal(commanded_joints(plain, target), plain.joints(target))
+
+
+@pytest.mark.parametrize(
+    ("assignment", "key", "says"),
+    [
+        ("exchange.micro_step_deg=7", "exchange.micro_step_deg", "whole part of 360"),
+        ("exchange.micro_step_deg=0.001", "exchange.micro_step_deg", "at least 0.01"),
+        ("exchange.period_ms=0.3333", "exchange.period_ms", "whole number of micro-steps"),
+        ("tool.spindle_speed_rpm=8001", "exchange.period_ms", "for example"),
+        ("path.feed_rate_m_per_min=1e-7", "path.feed_rate_m_per_min", "steps"),
+        ("path.length_mm=0", "path.length_mm", "above 0"),
+        ("path.start_mm=[1e9, 0]", "path.start_mm", "at most"),
+        ("stock.max_mm=[1, -20, -20]", "stock.max_mm", "above min_mm"),
+        ("tool.pitch_deg=[90, 90]", "tool.pitch_deg", "4 teeth"),
+        ("arm.joint_upper_deg=[-190, 0, 155, 350, 125, 350]", "arm.joint_upper_deg", "above joint_lower_deg"),
+        ("cutting.law=magic", "cutting.law", "one of"),
+        ("dynamics.damping_ratio=1", "dynamics.damping_ratio", "at most 0.99"),
+        ("compensation.method=best", "compensation.method", "one of linear"),
+        ("path.file=nowhere.nc", "", "no such file"),
+        ("path=3", "path", "a group of keys"),
+    ],
+)  # fmt: skip
+def test_a_cell_that_cannot_be_is_refused_with_its_key(assignment, key, says):
+    with pytest.raises(ConfigError) as caught:
+        read_cell(FILE, [assignment])
+    assert caught.value.key == key and says in str(caught.value) and str(caught.value).isprintable()
+    assert "np.float64" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("start", "diameter", "seconds"), [(-10, 20, 0.15), (-30, 20, 0.45), (-10, 16, 0.15), (5, 20, 0.0)]
+)
+def test_the_score_begins_when_the_middle_of_the_tool_is_at_the_border(start, diameter, seconds):
+    cell = read_cell(FILE, [f"path.start_mm=[{start},0]", f"tool.diameter_mm={diameter}", "stock.min_mm=[0,-20,-20]"])
+    assert cell.full_engagement == pytest.approx(seconds, abs=1e-12)
+
+
+def test_messages_are_thinned_to_a_hundred_a_second():
+    assert PAPER.thinned_steps() == 20 and PAPER.thinned_steps(0.0101) == 21 and PAPER.thinned_steps(1e-6) == 1
+
+
+def test_the_ultra_mills_the_same_line_from_its_own_file():
+    tree_of_ultra = read_cell(FILE).replace(arm=_ultra())
+    tool = pose(tree_of_ultra.arm, PAPER.mount, tree_of_ultra.joints(PAPER.target()))
+    np.testing.assert_allclose((PAPER.workpiece.pose.inverse() @ tool).position, PAPER.target().position, atol=1e-12)
+
+
+def _ultra():
+    from kr270_milling.robot.analysis import read_arm
+
+    return read_arm(find_file("kr270_r2700_ultra.yaml"))[0]

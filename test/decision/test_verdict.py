@@ -1,0 +1,207 @@
+"""The verdict: what is drawn, what is run, and which word the rule gives to made-up samples."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from small_part import assignments, small_part
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import compensated, simulate
+from kr270_milling.cli import main
+from kr270_milling.decision.samples import coarser, deviations, perturbed, run_sample
+from kr270_milling.decision.verdict import HELPS, INDIFFERENT, UNTRUSTED, judge, monte_carlo
+
+SHORT = ("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")
+CERTAIN = {"joint_compliance": 0.0, "force_coefficient": 0.0, "damping_ratio": 0.0, "placement": 0.0}
+UM = 1e-6
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return read_cell(find_file("paper.yaml"), SHORT)
+
+
+@pytest.fixture(scope="module")
+def pair(cell):
+    original = simulate(cell)
+    return original, compensated(cell, original, "spline")
+
+
+def draw(cell, count: int, seed: int = 0) -> list:
+    rng = np.random.default_rng(seed)
+    return [perturbed(cell, rng) for _ in range(count)]
+
+
+def test_plants_scatter_about_the_model_as_the_uncertainties_say(cell):
+    plants, how = draw(cell, 800), cell.uncertainty
+    rows = {
+        "joint_compliance": np.array([p.arm.joint_compliance / cell.arm.joint_compliance for p in plants]),
+        "force_coefficient": np.array(
+            [
+                [
+                    p.cutting.fractional.stiffness / cell.cutting.fractional.stiffness,
+                    p.cutting.fractional.radial_ratio / cell.cutting.fractional.radial_ratio,
+                ]
+                for p in plants
+            ]
+        ),
+        "damping_ratio": np.array([[p.dynamics.damping_ratio / cell.dynamics.damping_ratio] for p in plants]),
+    }
+    for name, factors in rows.items():
+        spread, tolerance = getattr(how, name), 4 / np.sqrt(len(plants))
+        assert np.median(factors, axis=0) == pytest.approx(1.0, abs=tolerance * spread * 1.3)
+        relative = factors.std(axis=0) / factors.mean(axis=0)  # of a log-normal: the stated one, whatever its median
+        assert relative == pytest.approx(spread, rel=tolerance)
+        if factors.shape[1] > 1:
+            assert np.abs(np.corrcoef(np.log(factors).T)[np.triu_indices(factors.shape[1], 1)]).max() < tolerance
+    shift = np.array([p.stock.min - cell.stock.min for p in plants])
+    assert shift.std(axis=0) == pytest.approx(how.placement, rel=0.1) and np.abs(shift).max() < 3.001 * how.placement
+    assert all(np.allclose(p.stock.max - p.stock.min, cell.stock.max - cell.stock.min, atol=1e-12) for p in plants)
+
+
+def test_the_linear_edge_law_scatters_too():
+    cell = read_cell(find_file("paper.yaml"), [*SHORT, "cutting.law=linear_edge"])
+    (plant,) = draw(cell, 1)
+    names = ("tangential_cutting", "tangential_edge", "radial_cutting", "radial_edge")
+    law, other = cell.cutting.linear_edge, plant.cutting.linear_edge
+    assert len({getattr(other, n) / getattr(law, n) for n in names} - {1.0}) == 4
+    assert plant.cutting.fractional == cell.cutting.fractional
+
+
+def test_a_certain_plant_is_the_model_and_gives_its_scores(cell, pair):
+    certain = cell.replace(uncertainty=cell.uncertainty.replace(**CERTAIN))
+    (plant,) = draw(certain, 1)
+    references = [ran.reference for ran in pair]
+    rows = run_sample(plant, cell.target(), references, cell.full_engagement)
+    for row, ran in zip(rows, pair, strict=True):
+        assert row[0] == pytest.approx(ran.scores.max_deviation, rel=1e-9)
+        assert row[1] == pytest.approx(abs(ran.scores.static_deviation), rel=1e-9)
+
+
+def test_the_paper_is_helped_and_its_bands_enclose_the_model(cell, pair):
+    original, revised = pair
+    found = monte_carlo(cell, cell.target(), revised.reference, np.random.default_rng(1), 12, seed=1)
+    low, middle, high = found.bands("original")["max"]
+    assert found.word == HELPS and low < original.scores.max_deviation < high and low < middle < high
+    assert found.bands("compensated")["max"][2] < low  # not even the worst compensated one is as bad as the best
+    told = found.as_dict()
+    assert told["samples"] == 12 and told["seed"] == 1 and told["failed"] == 0
+    assert told["original"]["max_deviation_mm"] == pytest.approx([1e3 * v for v in (low, middle, high)])
+
+
+def test_static_deviation_of_plants_follows_a_softer_arm_and_a_harder_material():
+    """Once it has settled, delta = C F, and F is proportional to k_0."""
+    long = ("path.length_mm=40", "stock.max_mm=[40,12,0]", "stock.grid_step_um=40", "dynamics.damping_ratio=0.7")
+    cell = read_cell(find_file("paper.yaml"), long)
+    target = cell.target()
+    base = run_sample(cell, target, [target], cell.full_engagement)[0, 1]
+    soft = cell.replace(arm=cell.arm.replace(joint_compliance=1.1 * cell.arm.joint_compliance))
+    assert run_sample(soft, target, [target], cell.full_engagement)[0, 1] / base == pytest.approx(1.1, abs=0.02)
+    law = cell.cutting.fractional
+    hard = cell.replace(cutting=cell.cutting.replace(fractional=law.replace(stiffness=1.2 * law.stiffness)))
+    assert run_sample(hard, target, [target], cell.full_engagement)[0, 1] / base == pytest.approx(1.2, abs=0.02)
+
+
+def test_same_seed_gives_the_same_verdict_and_another_one_other_samples(cell, pair):
+    reference = pair[1].reference
+    first, again, other = (
+        monte_carlo(cell, cell.target(), reference, np.random.default_rng(seed), 3) for seed in (1, 1, 2)
+    )
+    assert np.array_equal(first.original, again.original) and np.array_equal(first.compensated, again.compensated)
+    assert not np.any(first.original == other.original)
+
+
+def test_a_correction_of_the_wrong_sign_cannot_be_trusted(cell, pair):
+    target, revised = cell.target(), pair[1].reference
+    wrong = target.with_position(2 * target.position - revised.position)
+    assert monte_carlo(cell, target, wrong, np.random.default_rng(1), 6).word == UNTRUSTED
+
+
+def test_a_plant_that_does_not_survive_is_counted(cell):
+    target = cell.target()
+    astray = target.with_position(target.position + np.outer(np.linspace(0, 0.02, len(target)), [0, 1, 0]))
+    found = monte_carlo(cell, target, astray, np.random.default_rng(1), 3)
+    assert found.word == UNTRUSTED and found.as_dict()["failed"] == 3 and "fail" in found.reason
+    assert np.isnan(found.bands("compensated")["max"]).all()
+
+
+def test_a_budget_of_time_lessens_the_samples_but_not_below_eight(cell, pair):
+    seen = []
+    found = monte_carlo(
+        cell, cell.target(), pair[1].reference, np.random.default_rng(1), 20, budget=1e-3,
+        progress=lambda done, total: seen.append((done, total)),
+    )  # fmt: skip
+    assert len(found.original) == 8 and seen[-1] == (8, 8) and [done for done, _ in seen] == list(range(1, 9))
+
+
+def test_no_samples_are_refused(cell):
+    with pytest.raises(ParameterError, match="samples"):
+        monte_carlo(cell, cell.target(), cell.target(), np.random.default_rng(1), 0)
+
+
+def test_of_a_tool_path_the_deviation_counts_while_it_cuts(tmp_path):
+    cell = small_part(tmp_path)
+    ran = simulate(cell).result
+    largest, mean = deviations(ran, cell.target(), None)
+    feed = cell.target().sample_velocity(ran.time_ns)
+    aside = np.cross(feed, ran.actual - ran.target)[:, 2] / np.maximum(np.hypot(*feed[:, :2].T), 1e-300)
+    cutting = (ran.volume > 0) & (np.hypot(*feed[:, :2].T) > 0)
+    assert largest == pytest.approx(np.abs(aside[cutting]).max(), rel=1e-6)
+    assert mean == pytest.approx(np.abs(aside[ran.volume > 0]).mean(), rel=1e-2)
+
+
+def test_a_coarser_grid_keeps_to_half_the_feed_per_tooth_and_to_the_deviation(tmp_path):
+    cell = small_part(tmp_path, more := "G21 S8000 M3\nG0 X-14 Y0 Z-0.5\nG1 X20 F4000\nM30\n")
+    assert more and coarser(cell).stock.grid_step == pytest.approx(4000e-3 / 8000 / 4 / 2)  # 62.5 um
+    fine = cell.replace(stock=cell.stock.replace(grid_step=10 * UM))
+    assert coarser(fine).stock.grid_step == pytest.approx(30 * UM)
+    rows = [run_sample(c, cell.target(), [cell.target()], None)[0, 0] for c in (fine, coarser(cell))]
+    assert rows[1] == pytest.approx(rows[0], rel=0.02)
+
+
+def samples(*shares: float, before: float = 50 * UM) -> tuple[np.ndarray, np.ndarray]:
+    return np.full(len(shares), before), before * np.array(shares)
+
+
+@pytest.mark.parametrize(
+    ("pair", "word"),
+    [
+        (samples(*[0.1] * 40), HELPS),
+        (samples(*[0.1] * 39, 3.0), HELPS),  # one of forty
+        (samples(*[0.1] * 36, *[1.2] * 4), UNTRUSTED),
+        (samples(*[0.95] * 20, *[1.05] * 20), INDIFFERENT),
+        (samples(*[0.92] * 36, *[0.5] * 4), INDIFFERENT),
+        (samples(*[0.1] * 40, before=9 * UM), INDIFFERENT),
+        (samples(*[3.0] * 40, before=9 * UM), UNTRUSTED),  # it would come to matter
+        (samples(*[0.1] * 37, *[np.nan] * 3), UNTRUSTED),
+        (samples(*[0.1] * 39, np.nan), HELPS),
+        ((np.array([np.nan]), np.array([np.nan])), UNTRUSTED),
+    ],
+)
+def test_the_rule(pair, word):
+    found, reason = judge(*pair, 10 * UM)
+    assert found == word and reason
+
+
+def test_the_command_prints_the_verdict_with_its_seed(tmp_path, capsys):
+    sets = [part for pair in SHORT for part in ("--set", pair)]
+    words = ["compensate", "paper.yaml", "--method", "spline", "--out", str(tmp_path / "o"), "--verdict", "4", *sets]
+    assert main([*words, "--seed", "7"]) == 0
+    text = capsys.readouterr().out
+    assert "4 plants, seed 7" in text and "verdict: compensation helps" in text
+    assert main([*words, "--seed", "7", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["verdict"]
+    assert found["verdict"] == "helps" and found["samples"] == 4 and found["seed"] == 7
+    assert len(found["compensated"]["static_deviation_mm"]) == 3
+
+
+def test_uncertainty_is_read_and_checked_like_every_other_group(tmp_path):
+    sets = assignments(tmp_path, "G21\n", "uncertainty.placement_mm=0.2")
+    assert read_cell(find_file("paper.yaml"), sets).uncertainty.placement == pytest.approx(0.2e-3)
+    with pytest.raises(Exception, match="uncertainty.joint_compliance"):
+        read_cell(find_file("paper.yaml"), ["uncertainty.joint_compliance=1.5"])

@@ -1,0 +1,276 @@
+from __future__ import annotations
+
+import ast
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.graph import graph
+from kr270_milling.graph.graph import LOST, QUIET, Graph
+from kr270_milling.graph.processes import RunError
+from kr270_milling.ros.drain import _in_order
+from kr270_milling.selftest import faults
+from kr270_milling.selftest.aftermath import is_alive
+from kr270_milling.selftest.clock import SteppedClock, compiler
+from kr270_milling.selftest.domain import choose_domain
+from kr270_milling.selftest.faults import FAULTS, GOES_ON
+from kr270_milling.selftest.footprint import footprint, slope
+from kr270_milling.selftest.rows import run_faults
+from kr270_milling.selftest.soak import Growth
+
+PACKAGE = Path(__file__).resolve().parents[2] / "kr270_milling"
+HOUR = 3600 * 10**9
+
+
+def selftest(environment, *arguments: str, seconds: float = 120.0) -> tuple[int, dict, str]:
+    command = [sys.executable, "-m", "kr270_milling.cli", "selftest", "--json", *arguments]
+    ran = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=seconds)
+    return ran.returncode, json.loads(ran.stdout or "{}"), ran.stderr
+
+
+@pytest.mark.parametrize("name", ["cutting_process, SIGKILL", "recorder, SIGSTOP"])
+def test_fault_is_told_by_name_in_time_and_leaves_nothing(ros_environment, tmp_path, name):
+    code, found, told = selftest(ros_environment, "--faults", "--repeats", "1", "--only", name, "--out", str(tmp_path))
+    row = found["rows"][0]
+    assert code == 0, (row["problems"], told)
+    trial = row["trials"][0]
+    assert 0.0 <= trial["detected_s"] < 3.0 and name.partition(",")[0] in trial["sentence"]
+    assert trial["orphans"] == trial["litter"] == 0
+    assert trial["recording"]["same"] and trial["recording"]["messages"] > 100
+    assert "seed 1" in told and f"ROS domain {ros_environment['ROS_DOMAIN_ID']}" in told
+
+
+def test_reaction_other_than_the_designed_one_fails_the_row(ros_environment, tmp_path):
+    """A killed cut where the pass is said to go on, and a name that nobody says."""
+    killed = next(fault for fault in FAULTS if fault.name == "cutting_process, SIGKILL")
+    wrong = replace(killed, node="recorder", reaction=GOES_ON)
+    row = run_faults([wrong], 1, 1, tmp_path, lambda done, total: None)[0]
+    assert any("not named" in problem for problem in row.problems)
+    assert any("run ends: cutting_process: was ended by SIGKILL" in problem for problem in row.problems)
+
+
+def test_tail_that_a_recorder_lost_is_told_and_counted(ros_environment, tmp_path, monkeypatch):
+    """Held for longer than the lease, here a short one, so that the others forget it and what they send is lost."""
+    lease = (
+        "<leaseDuration><sec>1</sec></leaseDuration><leaseAnnouncement><nanosec>200000000</nanosec></leaseAnnouncement>"
+    )
+    profile = find_file("fastdds.xml").read_text().replace("<discovery_config>", f"<discovery_config>{lease}")
+    (tmp_path / "short.xml").write_text(profile)
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(tmp_path / "short.xml"))
+    held = next(fault for fault in FAULTS if fault.name.startswith("recorder, SIGSTOP"))
+    monkeypatch.setattr(faults, "HELD", 4.0)
+    monkeypatch.setattr(graph, "LOST", 30.0)
+    monkeypatch.setattr(graph, "CATCH_UP", 0.5)
+    row = run_faults([held], 1, 1, tmp_path, lambda done, total: None)[0]
+    trial = row.trials[0]
+    assert row.problems == [] and trial.reaction == GOES_ON and not trial.recording.complete
+    assert trial.lost > 100 and f"1 without the end, lost and counted: {trial.lost}" in row.cells()
+
+
+def test_soak_measures_every_process_and_loses_nothing(ros_environment, tmp_path):
+    code, found, told = selftest(ros_environment, "--soak", "--passes", "2", "--minutes", "0.1")
+    rows = {row["name"]: row for row in found["rows"]}
+    assert len(rows) == 6 and all(row["lost"] == 0 for row in rows.values())
+    for row in rows.values():
+        assert row["settled"]["memory_mb"] > 10 and row["last"]["threads"] >= 1 and row["last"]["files"] > 3
+    assert code == 0, (told, [row["problems"] for row in rows.values()])
+
+
+def test_unknown_fault_is_refused_in_a_sentence(ros_environment):
+    code, _, told = selftest(ros_environment, "--faults", "--only", "earthquake")
+    assert code == 2 and "'earthquake'" in told and "disk full" in told
+
+
+def test_growth_is_found_by_its_slope_and_its_handles():
+    row = Growth("leaky", "pass")
+    for i in range(50):
+        row.look(i, os.getpid())
+    assert row.problems == []
+    row.samples = [
+        replace(s, memory_mb=s.memory_mb + 0.2 * i, files=s.files + i // 40) for i, s in enumerate(row.samples)
+    ]
+    assert row.growth == pytest.approx(0.2 * 24, abs=0.5)
+    assert row.problems == [f"files grew from {row.samples[25].files} to {row.samples[-1].files}"]
+    row.samples = [replace(s, memory_mb=3 * s.memory_mb, files=9) for s in row.samples]
+    assert len(row.problems) == 1 and "memory grew by 14" in row.problems[0]
+
+
+def test_slope_is_that_of_a_line():
+    times = np.linspace(3.0, 90.0, 31)
+    assert slope(times, 7.0 - 0.25 * times) == pytest.approx(-0.25, rel=1e-12)
+
+
+def test_footprint_counts_open_files():
+    before = footprint(os.getpid())
+    with open(os.devnull), open(os.devnull):
+        assert footprint(os.getpid()).files == before.files + 2
+    assert footprint(os.getpid()).threads == before.threads
+
+
+def test_process_that_only_waits_to_be_reaped_is_no_orphan():
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+    assert not is_alive(process.pid) and is_alive(os.getpid())
+    process.wait()
+    assert not is_alive(process.pid)
+
+
+def test_domain_of_the_user_is_kept_and_else_a_free_one_is_said(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "42")
+    assert "42" in choose_domain()
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    assert "free" in choose_domain() and 0 < int(os.environ["ROS_DOMAIN_ID"]) <= 101
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+def test_clock_is_set_for_the_processes_started_with_it_and_for_nobody_else(tmp_path):
+    code = "import time; print(time.time(), time.monotonic())"
+    with SteppedClock(tmp_path) as clock:
+        clock.set(-3600.5)
+        there, steady = map(float, subprocess.check_output([sys.executable, "-c", code]).split())
+    assert there - time.time() == pytest.approx(-3600.5, abs=5.0)
+    assert steady == pytest.approx(time.monotonic(), abs=5.0)
+    assert "LD_PRELOAD" not in os.environ or str(tmp_path) not in os.environ["LD_PRELOAD"]
+
+
+# --- what the self test has found ---
+
+
+def test_clock_set_back_does_not_turn_the_order_of_messages():
+    def series(name, *times):
+        return [(at, 0, None, f"{name}{i}") for i, at in enumerate(times)]
+
+    poses, wrenches = series("p", HOUR + 1, HOUR + 3, 5, 7), series("w", HOUR + 2, HOUR + 4, 6)
+    assert [item[3] for item in _in_order([poses, wrenches])] == ["p0", "w0", "p1", "w1", "p2", "w2", "p3"]
+    assert [item[3] for item in _in_order([wrenches, poses[:2]])] == ["p0", "w0", "p1", "w1", "w2"]
+
+
+def test_timers_of_a_node_run_on_while_its_own_clock_stands_still(world):
+    from kr270_milling.ros.node import ReportingNode
+
+    node = world.add(ReportingNode, "-p", "use_sim_time:=true", name="still")
+    told = world.diagnostics(world.partner())
+    begun = node.get_clock().now().nanoseconds
+    world.until(lambda: "/still" in told.last, 3.0)
+    assert node.get_clock().now().nanoseconds == begun == 0
+
+
+def test_nobody_but_a_watchdog_reads_a_clock_and_that_is_the_monotonic_one():
+    """The wall clock is read nowhere: time is the stamp of a message. Exempt: reports, which print a date."""
+    wall = ("time.time", "time.time_ns", "time.localtime", "datetime.now", "datetime.datetime.now", "get_clock")
+    steady = ("time.monotonic", "time.perf_counter")
+    for path in PACKAGE.rglob("*.py"):
+        folder = path.relative_to(PACKAGE).parts[0]
+        if folder in ("commands", "selftest", "verification"):
+            continue
+        for call in (node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)):
+            name = ast.unparse(call.func)
+            assert not name.endswith(wall), f"{path}, line {call.lineno}: {name}"
+            if name in steady:
+                timing = path.name in ("bench.py", "milling_pass.py", "verdict.py")  # they measure how long it took
+                assert folder in ("ros", "nodes") or timing, f"{path}, line {call.lineno}: {name}"
+
+
+class Quiet(Graph):
+    """A graph of one process that has reported once; nothing is started."""
+
+    def __init__(self, short_cell, out, silent: float):
+        super().__init__(short_cell, out)
+        self.said: list[str] = []
+        self._excused, self.children = set(), {"cutting_process": None}
+        now = time.monotonic()
+        self.driver = type("Driver", (), {"status": lambda _, name: type("Status", (), {"at": now - silent})})()
+
+    def tell(self, sentence: str) -> None:
+        self.said.append(sentence)
+
+
+def test_silent_node_is_told_once_and_then_given_up(short_cell, tmp_path):
+    graph = Quiet(short_cell, tmp_path, QUIET + 0.1)
+    for _ in range(3):
+        graph._check_silence(time.monotonic())
+    assert len(graph.said) == 1 and "cutting_process" in graph.said[0]
+    with pytest.raises(RunError, match="cutting_process: has not been heard of"):
+        Quiet(short_cell, tmp_path, LOST + 0.1)._check_silence(time.monotonic())
+
+
+def test_runner_that_was_held_up_itself_hears_the_reports_first(short_cell, tmp_path):
+    graph = Quiet(short_cell, tmp_path, 10.0)
+    graph._looked -= 10.0  # it scored a long pass, or was stopped by Ctrl-Z
+    graph._check_silence(time.monotonic())
+    assert graph.said == []
+
+
+def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_path):
+    from kr270_milling.nodes.cutting_process import CuttingProcess
+    from kr270_milling.ros import messages, topics
+
+    cut = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
+    robot = world.partner("robot")
+    told = world.diagnostics(robot)
+    publishers = [robot.create_publisher(*t) for t in (topics.TOOL_POSE, topics.REFERENCE_TRAJECTORY)]
+    publishers[1].publish(messages.trajectory_to_msg(short_cell.target()))
+    cut.trigger_configure()
+    world.until(lambda: cut._pose.get_publisher_count() == 1 and cut._end_ns)
+    cut.trigger_activate()
+    stamps = short_cell.clock.stamp(np.arange(3))
+    for stamp, tool in zip(stamps.tolist(), short_cell.target().sample(stamps), strict=True):
+        publishers[0].publish(messages.pose_to_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
+        world.until(lambda at=stamp: cut.stamp_ns == at and cut._side.step >= 0)
+    world.step(0.3)
+    assert not told.said("/cutting_process", "another robot")
+    world.partner("second").create_publisher(*topics.TOOL_POSE)
+    told.until("/cutting_process", "another robot has come in mid-pass", 2, deadline=3.0)
+
+
+def test_compensator_that_comes_in_mid_pass_says_that_it_has_not_heard_the_start(world, short_cell, tmp_path):
+    from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator
+    from kr270_milling.ros import messages, topics
+
+    world.add(TrajectoryCompensator, cell=short_cell, directory=tmp_path)
+    machine = world.partner("machine")
+    told = world.diagnostics(machine)
+    pose = machine.create_publisher(*topics.TOOL_POSE)
+    world.until(pose.get_subscription_count)
+    stamps = short_cell.clock.stamp(np.arange(10, 40))
+    for stamp, tool in zip(stamps.tolist(), short_cell.target().sample(stamps), strict=True):
+        pose.publish(messages.pose_to_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
+    told.until("/trajectory_compensator", "has not heard its start", 2, deadline=3.0)
+
+
+def test_recorder_that_hangs_while_it_closes_its_file_is_ended_with_the_graph(short_cell, tmp_path):
+    class Hanging:
+        name, pid, shared = "recorder", 0, set()
+        process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, start_new_session=True)
+        alive = property(lambda self: self.process.poll() is None)
+        note_shared = lambda self: None  # noqa: E731
+
+        def signal(self, number: int) -> None:
+            self.process.send_signal(number)
+
+    hanging = Hanging()
+    hanging.signal(signal.SIGSTOP)
+    graph = Graph(short_cell, tmp_path)
+    graph.driver, graph.ended = None, [hanging]
+    graph.close()
+    assert not hanging.alive
+    hanging.process.stdin.close()
+
+
+def test_stopped_process_can_be_told_from_an_ended_one():
+    process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    process.send_signal(signal.SIGSTOP)
+    assert is_alive(process.pid)
+    process.kill()
+    process.wait()

@@ -1,0 +1,289 @@
+"""The graph as processes: what it computes, what it says when a node fails, what it leaves behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from kr270_milling.bag.reader import Recording
+from kr270_milling.cell.jobs import compensated, simulate
+from kr270_milling.graph.plan import fresh_directory
+from kr270_milling.graph.processes import GRACE, _shared_files
+from kr270_milling.replay.recorded import pass_from_recording
+
+SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
+LONG = ["path.length_mm=75", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # some seconds, to be disturbed
+NODES = ["compliant_robot", "cutting_process", "trajectory_compensator", "recorder"]
+
+
+@pytest.fixture
+def runner(ros_environment):
+    """Starts runs; whatever a failed test leaves of them is ended."""
+    started: list[subprocess.Popen] = []
+
+    def start(out, *arguments, sets=SHORT):
+        started.append(start_run(ros_environment, out, *arguments, sets=sets))
+        return started[-1]
+
+    yield start
+    for process in started:
+        if process.poll() is None:
+            process.terminate()
+        process.communicate()
+
+
+def start_run(environment, out, *arguments, sets):
+    command = [sys.executable, "-m", "kr270_milling.cli", "run", "paper.yaml", "--out", str(out), *arguments]
+    for assignment in sets:
+        command += ["--set", assignment]
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+
+
+def finished(process, seconds: float = 60.0) -> tuple[int, str, str]:
+    try:
+        out, told = process.communicate(timeout=seconds)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        out, told = process.communicate()
+        pytest.fail(f"the run hangs: {told}")
+    return process.returncode, out, told
+
+
+def nodes_of(out: Path) -> dict[str, int]:
+    """Node -> process id of the nodes that write below a directory; found by their command lines."""
+    found = {}
+    for pid in filter(str.isdigit, os.listdir("/proc")):
+        try:
+            command = Path("/proc", pid, "cmdline").read_bytes().split(b"\0")
+            state = Path("/proc", pid, "stat").read_text().rsplit(")", 1)[1].split()[0]
+        except OSError:
+            continue
+        words = [word.decode("utf-8", "replace") for word in command]
+        name = next((w.rpartition(".")[2] for w in words if w.startswith("kr270_milling.nodes.")), None)
+        if name and state != "Z" and any(w.startswith(str(out)) for w in words):
+            found[name] = int(pid)
+    return found
+
+
+def wait_until(condition, seconds: float, what: str):
+    end = time.monotonic() + seconds
+    while not (value := condition()):
+        assert time.monotonic() < end, what
+        time.sleep(0.02)
+    return value
+
+
+def in_mid_pass(out: Path) -> dict[str, int]:
+    """Wait until the original pass runs; returns the nodes."""
+    log = out / "log" / "cutting_process.log"
+    wait_until(lambda: log.exists() and "]: cutting" in log.read_text(), 40, "the pass does not start")
+    file = out / "original" / "original.mcap"
+    wait_until(lambda: file.stat().st_size > 30_000, 10, "nothing of the pass is written")
+    return nodes_of(out)
+
+
+def same(recorded, plain) -> None:
+    for field in ("time_ns", "target", "reference", "tool", "deflection", "wrench", "torque", "removed_volume"):
+        assert np.array_equal(getattr(recorded, field), getattr(plain, field)), field
+
+
+def test_run_gives_the_plain_loop_bit_for_bit_and_tells_so(runner, tmp_path, short_cell):
+    process = runner(tmp_path / "o", "--method", "linear", "--method", "spline", "--json")
+    code, out, told = finished(process)
+    assert code == 0, told
+    found = json.loads(out)
+    assert [row["name"] for row in found["passes"]] == ["original", "linear", "spline"]
+    original = simulate(short_cell)
+    plain = [original, *(compensated(short_cell, original, method) for method in ("linear", "spline"))]
+    for row, expected in zip(found["passes"], plain, strict=True):
+        recorded = pass_from_recording(row["recording"])
+        assert recorded.complete and recorded.messages_lost == row["messages_lost"] == 0
+        same(recorded.scored.result, expected.result)
+        assert row["max_deviation_mm"] == expected.scores.max_deviation * 1e3
+        assert row["static_deviation_mm"] == expected.scores.static_deviation * 1e3
+        assert row["real_time_factor"] == pytest.approx(row["duration_s"] / row["wall_s"])
+    assert 0 < found["graph_up_s"] < 30
+    assert not nodes_of(tmp_path)
+
+
+def test_namespace_that_cannot_be_is_refused_before_anything_is_written(runner, tmp_path):
+    code, _, told = finished(runner(tmp_path / "o", "--namespace", "a b"))
+    assert code == 2 and told.count("\n") == 1 and "--namespace: 'a b' must be a ROS namespace" in told
+    assert not (tmp_path / "o").exists()
+
+
+def test_method_given_twice_is_run_once(runner, tmp_path):
+    code, out, told = finished(runner(tmp_path / "o", "--method", "linear", "--method", "linear", "--json"))
+    assert code == 0, told
+    assert [row["name"] for row in json.loads(out)["passes"]] == ["original", "linear"]
+
+
+def test_learned_row_is_the_best_of_its_passes(runner, tmp_path):
+    process = runner(tmp_path / "o", "--method", "learned", "--passes", "3", "--json")
+    code, out, told = finished(process)
+    assert code == 0, told
+    original, learned = json.loads(out)["passes"]
+    assert [Path(row["recording"]).name for row in learned["learning"]] == ["learned_1", "learned_2"]
+    assert learned["recording"] in [row["recording"] for row in learned["learning"]]
+    assert learned["max_deviation_mm"] == min(row["max_deviation_mm"] for row in learned["learning"])
+
+
+def test_recordings_are_never_overwritten(tmp_path):
+    for expected in ("o", "o/run_2", "o/run_3"):
+        directory = fresh_directory(tmp_path / "o")
+        assert directory == tmp_path / expected
+        (directory / "cell.yaml").write_text("")
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_killed_node_is_named_within_3_s_and_nothing_is_left(runner, tmp_path, node):
+    process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
+    pids = in_mid_pass(tmp_path / "o")
+    # the ports 70xx are common to every graph on this machine
+    shared = {name for pid in pids.values() for name in _shared_files(pid) if "_port70" not in name}
+    os.kill(pids[node], signal.SIGKILL)
+    killed = time.monotonic()
+    code, _, told = finished(process, 10)
+    assert time.monotonic() - killed < 3.0 + GRACE  # to say it, and to end everything
+    assert code == 2 and told.count("\n") == 1
+    assert node in told and "SIGKILL" in told
+    assert not nodes_of(tmp_path)
+    used = {name for pid in filter(str.isdigit, os.listdir("/proc")) for name in _shared_files(pid)}
+    left = sorted(name for name in shared - used if os.path.exists(name))
+    assert shared and not left, left
+    with Recording(tmp_path / "o" / "original") as recording:
+        assert recording.cut_off == (node == "recorder")
+        assert recording.topics()["/wrench"].count > 0
+
+
+def test_stopped_node_is_named_within_3_s(runner, tmp_path):
+    process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
+    pids = in_mid_pass(tmp_path / "o")
+    os.kill(pids["cutting_process"], signal.SIGSTOP)
+    stopped = time.monotonic()
+    code, _, told = finished(process, 10)
+    assert code == 2 and "cutting" in told
+    assert time.monotonic() - stopped < 3.0 + GRACE  # to say it, and to end everything
+    assert not nodes_of(tmp_path)
+
+
+def test_run_that_hears_of_nobody_ends_with_a_sentence_and_leaves_nobody(runner, tmp_path):
+    """As when the middleware of its own process is blocked, which leaving the graph would then be as well."""
+    process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
+    for pid in in_mid_pass(tmp_path / "o").values():
+        os.kill(pid, signal.SIGSTOP)
+    code, _, told = finished(process, 10 + GRACE)
+    assert code == 2 and "no node has been heard of" in told
+    assert not nodes_of(tmp_path)
+
+
+def sockets_of(pid: int) -> list[str]:
+    """Local addresses of the UDP and TCP sockets of a process."""
+    inodes = set()
+    for entry in os.listdir(f"/proc/{pid}/fd"):
+        target = os.readlink(f"/proc/{pid}/fd/{entry}")
+        if target.startswith("socket:["):
+            inodes.add(target[8:-1])
+    found = []
+    for table in ("udp", "udp6", "tcp", "tcp6"):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[9] in inodes:
+                found.append(fields[1].rpartition(":")[0])
+    return found
+
+
+@pytest.mark.parametrize("number, expected", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_all_sockets_are_on_this_host_and_a_signal_ends_everything_with_a_whole_file(
+    runner, tmp_path, number, expected
+):
+    process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
+    pids = in_mid_pass(tmp_path / "o")
+    assert sorted(pids) == sorted(NODES)
+    for pid in (*pids.values(), process.pid):
+        assert set(sockets_of(pid)) == {"0100007F"}  # 127.0.0.1 as /proc writes it
+    process.send_signal(number)
+    code, _, told = finished(process, 10)
+    assert code == expected and "Traceback" not in told
+    assert not nodes_of(tmp_path)
+    with Recording(tmp_path / "o" / "original") as recording:
+        assert not recording.cut_off
+
+
+def test_killed_runner_leaves_no_orphans(runner, tmp_path):
+    process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
+    in_mid_pass(tmp_path / "o")
+    process.kill()
+    process.communicate()
+    wait_until(lambda: not nodes_of(tmp_path), 5, "orphans are left")
+    with Recording(tmp_path / "o" / "original") as recording:
+        assert not recording.cut_off
+
+
+def test_second_graph_with_the_same_names_is_refused_and_does_not_disturb_the_first(runner, tmp_path):
+    first = runner(tmp_path / "a", "--passes", "1", "--json", sets=LONG)
+    in_mid_pass(tmp_path / "a")
+    code, _, told = finished(runner(tmp_path / "b", "--passes", "1"), 20)
+    assert code == 2 and "already runs in this ROS domain" in told and told.count("\n") == 1
+    code, out, told = finished(first)
+    assert code == 0, told
+    assert json.loads(out)["passes"][0]["messages_lost"] == 0
+
+
+def test_two_graphs_in_two_namespaces_run_at_once(runner, tmp_path, short_cell):
+    names = ("left", "right")
+    runs = [runner(tmp_path / n, "--namespace", n, "--passes", "1", "--json") for n in names]
+    for process, name in zip(runs, names, strict=True):
+        code, _, told = finished(process)
+        assert code == 0, told
+        same(pass_from_recording(tmp_path / name / "original").scored.result, simulate(short_cell).result)
+        with Recording(tmp_path / name / "original") as recording:
+            other = names[1 - names.index(name)]
+            assert not any(topic.startswith(f"/{other}/") for topic in recording.topics())
+
+
+@pytest.mark.parametrize("node", NODES[:3])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_node_by_hand_ends_with_0_on_a_signal(ros_environment, tmp_path, node, number):
+    from kr270_milling.base.parameter_file import find_file
+
+    command = [sys.executable, "-m", f"kr270_milling.nodes.{node}", "--ros-args", "--params-file"]
+    log = tmp_path / "log"
+    with open(log, "w") as stream:
+        process = subprocess.Popen([*command, str(find_file("paper.yaml"))], env=ros_environment, stderr=stream)
+    wait_until(lambda: "]: " in log.read_text(), 20, "the node does not come up")
+    process.send_signal(number)
+    assert process.wait(5) == 0
+    assert "Traceback" not in log.read_text()
+
+
+BAD = [
+    ("tool.diameter_mm:=-1.0", "tool.diameter_mm"),
+    ("tool.diameter_mm:=1", "tool.diameter_mm"),
+    ("tool.rotation:=sideways", "rotation"),
+    ("path.start_mm:=[0.0]", "path.start_mm"),
+]
+
+
+@pytest.mark.parametrize("assignment, key", BAD)
+def test_bad_parameter_ends_a_node_with_2_and_one_sentence(ros_environment, assignment, key):
+    from kr270_milling.base.parameter_file import find_file
+
+    command = [sys.executable, "-m", "kr270_milling.nodes.cutting_process", "--ros-args"]
+    arguments = ["--params-file", str(find_file("paper.yaml")), "-p", assignment]
+    ran = subprocess.run([*command, *arguments], env=ros_environment, capture_output=True, text=True, timeout=30)
+    assert ran.returncode == 2
+    told = [line for line in ran.stderr.splitlines() if line.strip()]
+    assert len(told) == 1 and key in told[0]

@@ -1,0 +1,112 @@
+"""Ctrl-C at any time: exit code 130, one line, no traceback, nothing half written."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from hostile import contents
+
+ROOT = Path(__file__).resolve().parents[2]
+#: tells when the command has begun its work, by the one thing that all of them do first
+STARTED = """
+import sys, kr270_milling.{module} as m
+real = m.{name}
+def told(*args, **kwargs):
+    print("started", file=sys.stderr, flush=True)
+    return real(*args, **kwargs)
+m.{name} = told
+from kr270_milling.cli import main
+sys.exit(main({words!r}))
+"""
+LONG = ["--set", "path.feed_rate_m_per_min=0.05"]  # some ten times as long as the paper's pass
+COMMANDS = {
+    "simulate": (["simulate", "paper.yaml", *LONG, "--out", "out"], "passes", "simulate"),
+    "compensate": (["compensate", "paper.yaml", *LONG, "--method", "learned", "--out", "out"], "passes", "simulate"),
+    "bench": (["bench"], "passes", "simulate"),
+    "demo": (["demo", "--plain", "--out", "out"], "passes", "simulate"),
+    "check": (["check", "paper.yaml", *LONG], "checks.check", "check"),
+}
+
+
+def interrupted(directory, words, module, name, delay: float) -> subprocess.CompletedProcess:
+    """Start a command, and press Ctrl-C a little after it has begun."""
+    code = STARTED.format(words=words, module=module, name=name)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        [sys.executable, "-c", code], cwd=directory, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True, start_new_session=True,
+    ) as process:  # fmt: skip
+        try:
+            assert process.stderr.readline() == "started\n"
+            time.sleep(delay)  # the moment is to be any; nothing is waited for
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=30)
+        finally:
+            process.kill()
+    return subprocess.CompletedProcess(words, process.returncode, out, err.replace("started\n", ""))
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_ctrl_c_ends_a_command_cleanly(name, seed, tmp_path):
+    words, module, function = COMMANDS[name]
+    ended = interrupted(tmp_path, words, module, function, random.Random(f"{name}{seed}").uniform(0.0, 0.4))
+    assert (ended.returncode, ended.stderr, ended.stdout) == (130, "kr270_milling: interrupted\n", "")
+    assert contents(tmp_path) == {}
+
+
+def test_ctrl_c_leaves_the_files_of_the_last_run_as_they_were(tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "original.csv").write_text("mine")
+    ended = interrupted(tmp_path, *COMMANDS["simulate"], 0.1)
+    assert ended.returncode == 130
+    assert contents(tmp_path) == {"out": "dir", "out/original.csv": b"mine"}
+
+
+@pytest.mark.parametrize("function", ["write_report", "write_series"])
+def test_ctrl_c_while_files_are_written_leaves_none(function, tmp_path):
+    module = "report" if function == "write_report" else "report.series"
+    words = ["demo", "--plain", "--out", "out"]
+    ended = interrupted(tmp_path, words, module, function, random.Random(function).uniform(0.0, 0.05))
+    if ended.returncode != 0:  # quicker than the key
+        assert (ended.returncode, ended.stderr, ended.stdout) == (130, "kr270_milling: interrupted\n", "")
+        assert contents(tmp_path) == {}
+    else:
+        assert not [name for name in contents(tmp_path) if "part" in name]
+
+
+COMPILING = """
+import os, signal
+from numba.core.compiler_lock import global_compiler_lock as lock
+from kr270_milling.cli import _hear_interrupts
+_hear_interrupts()
+with lock:
+    os.kill(os.getpid(), signal.SIGINT)
+    sum(range(10**6))
+    print("still here")
+try:
+    while True:
+        signal.pause()
+except KeyboardInterrupt:
+    print("now")
+with lock:
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+    except KeyboardInterrupt:
+        print("at once when pressed again")
+"""
+
+
+def test_ctrl_c_waits_for_a_compilation_unless_it_comes_twice(tmp_path):
+    ran = subprocess.run(
+        [sys.executable, "-c", COMPILING], env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+        timeout=30,
+    )  # fmt: skip
+    assert ran.stdout.split("\n") == ["still here", "now", "at once when pressed again", ""], ran.stderr

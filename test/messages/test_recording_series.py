@@ -1,0 +1,125 @@
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from test_recording_samples import JOINTS, POSE, STORE, TWIST, WRENCH, joints, pose, raw, twist, wrench
+
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.writer import BagWriter
+from kr270_milling.messages.series import batches, joint_series, series
+
+RELAXED = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def written(directory, type_name, messages, little=True):
+    """A recording of one topic "/t" with the given messages, or bytes."""
+    with BagWriter(directory) as writer:
+        writer.add_topic("/t", type_name)
+        for i, message in enumerate(messages):
+            data = (
+                message if isinstance(message, bytes) else STORE.serialize_cdr(message, type_name, little_endian=little)
+            )
+            writer.write("/t", bytes(data), i, log_time=i)
+    return directory
+
+
+@pytest.mark.parametrize("little", [True, False])
+@pytest.mark.parametrize(("type_name", "build", "width"), [(POSE, pose, 7), (WRENCH, wrench, 6), (TWIST, twist, 6)])
+def test_numbers_come_out_bit_for_bit(tmp_path, type_name, build, width, little):
+    values = np.random.default_rng(3).normal(size=(200, width))
+    values[5, 2], values[6, 1] = np.nan, -np.inf
+    stamps = np.cumsum(np.random.default_rng(4).integers(0, 10**10, 200))
+    messages = [build(int(t), v, "base_link") for t, v in zip(stamps, values, strict=True)]
+    with Recording(written(tmp_path / "a", type_name, messages, little)) as recording:
+        found = series(recording, "/t")
+    np.testing.assert_array_equal(found.values, values)
+    np.testing.assert_array_equal(found.stamp, stamps)
+    np.testing.assert_array_equal(found.log_time, np.arange(200))
+    assert found.frame_ids == ("base_link",)
+    assert not found.values.flags.writeable and not found.stamp.flags.writeable
+
+
+@given(st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12), min_size=1, max_size=30))
+@RELAXED
+def test_frames_of_any_length_do_not_move_the_numbers(tmp_path_factory, frames):
+    values = np.arange(7.0 * len(frames)).reshape(-1, 7)
+    messages = [pose(i, v, frame) for i, (v, frame) in enumerate(zip(values, frames, strict=True))]
+    with Recording(written(tmp_path_factory.mktemp("x") / "a", POSE, messages)) as recording:
+        found = series(recording, "/t")
+        assert [frame for rows in batches(recording, "/t") for frame in rows.frame_ids] == frames
+    np.testing.assert_array_equal(found.values, values)
+    assert found.frame_ids == tuple(dict.fromkeys(frames))
+
+
+def test_joint_states_with_and_without_velocities(tmp_path):
+    rng = np.random.default_rng(5)
+    position, velocity, effort = rng.normal(size=(3, 100, 6))
+    messages = [joints(i, position[i], velocity[i] if i % 2 else (), effort[i] if i > 50 else ()) for i in range(100)]
+    with Recording(written(tmp_path / "a", JOINTS, messages)) as recording:
+        found = joint_series(recording, "/t")
+    velocity[::2], effort[:51] = np.nan, np.nan
+    for name, expected in (("position", position), ("velocity", velocity), ("effort", effort)):
+        np.testing.assert_array_equal(getattr(found, name), expected)
+    assert found.names == tuple(f"joint_a{i}" for i in range(1, 7))
+
+
+def test_joints_that_change_their_names_are_told(tmp_path):
+    messages = [joints(0, [1, 2], names=["a", "b"]), joints(1, [1, 2], names=["b", "a"])]
+    directory = written(tmp_path / "a", JOINTS, messages)
+    with Recording(directory) as recording, pytest.raises(RecordingError, match="change their names"):
+        joint_series(recording, "/t")
+
+
+@pytest.mark.parametrize("type_name", [POSE, JOINTS])
+def test_a_topic_without_messages_has_empty_arrays(tmp_path, type_name):
+    with Recording(written(tmp_path / "a", type_name, [])) as recording:
+        found = (joint_series if type_name == JOINTS else series)(recording, "/t")
+    assert len(found.stamp) == 0
+    assert (found.position if type_name == JOINTS else found.values).shape == (0, 0 if type_name == JOINTS else 7)
+
+
+@given(data=st.binary(max_size=120), kind=st.sampled_from([POSE, WRENCH, TWIST, JOINTS]), cut=st.integers(0, 200))
+@RELAXED
+def test_bytes_that_are_no_message_are_one_sentence(tmp_path_factory, data, kind, cut):
+    good = raw(joints(1, [1, 2, 3])) if kind == JOINTS else raw(pose(1, np.arange(7)))
+    with Recording(written(tmp_path_factory.mktemp("x") / "a", kind, [good[:cut] + data])) as recording:
+        try:
+            (joint_series if kind == JOINTS else series)(recording, "/t")
+        except RecordingError as error:
+            assert "\n" not in str(error)
+
+
+def test_other_types_and_topics_are_refused(tmp_path):
+    with Recording(written(tmp_path / "a", POSE, [pose(0, np.zeros(7))])) as recording:
+        for call in (lambda: joint_series(recording, "/t"), lambda: series(recording, "/u"),
+                     lambda: list(batches(recording, "/u"))):  # fmt: skip
+            with pytest.raises(RecordingError):
+                call()
+
+
+def test_100000_poses_are_read_in_less_than_two_seconds(tmp_path):
+    body = raw(pose(0, np.arange(7)))
+    with Recording(written(tmp_path / "a", POSE, [body] * 100_000)) as recording:
+        begin = time.process_time()
+        found = series(recording, "/t")
+        assert time.process_time() - begin < 2.0
+    np.testing.assert_array_equal(found.values, np.tile(np.arange(7.0), (100_000, 1)))
+
+
+def test_large_messages_are_read_some_megabytes_at_a_time(tmp_path):
+    message = joints(0, [0.5] * 2000, names=[f"{i:0500d}" for i in range(2000)])  # 1 MB
+    with Recording(written(tmp_path / "a", JOINTS, [message] * 20)) as recording:
+        assert [len(rows.stamp) for rows in batches(recording, "/t")] == [4, 4, 4, 4, 4]
+
+
+def test_frames_that_are_books_are_refused_where_all_of_them_would_be_kept(tmp_path):
+    messages = [wrench(i, np.zeros(6), f"{i:0200000d}") for i in range(10)]
+    with Recording(written(tmp_path / "a", WRENCH, messages)) as recording:
+        with pytest.raises(RecordingError, match="names frames of more than"):
+            series(recording, "/t")
+        assert sum(len(rows.stamp) for rows in batches(recording, "/t")) == 10

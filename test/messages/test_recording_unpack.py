@@ -1,0 +1,99 @@
+"""Chunks and records made to do harm: the reader's memory is bounded by what is there, not by what is claimed."""
+
+from __future__ import annotations
+
+import os
+import struct
+import subprocess
+import sys
+import zlib
+from pathlib import Path
+
+import pytest
+from test_recording_reader import write_mcap
+
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.reader import Recording
+
+
+def chunk_record(data: bytes, unpacked: int, packing: bytes, crc: int = 0, claimed: int | None = None) -> bytes:
+    head = struct.pack("<QQQII", 0, 0, unpacked, crc, len(packing)) + packing
+    body = head + struct.pack("<Q", len(data) if claimed is None else claimed) + data
+    return struct.pack("<BQ", 6, len(body)) + body
+
+
+BEGIN = b"\x89MCAP0\r\n" + struct.pack("<BQI4sI", 1, 12, 4, b"ros2", 0)
+GREEDY = """
+import resource, sys
+resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000, 2_000_000_000))
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.recover import recover
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    with Recording(sys.argv[1]) as recording:
+        list(recording.messages())
+    print("read", recording.cut_off)
+except RecordingError as error:
+    print(error)
+try:
+    recover(sys.argv[1])
+except RecordingError:
+    pass
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+
+
+def greedy_files() -> dict[str, bytes]:
+    import zstandard
+
+    empty = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
+    many = zstandard.compress(empty * 2_000_000)
+    small = zstandard.compress(b"\0" * 1000)
+    return {
+        "unpacked": chunk_record(small, 2**60, b"zstd"),
+        "packed": chunk_record(small, 1000, b"zstd", claimed=2**61),
+        "bomb": chunk_record(zstandard.compress(b"\0" * 200_000_000), 1000, b"zstd"),
+        "messages": chunk_record(many, 62_000_000, b"zstd"),
+        "record": struct.pack("<BQ", 3, 2**62) + b"\0" * 100,
+        "name": struct.pack("<BQHI", 3, 100, 1, 2**32 - 1) + b"\0" * 94,
+        "attachment": struct.pack("<BQQQIIQ", 9, 2**40, 0, 0, 0, 0, 2**40) + b"\0" * 100,
+        "no lz4": chunk_record(b"\x04\x22\x4d\x18" + b"\xff" * 50, 2**27, b"lz4"),
+        "unknown": chunk_record(b"abc", 3, b"rar"),
+    }
+
+
+@pytest.mark.parametrize("name", list(greedy_files()))
+def test_a_file_that_claims_absurd_sizes_takes_no_memory(tmp_path, name):
+    path = tmp_path / "a.mcap"
+    path.write_bytes(BEGIN + greedy_files()[name])
+    env = dict(os.environ, PYTHONPATH=str(Path(__file__).parents[2]), OPENBLAS_NUM_THREADS="1")
+    done = subprocess.run([sys.executable, "-c", GREEDY, path], env=env, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    told, kilobytes = done.stdout.splitlines()
+    assert "Error" not in told and str(path) in told or told == "read True"
+    assert int(kilobytes) < 600_000
+    if name == "bomb":
+        assert int(kilobytes) < 100_000
+
+
+def test_a_long_file_is_read_in_little_memory(tmp_path):
+    path = write_mcap(tmp_path / "a.mcap", ((i, os.urandom(100_000)) for i in range(2000)))  # 200 MB
+    code = """
+import resource, sys
+from kr270_milling.bag.reader import Recording
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+with Recording(sys.argv[1]) as recording:
+    assert sum(1 for _ in recording.messages()) == 2000
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+    env = dict(os.environ, PYTHONPATH=str(Path(__file__).parents[2]))
+    output = subprocess.run([sys.executable, "-c", code, path], env=env, capture_output=True, text=True, check=True)
+    assert int(output.stdout) < 120_000  # [kB]; the cache of 64 MB and what zstandard needs
+
+
+def test_a_message_of_an_undefined_channel_is_an_error(tmp_path):
+    body = struct.pack("<BQHIQQ", 5, 22, 9, 0, 0, 0)
+    (tmp_path / "a.mcap").write_bytes(BEGIN + chunk_record(body, len(body), b"", zlib.crc32(body)))
+    with Recording(tmp_path / "a.mcap") as recording, pytest.raises(RecordingError, match="channel 9"):
+        list(recording.messages())

@@ -1,0 +1,215 @@
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from std_msgs.msg import String
+
+from kr270_milling.bag.reader import Recording
+from kr270_milling.messages.series import series
+from kr270_milling.nodes.recorder import Recorder
+from kr270_milling.ros import messages, topics
+
+OK, WARN = 0, 1
+NAME = "/recorder"
+
+
+@pytest.fixture
+def recorder(world, tmp_path):
+    node = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}")
+    yield node
+    assert node.close() is None
+
+
+def publish_wrenches(world, publisher, steps) -> None:
+    for i in steps:
+        publisher.publish(messages.wrench_to_msg(i * 500_000, np.full(6, float(i))))
+        world.executor.spin_once(timeout_sec=0.0)
+
+
+def test_every_message_is_kept_with_its_bytes_and_its_stamp(world, recorder, tmp_path):
+    partner = world.partner()
+    publisher = partner.create_publisher(*topics.WRENCH)
+    world.until(lambda: publisher.get_subscription_count())
+    publish_wrenches(world, publisher, range(300))
+    world.until(lambda: recorder.writer.report()["/wrench"]["count"] == 300)
+    recorder.close()
+    with Recording(tmp_path / "rec") as recording:
+        found = series(recording, "/wrench")
+        assert not recording.cut_off
+    assert found.stamp.tolist() == found.log_time.tolist() == [i * 500_000 for i in range(300)]
+    assert np.array_equal(found.values, np.repeat(np.arange(300.0)[:, None], 6, axis=1))
+
+
+def test_latched_message_of_an_earlier_publisher_is_recorded(world, recorder):
+    partner = world.partner()
+    publisher = partner.create_publisher(*topics.ROBOT_DESCRIPTION)
+    publisher.publish(String(data="<robot/>"))
+    world.until(lambda: recorder.writer.report().get("/robot_description", {}).get("count") == 1)
+
+
+def test_description_that_comes_before_every_stamp_does_not_make_the_recording_last_for_decades(world, tmp_path):
+    recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}", "-p", "topics:=robot_description,tool_pose")
+    partner = world.partner()
+    description, pose = (partner.create_publisher(*t) for t in (topics.ROBOT_DESCRIPTION, topics.TOOL_POSE))
+    description.publish(String(data="<robot/>"))
+    world.until(lambda: pose.get_subscription_count() and recorder.writer.report()["/robot_description"]["count"])
+    pose.publish(messages.pose_to_msg(500_000, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
+    world.until(lambda: recorder.writer.report()["/tool_pose"]["count"])
+    assert recorder.close() is None
+    with Recording(tmp_path / "rec") as recording:
+        assert [m.log_time for m in recording.messages()] == [0, 500_000]
+
+
+def test_topic_that_appears_late_is_found(world, recorder):
+    world.step(0.3)
+    publisher = world.partner().create_publisher(String, "late", 10)
+    world.until(lambda: publisher.get_subscription_count())
+    publisher.publish(String(data="hello"))
+    world.until(lambda: recorder.writer.report().get("/late", {}).get("count") == 1)
+
+
+def test_missing_messages_are_counted_and_told(world, recorder):
+    partner = world.partner()
+    told = world.diagnostics(partner)
+    publisher = partner.create_publisher(*topics.WRENCH)
+    world.until(lambda: publisher.get_subscription_count())
+    publish_wrenches(world, publisher, [i for i in range(100) if i not in (50, 51, 70)])
+    world.until(lambda: told.last.get(NAME, {}).get("missing") == "3")
+
+
+def test_vanished_publisher_is_told_as_a_warning(world, recorder):
+    told = world.diagnostics(world.partner("watcher"))
+    partner = world.partner()
+    publisher = partner.create_publisher(*topics.WRENCH)
+    world.until(lambda: publisher.get_subscription_count())
+    world.until(lambda: "/wrench=1" in told.last.get(NAME, {}).get("heard", ""))
+    world.remove(partner)
+    told.until(NAME, "nobody publishes /wrench any more", WARN, deadline=1.5)
+
+
+def test_node_that_reports_no_more_is_told_as_a_warning(world, recorder):
+    """As one that was killed: its publishers are known for as long as its lease."""
+    partner = world.partner()
+    told = world.diagnostics(world.partner("watcher"))
+    publisher = partner.create_publisher(*topics.DIAGNOSTICS)
+    world.until(lambda: publisher.get_subscription_count() == 2)
+    report = DiagnosticArray(status=[DiagnosticStatus(name="/spindle", message="turning")])
+    publisher.publish(report)
+    told.until(NAME, "/spindle not heard of for 2.6 s", WARN, deadline=3.2)
+    publisher.publish(report)
+    told.until(NAME, "recording to", OK)
+
+
+def test_only_the_listed_topics_are_recorded_where_there_is_a_list(world, tmp_path):
+    names = "[wrench, '/robot/*']"
+    recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}", "-p", f"topics:={names}")
+    partner = world.partner()
+    wanted = [partner.create_publisher(String, name, 10) for name in ("wrench", "/robot/a", "/robot/b/c")]
+    other = partner.create_publisher(String, "other", 10)
+    world.until(lambda: all(p.get_subscription_count() for p in wanted))
+    world.step(0.2)
+    assert not other.get_subscription_count()
+    recorder.close()
+
+
+def test_best_effort_and_latched_publishers_are_both_matched(world, recorder):
+    partner = world.partner()
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    best_effort = QoSProfile(depth=5)
+    best_effort.reliability = 2
+    for name, qos in (("latched", latched), ("effort", best_effort)):
+        publisher = partner.create_publisher(String, name, qos)
+        world.until(lambda p=publisher: p.get_subscription_count())
+        publisher.publish(String(data=name))
+        world.until(lambda n=name: recorder.writer.report()[f"/{n}"]["count"] == 1)
+
+
+def start(environment, directory, *arguments, **kwargs):
+    command = [sys.executable, "-m", "kr270_milling.nodes.recorder", "--ros-args", "-p", f"directory:={directory}"]
+    return subprocess.Popen([*command, *arguments], env=environment, stderr=subprocess.PIPE, text=True, **kwargs)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signal_ends_the_recorder_with_0_and_a_whole_file(world, ros_environment, tmp_path, number):
+    publisher = world.partner().create_publisher(*topics.WRENCH)
+    with start(ros_environment, tmp_path / "rec") as process:
+        world.until(lambda: publisher.get_subscription_count(), 20)
+        publish_wrenches(world, publisher, range(200))
+        process.send_signal(number)
+        assert process.wait(10) == 0, process.stderr.read()
+    with Recording(tmp_path / "rec") as recording:
+        assert not recording.cut_off
+        assert recording.topics()["/wrench"].count == 200
+    assert (tmp_path / "rec" / "metadata.yaml").exists()
+
+
+def test_killed_recorder_leaves_all_but_the_last_half_second(world, ros_environment, tmp_path):
+    publisher = world.partner().create_publisher(*topics.WRENCH)
+    with start(ros_environment, tmp_path / "rec") as process:
+        world.until(lambda: publisher.get_subscription_count(), 20)
+        publish_wrenches(world, publisher, range(200))
+        world.step(0.6)
+        publish_wrenches(world, publisher, range(200, 210))
+        process.kill()
+        process.wait(10)
+    with Recording(tmp_path / "rec") as recording:
+        assert recording.cut_off
+        assert recording.topics()["/wrench"].count >= 200
+
+
+def test_full_disk_is_told_and_what_was_written_stays_readable(world, ros_environment, tmp_path):
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+
+    publisher = world.partner().create_publisher(String, "noise", 100)
+    with start(ros_environment, tmp_path / "rec", preexec_fn=limit) as process:
+        world.until(lambda: publisher.get_subscription_count(), 20)
+        end = time.monotonic() + 10
+        while process.poll() is None and time.monotonic() < end:
+            publisher.publish(String(data=os.urandom(5000).hex()))
+            world.step(0.005)
+        assert process.wait(5) == 1
+        assert "are safe" in process.stderr.read()
+    with Recording(tmp_path / "rec") as recording:
+        assert recording.topics()["/noise"].count > 0
+
+
+def test_topic_with_an_impossible_name_is_refused_before_anything_is_written(ros_environment, tmp_path):
+    with start(ros_environment, tmp_path / "rec", "-p", "topics:=wrench,bad name!") as process:
+        assert process.wait(20) == 2
+        told = process.stderr.read()
+    assert told.count("\n") == 1 and "topics: 'bad name!' must be" in told
+    assert not (tmp_path / "rec").exists()
+
+
+def test_missing_messages_are_told_of_all_that_there_should_be(world, tmp_path, capfd):
+    recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}")
+    publisher = world.partner().create_publisher(*topics.WRENCH)
+    world.until(lambda: publisher.get_subscription_count())
+    publish_wrenches(world, publisher, [i for i in range(30) if not 10 <= i < 15])
+    world.until(lambda: recorder.writer.report()["/wrench"]["count"] == 25)
+    recorder.close()
+    assert "/wrench: 5 of 30 messages are missing" in capfd.readouterr().err
+
+
+def test_directory_with_a_recording_is_not_overwritten(ros_environment, tmp_path):
+    (tmp_path / "rec").mkdir()
+    (tmp_path / "rec" / "metadata.yaml").write_text("old")
+    with start(ros_environment, tmp_path / "rec") as process:
+        assert process.wait(20) == 2
+        told = process.stderr.read()
+    assert "not overwritten" in told and "Traceback" not in told
+    assert (tmp_path / "rec" / "metadata.yaml").read_text() == "old"

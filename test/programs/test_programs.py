@@ -1,0 +1,200 @@
+"""The programs of a cell, read back by a reader written here and run on an arm chain written here."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from small_part import small_part
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import commanded_joints
+from kr270_milling.programs.files import remove_stale, source_hash, write_programs
+from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.trajectory.trajectory_csv import read_csv
+
+NUMBER = r"(-?[0-9.]+)"
+FRAME = ",".join(rf"{k} {NUMBER}" for k in "XYZABC")
+DATE = "2030-01-01T00:00:00+00:00"
+
+
+def matrix(frame) -> np.ndarray:
+    """KUKA frame X, Y, Z [mm], A, B, C [deg] as a transform [m]: turns about z, y', x''."""
+    t = np.eye(4)
+    t[:3, 3] = np.array(frame[:3]) * 1e-3
+    t[:3, :3] = Rotation.from_euler("ZYX", frame[3:], degrees=True).as_matrix()
+    return t
+
+
+def flange(arm, q) -> np.ndarray:
+    """$FLANGE of the chain in facts: T(0,0,d1) Rz(-q1) T(a1,0,0) Ry(q2) ... Rx(-q6), then z out of the flange."""
+
+    def move(x=0.0, z=0.0):
+        t = np.eye(4)
+        t[[0, 2], 3] = x, z
+        return t
+
+    def turn(axis, angle):
+        t = np.eye(4)
+        t[:3, :3] = Rotation.from_euler(axis, angle).as_matrix()
+        return t
+
+    chain = [move(z=arm.d1), turn("z", -q[0]), move(x=arm.a1), turn("y", q[1]), move(x=arm.a2), turn("y", q[2]),
+             move(z=arm.a3), turn("x", -q[3]), move(x=arm.d4), turn("y", q[4]), move(x=arm.d6), turn("x", -q[5]),
+             turn("y", np.pi / 2)]  # fmt: skip
+    return np.linalg.multi_dot(chain)
+
+
+class Reader:
+    """The modules of one program in the order in which the main module runs them."""
+
+    def __init__(self, folder: Path, main: str):
+        self.source = (folder / f"{main}.src").read_text()
+        called = re.findall(rf"^({main}_[0-9]{{3}})\( \)", self.source, re.M)
+        texts = {name: (folder / f"{name}.src").read_text() for name in called or [main]}
+        frames = {}
+        for name in {main, *called}:
+            data = (folder / f"{name}.dat").read_text()
+            for number, *values in re.findall(rf"DECL (?:FRAME|E6POS) XP([0-9]+)={{{FRAME}", data):
+                frames[int(number)] = [float(v) for v in values]
+        self.numbers = [1] + [
+            int(k) for text in texts.values() for k in re.findall(r"^(?:SPL|LIN) XP([0-9]+)", text, re.M)
+        ]
+        self.points = np.array([matrix(frames[k]) for k in self.numbers])
+        self.tool, self.base = (
+            matrix([float(v) for v in re.search(rf"\${name}={{{FRAME}}}", self.source).groups()])
+            for name in ("TOOL", "BASE")
+        )
+        start = re.search(r"DECL E6POS XP1=.*S ([0-9]+),T ([0-9]+)", (folder / f"{main}.dat").read_text())
+        self.status, self.turn = map(int, start.groups())
+
+
+def wavy(target: Trajectory, size: float = 50e-6) -> Trajectory:
+    """A correction in all three components, at rest where the target rests."""
+    still = np.zeros(len(target), bool) if target.velocity is None else ~target.velocity.any(axis=1)
+    shift = size * np.sin(np.outer(target.time, [20.0, 30.0, 40.0])) * ~still[:, None]
+    return target.with_position(target.position + shift, target.velocity)
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory):
+    return small_part(tmp_path_factory.mktemp("part"))
+
+
+@pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
+@pytest.mark.parametrize("kind", ["ORG", "CMP"])
+def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, motion, kind):
+    target = cell.target()
+    run = wavy(target) if kind == "CMP" else target
+    write_programs(tmp_path, cell, target, wavy(target), method="wavy", date=DATE, motions=(motion,))
+    read = Reader(tmp_path / f"krl_{motion.lower()}", f"MILLING_{kind}")
+    table = np.loadtxt(tmp_path / f"joints_{'wavy' if kind == 'CMP' else 'original'}.csv", delimiter=",", skiprows=1)
+    knots = np.array(read.numbers) - 1
+    reached = np.array([flange(cell.arm, q) for q in table[knots, 1:]])
+    told = read.base @ read.points @ np.linalg.inv(read.tool)
+    assert np.abs(told[:, :3, 3] - reached[:, :3, 3]).max() < 1e-6
+    turned = Rotation.from_matrix(np.swapaxes(told[:, :3, :3], 1, 2) @ reached[:, :3, :3])
+    assert np.degrees(turned.magnitude()).max() < 1e-3
+    assert np.abs(read.points[:, :3, 3] - run.position[knots]).max() < 1e-6
+    assert table[:, 0] == pytest.approx(run.time, abs=1e-9)
+    away = np.linalg.norm(np.diff(run.position[knots], axis=0), axis=1)
+    assert away.min() > 0.9e-5 and len(knots) > 0.9 * len(run)  # nothing but close points is left out
+
+
+def test_tool_and_base_are_mount_and_workpiece_as_the_controller_sees_them(cell, tmp_path):
+    write_programs(tmp_path, cell, cell.target(), cell.target(), method="same", date=DATE)
+    text = (tmp_path / "krl_spline" / "MILLING_ORG.src").read_text()
+    # the paper's spindle in line with axis 6: for a KUKA, whose flange has z along axis 6, a tool without turns
+    assert "$TOOL={X 0.0000,Y 0.0000,Z 0.0000,A 0.00000,B 0.00000,C 0.00000}" in text
+    assert "$BASE={X 0.0000,Y -1633.1999,Z 485.7641,A 90.00000,B 45.00000,C 0.00000}" in text
+    assert "VERIFY IN T1" in text and DATE in text and re.search(r"sha256 of this trajectory [0-9a-f]{64}", text)
+
+
+def test_load_centre_is_told_in_the_axes_of_the_controllers_flange(tmp_path):
+    cell = read_cell(find_file("test_piece.yaml"))
+    part = Trajectory(*(a[:3] for a in (cell.target().time_ns, cell.target().position, cell.target().quaternion)))
+    write_programs(tmp_path, cell, part, part, method="same", date=DATE)
+    text = (tmp_path / "krl_spline" / "MILLING_ORG.src").read_text()
+    # 130 mm out of the flange and 60 mm below it: out of the flange is the controller's z, up is its minus x
+    assert "$LOAD={M 45.000,CM {X 60.000,Y 0.000,Z 130.000" in text
+
+
+def test_status_and_turn_are_those_of_each_programs_own_first_point(tmp_path):
+    # a part straight ahead: A1 starts at exactly 0, and the correction makes it negative or positive
+    cell = read_cell(find_file("test_piece.yaml"))
+    time_ns, quaternion = np.arange(3) * 12_000_000, cell.target().quaternion[0]
+    line = Trajectory(time_ns, np.array([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0], [2e-3, 0.0, 0.0]]), quaternion)
+    for sign in (1.0, -1.0):
+        beside = line.with_position(line.position + [0.0, sign * 1e-5, 0.0])
+        folder = tmp_path / f"{sign:g}"
+        write_programs(folder, cell, line, beside, method="beside", date=DATE)
+        turns = [Reader(folder / "krl_spline", f"MILLING_{kind}").turn for kind in ("ORG", "CMP")]
+        # A1 turns about -z: to the left, at y > 0, it is negative; of the last bit the first point has nothing else
+        assert turns[0] & 1 == 0 and turns[1] & 1 == (1 if sign > 0 else 0)
+
+
+def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, tmp_path):
+    own = cell.replace(compensation=cell.compensation.replace(sag_compensated=False))
+    line = Trajectory(np.arange(4) * 10**8, np.outer(np.arange(4), [1e-3, 0, 0]), cell.target().quaternion[0])
+    write_programs(tmp_path, own, line, line, method="same", date=DATE)
+    read = Reader(tmp_path / "krl_spline", "MILLING_ORG")
+    told = read.base @ read.points @ np.linalg.inv(read.tool)
+    reached = np.array([flange(own.arm, q) for q in commanded_joints(own, line)])
+    assert np.abs(told[:, :3, 3] - reached[:, :3, 3]).max() < 1e-6
+    lifted = (own.workpiece.pose.apply(read.points[:, :3, 3]) - own.workpiece.pose.apply(line.position))[:, 2]
+    assert np.all(lifted > 0.1e-3)  # 700 kg of arm bend it by tenths of a millimetre
+
+
+def test_offsets_are_the_difference_of_the_two_programs(cell, tmp_path):
+    target = cell.target()
+    files = write_programs(tmp_path, cell, target, wavy(target), method="wavy", date=DATE)
+    table = np.loadtxt(files["rsi"][0], delimiter=",", skiprows=1)
+    stamps = np.rint(table[:, 0] * 1e9).astype(np.int64)
+    assert set(np.diff(stamps)) == {12_000_000}
+    shift = wavy(target).sample(stamps) - target.sample(stamps)
+    assert table[:, 1:4] == pytest.approx(shift * 1e3, abs=1e-6)
+
+
+def test_revised_trajectory_is_read_back_to_the_last_bit(cell, tmp_path):
+    target = cell.target()
+    files = write_programs(tmp_path, cell, target, wavy(target), method="wavy", date=DATE)
+    back, joints = read_csv(files["trajectory"][0])
+    assert np.array_equal(back.position, wavy(target).position) and np.array_equal(back.time_ns, target.time_ns)
+    assert joints == pytest.approx(commanded_joints(cell, back), abs=1e-9)
+
+
+def test_same_input_and_date_give_the_same_files(cell, tmp_path):
+    def written(folder) -> dict[str, bytes]:
+        write_programs(folder, cell, cell.target(), wavy(cell.target()), method="wavy", date=DATE, source="ab" * 32)
+        return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+    assert written(tmp_path / "a") == written(tmp_path / "b")
+
+
+def test_source_hash_is_that_of_the_tool_path_file(cell):
+    import hashlib
+
+    assert source_hash(cell) == hashlib.sha256(Path(cell.path.file).read_bytes()).hexdigest()
+    assert source_hash(read_cell(find_file("paper.yaml"))) == ""
+
+
+def test_modules_of_a_longer_program_are_removed_and_nothing_else(tmp_path):
+    kept = [tmp_path / "PART_ORG.src", tmp_path / "PART_ORG_001.src"]
+    others = [tmp_path / name for name in ("PART_ORG.src.bak", "PARTS_ORG.src", "my_PART_CMP.dat", "PART_CMP_0001.dat")]
+    stale = [tmp_path / "PART_ORG_002.src", tmp_path / "PART_CMP.dat"]
+    for path in (*kept, *others, *stale):
+        path.touch()
+    assert sorted(remove_stale(tmp_path, "PART", kept)) == sorted(stale)
+    assert sorted(tmp_path.iterdir()) == sorted((*kept, *others))
+
+
+@pytest.mark.parametrize("method", ["../x", "", "a/b", "x" * 41])
+def test_a_method_that_is_no_file_name_is_refused(cell, tmp_path, method):
+    with pytest.raises(InputError, match="method"):
+        write_programs(tmp_path / "out", cell, cell.target(), cell.target(), method=method, date=DATE)
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,255 @@
+"""Robot programs: a reader of its own parses them back; names, limits and headers are what a KR C4 takes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.base.frames import Pose
+from kr270_milling.programs.krl import Cell, Program, status_bits, trajectory_hash, turn_bits, write_krl
+from kr270_milling.trajectory.gcode import read_gcode
+from kr270_milling.trajectory.timing import Timing, time_path
+from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
+
+NUMBER = r"-?\d+\.?\d*"
+SRC = [r"&ACCESS RVP", r"&REL 1", r"&PARAM EDITMASK = \*", r"DEF [A-Z]\w*\( \)", r";.*", r"BAS\(#INITMOV,0\)",
+       r"\$(TOOL|BASE)=\{[XYZABC0-9 ,.-]*\}", r"\$IPO_MODE=#BASE", r"\$ORI_TYPE=#VAR", r"\$ADVANCE=3",
+       rf"\$APO\.CDIS={NUMBER}", r"BAS\(#VEL_PTP,\d+\)", r"PTP XP1", r"[A-Z]\w*\( \)", r"SPLINE", r"ENDSPLINE",
+       rf"SPL XP\d+ WITH \$VEL\.CP={NUMBER}", rf"\$VEL\.CP={NUMBER}", r"LIN XP\d+( C_DIS)?", r"END"]  # fmt: skip
+DAT = [*SRC[:3], r"DEFDAT [A-Z]\w*", r";.*", r"EXT BAS \(BAS_COMMAND :IN,REAL :IN\)",
+       rf"DECL FRAME XP\d+=\{{X {NUMBER},Y {NUMBER},Z {NUMBER},A {NUMBER},B {NUMBER},C {NUMBER}\}}",
+       r"DECL E6POS XP1=\{X .*,S \d+,T \d+,E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0\}", r"ENDDAT"]  # fmt: skip
+
+
+class Robot:
+    """Runs a main module and notes where it goes, how fast, and where it comes to rest."""
+
+    def __init__(self, directory: Path, main: str):
+        self.directory, self.points, self.rests, self.state = directory, [], [], {}
+        self.run(main)
+
+    def run(self, module: str) -> None:
+        text = (self.directory / f"{module}.src").read_bytes().decode("ascii")
+        assert text.endswith("END\r\n") and "\n" not in text.replace("\r\n", "")
+        frames = self.data(module)
+        in_block = False
+        for line in text.splitlines():
+            assert any(re.fullmatch(pattern, line) for pattern in SRC), line
+            if match := re.fullmatch(r"(\$[\w.]+)=(.*)", line):
+                self.state[match[1]] = match[2]
+            elif match := re.fullmatch(r"([A-Z]\w*)\( \)", line):
+                self.run(match[1])
+            elif line in ("SPLINE", "ENDSPLINE"):
+                assert in_block == (line == "ENDSPLINE")
+                in_block = line == "SPLINE"
+                if not in_block:
+                    self.rests.append(self.points[-1][0])
+            elif match := re.fullmatch(r"(PTP|LIN|SPL) XP(\d+)(.*)", line):
+                speed = match[3].partition("=")[2] or self.state.get("$VEL.CP", "0")
+                assert in_block == (match[1] == "SPL")
+                self.points.append((int(match[2]), frames[int(match[2])], float(speed)))
+                if match[1] == "LIN" and not match[3]:
+                    self.rests.append(int(match[2]))
+
+    def data(self, module: str) -> dict[int, dict[str, float]]:
+        text = (self.directory / f"{module}.dat").read_bytes().decode("ascii")
+        frames = {}
+        for line in text.splitlines():
+            assert any(re.fullmatch(pattern, line) for pattern in DAT), line
+            if match := re.match(r"DECL (?:FRAME|E6POS) XP(\d+)=\{(.*)\}", line):
+                frames[int(match[1])] = {k: float(v) for k, v in (item.split() for item in match[2].split(","))}
+        return frames
+
+    @property
+    def numbers(self) -> np.ndarray:
+        return np.array([number for number, _, _ in self.points])
+
+    def column(self, keys: str) -> np.ndarray:
+        return np.array([[frame[key] for key in keys] for _, frame, _ in self.points])
+
+    @property
+    def time(self) -> np.ndarray:
+        """[s] at each point, along straight lines."""
+        length = np.linalg.norm(np.diff(self.column("XYZ"), axis=0), axis=1) * 1e-3
+        return np.concatenate([[0.0], np.cumsum(length / [speed for _, _, speed in self.points[1:]])])
+
+
+def cell() -> Cell:
+    mount = Pose.from_abc([0.0, 0.0, 0.25], np.radians([0.0, 90.0, 0.0]))
+    return Cell(mount, Pose.from_abc([1.0, -1.6, 0.3], np.radians([30.0, 1.0, -2.0])), 2, 35, 12.0, (0.0, 0.01, 0.1))
+
+
+def swaying(count: int, seed: int = 3) -> tuple[Trajectory, Trajectory]:
+    """A line of ``count`` knots with turning tool, and a correction of some 0.1 mm and 0.1 deg."""
+    random = np.random.default_rng(seed)
+    time_ns = np.arange(count) * 50_000_000
+    position = np.stack([np.arange(count) * 1e-3, 0.01 * np.sin(np.arange(count) / 9), 0 * time_ns], axis=1)
+    turn = Rotation.from_euler(
+        "ZYX", np.stack([np.arange(count) / 20, 0.3 * np.sin(np.arange(count)), np.pi + 0 * time_ns], 1)
+    )
+    small = Rotation.from_rotvec(random.normal(0, 1e-3, (count, 3)))
+    original = Trajectory(time_ns, position, turn.as_quat())
+    return original, Trajectory(time_ns, position + random.normal(0, 1e-4, (count, 3)), (small * turn).as_quat())
+
+
+def write(directory, program: Program, original, revised, **more) -> list[Path]:
+    return write_krl(directory, program, cell(), original, revised, "1.2.3", "2025-06-01", **more)
+
+
+def assert_recovered(robot: Robot, run: Trajectory) -> None:
+    """To 1 um and 0.001 deg at each point."""
+    k = robot.numbers - 1
+    assert np.abs(robot.column("XYZ") * 1e-3 - run.position[k]).max() < 1e-6
+    turned = Rotation.from_euler("ZYX", robot.column("ABC"), degrees=True)
+    assert np.degrees((turned.inv() * Rotation.from_quat(run.quaternion[k])).magnitude()).max() < 1e-3
+
+
+@pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
+@pytest.mark.parametrize("limit", [1400, 120])
+def test_both_programs_are_parsed_back_across_all_their_modules(tmp_path, motion, limit):
+    pair = swaying(500)
+    files = write(tmp_path, Program(name="PART", motion=motion, line_limit=limit), *pair)
+    assert sorted(files) == sorted(tmp_path.iterdir()) and (len(files) == 4) == (limit == 1400)
+    robots = [Robot(tmp_path, main) for main in ("PART_ORG", "PART_CMP")]
+    for robot, run in zip(robots, pair, strict=True):
+        assert robot.numbers.tolist() == list(range(1, 501))
+        assert_recovered(robot, run)
+        if motion == "LIN":
+            np.testing.assert_allclose(robot.time, run.time, atol=2e-3)  # 0.1 um in each mm of 500
+    assert robots[0].rests == robots[1].rests
+
+
+def test_a_tool_that_lies_level_is_recovered_although_its_angles_are_singular(tmp_path):
+    original, _ = swaying(40)
+    lean = np.concatenate([np.linspace(-1e-3, 1e-3, 39), [0.0]])
+    level = Rotation.from_euler("ZYX", np.stack([np.full(40, 0.4), np.pi / 2 + lean, np.full(40, -0.7)], 1))
+    run = Trajectory(original.time_ns, original.position, level.as_quat())
+    write(tmp_path, Program(), run, run)
+    assert_recovered(Robot(tmp_path, "MILLING_CMP"), run)
+
+
+def test_the_times_are_recovered_from_the_speeds_where_the_digits_allow_it(tmp_path):
+    line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.08, 4 / 60, 0.05)
+    for motion in ("LIN", "SPLINE"):
+        write(tmp_path, Program(motion=motion), line, line)
+        robot = Robot(tmp_path, "MILLING_ORG")
+        np.testing.assert_allclose(robot.time, line.time, atol=15e-6)  # 1 um at 4 m/min
+
+
+def test_the_speed_of_a_spline_segment_is_that_along_its_curve(tmp_path):
+    angle = np.linspace(0, np.pi, 41)
+    circle = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    time_ns = np.arange(41) * 50_000_000
+    tangent = 0.05 * np.pi / 2 * np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+    write(tmp_path, Program(), *2 * [Trajectory(time_ns, circle, [1.0, 0, 0, 0], tangent)])
+    speeds = [speed for _, _, speed in Robot(tmp_path, "MILLING_ORG").points[1:]]
+    np.testing.assert_allclose(speeds, 0.05 * np.pi / 2, rtol=1e-6)
+
+
+def milled(tmp_path, text: str) -> Trajectory:
+    (tmp_path / "part.nc").write_text(text)
+    return time_path(read_gcode(tmp_path / "part.nc"), Timing()).trajectory
+
+
+@pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
+def test_the_robot_stops_in_the_corners_and_nowhere_else(tmp_path, motion):
+    run = milled(tmp_path, "G0 X0 Y0 Z0\nG1 X20 F4000\nG1 Y20\nG1 X0.3\nX0.3 Y20.004\nM30\n")
+    (tmp_path / "out").mkdir()
+    write(tmp_path / "out", Program(motion=motion), run, run)
+    robot = Robot(tmp_path / "out", "MILLING_ORG")
+    rests = run.position[np.array(robot.rests) - 1] * 1e3
+    np.testing.assert_allclose(rests[:2], [[20, 0, 0], [20, 20, 0]], atol=1e-6)
+    np.testing.assert_allclose(rests[-1], [0.3, 20.004, 0], atol=1e-6)
+    assert len(rests) <= 4 and np.linalg.norm(np.diff(robot.column("XYZ"), axis=0), axis=1).min() > 1e-3
+
+
+def test_points_closer_than_the_spacing_are_left_out_of_both_and_their_time_is_kept(tmp_path):
+    run = milled(tmp_path, "G0 X0 Y0 Z0\nG1 X20 F4000\nM30\n")
+    (tmp_path / "out").mkdir()
+    program = Program(motion="LIN", point_spacing=1e-3)
+    write(tmp_path / "out", program, run, run.with_position(run.position + [0, 1e-4, 0], run.velocity))
+    robots = [Robot(tmp_path / "out", f"MILLING_{kind}") for kind in ("ORG", "CMP")]
+    assert np.linalg.norm(np.diff(robots[0].column("XYZ"), axis=0), axis=1).min() > 1 - 1e-6
+    assert 2 < len(robots[0].numbers) < len(run) and robots[0].numbers.tolist() == robots[1].numbers.tolist()
+    assert robots[0].time[-1] == pytest.approx(run.time[-1], rel=1e-4)
+
+
+@pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
+def test_no_module_exceeds_the_line_limit(tmp_path, motion):
+    files = write(tmp_path, Program(motion=motion, line_limit=100), *swaying(1000))
+    assert max(len(path.read_text().splitlines()) for path in files) <= 100
+
+
+def test_more_modules_than_a_main_module_can_call_are_refused(tmp_path):
+    with pytest.raises(TrajectoryError, match="raise program.line_limit"):
+        write(tmp_path, Program(motion="LIN", line_limit=100), *swaying(4000))
+    assert not list(tmp_path.rglob("*.src"))
+
+
+def test_modules_end_at_a_stop_where_one_is_near(tmp_path):
+    run = milled(tmp_path, "G0 X0 Y0 Z0\n" + "G1 X30 F4000\nX0\n" * 20 + "M30\n")
+    (tmp_path / "out").mkdir()
+    files = write(tmp_path / "out", Program(motion="LIN", line_limit=120), run, run)
+    stops = np.flatnonzero(np.linalg.norm(run.velocity, axis=1) == 0) + 1
+    assert len(files) > 8 and set(Robot(tmp_path / "out", "MILLING_ORG").rests) <= set(stops)
+
+
+def test_names_are_krl_names(tmp_path):
+    files = write(tmp_path, Program(name="A234567890123456", line_limit=100), *swaying(200))
+    assert max(len(path.stem) for path in files) <= 24
+    for name in ("", "1PART", "part", "PART-1", "A2345678901234567", "../X", "PART\n"):
+        with pytest.raises(ParameterError):
+            Program(name=name)
+
+
+def test_the_head_tells_what_the_program_is_and_where_it_comes_from(tmp_path):
+    pair = swaying(20)
+    write(tmp_path, Program(), *pair, source_hash="abc")
+    for kind, run, word in (("ORG", pair[0], "original"), ("CMP", pair[1], "compensated")):
+        for suffix in ("src", "dat"):
+            text = (tmp_path / f"MILLING_{kind}.{suffix}").read_text()
+            for piece in (trajectory_hash(run), "abc", "2025-06-01", "1.2.3", word, "SIMULATION RESULT", "T1"):
+                assert piece in text
+        text = (tmp_path / f"MILLING_{kind}.src").read_text()
+        assert "$TOOL={X 0.0000,Y 0.0000,Z 250.0000,A 0.00000,B 90.00000,C 0.00000}" in text
+        assert "$BASE={X 1000.0000,Y -1600.0000,Z 300.0000,A 30.00000,B 1.00000,C -2.00000}" in text
+        assert "$LOAD={M 12.000,CM {X 0.000,Y 10.000,Z 100.000," in text
+        assert ",S 2,T 35," in (tmp_path / f"MILLING_{kind}.dat").read_text()
+
+
+def test_the_same_input_gives_the_same_files_and_any_change_another_hash(tmp_path):
+    pair = swaying(20)
+    first = {path: path.read_bytes() for path in write(tmp_path, Program(), *pair)}
+    assert first == {path: path.read_bytes() for path in write(tmp_path, Program(), *pair)}
+    moved = pair[0].with_position(pair[0].position + [1e-12, 0, 0])
+    assert trajectory_hash(moved) != trajectory_hash(pair[0])
+
+
+def test_a_text_that_would_break_the_head_is_refused(tmp_path):
+    for text in ("1.0\nEND", "\u00e4", "x" * 101):
+        with pytest.raises(TrajectoryError):
+            write_krl(tmp_path, Program(), cell(), *swaying(20), text, "2025-06-01")
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_written_when_the_directory_is_not_there_or_the_pair_does_not_fit(tmp_path):
+    with pytest.raises(InputError):
+        write(tmp_path / "none", Program(), *swaying(20))
+    with pytest.raises(TrajectoryError):
+        write(tmp_path, Program(), swaying(20)[0], swaying(21)[1])
+    assert not list(tmp_path.iterdir())
+
+
+def test_turn_and_status_of_known_postures():
+    """T 2 and S 2 are what a KR C4 shows for the home posture A2 -90, A3 90; the other bits by their definition."""
+    home = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
+    arm = (0.350, 1.250, -0.055, 1.100)
+    assert turn_bits(home) == 2 and status_bits(home, *arm) == 2
+    assert turn_bits(np.radians([-1.0, 1, -1, 1, -1, -1])) == 1 + 4 + 16 + 32
+    assert status_bits(np.radians([0.0, -90, 90, 0, -5, 0]), *arm) == 2 + 4
+    assert status_bits(np.radians([0.0, -140, -20, 0, 5, 0]), *arm) == 1  # leaning back, elbow the other way

@@ -1,0 +1,98 @@
+"""The compensator's part of a recording: what it revised, once more from the recorded wrench and pose."""
+
+from __future__ import annotations
+
+import pass_recording as made
+import pytest
+from pass_recording import STEPS, flip
+
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.replay.compensate import compensate
+from kr270_milling.replay.recompute import recompute
+
+pytestmark = made.needs_messages
+
+
+def test_a_changed_revised_reference_is_found(tmp_path):
+    messages = made.changed(made.one_pass(), "reference_trajectory", 1, flip(-1 - 100))
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.first.topic == "/reference_trajectory" and found.first.index == 1
+    assert found.first.field.startswith("points[")
+
+
+@pytest.mark.parametrize("method", ["linear", "spline", "mirror", "learned"])
+def test_several_passes_in_one_file_are_told_apart(tmp_path, method):
+    found = recompute(made.write(tmp_path / "r", made.one_pass(method, 1, 3), cell=made.cell_text(method)))
+    assert found.verdict == "identical", (found.first, found.stops)
+    assert found.channels["/wrench"].compared == 3 * STEPS
+    assert found.channels["/reference_trajectory"].compared == 4
+
+
+@pytest.mark.parametrize("method", ["linear", "spline", "mirror"])
+def test_a_pass_along_a_revised_reference_needs_no_earlier_pass(tmp_path, method):
+    messages = made.one_pass(method, 1, 2)
+    start = [i for i, m in enumerate(messages) if m.topic == "reference_trajectory"][1]
+    found = recompute(made.write(tmp_path / "r", messages[start:], cell=made.cell_text(method)))
+    assert found.verdict == "identical", (found.first, found.stops)
+    reference = found.channels["/reference_trajectory"]
+    assert (reference.given, reference.compared) == (1, 1)
+    assert found.channels["/joint_trajectory"].compared == 2
+
+
+def later_pass_of_learned(errors: list[float] | None, finished: bool = False) -> list:
+    """The second pass of "learned" with what its compensator told in /diagnostics before it."""
+    messages = list(made.one_pass("learned", 1, 2))
+    start = [i for i, m in enumerate(messages) if m.topic == "reference_trajectory"][1]
+    if errors is None:
+        return messages[start:]
+    told = {"method": "learned", "finished": str(finished), "remaining_error_um": " ".join(map(repr, errors))}
+    return [made.diagnostics("/trajectory_compensator", told), *messages[start:]]
+
+
+@pytest.mark.parametrize(
+    "errors, finished, verdict",
+    [
+        ([48.6], False, "identical"),  # it goes on to learn, as the pass was better than the one before
+        (None, False, "incomplete"),  # nobody tells how good the passes before were
+        ([1e-9], False, "incomplete"),  # an earlier pass was better, whose reference is not in the file
+    ],
+)
+def test_learned_is_decided_only_where_the_file_tells_enough(tmp_path, errors, finished, verdict):
+    messages = later_pass_of_learned(errors, finished)
+    found = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("learned")))
+    assert found.verdict == verdict and found.first is None
+    assert found.channels["/wrench"].compared == STEPS
+    assert found.channels["/reference_trajectory"].compared == (verdict == "identical")
+    assert all("earlier pass" in s.reason or "before this one" in s.reason for s in found.stops)
+
+
+def test_learned_keeps_its_reference_when_it_has_finished(tmp_path):
+    messages = later_pass_of_learned([48.6], finished=True)
+    kept = next(m for m in messages if m.topic == "reference_trajectory").data
+    messages = made.changed(messages, "reference_trajectory", 1, lambda data: kept)
+    messages = made.changed(messages, "joint_trajectory", 1, lambda data: next(
+        m.data for m in messages if m.topic == "joint_trajectory"))  # fmt: skip
+    found = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("learned")))
+    assert found.verdict == "identical" and found.channels["/reference_trajectory"].compared == 1
+
+
+@pytest.mark.parametrize("method", ["linear", "spline", "mirror"])
+def test_the_compensator_makes_of_a_recording_what_was_published(tmp_path, method):
+    messages = made.one_pass(method)
+    (revised,) = compensate(made.write(tmp_path / "r", messages, cell=made.cell_text(method)))
+    published = [m.data for m in messages if m.topic == "reference_trajectory"]
+    assert revised.published is True and revised.method == method
+    assert made.reference_data(revised.reference) == published[1] != published[0]
+
+
+def test_another_method_may_be_asked_of_a_recording(tmp_path):
+    directory = made.write(tmp_path / "r", made.one_pass("linear"))
+    (revised,) = compensate(directory, "spline")
+    expected = [m.data for m in made.one_pass("spline") if m.topic == "reference_trajectory"][1]
+    assert revised.published is None and made.reference_data(revised.reference) == expected
+
+
+def test_a_broken_off_pass_gives_no_revision(tmp_path):
+    directory = made.write(tmp_path / "r", made.one_pass()[:100])
+    with pytest.raises(RecordingError, match="no complete pass"):
+        compensate(directory)

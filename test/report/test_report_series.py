@@ -1,0 +1,84 @@
+"""report.series: CSV of every series, names that stay inside the directory."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
+from kr270_milling.report.series import COLUMNS, deviation_of, file_names, inside, write_series
+from kr270_milling.trajectory.trajectory_csv import read_csv
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return read_cell(find_file("paper.yaml"), ["path.length_mm=12.0", "stock.grid_step_um=40.0"])
+
+
+@pytest.fixture(scope="module")
+def passes(cell):
+    original = simulate(cell)
+    return [original, compensated(cell, original, "spline")]
+
+
+def test_every_series_comes_back_to_the_last_bit(tmp_path, cell, passes):
+    paths = write_series(tmp_path, cell, passes)
+    assert [p.name for p in paths[:2]] == ["original.csv", "spline.csv"]
+    for path, one in zip(paths[:2], passes, strict=True):
+        assert path.read_text().splitlines()[0] == ",".join(COLUMNS)
+        table = dict(zip(COLUMNS, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+        r = one.result
+        np.testing.assert_allclose(table["time_s"], r.time_ns * 1e-9, rtol=1e-15)
+        for k, axis in enumerate("xyz"):
+            for kind in ("target", "reference", "tool", "actual"):
+                np.testing.assert_array_equal(table[f"{kind}_{axis}_m"], getattr(r, kind)[:, k])
+            np.testing.assert_array_equal(table[f"deflection_{axis}_m"], r.deflection[:, k])
+            np.testing.assert_array_equal(table[f"deflection_r{axis}_rad"], r.deflection[:, 3 + k])
+            np.testing.assert_array_equal(table[f"force_{axis}_n"], r.wrench[:, k])
+            np.testing.assert_array_equal(table[f"moment_{axis}_n_m"], r.wrench[:, 3 + k])
+        np.testing.assert_array_equal(table["path_deviation_m"], deviation_of(r, cell.target()))
+        np.testing.assert_array_equal(table["correction_m"], r.correction)
+
+
+def test_the_largest_deviation_of_the_series_is_the_score(tmp_path, cell, passes):
+    path = write_series(tmp_path, cell, passes)[0]
+    table = dict(zip(COLUMNS, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
+    engaged = table["time_s"] >= cell.full_engagement - 1e-9
+    assert np.abs(table["path_deviation_m"][engaged]).max() == passes[0].scores.max_deviation
+
+
+def test_reference_trajectories_are_written_with_joint_angles(tmp_path, cell, passes):
+    path = write_series(tmp_path, cell, passes)[3]
+    trajectory, joints = read_csv(path)
+    np.testing.assert_array_equal(trajectory.position, passes[1].reference.position)
+    np.testing.assert_array_equal(trajectory.velocity, passes[1].reference.velocity)
+    np.testing.assert_allclose(joints, cell.joints(passes[1].reference), atol=1e-12)
+
+
+def test_a_pass_cannot_be_named_out_of_the_directory(tmp_path, cell, passes):
+    hostile = [ScoredPass("../../etc/x", passes[0].reference, passes[0].result, passes[0].scores)]
+    out = tmp_path / "out"
+    for path in write_series(out, cell, hostile):
+        assert path.resolve().parent == out.resolve()
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_file_names_are_plain_and_different_even_without_regard_to_case():
+    names = file_names(["a b", "a/b", "A_B", "", "..", "x" * 300, "Ω"])
+    assert len({n.lower() for n in names}) == len(names)
+    assert all(n.strip("_") and set(n) <= set("abAB_x0123456789pas") and len(n) <= 64 for n in names)
+
+
+def test_a_link_below_the_directory_is_not_followed(tmp_path):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    out = tmp_path / "out"
+    out.mkdir()
+    os.symlink(elsewhere, out / "figures")
+    with pytest.raises(InputError, match="figures"):
+        inside(out, "figures")

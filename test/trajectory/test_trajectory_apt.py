@@ -1,0 +1,90 @@
+"""APT/CL files."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.frames import rotation_from_quaternion
+from kr270_milling.trajectory.apt import read_apt
+
+HEAD = "PARTNO TEST PIECE\nUNITS/MM\nSPINDL/8000,RPM,CLW\n"
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(text: str):
+        (tmp_path / "part.apt").write_text(text)
+        return read_apt(tmp_path / "part.apt")
+
+    return read
+
+
+def test_points_feeds_and_rapids_are_read(read):
+    path = read(HEAD + "FROM/0,0,50\nRAPID\nGOTO/0,0,5\nFEDRAT/600,MMPM\nGOTO/ 0, 0, -1\n$$ done\nGOTO/10,0,-1\nFINI\n")
+    np.testing.assert_allclose(path.position * 1e3, [[0, 0, 50], [0, 0, 5], [0, 0, -1], [10, 0, -1]])
+    assert path.rapid.tolist() == [True, True, False, False] and path.line.tolist() == [4, 6, 8, 10]
+    np.testing.assert_allclose(path.feed[2:], 0.01)
+    np.testing.assert_allclose(path.spindle_speed, 8000 * 2 * np.pi / 60)
+
+
+def test_rapid_holds_for_one_move(read):
+    path = read(HEAD + "GOTO/0,0,0\nFEDRAT/600\nRAPID\nGOTO/1,0,0\nGOTO/2,0,0\nFINI\n")
+    assert path.rapid.tolist() == [True, True, False]
+
+
+def test_inches_are_inches(read):
+    path = read("UNITS/INCHES\nGOTO/0,0,0\nFEDRAT/60\nGOTO/1,0,0\nFEDRAT/60,MMPM\nGOTO/2,0,0\nFINI\n")
+    np.testing.assert_allclose(path.position[:, 0], [0, 0.0254, 0.0508])
+    np.testing.assert_allclose(path.feed[1:], [0.0254, 0.001])
+
+
+def test_the_tool_axis_points_from_the_tip_to_the_spindle(read):
+    path = read(HEAD + "FEDRAT/600\nGOTO/0,0,0,0,0,1\nGOTO/1,0,0,0.6,0,0.8\nGOTO/2,0,0,0,-0.28,0.96\nFINI\n")
+    rotation = rotation_from_quaternion(path.quaternion)
+    np.testing.assert_allclose(rotation[0], np.diag([1.0, -1.0, -1.0]), atol=1e-15)
+    np.testing.assert_allclose(-rotation[:, :, 2], [[0, 0, 1], [0.6, 0, 0.8], [0, -0.28, 0.96]], atol=1e-12)
+
+
+def test_a_statement_may_go_on_in_the_next_line(read):
+    path = read(HEAD + "FEDRAT/600\nGOTO/0,0,0\nGOTO/1,2,$\n3\nFINI\n")
+    np.testing.assert_allclose(path.position[1] * 1e3, [1, 2, 3])
+    assert path.line[1] == 6
+
+
+def test_one_word_comments_name_features(read):
+    path = read(
+        HEAD + "FEDRAT/600\nGOTO/0,0,0\n$$ circle\nGOTO/1,0,0\nPPRINT/diamond\nGOTO/2,0,0\n$$ two words\nFINI\n"
+    )
+    assert [path.features[i] for i in path.feature] == ["", "circle", "diamond"]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "word"),
+    [
+        ("GOTO/0,0,0\nFEDRAT/600\nCIRCLE/0,0,5\n", 3, "CIRCLE"),
+        ("GOTO/0,0,0\nMSYS/0,0,0,1,0,0,0,1,0\n", 2, "MSYS"),
+        ("GOTO/0,0,0\nGOTO/1,0,0\n", 2, "without FEDRAT"),
+        ("GOTO/0,0,0\nFEDRAT/0\nGOTO/1,0,0\n", 3, "zero feed"),
+        ("GOTO/0,0,0\nFEDRAT/-5\n", 2, "-5"),
+        ("GOTO/0,0,0\nFEDRAT/0.1,MMPR\n", 2, "FEDRAT"),
+        ("GOTO/0,0,nan\n", 1, "NAN"),
+        ("GOTO/0,0,inf\n", 1, "INF"),
+        ("GOTO/0,0\n", 1, "not 2 numbers"),
+        ("GOTO/0,0,0,0,0,2\n", 1, "length 2"),
+        ("GOTO/0,0,0,0,0,-1\n", 1, "below"),
+        ("GOTO/1e9,0,0\n", 1, "wrong unit"),
+        ("UNITS/FURLONGS\n", 1, "FURLONGS"),
+        ("SPINDL/800,CCLW\n", 1, "CCLW"),
+        ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,0,0", 3, "cut off"),
+        ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,$\n", 3, "continued"),
+        ("GOTO/0,0,0\nFEDRAT/600\nFINI\n", 1, "never moves"),
+        ("GOTO/0,0,0\n{}\n", 2, "no APT statement"),
+        ("GOTO/0,0,0,0,0,1\nFEDRAT/600\nGOTO/0,0,0,0.6,0,0.8\n", 3, "turns without moving"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_with_line_and_word(read, text, line, word):
+    with pytest.raises(InputError, match=word) as caught:
+        read(text)
+    assert caught.value.line == line and "\n" not in str(caught.value)
