@@ -69,6 +69,7 @@ def scored(cell: Cell, result: PassResult) -> Scores:
         cell.full_engagement,
         cell.low_frequency,
         result.deflection[:, 1],
+        straight=not cell.path.file,
     )
 
 

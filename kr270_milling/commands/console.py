@@ -9,7 +9,7 @@ import math
 import sys
 from pathlib import Path
 
-__all__ = ["add_common", "add_cell", "numbers", "output_directory", "print_json", "print_table", "progress"]
+__all__ = ["add_common", "add_cell", "fixed", "numbers", "output_directory", "print_json", "print_table", "progress"]
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +38,11 @@ def numbers(count: int, most: float = math.inf):
         return values
 
     return parse
+
+
+def fixed(value: float, digits: int = 2) -> str:
+    """A number with so many decimals; "-" for one that has no meaning (NaN)."""
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
 
 def output_directory(path: str) -> Path:

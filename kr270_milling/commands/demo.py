@@ -72,7 +72,9 @@ def _tell(args, passes, found: dict) -> None:
         print_json({"passes": [p.row() for p in passes], **found})
         return
     rows = [_row(p) for p in passes]
-    print_table("Path deviation [um], Table 2", ["pass", "static", "paper", "max", "paper", "low frequency [Hz]"], rows)
+    print_table(
+        "Path deviation [um], Table 2", ["pass", "static", "paper", "max", "paper", "low frequency, model [Hz]"], rows
+    )
     print(f"ran as: {found['ran_as']}\nreport: {found['report']}")
 
 

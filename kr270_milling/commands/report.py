@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import add_common, output_directory, print_json, print_table, progress
+from kr270_milling.commands.console import add_common, fixed, output_directory, print_json, print_table, progress
 
 
 def add_arguments(parser) -> None:
@@ -61,8 +61,8 @@ def _cells(row: dict) -> list[str]:
     static, largest = row["static_deviation_mm"] * 1e3, row["max_deviation_mm"] * 1e3
     return [
         row["name"],
-        f"{static:.2f}",
-        f"{largest:.2f}",
+        fixed(static),
+        fixed(largest),
         str(row["messages_lost"]),
         "yes" if row["complete"] else "no",
     ]

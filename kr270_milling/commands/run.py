@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from kr270_milling.commands.console import add_cell, add_common, print_json, print_table
+from kr270_milling.commands.console import add_cell, add_common, fixed, print_json, print_table
 from kr270_milling.compensation.methods import METHODS
 
 
@@ -87,4 +87,4 @@ def print_rows(found: dict) -> None:
 
 def _cells(row: dict) -> list[str]:
     numbers = [row["static_deviation_mm"] * 1e3, row["max_deviation_mm"] * 1e3, row["wall_s"], row["real_time_factor"]]
-    return [row["name"], *(f"{v:.2f}" for v in numbers), str(row["messages_lost"]), row["recording"]]
+    return [row["name"], *map(fixed, numbers), str(row["messages_lost"]), row["recording"]]

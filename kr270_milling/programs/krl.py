@@ -17,36 +17,18 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
-from kr270_milling.base.record import Record, parameter
+from kr270_milling.cell.program import Program
 from kr270_milling.trajectory.files import write_files
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
-__all__ = ["Program", "Cell", "write_krl", "trajectory_hash", "turn_bits", "status_bits"]
+__all__ = ["Cell", "write_krl", "trajectory_hash", "turn_bits", "status_bits"]
 
 KINDS = {"ORG": "original trajectory", "CMP": "compensated trajectory"}
 HEAD = ("&ACCESS RVP", "&REL 1", "&PARAM EDITMASK = *")
 EXTERNAL = (";FOLD EXTERNAL DECLARATIONS", "EXT BAS (BAS_COMMAND :IN,REAL :IN)", ";ENDFOLD")
 RESERVED = 30  #: lines kept free for head and foot of a module
 GAUSS = np.polynomial.legendre.leggauss(4)
-
-
-@dataclass(frozen=True, eq=False)
-class Program(Record):
-    """How the robot programs are written."""
-
-    name: str = parameter("MILLING", text="module name, to which _ORG_001 and the like are added")
-    motion: str = parameter("SPLINE", choices=("SPLINE", "LIN"), text="SPL segments in SPLINE blocks, or LIN")
-    line_limit: int = parameter(1400, low=100, high=100000, text="most lines of a .src or .dat file")
-    blend_distance: float = parameter(1e-3, unit="mm", low=0.0, high=100.0, text="$APO.CDIS of LIN motions")
-    point_spacing: float = parameter(1e-5, unit="mm", above=0.0, high=10.0, text="closer points are left out")
-    approach_speed_percent: int = parameter(10, low=1, high=100, text="axis speed of the PTP to the first point")
-
-    def check(self) -> None:
-        if not re.fullmatch(r"[A-Z][A-Z0-9_]{0,15}", self.name):  # with _ORG_001 the 24 characters of a KRL name
-            allowed = "1 to 16 characters of A-Z, 0-9 and _, the first a letter"
-            raise ParameterError("name", self.name, allowed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,12 @@ __all__ = ["Scores", "path_deviation", "ringing_frequency", "score"]
 class Scores:
     """Path deviation is perpendicular to the feed, positive to its left seen from +z of the workpiece."""
 
-    static_deviation: float  #: [m], mean over the last quarter of the pass
+    static_deviation: float  #: [m], mean over the last quarter of the pass; NaN for a tool path
     max_deviation: float  #: [m], largest magnitude from full engagement on
-    low_frequency: float  #: [Hz], lowest lateral mode of the model
-    ringing_frequency: float  #: [Hz], undamped frequency of the ringing found in the pass; NaN if it does not ring
+    low_frequency: float  #: [Hz], lowest lateral mode of the model; NaN for a tool path
+    ringing_frequency: (
+        float  #: [Hz], undamped frequency of the ringing found in the pass; NaN if it does not ring, or for a tool path
+    )
     ringing_damping: float  #: its damping ratio
 
 
@@ -55,14 +57,21 @@ def ringing_frequency(time: np.ndarray, displacement: np.ndarray) -> tuple[float
     return natural / (2 * np.pi), float(fit.x[0]) / natural
 
 
-def score(time, actual, target, feed, full_engagement: float, low_frequency: float, displacement) -> Scores:
-    """Scores of a pass at times (n,) [s]; full_engagement [s]; displacement (n,) [m] is searched for ringing."""
+def score(
+    time, actual, target, feed, full_engagement: float, low_frequency: float, displacement, straight: bool = True
+) -> Scores:
+    """Scores of a pass at times (n,) [s]; full_engagement [s]; displacement (n,) [m] is searched for ringing.
+
+    straight: one feed direction for the whole pass. The mean over a last quarter that turns corners and closes on
+    itself says nothing, and its course is no vibration about a mean: such scores are NaN.
+    """
     deviation = path_deviation(actual, target, feed)
     engaged = time >= full_engagement - 1e-9
     engaged[-1] = True  # a pass that ends before it is engaged is scored at its end
-    ringing, damping = ringing_frequency(time[engaged], displacement[engaged])
+    ringing, damping = ringing_frequency(time[engaged], displacement[engaged]) if straight else (np.nan, np.nan)
+    static = np.mean(deviation[-max(1, deviation.size // 4) :]) if straight else np.nan
     return Scores(
-        static_deviation=float(np.mean(deviation[-max(1, deviation.size // 4) :])),
+        static_deviation=float(static),
         max_deviation=float(np.max(np.abs(deviation[engaged]))),
         low_frequency=low_frequency,
         ringing_frequency=ringing,

@@ -165,3 +165,10 @@ def _ultra():
     from kr270_milling.robot.analysis import read_arm
 
     return read_arm(find_file("kr270_r2700_ultra.yaml"))[0]
+
+
+def test_a_tool_path_has_no_low_frequency_of_one_feed_direction(tmp_path):
+    file = tmp_path / "turned.nc"
+    file.write_text("G21 G90 S8000 M3\nG0 X0 Y-15 Z5\nG1 Z-0.5 F1000\nG1 Y15 F4000\n")
+    cell = read_cell(find_file("test_piece.yaml"), [f"path.file={file}"])
+    assert np.isnan(cell.low_frequency)

@@ -86,3 +86,11 @@ def test_the_start_of_the_clock_does_not_matter():
 )  # fmt: skip
 def test_where_nothing_rings_no_frequency_is_made_up(displacement):
     assert np.isnan(ringing_frequency(TIME[: displacement.size], displacement)).all()
+
+
+def test_a_path_without_one_feed_direction_has_no_static_deviation_and_does_not_ring():
+    course = np.column_stack([np.cos(TIME), np.sin(TIME), 0 * TIME])
+    feed = np.column_stack([-np.sin(TIME), np.cos(TIME), 0 * TIME])
+    found = score(TIME, course * 1.001, course, feed, 0.0, 6.7, course[:, 1], straight=False)
+    assert np.isnan([found.static_deviation, found.ringing_frequency, found.ringing_damping]).all()
+    assert found.max_deviation == pytest.approx(1e-3, rel=1e-9)  # the circle is 1 mm too large all the way

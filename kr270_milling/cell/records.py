@@ -1,0 +1,104 @@
+"""The parameter file of one milling cell as records: where each section lives, and what they must agree in."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.frames import Pose
+from kr270_milling.base.record import Record, parameter, specs
+from kr270_milling.cell.limits import Limits
+from kr270_milling.cell.plausibility import MOST_STEPS, check_effort
+from kr270_milling.cell.program import Program
+from kr270_milling.cell.uncertainty import Uncertainty
+from kr270_milling.compensation.parameters import Compensation
+from kr270_milling.cutting import Cutting, Stock, Tool
+from kr270_milling.messages.toolpath import is_recording
+from kr270_milling.robot import Arm, Mount
+from kr270_milling.simulation.dynamics import Dynamics
+from kr270_milling.simulation.exchange import Exchange
+from kr270_milling.trajectory.timing import Timing
+
+__all__ = ["Parameters", "Path", "Workpiece"]
+
+
+@dataclass(frozen=True, eq=False)
+class Workpiece(Record):
+    """YAML ``workpiece``: where the part is clamped."""
+
+    xyz: np.ndarray = parameter(
+        unit="mm", size=3, low=-1e5, high=1e5, text="origin of the workpiece frame on base_link"
+    )
+    abc: np.ndarray = parameter(unit="deg", size=3, low=-360.0, high=360.0, text="its orientation, KUKA A, B, C")
+
+    @property
+    def pose(self) -> Pose:
+        """workpiece -> base_link."""
+        return Pose.from_abc(self.xyz, self.abc)
+
+
+@dataclass(frozen=True, eq=False)
+class Path(Record):
+    """YAML ``path``: a tool path file, or a straight cut along +x of the workpiece frame."""
+
+    file: str = parameter(
+        "", text="G-code, APT/CL, CSV of points or a recording of a path, workpiece frame; empty: a straight cut"
+    )
+    topic: str = parameter("", text="of a recording: where its path is, if several topics hold one")
+    start: np.ndarray = parameter(
+        [0.0, 0.0], unit="mm", size=2, low=-1e5, high=1e5, text="straight cut: x, y of the tool tip at the start"
+    )
+    depth_of_cut: float = parameter(0.0, unit="mm", low=0.0, high=100.0, text="straight cut: a_p below the stock's top")
+    length: float = parameter(0.0, unit="mm", low=0.0, high=10000.0, text="straight cut: its length")
+    feed_rate: float = parameter(
+        0.0, unit="m_per_min", low=0.0, high=60.0,
+        text="feed rate v_f of a straight cut, or of a recorded path whose poses all have one stamp",
+    )  # fmt: skip
+
+    def check(self) -> None:
+        if self.topic and not is_recording(self.file):
+            raise ParameterError("topic", self.topic, "empty where path.file is no recording (.mcap)")
+        for spec in specs(Path):
+            if not self.file and spec.kind is float and not getattr(self, spec.name) > 0.0:
+                value = getattr(self, spec.name) / spec.scale
+                raise ParameterError(spec.key, value, "above 0 for a straight cut (or give path.file)")
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters(Record):
+    """The whole parameter file."""
+
+    start_joints: np.ndarray = parameter(
+        unit="deg", size=6, low=-720.0, high=720.0, text="posture at the start, selects the branch"
+    )
+    arm: Arm
+    mount: Mount
+    workpiece: Workpiece
+    tool: Tool
+    cutting: Cutting
+    stock: Stock
+    path: Path
+    dynamics: Dynamics
+    exchange: Exchange
+    compensation: Compensation
+    timing: Timing = dataclasses.field(default_factory=Timing)
+    program: Program = dataclasses.field(default_factory=Program)
+    limits: Limits = dataclasses.field(default_factory=Limits)
+    uncertainty: Uncertainty = dataclasses.field(default_factory=Uncertainty)
+
+    def check(self) -> None:
+        turn = 2.0 * np.pi / self.exchange.micro_step
+        if abs(turn - round(turn)) > 1e-6:
+            raise ParameterError("exchange.micro_step_deg", np.degrees(self.exchange.micro_step), "a whole part of 360")
+        self.exchange.clock(self.tool.spindle_speed)
+        if self.path.file:
+            return
+        steps = self.path.length / self.path.feed_rate / min(self.exchange.period, self.timing.controller_step)
+        if not steps <= MOST_STEPS:
+            shown = self.path.feed_rate * 60.0
+            allowed = f"faster: the pass would take {steps:.3g} steps, more than {MOST_STEPS:g}"
+            raise ParameterError("path.feed_rate_m_per_min", shown, allowed)
+        check_effort(self.exchange, self.tool, self.stock, self.path.length / self.path.feed_rate)
