@@ -39,11 +39,6 @@ COMMANDS = {
     "export": ("write the topics of a recording as tables", "export out/pass1 --csv tables"),
     "report": ("make the report of one or several recordings", "report out"),
     "recover": ("make a whole recording of one that was cut off or damaged", "recover out/pass1"),
-    "verify": ("run the list of physical checks and print the verification book", "verify --only stability"),
-    "selftest": (
-        "disturb the graph of nodes on purpose, or run it for long, and judge what it does",
-        "selftest --faults --repeats 1",
-    ),
     "bench": ("time the sweep of the teeth and the stiffness model", "bench"),
 }
 EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
@@ -90,7 +85,11 @@ def _run(argv: list[str]) -> int:
     argv = _join_negative(argv)
     if any("\0" in word for word in argv):  # no shell can pass one on, but a caller of main can
         return _refuse("an argument holds a zero byte")
-    args = _parser(argv).parse_args(argv)
+    parser = _parser(argv)
+    if not argv:
+        parser.print_help()
+        return EXIT_OK
+    args = parser.parse_args(argv)
     from kr270_milling.base.errors import MillingError
 
     if hasattr(sys.stdout, "reconfigure"):  # a file name need not be text that can be printed
@@ -133,7 +132,7 @@ def _parser(argv: list[str]) -> argparse.ArgumentParser:
     chosen = next((a for a in argv if not a.startswith("-")), None)
     for name, (text, example) in COMMANDS.items():
         description, epilog = text[0].upper() + text[1:] + ".", f"example: kr270_milling {example}"
-        command = sub.add_parser(name, help=argparse.SUPPRESS, description=description, epilog=epilog)
+        command = sub.add_parser(name, description=description, epilog=epilog)
         if name == chosen:
             module = importlib.import_module(f"kr270_milling.commands.{name}")
             module.add_arguments(command)

@@ -23,6 +23,17 @@ from ros_domain import DISCOVERY, environment_of_processes, own_domain
 SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]")
 
 
+def pytest_addoption(parser):
+    parser.addoption("--book", action="store_true", help="print the table of the verification book (test/book)")
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    if config.getoption("--book"):
+        import book
+
+        terminalreporter.write_line(book.markdown(book.ROWS))
+
+
 @pytest.fixture
 def domain():
     """A ROS domain id that no other test run on this machine uses now."""

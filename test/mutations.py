@@ -104,14 +104,14 @@ def copy_into(folder: Path) -> None:
 
 def run(folder: Path, tests: list[str]) -> str:
     """Name of the first test that fails, "" if none does."""
-    files = [f"test/test_{name}.py" for name in tests]
+    files = [str(file.relative_to(folder)) for name in tests for file in folder.glob(f"test/*/test_{name}.py")]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider", *files]
     environment = {**os.environ, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
     try:
         done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
     except subprocess.TimeoutExpired:
         return "no end within 300 s"
-    found = re.search(r"^(?:FAILED|ERROR) test/(\S+)", done.stdout, re.MULTILINE)
+    found = re.search(r"^(?:FAILED|ERROR) test/\w+/(\S+)", done.stdout, re.MULTILINE)
     return "" if done.returncode == 0 else found.group(1) if found else f"pytest ended with {done.returncode}"
 
 

@@ -95,9 +95,7 @@ def test_imports_run_one_way(module):
         assert LAYER[there] < LAYER[here], f"{module} imports {name} from beside or above"
 
 
-@pytest.mark.parametrize(
-    "module", [m for m in MODULES if part(m) not in ("nodes", "ros", "commands", "cli", "selftest")]
-)
+@pytest.mark.parametrize("module", [m for m in MODULES if part(m) not in ("nodes", "ros", "commands", "cli")])
 def test_only_nodes_and_commands_know_ros(module):
     ros = ("rclpy", "rcl_interfaces", "builtin_interfaces", "rosgraph_msgs", "rosidl", "lifecycle_msgs", "rosbag2",
            "ament_index_python", "kr270_milling.ros", "kr270_milling.nodes")  # fmt: skip
@@ -152,7 +150,7 @@ def test_there_is_no_circle_of_imports():
         visit(module)
 
 
-@pytest.mark.parametrize("module", [m for m in MODULES if part(m) not in ("nodes", "ros", "selftest")])
+@pytest.mark.parametrize("module", [m for m in MODULES if part(m) not in ("nodes", "ros")])
 def test_every_name_in_all_exists_once(module):
     found = importlib.import_module(module)
     names = getattr(found, "__all__", [])

@@ -9,16 +9,11 @@ POSTURES = 1000
 
 
 def add_arguments(parser) -> None:
-    parser.add_argument("--ros", action="store_true", help="time the graph of nodes and the recorder too")
     add_common(parser)
 
 
 def run(args) -> None:
     found = {**_pass(), **_postures()}
-    if args.ros:
-        from kr270_milling.ros.bench import bench_ros
-
-        found |= bench_ros()
     if args.json:
         print_json(found)
         return

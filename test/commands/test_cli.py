@@ -55,8 +55,15 @@ def test_help_lists_every_command_without_importing_numpy():
         "assert not heavy, heavy"
     )
     assert ran.returncode == 0, ran.stderr
+    assert "SUPPRESS" not in ran.stdout
     for name, (text, _) in COMMANDS.items():
         assert name in ran.stdout and text in ran.stdout
+
+
+def test_the_program_alone_shows_the_list(capsys):
+    assert main([]) == 0
+    shown = capsys.readouterr().out
+    assert all(text in shown for text, _ in COMMANDS.values()) and "SUPPRESS" not in shown
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -83,7 +90,7 @@ def test_the_version_is_that_of_the_package(capsys):
     assert exited.value.code == 0 and capsys.readouterr().out == f"kr270_milling {__version__}\n"
 
 
-@pytest.mark.parametrize("words", [[], ["mill"], ["--fast"], ["stiffness"], ["simulate"], ["compensate"], ["check"]])
+@pytest.mark.parametrize("words", [["mill"], ["--fast"], ["stiffness"], ["simulate"], ["compensate"], ["check"]])
 def test_a_call_that_is_not_understood_exits_with_2(capsys, words):
     assert "error:" in refused(capsys, *words)
 

@@ -55,11 +55,11 @@ def test_playback_takes_no_number_that_is_none(option, value, tmp_path, monkeypa
     ["check"], ["check", "paper.yaml", "--reference"], ["run"], ["run", "paper.yaml", "--passes"], ["demo", "--out"],
     ["replay"], ["replay", "a", "--recompute", "--compensate"], ["replay", "a", "--rate"], ["info"], ["info", "a", "b"],
     ["export"], ["export", "a"], ["export", "a", "--csv"], ["export", "a", "--csv", "x", "--topics"], ["recover"],
-    ["report"], ["bench", "x"], ["verify", "--only"], ["verify", "x"], ["demo", "x"], ["bench", "--steps=3"], [],
+    ["report"], ["bench", "x"], ["demo", "x"], ["bench", "--steps=3"],
     ["", ""], ["simulate", ""], ["simulate", "paper.yaml", "--set", ""], ["simulate", "paper.yaml", "--set", "="],
     ["simulate", "paper.yaml", "--set", "tool..teeth=3"], ["simulate", "paper.yaml", "--set", "tool=3"],
     ["simulate", "paper.yaml", "--set", "tool.teeth.more=3"], ["simulate", "paper.yaml", "--set", "tool.teeth=[3"],
-    ["run", "paper.yaml", "--namespace", "a b", "--out", "/proc/x"], ["verify", "--only", "no such check"],
+    ["run", "paper.yaml", "--namespace", "a b", "--out", "/proc/x"],
 ])  # fmt: skip
 def test_a_call_that_misses_something_or_has_too_much_is_refused(words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

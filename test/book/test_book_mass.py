@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+from book import check
+from posture import PAPER, SPINDLE, arm_of
 
 from kr270_milling.robot import (
     BARE,
@@ -15,8 +17,6 @@ from kr270_milling.robot import (
     mode_frequencies,
 )
 from kr270_milling.robot.mass import assembled_mass
-from kr270_milling.verification.arm import PAPER, SPINDLE, arm_of
-from kr270_milling.verification.checks import check
 
 MASS, LENGTH, RHO_I = 7.0, 1.7, (0.9, 0.4, 0.6)  # [kg], [m], [kg m]
 
@@ -29,7 +29,7 @@ def _rigid(x: float) -> np.ndarray:
 
 
 @check("beam mass matrix (23)", "Gauss quadrature of the kinetic energy (18)-(22)")
-def beam():
+def test_beam():
     points, weights = np.polynomial.legendre.leggauss(4)
     integral, inertia = np.zeros((12, 12)), np.diag([MASS / LENGTH] * 3 + list(RHO_I))
     for s, weight in zip((points + 1) / 2, weights * LENGTH / 2, strict=True):
@@ -40,19 +40,19 @@ def beam():
 
 
 @check("beam, translated as a rigid body", "m", "kg")
-def translated():
+def test_translated():
     motion = np.tile(np.eye(6)[1], 2)
     return MASS, motion @ beam_mass(MASS, LENGTH, *RHO_I) @ motion, 1e-12
 
 
 @check("beam, turned about its base", "m L^2 / 3 + rho I_z L [derived]", "kg m^2")
-def turned():
+def test_turned():
     motion = np.concatenate([np.eye(6)[5], _rigid(LENGTH)[:, 5]])
     return MASS * LENGTH**2 / 3 + RHO_I[2] * LENGTH, motion @ beam_mass(MASS, LENGTH, *RHO_I) @ motion, 1e-11
 
 
 @check("assembled arm (24), translated as a rigid body", "sum of Table 1's link masses + 60 kg of spindle", "kg")
-def assembled():
+def test_assembled():
     motion = np.tile(np.eye(6)[2], 7)
     return 790.4 + 60.0, motion @ assembled_mass(arm_of(), SPINDLE, forward(arm_of(), SPINDLE, PAPER)) @ motion, 1e-9
 
@@ -63,17 +63,17 @@ def _modes(model: str) -> np.ndarray:
 
 
 @check("first mode, all link masses at the tool", "sqrt(1 / (0.7168 um/N 790.4 kg)) / 2 pi [derived]", "Hz")
-def lumped():
+def test_lumped():
     return np.sqrt(1 / (0.7168e-6 * 790.4)) / (2 * np.pi), _modes("lumped")[0], 1e-3
 
 
 @check("first mode, energy-consistent mass", "between 11 and 14 Hz [derived]", "Hz")
-def consistent():
+def test_consistent():
     return 12.5, _modes("consistent")[0], 1.5
 
 
 @check("energy-consistent modes (25), at the tool and at the joints", "M_theta against K_theta - H: the same arm")
-def both_forms():
+def test_both_forms():
     solved = equilibrium(arm_of(), SPINDLE, PAPER)
     mass = cartesian_mass(arm_of(), SPINDLE, solved.posture, "consistent")
     at_tool = mode_frequencies(compliance(solved, arm_of()), mass)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import functools
 
 import numpy as np
+from book import check
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, mean_force, simulate
 from kr270_milling.report.paper import TABLE_2
-from kr270_milling.verification.checks import check
 
 TABLE = "[Klimchik2012], Table 2"
 
@@ -25,38 +25,38 @@ def _pass(name: str):
     return simulate(_cell()) if name == "original" else compensated(_cell(), _pass("original"), name)
 
 
-@check("original pass: static deviation", f"{TABLE}; a_p is identified from it", "m")
-def static():
+@check("original pass: static deviation", f"identified: a_p is fitted to {TABLE}", "m")
+def test_static():
     return TABLE_2["original"][0], abs(_pass("original").scores.static_deviation), 0.01 * TABLE_2["original"][0]
 
 
-@check("original pass: max deviation", f"{TABLE}; the damping ratio is identified from it", "m")
-def largest():
+@check("original pass: max deviation", f"identified: the damping ratio is fitted to {TABLE}", "m")
+def test_largest():
     return TABLE_2["original"][1], _pass("original").scores.max_deviation, 0.02 * TABLE_2["original"][1]
 
 
 @check("low frequency", TABLE, "Hz")
-def low_frequency():
+def test_low_frequency():
     return TABLE_2["original"][2], _pass("original").scores.low_frequency, 0.01 * TABLE_2["original"][2]
 
 
 @check("linear pass: static deviation", f"{TABLE}: not above the paper", "m", at_most=True)
-def linear_static():
+def test_linear_static():
     return TABLE_2["linear"][0], abs(_pass("linear").scores.static_deviation), 0.0
 
 
 @check("linear pass: max deviation", f"{TABLE}: not above the paper", "m", at_most=True)
-def linear_largest():
+def test_linear_largest():
     return TABLE_2["linear"][1], _pass("linear").scores.max_deviation, 0.0
 
 
 @check("low frequency after compensation / before", f"{TABLE}: the ringing frequency stays")
-def same_frequency():
+def test_same_frequency():
     return 1.0, _pass("linear").scores.ringing_frequency / _pass("original").scores.ringing_frequency, 0.01
 
 
 @check("high frequency of the force", "8000 rpm x 4 teeth = 533.3 Hz (the paper says about 700) [derived]", "Hz")
-def tooth_passing():
+def test_tooth_passing():
     ran = _pass("original").result
     force = ran.wrench[ran.time > _cell().full_engagement, 1]
     spectrum = np.abs(np.fft.rfft((force - force.mean()) * np.hanning(force.size), 16 * force.size))
@@ -65,5 +65,5 @@ def tooth_passing():
 
 
 @check("mean lateral force of the pass", "81 N: 58.1 um over 0.717 um/N [derived]", "N")
-def lateral_force():
+def test_lateral_force():
     return 81.0, mean_force(_pass("original").result)[1], 0.5

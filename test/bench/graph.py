@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
-from kr270_milling.bag.bench import bench_writer
+from bench.writer import bench_writer
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
@@ -90,7 +88,7 @@ def _record(out: Path, rate: int, count: int, size: int) -> tuple[int, float, fl
     """Messages sent, seconds that took, seconds until they were written, messages in the recording."""
     environment = child_environment()
     node = [sys.executable, "-m", "kr270_milling.nodes.recorder", "--ros-args", "-p", f"directory:={out}"]
-    source = [sys.executable, "-m", "kr270_milling.ros.bench_source", str(rate), str(count), str(size)]
+    source = [sys.executable, str(Path(__file__).with_name("source.py")), str(rate), str(count), str(size)]
     quiet = {"env": environment, "stderr": subprocess.DEVNULL}
     with subprocess.Popen([*node, "-p", "topics:=bench"], **quiet) as recorder:
         try:
@@ -100,10 +98,3 @@ def _record(out: Path, rate: int, count: int, size: int) -> tuple[int, float, fl
     sent, seconds, written = told.split()
     with Recording(out) as recording:
         return int(sent), float(seconds), float(written), recording.topics()["/bench"].count
-
-
-if __name__ == "__main__":
-    begun = time.monotonic()
-    for key, value in bench_ros().items():
-        print(f"{key:32} {value}")
-    print(f"{os.cpu_count()} cores, {time.monotonic() - begun:.1f} s")

@@ -11,12 +11,12 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
+from faults.footprint import Footprint, footprint, slope
+from faults.rows import fault_cell
 from kr270_milling.bag.reader import Recording
 from kr270_milling.graph.graph import Graph
 from kr270_milling.graph.processes import RunError
 from kr270_milling.ros.environment import child_environment
-from kr270_milling.selftest.footprint import Footprint, footprint, slope
-from kr270_milling.selftest.rows import fault_cell
 
 __all__ = ["COLUMNS", "Growth", "run_soak"]
 
@@ -129,7 +129,7 @@ def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]
     environment = child_environment()
     names = ",".join(TOPICS)
     node = [sys.executable, "-m", "kr270_milling.nodes.recorder", "--ros-args", "-p", f"directory:={out}"]
-    source = [sys.executable, "-m", "kr270_milling.selftest.source", str(RATE), str(seconds)]
+    source = [sys.executable, str(Path(__file__).with_name("source.py")), str(RATE), str(seconds)]
     with (
         open(out.parent / "recorder.log", "wb") as log,
         subprocess.Popen([*node, "-p", f"topics:={names}"], env=environment, stderr=log) as recorder,

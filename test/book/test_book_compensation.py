@@ -5,6 +5,8 @@ from __future__ import annotations
 import functools
 
 import numpy as np
+from book import check
+from posture import PAPER, SPINDLE, arm_of
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
@@ -13,8 +15,6 @@ from kr270_milling.compensation.mirror import mirror
 from kr270_milling.compensation.revision import PassRecord, revise
 from kr270_milling.robot import equilibrium, pose
 from kr270_milling.trajectory.trajectory import Trajectory
-from kr270_milling.verification.arm import PAPER, SPINDLE, arm_of
-from kr270_milling.verification.checks import check
 
 WRENCH = np.array([800.0, -600.0, 400.0, 60.0, -90.0, 40.0])  # [N, N m]
 ALPHA = 0.9
@@ -26,20 +26,24 @@ def _mirrored():
     return target, mirror(arm_of(), SPINDLE, target, WRENCH, PAPER, relaxation=ALPHA, sag_compensated=False)
 
 
-@check("mirror (31): loaded tool where the target is", "the target; 1 kN, moments, link weights", "m")
-def mirror_target():
+@check("mirror (31): loaded tool where the target is", "(31) solved: the target; 1 kN, moments, link weights", "m")
+def test_mirror_target():
     target, found = _mirrored()
     loaded = equilibrium(arm_of(), SPINDLE, found.joints, WRENCH).pose
     return 0.0, np.abs(loaded.position - target.position).max(), 1e-9
 
 
 @check("mirror (32): error of an iteration / of the one before", "1 - alpha for a nearly linear arm, alpha = 0.9")
-def mirror_rate():
+def test_mirror_rate():
     history = np.array(_mirrored()[1].history)
     return 1 - ALPHA, float(np.exp(np.diff(np.log(history))[1:].mean())), 0.01
 
 
-def interpolation_order(method, expected):
+@check(
+    "order of the interpolation, {method}", "interpolation theory: 2 for straight lines, 4 for a cubic C2 spline",
+    cases=("method expected", [("linear", 2.0), ("spline", 4.0)]),
+)  # fmt: skip
+def test_interpolation_order(method, expected):
     """Remaining error of a revised reference for a displacement that is a sine of time."""
     steps, errors = [20, 40, 80, 160], []
     time = np.arange(0, 1_200_000_001, 100_000)
@@ -54,18 +58,10 @@ def interpolation_order(method, expected):
     return expected, -np.polyfit(np.log(steps), np.log(errors), 1)[0], 0.2
 
 
-check("order of the interpolation, linear", "2: straight lines between the knots", arguments=("linear", 2.0))(
-    interpolation_order
-)
-check("order of the interpolation, spline", "4: cubic C2 spline through the knots", arguments=("spline", 4.0))(
-    interpolation_order
-)
-
-
 @check(
     "order in the controller step of the pass compensated by lines", "2: interpolation; the teeth's ripple taken off"
 )
-def controller_order():
+def test_controller_order():
     """What a spline at the shortest step leaves is the vibration at tooth passing, which no reference can follow."""
     steps, errors = np.array([50.0, 25.0, 12.5]), []
     for step in steps:

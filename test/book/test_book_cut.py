@@ -5,11 +5,11 @@ from __future__ import annotations
 import functools
 
 import numpy as np
+from book import check
 from scipy.integrate import quad
 
 from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
 from kr270_milling.cutting.convergence import convergence
-from kr270_milling.verification.checks import check
 
 FEED, DEPTH = 0.125e-3, 1e-3  # [m] a tooth, [m]
 LAWS = ("fractional", "linear_edge")
@@ -36,33 +36,44 @@ def _mean(law: str, low: float = -12e-3, high: float = 12e-3) -> np.ndarray:
 
 
 @check("force of one tooth at h = 0.125 mm, 1 mm deep", "(26), k_0 read per millimetre of depth [derived]", "N")
-def one_tooth():
+def test_one_tooth():
     return 133.3, Cutting().force_per_depth(FEED)[0] * DEPTH, 0.05
 
 
 @check("radial over tangential force", "k_r of [Klimchik2012], section 6")
-def radial():
+def test_radial():
     tangential, found = Cutting().force_per_depth(40e-6)
     return 0.3, found / tangential, 1e-12
 
 
-def slot_mean(law, axis, expected):
-    return expected, _mean(law)[axis], 5e-3 * abs(expected)
+@check(
+    "rigid slot, fractional law, mean F_{axis}", "integral of (26)-(29), 4 teeth, 1 mm deep [derived]", "N",
+    cases=("axis expected", [("x", -44.39), ("y", 147.98)]),
+)  # fmt: skip
+def test_slot_mean(axis, expected):
+    return expected, _mean("fractional")["xy".index(axis)], 5e-3 * abs(expected)
 
 
-for _axis, _expected in ((0, -44.39), (1, 147.98)):
-    _name = f"rigid slot, fractional law, mean F_{'xy'[_axis]}"
-    check(
-        _name, "integral of (26)-(29), 4 teeth, 1 mm deep [derived]", "N", arguments=("fractional", _axis, _expected)
-    )(slot_mean)
-for _axis, _expected in ((0, -180.96 * 0.125 - 4 / np.pi * 20.42), (1, 600.46 * 0.125 + 4 / np.pi * 17.9)):
-    _name = f"rigid slot, linear-edge law, mean F_{'xy'[_axis]}"
-    _case = ("linear_edge", _axis, _expected)
-    check(_name, "-+ N a (K f_z / 4 + K_e / pi), Al7075-T6", "N", arguments=_case)(slot_mean)
+@check(
+    "rigid slot, linear-edge law, mean F_{axis}", "-+ N a (K f_z / 4 + K_e / pi), Al7075-T6", "N",
+    cases=("axis cutting edge", [("x", -180.96, -20.42), ("y", 600.46, 17.9)]),
+)  # fmt: skip
+def test_linear_edge_slot_mean(axis, cutting, edge):
+    """Coefficients [N/mm^2, N/mm] times 4 teeth, 1 mm and f_z / 4, 1 / pi."""
+    expected = cutting * 0.125 + 4 / np.pi * edge
+    return expected, _mean("linear_edge")["xy".index(axis)], 5e-3 * abs(expected)
 
 
-def half_immersion(low, high, entry, leave, axis):
+WAYS = {"up": (0.0, 12e-3, -np.pi / 2, 0.0), "down": (-12e-3, 0.0, 0.0, np.pi / 2)}  # y [m], phi [rad]
+
+
+@check(
+    "half immersion, {way}-milling, mean F_{axis}", "quadrature of (26)-(29) with h = f_z cos(phi)", "N",
+    cases=("way axis", [(way, axis) for way in WAYS for axis in "xy"]),
+)  # fmt: skip
+def test_half_immersion(way, axis):
     """h = f_z cos(phi) leaves out terms of f_z / R, 1.25 %, which a half immersion does not average away."""
+    low, high, entry, leave = WAYS[way]
 
     def integrand(phi, which):
         tangential, radial = (DEPTH * float(f) for f in Cutting().force_per_depth(FEED * np.cos(phi)))
@@ -71,17 +82,12 @@ def half_immersion(low, high, entry, leave, axis):
         return radial * np.sin(phi) + tangential * np.cos(phi)
 
     expected = [quad(integrand, entry, leave, args=(k,))[0] * 4 / (2 * np.pi) for k in (0, 1)]
-    return expected[axis], _mean("fractional", low, high)[axis], 0.0125 * np.hypot(*expected)
-
-
-for _way, _sides in (("up", (0.0, 12e-3, -np.pi / 2, 0.0)), ("down", (-12e-3, 0.0, 0.0, np.pi / 2))):
-    for _axis in (0, 1):
-        _name = f"half immersion, {_way}-milling, mean F_{'xy'[_axis]}"
-        check(_name, "quadrature of (26)-(29) with h = f_z cos(phi)", "N", arguments=(*_sides, _axis))(half_immersion)
+    which = "xy".index(axis)
+    return expected[which], _mean("fractional", low, high)[which], 0.0125 * np.hypot(*expected)
 
 
 @check("removed area of a slot 10 mm long", "2 R L + pi R^2 / 2: the half disc at its end", "m^2")
-def area():
+def test_area():
     stock = Stock(min=np.array([0.0, -12e-3, -5e-3]), max=np.array([25e-3, 12e-3, 0.0]))
     cut = Cut(_tool(), Cutting(), stock, np.radians(1.0))
     end = np.array([10e-3, 0.0, -DEPTH])
@@ -91,7 +97,7 @@ def area():
 
 
 @check("work of the tangential force / (K_tc volume removed)", "energy: power is torque times spindle speed")
-def work():
+def test_work():
     law = LinearEdgeLaw(tangential_edge=0.0, radial_cutting=0.0, radial_edge=0.0)
     cut, here, first = _engaged(Cutting(law="linear_edge", linear_edge=law))
     before = cut.removed_volume
@@ -101,7 +107,7 @@ def work():
 
 
 @check("force of a tool that backs off", "(27): no chip, no force", "N")
-def backing_off():
+def test_backing_off():
     cut, here, first = _engaged(Cutting())
     cut.sweep(here, here, first, 360)
     return 0.0, np.abs(cut.sweep(here, here - [2e-3, 0.0, 0.0], first + 360, 1440)).max(), 0.0
@@ -113,10 +119,10 @@ def _convergence() -> dict:
 
 
 @check("order of convergence in the grid step", "1.5: noise of the nodes along the border of a sector")
-def grid_order():
+def test_grid_order():
     return 1.5, _convergence()["grid_order"], 0.4
 
 
 @check("order of convergence in the angle step", "2: force at mid-angle")
-def angle_order():
+def test_angle_order():
     return 2.0, _convergence()["angle_order"], 0.4

@@ -12,16 +12,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
-from kr270_milling.base.errors import MillingError
 from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
 from kr270_milling.simulation.arm_model import arm_model
 from kr270_milling.simulation.dynamics import ArmModel, modes
 from kr270_milling.simulation.milling_pass import CompliantArm
-from kr270_milling.verification.checks import check
 
-__all__ = ["BENCHMARK", "BracketError", "Milling", "Mode", "growth", "limit_depth"]
+__all__ = ["BENCHMARK", "Milling", "Mode", "growth", "limit_depth"]
 
 GRID = 1e-6  # [m]
 CHIP = 5  # nodes in a feed per tooth
@@ -29,17 +26,6 @@ RADIUS = 1000  # feeds per tooth in the radius
 MICRO_STEP = math.radians(1.0)
 PERIODS = 80  # tooth periods of a run at most
 LOST, LARGE = 0.03, 0.35  # of the feed per tooth: below, the grid's noise reigns; above, teeth leave the cut
-
-
-class BracketError(MillingError):
-    """No stability limit between two depths of cut."""
-
-    def __init__(self, low: float, high: float, at_low: float, at_high: float):
-        self.low, self.high, self.at_low, self.at_high = low, high, at_low, at_high
-        super().__init__(
-            f"disturbances grow by {at_low:.3g} a tooth period at {low:.4g} m and by {at_high:.3g} at {high:.4g} m: "
-            "the limit depth must lie between the two"
-        )
 
 
 @dataclass(frozen=True)
@@ -157,34 +143,14 @@ def growth(mode: Mode, milling: Milling, depth: float) -> float:
     return float(np.polyfit(late, np.log(np.array(levels)[late]), 1)[0])
 
 
-def limit_depth(mode: Mode, milling: Milling, low: float, high: float, tolerance: float = 5e-3) -> float:
-    """Depth of cut [m] between two where disturbances neither grow nor die; tolerance: of the depth, relative.
+def limit_depth(mode: Mode, milling: Milling, near: float, share: float = 0.02) -> float:
+    """Depth of cut [m] at which disturbances neither grow nor die: growth(near (1 -+ share)) joined by a straight line.
 
-    Raises BracketError where they do the same at both ends.
+    It lies between the two depths where, and only where, disturbances die at the first and grow at the second; NaN
+    where they grow no faster at the second.
     """
-    rates = {depth: growth(mode, milling, depth) for depth in (low, high)}
-    if not rates[low] * rates[high] < 0.0:
-        raise BracketError(low, high, rates[low], rates[high])
-    return float(
-        brentq(lambda d: rates[d] if d in rates else growth(mode, milling, d), low, high, xtol=tolerance * low)
-    )
-
-
-SEMI_DISCRETISATION = "first-order semi-discretisation of the benchmark of [Insperger2004], test/test_stability.py"
-
-#: what test_stability.py finds, [m]
-LIMITS = {
-    Milling(15000.0, "up"): 0.2590e-3,  # Hopf, at the foot of a lobe
-    Milling(14000.0, "up"): 1.4397e-3,  # Hopf, within a lobe
-    Milling(15000.0, "down"): 2.597e-3,  # period doubling
-}
-
-
-def _limit(milling: Milling) -> tuple[float, float, float]:
-    expected = LIMITS[milling]
-    return expected, limit_depth(BENCHMARK, milling, 0.8 * expected, 1.25 * expected), 0.05 * expected
-
-
-for _case in LIMITS:
-    _name = f"stability limit, half immersion {_case.immersion}-milling, {_case.spindle_rpm:.0f} rpm"
-    check(_name, SEMI_DISCRETISATION, "m", arguments=(_case,))(_limit)
+    depths = near * np.array([1.0 - share, 1.0 + share])
+    rates = [growth(mode, milling, depth) for depth in depths]
+    if not rates[0] < rates[1]:
+        return math.nan
+    return float(depths[0] - rates[0] * (depths[1] - depths[0]) / (rates[1] - rates[0]))

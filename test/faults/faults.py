@@ -10,9 +10,9 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from faults.disturbed import Disturbed
 from kr270_milling.bag.reader import find_file
 from kr270_milling.ros.matching import COMPENSATOR, CUT, RECORDER, ROBOT
-from kr270_milling.selftest.disturbed import Disturbed
 
 __all__ = ["ENDS", "FAULTS", "GOES_ON", "Fault"]
 

@@ -1,4 +1,7 @@
-"""``kr270_milling selftest``: faults in mid-pass and long runs of the whole graph. Exit code 1 if a row fails."""
+"""Faults in mid-pass, or long runs, of the whole graph: ``python -m faults``, in this folder's parent.
+
+Exit code 1 if a row fails, 2 with a sentence for an argument that cannot be used.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,32 @@ import argparse
 import sys
 import time
 
-from kr270_milling.commands.console import add_common, print_json, progress
+from faults.directory import kept_or_temporary
+from faults.domain import choose_domain
+from faults.faults import FAULTS
+from faults.rows import COLUMNS, expected_seconds, run_faults
+from faults.soak import COLUMNS as SOAK_COLUMNS
+from faults.soak import run_soak
+from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.commands.console import print_json, progress
+from kr270_milling.ros.environment import require_ros
 
 
-def add_arguments(parser) -> None:
-    kind = parser.add_mutually_exclusive_group(required=True)
-    kind.add_argument("--faults", action="store_true", help="kill, stop and restart nodes in mid-pass, and worse")
-    kind.add_argument("--soak", action="store_true", help="many passes in one graph, and a long recording")
+def main(arguments: list[str] | None = None) -> int:
+    args = _parser().parse_args(arguments)
+    try:
+        require_ros()
+        print(choose_domain(), file=sys.stderr)
+        with kept_or_temporary(args.out) as directory:
+            return (_soak if args.soak else _faults)(args, directory)
+    except MillingError as error:
+        print(f"faults: {error}", file=sys.stderr)
+        return 2
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m faults", description="Disturb the graph of nodes on purpose.")
+    parser.add_argument("--soak", action="store_true", help="no fault: many passes in one graph, and a long recording")
     parser.add_argument("--repeats", type=_count, default=10, metavar="N", help="of every fault (default: 10)")
     parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the times of the faults (default: 1)")
     parser.add_argument("--only", metavar="NAME", help="only the faults whose name contains this")
@@ -20,7 +42,8 @@ def add_arguments(parser) -> None:
     parser.add_argument("--minutes", type=_minutes, default=10.0, metavar="M", help="of its recording (default: 10)")
     parser.add_argument("--out", metavar="DIR", help="keep recordings and logs there (default: they are removed)")
     parser.add_argument("--markdown", action="store_true", help="print a table in Markdown")
-    add_common(parser)
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    return parser
 
 
 def _count(text: str) -> int:
@@ -39,22 +62,7 @@ def _minutes(text: str) -> float:
     return value
 
 
-def run(args) -> int:
-    from kr270_milling.ros.environment import require_ros
-    from kr270_milling.selftest.directory import kept_or_temporary
-    from kr270_milling.selftest.domain import choose_domain
-
-    require_ros()
-    print(choose_domain(), file=sys.stderr)
-    with kept_or_temporary(args.out) as directory:
-        return (_faults if args.faults else _soak)(args, directory)
-
-
 def _faults(args, directory) -> int:
-    from kr270_milling.base.errors import InputError
-    from kr270_milling.selftest.faults import FAULTS
-    from kr270_milling.selftest.rows import COLUMNS, expected_seconds, run_faults
-
     faults = [fault for fault in FAULTS if (args.only or "").lower() in fault.name.lower()]
     if not faults:
         raise InputError(
@@ -77,8 +85,6 @@ def _faults(args, directory) -> int:
 
 
 def _soak(args, directory) -> int:
-    from kr270_milling.selftest.soak import COLUMNS, run_soak
-
     print(f"this takes about {args.minutes + args.passes * 5 / 60:.0f} min", file=sys.stderr)
     with progress("soak") as report:
         rows = run_soak(args.passes, args.minutes * 60, directory, report)
@@ -86,7 +92,7 @@ def _soak(args, directory) -> int:
     if args.json:
         print_json({"rows": [row.as_dict() for row in rows], "failed": failed})
     else:
-        _print(list(COLUMNS), [row.cells() for row in rows], args.markdown)
+        _print(list(SOAK_COLUMNS), [row.cells() for row in rows], args.markdown)
         for row in rows:
             print("".join(f"{row.name}: {problem}\n" for problem in row.problems), end="")
     return 1 if failed else 0
@@ -102,3 +108,7 @@ def _print(columns: list[str], rows: list[list[str]], markdown: bool) -> None:
         print(row[0])
         for name, cell in zip(columns[1:], row[1:], strict=True):
             print(f"    {name:28} {cell}")
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,4 +1,4 @@
-"""A process that publishes messages of one size: ``python -m kr270_milling.ros.bench_source RATE COUNT SIZE``.
+"""A process that publishes messages of one size: ``python source.py RATE COUNT SIZE``.
 
 RATE 0: as fast as they are taken. SIZE 0: poses. Prints how many were sent, in how many seconds, and after how many
 the recorder had written them (by its diagnostics, which come five times a second).

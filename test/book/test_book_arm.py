@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
+import pytest
+from book import check
+from posture import PAPER, SPINDLE, arm_of, postures
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.base.record import find_file
 from kr270_milling.robot import (
     BARE,
-    Mount,
     compliance,
     equilibrium,
     forward,
@@ -22,54 +21,38 @@ from kr270_milling.robot import (
     rotate_matrix,
     wrench_for_pose,
 )
-from kr270_milling.robot.analysis import read_arm
 from kr270_milling.robot.loads import load_torque
-from kr270_milling.verification.checks import Skipped, check
 
-PAPER = np.radians([90.0, -50.0, 120.0, 180.0, 25.0, 180.0])  # [Klimchik2012], Table 1
-SPINDLE = Mount(xyz=np.array([0.3, 0.0, 0.1]), mass=60.0, mass_centre=np.array([0.1, 0.03, 0.02]))
 KILONEWTON = 1000 * np.array([0.6, -0.64, 0.48, 0.0, 0.0, 0.0])
+ARMS = ("kr270_2", "kr270_r2700_ultra")
+FLANGES = ((0, -1.6407, 0.4924), (0, -1.6308, 0.2446))  # [m]
+SOFT = ((0.7168e-6, 0.6369e-6, 0.1489e-6), (0.7099e-6, 0.7535e-6, 0.1313e-6))  # [m/N]
+ALONG = ("the lateral axis", "the axis in plane", "the flange axis")
 
 
-@functools.cache
-def arm_of(name: str = "kr270_2.yaml"):
-    return read_arm(find_file(name))[0]
-
-
-def postures(n: int = 100) -> np.ndarray:
-    """The same n postures (n, 6) [rad] within the limits, every time."""
-    arm = arm_of()
-    return np.random.default_rng(5).uniform(arm.joint_lower, arm.joint_upper, (n, 6))
-
-
-def flange_position(name, expected):
-    found = pose(arm_of(name), BARE, PAPER).position
+@check(
+    "{name}: flange position", "data sheet chain at the posture of Table 1, rounded to 0.1 mm [derived]", "m",
+    cases=("name expected", zip(ARMS, FLANGES, strict=True)),
+)  # fmt: skip
+def test_flange_position(name, expected):
+    found = pose(arm_of(name + ".yaml"), BARE, PAPER).position
     return 0.0, np.abs(found - expected).max(), 5.1e-5
 
 
-def unloaded_compliance(name, axis, expected):
-    arm = arm_of(name)
+@check(
+    "{name}: compliance along {along}", "J diag(compliances of Table 1) J^T in the flange frame [derived]", "m/N",
+    cases=("name along expected", [(n, a, v) for n, soft in zip(ARMS, SOFT, strict=True)
+                                   for a, v in zip(ALONG, soft, strict=True)]),
+)  # fmt: skip
+def test_unloaded_compliance(name, along, expected):
+    arm, axis = arm_of(name + ".yaml"), (1, 2, 0)[ALONG.index(along)]
     in_base = compliance(equilibrium(arm, BARE, PAPER, gravity=False), arm)
     return expected, rotate_matrix(in_base, pose(arm, BARE, PAPER).rotation.T)[axis, axis], 0.6e-10
 
 
-for _name, _file, _flange, _values in (
-    ("KR 270-2", "kr270_2.yaml", (0, -1.6407, 0.4924), (0.7168e-6, 0.6369e-6, 0.1489e-6)),
-    ("KR 270 R2700 ultra", "kr270_r2700_ultra.yaml", (0, -1.6308, 0.2446), (0.7099e-6, 0.7535e-6, 0.1313e-6)),
-):
-    _source = "data sheet chain at the posture of Table 1, rounded to 0.1 mm [derived]"
-    check(f"{_name}: flange position", _source, "m", arguments=(_file, _flange))(flange_position)
-    for _axis, _text, _value in zip((1, 2, 0), ("lateral", "in plane", "along the flange axis"), _values, strict=True):
-        _source = "J diag(compliances of Table 1) J^T in the flange frame [derived]"
-        check(f"{_name}: compliance {_text}", _source, "m/N", arguments=(_file, _axis, _value))(unloaded_compliance)
-
-
 def _oracle():
     """The chain of the data sheet with the split link masses in pinocchio; its data; the frame of tool0."""
-    try:
-        import pinocchio as pin
-    except ImportError as error:
-        raise Skipped("pinocchio is not installed (pip install pin)") from error
+    pin = pytest.importorskip("pinocchio")
     arm, model, parent, at = arm_of(), pin.Model(), 0, np.zeros(3)
     axes = [(0, 0, -1), (0, 1, 0), (0, 1, 0), (-1, 0, 0), (0, 1, 0), (-1, 0, 0)]
     ends = [(arm.a1, 0, arm.d1), (arm.a2, 0, 0), (0, 0, arm.a3), (arm.d4, 0, 0), (0, 0, 0), (arm.d6, 0, 0)]
@@ -88,7 +71,7 @@ def _oracle():
 
 
 @check("pose at 100 postures", "pinocchio", "m, rad")
-def pinocchio_pose():
+def test_pinocchio_pose():
     pin, model, data, frame = _oracle()
     ours, worst = pose(arm_of(), SPINDLE, postures()), 0.0
     for i, q in enumerate(postures()):
@@ -99,22 +82,22 @@ def pinocchio_pose():
 
 
 @check("Jacobian at 100 postures", "pinocchio", "m/rad")
-def pinocchio_jacobian():
+def test_pinocchio_jacobian():
     pin, model, data, frame = _oracle()
     theirs = [pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED) for q in postures()]
     return 0.0, np.abs(jacobian(arm_of(), SPINDLE, postures()) - theirs).max(), 1e-9
 
 
 @check("torque of the link weights at 100 postures", "pinocchio", "N m")
-def pinocchio_gravity():
+def test_pinocchio_gravity():
     pin, model, data, _ = _oracle()
     theirs = [-pin.computeGeneralizedGravity(model, data, q) for q in postures()]
     frames = forward(arm_of(), SPINDLE, postures())
     return 0.0, np.abs(load_torque(frames, np.zeros((100, 6)), link_loads(arm_of(), SPINDLE)) - theirs).max(), 1e-9
 
 
-@check("inverse kinematics, every branch", "forward kinematics of what it finds", "m, rad")
-def inverse_round_trip():
+@check("inverse kinematics, every branch", "self-consistent: forward kinematics of every solution", "m, rad")
+def test_inverse_round_trip():
     arm, worst = arm_of(), 0.0
     for q in postures(20):
         target = pose(arm, SPINDLE, q)
@@ -123,14 +106,16 @@ def inverse_round_trip():
     return 0.0, worst, 1e-9
 
 
-@check("equilibrium (7): largest torque out of balance", "weights and 1 kN at 100 postures near the paper's", "N m")
-def residual():
+@check("equilibrium (7): largest torque out of balance", "0: torques of weights and 1 kN balance, 100 postures", "N m")
+def test_residual():
     near = PAPER + np.random.default_rng(3).uniform(-0.3, 0.3, (100, 6))
     return 0.0, equilibrium(arm_of(), SPINDLE, near, KILONEWTON).residual.max(), 1e-9
 
 
-@check("wrench of a loaded pose, f of (31) after f^-1 of (30)", "the wrench that bent the arm", "N, N m")
-def both_ways():
+@check(
+    "wrench of a loaded pose, f of (31) after f^-1 of (30)", "self-consistent: the wrench that bent the arm", "N, N m"
+)
+def test_both_ways():
     wrench = KILONEWTON + [0, 0, 0, 80.0, -120.0, 40.0]
     there = equilibrium(arm_of(), SPINDLE, PAPER, wrench)
     return 0.0, np.abs(wrench_for_pose(arm_of(), SPINDLE, PAPER, there.pose).wrench - wrench).max(), 1e-4
@@ -143,21 +128,21 @@ def _hinge():
 
 
 @check("column on one hinge: H / K at half its critical load", "H = F L, critical at F L = K")
-def column():
+def test_column():
     arm, length = _hinge()
     solved = equilibrium(arm, BARE, np.zeros(6), [-0.5e6 / length, 0, 0, 0, 0, 0], gravity=False)
     return 0.5, solved.hessian[1, 1] / 1e6, 1e-9
 
 
 @check("hinge under a dead side load", "K theta = F L cos(theta)", "rad")
-def dead_load():
+def test_dead_load():
     arm, length = _hinge()
     theta = equilibrium(arm, BARE, np.zeros(6), [0, 0, -0.15e6 / length, 0, 0, 0], gravity=False).theta[1]
     return 0.15 * np.cos(theta), theta, 1e-8
 
 
 @check("loaded compliance (17), weights, 1 kN and moments", "numerical differentiation of whole equilibria")
-def differentiated():
+def test_differentiated():
     arm, wrench = arm_of(), KILONEWTON + [0, 0, 0, 80.0, -120.0, 40.0]
     ours = compliance(equilibrium(arm, SPINDLE, PAPER, wrench), arm)
     quotient = np.empty((6, 6))
@@ -171,13 +156,13 @@ def differentiated():
 
 
 @check("reciprocity: C - C^T under weights and 1 kN", "Maxwell-Betti; forces have a potential")
-def reciprocity():
+def test_reciprocity():
     arm = arm_of()
     soft = compliance(equilibrium(arm, SPINDLE, PAPER, KILONEWTON), arm)
     return 0.0, (np.abs(soft - soft.T) / np.sqrt(np.outer(np.diag(soft), np.diag(soft)))).max(), 1e-10
 
 
-@check("K_C C_C - 1 under weights, 1 kN and moments", "(17) and its inverse")
-def inverse_of_each_other():
+@check("K_C C_C - 1 under weights, 1 kN and moments", "self-consistent: (17) and its inverse")
+def test_inverse_of_each_other():
     solved, stiff = loaded_stiffness(arm_of(), SPINDLE, PAPER, KILONEWTON + [0, 0, 0, 80.0, -120.0, 40.0])
     return 0.0, np.abs(stiff @ compliance(solved, arm_of()) - np.eye(6)).max(), 1e-8

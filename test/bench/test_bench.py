@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from kr270_milling.bag.bench import bench_writer
+from bench.writer import bench_writer
 
 
 def test_the_yardstick_measures_both_writers():

@@ -1,4 +1,4 @@
-"""A process that publishes poses, wrenches and deflections: ``python -m kr270_milling.selftest.source RATE SECONDS``.
+"""A process that publishes poses, wrenches and deflections: ``python source.py RATE SECONDS``.
 
 It waits for a listener of each, and prints how many exchanges it has published.
 """
@@ -26,7 +26,7 @@ def main(arguments: list[str]) -> int:
     keep_to_this_host()
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
-    node = rclpy.create_node("selftest_source", context=context)
+    node = rclpy.create_node("soak_source", context=context)
     publishers = [node.create_publisher(*t) for t in (topics.TOOL_POSE, topics.WRENCH, topics.DEFLECTION)]
     end = time.monotonic() + WAIT
     while not all(p.get_subscription_count() for p in publishers) and time.monotonic() < end:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from dataclasses import asdict, dataclass, field
 
+from faults.aftermath import Recorded, read_back
+from faults.disturbed import Disturbed, Told
+from faults.faults import ENDS, GOES_ON, Fault
 from kr270_milling.base.errors import MillingError
 from kr270_milling.graph.graph import NOT_COMPLETE
-from kr270_milling.selftest.aftermath import Recorded, read_back
-from kr270_milling.selftest.disturbed import Disturbed, Told
-from kr270_milling.selftest.faults import ENDS, GOES_ON, Fault
 from kr270_milling.simulation.milling_pass import PassResult
 
 __all__ = ["TELL_WITHIN", "TOO_LATE", "Trial", "run_trial"]

@@ -8,15 +8,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from faults.aftermath import is_alive
+from faults.clock import SteppedClock, compiler
+from faults.disturbed import Disturbed
+from faults.faults import ENDS, Fault
+from faults.trial import TOO_LATE, Trial, run_trial
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
-from kr270_milling.selftest.aftermath import is_alive
-from kr270_milling.selftest.clock import SteppedClock, compiler
-from kr270_milling.selftest.disturbed import Disturbed
-from kr270_milling.selftest.faults import ENDS, Fault
-from kr270_milling.selftest.trial import TOO_LATE, Trial, run_trial
 from kr270_milling.simulation.milling_pass import PassResult
 
 __all__ = ["Row", "expected_seconds", "fault_cell", "run_faults"]
