@@ -29,7 +29,7 @@ setup(
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"],
-        "test": ["pytest>=7.4", "hypothesis>=6.80", "pin>=2.7", "rosbags>=0.10", "ruff>=0.6"],
+        "test": ["pytest>=7.4", "hypothesis>=6.80", "pin>=2.7", "rosbags>=0.10", "ruff>=0.6", "import-linter>=2.6"],
     },
     zip_safe=False,
     maintainer="kr270_milling maintainers",

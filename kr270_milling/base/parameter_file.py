@@ -61,7 +61,7 @@ def parse(text: str, file, key: str):
     import yaml
 
     try:
-        return yaml.load(text, Loader=_strict_loader())
+        return yaml.load(text, Loader=_strict_loader())  # noqa: S506 - a SafeLoader that is stricter still
     except RecursionError:
         raise ConfigError(file, key, None, "is not valid YAML: nested too deeply") from None
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:

@@ -4,28 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from kr270_milling.base.frames import abc_from_rotation, rotation_from_quaternion
 from kr270_milling.trajectory.files import write_files
+from kr270_milling.trajectory.offsets import offsets
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
-__all__ = ["offsets", "write_rsi_table", "write_joint_table", "RSI_TICKS_NS", "JOINT_NAMES"]
+__all__ = ["write_rsi_table", "write_joint_table", "RSI_TICKS_NS", "JOINT_NAMES"]
 
 RSI_TICKS_NS = (4_000_000, 12_000_000)
 JOINT_NAMES = ("joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6")
-
-
-def offsets(original: Trajectory, revised: Trajectory, tick_ns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Revised minus original at every tick: times [ns], (m,), shifts [m], (m, 3), turns as A, B, C [rad], (m, 3).
-
-    Shifts and turns stand in the axes of the trajectories' frame ($BASE); a turn carries the original orientation into
-    the revised one.
-    """
-    if original.duration_ns != revised.duration_ns or original.frame != revised.frame:
-        raise TrajectoryError("the original and the revised trajectory must share duration and frame")
-    time_ns = np.arange(0, original.duration_ns + tick_ns, tick_ns)
-    before, after = (rotation_from_quaternion(t.sample_orientation(time_ns)) for t in (original, revised))
-    turn = abc_from_rotation(after @ np.swapaxes(before, 1, 2))
-    return time_ns, revised.sample(time_ns) - original.sample(time_ns), turn
 
 
 def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: int = RSI_TICKS_NS[0]) -> None:

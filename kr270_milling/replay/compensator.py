@@ -171,9 +171,9 @@ class CompensatorModel:
             earlier = earlier[:-1]
         state.reference, state.errors = self.reference, list(earlier)
         if report and report.finished and self._ran_report is not None:
-            state.finished, state._best = True, (min(earlier), self.reference, ())
+            state.finished, state._best = True, (min(earlier), self.reference, ())  # noqa: SLF001
         elif earlier:
-            state._best = (min(earlier), None, ())  # that trajectory is not in this recording
+            state._best = (min(earlier), None, ())  # that trajectory is not in this recording  # noqa: SLF001
         return state
 
     def _decided(self, state: Compensator) -> bool:

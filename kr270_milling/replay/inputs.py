@@ -67,7 +67,7 @@ def trajectory_of(data: bytes, as_sent: bool = False) -> Trajectory:
         found.frame_id,
     )
     if as_sent:
-        run._keep("quaternion", np.array(found.quaternion[:, 0]))
+        run._keep("quaternion", np.array(found.quaternion[:, 0]))  # noqa: SLF001
     return run
 
 

@@ -36,7 +36,7 @@ def guarded(callback):
         except MillingError as error:
             self.refused += 1
             self.report(ERROR, str(error))
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is reported and ends the node
             self.failure = f"{type(error).__name__} in {callback.__name__}: {error}"
             self.report(ERROR, self.failure)
         return None
@@ -163,7 +163,7 @@ class ManagedNode(Reporting, LifecycleNode):
         except MillingError as error:
             self.report(ERROR, str(error))
             return TransitionCallbackReturn.FAILURE
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is reported and ends the node
             self.failure = f"{type(error).__name__} in {name}: {error}"
             self.report(ERROR, self.failure)
             return TransitionCallbackReturn.FAILURE
@@ -192,7 +192,7 @@ class ManagedNode(Reporting, LifecycleNode):
     def _LifecycleNodeMixin__on_change_state(self, request, response):
         """An invalid transition raises in rclpy and would kill the node: refuse it instead."""
         try:
-            return LifecycleNode._LifecycleNodeMixin__on_change_state(self, request, response)
+            return LifecycleNode._LifecycleNodeMixin__on_change_state(self, request, response)  # noqa: SLF001
         except rclpy_implementation.RCLError:
             wanted = request.transition.label or request.transition.id
             self.get_logger().warning(

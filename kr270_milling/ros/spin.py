@@ -36,7 +36,7 @@ def run_node(make, args: list[str] | None = None, drained: bool = False) -> int:
     program = os.path.basename(sys.argv[0])
     try:
         rclpy.init(args=args, context=context, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001 - rclpy raises several of its own for arguments that it refuses
         print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     try:

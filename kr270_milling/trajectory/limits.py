@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.programs.rsi import offsets
 from kr270_milling.trajectory.joint_limits import joint_rates
+from kr270_milling.trajectory.offsets import offsets
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Finding", "exceeding", "correction_size", "correction_per_tick", "axis_reversals", "corner_blending",

@@ -13,8 +13,8 @@ from typing import NamedTuple
 from faults.clock import SteppedClock
 from kr270_milling.cell.cell import Cell
 from kr270_milling.graph.graph import Graph
+from kr270_milling.graph.matching import ROBOT
 from kr270_milling.graph.processes import Child, remove_litter
-from kr270_milling.ros.matching import ROBOT
 
 __all__ = ["Disturbed", "Told"]
 

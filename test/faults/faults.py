@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from faults.disturbed import Disturbed
 from kr270_milling.bag.reader import find_file
-from kr270_milling.ros.matching import COMPENSATOR, CUT, RECORDER, ROBOT
+from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT
 
 __all__ = ["ENDS", "FAULTS", "GOES_ON", "Fault"]
 

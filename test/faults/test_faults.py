@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import ast
 import json
 import os
 import signal
@@ -166,22 +165,6 @@ def test_timers_of_a_node_run_on_while_its_own_clock_stands_still(world):
     begun = node.get_clock().now().nanoseconds
     world.until(lambda: "/still" in told.last, 3.0)
     assert node.get_clock().now().nanoseconds == begun == 0
-
-
-def test_nobody_but_a_watchdog_reads_a_clock_and_that_is_the_monotonic_one():
-    """The wall clock is read nowhere: time is the stamp of a message. Exempt: reports, which print a date."""
-    wall = ("time.time", "time.time_ns", "time.localtime", "datetime.now", "datetime.datetime.now", "get_clock")
-    steady = ("time.monotonic", "time.perf_counter")
-    for path in PACKAGE.rglob("*.py"):
-        folder = path.relative_to(PACKAGE).parts[0]
-        if folder == "commands":
-            continue
-        for call in (node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)):
-            name = ast.unparse(call.func)
-            assert not name.endswith(wall), f"{path}, line {call.lineno}: {name}"
-            if name in steady:
-                timing = path.name in ("bench.py", "milling_pass.py", "verdict.py")  # they measure how long it took
-                assert folder in ("ros", "graph", "nodes") or timing, f"{path}, line {call.lineno}: {name}"
 
 
 class Quiet(Graph):
