@@ -17,6 +17,7 @@ import numpy as np
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter
+from kr270_milling.robot.compensator import NO_COMPENSATOR, Compensator
 
 __all__ = ["Arm", "Mount", "BARE", "AXES"]
 
@@ -53,6 +54,7 @@ class Arm(Record):
         unit="mm", text="radius of each link seen as a thin tube, for the rotary inertia of its sections", low=0.0,
         high=2000.0, size=6,
     )  # fmt: skip
+    compensator: Compensator = NO_COMPENSATOR
 
     def check(self):
         if not np.all(self.joint_lower < self.joint_upper):

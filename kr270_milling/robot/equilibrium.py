@@ -136,7 +136,7 @@ def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
     residual = np.inf
     while held < 1.0:
         share = min(1.0, held + step)
-        part = LinkLoads(loads.mass, share * loads.gravity)
+        part = loads.part(share)
         trial, left, steps = _newton(arm, mount, q[None], share * wrench[None], part, theta)
         count += int(steps[0])
         if left[0] <= RESIDUAL and np.abs(trial - theta).max() < LARGE:

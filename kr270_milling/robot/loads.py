@@ -1,5 +1,7 @@
 """What weighs on the joint springs: torque of the wrench and of the link weights (6), and its derivative (14), (15).
 
+An arm with a gravity compensator (``compensator.py``) has its moment on joint 2 as well, wherever the weights count.
+
 Wrenches are force and moment on the tool at the tool point, constant in base_link axes, translations first [N, N m].
 """
 
@@ -10,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.robot.arm import Arm, Mount
+from kr270_milling.robot.compensator import NO_COMPENSATOR, Compensator
 from kr270_milling.robot.kinematics import LinkFrames, cross, forward
 
 __all__ = ["GRAVITY", "LinkLoads", "link_loads", "load_torque", "load_hessian", "hessian"]
@@ -26,6 +29,12 @@ class LinkLoads:
 
     mass: np.ndarray  #: [kg], (8,)
     gravity: np.ndarray  #: [m/s^2] in base_link, (3,)
+    compensator: Compensator = NO_COMPENSATOR  #: it balances weights, so it is there where they are
+    share: float = 1.0  #: of the whole load that is on: gravity has it already, the compensator's moment gets it
+
+    def part(self, share: float) -> LinkLoads:
+        """The same share of every load."""
+        return LinkLoads(self.mass, share * self.gravity, self.compensator, share * self.share)
 
     @property
     def forces(self) -> np.ndarray:
@@ -42,7 +51,8 @@ def link_loads(arm: Arm, mount: Mount, gravity: float = GRAVITY) -> LinkLoads:
     mass[:6] += arm.link_mass * (1 - arm.link_mass_centre)
     mass[1:7] += arm.link_mass * arm.link_mass_centre
     mass[7] = mount.mass
-    return LinkLoads(mass, np.array([0.0, 0.0, -gravity]))
+    balanced = arm.compensator if gravity else NO_COMPENSATOR
+    return LinkLoads(mass, np.array([0.0, 0.0, -gravity]), balanced)
 
 
 def _moment_arms(frames: LinkFrames, loads: LinkLoads) -> np.ndarray:
@@ -57,7 +67,19 @@ def load_torque(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads) -> np.
     force, moment = wrench[..., None, :3], wrench[..., None, 3:]
     arms = frames.tool.position[..., None, :] - frames.nodes[..., :6, :]
     about_axis = cross(arms, force) + moment + cross(_moment_arms(frames, loads), loads.gravity)
-    return np.einsum("...ij,...ij->...i", frames.axes, about_axis)
+    torque = np.einsum("...ij,...ij->...i", frames.axes, about_axis)
+    if loads.compensator.present:
+        torque[..., 1] += loads.share * loads.compensator.moment(*_joint_2(frames))
+    return torque
+
+
+def _joint_2(frames: LinkFrames):
+    """Cosine and sine of q2, (...,): Ry(q2) = R_1^T R_2."""
+    forward = frames.rotations[..., 0, :, 0]
+    upper_arm = frames.rotations[..., 1, :, :]
+    cosine = np.einsum("...i,...i->...", forward, upper_arm[..., 0])
+    sine = np.einsum("...i,...i->...", forward, upper_arm[..., 2])
+    return cosine, sine
 
 
 def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads) -> np.ndarray:
@@ -72,7 +94,10 @@ def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads) -> np
     weight = cross(cross(axes, _moment_arms(frames, loads)), loads.gravity)
     upper = np.triu(axes @ np.swapaxes(cross(cross(axes, arms), force) + weight, -1, -2))  # i <= k
     symmetric = upper + np.swapaxes(np.triu(upper, 1), -1, -2)
-    return symmetric + np.tril(cross(axes, moment) @ np.swapaxes(axes, -1, -2), -1)
+    bent = symmetric + np.tril(cross(axes, moment) @ np.swapaxes(axes, -1, -2), -1)
+    if loads.compensator.present:
+        bent[..., 1, 1] += loads.share * loads.compensator.moment_slope(*_joint_2(frames))
+    return bent
 
 
 def hessian(arm: Arm, mount: Mount, q_loaded, wrench, loads: LinkLoads) -> np.ndarray:

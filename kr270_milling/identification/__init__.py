@@ -1,0 +1,1 @@
+"""Compliances, force coefficients and modes from the measurements of one robot, one tool and one material."""

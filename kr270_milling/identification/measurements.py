@@ -1,0 +1,122 @@
+"""Load tests of an arm: at a posture a load is put on, and a tracker sees how far a reflector moves by it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.table import Table, read_table, write_table
+from kr270_milling.robot.arm import Arm, Mount
+from kr270_milling.robot.loads import GRAVITY
+
+__all__ = ["COLUMNS", "Measurements", "read_measurements", "write_measurements"]
+
+JOINTS = tuple(f"a{j}_deg" for j in range(1, 7))
+WRENCH = ("fx_n", "fy_n", "fz_n", "mx_n_m", "my_n_m", "mz_n_m")
+MASS = ("mass_kg", "mass_centre_x_mm", "mass_centre_y_mm", "mass_centre_z_mm")
+SHIFT = ("dx_mm", "dy_mm", "dz_mm")
+TILT = ("rx_mrad", "ry_mrad", "rz_mrad")
+SIGMA = ("sigma_um", "sigma_mrad")
+REFLECTOR = ("reflector_x_mm", "reflector_y_mm", "reflector_z_mm")
+COLUMNS = (*JOINTS, *WRENCH, *MASS, *REFLECTOR, *SHIFT, *TILT, *SIGMA, "note")
+#: three reflectors 0.2 m apart tell a rotation to sqrt(2) of what each tells a place, over that distance [1/m]
+ROTATION_PER_SHIFT = np.sqrt(2.0) / 0.2
+FARTHEST = 0.2  #: [m] that a load test moves a reflector at most; more is a wrong unit
+
+
+@dataclass(frozen=True, eq=False)
+class Measurements:
+    """n load tests. Base axes unless the name says otherwise; NaN: not measured."""
+
+    q: np.ndarray  #: joint angles that the controller holds [rad], (n, 6)
+    wrench: np.ndarray  #: of the test load, at ``application`` [N, N m], (n, 6)
+    application: np.ndarray  #: where the load acts, flange frame [m], (n, 3)
+    reflector: np.ndarray  #: flange frame [m], (n, 3)
+    displacement: np.ndarray  #: translation and rotation vector of the reflector by the load [m, rad], (n, 6)
+    sigma: np.ndarray  #: standard deviation of each of them [m, rad], (n, 6); relative ones if not ``sigma_known``
+    sigma_known: bool
+
+    def __len__(self) -> int:
+        return len(self.q)
+
+    def __post_init__(self):
+        for name in ("wrench", "displacement", "sigma"):
+            if getattr(self, name).shape != self.q.shape:
+                raise MillingError(f"{name} must be of shape {self.q.shape}, as the postures are")
+
+    def take(self, rows) -> Measurements:
+        """Some of the rows."""
+        arrays = (self.q, self.wrench, self.application, self.reflector, self.displacement, self.sigma)
+        return Measurements(*(array[rows] for array in arrays), self.sigma_known)
+
+
+def read_measurements(path, arm: Arm, mount: Mount) -> Measurements:
+    """A CSV file of load tests, one a row; the columns are COLUMNS. Raises InputError."""
+    table = read_table(path, COLUMNS, (*JOINTS, *SHIFT))
+    q = np.radians(table.numbers(JOINTS))
+    outside = ~((q >= arm.joint_lower - 1e-9) & (q <= arm.joint_upper + 1e-9)).all(1)
+    if outside.any():
+        raise InputError(path, "the posture is outside of the joint limits of the arm", table.lines[outside.argmax()])
+    wrench, application = _loads(table, mount)
+    reflector = np.where(_given(table, REFLECTOR)[:, None], 1e-3 * table.numbers(REFLECTOR, 0.0), mount.xyz)
+    shift = 1e-3 * table.numbers(SHIFT)
+    far = np.abs(shift).max(1) > FARTHEST
+    if far.any():
+        raise InputError(path, f"a load moved the arm by more than {FARTHEST} m", table.lines[far.argmax()])
+    tilt = 1e-3 * table.numbers(TILT, np.nan)
+    sigma, known = _sigma(table)
+    return Measurements(q, wrench, application, reflector, np.hstack([shift, tilt]), sigma, known)
+
+
+def _given(table: Table, names) -> np.ndarray:
+    """(n,): rows that have any of the columns."""
+    return np.isfinite(table.numbers(names, np.nan)).any(1)
+
+
+def _loads(table: Table, mount: Mount) -> tuple[np.ndarray, np.ndarray]:
+    """Wrench (n, 6), base axes, and the point where it acts (n, 3), flange frame; a mass hangs in its centre."""
+    forced, weighed = _given(table, WRENCH), _given(table, MASS[:1])
+    for row, line in enumerate(table.lines):
+        if forced[row] == weighed[row]:
+            both = "both a wrench and a mass" if forced[row] else "neither a wrench nor a mass_kg"
+            raise InputError(table.path, f"has {both}", line)
+    wrench = np.where(forced[:, None], table.numbers(WRENCH, 0.0), 0.0)
+    wrench[weighed, 2] = -GRAVITY * table.number("mass_kg", 0.0)[weighed]
+    idle = ~np.abs(wrench).any(1)
+    if idle.any():
+        raise InputError(table.path, "the load is zero", table.lines[int(idle.argmax())])
+    centre = 1e-3 * table.numbers(MASS[1:], 0.0)
+    hung = weighed & _given(table, MASS[1:])
+    return wrench, np.where(hung[:, None], centre, mount.xyz)
+
+
+def _sigma(table: Table) -> tuple[np.ndarray, bool]:
+    """(n, 6) [m, rad] and whether the file states them in all rows."""
+    known = "sigma_um" in table
+    shift = 1e-6 * table.number("sigma_um", None if known else 1.0)
+    tilt = 1e-3 * table.number("sigma_mrad", np.nan)
+    tilt = np.where(np.isfinite(tilt), tilt, ROTATION_PER_SHIFT * shift)
+    for row, line in enumerate(table.lines):
+        if not (shift[row] > 0.0 and tilt[row] > 0.0):
+            raise InputError(table.path, "a standard deviation must be above 0", line)
+    return np.stack([shift] * 3 + [tilt] * 3, -1), known
+
+
+def write_measurements(path, measured: Measurements, notes=(), remarks=None) -> None:
+    """The same file again; loads as wrenches at the tool point of the rows, what is not measured empty.
+
+    Only for loads that act at one point: the reader puts them at the mount's tool point.
+    """
+    tilted = bool(np.isfinite(measured.displacement[:, 3:]).any())
+    names = [*JOINTS, *WRENCH, *REFLECTOR, *SHIFT, *(TILT if tilted else ()), *SIGMA[: 1 + tilted], "note"]
+    columns = [np.degrees(measured.q), measured.wrench, 1e3 * measured.reflector, 1e3 * measured.displacement[:, :3]]
+    if tilted:
+        columns.append(1e3 * measured.displacement[:, 3:])
+    columns.append(1e6 * measured.sigma[:, :1])
+    if tilted:
+        columns.append(1e3 * measured.sigma[:, 3:4])
+    rows = [[f"{v:.9g}" if np.isfinite(v) else "" for v in row] for row in np.hstack(columns).tolist()]
+    remarks = remarks or [""] * len(rows)
+    write_table(path, names, [[*row, remark] for row, remark in zip(rows, remarks, strict=True)], notes)
