@@ -35,6 +35,13 @@ class Limits(Record):
     blending_share: float = parameter(
         0.5, above=0.0, high=10.0, text="share of the correction that the blending of LIN motions may round off"
     )
+    rapid_contact: float = parameter(
+        20e-6, unit="um", low=0.0, high=1e4,
+        text="deepest contact of a rapid move beyond the spring-back of the arm",
+    )  # fmt: skip
+    below_stock: float = parameter(
+        0.0, unit="mm", low=0.0, high=1e3, text="how far the tool may go below the stock, into a sacrificial plate"
+    )
     # assumed: a milling spindle of the size that a heavy arm carries
     spindle_torque: float = parameter(10.0, unit="n_m", above=0.0, high=1e4, text="most that the spindle gives")
     spindle_power: float = parameter(10e3, unit="kw", above=0.0, high=1e3, text="most that the spindle gives")

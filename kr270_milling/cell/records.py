@@ -11,6 +11,7 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter, specs
 from kr270_milling.cell.limits import Limits
+from kr270_milling.cell.part import Part
 from kr270_milling.cell.plausibility import MOST_STEPS, check_effort
 from kr270_milling.cell.program import Program
 from kr270_milling.cell.uncertainty import Uncertainty
@@ -33,6 +34,20 @@ class Workpiece(Record):
         unit="mm", size=3, low=-1e5, high=1e5, text="origin of the workpiece frame on base_link"
     )
     abc: np.ndarray = parameter(unit="deg", size=3, low=-360.0, high=360.0, text="its orientation, KUKA A, B, C")
+
+    fixtures: np.ndarray = parameter(
+        [], unit="mm", low=-1e5, high=1e5,
+        text="boxes that the tool must not enter, workpiece frame: x, y, z of both corners, one box after the other",
+    )  # fmt: skip
+
+    def check(self) -> None:
+        if self.fixtures.size % 6:
+            raise ParameterError("fixtures_mm", (1e3 * self.fixtures).tolist(), "six numbers for each box")
+
+    @property
+    def fixture_boxes(self) -> np.ndarray:
+        """Lower and upper corner of each box [m], (n, 2, 3), workpiece frame."""
+        return np.sort(self.fixtures.reshape(-1, 2, 3), axis=1)
 
     @property
     def pose(self) -> Pose:
@@ -88,6 +103,7 @@ class Parameters(Record):
     program: Program = dataclasses.field(default_factory=Program)
     limits: Limits = dataclasses.field(default_factory=Limits)
     uncertainty: Uncertainty = dataclasses.field(default_factory=Uncertainty)
+    part: Part = dataclasses.field(default_factory=Part)
 
     def check(self) -> None:
         turn = 2.0 * np.pi / self.exchange.micro_step

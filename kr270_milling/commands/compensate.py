@@ -71,7 +71,7 @@ def run(args) -> int:
         print_json(found)
     else:
         _print(cell, passes, found, checked)
-    return 1 if checked.stops else 0
+    return 0 if checked.may_be_run else 1
 
 
 def _correction(cell, revised, by) -> dict:
@@ -169,8 +169,6 @@ def _write_part(draft, final, cell, passes, parts, args, source, date: str) -> d
 
 
 def _print(cell, passes, found: dict, checked) -> None:
-    from kr270_milling.commands.check import print_findings
-
     if cell.path.file:
         _print_features(found["features"], found["method"])
     else:
@@ -185,7 +183,7 @@ def _print(cell, passes, found: dict, checked) -> None:
         print(f"and so at {len(found['limited']) - SHOWN} more places (--json lists them)")
     if "chord_error_mm" in found:
         print(f"LIN chords stand off the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um")
-    print_findings(checked)
+    print("\n".join(checked.lines()))
     if found["verdict"]:
         _print_verdict(found["verdict"])
     print(f"{found['points']} reference points: {found['trajectory']}")

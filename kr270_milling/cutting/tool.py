@@ -32,6 +32,13 @@ class Tool(Record):
         0.0, unit="deg", low=-360.0, high=360.0, text="tooth 0 at t = 0, from +x in the sense of rotation"
     )
 
+    flute_length: float = parameter(0.0, unit="mm", low=0.0, high=500.0, text="of the cutting edges; 0: not known")
+    centre_cutting: bool = parameter(True, text="whether the tool can plunge straight into material")
+    max_feed_per_tooth: float = parameter(0.0, unit="mm", low=0.0, high=10.0, text="its maker's limit; 0: not known")
+    max_cutting_speed: float = parameter(
+        0.0, unit="m_per_min", low=0.0, high=2e4, text="its maker's limit; 0: not known"
+    )
+
     def check(self) -> None:
         for name, unit in (("pitch", "deg"), ("runout", "um")):
             if getattr(self, name).size not in (0, self.teeth):

@@ -2,53 +2,65 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
-from kr270_milling.decision.check_arm import arm_findings
-from kr270_milling.decision.check_cut import cut_findings
-from kr270_milling.trajectory.limits import Finding, corner_blending, correction_per_tick, correction_size
+from kr270_milling.decision.check_arm import arm_violations
+from kr270_milling.decision.check_cell import cell_violations
+from kr270_milling.decision.check_cut import cut_violations
+from kr270_milling.decision.findings import SEVERITIES, Finding, gathered
+from kr270_milling.decision.path_limits import (
+    Violation,
+    corner_blending,
+    correction_per_tick,
+    correction_size,
+)
+from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
+from kr270_milling.simulation.milling_pass import FLIGHT, PassError
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Checked", "check"]
 
-SEVERITIES = ("stop", "warning", "note")
-
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """What was found, the worst first; lines of the tool path file where there is one."""
+    """What was found, the worst first."""
 
     findings: tuple[Finding, ...]
-    lines: tuple[int | None, ...]
     points: int
     ran: ScoredPass | None  #: the pass that was simulated, if the arm can make it
 
     @property
-    def stops(self) -> bool:
-        """Whether the path must not be run."""
-        return any(f.severity == "stop" for f in self.findings)
+    def may_be_run(self) -> bool:
+        """Whether nothing was found that forbids it."""
+        return not self.count("stop")
 
     def count(self, severity: str) -> int:
+        """Findings of that severity, like ones counted once."""
         return sum(f.severity == severity for f in self.findings)
 
-    def sentences(self) -> list[str]:
-        """One for each finding, with its line."""
-        pairs = zip(self.findings, self.lines, strict=True)
-        return [f.sentence + ("" if line is None else f" (line {line})") for f, line in pairs]
+    @property
+    def summary(self) -> str:
+        """One line: points, counts, and whether the path may be run."""
+        counts = ", ".join(f"{self.count(s)} {s}{'' if self.count(s) == 1 else 's'}" for s in ("stop", "warning"))
+        verdict = "may be run, after a test in T1" if self.may_be_run else "must not be run"
+        return f"{self.points} points, {counts}: the path {verdict}"
+
+    def lines(self) -> list[str]:
+        """What terminal, report and program headers print: one line a finding, then the summary."""
+        return [*(f"{f.severity:8} {f.text}" for f in self.findings), self.summary]
 
     def as_dict(self) -> dict:
-        """For JSON; values and limits in SI units."""
-        rows = [asdict(f) | {"line": line} for f, line in zip(self.findings, self.lines, strict=True)]
+        """For JSON; values and limits in the unit that stands beside them."""
         return {
-            "may_be_run": not self.stops,
+            "may_be_run": self.may_be_run,
             "points": self.points,
             **{f"{severity}s": self.count(severity) for severity in SEVERITIES},
-            "findings": rows,
+            "findings": [f.as_dict() for f in self.findings],
         }
 
 
@@ -66,23 +78,36 @@ def check(
     fed = cell.fed_path
     programmed = cell.target() if fed is None else fed.trajectory
     run = programmed if reference is None else reference
-    found, joints = arm_findings(cell, run)
-    reachable = joints is not None and not any(f.kind == "joint limit" for f in found)
+    found, joints = arm_violations(cell, run)
+    reachable = joints is not None and not any(v.kind == "joint limit" for v in found)
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
-        found, _ = arm_findings(cell, run)
+        found, _ = arm_violations(cell, run)
+    found += cell_violations(cell)
     if reachable:
         target = cell.target()
         straight = run.velocity is None and target.velocity is not None
         found += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
-        if ran is None:
-            ran = simulate(cell, run, "checked", progress)
-        found += cut_findings(cell, run, ran)
-    found = sorted(found, key=lambda f: (SEVERITIES.index(f.severity), f.point))
-    return Checked(tuple(found), _lines(cell, found), len(run), ran if reachable else None)
+        ran, cut = _cut(cell, run, ran, progress)
+        found += cut
+    return Checked(gathered(cell, run, found), len(run), ran if reachable else None)
 
 
-def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) -> list[Finding]:
+def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:
+    """The pass along ``run``, simulated where it was not yet, and what it shows."""
+    try:
+        ran = ran or simulate(cell, run, "checked", progress)
+    except PassError as error:
+        point = int(np.searchsorted(run.time, error.at)) + 1
+        return None, [Violation("deflection", point, error.deflection, FLIGHT, "stop", str(error))]
+    except DeflectionError as error:
+        return None, [Violation("joint deflection", None, error.deflection, error.limit, "stop", str(error))]
+    except (UnstableLoadError, EquilibriumError) as error:
+        return None, [Violation("load on the arm", None, error.load_factor, 1.0, "stop", str(error))]
+    return ran, cut_violations(cell, run, ran)
+
+
+def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) -> list[Violation]:
     if not np.array_equal(target.time_ns, run.time_ns):
         raise InputError("reference", f"its times are not those of the {len(target)} points of this cell's path")
     if run is target:
@@ -93,11 +118,3 @@ def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) ->
     if motion == "LIN":
         found += corner_blending(target, run, cell.program.blend_distance, cell.limits.blending_share)
     return found
-
-
-def _lines(cell: Cell, found: list[Finding]) -> tuple[int | None, ...]:
-    fed = cell.fed_path
-    if fed is None:
-        return (None,) * len(found)
-    points = np.clip([f.point - 1 for f in found], 0, len(fed.block) - 1).astype(int)
-    return tuple(line or None for line in fed.toolpath.line[fed.block[points]].tolist()) if found else ()

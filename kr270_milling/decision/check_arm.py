@@ -6,16 +6,16 @@ import numpy as np
 
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
-from kr270_milling.robot import inverse_near, singularity_measures, status_turn
+from kr270_milling.decision.path_limits import Violation, axis_reversals, joint_accelerations, joint_speeds
+from kr270_milling.robot import inverse_near, jacobian, singularity_measures, status_turn
 from kr270_milling.robot.errors import SingularityError
 from kr270_milling.robot.inverse import branches
-from kr270_milling.trajectory.limits import Finding, axis_reversals, joint_accelerations, joint_speeds
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["arm_findings", "runs"]
+__all__ = ["arm_violations", "runs"]
 
 
-def arm_findings(cell: Cell, run: Trajectory) -> tuple[list[Finding], np.ndarray | None]:
+def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.ndarray | None]:
     """Everything found about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
     tool = cell.workpiece.pose @ Pose(run.position, rotation_from_quaternion(run.quaternion))
     found = _reach(cell, tool)
@@ -26,12 +26,13 @@ def arm_findings(cell: Cell, run: Trajectory) -> tuple[list[Finding], np.ndarray
         joints = inverse_near(unlimited, cell.mount, tool, cell.start_joints)
     except SingularityError as error:
         point = error.index[0] + 1
-        return [Finding("singularity", point, error.measure, 0.0, "stop", f"point {point}: {error}")], None
+        return [Violation("singularity", point, error.measure, 0.0, "stop", f"point {point}: {error}")], None
     at_rest = run.velocity is not None and not run.velocity[[0, -1]].any()
     found = _joint_limits(cell, joints) + _singularities(cell, joints) + _flips(cell, joints)
     found += joint_speeds(run.time_ns, joints, cell.arm.joint_speed_limit)
     found += joint_accelerations(run.time_ns, joints, cell.arm.joint_acceleration_limit, at_rest)
-    return found + axis_reversals(joints, cell.limits.backlash), joints
+    lever = np.linalg.norm(jacobian(cell.arm, cell.mount, joints)[:, :3], axis=1)  # |d position / d joint|
+    return found + axis_reversals(joints, cell.limits.backlash, lever), joints
 
 
 def runs(over: np.ndarray, badness: np.ndarray) -> list[tuple[int, str]]:
@@ -44,7 +45,7 @@ def runs(over: np.ndarray, badness: np.ndarray) -> list[tuple[int, str]]:
     return found
 
 
-def _reach(cell: Cell, tool: Pose) -> list[Finding]:
+def _reach(cell: Cell, tool: Pose) -> list[Violation]:
     angles, distance = branches(cell.arm, cell.mount, tool, cell.start_joints)
     lost = ~np.isfinite(angles).all(-1).any(-1)
     nearest = distance.min(-1)
@@ -55,11 +56,11 @@ def _reach(cell: Cell, tool: Pose) -> list[Finding]:
             f"out of reach at {where}: the wrist centre would be {nearest[k]:.4f} m from axis 2 at point {k + 1}, but "
             f"the arm reaches from {least:.4f} to {most:.4f} m"
         )
-        found.append(Finding("reach", k + 1, float(nearest[k]), most, "stop", sentence))
+        found.append(Violation("reach", k + 1, float(nearest[k]), most, "stop", sentence))
     return found
 
 
-def _joint_limits(cell: Cell, joints: np.ndarray) -> list[Finding]:
+def _joint_limits(cell: Cell, joints: np.ndarray) -> list[Violation]:
     found = []
     for axis in range(6):
         angle, low, high = joints[:, axis], cell.arm.joint_lower[axis], cell.arm.joint_upper[axis]
@@ -68,11 +69,13 @@ def _joint_limits(cell: Cell, joints: np.ndarray) -> list[Finding]:
             limit = high if angle[k] > high else low
             shown, bounds = np.degrees(angle[k]), f"{np.degrees(low):g} to {np.degrees(high):g}"
             sentence = f"axis {axis + 1} leaves its range of {bounds} deg at {where}: {shown:.3f} deg at point {k + 1}"
-            found.append(Finding("joint limit", k + 1, float(angle[k]), float(limit), "stop", sentence))
+            found.append(
+                Violation("joint limit", k + 1, float(angle[k]), float(limit), "stop", sentence, f"axis {axis + 1}")
+            )
     return found
 
 
-def _singularities(cell: Cell, joints: np.ndarray) -> list[Finding]:
+def _singularities(cell: Cell, joints: np.ndarray) -> list[Violation]:
     arm, limits = cell.arm, cell.limits
     measures = singularity_measures(arm, joints) * [arm.a2 + arm.forearm, 1.0, 1.0]
     rows = [
@@ -88,15 +91,15 @@ def _singularities(cell: Cell, joints: np.ndarray) -> list[Finding]:
                 f"near the {which} singularity at {where}: {value[k] * scale:.4g} {what} at point {k + 1}, at least "
                 f"{least * scale:.4g} is wanted"
             )
-            found.append(Finding("singularity", k + 1, float(value[k]), least, "stop", sentence))
+            found.append(Violation("singularity", k + 1, float(value[k]), least, "stop", sentence, which))
     return found
 
 
-def _flips(cell: Cell, joints: np.ndarray) -> list[Finding]:
+def _flips(cell: Cell, joints: np.ndarray) -> list[Violation]:
     status, _ = status_turn(cell.arm, joints)
     found = []
     for k in np.flatnonzero(np.diff(status)).tolist():
         before, after = int(status[k]), int(status[k + 1])
         sentence = f"the configuration flips between points {k + 1} and {k + 2}: status S {before} becomes {after}"
-        found.append(Finding("configuration flip", k + 2, float(after), float(before), "stop", sentence))
+        found.append(Violation("configuration flip", k + 2, float(after), float(before), "stop", sentence))
     return found

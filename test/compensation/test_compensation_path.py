@@ -15,7 +15,7 @@ from kr270_milling.compensation.compensator import remaining_error
 from kr270_milling.compensation.mirror import loaded_pose
 from kr270_milling.compensation.revision import chord_error, corrected
 from kr270_milling.compensation.spline_fit import spline_fit
-from kr270_milling.trajectory.limits import correction_per_tick, correction_size
+from kr270_milling.decision.path_limits import correction_per_tick, correction_size
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory
 
 METHODS = ("linear", "spline", "learned", "mirror")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kr270_milling.trajectory.limits import (
+from kr270_milling.decision.path_limits import (
     axis_reversals,
     corner_blending,
     correction_per_tick,
@@ -57,9 +57,9 @@ def test_an_axis_reverses_where_it_turns_back_and_not_where_it_pauses():
     joints[:, 1] = [0, 1, 2, 2, 3, 2, 1, 1, 2]
     joints[:, 4] = [0, 1, 2, 2, 3, 3, 3, 4, 5]
     joints[:, 5] = 1e-6 * np.array([0, 1, 0, 1, 0, 1, 0, 1, 0])  # noise
-    findings = axis_reversals(joints, np.full(6, 1e-4))
+    findings = axis_reversals(joints, np.full(6, 1e-4), np.full(joints.shape, 2.0))
     assert [(f.point, f.severity) for f in findings] == [(5, "note"), (7, "note")]
-    assert all("axis 2" in f.sentence for f in findings)
+    assert all("axis 2" in f.sentence and f.value == 2e-4 for f in findings)  # 0.1 mrad at 2 m
 
 
 def corner(stop: bool) -> tuple[Trajectory, Trajectory]:

@@ -1,4 +1,4 @@
-"""Checks of a corrected path that need only numbers per knot; each returns a list of findings.
+"""Checks of a corrected path that need only numbers per knot; each returns a list of violations.
 
 Knots that offend one after another make one finding, named by the worst of them. Points are counted from 1, as in the
 robot program.
@@ -14,41 +14,42 @@ from kr270_milling.trajectory.joint_limits import joint_rates
 from kr270_milling.trajectory.offsets import offsets
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Finding", "exceeding", "correction_size", "correction_per_tick", "axis_reversals", "corner_blending",
+__all__ = ["Violation", "exceeding", "correction_size", "correction_per_tick", "axis_reversals", "corner_blending",
            "joint_speeds", "joint_accelerations"]  # fmt: skip
 
 
 @dataclass(frozen=True)
-class Finding:
-    """One thing that a check found."""
+class Violation:
+    """A run of points that offend against one limit, named by the worst of them; ``findings`` says what to do."""
 
     kind: str
-    point: int  #: number of the worst point, from 1
+    point: int | None  #: number of the worst point, from 1; None where it belongs to none
     value: float  #: there, in SI units
     limit: float
     severity: str  #: "stop": must not be run; "warning"; "note"
     sentence: str
+    subject: str = ""  #: of what kind there are several: an axis, a singularity
 
 
 def exceeding(kind: str, value, limit: float, what: str, unit: str, scale: float = 1.0, severity="stop", first=1):
-    """Findings where ``value`` (n,), one per point, exceeds the limit, or is NaN; the sentence shows value * scale.
+    """Violations where ``value`` (n,), one per point, exceeds the limit, or is NaN; the sentence shows value * scale.
 
     first: number of the point that value[0] belongs to.
     """
     value = np.asarray(value, float)
     over = ~(value <= limit * (1 + 1e-9))  # NaN is over
     edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(np.int8)))
-    findings = []
+    violations = []
     for start, stop in edges.reshape(-1, 2).tolist():
         worst = start + int(np.argmax(np.where(np.isnan(value[start:stop]), np.inf, value[start:stop])))
         span = f"point {start + first}" if stop - start == 1 else f"points {start + first} to {stop - 1 + first}"
         amount = f"{value[worst] * scale:.4g} {unit} at point {worst + first}"
         sentence = f"{what} exceeds {limit * scale:.4g} {unit} ({span}): {amount}"
-        findings.append(Finding(kind, worst + first, float(value[worst]), limit, severity, sentence))
-    return findings
+        violations.append(Violation(kind, worst + first, float(value[worst]), limit, severity, sentence))
+    return violations
 
 
-def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Finding]:
+def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:
     """Where the correction [m] is larger than allowed, at a knot or at a tick on the way to it."""
     time_ns, shift, _ = offsets(original, revised, tick_ns)
     size = np.linalg.norm(revised.position - original.position, axis=1)
@@ -63,24 +64,27 @@ def _on_the_way(original: Trajectory, time_ns: np.ndarray, values: np.ndarray) -
     return largest
 
 
-def correction_per_tick(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Finding]:
+def correction_per_tick(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:
     """Where the correction [m] changes by more from one tick to the next than the controller takes."""
     time_ns, shift, _ = offsets(original, revised, tick_ns)
     largest = _on_the_way(original, time_ns[1:], np.linalg.norm(np.diff(shift, axis=0), axis=1))
     return exceeding("correction per tick", largest, limit, "the change of the correction per tick", "um", 1e6)
 
 
-def axis_reversals(joints, backlash, least: float = 1e-5) -> list[Finding]:
+def axis_reversals(joints, backlash, lever, least: float = 1e-5) -> list[Violation]:
     """Where a joint turns back, so that its backlash [rad], (6,), shows; movements below ``least`` [rad] are noise.
 
-    joints [rad], (n, 6). An axis that pauses and goes on in the same sense does not reverse.
+    joints [rad], (n, 6); lever: distance of the tool tip from each axis [m], (n, 6), so that the tool jumps by
+    backlash times lever. An axis that pauses and goes on in the same sense does not reverse.
     """
-    findings = []
+    violations = []
     for axis, (angle, play) in enumerate(zip(np.asarray(joints, float).T, np.asarray(backlash, float), strict=True)):
         for k in _turns(angle.tolist(), least):
-            sentence = f"axis {axis + 1} reverses at point {k + 1}; its backlash of {np.degrees(play):.3g} deg shows"
-            findings.append(Finding("axis reversal", k + 1, float(play), 0.0, "note", sentence))
-    return sorted(findings, key=lambda f: f.point)
+            jump = float(play * lever[k, axis])
+            name = f"axis {axis + 1}"
+            sentence = f"{name} reverses at point {k + 1}: its backlash lets the tool jump by {1e6 * jump:.3g} um"
+            violations.append(Violation("axis reversal", k + 1, jump, 0.0, "note", sentence, name))
+    return sorted(violations, key=lambda v: v.point)
 
 
 def _turns(angle: list[float], least: float) -> list[int]:
@@ -97,7 +101,7 @@ def _turns(angle: list[float], least: float) -> list[int]:
     return turns
 
 
-def corner_blending(original: Trajectory, revised: Trajectory, blend_distance: float, share=0.5) -> list[Finding]:
+def corner_blending(original: Trajectory, revised: Trajectory, blend_distance: float, share=0.5) -> list[Violation]:
     """Where the controller's blending of LIN motions rounds off more than a share of the correction at the knot [m].
 
     A parabola that leaves the corner's legs at the distance d, at most half a leg, misses the corner by d sin(t/2) / 2
@@ -116,21 +120,21 @@ def corner_blending(original: Trajectory, revised: Trajectory, blend_distance: f
     return exceeding("corner blending", ratio, share, what, "%", 100.0, "warning", first=2)
 
 
-def joint_speeds(time_ns, joints, limit) -> list[Finding]:
+def joint_speeds(time_ns, joints, limit) -> list[Violation]:
     """Where a joint runs faster between two knots than its limit [rad/s], (6,); named by the later knot."""
     speed, _ = joint_rates(np.asarray(time_ns) * 1e-9, np.asarray(joints, float))
     return _joints("joint speed", np.abs(speed), limit, "deg/s", 2)
 
 
-def joint_accelerations(time_ns, joints, limit, at_rest: bool = True) -> list[Finding]:
+def joint_accelerations(time_ns, joints, limit, at_rest: bool = True) -> list[Violation]:
     """Where a joint accelerates harder at a knot than its limit [rad/s^2], (6,)."""
     _, acceleration = joint_rates(np.asarray(time_ns) * 1e-9, np.asarray(joints, float), at_rest)
     return _joints("joint acceleration", np.abs(acceleration), limit, "deg/s^2", 1)
 
 
-def _joints(kind: str, values: np.ndarray, limit, unit: str, first: int) -> list[Finding]:
-    findings = []
+def _joints(kind: str, values: np.ndarray, limit, unit: str, first: int) -> list[Violation]:
+    violations = []
     for axis, most in enumerate(np.asarray(limit, float).tolist()):
         what = f"the {kind.split()[1]} of axis {axis + 1}"
-        findings += exceeding(kind, values[:, axis], most, what, unit, 180 / np.pi, first=first)
-    return findings
+        violations += exceeding(kind, values[:, axis], most, what, unit, 180 / np.pi, first=first)
+    return violations

@@ -1,0 +1,83 @@
+"""Checks of the cell itself: numbers that no arm, tool or placement has, mostly units that slipped."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kr270_milling.cell.cell import Cell
+from kr270_milling.decision.path_limits import Violation
+
+__all__ = ["cell_violations"]
+
+#: [rad/(N m)], joint compliances of heavy arms lie at 0.1 to 10 urad/(N m) (Table 1 of [Klimchik2012]: 0.15 to 2.13)
+COMPLIANCE = 1e-8, 1e-4
+#: [kg], links of arms that carry a milling spindle (Table 1: 18 to 337)
+LINK_MASS = 1.0, 2e3
+WIDEST_GRID = 0.05  #: of the tool's radius: with fewer nodes across a cut its force is noise
+
+
+def cell_violations(cell: Cell) -> list[Violation]:
+    """What is unlikely in the parameter file; all are warnings, for the user may have an unlikely cell."""
+    return _elasticity(cell) + _masses(cell) + _tool(cell) + _envelope(cell) + _posture(cell)
+
+
+def _warning(kind: str, value: float, limit: float, sentence: str) -> list[Violation]:
+    return [Violation(kind, None, float(value), float(limit), "warning", sentence)]
+
+
+def _outside(values: np.ndarray, low: float, high: float) -> int | None:
+    """The first index whose value is not within the bounds; None where all are."""
+    over = np.flatnonzero(~((values >= low) & (values <= high)))
+    return int(over[0]) if over.size else None
+
+
+def _elasticity(cell: Cell) -> list[Violation]:
+    values = np.asarray(cell.arm.joint_compliance)
+    k = _outside(values, *COMPLIANCE)
+    if k is None:
+        return []
+    shown = f"joint {k + 1} gives way by {1e6 * values[k]:.3g} urad/(N m), arms of this size by 0.01 to 100"
+    return _warning("compliance", values[k], COMPLIANCE[int(values[k] > COMPLIANCE[1])], shown)
+
+
+def _masses(cell: Cell) -> list[Violation]:
+    values = np.asarray(cell.arm.link_mass)
+    k = _outside(values, *LINK_MASS)
+    if k is None:
+        return []
+    shown = f"link {k + 1} has {values[k]:.3g} kg, links of arms of this size 1 to 2000 kg"
+    return _warning("mass", values[k], LINK_MASS[int(values[k] > LINK_MASS[1])], shown)
+
+
+def _tool(cell: Cell) -> list[Violation]:
+    step, radius = cell.stock.grid_step, cell.tool.radius
+    if step <= WIDEST_GRID * radius:
+        return []
+    shown = f"the grid step of {1e3 * step:.4g} mm is coarse for a cutter of {2e3 * radius:.4g} mm diameter"
+    return _warning("tool and grid", step, WIDEST_GRID * radius, shown)
+
+
+def _envelope(cell: Cell) -> list[Violation]:
+    arm = cell.arm
+    reach = arm.a1 + arm.a2 + arm.forearm + arm.d6 + float(np.linalg.norm(cell.mount.xyz))
+    away = float(np.hypot(*cell.workpiece.xyz[:2]))
+    if away <= reach:
+        return []
+    return _warning(
+        "envelope", away, reach, f"the workpiece is {away:.4g} m from axis 1, the arm reaches {reach:.4g} m"
+    )
+
+
+def _posture(cell: Cell) -> list[Violation]:
+    """Joints outside the limits, or all so small that they must be radians."""
+    q, arm = np.asarray(cell.start_joints), cell.arm
+    beyond = np.maximum(q - arm.joint_upper, arm.joint_lower - q)
+    k = int(np.argmax(beyond))
+    if beyond[k] > 0.0:
+        limit = arm.joint_upper[k] if q[k] > arm.joint_upper[k] else arm.joint_lower[k]
+        return _warning("posture", q[k], limit, f"start_joints_deg: axis {k + 1} is at {np.degrees(q[k]):.4g} deg")
+    degrees = np.degrees(np.abs(q))
+    if np.any(degrees > 0.0) and np.all(degrees <= 2.0 * np.pi) and np.any(degrees % 1.0 > 1e-9):
+        shown = f"start_joints_deg are all within {degrees.max():.3g} deg: are they radians?"
+        return _warning("posture", np.radians(degrees.max()), 2.0 * np.pi / 180.0, shown)
+    return []
