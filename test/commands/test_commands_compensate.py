@@ -177,7 +177,7 @@ def test_the_reference_that_was_written_is_checked_and_simulated_as_it_was_predi
     words = ["paper.yaml", "--reference", found["trajectory"], "--json", *sets]
     assert main(["check", *words]) == 0
     checked = json.loads(capsys.readouterr().out)
-    assert [f["kind"] for f in checked["findings"]] == [f["kind"] for f in found["check"]["findings"]]
+    assert [f["what"] for f in checked["findings"]] == [f["what"] for f in found["check"]["findings"]]
     assert main(["simulate", *words]) == 0
     simulated = json.loads(capsys.readouterr().out)
     whole = [row for row in found["features"]["spline"] if row["feature"] == "whole part"][0]
