@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.sink import open_directory
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.decode import plain
 from kr270_milling.messages.series import FIXED, JOINTS, batches, joint_parts
 from kr270_milling.messages.trajectory import TRAJECTORY, trajectories

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.bag.errors import RecordingError
+from kr270_milling.base.errors import RecordingError
 
 __all__ = ["find_file"]
 

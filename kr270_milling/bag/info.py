@@ -7,7 +7,7 @@ from collections.abc import Callable
 from kr270_milling.bag.gaps import SHARED, GapCounter, Passes
 from kr270_milling.bag.reader import Recording
 from kr270_milling.messages.cdr import stamp_of
-from kr270_milling.messages.schemas import starts_with_stamp
+from kr270_milling.messages.definitions import starts_with_stamp
 
 __all__ = ["info", "info_text"]
 
@@ -18,7 +18,7 @@ def info(recording: Recording, progress: Callable[[int, int], None] | None = Non
     stamped = {
         name for name, about in topics.items()
         if about.schema_encoding == "ros2msg" and about.type not in SHARED
-        and starts_with_stamp(about.type, about.schema)
+        and starts_with_stamp(about.schema)
     }  # fmt: skip
     counters = {name: GapCounter() for name in stamped}
     sizes = dict.fromkeys(topics, 0)

@@ -15,11 +15,11 @@ from collections.abc import Callable, Collection, Iterator
 from typing import NamedTuple
 
 from kr270_milling.bag import scan
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.find import find_file
 from kr270_milling.bag.scan import MAGIC, Attachment, Chunk, Damage
+from kr270_milling.bag.unpack import Unpacker
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.decode import Topic, make_decoder
-from kr270_milling.messages.unpack import Unpacker
 
 __all__ = ["RawMessage", "Recording", "Topic", "find_file"]
 

@@ -10,12 +10,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from kr270_milling.bag import scan
-from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag import scan, unpack
 from kr270_milling.bag.reader import find_file
 from kr270_milling.bag.scan import MAGIC, Damage, Part
 from kr270_milling.bag.writer import BagWriter
-from kr270_milling.messages import unpack
+from kr270_milling.base.errors import RecordingError
 
 __all__ = ["Recovered", "recover"]
 

@@ -6,7 +6,7 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from kr270_milling.bag.errors import RecordingError
+from kr270_milling.base.errors import RecordingError
 
 __all__ = ["Sink", "plain_name", "open_directory", "write_new"]
 

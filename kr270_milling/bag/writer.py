@@ -14,12 +14,12 @@ from mcap.writer import CompressionType, Writer
 
 from kr270_milling import __version__
 from kr270_milling.bag import bagmeta
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.gaps import SHARED, GapCounter
 from kr270_milling.bag.logtime import LogTimes
 from kr270_milling.bag.sink import Sink, open_directory, plain_name, write_new
-from kr270_milling.messages import schemas
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import stamp_of
+from kr270_milling.messages.definitions import definition, starts_with_stamp, type_hash
 
 __all__ = ["BagWriter", "Channel"]
 
@@ -119,9 +119,9 @@ class BagWriter:
             if known != type_name:
                 raise RecordingError(self.path, f"{topic} is recorded as {known} and cannot be {type_name} as well")
             return self.topics[topic]
-        text = schemas.schema_text(type_name)
+        text = definition(type_name)
         profiles = [bagmeta.describe_qos(profile) for profile in qos]
-        about = {"offered_qos_profiles": bagmeta.qos_text(profiles), "topic_type_hash": schemas.type_hash(type_name)}
+        about = {"offered_qos_profiles": bagmeta.qos_text(profiles), "topic_type_hash": type_hash(type_name)}
         return self.add_channel(topic, (type_name, "ros2msg", text.encode()), "cdr", about, period_ns)
 
     def add_channel(
@@ -131,7 +131,7 @@ class BagWriter:
         if schema not in self._schemas:
             self._schemas[schema] = self._guard(self._mcap.register_schema, *schema) if schema[0] else 0
         number = self._guard(self._mcap.register_channel, topic, encoding, self._schemas[schema], about)
-        stamped = schema[1] == "ros2msg" and schemas.starts_with_stamp(schema[0], schema[2].decode("utf-8", "replace"))
+        stamped = schema[1] == "ros2msg" and starts_with_stamp(schema[2].decode("utf-8", "replace"))
         profiles = bagmeta.read_qos(about.get("offered_qos_profiles", ""))
         kind, digest = schema[0], about.get("topic_type_hash", "")
         channel = Channel(number, topic, kind, encoding, profiles, digest, stamped, GapCounter(period_ns))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import reprlib
 
-__all__ = ["MillingError", "ParameterError", "ConfigError", "InputError", "one_line"]
+__all__ = ["MillingError", "ParameterError", "ConfigError", "InputError", "RecordingError", "one_line"]
 
 
 class MillingError(Exception):
@@ -59,3 +59,11 @@ class InputError(MillingError):
     def __init__(self, source, reason: str, line: int | None = None):
         self.source, self.reason, self.line = str(source), reason, line
         super().__init__(f"{self.source}{'' if line is None else f', line {line}'}: {reason}")
+
+
+class RecordingError(MillingError):
+    """A recording that cannot be written or read; offset is the byte where it went wrong, if that is known."""
+
+    def __init__(self, path, reason: str, offset: int | None = None):
+        self.path, self.reason, self.offset = str(path), reason, offset
+        super().__init__(f"{self.path}: {reason}" + ("" if offset is None else f" (at byte {offset})"))

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.bag.recorded_path import find_tool_path
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.base.record import build, override, read_tree
 from kr270_milling.cell.path import fed_path, straight_cut, within_joint_limits
 from kr270_milling.cell.plausibility import MOST_STEPS, check_postures
 from kr270_milling.cell.records import Parameters, Path, Workpiece
 from kr270_milling.cutting import Cut
-from kr270_milling.messages.toolpath import find_tool_path
 from kr270_milling.robot import inverse_near
 from kr270_milling.simulation.arm_model import arm_model, modal_models
 from kr270_milling.simulation.dynamics import ArmModel, ModalModel

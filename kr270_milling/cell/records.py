@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.bag.recorded_path import is_recording
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter, specs
@@ -17,7 +18,6 @@ from kr270_milling.cell.program import Program
 from kr270_milling.cell.uncertainty import Uncertainty
 from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.cutting import Cutting, Stock, Tool
-from kr270_milling.messages.toolpath import is_recording
 from kr270_milling.robot import Arm, Mount
 from kr270_milling.simulation.dynamics import Dynamics
 from kr270_milling.simulation.exchange import Exchange

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kr270_milling.bag.errors import RecordingError
-from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import Cursor
 
 __all__ = ["FIXED", "JOINTS", "JointSeries", "Series", "batches", "joint_series", "series"]
@@ -113,7 +112,7 @@ def _joint_layout(data: bytes) -> Layout:
     return Layout(tuple(structure), frame, tuple(blocks), names)
 
 
-def batches(recording: Recording, topic: str) -> Iterator[Rows]:
+def batches(recording, topic: str) -> Iterator[Rows]:
     """The messages of a topic as they were written, in tables of up to 4096 rows or 4 MB.
 
     Raises RecordingError where one is not what its type says.
@@ -136,7 +135,7 @@ def batches(recording: Recording, topic: str) -> Iterator[Rows]:
         yield from _tables(recording, topic, waiting, layout_of)
 
 
-def _tables(recording: Recording, topic: str, messages: list, layout_of) -> Iterator[Rows]:
+def _tables(recording, topic: str, messages: list, layout_of) -> Iterator[Rows]:
     """Messages of one length as tables; rows of another layout begin a new one."""
     width = len(messages[0].data)
     table = np.frombuffer(b"".join(m.data for m in messages), np.uint8).reshape(len(messages), width)
@@ -176,7 +175,7 @@ def _frames(names: np.ndarray) -> list[str]:
     return [name[:-1].tobytes().decode("utf-8", "replace") for name in names]
 
 
-def series(recording: Recording, topic: str) -> Series:
+def series(recording, topic: str) -> Series:
     """A PoseStamped, WrenchStamped or TwistStamped topic as arrays."""
     about = recording.topics().get(topic)
     if about is None or about.type not in FIXED:
@@ -195,7 +194,7 @@ def series(recording: Recording, topic: str) -> Series:
     return Series(topic, about.type, *times, tuple(frames), _joined(list(values), (0, len(FIXED[about.type]))))
 
 
-def joint_series(recording: Recording, topic: str) -> JointSeries:
+def joint_series(recording, topic: str) -> JointSeries:
     """A JointState topic as arrays; raises RecordingError if the joints' names change on the way."""
     if getattr(recording.topics().get(topic), "type", "") != JOINTS:
         raise RecordingError(recording.path, f"{topic} is no topic with joint states in it")

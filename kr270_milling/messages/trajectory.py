@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.bag.errors import RecordingError
-from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import Cursor, stamp_of
 
 __all__ = ["TRAJECTORY", "TrajectoryRecord", "read_trajectory", "trajectories"]
@@ -31,7 +30,7 @@ class TrajectoryRecord:
     acceleration: np.ndarray  #: [m/s^2, rad/s^2], (p, j, 6)
 
 
-def trajectories(recording: Recording, topic: str) -> Iterator[TrajectoryRecord]:
+def trajectories(recording, topic: str) -> Iterator[TrajectoryRecord]:
     """Every trajectory on a topic, as they were written."""
     if getattr(recording.topics().get(topic), "type", "") != TRAJECTORY:
         raise RecordingError(recording.path, f"{topic} is no topic with trajectories in it")
@@ -39,7 +38,7 @@ def trajectories(recording: Recording, topic: str) -> Iterator[TrajectoryRecord]
         yield _read(recording, topic, message.data)
 
 
-def _read(recording: Recording, topic: str, data: bytes) -> TrajectoryRecord:
+def _read(recording, topic: str, data: bytes) -> TrajectoryRecord:
     try:
         return read_trajectory(data)
     except ValueError as error:

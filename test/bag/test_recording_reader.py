@@ -15,7 +15,7 @@ from test_recording_samples import POSE, STORE, TOPICS, pose, raw, record
 
 from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
-from kr270_milling.messages.schemas import schema_text
+from kr270_milling.messages.definitions import definition
 from kr270_milling.messages.series import series
 
 RELAXED = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -40,7 +40,7 @@ def write_mcap(path, messages, compression=CompressionType.ZSTD, finish=True, en
     with open(path, "wb") as stream:
         writer = Writer(stream, compression=compression, **options)
         writer.start("ros2")
-        schema = writer.register_schema(POSE, "ros2msg", schema_text(POSE).encode())
+        schema = writer.register_schema(POSE, "ros2msg", definition(POSE).encode())
         channel = writer.register_channel("/tool_pose", encoding, schema)
         for log_time, data in messages:
             writer.add_message(channel, log_time, data, log_time)
@@ -78,7 +78,7 @@ def test_equal_log_times_keep_the_order_of_the_file(tmp_path):
 
 
 def test_overlapping_chunks_are_merged_within_the_memory_for_chunks(tmp_path, monkeypatch):
-    monkeypatch.setattr("kr270_milling.messages.unpack.Unpacker.__init__.__defaults__", (50_000,))
+    monkeypatch.setattr("kr270_milling.bag.unpack.Unpacker.__init__.__defaults__", (50_000,))
     times = np.arange(2000).reshape(20, 100).T.ravel()  # every chunk reaches over all times
     path = write_mcap(tmp_path / "a.mcap", poses(times), chunk_size=10_000)
     with Recording(path) as recording:

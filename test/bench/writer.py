@@ -11,7 +11,7 @@ from pathlib import Path
 from mcap.writer import Writer
 
 from kr270_milling.bag.writer import BagWriter
-from kr270_milling.messages.schemas import schema_text
+from kr270_milling.messages.definitions import definition
 
 __all__ = ["bench_writer"]
 
@@ -27,7 +27,7 @@ def _plain(file: Path, type_name: str, bodies: list[bytes]) -> float:
     with open(file, "wb") as stream:
         writer = Writer(stream)
         writer.start(profile="ros2")
-        schema = writer.register_schema(type_name, "ros2msg", schema_text(type_name).encode())
+        schema = writer.register_schema(type_name, "ros2msg", definition(type_name).encode())
         channel = writer.register_channel("/t", "cdr", schema)
         begin = time.perf_counter()
         for i, data in enumerate(bodies):

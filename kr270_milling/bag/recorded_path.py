@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording, find_file
 from kr270_milling.base import parameter_file as config_file
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import Cursor
 from kr270_milling.messages.trajectory import TRAJECTORY, TrajectoryRecord, read_trajectory
 from kr270_milling.trajectory.timing import TimedPath

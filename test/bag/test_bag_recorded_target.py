@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from test_bag_recorded_path import CELL, FEED, NAV, SIDE, line, nav, record, refusal, stamped
 from test_recording_samples import PATH, POSE, path, pose
-from test_recording_toolpath import CELL, FEED, NAV, SIDE, line, nav, record, refusal, stamped
 
 from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.recorded_path import read_recorded
 from kr270_milling.base.errors import ConfigError, InputError
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main
-from kr270_milling.messages.toolpath import read_recorded
 from kr270_milling.trajectory.timing import TimedPath
 from kr270_milling.trajectory.toolpath import Toolpath
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory

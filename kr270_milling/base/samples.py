@@ -1,0 +1,127 @@
+"""The records of the topics: what a message says, with stamps in nanoseconds and SI units, without any message."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = [
+    "ClockSample", "JointProgram", "JointSample", "PoseSample", "StockMap", "Text", "TwistSample", "WrenchSample",
+    "same_bits",
+]  # fmt: skip
+
+
+class Sample:
+    """Base of the records: arrays become read-only arrays of their type and shape."""
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):
+            if "shape" in field.metadata:
+                object.__setattr__(self, field.name, _array(getattr(self, field.name), field))
+
+
+def _array(value, field) -> np.ndarray:
+    array = np.array(value, field.metadata["kind"])
+    shape = field.metadata["shape"]
+    if array.ndim != len(shape) or any(n not in (-1, m) for n, m in zip(shape, array.shape, strict=True)):
+        raise ValueError(f"{field.name} has the shape {array.shape} and not {shape}")
+    array.setflags(write=False)
+    return array
+
+
+def _values(*shape: int, kind: type = float):
+    """A field with an array; -1 in its shape: any length."""
+    return dataclasses.field(metadata={"shape": shape, "kind": kind})
+
+
+@dataclass(frozen=True, eq=False)
+class PoseSample(Sample):
+    """Where the tool is (geometry_msgs/PoseStamped)."""
+
+    stamp: int  #: [ns]
+    frame: str
+    position: np.ndarray = _values(3)  #: [m], (3,)
+    quaternion: np.ndarray = _values(4)  #: x y z w, (4,)
+
+
+@dataclass(frozen=True, eq=False)
+class WrenchSample(Sample):
+    """Force and moment on the tool (geometry_msgs/WrenchStamped)."""
+
+    stamp: int  #: [ns]
+    frame: str
+    wrench: np.ndarray = _values(6)  #: [N, N m], (6,)
+
+
+@dataclass(frozen=True, eq=False)
+class TwistSample(Sample):
+    """A deflection: small displacement and rotation (geometry_msgs/TwistStamped)."""
+
+    stamp: int  #: [ns]
+    frame: str
+    twist: np.ndarray = _values(6)  #: [m, rad], (6,)
+
+
+@dataclass(frozen=True, eq=False)
+class JointSample(Sample):
+    """Positions of named joints (sensor_msgs/JointState)."""
+
+    stamp: int  #: [ns]
+    names: tuple[str, ...]
+    position: np.ndarray = _values(-1)  #: [rad], (joints,)
+
+
+@dataclass(frozen=True, eq=False)
+class ClockSample(Sample):
+    """The time of the pass (rosgraph_msgs/Clock)."""
+
+    stamp: int  #: [ns]
+
+
+@dataclass(frozen=True, eq=False)
+class Text(Sample):
+    """A text without a stamp (std_msgs/String)."""
+
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class JointProgram(Sample):
+    """Joint positions at times from the start (trajectory_msgs/JointTrajectory)."""
+
+    frame: str
+    names: tuple[str, ...]
+    time: np.ndarray = _values(-1, kind=np.int64)  #: [ns], (n,)
+    position: np.ndarray = _values(-1, -1)  #: [rad], (n, joints)
+
+
+@dataclass(frozen=True, eq=False)
+class StockMap(Sample):
+    """How much of the stock is left, seen from above (nav_msgs/OccupancyGrid)."""
+
+    stamp: int  #: [ns]
+    frame: str
+    resolution: float  #: [m], side of a cell, as float32 holds it
+    corner: np.ndarray = _values(3)  #: [m], (3,), of cell (0, 0)
+    cells: np.ndarray = _values(-1, -1, kind=np.int8)  #: percent, (nx, ny)
+
+
+def same_bits(one, other) -> str:
+    """The name of the first field in which two records differ in any bit; "" where they are the same.
+
+    Arrays are the same where type, shape and bytes are: 0.0 is not -0.0, and a NaN is that NaN.
+    """
+    if type(one) is not type(other):
+        return "type"
+    for field in dataclasses.fields(one):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(a, (np.ndarray, float)) and type(a) is type(b):
+            a, b = np.asarray(a), np.asarray(b)
+            equal = a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+        else:
+            equal = type(a) is type(b) and a == b
+        if not equal:
+            return field.name
+    return ""

@@ -1,0 +1,138 @@
+"""What message types consist of: rosbags' store of the types of ROS 2 Jazzy, and definitions that come with a file.
+
+A type that Jazzy's store lacks is read from the ``.msg`` files that its package installs.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import os
+import re
+from pathlib import Path
+
+from kr270_milling.base.errors import RecordingError
+
+__all__ = ["DEFINITION_ERRORS", "definition", "starts_with_stamp", "store_for", "store_of", "type_hash"]
+
+TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)")
+MOST_TEXT = 256 * 1024  # [characters] of a definition in a file; its parser takes 0.7 s for them
+MOST_ITEMS = 1000  # of an array of fixed length of texts or messages: rosbags writes a line of code for each
+STAMPS = ("Header", "std_msgs/Header", "std_msgs/msg/Header", "builtin_interfaces/Time", "builtin_interfaces/msg/Time")
+#: what rosbags raises for a text that is no definition; SyntaxError and NameError come out of the code that it makes
+DEFINITION_ERRORS = (ValueError, TypeError, KeyError, AssertionError, AttributeError, RecursionError, SyntaxError,
+                     NameError, OverflowError, MemoryError)  # fmt: skip
+
+
+@functools.cache
+def _jazzy():
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@functools.cache
+def store_of(type_name: str):
+    """The type store that knows an installed type. Raises RecordingError."""
+    if not TYPE_NAME.fullmatch(type_name):
+        raise RecordingError(type_name, 'this is not the name of a message type like "geometry_msgs/msg/PoseStamped"')
+    if type_name not in _jazzy().fielddefs:
+        _register(type_name)
+    return _jazzy()
+
+
+def _register(type_name: str) -> None:
+    """Teach the store a type, and those that it is made of, from the files of their packages."""
+    from rosbags.typesys import TypesysError, get_types_from_msg
+
+    found, waiting = {}, [type_name]
+    while waiting:
+        name = waiting.pop()
+        if name in found or name in _jazzy().fielddefs:
+            continue
+        try:
+            found.update(get_types_from_msg(_file(name).read_text(encoding="utf-8"), name))
+        except (TypesysError, *DEFINITION_ERRORS) as error:
+            raise RecordingError(name, "its definition cannot be used") from error
+        waiting += _parts(found[name])
+    _jazzy().register(found)
+
+
+def _parts(fields) -> list[str]:
+    """Names of the message types among the fields of a type."""
+    from rosbags.interfaces import Nodetype
+
+    described = [kind[1][0] if kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else kind for _, kind in fields[1]]
+    return [kind[1] for kind in described if kind[0] == Nodetype.NAME]
+
+
+def _file(type_name: str) -> Path:
+    """The ``.msg`` file of a type: beside the Python package in a wheel, an overlay or /opt/ros."""
+    match = TYPE_NAME.fullmatch(type_name)
+    package = match[1] if match else ""
+    tail = Path("share", package, "msg", f"{type_name.split('/')[-1]}.msg")
+    spec = importlib.util.find_spec(package) if package else None
+    roots = [root for place in (spec and spec.submodule_search_locations) or [] for root in Path(place).parents]
+    roots += [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
+    for root in roots:
+        if match and (root / tail).is_file():
+            return root / tail
+    raise RecordingError(type_name, f"no {tail} was found; the message package {package} is not installed")
+
+
+@functools.cache
+def definition(type_name: str) -> str:
+    """The definition of a type followed by those of all types in it ("ros2msg"). Raises RecordingError."""
+    return store_of(type_name).generate_msgdef(type_name, ros_version=2)[0]
+
+
+@functools.cache
+def type_hash(type_name: str) -> str:
+    """The RIHS01 hash of a type. Raises RecordingError."""
+    return store_of(type_name).hash_rihs01(type_name)
+
+
+@functools.lru_cache(maxsize=64)
+def store_for(type_name: str, text: str):
+    """A type store that knows a type as the text of a recording defines it, which is not trusted.
+
+    Raises ValueError where the text cannot be used, and what DEFINITION_ERRORS lists.
+    """
+    from rosbags.typesys import Stores, TypesysError, get_types_from_msg, get_typestore
+
+    if not TYPE_NAME.fullmatch(type_name) or len(text) > MOST_TEXT:
+        raise ValueError(f"{type_name[:80]!r} is not defined by {len(text)} characters")
+    try:
+        found = get_types_from_msg(text, type_name)
+        if all(_jazzy().fielddefs.get(name) == fields for name, fields in found.items()):
+            return _jazzy()
+        for fields in found.values():
+            _refuse_large(fields)
+        store = get_typestore(Stores.EMPTY)
+        store.register(found)
+    except TypesysError as error:
+        raise ValueError(str(error)[:200]) from None
+    return store
+
+
+def _refuse_large(fields) -> None:
+    from rosbags.interfaces import Nodetype
+
+    for name, kind in fields[1]:
+        if kind[0] != Nodetype.ARRAY:
+            continue
+        (inner, about), length = kind[1]
+        plain = inner == Nodetype.BASE and about[0] != "string"
+        if not 1 <= length <= (2**31 if plain else MOST_ITEMS):
+            raise ValueError(f"{name} is an array of {length} items")
+
+
+def starts_with_stamp(text: str) -> bool:
+    """Whether the bytes of a message begin with a time: a Header, or a Time as in Clock, is the first field."""
+    for line in text.splitlines():
+        words = line.split("#", 1)[0].replace("<=", " ").split()
+        if line.startswith("===="):
+            return False
+        if words and "=" not in "".join(words):
+            return words[0] in STAMPS
+    return False
