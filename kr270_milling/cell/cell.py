@@ -20,6 +20,7 @@ from kr270_milling.robot import inverse_near
 from kr270_milling.simulation.arm_model import arm_model, modal_models
 from kr270_milling.simulation.dynamics import ArmModel, ModalModel
 from kr270_milling.simulation.exchange import Clock
+from kr270_milling.simulation.reference_motion import approach
 from kr270_milling.trajectory.timing import TimedPath
 from kr270_milling.trajectory.trajectory import Trajectory
 
@@ -68,7 +69,9 @@ class Cell(Parameters):
         between, stamps = self._postures(reference)
         joints = self.joints_at(reference.sample(stamps), reference.sample_orientation(stamps))
         models = modal_models(self.arm, self.mount, self.dynamics, self.workpiece.pose, joints)
-        return arm_model(models, self.dynamics.damping_ratio, self.exchange.period, between)
+        dynamics, period = self.dynamics, self.exchange.period
+        before = approach(self.target())
+        return arm_model(models, dynamics.damping_ratio, period, between, dynamics.reference_inertia, before)
 
     def _postures(self, reference: Trajectory) -> tuple[int, np.ndarray]:
         """Exchange periods between two modelled postures, and the stamps [ns] of the postures."""

@@ -15,6 +15,7 @@ from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import RawMessage, Recording
 from kr270_milling.base import parameter_file as config_file
 from kr270_milling.base.errors import ConfigError, one_line
+from kr270_milling.base.parameter_file import read_tree
 from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.messages.cdr import Cursor
 from kr270_milling.messages.trajectory import read_trajectory
@@ -90,12 +91,23 @@ def cell_of(recording: Recording) -> Cell:
             Path(directory, name).write_bytes(recording.attachment(name))
         _localise(recording, Path(directory, main), names, set())
         try:
-            cell = read_cell(Path(directory, main))
+            cell = read_cell(Path(directory, main), _as_written(recording, Path(directory, main)))
             cell.timed_path  # noqa: B018 - reads the tool path while its file is there
         except ConfigError as error:
             where = f"{recording.path}, attached {Path(error.file).name}"
             raise ConfigError(where, error.key, error.value, error.allowed) from error
     return cell
+
+
+def _as_written(recording: Recording, file: Path) -> tuple[str, ...]:
+    """Assignments for keys that the attached cell does not have because its writer did not know them.
+
+    Version 0.1.0 had eq. (1) as printed only.
+    """
+    dynamics = read_tree(file).get("dynamics")
+    silent = isinstance(dynamics, dict) and "reference_inertia" not in dynamics
+    old = recording.library.startswith("kr270_milling/0.1.")
+    return ("dynamics.reference_inertia=false",) if silent and old else ()
 
 
 def _is_plain(name: str) -> bool:

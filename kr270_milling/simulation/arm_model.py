@@ -6,7 +6,7 @@ import numpy as np
 
 from kr270_milling.base.frames import Pose
 from kr270_milling.robot import Arm, Mount, cartesian_mass, compliance, equilibrium
-from kr270_milling.simulation.dynamics import ArmModel, Dynamics, ModalModel, discretise, modes
+from kr270_milling.simulation.dynamics import ArmModel, Dynamics, ModalModel, discretise, discretise_reference, modes
 
 __all__ = ["arm_model", "modal_models"]
 
@@ -25,7 +25,21 @@ def _clean(mass: np.ndarray) -> np.ndarray:
     return np.where(np.abs(mass) < 1e-12 * np.abs(mass).max(), 0.0, 0.5 * (mass + mass.T))
 
 
-def arm_model(models: list[ModalModel], damping_ratio: float, period: float, steps_per_knot: float = 1.0) -> ArmModel:
-    """Eq. (1) over one exchange period [s]; with several models the arm passes one every steps_per_knot periods."""
+def arm_model(
+    models: list[ModalModel],
+    damping_ratio: float,
+    period: float,
+    steps_per_knot: float = 1.0,
+    reference_inertia: bool = False,
+    approach: np.ndarray | None = None,
+) -> ArmModel:
+    """Eq. (1) over one exchange period [s]; with several models the arm passes one every steps_per_knot periods.
+
+    reference_inertia: with the term -M r'' of the moving reference; approach: see ``ArmModel``.
+    """
     stacked = zip(*(discretise(m, damping_ratio, period) for m in models), strict=True)
-    return ArmModel(*(np.ascontiguousarray(s) for s in map(np.stack, stacked)), float(steps_per_knot))
+    arrays = [np.ascontiguousarray(s) for s in map(np.stack, stacked)]
+    response = np.zeros((*arrays[0].shape[:2], 0))
+    if reference_inertia:
+        response = np.stack([discretise_reference(m, damping_ratio, period) for m in models])
+    return ArmModel(*arrays, np.ascontiguousarray(response), float(steps_per_knot), approach)

@@ -1,5 +1,8 @@
 """Eq. (1), the arm's displacement under the process wrench, discretised exactly for a wrench held over a period.
 
+M delta'' + C delta' + K delta = F is (1) as printed. The reference r moves the motor side of the arm and not the tool:
+with z = r + delta, M z'' + C (z' - r') + K (z - r) = F, so that -M r'' joins F on the right (``reference_inertia``).
+
 Components without inertia (rotations, in the lumped mass model) follow statically: they are condensed, never
 sliced. State of the others: ``[delta (r,), delta_dot (r,)]`` in workpiece axes.
 """
@@ -14,8 +17,10 @@ from scipy.linalg import eigh
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import Record, parameter
+from kr270_milling.simulation.reference_motion import push, reference_motion
+from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Dynamics", "ArmModel", "ModalModel", "advance", "condense", "discretise", "modes"]
+__all__ = ["Dynamics", "ArmModel", "ModalModel", "advance", "condense", "discretise", "discretise_reference", "modes"]
 
 
 class DynamicsError(MillingError):
@@ -33,6 +38,9 @@ class Dynamics(Record):
         False, text="stiffness and mass follow the posture along the path; false: at its start"
     )
     posture_spacing: float = parameter(5e-3, unit="mm", above=0.0, high=1000.0, text="way between two such postures")
+    reference_inertia: bool = parameter(
+        True, text="the reference moves the motor side: F - M r'' in (1); false: (1) as the paper prints it"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,18 +58,31 @@ class ModalModel:
 
 @dataclass(frozen=True, eq=False)
 class ArmModel:
-    """Discrete-time arm at n postures along a pass: ``x' = A x + B w``, ``deflection = P x + Q w``."""
+    """Discrete-time arm at n postures along a pass: ``x' = A x + B w + R m``, ``deflection = P x + Q w``.
+
+    m (18,) is the motion of the reference over a period, see ``reference_motion``.
+    """
 
     transition: np.ndarray  #: A, (n, 2r, 2r)
     input: np.ndarray  #: B, (n, 2r, 6)
     output: np.ndarray  #: P, (n, 6, 2r)
     feedthrough: np.ndarray  #: Q, (n, 6, 6)
+    reference: np.ndarray  #: R, (n, 2r, 18); (n, 2r, 0) where the reference moves the tool itself, (1) as printed
     steps_per_knot: float  #: exchange periods from one posture to the next
+    approach: np.ndarray | None = None  #: r' before the pass [m/s, rad/s], (6,); None: the first of the reference
 
     @property
     def arrays(self) -> tuple:
         """What ``advance`` takes."""
         return self.transition, self.input, self.output, self.feedthrough, self.steps_per_knot
+
+    def push(self, reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
+        """R m over each period between the stamps [ns], (periods, 2r); none, (0, 2r), for (1) as printed."""
+        if not self.reference.size:
+            return np.zeros((0, self.order))
+        out = np.zeros((stamps.size - 1, self.order))
+        push(reference_motion(reference, stamps, self.approach), self.reference, self.steps_per_knot, out)
+        return out
 
     @property
     def order(self) -> int:
@@ -105,11 +126,8 @@ def modes(compliance: np.ndarray, mass: np.ndarray) -> ModalModel:
 
 def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[np.ndarray, ...]:
     """A (2r, 2r), B (2r, 6), P (6, 2r), Q (6, 6) over ``period`` [s] for a wrench held over it: exact for (1)."""
-    w, z, r = model.frequency, damping_ratio, model.frequency.size
-    damped = w * np.sqrt(1.0 - z * z)
-    decay, c, s = np.exp(-z * w * period), np.cos(damped * period), np.sin(damped * period)
-    a11, a12 = decay * (c + z * w / damped * s), decay * s / damped
-    a21, a22 = -decay * w * w / damped * s, decay * (c - z * w / damped * s)
+    w, r = model.frequency, model.frequency.size
+    a11, a12, a21, a22 = _free(w, damping_ratio, period)
     to, back = model.shape, model.shape.T @ model.mass  # eta -> delta, delta -> eta
     transition = np.block([[to * a11 @ back, to * a12 @ back], [to * a21 @ back, to * a22 @ back]])
     modal_force = model.shape.T @ model.force
@@ -117,12 +135,42 @@ def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[
     return transition, held, np.hstack([model.output, np.zeros((6, r))]), model.feedthrough
 
 
+def _free(w: np.ndarray, z: float, period: float) -> tuple[np.ndarray, ...]:
+    """a11, a12, a21, a22, each (r,), of the free vibration: (eta, eta') at the end from those at the start."""
+    damped = w * np.sqrt(1.0 - z * z)
+    decay, c, s = np.exp(-z * w * period), np.cos(damped * period), np.sin(damped * period)
+    a11, a12 = decay * (c + z * w / damped * s), decay * s / damped
+    a21, a22 = -decay * w * w / damped * s, decay * (c - z * w / damped * s)
+    return a11, a12, a21, a22
+
+
+def discretise_reference(model: ModalModel, damping_ratio: float, period: float) -> np.ndarray:
+    """R (2r, 18) over ``period`` H [s]: exact for the term -M r'' where r'' is linear in time, after a jump of r'.
+
+    A jump of r' by v leaves z' as it was, so delta' jumps by -v. A modal force t / H leaves
+    eta(H) = (1 - a12 / H - 2 zeta (1 - a11) / (omega H)) / omega^2, and eta'(H) is the derivative of its like.
+    """
+    w, z, h = model.frequency, damping_ratio, period
+    a11, a12, a21, a22 = _free(w, z, h)
+    held = (1.0 - a11) / w**2, -a21 / w**2
+    ramp = (1.0 - a12 / h - 2.0 * z * (1.0 - a11) / (w * h)) / w**2, (1.0 - a22 + 2.0 * z * a21 / w) / (w**2 * h)
+    to = model.shape
+    back = np.zeros((w.size, 6))
+    back[:, model.inertial] = to.T @ model.mass  # r -> eta
+
+    def response(place, speed):
+        return -np.vstack([to * place @ back, to * speed @ back])
+
+    falling = [constant - rising for constant, rising in zip(held, ramp, strict=True)]  # from 1 to 0
+    return np.hstack([response(a12, a22), response(*falling), response(*ramp)])
+
+
 @njit(cache=True, error_model="numpy")
-def advance(step, state, wrench, arrays, new_state, deflection):
+def advance(step, state, wrench, pushes, arrays, new_state, deflection):
     """One exchange period of (1): fills ``new_state`` and ``deflection`` (6,) at its end.
 
     ``step`` counts exchange periods from the start of the pass; between two postures of the model the matrices are
-    interpolated linearly.
+    interpolated linearly. pushes: of the moving reference, ``ArmModel.push``; (0, 2r) for (1) as printed.
     """
     transition, held, output, feedthrough, steps_per_knot = arrays
     n = transition.shape[0]
@@ -139,6 +187,8 @@ def advance(step, state, wrench, arrays, new_state, deflection):
         for j in range(6):
             b = held[k, i, j]
             total += (b + f * (held[m, i, j] - b)) * wrench[j]
+        if pushes.shape[0] > 0:
+            total += pushes[step, i]
         new_state[i] = total
     for i in range(6):
         total = 0.0

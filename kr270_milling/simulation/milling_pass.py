@@ -67,10 +67,14 @@ class PassResult:
 
 
 class CompliantArm:
-    """The arm's half of the exchange: state of eq. (1), stepped by ``predict`` and ``correct``."""
+    """The arm's half of the exchange: state of eq. (1), stepped by ``predict`` and ``correct``.
 
-    def __init__(self, model: ArmModel):
+    pushes: of the reference that it follows, ``ArmModel.push``; None: a reference that does not move.
+    """
+
+    def __init__(self, model: ArmModel, pushes: np.ndarray | None = None):
         self.model = model
+        self.pushes = np.zeros((0, model.order)) if pushes is None else pushes
         self.step = 0  #: exchange periods done
         self.state = np.zeros(model.order)
         self.wrench = np.zeros(6)
@@ -83,6 +87,7 @@ class CompliantArm:
             self.step,
             self.state,
             self.wrench if wrench is None else wrench,
+            self.pushes,
             self.model.arrays,
             self._scratch,
             deflection,
@@ -92,7 +97,7 @@ class CompliantArm:
     def correct(self, wrench: np.ndarray) -> np.ndarray:
         """Integrate the period with the wrench (6,) that acted in it; returns the deflection (6,) at its end."""
         deflection = np.zeros(6)
-        advance(self.step, self.state, wrench, self.model.arrays, self._scratch, deflection)
+        advance(self.step, self.state, wrench, self.pushes, self.model.arrays, self._scratch, deflection)
         self.state, self._scratch = self._scratch, self.state
         self.wrench = np.array(wrench, float)
         self.step += 1
@@ -107,16 +112,17 @@ def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
 
 
 @njit(cache=True, error_model="numpy")
-def _exchange(first, last, iterations, reference, arrays, state, wrench, cut_state, cut_params, micro_steps, out):
+def _exchange(first, last, iterations, reference, arm, state, wrench, cut_state, cut_params, micro_steps, out):
     """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large."""
     tool, deflections, wrenches, corrections, torques, volumes = out
+    pushes, arrays = arm
     per_node = cut_params.spacing * cut_params.spacing
     scratch, deflection, answer = np.zeros(state.size), np.zeros(6), wrench.copy()
     no_forces = np.empty((0, 3))
     for n in range(first, last):
         before, torque = cut_state.floats[LEVEL_SUM], 0.0
         for k in range(iterations):
-            advance(n, state, answer, arrays, scratch, deflection)  # the robot predicts
+            advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot predicts
             tool[n + 1] = reference[n + 1] + deflection[:3]
             if k > 0 and not undo(cut_state):
                 return False
@@ -124,7 +130,7 @@ def _exchange(first, last, iterations, reference, arrays, state, wrench, cut_sta
                 cut_state, cut_params, tool[n], tool[n + 1], n * micro_steps, micro_steps, no_forces
             )
             answer[0], answer[1] = force_x, force_y
-        advance(n, state, answer, arrays, scratch, deflection)  # the robot corrects
+        advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot corrects
         state[:] = scratch
         deflections[n + 1], wrenches[n + 1] = deflection, answer
         corrections[n + 1] = np.sqrt(np.sum((reference[n + 1] + deflection[:3] - tool[n + 1]) ** 2))
@@ -153,12 +159,13 @@ def run_pass(
     out = (np.zeros((n + 1, 3)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6)), *np.zeros((3, n + 1)))
     out[0][0] = course[0]
     state, wrench = np.zeros(model.order), np.zeros(6)
+    arm = (model.push(reference, stamps), model.arrays)
     carried = (cut.state, cut.params, clock.micro_steps, out)
-    _exchange(0, 0, iterations, course, model.arrays, state, wrench, *carried)  # compiled before the clock runs
+    _exchange(0, 0, iterations, course, arm, state, wrench, *carried)  # compiled before the clock runs
     area, volume, start = cut.removed_area, cut.removed_volume, time.perf_counter()
     for first in range(0, n, CHUNK):
         last = min(first + CHUNK, n)
-        whole = _exchange(first, last, iterations, course, model.arrays, state, wrench, *carried)
+        whole = _exchange(first, last, iterations, course, arm, state, wrench, *carried)
         if cut.state.ints[FAILED]:
             raise GridError(cut.state.pool.size // TILE**2)
         if not whole:

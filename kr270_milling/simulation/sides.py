@@ -35,7 +35,7 @@ class RobotSide:
         self.course = reference.sample(self.stamps)  #: [m], (steps + 1, 3)
         self.orientation = reference.sample_orientation(self.stamps)  #: (steps + 1, 4)
         self.correction = 0.0  #: [m], largest corrected minus predicted tool centre so far
-        self._arm = CompliantArm(model)
+        self._arm = CompliantArm(model, model.push(reference, self.stamps))
         self._next = 0  # step whose wrench is awaited
         self._iteration = 0
         self.tool = self.course[0]  #: last predicted tool centre [m], (3,)

@@ -84,12 +84,14 @@ class Trajectory:
         v0, v1 = step * self.velocity[k], step * self.velocity[k + 1]
         return start + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
 
-    def sample_velocity(self, time_ns) -> np.ndarray:
-        """Velocity [m/s], (..., 3), at times [ns] of any shape; of the later segment where two meet in a corner."""
-        k, u, step = self.locate(time_ns)
+    def sample_velocity(self, time_ns, side: str = "right") -> np.ndarray:
+        """Velocity [m/s], (..., 3), at times [ns] of any shape; where two segments meet in a corner, of the later one.
+
+        side: "left" for the earlier one, as ``numpy.searchsorted`` has it.
+        """
+        k, u, step = self.locate(time_ns, side)
         move = self.position[k + 1] - self.position[k]
-        time = np.asarray(time_ns)[..., None]
-        moving = (time >= 0) & (time <= self.duration_ns)
+        moving = self.moving(time_ns)[..., None]
         if self.velocity is None:
             return np.where(moving, move / step, 0.0)
         v0, v1 = step * self.velocity[k], step * self.velocity[k + 1]
@@ -104,10 +106,18 @@ class Trajectory:
         k, u, _ = self.locate(time_ns)
         return slerp(self.quaternion[k], self.quaternion[k + 1], u)
 
-    def locate(self, time_ns) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Segment (...), place in it from 0 to 1 (..., 1), its duration [s] (..., 1), at times [ns] of any shape."""
+    def moving(self, time_ns) -> np.ndarray:
+        """Whether times [ns] of any shape lie between the first and the last knot, both included."""
+        time = np.asarray(time_ns)
+        return (time >= 0) & (time <= self.duration_ns)
+
+    def locate(self, time_ns, side: str = "right") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Segment (...), place in it from 0 to 1 (..., 1), its duration [s] (..., 1), at times [ns] of any shape.
+
+        side: "right" for the later segment at a knot, "left" for the earlier one.
+        """
         time = np.clip(np.asarray(time_ns, np.int64), 0, self.duration_ns)
-        k = np.clip(np.searchsorted(self.time_ns, time, side="right") - 1, 0, len(self) - 2)
+        k = np.clip(np.searchsorted(self.time_ns, time, side=side) - 1, 0, len(self) - 2)
         step_ns = (self.time_ns[k + 1] - self.time_ns[k])[..., None]
         return k, (time - self.time_ns[k])[..., None] / step_ns, step_ns * 1e-9
 

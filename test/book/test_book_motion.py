@@ -18,6 +18,7 @@ from kr270_milling.simulation.sides import CuttingSide, RobotSide
 STIFFNESS, MASS, ZETA = 1.395e6, 790.4, 0.18  # [N/m], [kg]: the paper's arm across the feed
 OMEGA = np.sqrt(STIFFNESS / MASS)
 SHORT = "path.length_mm=14.4"
+STILL = np.zeros((0, 2))  # a reference that does not move
 
 
 def _one_degree():
@@ -31,7 +32,7 @@ def _run(model, zeta, period, steps, state, wrench):
     states, deflection = np.zeros((steps + 1, state.size)), np.zeros(6)
     states[0] = state
     for n in range(steps):
-        advance(n, states[n], wrench, arrays, states[n + 1], deflection)
+        advance(n, states[n], wrench, STILL, arrays, states[n + 1], deflection)
     return states, deflection
 
 

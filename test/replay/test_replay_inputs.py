@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from pathlib import Path
 
 import pass_recording as made
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import ConfigError
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.replay.inputs import cell_of
 
 pytestmark = made.needs_messages
@@ -69,3 +71,15 @@ def test_merged_keys_that_double_with_every_line_are_refused_at_once(tmp_path):
 
 def test_an_attachment_with_an_endless_name_is_left_alone(tmp_path):
     assert cell_in(tmp_path / "r", cell__yaml=made.cell_text(), **{"n" * 3000: ""}).path.length == pytest.approx(4e-3)
+
+
+@pytest.mark.parametrize("library, expected", [("0.1.0", False), ("0.2.0", True)])
+def test_a_cell_that_does_not_know_the_moving_reference_is_computed_as_its_version_did(
+    tmp_path, monkeypatch, library, expected
+):
+    whole = Path(find_file("paper.yaml")).read_text()
+    silent = "".join(line for line in whole.splitlines(True) if "reference_inertia" not in line)
+    monkeypatch.setattr("kr270_milling.bag.writer.__version__", library)
+    assert cell_in(tmp_path / "a", cell__yaml=silent).dynamics.reference_inertia is expected
+    said = silent.replace("gravity: true", "gravity: true\n      reference_inertia: true")
+    assert cell_in(tmp_path / "b", cell__yaml=said).dynamics.reference_inertia

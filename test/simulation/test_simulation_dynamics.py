@@ -11,6 +11,7 @@ from kr270_milling.simulation.dynamics import DynamicsError, advance, condense, 
 
 RANDOM = np.random.default_rng(5)
 ZETA = 0.18
+STILL = np.zeros((0, 2))  # a reference that does not move
 
 
 def spd(scale):
@@ -36,7 +37,7 @@ def run(model, zeta, period, steps, state, wrench):
     states, deflections = np.zeros((steps + 1, state.size)), np.zeros((steps + 1, 6))
     states[0] = state
     for n in range(steps):
-        advance(n, states[n], wrench, arrays, states[n + 1], deflections[n + 1])
+        advance(n, states[n], wrench, STILL, arrays, states[n + 1], deflections[n + 1])
     return states, deflections
 
 
@@ -216,7 +217,7 @@ def test_between_two_postures_the_matrices_are_interpolated_and_after_the_last_t
         place = min(step / 4.0, 2.0)
         k = min(int(place), 1)
         mixed = [(1 - place + k) * m[k] + (place - k) * m[k + 1] for m in arm.arrays[:4]]
-        advance(step, state, WRENCH, arm.arrays, out, deflection)
+        advance(step, state, WRENCH, STILL, arm.arrays, out, deflection)
         np.testing.assert_allclose(out, mixed[0] @ state + mixed[1] @ WRENCH, rtol=1e-12, atol=1e-18)
         np.testing.assert_allclose(deflection, mixed[2] @ out + mixed[3] @ WRENCH, rtol=1e-12, atol=1e-18)
 
@@ -226,7 +227,7 @@ def test_several_equal_postures_are_one():
     results = []
     for arm in (arm_model([model], ZETA, 5e-4), arm_model([model] * 5, ZETA, 5e-4, 3.0)):
         out, deflection = np.zeros(12), np.zeros(6)
-        advance(7, state, WRENCH, arm.arrays, out, deflection)
+        advance(7, state, WRENCH, STILL, arm.arrays, out, deflection)
         results.append(np.concatenate([out, deflection]))
     np.testing.assert_array_equal(*results)
 
