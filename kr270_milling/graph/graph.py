@@ -235,7 +235,7 @@ class Graph:
             attach.append(str(Path(self.cell.path.file).resolve()))  # the nodes run in another directory
         values = {"directory": str(self.out / name), "attach": attach, "command": shlex.join(sys.argv)}
         if space != "/":
-            values["topics"] = [f"{space}/*", "/diagnostics", "/clock"]
+            values["topics"] = [f"{space}/*", "/diagnostics"]
         file = self.out / "log" / f"recorder_{name}.yaml"
         file.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), encoding="utf-8")
         self._spawn(RECORDER, file)

@@ -14,7 +14,7 @@ NEEDED = {
     (ROBOT, "deflection"): {RECORDER},
     (ROBOT, "joint_states"): {RECORDER},
     (ROBOT, "robot_description"): {RECORDER},
-    (ROBOT, "/clock"): {RECORDER},
+    (ROBOT, "clock"): {RECORDER},
     (CUT, "wrench"): {ROBOT, COMPENSATOR, RECORDER},
     (CUT, "workpiece"): {RECORDER},
     (COMPENSATOR, "reference_trajectory"): {ROBOT, CUT, RECORDER},

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling import __version__
+from kr270_milling.bag.bagmeta import read_qos
 from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
 from kr270_milling.cell.cell import Cell
@@ -158,9 +159,14 @@ class Robots:
         robots = {ns for ns, name in found.values() if name in ("tool_pose", "wrench", "reference_trajectory")}
         if not robots:
             raise RecordingError(self.recording.path, "holds no tool_pose, wrench or reference_trajectory to recompute")
-        if len(robots) == 1:  # the clock is a topic of the whole graph
-            found.update({t: (min(robots), n) for t, (ns, n) in found.items() if n == "clock"})
+        if len(robots) == 1 and (min(robots), "clock") not in found.values() and self._is_of_one_robot("/clock"):
+            found.update({t: (min(robots), n) for t, (_, n) in found.items() if t == "/clock"})
         return {t: place for t, place in found.items() if place[0] in robots}
+
+    def _is_of_one_robot(self, topic: str) -> bool:
+        """Up to version 0.1.0 robots in namespaces shared one ``/clock``; its publishers stand in the recording."""
+        about = self.recording.topics().get(topic)
+        return about is not None and len(read_qos(about.metadata.get("offered_qos_profiles", ""))) < 2
 
     def _channels(self, namespace: str) -> dict[str, Channel]:
         ranks = list(OUTPUTS)

@@ -48,4 +48,4 @@ JOINT_STATES = Topic(JointState, "joint_states", LOOP)
 WORKPIECE = Topic(OccupancyGrid, "workpiece", LATCHED)
 ROBOT_DESCRIPTION = Topic(String, "robot_description", LATCHED)
 DIAGNOSTICS = Topic(DiagnosticArray, "/diagnostics", LOOP)
-CLOCK = Topic(Clock, "/clock", LOOP)
+CLOCK = Topic(Clock, "clock", LOOP)  # of the robot's namespace: two robots have two times

@@ -19,6 +19,7 @@ from kr270_milling.bag.reader import Recording
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.graph.plan import fresh_directory
 from kr270_milling.graph.processes import GRACE, _shared_files
+from kr270_milling.replay.recompute import recompute
 from kr270_milling.replay.recorded import pass_from_recording
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
@@ -252,6 +253,8 @@ def test_two_graphs_in_two_namespaces_run_at_once(runner, tmp_path, short_cell):
         with Recording(tmp_path / name / "original") as recording:
             other = names[1 - names.index(name)]
             assert not any(topic.startswith(f"/{other}/") for topic in recording.topics())
+            assert f"/{name}/clock" in recording.topics() and "/clock" not in recording.topics()
+        assert recompute(tmp_path / name / "original").verdict == "identical"
 
 
 @pytest.mark.parametrize("node", NODES[:3])
