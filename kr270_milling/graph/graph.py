@@ -248,6 +248,8 @@ class Graph:
         self.driver.until(lambda: self._all_recorded() or time.monotonic() > end, "catching up", UP, RECORDER)
         if not self._all_recorded():
             self.tell(f"recorder: has not received the end of the pass; {NOT_COMPLETE}")
+        elif self._says("missing", RECORDER) != "0":
+            self.tell(f"recorder: {self._says('missing', RECORDER)} messages of the pass were lost; {NOT_COMPLETE}")
         recorder = self.children.pop(RECORDER)
         self._excused.add(RECORDER)
         self.ended.append(recorder)

@@ -31,7 +31,7 @@ class RecordedPass:
     cell: Cell
     messages_lost: int  #: poses, wrenches and deflections that the pass must have had and the file has not
     lost_to_end: int  #: the same, where the pass is known to have run to the end of its reference
-    complete: bool  #: the pass ran to the end of its reference, and the file was closed
+    complete: bool  #: the pass ran to the end of its reference, no message of it is lost, and the file was closed
 
 
 def topic_of(recording: Recording, name: str, namespace: str | None = None) -> str:
@@ -80,12 +80,12 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
     if stamps.size < 2:
         raise RecordingError(recording.path, "holds no pass: poses, wrenches and deflections of at least one period")
     rows = {kind: np.array([values[stamp] for stamp in stamps.tolist()]) for kind, values in heard.items()}
-    complete = int(stamps[-1]) >= int(cell.clock.stamp(last))
-    end = last if complete else max(cell.clock.step(int(stamps[-1])), 0)
+    ended = int(stamps[-1]) >= int(cell.clock.stamp(last))
+    end = last if ended else max(cell.clock.step(int(stamps[-1])), 0)
     lost, lost_to_end = (sum(max(0, n + 1 - len(values)) for values in heard.values()) for n in (end, last))
     result = _result(cell, reference, stamps, rows, wall)
     ran = ScoredPass(name or recording.path.stem, reference, result, scored(cell, result))
-    return RecordedPass(ran, cell, lost, lost_to_end, complete and not recording.cut_off)
+    return RecordedPass(ran, cell, lost, lost_to_end, ended and not lost and not recording.cut_off)
 
 
 def _by_stamp(recording: Recording, topic: str) -> dict[int, np.ndarray]:

@@ -27,7 +27,7 @@ class Recorded:
     missing: int  #: holes in it, counted from the stamps
     short: int  #: messages of the whole pass that it has not
     behind_s: float  #: from its last pose to the fault [s of the wall clock]; 0 where it goes on behind it
-    complete: bool  #: it holds the pass to its end
+    complete: bool  #: it holds every message of the pass
     same: bool  #: every pose, wrench and deflection in it is that of the undisturbed pass, bit for bit
     verdict: str  #: of recompute; empty where it was not asked
 
@@ -46,7 +46,7 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, begun_ns: int, a
             short += expected.time_ns.size - np.unique(found.stamp).size
             wrong = wrong or not _same(found, expected.time_ns, values, WIDTH[topic])
         last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=begun_ns)
-    complete = all(end == expected.time_ns[-1] for end in ends.values())
+    complete = all(end == expected.time_ns[-1] for end in ends.values()) and not short
     behind = max(0.0, (struck_ns - last) * 1e-9)
     verdict = recompute(path).verdict if again else ""
     return Recorded(about["cut_off"], about["messages"], about["missing"], short, behind, complete, not wrong, verdict)

@@ -76,7 +76,7 @@ def test_tail_that_a_recorder_lost_is_told_and_counted(ros_environment, tmp_path
     row = run_faults([held], 1, 1, tmp_path, lambda done, total: None)[0]
     trial = row.trials[0]
     assert row.problems == [] and trial.reaction == GOES_ON and not trial.recording.complete
-    assert trial.lost > 100 and f"1 without the end, lost and counted: {trial.lost}" in row.cells()
+    assert trial.lost > 100 and f"1 not whole, lost and counted: {trial.lost}" in row.cells()
 
 
 def test_soak_measures_every_process_and_loses_nothing(ros_environment, tmp_path):

@@ -35,6 +35,12 @@ def test_what_is_stamped_behind_the_end_of_the_reference_is_no_part_of_the_pass(
     assert found.messages_lost == plain.messages_lost == 0
 
 
+def test_a_recording_with_its_end_and_a_hole_before_is_not_complete(tmp_path):
+    messages = made.changed(made.one_pass(), "wrench", 40, lambda data: None)
+    found = pass_from_recording(made.write(tmp_path / "r", messages))
+    assert found.messages_lost == found.lost_to_end == 1 and not found.complete
+
+
 def test_a_reference_that_nobody_can_mean_is_refused(tmp_path):
     reference = encode.trajectory_bytes(
         "workpiece", "tool0", [0, 2 * 10**18], [[0, 0, 0], [1e-3, 0, 0]], [[1, 0, 0, 0]] * 2
