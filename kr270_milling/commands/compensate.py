@@ -1,6 +1,6 @@
 """``kr270_milling compensate``: the revised trajectory of a cell, what it is predicted to achieve, and the programs.
 
-Exit code 1 where the check finds that the revised path must not be run; everything is written all the same.
+Exit code 1 where the check finds that the revised path must not be run; then no program is written, unless by force.
 """
 
 from __future__ import annotations
@@ -27,6 +27,10 @@ def add_arguments(parser) -> None:
         help=f"judge the compensation by N plants (default {SAMPLES}) drawn from the cell's uncertainty; by fewer, but "
         f"at least 8, where they take more than {BUDGET:.0f} s",
     )  # fmt: skip
+    parser.add_argument(
+        "--force", action="store_true",
+        help="write the programs of a path that must not be run all the same, marked NOT RELEASED in name and header",
+    )  # fmt: skip
     parser.add_argument("--seed", metavar="N", type=_count, default=1, help="of the verdict's plants (default: 1)")
     add_common(parser)
 
@@ -44,6 +48,7 @@ def run(args) -> int:
     from kr270_milling.base.record import find_file
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.cell.jobs import compensated, compensator, simulate
+    from kr270_milling.decision.decision import decide
 
     source = find_file(args.cell)
     cell = read_cell(source, args.set)
@@ -65,12 +70,15 @@ def run(args) -> int:
         checked = _check(cell, revised, motions)
         found["check"] = checked.as_dict()
         found["verdict"] = _verdict(cell, revised, args)
-        found |= _write(draft, final, cell, passes, parts, motions, args, source)
+        decision = decide(cell, original, revised, parts, checked)
+        found["decision"] = decision.as_dict()
+        found |= _write(draft, final, cell, passes, parts, motions, args, source, checked)
     _remove_stale(cell, found["programs"])
     if args.json:
         print_json(found)
     else:
-        _print(cell, passes, found, checked)
+        print(decision.headline)
+        _print(cell, passes, found, checked, args)
     return 0 if checked.may_be_run else 1
 
 
@@ -123,7 +131,7 @@ def _verdict(cell, revised, args) -> dict | None:
         ).as_dict()
 
 
-def _write(draft, final, cell, passes, parts, motions, args, source) -> dict:
+def _write(draft, final, cell, passes, parts, motions, args, source, checked) -> dict:
     """All files; their final paths by kind."""
     import datetime
 
@@ -134,7 +142,8 @@ def _write(draft, final, cell, passes, parts, motions, args, source) -> dict:
     with progress("files"):
         files = write_programs(
             draft, cell, original.reference, revised.reference, method=revised.name, date=date,
-            motions=motions, source=source_hash(cell),
+            motions=motions if checked.may_be_run or args.force else None, source=source_hash(cell),
+            findings=checked.lines(), released=checked.may_be_run,
         )  # fmt: skip
         placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
         placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
@@ -168,7 +177,7 @@ def _write_part(draft, final, cell, passes, parts, args, source, date: str) -> d
     return {"report": str(final(report)), "part": str(final(stl))}
 
 
-def _print(cell, passes, found: dict, checked) -> None:
+def _print(cell, passes, found: dict, checked, args) -> None:
     if cell.path.file:
         _print_features(found["features"], found["method"])
     else:
@@ -187,6 +196,8 @@ def _print(cell, passes, found: dict, checked) -> None:
     if found["verdict"]:
         _print_verdict(found["verdict"])
     print(f"{found['points']} reference points: {found['trajectory']}")
+    if not checked.may_be_run:
+        print("programs marked NOT RELEASED" if args.force else "no robot program is written (--force writes one)")
     for kind, paths in found["programs"].items():
         print(f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}")
     for kind in ("report", "part"):

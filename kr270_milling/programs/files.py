@@ -20,6 +20,8 @@ from kr270_milling.robot import pose, status_turn
 from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.trajectory.trajectory_csv import write_csv
 
+NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
+
 __all__ = ["as_commanded", "remove_stale", "source_hash", "write_programs"]
 
 
@@ -31,15 +33,18 @@ def write_programs(
     *,
     method: str,
     date: str,
-    motions: Sequence[str] = (),
+    motions: Sequence[str] | None = (),
     source: str = "",
+    findings: Sequence[str] = (),
+    released: bool = True,
 ) -> dict[str, list[Path]]:
     """Write everything that a controller or a planner takes; returns the paths by kind.
 
     "krl_spline", "krl_lin": the modules of both programs in a directory of that name, for each of ``motions`` (default:
-    ``program.motion``); "rsi": revised minus original at each tick; "joints": joint positions of both; "trajectory":
+    ``program.motion``; None: no robot program); "rsi": revised minus original at each tick; "joints": joint positions of both; "trajectory":
     the revised one as CSV, which ``simulate`` and ``check`` read. method: for the file names; date: as text;
-    source: sha256 of what the original was made from.
+    source: sha256 of what the original was made from; findings: lines of the check, which stand in every header.
+    A program that is not released has NOT_RELEASED for its name.
     """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
         raise InputError("method", f"{method[:40]!r} cannot be part of a file name")
@@ -47,12 +52,15 @@ def write_programs(
     joints = [commanded_joints(cell, run) for run in (original, revised)]
     shown = [as_commanded(cell, run, q) for run, q in zip((original, revised), joints, strict=True)]
     files: dict[str, list[Path]] = {}
-    for motion in dict.fromkeys(motions or (cell.program.motion,)):
+    program = cell.program if released else cell.program.replace(name=NOT_RELEASED)
+    motions = () if motions is None else motions or (cell.program.motion,)
+    for motion in dict.fromkeys(motions):
         folder = place / f"krl_{motion.lower()}"
         folder.mkdir(parents=True, exist_ok=True)
         files[folder.name] = krl.write_krl(
-            folder, cell.program.replace(motion=motion), _controller(cell, *shown), *shown, __version__, date, source
-        )
+            folder, program.replace(motion=motion), _controller(cell, *shown), *shown, __version__, date, source,
+            findings,
+        )  # fmt: skip
     tick = cell.compensation.tick_ns
     tables = [place / "joints_original.csv", place / f"joints_{method}.csv"]
     files["rsi"] = [place / "rsi_offsets.csv"]

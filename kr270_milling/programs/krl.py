@@ -12,6 +12,8 @@ from __future__ import annotations
 import hashlib
 import math
 import re
+import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,6 +29,7 @@ __all__ = ["Cell", "write_krl", "trajectory_hash", "turn_bits", "status_bits"]
 KINDS = {"ORG": "original trajectory", "CMP": "compensated trajectory"}
 HEAD = ("&ACCESS RVP", "&REL 1", "&PARAM EDITMASK = *")
 EXTERNAL = (";FOLD EXTERNAL DECLARATIONS", "EXT BAS (BAS_COMMAND :IN,REAL :IN)", ";ENDFOLD")
+WIDEST = 100  #: characters of a comment line
 RESERVED = 30  #: lines kept free for head and foot of a module
 GAUSS = np.polynomial.legendre.leggauss(4)
 
@@ -73,12 +76,12 @@ def trajectory_hash(trajectory: Trajectory) -> str:
 
 def write_krl(
     directory, program: Program, cell: Cell, original: Trajectory, revised: Trajectory, version: str, date: str,
-    source_hash: str = "",
+    source_hash: str = "", findings: Sequence[str] = (),
 ) -> list[Path]:  # fmt: skip
     """Write all modules of both programs, or none; returns their paths.
 
     version, date (as text, so that the same input gives the same files) and source_hash (of the recording or the tool
-    path) stand in the header of each file.
+    path) stand in the header of each file, and so do the findings of the check.
     """
     if not np.array_equal(original.time_ns, revised.time_ns) or original.frame != revised.frame:
         raise TrajectoryError("the original and the revised trajectory must share their knots and frame")
@@ -94,11 +97,17 @@ def write_krl(
                 "; SIMULATION RESULT: VERIFY IN T1 WITH REDUCED OVERRIDE BEFORE MILLING",
                 f"; kr270_milling {version}, {date}", f"; sha256 of this trajectory {trajectory_hash(run)}",
                 f"; sha256 of its source {source_hash or 'not given'}"]  # fmt: skip
+        note += [f"; {line}" for text in findings for line in textwrap.wrap(_ascii(text), WIDEST)]
         for name, (src, dat) in modules.items():
             files[Path(directory) / f"{name}.src"] = [*HEAD, f"DEF {name}( )", *note, *src, "END"]
             files[Path(directory) / f"{name}.dat"] = [*HEAD, f"DEFDAT {name}", *note, *EXTERNAL, *dat, "ENDDAT"]
     write_files({path: (line + "\n" for line in lines) for path, lines in files.items()}, newline="\r\n")
     return list(files)
+
+
+def _ascii(text: str) -> str:
+    """What a controller's editor shows of a text."""
+    return text.encode("ascii", "replace").decode()
 
 
 def _kept(program: Program, original: Trajectory, revised: Trajectory) -> np.ndarray:
