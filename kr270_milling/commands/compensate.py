@@ -73,7 +73,6 @@ def run(args) -> int:
         decision = decide(cell, original, revised, parts, checked)
         found["decision"] = decision.as_dict()
         found |= _write(draft, final, cell, passes, parts, motions, args, source, checked)
-    _remove_stale(cell, found["programs"])
     if args.json:
         print_json(found)
     else:
@@ -150,16 +149,6 @@ def _write(draft, final, cell, passes, parts, motions, args, source, checked) ->
         if parts:
             placed |= _write_part(draft, final, cell, passes, parts, args, source, date)
     return placed
-
-
-def _remove_stale(cell, programs: dict) -> None:
-    from pathlib import Path
-
-    from kr270_milling.programs.files import remove_stale
-
-    for kind, paths in programs.items():
-        if kind.startswith("krl_"):
-            remove_stale(Path(paths[0]).parent, cell.program.name, [Path(path) for path in paths])
 
 
 def _write_part(draft, final, cell, passes, parts, args, source, date: str) -> dict:

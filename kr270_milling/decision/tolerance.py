@@ -41,7 +41,8 @@ class Judgement:
         if self.passes is None:
             return f"leaves {1e6 * self.error:.0f} um (part.tolerance_um says nothing)"
         where = f" at {self.feature}" if self.feature and not self.passes else ""
-        return f"{'passes' if self.passes else 'fails'} ({1e6 * self.error:.0f} um against {1e6 * self.tolerance:.0f}{where})"
+        word = "passes" if self.passes else "fails"
+        return f"{word} ({1e6 * self.error:.0f} um against {1e6 * self.tolerance:.0f}{where})"
 
 
 def judge_part(cell: Cell, part: PartAssessment) -> Judgement:

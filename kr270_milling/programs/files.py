@@ -14,15 +14,18 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.frames import Pose, quaternion_from_rotation
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
-from kr270_milling.programs import krl
+from kr270_milling.programs import krl, krl_motion
+from kr270_milling.programs.manifest import manifest
 from kr270_milling.programs.rsi import RSI_TICKS_NS, write_joint_table, write_rsi_table
 from kr270_milling.robot import pose, status_turn
+from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
+from kr270_milling.trajectory.files import write_files
 from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.trajectory.trajectory_csv import write_csv
 
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
 
-__all__ = ["as_commanded", "remove_stale", "source_hash", "write_programs"]
+__all__ = ["as_commanded", "source_hash", "write_programs"]
 
 
 def write_programs(
@@ -40,45 +43,48 @@ def write_programs(
 ) -> dict[str, list[Path]]:
     """Write everything that a controller or a planner takes; returns the paths by kind.
 
-    "krl_spline", "krl_lin": the modules of both programs in a directory of that name, for each of ``motions`` (default:
-    ``program.motion``; None: no robot program); "rsi": revised minus original at each tick; "joints": joint positions of both; "trajectory":
-    the revised one as CSV, which ``simulate`` and ``check`` read. method: for the file names; date: as text;
-    source: sha256 of what the original was made from; findings: lines of the check, which stand in every header.
-    A program that is not released has NOT_RELEASED for its name.
+    "krl_spline", "krl_lin": the modules of both programs, for each of ``motions`` (default: ``program.motion``; None:
+    no robot program), in a directory named after motion, method, date and hash; "rsi": revised minus original at each
+    tick; "joints": joint positions of both; "trajectory": the revised one as CSV, which ``simulate`` and ``check``
+    read; "manifest": which file goes where, and in which order to try them.
+
+    method: for the names; date: ISO text; source: sha256 of what the original was made from; findings: lines of the
+    check, which stand in every header. A program that is not released has NOT_RELEASED for its name.
     """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
         raise InputError("method", f"{method[:40]!r} cannot be part of a file name")
     place = Path(directory)
     joints = [commanded_joints(cell, run) for run in (original, revised)]
     shown = [as_commanded(cell, run, q) for run, q in zip((original, revised), joints, strict=True)]
-    files: dict[str, list[Path]] = {}
     program = cell.program if released else cell.program.replace(name=NOT_RELEASED)
-    motions = () if motions is None else motions or (cell.program.motion,)
+    heading = krl.Heading(__version__, date, source, method, tuple(findings))
+    motions = () if motions is None else motions or (program.motion,)
+    label = f"{method}_{date[:10].replace('-', '')}_{krl.trajectory_hash(shown[1])[:8]}"
+    setup, origin = _setup(cell, *shown), _source(cell, len(original))
+    files: dict[str, list[Path]] = {}
     for motion in dict.fromkeys(motions):
-        folder = place / f"krl_{motion.lower()}"
+        folder = place / f"krl_{motion.lower()}_{label}"
         folder.mkdir(parents=True, exist_ok=True)
-        files[folder.name] = krl.write_krl(
-            folder, program.replace(motion=motion), _controller(cell, *shown), *shown, __version__, date, source,
-            findings,
-        )  # fmt: skip
-    tick = cell.compensation.tick_ns
-    tables = [place / "joints_original.csv", place / f"joints_{method}.csv"]
-    files["rsi"] = [place / "rsi_offsets.csv"]
-    files["joints"], files["trajectory"] = tables, [place / f"reference_{method}.csv"]
-    write_rsi_table(files["rsi"][0], *shown, tick if tick in RSI_TICKS_NS else RSI_TICKS_NS[-1])
-    for path, run, q in zip(tables, (original, revised), joints, strict=True):
-        write_joint_table(path, run, q)
-    write_csv(files["trajectory"][0], revised, joints[1])
+        written = krl.write_krl(folder, program.replace(motion=motion), setup, *shown, heading, origin)
+        files[f"krl_{motion.lower()}"] = written
+    files |= _tables(place, cell, (original, revised), shown, joints, method)
+    files["manifest"] = [place / "MANIFEST.txt"]
+    write_files({files["manifest"][0]: manifest(place, program, files, findings, released)})
     return files
 
 
-def remove_stale(folder, name: str, kept: Sequence[Path]) -> list[Path]:
-    """Remove modules of a longer program of this name that was in the folder before; returns them."""
-    pattern, kept = re.compile(rf"{re.escape(name)}_(ORG|CMP)(_[0-9]{{3}})?\.(src|dat)"), {path.name for path in kept}
-    found = [p for p in sorted(Path(folder).iterdir()) if pattern.fullmatch(p.name) and p.name not in kept]
-    for path in found:
-        path.unlink()
-    return found
+def _tables(place: Path, cell: Cell, runs, shown, joints, method: str) -> dict[str, list[Path]]:
+    tick = cell.compensation.tick_ns
+    files = {
+        "rsi": [place / "rsi_offsets.csv"],
+        "joints": [place / "joints_original.csv", place / f"joints_{method}.csv"],
+        "trajectory": [place / f"reference_{method}.csv"],
+    }
+    write_rsi_table(files["rsi"][0], *shown, tick if tick in RSI_TICKS_NS else RSI_TICKS_NS[-1])
+    for path, run, q in zip(files["joints"], runs, joints, strict=True):
+        write_joint_table(path, run, q)
+    write_csv(files["trajectory"][0], runs[1], joints[1])
+    return files
 
 
 def as_commanded(cell: Cell, run: Trajectory, joints) -> Trajectory:
@@ -109,12 +115,41 @@ def source_hash(cell: Cell) -> str:
 KUKA_FLANGE = Pose.from_abc(np.zeros(3), [0.0, np.pi / 2, 0.0])
 
 
-def _controller(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Cell:
-    """$TOOL is the mount, $BASE the workpiece, status and turn those of the first point of each program."""
-    starts = [cell.joints_at(run.position[:1], run.quaternion[:1])[0] for run in (original, revised)]
-    (status, turn), (revised_status, revised_turn) = (map(int, status_turn(cell.arm, q)) for q in starts)
+def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
+    """$TOOL is the mount, $BASE the workpiece, status and turn those above the first point of each program."""
+    safe_z = float(cell.stock.max[2]) + cell.program.safe_height
+    (status, turn), (revised_status, revised_turn) = (_status_above(cell, run, safe_z) for run in (original, revised))
     mount, to_kuka = cell.mount, KUKA_FLANGE.inverse()
-    return krl.Cell(
-        to_kuka @ mount.pose, cell.workpiece.pose, status, turn, mount.mass,
-        tuple(to_kuka.apply(mount.mass_centre).tolist()), revised_status, revised_turn,
-    )  # fmt: skip
+    return krl.Setup(
+        tool=to_kuka @ mount.pose,
+        base=cell.workpiece.pose,
+        status=status,
+        turn=turn,
+        safe_z=safe_z,
+        load_mass=mount.mass,
+        load_centre=tuple(to_kuka.apply(mount.mass_centre).tolist()),
+        revised_status=revised_status,
+        revised_turn=revised_turn,
+    )
+
+
+def _status_above(cell: Cell, run: Trajectory, safe_z: float) -> tuple[int, int]:
+    """S and T of the approach; raises InputError where the arm cannot reach it."""
+    above = run.position[:1].copy()
+    above[0, 2] = max(above[0, 2], safe_z)
+    try:
+        joints = cell.joints_at(above, run.quaternion[:1])[0]
+    except (ReachError, JointLimitError, SingularityError) as error:
+        raise InputError("program.safe_height_mm", f"the approach cannot be reached: {error}") from None
+    status, turn = status_turn(cell.arm, joints)
+    return int(status), int(turn)
+
+
+def _source(cell: Cell, count: int) -> krl_motion.Source | None:
+    """Line and feature of each knot, of a tool path file."""
+    timed = cell.timed_path
+    if timed is None or len(timed.block) != count:
+        return None
+    features = timed.toolpath.features
+    numbers = timed.toolpath.feature[timed.block].tolist()
+    return krl_motion.Source(timed.toolpath.line[timed.block], tuple(features[n] for n in numbers))

@@ -27,13 +27,16 @@ def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: in
 
 
 def write_joint_table(path, trajectory: Trajectory, joints, velocities=None, names=JOINT_NAMES) -> None:
-    """A joint trajectory: time_s, then one column of positions [rad] per joint, then velocities [rad/s] if given."""
+    """A joint trajectory: time_s, then a column of positions [deg] for each joint, then velocities [deg/s] if given.
+
+    joints [rad], (n, 6); velocities [rad/s], (n, 6).
+    """
     tables = [np.asarray(joints, float)] + ([] if velocities is None else [np.asarray(velocities, float)])
     for table in tables:
         if table.shape != (len(trajectory), len(names)) or not np.isfinite(table).all():
             raise TrajectoryError("a joint table needs one finite value per knot and joint")
-    header = [f"{n}_rad" for n in names] + ([] if velocities is None else [f"{n}_rad_per_s" for n in names])
+    header = [f"{n}_deg" for n in names] + ([] if velocities is None else [f"{n}_deg_per_s" for n in names])
     lines = ["time_s," + ",".join(header) + "\n"]
-    for time, row in zip(trajectory.time_ns.tolist(), np.hstack(tables).tolist(), strict=True):
+    for time, row in zip(trajectory.time_ns.tolist(), np.degrees(np.hstack(tables)).tolist(), strict=True):
         lines.append(f"{time // 10**9}.{time % 10**9:09d}," + ",".join(map(repr, row)) + "\n")
     write_files({path: lines})

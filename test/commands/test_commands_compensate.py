@@ -40,11 +40,12 @@ def test_a_tool_path_ends_with_table_report_programs_and_findings(tmp_path, caps
         assert word in text
     out = tmp_path / "out"
     for motion in ("lin", "spline"):
-        folder = {p.name for p in (out / f"krl_{motion}").iterdir()}
+        folder = {p.name for p in next(out.glob(f"krl_{motion}_*")).iterdir()}
         assert folder == {f"MILLING_{kind}.{end}" for kind in ("ORG", "CMP") for end in ("src", "dat")}
-    assert "LIN XP" in (out / "krl_lin" / "MILLING_CMP.src").read_text()
+    assert "LIN XP" in (next(out.glob("krl_lin_*")) / "MILLING_CMP.src").read_text()
     assert {p.name for p in out.iterdir() if p.is_file()} == {
-        "joints_original.csv", "joints_spline.csv", "part_spline.stl", "reference_spline.csv", "report.html",
+        "MANIFEST.txt", "joints_original.csv", "joints_spline.csv", "part_spline.stl", "reference_spline.csv",
+        "report.html",
         "rsi_offsets.csv",
     }  # fmt: skip
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
@@ -70,7 +71,11 @@ def test_a_straight_cut_keeps_its_contract_and_gets_programs(tmp_path, capsys):
     assert main(words) == 0
     found = json.loads(capsys.readouterr().out)
     keys = {"method", "trajectory", "points", "static_deviation_mm", "max_deviation_mm", "low_frequency_hz", "original"}
-    assert keys <= set(found) and set(found["programs"]) == {"krl_spline", "rsi", "joints"} and "report" not in found
+    assert (
+        keys <= set(found)
+        and set(found["programs"]) == {"krl_spline", "rsi", "joints", "manifest"}
+        and "report" not in found
+    )
     assert found["max_deviation_mm"] < 0.1 * found["original"]["max_deviation_mm"]
 
 
@@ -85,19 +90,19 @@ def test_a_path_that_must_not_be_run_ends_with_1_and_says_so(quick, tmp_path, ca
     assert main(command(tmp_path, sets=["limits.spindle_power_kw=0.01"])) == 1
     text = capsys.readouterr().out
     assert "the path must not be run" in text
-    # the cell's method is linear, which LIN motions run
-    assert sorted(p.name for p in (tmp_path / "out").iterdir() if p.name.startswith("krl")) == ["krl_lin"]
+    assert not list((tmp_path / "out").glob("krl*")) and "no robot program is written" in text
 
 
-def test_a_second_run_leaves_no_modules_of_a_longer_program(quick, tmp_path):
-    assert (
-        main(command(tmp_path, "--method", "spline", sets=["program.line_limit=120", "timing.controller_step_ms=4"]))
-        == 0
-    )
-    assert (tmp_path / "out" / "krl_spline" / "MILLING_CMP_003.src").exists()
-    assert main(command(tmp_path, "--method", "spline")) == 0
-    names = {p.name for p in (tmp_path / "out" / "krl_spline").iterdir()}
-    assert names == {f"MILLING_{kind}.{end}" for kind in ("ORG", "CMP") for end in ("src", "dat")}
+def test_the_method_linear_is_run_by_lin_motions(quick, tmp_path):
+    assert main(command(tmp_path)) == 0
+    (folder,) = (tmp_path / "out").glob("krl*")
+    assert re.fullmatch(r"krl_lin_linear_\d{8}_[0-9a-f]{8}", folder.name)
+
+
+def test_programs_of_different_trajectories_never_share_a_folder(quick, tmp_path):
+    for method in ("spline", "linear", "spline"):
+        assert main(command(tmp_path, "--method", method, "--krl", "SPLINE")) == 0
+    assert len(list((tmp_path / "out").glob("krl_spline_*"))) == 2
 
 
 def test_repeating_lists_the_errors_of_its_passes(quick, tmp_path, capsys):

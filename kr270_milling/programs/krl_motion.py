@@ -1,0 +1,107 @@
+"""Motions of a robot program: which knots become points, how they are split into modules, how fast each is reached."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.cell.program import Program
+from kr270_milling.compensation.limiting import resting
+from kr270_milling.programs.krl_text import number
+from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
+
+__all__ = ["Source", "modules_of", "motion_lines", "point_numbers", "point_speeds"]
+
+GAUSS = np.polynomial.legendre.leggauss(4)
+SLOWEST = 1e-3  #: [m/s], the step of the speeds that are written
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Where the n knots come from."""
+
+    line: np.ndarray  #: in the file of the tool path, (n,), 0: none
+    feature: tuple[str, ...]  #: of the part, (n,), "": none
+
+    def comment(self, k: int, before: int) -> list[str]:
+        """The comment before point k, where line or feature are not those of the point before."""
+        if (self.line[k], self.feature[k]) == (self.line[before], self.feature[before]) or not self.line[k]:
+            return []
+        name = f" ({self.feature[k]})" if self.feature[k] else ""
+        return [f"; line {self.line[k]}{name}"]
+
+
+def point_numbers(program: Program, original: Trajectory, revised: Trajectory) -> np.ndarray:
+    """Knots that become points, (p,): far enough from the one before in both; the first, the stops and the last."""
+    stops, spacing = resting(original.velocity, len(original)), program.point_spacing
+    rows = np.stack([original.position, revised.position], axis=1).tolist()
+    last, kept = len(rows) - 1, [0]
+
+    def near(k: int) -> bool:
+        return any(math.dist(new, old) < spacing for new, old in zip(rows[k], rows[kept[-1]], strict=True))
+
+    for k in range(1, last + 1):
+        if stops[k] or k == last:  # a corner must not move to the knot before it
+            while len(kept) > 1 and near(k):
+                kept.pop()
+            if k == last or not near(k):
+                kept.append(k)
+        elif not near(k):
+            kept.append(k)
+    return np.array(kept)
+
+
+def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, source: Source, most: int) -> list:
+    """Ranges of points after the first, [from, to), one for each module of ``most`` lines; they end at stops if near.
+
+    Raises TrajectoryError for more points than the modules of a main module can hold.
+    """
+    pieces, start, lines = [], 1, 0
+    for i in range(1, len(points)):
+        stop = bool(stops[points[i]])
+        lines += 2 if program.motion == "LIN" else 1 + 2 * stop
+        lines += len(source.comment(points[i], points[i - 1]))
+        if lines > most - 4 or (stop and lines > 0.75 * most):
+            pieces.append((start, i + 1))
+            start, lines = i + 1, 0
+    if start < len(points):
+        pieces.append((start, len(points)))
+    if len(pieces) > 999:
+        raise TrajectoryError(f"{len(points)} points need more than 999 modules of {program.line_limit} lines")
+    if len(pieces) > 1 and len(pieces) > most:
+        reason = f"{len(points)} points need {len(pieces)} modules, more than a main module of"
+        raise TrajectoryError(f"{reason} {program.line_limit} lines can call; raise program.line_limit")
+    return pieces
+
+
+def motion_lines(program: Program, points: np.ndarray, piece, speed, stops, source: Source) -> list[str]:
+    """SPLINE blocks from stop to stop, or LIN motions blended by C_DIS, over the points of one module."""
+    lines: list[str] = []
+    first, end = piece
+    open_block = False
+    for i in range(first, end):
+        k, ends = int(points[i]), bool(stops[points[i]]) or i == end - 1
+        if program.motion == "LIN":
+            blend = "" if ends or not program.blend_distance else " C_DIS"
+            lines += [*source.comment(k, points[i - 1]), f"$VEL.CP={number(speed[i], 3)}", f"LIN XP{k + 1}{blend}"]
+            continue
+        lines += [] if open_block else ["SPLINE"]
+        lines += [*source.comment(k, points[i - 1]), f"SPL XP{k + 1} WITH $VEL.CP={number(speed[i], 3)}"]
+        lines += ["ENDSPLINE"] if ends else []
+        open_block = not ends
+    return lines
+
+
+def point_speeds(program: Program, run: Trajectory, points: np.ndarray) -> np.ndarray:
+    """Mean speed [m/s], (p,), along the motion that leads to each point; 0 for the first."""
+    step = np.diff(run.time_ns)
+    if program.motion == "LIN" or run.velocity is None:
+        position = run.position[points]
+        length = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    else:
+        places = run.time_ns[:-1, None] + np.rint((1 + GAUSS[0]) / 2 * step[:, None]).astype(np.int64)
+        way = np.concatenate([[0.0], np.cumsum(run.feed(places) @ (GAUSS[1] / 2) * step * 1e-9)])
+        length = np.diff(way[points])
+    return np.concatenate([[0.0], np.maximum(length / np.diff(run.time[points]), SLOWEST)])
