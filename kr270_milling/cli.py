@@ -45,10 +45,27 @@ EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Exit code 0, 1 (a check failed), 2 (unusable input: one sentence on stderr) or 130 (Ctrl-C)."""
+    """Exit code 0, 1 (a check failed), 2 (unusable input: one sentence on stderr) or 130 (Ctrl-C).
+
+    Without ``argv`` the process is the command's own, and ends here where ROS was loaded.
+    """
+    if argv is not None:
+        return _main(argv)
+    try:
+        code = _main(sys.argv[1:])
+    except SystemExit as error:  # argparse, or a run that SIGTERM ends
+        code = error.code
+    if "rclpy" in sys.modules:  # its middleware may crash or block while Python ends
+        from kr270_milling.ros.leaving import end_process
+
+        end_process(code)
+    return code
+
+
+def _main(argv: list[str]) -> int:
     try:
         _hear_interrupts()
-        return _run(sys.argv[1:] if argv is None else argv)
+        return _run(argv)
     except BrokenPipeError:  # the reader of our output, head for example, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_OK

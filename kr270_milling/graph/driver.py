@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import atexit
-import os
-import signal
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,6 +20,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from kr270_milling.graph.processes import RunError
 from kr270_milling.ros import topics
+from kr270_milling.ros.leaving import end_process, leaving
 
 __all__ = ["Driver", "Status", "TRANSITIONS", "compatible"]
 
@@ -33,7 +31,8 @@ TRANSITIONS = {
     "cleanup": Transition.TRANSITION_CLEANUP,
 }
 ERROR = b"\x02"
-LEAVE = 10  # [s] to leave the graph
+EXIT_FAILED = 2  # of a run that could not go on
+LEAVE = 10.0  # [s] to leave the graph
 LOOK = 0.02  # [s] between two looks at the processes while waiting
 
 
@@ -153,22 +152,18 @@ class Driver:
         """Publishers and subscriptions of a fully qualified topic."""
         return self.node.get_publishers_info_by_topic(topic), self.node.get_subscriptions_info_by_topic(topic)
 
-    def close(self) -> None:
-        """Leave the graph; not when Fast DDS is stuck (eProsima/Fast-DDS#6502): neither this nor an exit would end."""
+    def close(self, code: int = 0) -> None:
+        """Leave the graph; where that blocks, the process ends with ``code`` after LEAVE, and the nodes with it.
+
+        Not when Fast DDS is stuck already (eProsima/Fast-DDS#6502): neither this nor an exit of Python would end.
+        """
         if self.stuck:
-            atexit.register(_end_at_once)
+            atexit.register(end_process, EXIT_FAILED)
             return
-        signal.alarm(LEAVE)  # rather ended than blocked for ever; the nodes end with us
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()
-        signal.alarm(0)
-
-
-def _end_at_once() -> None:
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(2)  # the run has failed
+        with leaving(code, LEAVE):
+            self._executor.shutdown()
+            self.node.destroy_node()
+            self._context.try_shutdown()
 
 
 def compatible(publisher, subscription) -> bool:

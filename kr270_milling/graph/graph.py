@@ -20,6 +20,7 @@ from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unma
 from kr270_milling.graph.processes import Child, RunError, remove_litter, stop
 from kr270_milling.ros.cell_file import write_cell
 from kr270_milling.ros.environment import keep_to_this_host
+from kr270_milling.ros.leaving import exit_code
 from kr270_milling.ros.node import LOST
 
 __all__ = ["NOT_COMPLETE", "LOST", "AlreadyRunning", "Graph", "PassRun"]
@@ -85,8 +86,8 @@ class Graph:
         try:
             self.driver = Driver(self._namespace, self.check)
             self._start(started)
-        except BaseException:
-            self.close()
+        except BaseException as error:
+            self.close(exit_code(error))
             raise
         return self
 
@@ -269,12 +270,15 @@ class Graph:
         last = float(self._says("pass_time_s", ROBOT)) * 1e9 - 1000  # told in microseconds
         return all(latest.get(self.driver.name_of(t), -1) >= last for t in ("tool_pose", "wrench", "deflection"))
 
-    def close(self) -> None:
-        """Stop everything; the recorder last, so that it has the others' last words."""
+    def close(self, code: int = 0) -> None:
+        """Stop everything; the recorder last, so that it has the others' last words.
+
+        code: of this process, should the middleware block while it leaves.
+        """
         recorders = [*self.ended, *filter(None, [self.children.pop(RECORDER, None)])]  # one may be closing its file
         try:
             if self.driver is not None:
-                self.driver.close()  # before the others leave
+                self.driver.close(code)  # before the others leave
         finally:
             stop(self.children.values())
             stop(recorders)
@@ -282,5 +286,5 @@ class Graph:
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 
-    def __exit__(self, *_) -> None:
-        self.close()
+    def __exit__(self, kind, error, trace) -> None:
+        self.close(exit_code(error))

@@ -26,6 +26,7 @@ from kr270_milling.bag.playback import (
 )
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import one_line
+from kr270_milling.ros.leaving import end_process
 from kr270_milling.ros.messages import stamp_from_ns
 from kr270_milling.ros.names import NameRefused, message_class, plain_topic
 from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded
@@ -228,7 +229,8 @@ def main(args: list[str] | None = None) -> int:
     )
     parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording")
     add_play_arguments(parser)
-    return play(PlayOptions.of(parser.parse_args(remove_ros_args(words)[1:])), words)[0]
+    code, _ = play(PlayOptions.of(parser.parse_args(remove_ros_args(words)[1:])), words)
+    return end_process(code) if args is None else code
 
 
 if __name__ == "__main__":

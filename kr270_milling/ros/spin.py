@@ -15,22 +15,33 @@ from rclpy.signals import SignalHandlerOptions
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.ros.environment import PARENT, keep_to_this_host
+from kr270_milling.ros.leaving import end_process, leaving
 
 __all__ = ["run_node"]
 
-LEAVE = 3  # [s] of the wall to leave the graph
+LEAVE = 3.0  # [s] of the wall to leave the graph
+STOPS = (signal.SIGINT, signal.SIGTERM)
 
 
 def run_node(make, args: list[str] | None = None, drained: bool = False) -> int:
     """Spin ``make(context=...)`` until a signal, until its parent is gone, or until it sets ``failure`` or ``done``.
 
     Exit code: 0 after a signal or when done, 1 when the node failed, 2 when it could not be made (bad parameters).
+    Without ``args`` the process is the node's own and ends here; else the exit code is returned.
     drained: the node takes its messages itself, by ``drain``, which EventsExecutor would do in its place.
     rclpy's own signal handlers now and then end with 1, and EventsExecutor.spin() does not return on a signal.
     """
     stop: list[int] = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda caught, _: stop.append(caught))
+    before = {number: signal.signal(number, lambda caught, _: stop.append(caught)) for number in STOPS}
+    code = _run_node(make, args, drained, stop)
+    if args is None:
+        end_process(code)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    return code
+
+
+def _run_node(make, args: list[str] | None, drained: bool, stop: list[int]) -> int:
     keep_to_this_host()
     context = Context()
     program = os.path.basename(sys.argv[0])
@@ -40,18 +51,24 @@ def run_node(make, args: list[str] | None = None, drained: bool = False) -> int:
         print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     try:
-        try:
-            node = make(context=context)
-        except (MillingError, ParameterException) as error:
-            print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
-            return 2
-        return _spin(node, (SingleThreadedExecutor if drained else EventsExecutor)(context=context), stop)
-    finally:
+        node = make(context=context)
+    except (MillingError, ParameterException) as error:
+        print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
+        with leaving(2, LEAVE):
+            context.try_shutdown()
+        return 2
+    executor = (SingleThreadedExecutor if drained else EventsExecutor)(context=context)
+    executor.add_node(node)
+    code = _spin(node, executor, stop)
+    with leaving(code, LEAVE):
+        executor.shutdown()
+        node.destroy_node()
         context.try_shutdown()
+    return code
 
 
 def _spin(node, executor, stop: list[int]) -> int:
-    executor.add_node(node)
+    """The exit code, when all that the node has to write is written."""
     parent = int(os.environ.get(PARENT, 0))
     while not stop and node.failure is None and not getattr(node, "done", False):
         executor.spin_once(timeout_sec=0.1)
@@ -65,10 +82,4 @@ def _spin(node, executor, stop: list[int]) -> int:
     failure = node.failure or closed
     if failure:
         print(f"{node.get_name()}: {failure}", file=sys.stderr)
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
-        signal.signal(number, signal.SIG_DFL)
-    signal.alarm(LEAVE)  # Fast DDS may block for ever now, and Python with it (eProsima/Fast-DDS#6502)
-    executor.shutdown()
-    node.destroy_node()
-    signal.alarm(0)
     return 1 if failure else 0
