@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
-from kr270_milling.trajectory.toolpath import REACH, PathBuilder, Toolpath
+from kr270_milling.trajectory.path_builder import PathBuilder
+from kr270_milling.trajectory.toolpath import REACH, Toolpath
 from kr270_milling.trajectory.trajectory import TOOL_DOWN
 
 __all__ = ["read_apt"]

@@ -1,4 +1,4 @@
-"""Arcs of the xy plane as chords that touch the arc at both ends."""
+"""Arcs of one plane as chords that touch the arc at both ends; x and y are its axes here, z the one across it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import math
 import numpy as np
 
 __all__ = ["ArcError", "centre_from_radius", "flatten"]
+
+MOST_TURNS = 1000
 
 
 class ArcError(ValueError):
@@ -26,11 +28,14 @@ def centre_from_radius(start, end, radius: float, clockwise: bool, tolerance: fl
     return (start[0] + dx / 2 - side * height * dy / chord, start[1] + dy / 2 + side * height * dx / chord)
 
 
-def flatten(start, end, centre, clockwise: bool, closing: float, tolerance: float) -> tuple[np.ndarray, float]:
+def flatten(
+    start, end, centre, clockwise: bool, closing: float, tolerance: float, turns: int = 0
+) -> tuple[np.ndarray, float]:
     """Ends of the chords [m], (m, 3), and the curvature [1/m] of an arc or a helix about ``centre``.
 
     start, end [m], (3,); equal in x and y they mean a full circle. closing: how far start and end may differ in their
-    distance from the centre; tolerance: how far the arc may stand off a chord. The last point is ``end`` itself.
+    distance from the centre; tolerance: how far the arc may stand off a chord; turns: full ones before the arc.
+    The last point is ``end`` itself.
     """
     first = math.hypot(start[0] - centre[0], start[1] - centre[1])
     last = math.hypot(end[0] - centre[0], end[1] - centre[1])
@@ -48,6 +53,9 @@ def flatten(start, end, centre, clockwise: bool, closing: float, tolerance: floa
         sweep -= 2 * math.pi
     if clockwise and sweep > 0:
         sweep = -sweep
+    if not 0 <= turns <= MOST_TURNS:
+        raise ArcError(f"a helix of {turns} turns is not meant")
+    sweep += math.copysign(2 * math.pi * turns, -1.0 if clockwise else 1.0)
     radius = max(first, last)
     step = 2 * math.acos(max(1 - tolerance / radius, math.cos(math.pi / 4)))  # at least 4 chords to the circle
     count = max(1, math.ceil(abs(sweep) / step))

@@ -8,7 +8,8 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_abc
 from kr270_milling.base.record import UNITS
 from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
-from kr270_milling.trajectory.toolpath import REACH, PathBuilder, Toolpath
+from kr270_milling.trajectory.path_builder import PathBuilder
+from kr270_milling.trajectory.toolpath import REACH, Toolpath
 
 __all__ = ["read_points"]
 

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from array import array
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.trajectory.trajectory import TOOL_DOWN, slerp
+from kr270_milling.base.errors import MillingError
+from kr270_milling.trajectory.source_program import SourceProgram
+from kr270_milling.trajectory.trajectory import slerp
 
-__all__ = ["Toolpath", "ToolpathError", "PathBuilder", "REACH"]
+__all__ = ["Toolpath", "ToolpathError", "REACH"]
 
 #: [m] no coordinate of a part in a robot cell is larger; beyond it the unit must be wrong
 REACH = 100.0
-#: more blocks than this cannot be meant (a full circle of 100 m radius within 2 um has 16,000)
-MOST_BLOCKS = 20_000_000
 
 
 class ToolpathError(MillingError):
@@ -40,8 +38,9 @@ class Toolpath:
     feature: np.ndarray  #: (n,) int64, index into ``features``
     features: tuple[str, ...]  #: names of the features of the part; the first is "" for blocks of no feature
     curvature: np.ndarray  #: [1/m], (n,), in the xy plane, positive counterclockwise seen from +z; 0: straight
-    spindle_speed: np.ndarray  #: [rad/s], (n,), clockwise; 0: off
+    spindle_speed: np.ndarray  #: [rad/s], (n,), clockwise, negative: counterclockwise; 0: off or not given
     quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tool0 in the workpiece frame at the end of each block
+    program: SourceProgram = SourceProgram()  #: what the source says beside its moves
 
     def __post_init__(self):
         position = np.array(self.position, float)
@@ -110,48 +109,3 @@ class Toolpath:
         position[arc, 1] = start[arc, 1] - (np.cos(turned) - np.cos(heading)) / bent
         quaternion = slerp(self.quaternion[block - 1], self.quaternion[block], share[:, None])
         return position, self.tangent(block, share * plane), quaternion
-
-
-class PathBuilder:
-    """Collects the blocks of a source file; moves that go nowhere are left out."""
-
-    def __init__(self, source):
-        self.source = source
-        self.features: dict[str, int] = {"": 0}
-        self.feature, self.spindle_speed, self.quaternion = 0, 0.0, TOOL_DOWN
-        self._positions, self._turns = array("d"), array("d")
-        self._numbers = array("d")  # feed, curvature, spindle speed per block
-        self._marks = array("q")  # rapid, line, feature per block
-        self._last = None
-
-    def __len__(self) -> int:
-        return len(self._marks) // 3
-
-    def name_feature(self, name: str) -> None:
-        self.feature = self.features.setdefault(name, len(self.features))
-
-    def move(self, position: tuple[float, float, float], feed: float, rapid: bool, line: int, curvature=0.0) -> None:
-        """Append one block; position [m], feed [m/s], curvature [1/m]."""
-        here = (position, self.quaternion)
-        if here == self._last:
-            return
-        if len(self) >= MOST_BLOCKS:
-            raise InputError(self.source, f"the path has more than {MOST_BLOCKS} blocks", line)
-        if self._last is not None and position == self._last[0]:
-            raise InputError(self.source, "the tool turns without moving; that has no feed", line)
-        self._last = here
-        self._positions.extend(position)
-        self._turns.extend(self.quaternion)
-        self._numbers.extend((feed, curvature, self.spindle_speed))
-        self._marks.extend((rapid, line, self.feature))
-
-    def build(self, last_line: int) -> Toolpath:
-        marks = np.frombuffer(self._marks, np.int64).reshape(-1, 3)
-        if len(marks) < 2:
-            raise InputError(self.source, "the path never moves", int(marks[0, 1]) if len(marks) else last_line)
-        numbers = np.frombuffer(self._numbers).reshape(-1, 3)
-        return Toolpath(
-            position=np.frombuffer(self._positions).reshape(-1, 3), feed=numbers[:, 0], rapid=marks[:, 0],
-            line=marks[:, 1], feature=marks[:, 2], features=tuple(self.features), curvature=numbers[:, 1],
-            spindle_speed=numbers[:, 2], quaternion=np.frombuffer(self._turns).reshape(-1, 4),
-        )  # fmt: skip

@@ -9,6 +9,7 @@ import pytest
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.trajectory.gcode import read_gcode
+from kr270_milling.trajectory.source_program import ProgramError
 
 START = "G0 X0 Y0 Z0\n"
 
@@ -87,8 +88,13 @@ def test_a_comment_of_one_word_names_the_feature_that_follows(read):
 
 
 def test_the_spindle_speed_counts_only_while_the_spindle_turns(read):
-    path = read("G0 X0 Y0 Z0 S60\nG1 X1 F100\nM3\nX2\nS120\nX3\nM5 X4\nM30\n")
-    np.testing.assert_allclose(path.spindle_speed / (2 * math.pi), [0, 0, 1, 2, 0])
+    path = read("G0 X0 Y0 Z0 S60\nG1 X1 F100\nM3\nX2\nM5\nX3\nM13 X4\nM30\n")
+    np.testing.assert_allclose(path.spindle_speed / (2 * math.pi), [0, 0, 1, 0, 1])
+
+
+def test_a_counterclockwise_spindle_turns_the_other_way(read):
+    path = read("G0 X0 Y0 Z0\nM4 S60\nG1 X1 F100\n")
+    np.testing.assert_allclose(path.spindle_speed / (2 * math.pi), [0, -1])
 
 
 def test_axes_may_be_given_one_after_the_other_before_the_first_cut(read):
@@ -112,31 +118,47 @@ def test_repeated_points_within_a_path_are_left_out(read):
 @pytest.mark.parametrize(
     ("text", "line", "word"),
     [
-        (START + "G4 P1\n", 2, "G4"),
-        (START + "G18\n", 2, "G18"),
-        (START + "G91.1\n", 2, "G91.1"),
-        (START + "T1 M6\n", 2, "T1"),
-        (START + "M4 S100\n", 2, "M4"),
-        (START + "G41 D1\n", 2, "G41"),
-        (START + "G1 X1 A90 F100\n", 2, "A90"),
-        (START + "O1000\n", 2, "O1000"),
+        (START + "G41 D1\n", 2, "G41: let the CAM output the path of the tool's centre"),
+        (START + "#1=5\n", 2, "post without macros"),
+        (START + "G1 X[#1+2]\n", 2, "post without macros"),
+        (START + "M98 P100\n", 2, "M98: post without macros"),
+        (START + "o100 sub\n", 2, "post without macros"),
+        (START + "WHILE [#1 LT 5] DO1\n", 2, "post without macros"),
+        (START + "G68 R90\n", 2, "G68: let the CAM output coordinates of one work offset"),
+        (START + "G52 X5\n", 2, "G52"),
+        (START + "G92 X5\n", 2, "G92"),
+        (START + "G10 L2 P1 X5\n", 2, "G10"),
+        (START + "G84 Z-5 R1 F100\n", 2, "G84: leave threads out"),
+        (START + "G38.2 Z-5 F10\n", 2, "G38.2: leave probing out"),
+        (START + "G5.2 X1 Y1 P1\n", 2, "G5.2: let the CAM output lines and arcs"),
+        (START + "G5 X1 Y1 I1 J1\n", 2, "G5: let the CAM output lines and arcs"),
+        (START + "G12 I5 F100\n", 2, "G12: let the CAM output the cycle"),
+        (START + "G96 S100\n", 2, "G96: this is a word of lathes"),
+        (START + "G123\n", 2, "G123: it is not known"),
+        (START + "G1 X1 A90 F100\n", 2, "A90: post a 3-axis program"),
+        (START + "G43.4 H1\n", 2, "G43.4: post a 3-axis program"),
+        (START + "TRAORI\n", 2, "TRAORI: post a 3-axis program"),
+        (START + "CYCLE81(10,0,2,-5)\n", 2, "CYCLE81: let the CAM output the cycle"),
+        (START + "G1 X10 Y0,R2 F100\n", 2, "let the CAM output lines and arcs"),
         (START + "G1 X1\n", 2, "without a feed"),
         (START + "G1 X1 F0\n", 2, "zero feed"),
         (START + "G1 X1 F-100\n", 2, "F-100"),
         (START + "G1 XNaN F100\n", 2, "XNAN"),
         (START + "G1 X F100\n", 2, "X has no number"),
-        (START + "G1 X1 F100\nG1 X2 Y", 3, "Y has no number"),
         (START + "G1 X1 F100\nG1 X2 Y1", 3, "cut off"),
         (START + "G1 X1e5 F100\n", 2, "E5"),
         (START + "G1 X1 X2 F100\n", 2, "X stands twice"),
         (START + "G0 G1 X1 F100\n", 2, "G1 contradicts"),
         (START + "G2 X10 Y0 I4 J0 F100\n", 2, "does not close"),
+        ("G0 X20 Y0 Z0\nG3 X0 Y20 I0 J0 F100\n", 2, "closes with an absolute centre only; write G90.1"),
         (START + "G2 X10 Y0 R4.9 F100\n", 2, "does not close"),
         (START + "G2 X10 Y0 R1" + 160 * "0" + " F100\n", 2, "wrong unit"),
         (START + "G2 X10 Y0 R100000000000000 F100\n", 2, "wrong unit"),
         (START + "G2 X0.001 Y0 J30000000000000 F100\n", 2, "wrong unit"),
         (START + "G2 X0 Y0 J900000 F100\n", 2, "leads more than 100 m away"),
         (START + "G2 X10 Y0 F100\n", 2, "without I, J or R"),
+        (START + "G18 G2 X10 Z0 F100\n", 2, "without K, I or R"),
+        (START + "G2 X10 Y0 I5 K2 F100\n", 2, "K does not belong"),
         (START + "G2 X10 Y0 R6 I5 F100\n", 2, "not by both"),
         (START + "G2 R6 F100\n", 2, "elsewhere"),
         (START + "G2 X5 I0 J0 F100\n", 2, "does not close"),
@@ -145,10 +167,15 @@ def test_repeated_points_within_a_path_are_left_out(read):
         (START + "G1 X1 F100 $\n", 2, r"\$"),
         (START + "G1 X1 F100 \u0425\u0456\n", 2, "no G-code word"),
         (START + "G1 X1000000 F100\n", 2, "wrong unit"),
+        (START + "G81 Z5 R2 F100\n", 2, "does not lead from R down to Z"),
+        (START + "G83 Z-99 R2 Q0.001 F100\n", 2, "wrong Q"),
+        (START + "G81 Z-5 R2 F100 L5\n", 2, "5 times at one place"),
+        ("G0 X0 Y0\nG81 Z-5 F100\n", 2, "not all known"),
         ("X1 Y1 Z1\n", 1, "without G0"),
-        ("G1 X1 Y1 Z1 F100\n", 1, "before X, Y and Z"),
+        ("G1 X1 Y1 Z-1 F100\nG1 X2\nG28\nG1 Z-5 X1\n", 4, "before X, Y and Z"),
+        ("G1 Z-1 F100\n", 1, "before X, Y and Z"),
         ("G91 G0 X1\n", 1, "G91"),
-        ("M3\n" + START, 1, "M3 without"),
+        ("BEGIN PGM PART MM\n", 1, "Heidenhain"),
         ("G21\n", 2, "never moves"),
     ],
 )
@@ -156,6 +183,24 @@ def test_what_cannot_be_run_is_refused_with_line_and_word(read, text, line, word
     with pytest.raises(InputError, match=word) as caught:
         read(text)
     assert caught.value.line == line and "\n" not in str(caught.value)
+
+
+def test_all_that_cannot_be_run_is_listed_at_once(read):
+    with pytest.raises(ProgramError) as caught:
+        read(START + "G41 D1\nG1 X1 F100\nX#1\nG42\nA5\nG1 X2\n")
+    assert [(r.line, r.word) for r in caught.value.refusals] == [(2, "G41"), (4, "X#1"), (5, "G42"), (6, "A5")]
+    assert "line 4: X#1: post without macros" in str(caught.value) and "1 more like it" in str(caught.value)
+
+
+def test_what_follows_from_a_refused_move_is_not_refused_once_more(read):
+    with pytest.raises(ProgramError) as caught:
+        read("G0 X#1 Y0\nG0 Z5\nG1 Z-1 F100\nX1\n")
+    assert [r.line for r in caught.value.refusals] == [1]
+
+
+def test_a_feed_may_come_from_the_cell_where_the_program_has_none(read):
+    np.testing.assert_allclose(read(START + "G1 X1\nX2\n", feed=0.02).feed[1:], 0.02)
+    np.testing.assert_allclose(read(START + "G1 X1\nX2 F600\n", feed=0.02).feed[1:], [0.02, 0.01])
 
 
 def test_an_arc_may_miss_closing_by_the_rounding_of_its_numbers(read):

@@ -33,7 +33,7 @@ def check(path: Path, data: bytes) -> None:
     try:
         toolpath = read_toolpath(path)
     except InputError as error:
-        assert str(error).isprintable() and len(str(error)) < 300 + len(str(path))
+        assert str(error).isprintable() and len(str(error)) < 2000 + len(str(path))
         assert error.line is not None and 1 <= error.line <= data.count(b"\n") + data.count(b"\r") + 1
         return
     assert isinstance(toolpath, Toolpath) and np.abs(toolpath.position).max() <= REACH

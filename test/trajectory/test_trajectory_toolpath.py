@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.trajectory.toolpath import PathBuilder, Toolpath, ToolpathError
+from kr270_milling.trajectory.path_builder import PathBuilder
+from kr270_milling.trajectory.toolpath import Toolpath, ToolpathError
 
 
 def corner() -> PathBuilder:

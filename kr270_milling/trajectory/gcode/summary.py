@@ -1,0 +1,96 @@
+"""What a program says beside its moves, put together when it was read to its end."""
+
+from __future__ import annotations
+
+import math
+
+from kr270_milling.trajectory.gcode.comments import described_tool
+from kr270_milling.trajectory.source_program import ProgramTool, Refusal, SourceProgram, read_over
+
+__all__ = ["source_program"]
+
+SAME_SPEED = 0.1  #: [rad/s], 1 rpm: spindle speeds that differ by less are one
+
+
+def source_program(reader, last: int) -> SourceProgram:
+    """The record of a program that a reader has been through up to the line ``last``."""
+    machine, motion = reader.machine, reader.motion
+    tools = _tools(reader)
+    cutting = [tool for tool in tools if tool.cuts]
+    chosen = machine.selected or (cutting[0].name if cutting else "")
+    speeds = reader.path.cutting_speeds()
+    offsets = {name: line for (tool, name), line in motion.offsets.items() if tool == chosen or not machine.selected}
+    refused = list(reader.refusals.of(machine.selected))
+    refused += _selection(machine.selected, tools, last)
+    if not refused or len(cutting) < 2:
+        refused += _speeds(speeds) + _offsets(offsets)
+    return SourceProgram(
+        title=reader.title,
+        tool=chosen,
+        tools=tools,
+        spindle_speeds=tuple(speed for speed in speeds if speed),
+        feeds=reader.path.cutting_feeds(),
+        work_offset=next(filter(None, offsets), machine.offset),
+        operations=reader.path.cut_features(),
+        read_over=read_over(machine.silent),
+        refused=tuple(sorted(refused, key=lambda refusal: refusal.line)),
+    )
+
+
+def _tools(reader) -> tuple[ProgramTool, ...]:
+    """Every tool that the program changes to, with what its comments say; "" for cuts before the first one."""
+    machine, cuts = reader.machine, reader.motion.cuts
+    names = dict(machine.tools)
+    if cuts[""]:
+        names = {"": 1} | names
+    said: dict[str, ProgramTool] = {}
+    for comment, changed in reader.comments:
+        tool = described_tool(comment, machine.unit, changed or (next(iter(names)) if len(names) == 1 else ""))
+        if tool is not None and tool.name not in said:
+            said[tool.name] = tool
+        elif tool is not None:
+            said[tool.name] = _merged(said[tool.name], tool)
+    found = []
+    for name, line in names.items():
+        known = said.get(name, ProgramTool(name))
+        found.append(ProgramTool(name, known.description, known.diameter, known.teeth, line, cuts[name]))
+    return tuple(found)
+
+
+def _merged(one: ProgramTool, other: ProgramTool) -> ProgramTool:
+    return ProgramTool(
+        one.name, one.description or other.description, one.diameter or other.diameter, one.teeth or other.teeth
+    )
+
+
+def _selection(selected: str, tools: tuple[ProgramTool, ...], last: int) -> list[Refusal]:
+    cutting = [tool for tool in tools if tool.cuts]
+    listing = ", ".join(f"{tool.label or 'the one before the first T'} from line {tool.line}" for tool in cutting)
+    if selected and selected not in [tool.name for tool in cutting]:
+        return [Refusal(last, selected, f"the program does not cut with {selected}; it does with {listing}", "")]
+    if selected or len(cutting) < 2:
+        return []
+    advice = f"choose one with path.tool, for example {cutting[0].name or cutting[1].name}"
+    reason = f"the program cuts with {len(cutting)} tools: {listing}"
+    return [Refusal(cutting[1].line, cutting[1].name, reason, advice)]
+
+
+def _speeds(speeds: dict[float, int]) -> list[Refusal]:
+    distinct: list[tuple[float, int]] = []
+    for speed, line in speeds.items():
+        if speed and all(abs(speed - known) > SAME_SPEED for known, _ in distinct):
+            distinct.append((speed, line))
+    if len(distinct) < 2:
+        return []
+    shown = [f"S{abs(speed) * 30 / math.pi:.6g}{' M4' if speed < 0 else ''} (line {line})" for speed, line in distinct]
+    reason = f"{len(distinct)} spindle speeds: {', '.join(shown[:6])}"
+    return [Refusal(distinct[1][1], shown[1].split()[0], reason, "post one program for each")]
+
+
+def _offsets(offsets: dict[str, int]) -> list[Refusal]:
+    named = {name or "G54": line for name, line in offsets.items()}
+    if len(named) < 2:
+        return []
+    shown = ", ".join(f"{name} (line {line})" for name, line in named.items())
+    line = list(named.values())[1]
+    return [Refusal(line, list(named)[1], f"{len(named)} work offsets: {shown}", "post one program for each")]

@@ -1,0 +1,110 @@
+"""What a CAM program says beside its path, and what of it cannot be run: records for all readers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from kr270_milling.base.errors import InputError
+
+__all__ = ["ProgramError", "ProgramTool", "ReadOver", "Refusal", "SourceProgram", "read_over"]
+
+MOST_KINDS = 8  #: kinds of refused words that one sentence lists; the error carries all of them
+
+
+@dataclass(frozen=True)
+class ReadOver:
+    """A word that does not move the tool, and how often it stands in the program."""
+
+    word: str
+    count: int
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A word that cannot be run."""
+
+    line: int  #: from 1
+    word: str
+    reason: str  #: what is wrong; "" where the advice says it
+    advice: str  #: what to do; "" where the reason says it
+
+    @property
+    def sentence(self) -> str:
+        text = "; ".join(part for part in (self.reason, self.advice) if part)
+        return text if self.reason else f"{self.word}: {text}"
+
+
+@dataclass(frozen=True)
+class ProgramTool:
+    """A tool of the program, as far as its words and comments describe it."""
+
+    name: str  #: as ``path.tool`` selects it, "T1"
+    description: str = ""  #: what its comment calls it
+    diameter: float = 0.0  #: [m], 0: the program does not say
+    teeth: int = 0  #: 0: the program does not say
+    line: int = 0  #: of its first tool change
+    cuts: int = 0  #: cutting blocks that it makes
+
+    @property
+    def label(self) -> str:
+        """T1 (flat end mill, 10 mm)."""
+        known = [self.description] if self.description else []
+        known += [f"{1e3 * self.diameter:g} mm"] if self.diameter else []
+        return f"{self.name} ({', '.join(known)})" if known else self.name
+
+
+@dataclass(frozen=True)
+class SourceProgram:
+    """What the file of a path says beside the moves; empty for a path without a program."""
+
+    title: str = ""
+    tool: str = ""  #: the tool whose moves the path holds, "" where the program names none
+    tools: tuple[ProgramTool, ...] = ()  #: all that the program changes to
+    spindle_speeds: tuple[float, ...] = ()  #: [rad/s], of the cutting moves, negative counterclockwise; 0 is left out
+    feeds: tuple[float, ...] = ()  #: [m/s], of the cutting moves
+    work_offset: str = ""  #: the one that the path is counted from, "G54"
+    operations: tuple[str, ...] = ()  #: names of the features with cutting moves
+    read_over: tuple[ReadOver, ...] = ()
+    refused: tuple[Refusal, ...] = ()
+
+    @property
+    def summary(self) -> str:
+        """One line about what was read over, "" if nothing was."""
+        words = ", ".join(f"{r.count} {r.word}" for r in self.read_over)
+        return f"read over: {words}" if words else ""
+
+    @property
+    def current(self) -> ProgramTool | None:
+        """The tool whose moves the path holds."""
+        return next((tool for tool in self.tools if tool.name == self.tool), None)
+
+
+class ProgramError(InputError):
+    """A program with words that cannot be run: all of them, each with its line and advice."""
+
+    def __init__(self, source, program: SourceProgram):
+        self.program = program
+        self.refusals = program.refused
+        super().__init__(source, _listed(program.refused), program.refused[0].line)
+
+
+def read_over(counts: Counter) -> tuple[ReadOver, ...]:
+    """The most frequent first; equal ones in the order of the program."""
+    return tuple(ReadOver(word, count) for word, count in counts.most_common())
+
+
+def _listed(refused: Iterable[Refusal]) -> str:
+    """All kinds of refused words in one sentence; like ones are counted."""
+    kinds: dict[tuple[str, str], list[Refusal]] = {}
+    for refusal in refused:
+        kinds.setdefault((refusal.reason, refusal.advice), []).append(refusal)
+    parts = []
+    for like in list(kinds.values())[:MOST_KINDS]:
+        more = f" (and {len(like) - 1} more like it)" if len(like) > 1 else ""
+        where = f"line {like[0].line}: " if parts else ""
+        parts.append(f"{where}{like[0].sentence}{more}")
+    if len(kinds) > MOST_KINDS:
+        parts.append(f"and {len(kinds) - MOST_KINDS} other kinds of words")
+    return " | ".join(parts)
