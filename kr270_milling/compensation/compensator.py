@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 
@@ -62,6 +63,15 @@ class Compensator:
         self.finished = False
         self._best = (math.inf, self.target, ())
 
+    def resume(self, reference: Trajectory, errors: tuple[float, ...], finished: bool) -> None:
+        """Go on from a later pass along ``reference``; errors [m] of the passes before it, whose references are not
+        known here, unless it is ``finished`` and this is the best of them."""
+        self.reference = reference
+        self.errors = list(errors)
+        self.finished = finished
+        best = min(errors, default=math.inf)
+        self._best = (best, reference if finished or not errors else None, ())
+
     @property
     def repeats(self) -> bool:
         return self.method == "learned" or self.parameters.repeat
@@ -121,6 +131,13 @@ class PassListener:
         self.stamps: list[int] = []
         self.items: list = []
         self.ignored = 0  #: messages that were older than the last one, or came before the start
+
+    def copy(self) -> PassListener:
+        """An independent one in the same state."""
+        other = copy.copy(self)
+        other.stamps = list(self.stamps)
+        other.items = list(self.items)
+        return other
 
     def hear(self, stamp_ns: int, item) -> bool:
         """True when the pass is complete with this item; a repeated stamp replaces its item."""

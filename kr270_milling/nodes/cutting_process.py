@@ -5,28 +5,30 @@ from __future__ import annotations
 import numpy as np
 from std_srvs.srv import Trigger
 
-from kr270_milling.ros import messages, raw, topics
+from kr270_milling.cell.protocols import cut_protocol
+from kr270_milling.messages.exchange import pose_from_bytes, trajectory_from_bytes
+from kr270_milling.ros import topics
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
 from kr270_milling.ros.parameters import declare_cell
 from kr270_milling.ros.spin import run_node
-from kr270_milling.simulation.sides import CuttingSide
+from kr270_milling.simulation.protocol import NoWorkpiece
 
 __all__ = ["CuttingProcess", "main"]
 
-MAP_STEP = 0.2e-3  # [m], of the published workpiece map
 LOOK = 0.1  # [s] of the wall between two looks whether the robot is there
 
 
 class CuttingProcess(ManagedNode):
-    """Tool pose in, process wrench out; the physics lives in ``cutting``."""
+    """Tool pose in, process wrench out; the work is that of ``CutProtocol``."""
 
     def __init__(self, **kwargs):
         super().__init__("cutting_process", **kwargs)
         self.cell = declare_cell(self)
-        self._side, self._robots, self._end_ns = None, 0, 0  # end of the reference trajectory, if one was heard
-        self._silence, self._waiting = Silence(), False
-        self._wrench = self.create_publisher(*topics.WRENCH)
-        self._map = self.create_publisher(*topics.WORKPIECE)
+        self.protocol = cut_protocol(self.cell)
+        self._robots = 0
+        self._silence = Silence()
+        self._waiting = False
+        self.open_outlets("wrench", "workpiece")
         pose, reference = topics.TOOL_POSE, topics.REFERENCE_TRAJECTORY
         self._pose = self.create_subscription(pose.type, pose.name, self._on_pose, pose.qos, raw=True)
         self.create_subscription(reference.type, reference.name, self._on_reference, reference.qos, raw=True)
@@ -36,8 +38,8 @@ class CuttingProcess(ManagedNode):
 
     def configure(self) -> None:
         self._compile()
-        self._side, self.stamp_ns = CuttingSide(self.cell.cut(), self.cell.clock), 0
-        self._publish_map()  # so that nobody who comes now takes the last part for this one
+        self.send(self.protocol.configure())
+        self.stamp_ns = 0
         self.report(OK, "configured: fresh workpiece")
 
     def _compile(self) -> None:
@@ -54,7 +56,7 @@ class CuttingProcess(ManagedNode):
         self.report(OK, "stopped")
 
     def cleanup(self) -> None:
-        self._side = None
+        self.protocol.release()
         self.report(OK, "unconfigured")
 
     @guarded
@@ -62,11 +64,9 @@ class CuttingProcess(ManagedNode):
         if not self.active:
             return
         self._silence.heard()
-        stamp_ns, tool, _ = raw.pose_from_bytes(data)
-        wrench = self._side.answer(stamp_ns, tool)
-        self._wrench.publish(raw.wrench_to_bytes(stamp_ns, wrench))
-        self.stamp_ns = stamp_ns
-        if self._side.step == 1 and self._robots == 0:
+        self.send(self.protocol.pose(pose_from_bytes(data)))
+        self.stamp_ns = self.protocol.stamp_ns
+        if self._robots == 0 and self.protocol.side.step == 1:
             self._robots = self._pose.get_publisher_count()
             self.report(OK, "cutting")
         elif self._waiting:
@@ -75,13 +75,12 @@ class CuttingProcess(ManagedNode):
 
     @guarded
     def _on_reference(self, data: bytes) -> None:
-        self._end_ns = messages.duration_from_bytes(data)
+        self.protocol.end_ns = trajectory_from_bytes(data).duration_ns
 
     @guarded
     def _watch_robot(self) -> None:
         silent = self._silence.look()
-        under_way = self.active and self._side is not None and self._side.step >= 0 and self.stamp_ns < self._end_ns
-        if not under_way:
+        if not self.active or not self.protocol.under_way:
             return
         robots = self._pose.get_publisher_count()
         if not robots:
@@ -94,27 +93,24 @@ class CuttingProcess(ManagedNode):
 
     @guarded
     def _publish_map(self) -> bool:
-        if self._side is None:
-            self.report(WARN, "no workpiece yet: configure first")
+        try:
+            self.send(self.protocol.workpiece())
+        except NoWorkpiece as error:
+            self.report(WARN, str(error))
             return False
-        cut, stock = self._side.cut, self.cell.stock
-        thinning = max(1, round(MAP_STEP / stock.grid_step))
-        _, _, surface = cut.heights(thinning=thinning)
-        removed = (stock.max[2] - surface) / (stock.max[2] - stock.min[2])
-        self._map.publish(messages.workpiece_to_msg(self.stamp_ns, removed, stock.min, thinning * stock.grid_step))
         return True
 
     def _on_request(self, _, response):
         response.success = bool(self._publish_map())
-        response.message = "" if response.success else "no workpiece yet: configure first"
+        response.message = "" if response.success else str(NoWorkpiece())
         return response
 
     def watch(self) -> dict:
-        cut = self._side.cut if self._side else None
+        side = self.protocol.side
         return {
-            "state": self._state_machine.current_state[1],
+            "state": self.state,
             "pass_time_s": f"{self.stamp_ns * 1e-9:.6f}",
-            "removed_volume_m3": repr(float(cut.removed_volume)) if cut else "",
+            "removed_volume_m3": repr(float(side.cut.removed_volume)) if side else "",
         }
 
 

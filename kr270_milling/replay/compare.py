@@ -1,24 +1,27 @@
-"""Recorded messages against recomputed ones, topic by topic, bit for bit."""
+"""Recorded messages against the records that a protocol gives, topic by topic, bit for bit."""
 
 from __future__ import annotations
 
+import dataclasses
 import struct
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from kr270_milling.bag.errors import RecordingError
-from kr270_milling.bag.gaps import GapCounter, Passes
-from kr270_milling.messages.decode import plain
-from kr270_milling.messages.encode import Encoded
+import numpy as np
 
-__all__ = ["Channel", "Difference", "first_difference"]
+from kr270_milling.bag.gaps import GapCounter, Passes
+from kr270_milling.messages.codec import deserialise, type_of
+from kr270_milling.messages.exchange import to_bytes
+
+__all__ = ["Channel", "Difference", "difference"]
+
+OPTIONS = slice(2, 4)  # of the encapsulation; a publisher of plain CDR leaves them 0
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The first message of a topic that is not what the models make."""
+    """The first message of a topic that is not what the protocol gives."""
 
     topic: str
     index: int  #: of the message on its topic, from 0
@@ -35,17 +38,18 @@ class Difference:
         )
 
 
-class Heard(NamedTuple):
+class Recorded(NamedTuple):
     order: tuple
     index: int
     stamp: int
     data: bytes
+    refused: bool
 
 
-class Made(NamedTuple):
+class Expected(NamedTuple):
     order: tuple
-    stamp: int
-    message: Encoded
+    record: object
+    due: bool
 
 
 class Channel:
@@ -54,28 +58,36 @@ class Channel:
     The two need not come in step: whoever is ahead waits. rank: place of the topic in the chain of causes.
     """
 
-    def __init__(self, topic: str, rank: int = 0, decode: Callable[[bytes], object] | None = None):
-        self.topic, self.rank, self._decode = topic, rank, decode
-        self.compared = self.differing = 0
+    def __init__(self, topic: str, rank: int = 0):
+        self.topic = topic
+        self.rank = rank
+        self.compared = 0
+        self.differing = 0
         self.missing = 0  #: recomputed, but not in the recording
         self.repeated = 0  #: the same message once more: a retry
         self.given = 0  #: taken as they are, because their cause is not in the recording
+        self.refused = 0  #: that no node can have used
+        self.abandoned = 0  #: of a pass that could not be recomputed to its end
         self.first: Difference | None = None
-        self._heard: deque[Heard] = deque()
-        self._made: deque[Made] = deque()
-        self._heard_passes, self._made_passes = Passes(), Passes()
-        self._index, self._last, self._last_made = -1, b"", None
         self.holes = GapCounter()  #: told by the recorded stamps alone
+        self._recorded: deque[Recorded] = deque()
+        self._expected: deque[Expected] = deque()
+        self._recorded_passes = Passes()
+        self._expected_passes = Passes()
+        self._index = -1
+        self._last = b""  # recorded
+        self._last_expected: object = None
         self._skipped = 0  # missing although later ones of the same pass are there
         self._tails: list[tuple[int, int]] = []  # (pass, stamp) of those behind the last recorded one of their pass
         self._ends: dict[int, int] = {}  # pass -> latest recomputed stamp
 
-    def heard(self, stamp: int, data: bytes) -> None:
-        """Take the next recorded message."""
+    def recorded(self, stamp: int, data: bytes, refused: bool = False) -> None:
+        """Take the next recorded message; refused: it is compared only if it is what was to be published."""
         self._index += 1
-        self._heard_passes.begins(stamp)
-        self.holes.add(stamp)
-        self._heard.append(Heard((self._heard_passes.number, stamp), self._index, stamp, data))
+        if not refused:
+            self._recorded_passes.begins(stamp)
+            self.holes.add(stamp)
+        self._recorded.append(Recorded((self._recorded_passes.number, stamp), self._index, stamp, data, refused))
         self._match()
 
     def take(self, data: bytes) -> None:
@@ -84,112 +96,124 @@ class Channel:
         self.given += 1
         self._last = data
 
-    def made(self, stamp: int, message: Encoded) -> None:
-        """Take the next recomputed message."""
-        self._made_passes.begins(stamp)
-        self._ends[self._made_passes.number] = stamp
-        self._made.append(Made((self._made_passes.number, stamp), stamp, message))
+    def expected(self, stamp: int, record, due: bool = True) -> None:
+        """Take the next record of the protocol; due: it belongs in the recording, which else may leave it out."""
+        self._expected_passes.begins(stamp)
+        if due:
+            self._ends[self._expected_passes.number] = stamp
+        self._expected.append(Expected((self._expected_passes.number, stamp), record, due))
         self._match()
 
-    @property
-    def pending(self) -> bool:
-        """Whether a recomputed message waits for the recorded one."""
-        return bool(self._made)
+    def abandon(self) -> None:
+        """What waits will not be recomputed: another pass begins."""
+        self.abandoned += len(self._recorded)
+        self._recorded.clear()
 
     @property
     def waiting(self) -> int:
         """Recorded messages that nothing recomputed has come for."""
-        return len(self._heard)
+        return len(self._recorded) + self.abandoned
 
     def _match(self) -> None:
-        while self._heard and self._made:
-            heard, made = self._heard[0], self._made[0]
-            if heard.order > made.order:
-                self._miss(tail=heard.order[0] > made.order[0])
-            elif heard.order == made.order and made.message.same(heard.data):
+        while self._recorded and self._expected:
+            recorded, expected = self._recorded[0], self._expected[0]
+            alike = recorded.order == expected.order
+            if alike and difference(expected.record, recorded.data) is None:
                 self.compared += 1
                 self._next(both=True)
-            elif heard.data == self._last:
+            elif recorded.refused:
+                self.refused += 1
+                self._recorded.popleft()
+            elif recorded.order > expected.order:
+                self._miss(tail=recorded.order[0] > expected.order[0])
+            elif recorded.data == self._last:
                 self.repeated += 1
                 self._next(both=False)
             else:
-                self._differ(heard, made if heard.order == made.order else None)
+                self._differ(recorded, expected if alike else None)
 
     def _miss(self, tail: bool) -> None:
-        """The next recomputed message is not in the recording; a repeated answer need not be there."""
-        made, before = self._made.popleft(), self._last_made
-        self._last_made = made.message
-        if made.message == before:
+        """The next expected message is not in the recording; a repeated answer need not be there."""
+        expected, before = self._expected.popleft(), self._last_expected
+        self._last_expected = expected
+        repeated = before is not None and to_bytes(before.record) == to_bytes(expected.record)
+        if not expected.due or repeated:
             return
         self.missing += 1
         if tail:
-            self._tails.append(made.order)
+            self._tails.append(expected.order)
         else:
             self._skipped += 1
 
     def _next(self, both: bool) -> None:
-        self._last = self._heard.popleft().data
+        self._last = self._recorded.popleft().data
         if both:
-            self._last_made = self._made.popleft().message
+            self._last_expected = self._expected.popleft()
 
-    def _differ(self, heard: Heard, made: Made | None) -> None:
+    def _differ(self, recorded: Recorded, expected: Expected | None) -> None:
         found = ("the message", "there", None)
-        if made is not None:
-            found = first_difference(self._decode, heard.data, made.message.data)
-        self.compared += made is not None
-        self._next(both=made is not None)
-        if found is None:  # other bytes, the same content: another byte order, or bytes behind the end
-            return
+        if expected is not None:
+            found = difference(expected.record, recorded.data)
+        self.compared += expected is not None
         self.differing += 1
+        self._next(both=expected is not None)
         if self.first is None:
-            self.first = Difference(self.topic, heard.index, heard.stamp, *found, (*heard.order, self.rank))
+            order = (*recorded.order, self.rank)
+            self.first = Difference(self.topic, recorded.index, recorded.stamp, *found, order)
 
     def finish(self) -> None:
         """No more will come: what is repeated at the end is not waiting for anything, what is not there is missing."""
-        while self._heard and self._heard[0].data == self._last:
-            self.repeated += 1
-            self._heard.popleft()
-        while self._made:
+        while self._recorded and (self._recorded[0].refused or self._recorded[0].data == self._last):
+            refused = self._recorded.popleft().refused
+            self.refused += refused
+            self.repeated += not refused
+        while self._expected:
             self._miss(tail=True)
         self.holes.finish()
 
     @property
     def leftover(self) -> int | None:
         """Stamp [ns] of the first recorded message that nothing recomputed has come for."""
-        return self._heard[0].stamp if self._heard else None
+        return self._recorded[0].stamp if self._recorded else None
 
     def lacking(self, under_way: int, done: bool, iterations: int = 1) -> int:
         """Recomputed messages that the recording should have: no hole in its stamps tells of them, and they were not
         made in the last ``under_way`` [ns] of a pass that may have broken off. done: the last pass did not.
         iterations: messages of one stamp."""
-        whole = self._made_passes.number if done else -1
+        whole = self._expected_passes.number if done else -1
         ends = sum(number == whole or stamp < self._ends[number] - under_way for number, stamp in self._tails)
         return ends + max(0, self._skipped - iterations * self.holes.missing)
 
     def as_dict(self) -> dict:
         return dict(compared=self.compared, differing=self.differing, missing=self.missing, repeated=self.repeated,
-                    given=self.given, not_compared=self.waiting)  # fmt: skip
+                    given=self.given, refused=self.refused, not_compared=self.waiting)  # fmt: skip
 
 
-def first_difference(decode: Callable | None, recorded: bytes, recomputed: bytes) -> tuple | None:
-    """(field, recorded value, recomputed value) of the first field with other bits; None if there is none."""
+def difference(record, data: bytes) -> tuple | None:
+    """(field, recorded value, recomputed value) of the first field of a recorded message with other bits than the
+    record's; None if there is none. Bytes between the fields do not count."""
+    expected = to_bytes(record)
+    if data == expected:
+        return None
+    if data[OPTIONS] != expected[OPTIONS]:
+        return "options of the encapsulation", bytes(data[OPTIONS]), bytes(expected[OPTIONS])
+    type_name = type_of(record)
     try:
-        if decode is None:
-            raise RecordingError("", "no definition")
-        return _difference("", plain(decode(recorded)), plain(decode(recomputed)))
-    except RecordingError:
-        at = next((i for i, (a, b) in enumerate(zip(recorded, recomputed, strict=False)) if a != b), None)
-        if at is None:
-            return "length in bytes", len(recorded), len(recomputed)
-        return f"byte {at}", recorded[at], recomputed[at]
+        message = deserialise(type_name, data)
+    except ValueError as error:
+        return "the message", str(error), "readable"
+    return _difference("", message, deserialise(type_name, expected))
 
 
 def _difference(path: str, a, b) -> tuple | None:
-    if isinstance(a, dict) and isinstance(b, dict):
-        pairs = [(f"{path}.{key}".lstrip("."), a[key], b.get(key)) for key in a]
-    elif isinstance(a, list) and isinstance(b, list):
+    if dataclasses.is_dataclass(a):
+        names = [field.name for field in dataclasses.fields(a)]
+        pairs = [(f"{path}.{name}".lstrip("."), getattr(a, name), getattr(b, name)) for name in names]
+    elif isinstance(a, (list, np.ndarray)):
         if len(a) != len(b):
             return f"length of {path}", len(a), len(b)
+        if isinstance(a, np.ndarray):
+            a, b = ([] if x.tobytes() == y.tobytes() else x.tolist() for x, y in ((a, b), (b, a)))
         pairs = [(f"{path}[{i}]", x, y) for i, (x, y) in enumerate(zip(a, b, strict=True))]
     else:
         return None if _bits(a) == _bits(b) else (path, a, b)

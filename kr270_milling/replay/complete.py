@@ -3,25 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
-from kr270_milling.replay.models import MOST_AHEAD
+from kr270_milling.replay.feeds import MOST_AHEAD
+from kr270_milling.replay.robots import Robot, Stop
 
-__all__ = ["Lack", "Stop", "incomplete"]
+__all__ = ["Lack", "incomplete"]
 
 EXCHANGE = ("tool_pose", "wrench")
-
-
-@dataclass(frozen=True)
-class Stop:
-    """Where a model could not go on."""
-
-    robot: str  #: namespace
-    stamp_ns: int
-    reason: str
-
-    def __str__(self) -> str:
-        return f"{self.robot or '/'}: cannot go on at {self.stamp_ns * 1e-9:.6f} s: {self.reason}"
 
 
 class Lack(Stop):
@@ -31,7 +19,7 @@ class Lack(Stop):
         return f"{self.robot or '/'}: {self.reason}"
 
 
-def incomplete(robot, cut_off: bool) -> list[Stop]:
+def incomplete(robot: Robot, cut_off: bool) -> list[Stop]:
     """Why the recompute of a robot is not complete, beyond the stops of its models.
 
     Where a pass broke off, or the file, some periods may be under way: causes without effects, and the other way round.
@@ -50,7 +38,7 @@ def incomplete(robot, cut_off: bool) -> list[Stop]:
 
 def _left_over(robot, cut_off: bool) -> Iterator[Stop]:
     iterations = robot.cell.exchange.iterations
-    allowed = 0 if robot.model.done and not cut_off else MOST_AHEAD * iterations
+    allowed = 0 if robot.robot.protocol.done and not cut_off else MOST_AHEAD * iterations
     for channel in robot.channels.values():
         if channel.waiting > allowed:
             reason = f"{channel.waiting} messages on {channel.topic} from {channel.leftover * 1e-9:.6f} s on were not "
@@ -61,7 +49,7 @@ def _lacking(robot) -> Iterator[Stop]:
     exchange = robot.cell.exchange
     under_way = round(MOST_AHEAD * exchange.period * 1e9)
     for name, channel in robot.channels.items():
-        count = channel.lacking(under_way, robot.model.done, exchange.iterations if name in EXCHANGE else 1)
+        count = channel.lacking(under_way, robot.robot.protocol.done, exchange.iterations if name in EXCHANGE else 1)
         if count > (name == "joint_trajectory"):  # a recorder may be stopped right behind the reference it belongs to
             reason = f"{count} messages that belong on {channel.topic} are not in the recording"
             yield Lack(robot.namespace, 0, reason + ", and no gap in the stamps tells of them")

@@ -13,7 +13,7 @@ from kr270_milling.cell.cell import MOST_STEPS, Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.messages.series import series
 from kr270_milling.messages.trajectory import TRAJECTORY, trajectories
-from kr270_milling.replay.inputs import cell_of
+from kr270_milling.replay.attached import cell_of
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.trajectory.trajectory import Trajectory
 

@@ -13,6 +13,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.messages.exchange import to_bytes
 from kr270_milling.ros import topics
 from kr270_milling.ros.messages import stamp_from_ns
 
@@ -70,7 +71,7 @@ class Reporting:
     def start_reporting(self) -> None:
         self.refused = 0  #: messages and requests that could not be used
         self.stamp_ns = 0  #: time of the pass, the stamp of whatever the node publishes next without one of its own
-        self._level, self._message, self._said = OK, "starting", ""
+        self._level, self.message, self._said = OK, "starting", ""
         self._values: dict[str, object] = {}
         self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
         self._report_timer = self.create_timer(REPORT_PERIOD, self.publish_report)
@@ -79,10 +80,19 @@ class Reporting:
         """On the monotonic clock: one on the node's own would stand still when the wall clock is set back."""
         return super().create_timer(period, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME), **kwargs})
 
+    def open_outlets(self, *names: str) -> None:
+        """Publishers for outputs of a protocol, by the names that it has for them."""
+        self.outlets = {name: self.create_publisher(*topics.BY_NAME[name]) for name in names}
+
+    def send(self, outputs) -> None:
+        """Publish what a protocol gives."""
+        for name, record in outputs:
+            self.outlets[name].publish(to_bytes(record))
+
     def report(self, level, message: str, **values) -> None:
         """Set the node's status; a new message is also logged and published at once."""
-        changed = (level, message) != (self._level, self._message)
-        self._level, self._message = level, message
+        changed = (level, message) != (self._level, self.message)
+        self._level, self.message = level, message
         self._values.update(values)
         if changed:
             logger = self.get_logger()  # rclpy ties a severity to the calling line
@@ -114,7 +124,7 @@ class Reporting:
         status = DiagnosticStatus(
             level=self._level,
             name=self.get_fully_qualified_name(),
-            message=self._message,
+            message=self.message,
             values=[KeyValue(key=k, value=str(v)) for k, v in values.items()],
         )
         array = DiagnosticArray(status=[status])
@@ -148,6 +158,11 @@ class ManagedNode(Reporting, LifecycleNode):
         self._start_timer.cancel()
         if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
+
+    @property
+    def state(self) -> str:
+        """Of the lifecycle."""
+        return self._state_machine.current_state[1]
 
     def configure(self) -> None: ...
 
@@ -195,8 +210,6 @@ class ManagedNode(Reporting, LifecycleNode):
             return LifecycleNode._LifecycleNodeMixin__on_change_state(self, request, response)  # noqa: SLF001
         except rclpy_implementation.RCLError:
             wanted = request.transition.label or request.transition.id
-            self.get_logger().warning(
-                f"transition {wanted} is not possible in state {self._state_machine.current_state[1]}"
-            )
+            self.get_logger().warning(f"transition {wanted} is not possible in state {self.state}")
             response.success = False
             return response

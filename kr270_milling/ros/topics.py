@@ -14,7 +14,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 __all__ = [
-    "CLOCK", "DEFLECTION", "DIAGNOSTICS", "JOINT_STATES", "JOINT_TRAJECTORY", "REFERENCE_TRAJECTORY",
+    "BY_NAME", "CLOCK", "DEFLECTION", "DIAGNOSTICS", "JOINT_STATES", "JOINT_TRAJECTORY", "REFERENCE_TRAJECTORY",
     "ROBOT_DESCRIPTION", "TARGET_TRAJECTORY", "TOOL_POSE", "Topic", "WORKPIECE", "WRENCH",
 ]  # fmt: skip
 
@@ -49,3 +49,16 @@ WORKPIECE = Topic(OccupancyGrid, "workpiece", LATCHED)
 ROBOT_DESCRIPTION = Topic(String, "robot_description", LATCHED)
 DIAGNOSTICS = Topic(DiagnosticArray, "/diagnostics", LOOP)
 CLOCK = Topic(Clock, "clock", LOOP)  # of the robot's namespace: two robots have two times
+
+#: the topics of the protocols' outputs, by the names that these have for them
+BY_NAME = {
+    "tool_pose": TOOL_POSE,
+    "wrench": WRENCH,
+    "deflection": DEFLECTION,
+    "joint_states": JOINT_STATES,
+    "clock": CLOCK,
+    "workpiece": WORKPIECE,
+    "robot_description": ROBOT_DESCRIPTION,
+    "reference_trajectory": REFERENCE_TRAJECTORY,
+    "joint_trajectory": JOINT_TRAJECTORY,
+}

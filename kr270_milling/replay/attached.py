@@ -1,14 +1,11 @@
-"""What a recording says, as the records that the models take: the cell, trajectories, poses, wrenches."""
+"""The cell that a recording was made with, out of its attachments; and its messages as they were written."""
 
 from __future__ import annotations
 
-import struct
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
 import yaml
 
 from kr270_milling.bag.errors import RecordingError
@@ -17,59 +14,12 @@ from kr270_milling.base import parameter_file as config_file
 from kr270_milling.base.errors import ConfigError, one_line
 from kr270_milling.base.parameter_file import read_tree
 from kr270_milling.cell.cell import Cell, read_cell
-from kr270_milling.messages.cdr import Cursor
-from kr270_milling.messages.trajectory import read_trajectory
-from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Sample", "cell_of", "in_file_order", "sample", "trajectory_of"]
+__all__ = ["cell_of", "in_file_order"]
 
 CELL = "cell.yaml"
-TOOL = "tool0"
 LONGEST_NAME = 200  # [bytes], of an attached file
 MOST_ATTACHED = 64 * 1024 * 1024  # [bytes] of attachments that are unpacked to read the cell
-
-
-class Sample(NamedTuple):
-    """A pose (7 numbers), a wrench or a twist (6) with its stamp [ns] and frame."""
-
-    stamp: int
-    frame: str
-    values: tuple[float, ...]
-
-    @property
-    def finite(self) -> bool:
-        return bool(np.all(np.isfinite(self.values)))
-
-
-def sample(data: bytes, count: int) -> Sample:
-    """The numbers behind a header; raises ValueError where the message is too short."""
-    cursor = Cursor(data)
-    stamp = cursor.number("i") * 10**9 + cursor.number("I")
-    frame = cursor.string()
-    cursor.align(8)
-    return Sample(stamp, frame, struct.unpack_from(f"{cursor.order}{count}d", data, cursor.skip(8 * count)))
-
-
-def trajectory_of(data: bytes, as_sent: bool = False) -> Trajectory:
-    """A recorded trajectory of the tool, as the robot makes it of the message. Raises ValueError, TrajectoryError.
-
-    as_sent: as its publisher held it. Its quaternions were of length 1 already and to divide them by their length
-    once more could change a last bit.
-    """
-    found = read_trajectory(data)
-    if found.names != (TOOL,):
-        raise ValueError(f"a trajectory of {', '.join(found.names) or 'nothing'} and not of {TOOL}")
-    velocity = found.velocity[:, 0, :3]
-    run = Trajectory(
-        found.time,
-        found.position[:, 0],
-        found.quaternion[:, 0],
-        None if np.isnan(velocity).all() else velocity,
-        found.frame_id,
-    )
-    if as_sent:
-        run._keep("quaternion", np.array(found.quaternion[:, 0]))  # noqa: SLF001
-    return run
 
 
 def cell_of(recording: Recording) -> Cell:

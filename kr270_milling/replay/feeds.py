@@ -1,0 +1,179 @@
+"""Robot and cut of a recording: the nodes' protocols, fed with what was recorded, their outputs compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+
+from kr270_milling.bag.gaps import Passes
+from kr270_milling.base.samples import PoseSample, WrenchSample
+from kr270_milling.cell.cell import MOST_STEPS, Cell
+from kr270_milling.cell.protocols import cut_protocol, robot_protocol
+from kr270_milling.replay.compare import Channel
+from kr270_milling.simulation.protocol import Output
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["MOST_AHEAD", "CutFeed", "RobotFeed"]
+
+MOST_AHEAD = 10  # exchange periods that a message may stand before its cause in the file
+
+Stop = Callable[[int, str], None]  # (stamp [ns], reason)
+Lack = tuple[int, str]  # the stamp [ns] and the reason of a stop
+
+
+class Feed:
+    """What robot and cut share: where their outputs go, and from where on an input is not in the recording."""
+
+    outputs: tuple[str, ...] = ()
+
+    def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
+        self.cell = cell
+        self._channels = channels
+        self._stop = stop
+        self._passes = Passes()
+        self._lack: Lack | None = None
+
+    def _publish(self, outputs: Iterable[Output]) -> None:
+        for name, record in outputs:
+            if name in self._channels:
+                self._channels[name].expected(getattr(record, "stamp", 0), record)
+
+    def end_pass(self) -> None:
+        """An input that is missing counts if outputs wait that it led to; else the live node missed it too."""
+        channels = [self._channels[name] for name in self.outputs if name in self._channels]
+        if self._lack is not None and any(channel.waiting for channel in channels):
+            self._stop(*self._lack)
+            for channel in channels:
+                channel.abandon()
+        self._lack = None
+
+
+class RobotFeed(Feed):
+    """reference_trajectory and wrench in; tool_pose, deflection, joint_states and clock compared."""
+
+    outputs = ("tool_pose", "deflection", "joint_states", "clock")
+
+    def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
+        super().__init__(cell, channels, stop)
+        self.protocol = robot_protocol(cell)
+        self._begun = False
+        self._same_stamp: list[WrenchSample] = []
+        self._publish(self.protocol.describe())
+
+    def reference(self, run: Trajectory) -> None:
+        """The reference of the next pass. Raises ValueError for one that no machine of this size can simulate."""
+        if self.cell.clock.steps(run.duration_ns) > MOST_STEPS:
+            raise ValueError(f"the reference trajectory takes {run.duration_ns * 1e-9:g} s")
+        self.protocol.reference = run
+
+    def wrench(self, sample: WrenchSample) -> None:
+        """The next wrench. Where the exchange is iterated, those of one stamp wait until they are all there."""
+        if self._same_stamp and self._same_stamp[0].stamp != sample.stamp:
+            self._flush()
+        self._same_stamp.append(sample)
+        if self.cell.exchange.iterations == 1:
+            self._flush()
+
+    def finish(self) -> None:
+        """No more will come."""
+        self._flush()
+        self.end_pass()
+
+    def _flush(self) -> None:
+        """Of a question that the robot repeated the file tells nothing certain: it stands on another topic. But more
+        answers than iterations tell of it, equal to the ones before them."""
+        samples, self._same_stamp = self._same_stamp, []
+        surplus = len(samples) - self.cell.exchange.iterations
+        for i, sample in enumerate(samples):
+            asked_again = 0
+            while asked_again < surplus and _same_wrench(samples, i + asked_again):
+                asked_again += 1
+            surplus -= asked_again
+            self._take(sample, asked_again)
+
+    def _take(self, sample: WrenchSample, asked_again: int) -> None:
+        if self._passes.begins(sample.stamp) or not self._begun:
+            self._begin(sample.stamp)
+        side = self.protocol.side
+        if side is None or side.done:
+            return
+        if sample.stamp > side.awaited_ns and self._lack is None:
+            self._lack = side.awaited_ns, "the wrench of this time is not in the recording"
+        elif sample.stamp == side.awaited_ns:
+            self._lack = None
+            for _ in range(asked_again):
+                self._publish(self.protocol.repeat())
+        self._publish(self.protocol.wrench(sample))
+
+    def _begin(self, stamp: int) -> None:
+        self.end_pass()
+        self._begun = True
+        self.protocol.stop()
+        if self.protocol.reference is None:
+            self._stop(stamp, "no reference trajectory is in the recording")
+        elif stamp != 0:
+            self._stop(stamp, "the recording begins in the middle of a pass, whose state is not known")
+        else:
+            self._publish(self.protocol.start())
+
+
+def _same_wrench(samples: list[WrenchSample], i: int) -> bool:
+    one, other = samples[i : i + 2] if i + 1 < len(samples) else (None, None)
+    return one is not None and one.frame == other.frame and one.wrench.tobytes() == other.wrench.tobytes()
+
+
+class CutFeed(Feed):
+    """tool_pose in; wrench and workpiece compared."""
+
+    outputs = ("wrench",)
+
+    def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
+        super().__init__(cell, channels, stop)
+        self.protocol = cut_protocol(cell)
+        ((_, self._fresh),) = self.protocol.configure()
+        self._maps: list[tuple[int, bytes]] = []
+
+    def pose(self, sample: PoseSample) -> None:
+        """The next tool_pose; raises MillingError where the protocol refuses it."""
+        if self._passes.begins(sample.stamp):
+            self.end_pass()
+            self.protocol.configure()
+        next_step = self.protocol.side.step + 1
+        if self.cell.clock.step(sample.stamp) > next_step and self._lack is None:
+            begun = "the tool pose of this time is not in the recording"
+            reason = begun if next_step else "the recording begins in the middle of a pass"
+            self._lack = int(self.cell.clock.stamp(next_step)), reason
+        self._publish(self.protocol.pose(sample))
+        if self.protocol.side.step == next_step:
+            self._lack = None
+        self._compare_maps()
+
+    def workpiece(self, stamp: int, data: bytes) -> None:
+        """A recorded map; it shows the fresh part at stamp 0, else the part behind the last pose that was answered.
+
+        It may stand a little before that pose in the file. One from far ahead is latched from the pass before.
+        """
+        channel = self._channels["workpiece"]
+        ahead = stamp - self.protocol.stamp_ns
+        if stamp == 0:
+            channel.expected(0, self._fresh)
+            channel.recorded(0, data)
+        elif self.protocol.side.step >= 0 and 0 <= ahead <= MOST_AHEAD * self.cell.exchange.period * 1e9:
+            self._maps.append((stamp, data))
+            self._compare_maps()
+        else:
+            channel.take(data)
+
+    def _compare_maps(self) -> None:
+        while self._maps and self._maps[0][0] <= self.protocol.stamp_ns:
+            stamp, data = self._maps.pop(0)
+            if stamp == self.protocol.stamp_ns and self._lack is None:
+                self._publish(self.protocol.workpiece())
+                self._channels["workpiece"].recorded(stamp, data)
+            else:
+                self._channels["workpiece"].take(data)
+
+    def finish(self) -> None:
+        """No more will come."""
+        self.end_pass()
+        for _, data in self._maps:
+            self._channels["workpiece"].take(data)

@@ -1,0 +1,247 @@
+"""The compensator of a recording: its protocol, fed with the recorded pass, what it publishes compared."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.samples import PoseSample, WrenchSample
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.protocols import compensator_protocol
+from kr270_milling.compensation.compensator import LEAST_GAIN, Compensator
+from kr270_milling.compensation.parameters import METHODS
+from kr270_milling.compensation.protocol import CompensatorProtocol
+from kr270_milling.messages.exchange import to_bytes, trajectory_from_bytes
+from kr270_milling.replay.compare import Channel, difference
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["CompensatorFeed", "Report", "read_report"]
+
+ROUNDING = 1e-10  # [m], of the remaining errors in the compensator's diagnostics
+
+
+@dataclass(frozen=True)
+class Report:
+    """What the compensator told of itself in /diagnostics."""
+
+    method: str
+    errors: tuple[float, ...]  #: [m], remaining error of each pass
+    finished: bool
+
+
+def read_report(values: dict[str, str]) -> Report | None:
+    """From the keys and values of a diagnostic status; None where it is not the compensator's."""
+    try:
+        errors = tuple(float(e) * 1e-6 for e in values["remaining_error_um"].split())
+        finished = {"True": True, "False": False}[values["finished"]]
+    except (KeyError, ValueError):
+        return None
+    return Report(values["method"], errors, finished) if values.get("method") in METHODS else None
+
+
+class CompensatorFeed:
+    """tool_pose and wrench of a pass in; the revised reference_trajectory and joint_trajectory compared.
+
+    The first reference in the recording is what was run. Whether an earlier pass made it is told by the reports:
+    the first in the file (``opening``) and the latest before the pass came to its end. The wrench that answers the
+    last pose may have come before the live revision or not in time: both revisions are tried.
+    """
+
+    def __init__(self, cell: Cell, channels: dict[str, Channel], stop, opening: Report | None):
+        self.protocol = compensator_protocol(cell)
+        self.target = cell.target()
+        self.report: Report | None = None
+        self.on_pass: Callable[[CompensatorFeed, bytes | None], None] = lambda feed, published: None
+        self.revisions: list[CompensatorProtocol] = []  #: of a complete pass, the likely one first
+        self._channels = channels
+        self._stop = stop
+        self._opening = opening
+        self._given_method = cell.compensation.method
+        self._published: list[bytes] = []  # references that were recorded and not compared yet
+        self._known = False  # whether the state is the node's, and not made up from reports
+        self._begun = False
+        self._without: CompensatorProtocol | None = None  # the protocol as if the last wrench did not come
+        self._undecided = False
+
+    @property
+    def method(self) -> str:
+        """The method that the node used, as it told, or that of the cell."""
+        report = self.report or self._opening
+        return report.method if report else self._given_method
+
+    def begin(self, data: bytes) -> None:
+        """The reference that the first pass runs; where it stands in the file does not matter."""
+        run = trajectory_from_bytes(data, as_sent=True)
+        state = self.protocol.models.compensator(self.target, self.method)
+        self._known = _same(state.reference, run)
+        if not self._known:
+            state.resume(run, (), False)
+        self.protocol.resume(state)
+
+    def reference(self, data: bytes) -> None:
+        """The next recorded reference; the first is the one that is run."""
+        if not self._begun:
+            self._begun = True
+            self._compare_with(data, next((c for c in self._unrevised() if _same_bytes(c, data)), None))
+            return
+        self._published.append(data)
+        if self.revisions or not self.protocol.under_way:
+            self._compare()
+
+    def new_target(self, target: Trajectory) -> None:
+        """A target of the user."""
+        self.target = target
+        self._known = False
+
+    def pose(self, sample: PoseSample) -> None:
+        """The next tool_pose, one that can be used."""
+        if sample.stamp == 0 and (self.protocol.stamp_ns > 0 or self.revisions):
+            self._compare()
+        self._feed(sample, CompensatorProtocol.pose)
+
+    def wrench(self, sample: WrenchSample) -> None:
+        """The next wrench, one that can be used."""
+        self._feed(sample, CompensatorProtocol.wrench)
+
+    def revised_by(self, method: str) -> Compensator:
+        """What another method makes of the complete pass."""
+        before, ran = self.revisions[0].ran_by, self.revisions[0].ran
+        state = self.protocol.models.compensator(self.target, method)
+        if not _same(state.reference, before.reference):
+            state.resume(before.reference, tuple(before.errors), before.finished)
+        state.revise(ran)
+        return state
+
+    def finish(self) -> None:
+        """No more will come."""
+        if self._published or self.protocol.at_end or self.revisions:
+            self._compare()
+
+    def _feed(self, sample, how: Callable[[CompensatorProtocol, object], list]) -> None:
+        protocol = self.protocol
+        if sample.stamp >= protocol.end_ns and protocol.under_way and self._without is None:
+            if not self._known:
+                self._restore()
+            self._without = protocol.twin()
+        if how is CompensatorProtocol.pose and self._without is not None:
+            self._without.pose(sample)
+        try:
+            revised = how(protocol, sample)
+        except MillingError:  # no revision is possible: the live node told so, and published none
+            self._without = None
+            return
+        if revised:
+            self._revised([protocol])
+
+    def _revised(self, revisions: list[CompensatorProtocol]) -> None:
+        """The pass is complete: with what the live node may go on."""
+        without, self._without = self._without, None
+        with contextlib.suppress(MillingError):
+            if without is not None and without.finish():
+                revisions = [*revisions, without]
+        if not revisions:
+            return
+        self.revisions = [] if self._undecided else [r for r in revisions if self._decided(r)]
+        if len(self.revisions) < len(revisions) and not self._undecided:
+            reason = f"whether {self.method} goes on or back to an earlier pass is not decidable from this file"
+            self._stop(int(revisions[0].ran.time_ns[-1]), reason)
+        self._undecided = False
+        if self._published:
+            self._compare()
+
+    def _restore(self) -> None:
+        """The state in which the node was before this pass ended, as far as the file tells."""
+        protocol = self.protocol
+        reference = protocol.compensator.reference
+        state = protocol.models.compensator(self.target, self.method)
+        report = self.report or self._opening
+        if _same(state.reference, reference):
+            protocol.compensator = state
+            return
+        if report is None and state.repeats:
+            reason = "nothing in the recording tells how good the passes before this one were"
+            self._stop(protocol.end_ns, reason)
+            self._undecided = True
+        errors = report.errors if report else ()
+        if report is not None and self.report is None:  # the report came behind this pass
+            errors = errors[:-1]
+        state.resume(reference, errors, report is not None and report.finished and self.report is not None)
+        protocol.compensator = state
+
+    def _decided(self, revised: CompensatorProtocol) -> bool:
+        """Whether the rounding of earlier errors in the diagnostics leaves no doubt about what repeats."""
+        state = revised.compensator
+        if state.reference is None:
+            return False
+        if not state.repeats or len(state.errors) < 2 or self._known or revised.ran_by.finished:
+            return True
+        earlier, last = min(state.errors[:-1]), state.errors[-1]
+        return min(abs(last - earlier), abs(last - (1.0 - LEAST_GAIN) * earlier)) > ROUNDING
+
+    def _compare(self) -> None:
+        """The recorded references with those that follow from the pass before, if one is complete."""
+        published, self._published = self._published, []
+        if self.protocol.at_end and not self.revisions:  # the last wrench is not in the file
+            self._revised([])
+        if self.revisions:
+            self.on_pass(self, published[0] if published else None)
+        for data in published:
+            found = next((c for c in self._candidates() if _same_bytes(c, data)), None)
+            differs = found is None and bool(self.revisions)
+            found = self.revisions[0] if differs else found
+            self._known = found is not None
+            self.protocol = found or self.protocol
+            self._compare_with(data, found)
+            if found is None or differs:
+                self._go_on_from(trajectory_from_bytes(data, as_sent=True))
+        self.revisions = []
+
+    def _compare_with(self, data: bytes, found: CompensatorProtocol | None) -> None:
+        """A recorded reference, and the joint positions that belong to it, with those of a protocol."""
+        channel = self._channels["reference_trajectory"]
+        if found is None:
+            channel.take(data)
+        else:
+            channel.expected(0, found.compensator.reference)
+            channel.recorded(0, data)
+        self.revisions = []
+        if "joint_trajectory" in self._channels:
+            program = self.protocol.joint_program(trajectory_from_bytes(data, as_sent=True))
+            self._channels["joint_trajectory"].expected(0, program)
+
+    def _go_on_from(self, reference: Trajectory) -> None:
+        """What is run next is what was sent, whatever led to it."""
+        state = self.protocol.compensator
+        if not self._known:
+            state = self.protocol.models.compensator(self.target, self.method)
+            state.resume(reference, (), False)
+        state.reference = reference
+        self.protocol.resume(state)
+
+    def _candidates(self) -> Iterator[CompensatorProtocol]:
+        """States that the node may be in now, the likely one first."""
+        yield from self.revisions
+        yield from self._unrevised()
+        if self._known and not self.revisions and self.protocol.compensator.first is not None:
+            for method in METHODS:
+                other = self.protocol.twin()
+                with contextlib.suppress(MillingError):
+                    other.choose(method)
+                    yield other
+
+    def _unrevised(self) -> Iterator[CompensatorProtocol]:
+        """After a new target or a reset."""
+        fresh = self.protocol.twin()
+        fresh.resume(fresh.models.compensator(self.target, self.method))
+        yield fresh
+
+
+def _same(one: Trajectory, other: Trajectory) -> bool:
+    return difference(one, to_bytes(other)) is None
+
+
+def _same_bytes(protocol: CompensatorProtocol, data: bytes) -> bool:
+    reference = protocol.compensator.reference
+    return reference is not None and difference(reference, data) is None

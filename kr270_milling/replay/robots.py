@@ -1,0 +1,242 @@
+"""The robots of a recording, each in its namespace with its cut and its compensator, fed with its messages."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.bag.bagmeta import read_qos
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import MillingError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.messages.cdr import stamp_of
+from kr270_milling.messages.exchange import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.replay.attached import cell_of, in_file_order
+from kr270_milling.replay.compare import Channel
+from kr270_milling.replay.feeds import CutFeed, RobotFeed
+from kr270_milling.replay.revisions import CompensatorFeed, Report, read_report
+from kr270_milling.simulation.admission import checked_pose, checked_wrench
+
+__all__ = ["Robot", "Robots", "Stop"]
+
+#: name -> type, in the order of causes
+OUTPUTS = {
+    "robot_description": "std_msgs/msg/String",
+    "tool_pose": "geometry_msgs/msg/PoseStamped",
+    "wrench": "geometry_msgs/msg/WrenchStamped",
+    "deflection": "geometry_msgs/msg/TwistStamped",
+    "joint_states": "sensor_msgs/msg/JointState",
+    "clock": "rosgraph_msgs/msg/Clock",
+    "workpiece": "nav_msgs/msg/OccupancyGrid",
+    "reference_trajectory": "trajectory_msgs/msg/MultiDOFJointTrajectory",
+    "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
+}
+TYPES = {**OUTPUTS, "target_trajectory": OUTPUTS["reference_trajectory"]}
+DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+WITHOUT_STAMP = ("robot_description", "joint_trajectory")
+
+
+@dataclass(frozen=True)
+class Stop:
+    """Where a protocol could not go on."""
+
+    robot: str  #: namespace
+    stamp_ns: int
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.robot or '/'}: cannot go on at {self.stamp_ns * 1e-9:.6f} s: {self.reason}"
+
+
+class Robot:
+    """Everything in one namespace."""
+
+    def __init__(self, cell: Cell, namespace: str, channels: dict[str, Channel], first: bytes | None, opening):
+        self.cell = cell
+        self.namespace = namespace
+        self.channels = channels
+        self.stops: list[Stop] = []
+        self.robot = RobotFeed(cell, channels, self._stop)
+        self.cut = CutFeed(cell, channels, self._stop)
+        self.compensator: CompensatorFeed | None = None
+        if first is not None:
+            self.robot.reference(trajectory_from_bytes(first))
+            self.compensator = CompensatorFeed(cell, channels, self._stop, opening)
+            self.compensator.begin(first)
+
+    def _stop(self, stamp_ns: int, reason: str) -> None:
+        self.stops.append(Stop(self.namespace, stamp_ns, reason))
+
+    def hear(self, name: str, data: bytes) -> None:
+        """The next message of one of the robot's topics, as an input and as an output."""
+        stamp = 0 if name in WITHOUT_STAMP else stamp_of(data) or 0
+        if name == "tool_pose":
+            self.channels[name].recorded(stamp, data, refused=not self._pose(data))
+        elif name == "wrench":
+            self.channels[name].recorded(stamp, data, refused=not self._wrench(data))
+        elif name == "workpiece":
+            self.cut.workpiece(stamp, data)
+        elif name in ("reference_trajectory", "target_trajectory"):
+            self._trajectory(name, data)
+        else:
+            self.channels[name].recorded(stamp, data)
+
+    def hear_compensator(self, name: str, data: bytes) -> None:
+        """The same for the compensator alone."""
+        with contextlib.suppress(MillingError):
+            if self.compensator is None:
+                return
+            if name == "tool_pose":
+                self.compensator.pose(checked_pose(pose_from_bytes(data)))
+            elif name == "wrench":
+                self.compensator.wrench(checked_wrench(wrench_from_bytes(data)))
+            elif name == "reference_trajectory":
+                self.compensator.reference(data)
+            elif name == "target_trajectory":
+                self.compensator.new_target(trajectory_from_bytes(data))
+
+    def _pose(self, data: bytes) -> bool:
+        """Whether the nodes can have used it; what they refused live is refused here, and all goes on."""
+        try:
+            sample = checked_pose(pose_from_bytes(data))
+            if self.compensator is not None:
+                self.compensator.pose(sample)
+            self.cut.pose(sample)
+        except MillingError:
+            return False
+        return True
+
+    def _wrench(self, data: bytes) -> bool:
+        try:
+            sample = checked_wrench(wrench_from_bytes(data))
+        except MillingError:
+            return False
+        self.robot.wrench(sample)
+        if self.compensator is not None:
+            self.compensator.wrench(sample)
+        return True
+
+    def _trajectory(self, name: str, data: bytes) -> None:
+        try:
+            run = trajectory_from_bytes(data)
+        except MillingError:
+            if name in self.channels:
+                self.channels[name].recorded(0, data, refused=True)
+            return
+        if name == "reference_trajectory":
+            self.robot.reference(run)
+            self.compensator.reference(data)
+        elif self.compensator is not None:
+            self.compensator.new_target(run)
+
+    def finish(self) -> None:
+        """No more will come."""
+        self.robot.finish()
+        self.cut.finish()
+        if self.compensator is not None:
+            self.compensator.finish()
+        for channel in self.channels.values():
+            channel.finish()
+
+
+class Robots:
+    """The robots of a recording; ``feed`` gives them its messages."""
+
+    def __init__(self, recording: Recording):
+        self.recording = recording
+        self.cell = cell_of(recording)
+        self._names = self._find_topics()
+        self._diagnostics = {
+            topic: recording.decoder(topic)
+            for topic, about in recording.topics().items()
+            if topic.endswith("/diagnostics") and about.type == DIAGNOSTICS
+        }
+        firsts, openings = self._first_references(), self._opening_reports()
+        self.robots: dict[str, Robot] = {}
+        for namespace in sorted({namespace for namespace, _ in self._names.values()}):
+            with self._usable(f"{namespace}/reference_trajectory"):
+                channels = self._channels(namespace)
+                self.robots[namespace] = Robot(
+                    self.cell, namespace, channels, firsts.get(namespace), openings.get(namespace)
+                )
+
+    def _find_topics(self) -> dict[str, tuple[str, str]]:
+        """Topic -> (namespace, name), of the topics that have the right name and type."""
+        found = {}
+        for topic, about in self.recording.topics().items():
+            namespace, _, name = topic.rpartition("/")
+            if TYPES.get(name) == about.type and about.encoding == "cdr" and about.count:
+                found[topic] = namespace, name
+        robots = {ns for ns, name in found.values() if name in ("tool_pose", "wrench", "reference_trajectory")}
+        if not robots:
+            raise RecordingError(self.recording.path, "holds no tool_pose, wrench or reference_trajectory to recompute")
+        if len(robots) == 1 and (min(robots), "clock") not in found.values() and self._is_of_one_robot("/clock"):
+            found.update({t: (min(robots), n) for t, (_, n) in found.items() if t == "/clock"})
+        return {t: place for t, place in found.items() if place[0] in robots}
+
+    def _is_of_one_robot(self, topic: str) -> bool:
+        """Up to version 0.1.0 robots in namespaces shared one ``/clock``; its publishers stand in the recording."""
+        about = self.recording.topics().get(topic)
+        return about is not None and len(read_qos(about.metadata.get("offered_qos_profiles", ""))) < 2
+
+    def _channels(self, namespace: str) -> dict[str, Channel]:
+        ranks = list(OUTPUTS)
+        return {
+            name: Channel(topic, ranks.index(name))
+            for topic, (ns, name) in self._names.items()
+            if ns == namespace and name in OUTPUTS
+        }
+
+    def _first_references(self) -> dict[str, bytes]:
+        """What was latched when the recording began; it may stand behind the first messages of the pass."""
+        firsts: dict[str, bytes] = {}
+        topics = {t: ns for t, (ns, name) in self._names.items() if name == "reference_trajectory"}
+        for message in in_file_order(self.recording):
+            if message.topic in topics:
+                firsts.setdefault(topics[message.topic], message.data)
+                if len(firsts) == len(topics):
+                    break
+        return firsts
+
+    def _opening_reports(self) -> dict[str, Report]:
+        found: dict[str, Report] = {}
+        for _, array in self.recording.decoded(set(self._diagnostics)):
+            for namespace, report in _reports_in(array):
+                found.setdefault(namespace, report)
+        return found
+
+    def feed(self, progress=None, hear: Callable[[Robot, str, bytes], None] = Robot.hear) -> None:
+        """All messages in the order of the file; ``hear`` takes those of a robot."""
+        for message in in_file_order(self.recording, progress):
+            if message.topic in self._names:
+                namespace, name = self._names[message.topic]
+                with self._usable(message.topic):
+                    hear(self.robots[namespace], name, message.data)
+            elif message.topic in self._diagnostics:
+                for namespace, report in _reports_in(self._diagnostics[message.topic](message.data)):
+                    if namespace in self.robots and self.robots[namespace].compensator:
+                        self.robots[namespace].compensator.report = report
+        for namespace, robot in self.robots.items():
+            with self._usable(f"{namespace}/wrench"):
+                robot.finish()
+
+    @contextlib.contextmanager
+    def _usable(self, topic: str):
+        """A message that no simulation of this size can take."""
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # a force of 1e300 N is an input like any other
+                yield
+        except (ValueError, OverflowError) as error:
+            what = f"a message on {topic} cannot be used: {' '.join(str(error).split())}"
+            raise RecordingError(self.recording.path, what) from error
+
+
+def _reports_in(array):
+    for status in array.status:
+        report = read_report({entry.key: entry.value for entry in status.values})
+        if report is not None:
+            yield status.name.rpartition("/")[0], report

@@ -1,0 +1,177 @@
+"""What the nodes of robot and cut do between in and out: records in, (topic, record) out, time from the stamps.
+
+A node hands its messages to such an object, and a recompute the recorded ones: there is no second transcription.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.samples import ClockSample, JointSample, PoseSample, StockMap, Text, TwistSample, WrenchSample
+from kr270_milling.cutting import Cut, Stock
+from kr270_milling.simulation.admission import WORKPIECE, checked_pose, checked_wrench, in_workpiece_axes
+from kr270_milling.simulation.dynamics import ArmModel
+from kr270_milling.simulation.exchange import Clock
+from kr270_milling.simulation.sides import CuttingSide, RobotSide
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["JOINT_NAMES", "CutProtocol", "NoWorkpiece", "Output", "RobotModels", "RobotProtocol"]
+
+JOINT_NAMES = tuple(f"joint_a{i}" for i in range(1, 7))
+Output = tuple[str, object]  #: topic, record
+
+MAP_STEP = 0.2e-3  # [m], of the published workpiece map
+
+
+class NoWorkpiece(MillingError):
+    """The cutting process is not configured."""
+
+    def __init__(self):
+        super().__init__("no workpiece yet: configure first")
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModels:
+    """What the robot's protocol needs of its cell."""
+
+    clock: Clock
+    iterations: int  #: exchanges a period
+    thinned: int  #: exchange periods from one joint state to the next
+    arm_model: Callable[[Trajectory], ArmModel]
+    joints_at: Callable[[np.ndarray, np.ndarray], np.ndarray]  #: positions (n, 3), quaternions (n, 4) -> (n, 6) [rad]
+    description: str  #: URDF
+    warn_correction: float  #: share of the feed per tooth above which a correction is large
+    tooth_rate: float  #: teeth that pass in a second [1/s]
+
+
+class RobotProtocol:
+    """Reference trajectory and wrench in; tool_pose, deflection, joint_states and clock out."""
+
+    def __init__(self, models: RobotModels):
+        self.models = models
+        self.reference: Trajectory | None = None  #: that the next pass runs
+        self.side: RobotSide | None = None  #: of the pass under way, or of the last one
+        self._asked = 0  # questions since the last answer
+        self._stale = 0  # answers to come for questions that were asked twice
+
+    def describe(self) -> list[Output]:
+        """The robot for viewers."""
+        return [("robot_description", Text(self.models.description))]
+
+    def start(self) -> list[Output]:
+        """Begin a pass along ``reference``."""
+        models, reference = self.models, self.reference
+        side = RobotSide(models.arm_model(reference), models.clock, reference, models.iterations)
+        self._joints = models.joints_at(side.course[:: models.thinned], side.orientation[:: models.thinned])
+        self.side = side
+        self._step = 0
+        self._asked = 0
+        self._stale = 0
+        return [self._question()]
+
+    def stop(self) -> None:
+        """End the pass."""
+        self.side = None
+
+    @property
+    def done(self) -> bool:
+        """Whether the last pass ran to its end."""
+        return self.side is not None and self.side.done
+
+    @property
+    def large_correction(self) -> bool:
+        """Whether the pass corrected its predictions by more than the stated share of the feed per tooth."""
+        feed = float(np.max(self.reference.feed(self.reference.time_ns)))
+        return self.side.correction > self.models.warn_correction * feed / self.models.tooth_rate
+
+    def repeat(self) -> list[Output]:
+        """The last tool_pose once more; only one of the answers to it will be taken."""
+        return [self._question()]
+
+    def wrench(self, sample: WrenchSample) -> list[Output]:
+        """Take an answer. One with another stamp than the awaited one is ignored; raises MessageError."""
+        side = self.side
+        if side is None or side.done:
+            return []
+        checked_wrench(sample)
+        stamp_ns = sample.stamp
+        if stamp_ns != side.awaited_ns:
+            return []
+        if self._stale:
+            self._stale -= 1
+            return []
+        self._stale = self._asked - 1
+        self._asked = 0
+        deflection = side.answer(stamp_ns, in_workpiece_axes(sample, side.orientation_now))
+        if side.done:
+            return self._state(stamp_ns, deflection)
+        if side.awaited_ns != stamp_ns:
+            self._stale = 0
+        outputs = [self._question()]  # first, so that the cut works while the rest is published
+        return outputs if deflection is None else outputs + self._state(stamp_ns, deflection)
+
+    def _question(self) -> Output:
+        side = self.side
+        self._asked += 1
+        return "tool_pose", PoseSample(side.awaited_ns, WORKPIECE, side.tool, side.orientation_now)
+
+    def _state(self, stamp_ns: int, deflection: np.ndarray) -> list[Output]:
+        outputs: list[Output] = [("deflection", TwistSample(stamp_ns, WORKPIECE, deflection))]
+        if self._step % self.models.thinned == 0:
+            joints = self._joints[self._step // self.models.thinned]
+            outputs.append(("joint_states", JointSample(stamp_ns, JOINT_NAMES, joints)))
+            outputs.append(("clock", ClockSample(stamp_ns)))
+        self._step += 1
+        return outputs
+
+
+class CutProtocol:
+    """tool_pose in; wrench and workpiece out. A pass needs a fresh workpiece: ``configure``."""
+
+    def __init__(self, clock: Clock, stock: Stock, fresh: Callable[[], Cut]):
+        self._clock = clock
+        self._stock = stock
+        self._fresh = fresh
+        self.side: CuttingSide | None = None
+        self.stamp_ns = 0  #: of the last answer
+        self.end_ns = 0  #: of the reference trajectory, if one is known
+
+    def configure(self) -> list[Output]:
+        """A fresh workpiece; its map, so that nobody who comes now takes the last part for this one."""
+        self.side = CuttingSide(self._fresh(), self._clock)
+        self.stamp_ns = 0
+        return self.workpiece()
+
+    def release(self) -> None:
+        """The workpiece goes."""
+        self.side = None
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a pass has begun and has not come to the end of the reference trajectory."""
+        return self.side is not None and self.side.step >= 0 and self.stamp_ns < self.end_ns
+
+    def pose(self, sample: PoseSample) -> list[Output]:
+        """Answer a tool_pose; raises MessageError, ExchangeError, NoWorkpiece where it is refused."""
+        checked_pose(sample)
+        if self.side is None:
+            raise NoWorkpiece
+        wrench = self.side.answer(sample.stamp, sample.position)
+        self.stamp_ns = sample.stamp
+        return [("wrench", WrenchSample(sample.stamp, WORKPIECE, wrench))]
+
+    def workpiece(self) -> list[Output]:
+        """The map of the part as it is behind the last answer; raises NoWorkpiece."""
+        if self.side is None:
+            raise NoWorkpiece
+        stock = self._stock
+        thinning = max(1, round(MAP_STEP / stock.grid_step))
+        _, _, surface = self.side.cut.heights(thinning=thinning)
+        removed = (stock.max[2] - surface) / (stock.max[2] - stock.min[2])
+        left = np.rint(100 * (1 - removed)).astype(np.int8)
+        resolution = float(np.float32(thinning * stock.grid_step))  # the message has 32 bits for it
+        return [("workpiece", StockMap(self.stamp_ns, WORKPIECE, resolution, stock.min, left))]
