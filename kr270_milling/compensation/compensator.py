@@ -8,15 +8,23 @@ from collections.abc import Callable
 
 import numpy as np
 
+from kr270_milling.base.errors import MillingError
 from kr270_milling.compensation.limiting import Limited
 from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.compensation.revision import PassRecord, corrected, revise
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Compensator", "PassListener", "remaining_error"]
+__all__ = ["Compensator", "EarlierReference", "PassListener", "remaining_error"]
 
 #: a pass that improves the largest error by less than this share ends the learning
 LEAST_GAIN = 0.01
+
+
+class EarlierReference(MillingError):
+    """The best reference is that of a pass before the first one that is known here."""
+
+    def __init__(self):
+        super().__init__("the best reference trajectory is that of an earlier pass, which is not known")
 
 
 def remaining_error(target: Trajectory, ran: PassRecord) -> float:
@@ -88,6 +96,8 @@ class Compensator:
         self.errors.append(remaining_error(self.target, ran))
         if self.repeats and self._is_best():
             self.finished, (_, self.reference, self.limited) = True, self._best
+            if self.reference is None:
+                raise EarlierReference
             return self.reference
         how = self.parameters
         limits = {

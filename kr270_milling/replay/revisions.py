@@ -10,7 +10,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.protocols import compensator_protocol
-from kr270_milling.compensation.compensator import LEAST_GAIN, Compensator
+from kr270_milling.compensation.compensator import LEAST_GAIN, Compensator, EarlierReference
 from kr270_milling.compensation.parameters import METHODS
 from kr270_milling.compensation.protocol import CompensatorProtocol
 from kr270_milling.messages.exchange import to_bytes, trajectory_from_bytes
@@ -129,6 +129,10 @@ class CompensatorFeed:
             self._without.pose(sample)
         try:
             revised = how(protocol, sample)
+        except EarlierReference:
+            self._without = None
+            self._tell_undecided()
+            return
         except MillingError:  # no revision is possible: the live node told so, and published none
             self._without = None
             return
@@ -145,11 +149,14 @@ class CompensatorFeed:
             return
         self.revisions = [] if self._undecided else [r for r in revisions if self._decided(r)]
         if len(self.revisions) < len(revisions) and not self._undecided:
-            reason = f"whether {self.method} goes on or back to an earlier pass is not decidable from this file"
-            self._stop(int(revisions[0].ran.time_ns[-1]), reason)
+            self._tell_undecided()
         self._undecided = False
         if self._published:
             self._compare()
+
+    def _tell_undecided(self) -> None:
+        reason = f"whether {self.method} goes on or back to an earlier pass is not decidable from this file"
+        self._stop(self.protocol.end_ns, reason)
 
     def _restore(self) -> None:
         """The state in which the node was before this pass ended, as far as the file tells."""
@@ -173,8 +180,6 @@ class CompensatorFeed:
     def _decided(self, revised: CompensatorProtocol) -> bool:
         """Whether the rounding of earlier errors in the diagnostics leaves no doubt about what repeats."""
         state = revised.compensator
-        if state.reference is None:
-            return False
         if not state.repeats or len(state.errors) < 2 or self._known or revised.ran_by.finished:
             return True
         earlier, last = min(state.errors[:-1]), state.errors[-1]
@@ -243,5 +248,4 @@ def _same(one: Trajectory, other: Trajectory) -> bool:
 
 
 def _same_bytes(protocol: CompensatorProtocol, data: bytes) -> bool:
-    reference = protocol.compensator.reference
-    return reference is not None and difference(reference, data) is None
+    return difference(protocol.compensator.reference, data) is None
