@@ -7,16 +7,15 @@ import functools
 import importlib.util
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import commanded_joints, compensator, pass_record
-from kr270_milling.messages import encode
-from kr270_milling.simulation.sides import CuttingSide, RobotSide
+from kr270_milling.cell.protocols import compensator_protocol, cut_protocol, robot_protocol
+from kr270_milling.messages.codec import serialise
+from kr270_milling.messages.exchange import to_bytes
 
 needs_messages = pytest.mark.skipif(
     importlib.util.find_spec("geometry_msgs") is None, reason="the message definitions of ROS are not installed"
@@ -33,7 +32,6 @@ POSE, TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
 WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"
 REFERENCE, PROGRAM = "trajectory_msgs/msg/MultiDOFJointTrajectory", "trajectory_msgs/msg/JointTrajectory"
 LATCHED = {"durability": "transient_local", "depth": 1}
-NAMES = [f"joint_a{i}" for i in range(1, 7)]
 STEPS = 121  # 4 mm at 4 m/min, every 0.5 ms
 
 
@@ -60,65 +58,45 @@ def cell_of(method: str = "linear", iterations: int = 1):
 
 def diagnostics(node: str, values: dict[str, str]) -> Message:
     """One diagnostic status of a node."""
-    array = encode.Builder().header(0, "").pack("I", 1).pack("B", 0).string(node).string("").string("")
-    array.pack("I", len(values))
-    for key, value in values.items():
-        array.string(key).string(value)
-    return Message("diagnostics", array.done().data, 0)
+    pairs = [{"key": key, "value": value} for key, value in values.items()]
+    fields = {"status": [{"name": node, "values": pairs}]}
+    return Message("diagnostics", serialise("diagnostic_msgs/msg/DiagnosticArray", fields), 0)
 
 
 def reference_data(run) -> bytes:
-    return encode.trajectory_bytes(run.frame, "tool0", run.time_ns, run.position, run.quaternion, run.velocity).data
+    return to_bytes(run)
 
 
 @functools.cache
 def one_pass(method: str = "linear", iterations: int = 1, passes: int = 1) -> tuple[Message, ...]:
-    """What the four nodes publish in some passes, in the order of causes."""
+    """What the protocols of the nodes publish in some passes, in the order of causes."""
     cell = cell_of(method, iterations)
-    state = compensator(cell, cell.target())
-    found = [*_published(cell, state.reference)]
+    robot, cut, compensator = robot_protocol(cell), cut_protocol(cell), compensator_protocol(cell)
+    found = messages(compensator.begin(cell.target()))
     for _ in range(passes):
-        record = []
-        found += _exchange(cell, state.reference, record)
-        stamps, positions, wrenches = (np.array(column) for column in zip(*record, strict=True))
-        state.revise(pass_record(cell, stamps, positions, wrenches))
-        found += _published(cell, state.reference)
+        robot.reference = compensator.compensator.reference
+        cut.configure()
+        found += _exchange(robot, cut, compensator)
     return tuple(found)
 
 
-def _published(cell, reference):
-    joints = encode.joint_trajectory_bytes("base_link", NAMES, reference.time_ns, commanded_joints(cell, reference))
-    return Message("reference_trajectory", reference_data(reference), 0), Message("joint_trajectory", joints.data, 0)
+def messages(outputs) -> list[Message]:
+    return [Message(topic, to_bytes(record), getattr(record, "stamp", 0)) for topic, record in outputs]
 
 
-def _exchange(cell, reference, record: list):
-    robot = RobotSide(cell.arm_model(reference), cell.clock, reference, cell.exchange.iterations)
-    cut, step, thinned = CuttingSide(cell.cut(), cell.clock), 0, cell.thinned_steps()
-    course = cell.joints_at(robot.course[::thinned], robot.orientation[::thinned])
-    while not robot.done:
-        stamp, tool = robot.awaited_ns, robot.tool
-        pose = encode.pose_bytes(stamp, "workpiece", tool, robot.orientation_now)
-        yield Message("tool_pose", pose.data, stamp)
-        wrench = cut.answer(stamp, tool)
-        yield Message("wrench", encode.vectors_bytes(stamp, "workpiece", wrench).data, stamp)
-        deflection = robot.answer(stamp, wrench)
-        if deflection is None:
-            continue
-        record.append((stamp, tool, wrench))
-        yield Message("deflection", encode.vectors_bytes(stamp, "workpiece", deflection).data, stamp)
-        if step % thinned == 0:
-            joints = encode.joint_state_bytes(stamp, NAMES, course[step // thinned])
-            yield Message("joint_states", joints.data, stamp)
-        step += 1
-    yield Message("workpiece", _workpiece(cell, cut, stamp), stamp)
-
-
-def _workpiece(cell, cut, stamp: int) -> bytes:
-    """Percent of the stock's height that is left, every 0.2 mm."""
-    stock, thinning = cell.stock, round(0.2e-3 / cell.stock.grid_step)
-    height = cut.cut.heights(thinning=thinning)[2]
-    left = np.rint(100 * (1 - (stock.max[2] - height) / (stock.max[2] - stock.min[2])))
-    return encode.map_bytes(stamp, "workpiece", thinning * stock.grid_step, stock.min, left.astype(np.int8)).data
+def _exchange(robot, cut, compensator) -> list[Message]:
+    found, revised, outputs = [], [], robot.start()
+    while outputs:
+        found += messages(output for output in outputs if output[0] != "clock")
+        poses = [record for topic, record in outputs if topic == "tool_pose"]
+        outputs = []
+        for pose in poses:
+            revised += compensator.pose(pose)
+            answer = cut.pose(pose)
+            found += messages(answer)
+            revised += compensator.wrench(answer[0][1])
+            outputs += robot.wrench(answer[0][1])
+    return found + messages(cut.workpiece()) + messages(revised)
 
 
 TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states": JOINTS,

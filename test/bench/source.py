@@ -15,9 +15,10 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import OccupancyGrid
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import HistoryPolicy, QoSProfile
-from rclpy.serialization import serialize_message
 
-from kr270_milling.ros import messages, raw, topics
+from kr270_milling.base.samples import PoseSample, StockMap
+from kr270_milling.messages.exchange import to_bytes
+from kr270_milling.ros import topics
 from kr270_milling.ros.environment import keep_to_this_host
 
 __all__ = ["main"]
@@ -70,9 +71,9 @@ def _written(node, count: int) -> float:
 def _bodies(count: int, size: int) -> list[bytes]:
     if not size:
         down = np.array([1.0, 0.0, 0.0, 0.0])
-        return [raw.pose_to_bytes(i * 50_000, np.full(3, float(i)), down) for i in range(count)]
-    grid = messages.workpiece_to_msg(0, np.linspace(0, 1, size).reshape(1000, -1), np.zeros(3), 1e-3)
-    return [serialize_message(grid)] * count
+        return [to_bytes(PoseSample(i * 50_000, "workpiece", np.full(3, float(i)), down)) for i in range(count)]
+    cells = np.linspace(0, 100, size).astype(np.int8).reshape(1000, -1)
+    return [to_bytes(StockMap(0, "workpiece", 1e-3, np.zeros(3), cells))] * count
 
 
 def _publish(publisher, rate: int, bodies: list[bytes]) -> float:

@@ -11,7 +11,9 @@ import time
 import numpy as np
 import rclpy
 
-from kr270_milling.ros import raw, topics
+from kr270_milling.base.samples import PoseSample, TwistSample, WrenchSample
+from kr270_milling.messages.exchange import to_bytes
+from kr270_milling.ros import topics
 from kr270_milling.ros.environment import keep_to_this_host
 
 __all__ = ["main"]
@@ -44,9 +46,9 @@ def _publish(publishers, rate: int, seconds: float) -> int:
     begin, count = time.monotonic(), round(rate * seconds)
     for i in range(count):
         stamp, row = i * STEP_NS, values[i % 997]
-        pose.publish(raw.pose_to_bytes(stamp, row[:3], down))
-        wrench.publish(raw.wrench_to_bytes(stamp, row))
-        deflection.publish(raw.twist_to_bytes(stamp, row))
+        pose.publish(to_bytes(PoseSample(stamp, "workpiece", row[:3], down)))
+        wrench.publish(to_bytes(WrenchSample(stamp, "workpiece", row)))
+        deflection.publish(to_bytes(TwistSample(stamp, "workpiece", row)))
         if i % 10 == 9:  # some milliseconds' worth at a time
             ahead = begin + (i + 1) / rate - time.monotonic()
             if ahead > 0.0:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sample_messages import pose_msg
 
 pytest.importorskip("rclpy")
 
@@ -205,14 +206,14 @@ def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_
     robot = world.partner("robot")
     told = world.diagnostics(robot)
     publishers = [robot.create_publisher(*t) for t in (topics.TOOL_POSE, topics.REFERENCE_TRAJECTORY)]
-    publishers[1].publish(messages.trajectory_to_msg(short_cell.target()))
+    publishers[1].publish(messages.to_msg(short_cell.target()))
     cut.trigger_configure()
-    world.until(lambda: cut._pose.get_publisher_count() == 1 and cut._end_ns)
+    world.until(lambda: cut._pose.get_publisher_count() == 1 and cut.protocol.end_ns)
     cut.trigger_activate()
     stamps = short_cell.clock.stamp(np.arange(3))
     for stamp, tool in zip(stamps.tolist(), short_cell.target().sample(stamps), strict=True):
-        publishers[0].publish(messages.pose_to_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
-        world.until(lambda at=stamp: cut.stamp_ns == at and cut._side.step >= 0)
+        publishers[0].publish(pose_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
+        world.until(lambda at=stamp: cut.stamp_ns == at and cut.protocol.side.step >= 0)
     world.step(0.3)
     assert not told.said("/cutting_process", "another robot")
     world.partner("second").create_publisher(*topics.TOOL_POSE)
@@ -221,7 +222,7 @@ def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_
 
 def test_compensator_that_comes_in_mid_pass_says_that_it_has_not_heard_the_start(world, short_cell, tmp_path):
     from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator
-    from kr270_milling.ros import messages, topics
+    from kr270_milling.ros import topics
 
     world.add(TrajectoryCompensator, cell=short_cell, directory=tmp_path)
     machine = world.partner("machine")
@@ -230,7 +231,7 @@ def test_compensator_that_comes_in_mid_pass_says_that_it_has_not_heard_the_start
     world.until(pose.get_subscription_count)
     stamps = short_cell.clock.stamp(np.arange(10, 40))
     for stamp, tool in zip(stamps.tolist(), short_cell.target().sample(stamps), strict=True):
-        pose.publish(messages.pose_to_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
+        pose.publish(pose_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
     told.until("/trajectory_compensator", "has not heard its start", 2, deadline=3.0)
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sample_messages import wrench_msg
 
 pytest.importorskip("rclpy")
 
@@ -26,7 +27,7 @@ class Partner:
         world.listen(self.node, topics.TOOL_POSE, self.hear)
         self.deflections = world.listen(self.node, topics.DEFLECTION)
         self.told = world.diagnostics(self.node)
-        self.reference.publish(messages.trajectory_to_msg(cell.target()))
+        self.reference.publish(messages.to_msg(cell.target()))
 
     def hear(self, msg) -> None:
         self.poses.append(messages.ns_from_stamp(msg.header.stamp))
@@ -34,7 +35,7 @@ class Partner:
             self.answer(self.poses[-1])
 
     def answer(self, stamp: int, value: float = 1.0, frame: str = "workpiece") -> None:
-        msg = messages.wrench_to_msg(stamp, np.array([0.0, value, 0.0, 0.0, 0.0, 0.0]))
+        msg = wrench_msg(stamp, np.array([0.0, value, 0.0, 0.0, 0.0, 0.0]))
         msg.header.frame_id = frame
         self.wrench.publish(msg)
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sample_messages import pose_msg
 
 pytest.importorskip("rclpy")
 
@@ -28,13 +29,13 @@ class Robot:
         target = cell.target()
         self.stamps = cell.clock.stamp(np.arange(cell.clock.steps(target.duration_ns) + 1)).tolist()
         self.course, self.turn = target.sample(self.stamps), target.sample_orientation(self.stamps)
-        self.reference.publish(messages.trajectory_to_msg(target))
+        self.reference.publish(messages.to_msg(target))
 
     def ready(self) -> None:
         self.world.until(lambda: self.pose.get_subscription_count() and self.node.count_publishers("wrench"))
 
     def ask(self, step: int, shift: float = 0.0, frame: str = "workpiece") -> None:
-        msg = messages.pose_to_msg(self.stamps[step], self.course[step] + [0.0, shift, 0.0], self.turn[step])
+        msg = pose_msg(self.stamps[step], self.course[step] + [0.0, shift, 0.0], self.turn[step])
         msg.header.frame_id = frame
         self.pose.publish(msg)
 
@@ -43,7 +44,8 @@ class Robot:
         count = len(self.wrenches)
         self.ask(step, shift)
         self.world.until(lambda: len(self.wrenches) > count)
-        return messages.wrench_from_msg(self.wrenches[-1])
+        answer = messages.from_msg(self.wrenches[-1])
+        return answer.stamp, answer.wrench
 
 
 @pytest.fixture
@@ -73,9 +75,9 @@ def test_every_pose_is_answered_with_the_wrench_of_the_plain_cut(robot, short_ce
 def test_repeated_pose_gets_the_same_answer_and_cuts_nothing(robot, cut):
     for step in range(len(robot.stamps)):
         first = robot.exchange(step)[1]
-        removed = cut._side.cut.removed_volume
+        removed = cut.protocol.side.cut.removed_volume
         assert np.array_equal(robot.exchange(step)[1], first)
-        assert cut._side.cut.removed_volume == removed
+        assert cut.protocol.side.cut.removed_volume == removed
 
 
 def test_stamp_going_backwards_is_refused_and_the_pass_goes_on(world, robot):
@@ -158,7 +160,7 @@ def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, robot, cut
     depth = cut.cell.stock.max[2] - cut.cell.stock.min[2]
     # the map rounds a cell's share to a percent of the stock's height: half a percent of each touched cell
     touched = np.count_nonzero(cells) * maps[2].info.resolution ** 2
-    assert abs(cells.sum() * depth - cut._side.cut.removed_volume) <= 0.005 * touched * depth + 1e-15
+    assert abs(cells.sum() * depth - cut.protocol.side.cut.removed_volume) <= 0.005 * touched * depth + 1e-15
 
 
 def test_request_before_configure_is_answered_with_a_sentence(world, short_cell, tmp_path):

@@ -11,8 +11,8 @@ from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.nodes.compliant_robot import CompliantRobot
 from kr270_milling.nodes.cutting_process import CuttingProcess
 from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator
-from kr270_milling.ros import messages, topics
-from kr270_milling.ros.messages import trajectory_from_msg
+from kr270_milling.ros import topics
+from kr270_milling.ros.messages import from_msg
 
 ERROR = 2
 
@@ -28,19 +28,16 @@ class Loop:
         self.robot = world.add(CompliantRobot, *ns, cell=cell, directory=directory)
         self.ear = world.partner("ear", namespace)
         self.series: dict[str, dict] = {"tool_pose": {}, "wrench": {}, "deflection": {}}
-        world.listen(self.ear, topics.TOOL_POSE, lambda m: self.keep("tool_pose", *messages.pose_from_msg(m)[:2]))
-        world.listen(self.ear, topics.WRENCH, lambda m: self.keep("wrench", *messages.wrench_from_msg(m)))
-        world.listen(self.ear, topics.DEFLECTION, self.keep_twist)
+        world.listen(self.ear, topics.TOOL_POSE, lambda m: self.keep("tool_pose", m, "position"))
+        world.listen(self.ear, topics.WRENCH, lambda m: self.keep("wrench", m, "wrench"))
+        world.listen(self.ear, topics.DEFLECTION, lambda m: self.keep("deflection", m, "twist"))
         self.references = world.listen(self.ear, topics.REFERENCE_TRAJECTORY)
         self.told = world.diagnostics(self.ear)
         self.name = namespace.rstrip("/") + "/"
 
-    def keep(self, topic, stamp, values) -> None:
-        self.series[topic][stamp] = values
-
-    def keep_twist(self, msg) -> None:
-        v, w = msg.twist.linear, msg.twist.angular
-        self.keep("deflection", messages.ns_from_stamp(msg.header.stamp), [v.x, v.y, v.z, w.x, w.y, w.z])
+    def keep(self, topic, msg, field) -> None:
+        sample = from_msg(msg)
+        self.series[topic][sample.stamp] = getattr(sample, field)
 
     def start(self) -> None:
         self.cut.trigger_configure()
@@ -49,11 +46,11 @@ class Loop:
         self.world.until(
             lambda: (
                 all(self.ear.count_subscribers(t) == n for t, n in expected.items())
-                and self.robot._pose.get_subscription_count() == 3
-                and self.cut._wrench.get_subscription_count() == 3
+                and self.robot.outlets["tool_pose"].get_subscription_count() == 3
+                and self.cut.outlets["wrench"].get_subscription_count() == 3
                 and self.references
-                and self.robot._reference is not None
-                and self.cut._end_ns > 0
+                and self.robot.protocol.reference is not None
+                and self.cut.protocol.end_ns > 0
             )
         )
         self.cut.trigger_activate()
@@ -66,7 +63,7 @@ class Loop:
 
     def revised(self, count: int):
         self.world.until(lambda: len(self.references) > count, 20)
-        return trajectory_from_msg(self.references[count])
+        return from_msg(self.references[count])
 
     def matches(self, result) -> None:
         expectations = {"tool_pose": result.tool, "wrench": result.wrench, "deflection": result.deflection}

@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from sample_messages import pose_msg, wrench_msg
 
 pytest.importorskip("rclpy")
 
@@ -19,7 +20,7 @@ from std_msgs.msg import String
 from kr270_milling.bag.reader import Recording
 from kr270_milling.messages.series import series
 from kr270_milling.nodes.recorder import Recorder
-from kr270_milling.ros import messages, topics
+from kr270_milling.ros import topics
 
 OK, WARN = 0, 1
 NAME = "/recorder"
@@ -34,7 +35,7 @@ def recorder(world, tmp_path):
 
 def publish_wrenches(world, publisher, steps) -> None:
     for i in steps:
-        publisher.publish(messages.wrench_to_msg(i * 500_000, np.full(6, float(i))))
+        publisher.publish(wrench_msg(i * 500_000, np.full(6, float(i))))
         world.executor.spin_once(timeout_sec=0.0)
 
 
@@ -65,7 +66,7 @@ def test_description_that_comes_before_every_stamp_does_not_make_the_recording_l
     description, pose = (partner.create_publisher(*t) for t in (topics.ROBOT_DESCRIPTION, topics.TOOL_POSE))
     description.publish(String(data="<robot/>"))
     world.until(lambda: pose.get_subscription_count() and recorder.writer.report()["/robot_description"]["count"])
-    pose.publish(messages.pose_to_msg(500_000, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
+    pose.publish(pose_msg(500_000, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
     world.until(lambda: recorder.writer.report()["/tool_pose"]["count"])
     assert recorder.close() is None
     with Recording(tmp_path / "rec") as recording:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from sample_messages import pose_msg, wrench_msg
 
 pytest.importorskip("rclpy")
 
@@ -34,14 +35,14 @@ class Cell:
         down = np.array([1.0, 0.0, 0.0, 0.0])
         for i in rows:
             stamp = int(result.time_ns[i])
-            self.pose.publish(messages.pose_to_msg(stamp, result.tool[i], down))
+            self.pose.publish(pose_msg(stamp, result.tool[i], down))
             if wrench:
-                self.wrench.publish(messages.wrench_to_msg(stamp, result.wrench[i]))
+                self.wrench.publish(wrench_msg(stamp, result.wrench[i]))
             self.world.executor.spin_once(timeout_sec=0.0)
 
     def reference(self, index: int):
         self.world.until(lambda: len(self.references) > index)
-        return messages.trajectory_from_msg(self.references[index])
+        return messages.from_msg(self.references[index])
 
 
 @pytest.fixture(scope="module")
@@ -102,9 +103,9 @@ def test_value_that_is_not_finite_is_refused_at_once(machine, ran, what):
     machine.play(ran, range(5))
     bad = np.array([np.nan] * 6)
     if what == "pose":
-        machine.pose.publish(messages.pose_to_msg(int(ran.time_ns[5]), bad[:3], np.array([1.0, 0, 0, 0])))
+        machine.pose.publish(pose_msg(int(ran.time_ns[5]), bad[:3], np.array([1.0, 0, 0, 0])))
     else:
-        machine.wrench.publish(messages.wrench_to_msg(int(ran.time_ns[5]), bad))
+        machine.wrench.publish(wrench_msg(int(ran.time_ns[5]), bad))
     machine.told.until(NAME, "not finite", ERROR)
     machine.play(ran, range(5, ran.time_ns.size))
     machine.reference(1)
@@ -129,14 +130,14 @@ def test_poses_that_stay_away_in_mid_pass_are_told_and_may_come_again(machine, r
 def test_target_of_the_user_replaces_that_of_the_cell(machine, short_cell, world):
     publisher = machine.node.create_publisher(*topics.TARGET_TRAJECTORY)
     longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
-    publisher.publish(messages.trajectory_to_msg(longer))
+    publisher.publish(messages.to_msg(longer))
     assert machine.reference(1).duration_ns == longer.duration_ns
 
 
 def test_target_out_of_reach_is_refused_in_a_sentence(machine, short_cell):
     publisher = machine.node.create_publisher(*topics.TARGET_TRAJECTORY)
     target = short_cell.target()
-    publisher.publish(messages.trajectory_to_msg(target.with_position(target.position + [0.0, 0.0, 9.0])))
+    publisher.publish(messages.to_msg(target.with_position(target.position + [0.0, 0.0, 9.0])))
     machine.told.until(NAME, "reach", ERROR)
     machine.world.step(0.2)
     assert len(machine.references) == 1
@@ -145,7 +146,7 @@ def test_target_out_of_reach_is_refused_in_a_sentence(machine, short_cell):
 def raised(short_cell):
     """A target that no arm of this size can reach."""
     target = short_cell.target()
-    return messages.trajectory_to_msg(target.with_position(target.position + [0.0, 0.0, 9.0]))
+    return messages.to_msg(target.with_position(target.position + [0.0, 0.0, 9.0]))
 
 
 def reset(machine):
@@ -175,7 +176,7 @@ def test_first_target_that_is_refused_leaves_the_node_waiting_for_another(world,
     told.until(NAME, "reach", ERROR)
     world.step(0.3)
     assert node.failure is None and not references
-    publisher.publish(messages.trajectory_to_msg(short_cell.target()))
+    publisher.publish(messages.to_msg(short_cell.target()))
     world.until(lambda: references)
 
 
@@ -185,7 +186,7 @@ def out_of_reach(monkeypatch) -> None:
     def refuse(cell, reference):
         raise ReachError(3.0, (0.5, 2.5))
 
-    monkeypatch.setattr("kr270_milling.nodes.trajectory_compensator.commanded_joints", refuse)
+    monkeypatch.setattr("kr270_milling.cell.protocols.commanded_joints", refuse)
 
 
 def test_reset_and_method_that_are_refused_are_answered_with_the_sentence(machine, node, monkeypatch):
@@ -194,7 +195,7 @@ def test_reset_and_method_that_are_refused_are_answered_with_the_sentence(machin
     assert not answer.success and "would be 3.0000 m" in answer.message
     refused = node.set_parameters([Parameter("compensation.method", value="spline")])[0]
     assert not refused.successful and "would be 3.0000 m" in refused.reason
-    assert node.compensator.method == "linear" == node.get_parameter("compensation.method").value
+    assert node.protocol.compensator.method == "linear" == node.get_parameter("compensation.method").value
     monkeypatch.undo()
     assert reset(machine).success
 
@@ -205,7 +206,7 @@ def test_pass_whose_revision_is_refused_is_told_once_and_the_next_one_counts(mac
         machine.play(ran, range(ran.time_ns.size))
         machine.told.until(NAME, "would be 3.0000 m", ERROR)
         machine.world.step(0.7)
-    assert node.refused == 1 and node.compensator.errors == []
+    assert node.refused == 1 and node.protocol.compensator.errors == []
     machine.play(ran, range(ran.time_ns.size))
     expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
     assert np.array_equal(machine.reference(1).position, expected.position)

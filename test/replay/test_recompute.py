@@ -163,8 +163,11 @@ def test_a_pass_that_began_before_the_recording_is_not_guessed(tmp_path):
 
 def test_a_repeated_pose_and_its_repeated_answer_are_a_retry(tmp_path):
     messages = list(made.one_pass())
-    at = next(i for i, m in enumerate(messages) if m.topic == "wrench" and m.stamp == 10_000_000)
-    messages[at + 1 : at + 1] = messages[at - 1 : at + 1]
+    (pose, at), (wrench, _) = (
+        next((m, i) for i, m in enumerate(messages) if m.topic == topic and m.stamp == 10_000_000)
+        for topic in ("tool_pose", "wrench")
+    )
+    messages[at + 1 : at + 1] = [pose, wrench]
     found = recompute(made.write(tmp_path / "r", messages))
     assert found.verdict == "identical" and found.channels["/tool_pose"].repeated == 1
     assert found.channels["/wrench"].compared + found.channels["/wrench"].repeated == STEPS + 1

@@ -10,8 +10,9 @@ import pass_recording as made
 import pytest
 
 from kr270_milling.bag.errors import RecordingError
-from kr270_milling.messages import encode
+from kr270_milling.messages.exchange import to_bytes
 from kr270_milling.replay.recorded import pass_from_recording
+from kr270_milling.trajectory.trajectory import Trajectory
 
 pytestmark = made.needs_messages
 EXCHANGE = ("tool_pose", "wrench", "deflection")
@@ -42,10 +43,8 @@ def test_a_recording_with_its_end_and_a_hole_before_is_not_complete(tmp_path):
 
 
 def test_a_reference_that_nobody_can_mean_is_refused(tmp_path):
-    reference = encode.trajectory_bytes(
-        "workpiece", "tool0", [0, 2 * 10**18], [[0, 0, 0], [1e-3, 0, 0]], [[1, 0, 0, 0]] * 2
-    )
-    messages = [made.Message("reference_trajectory", reference.data, 0), *made.one_pass()[1:]]
+    reference = Trajectory([0, 2 * 10**18], [[0, 0, 0], [1e-3, 0, 0]], [[1, 0, 0, 0]] * 2)
+    messages = [made.Message("reference_trajectory", to_bytes(reference), 0), *made.one_pass()[1:]]
     with pytest.raises(RecordingError, match="its reference trajectory takes 2e"):
         pass_from_recording(made.write(tmp_path / "r", messages))
 

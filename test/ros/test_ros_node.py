@@ -4,12 +4,13 @@ import subprocess
 import sys
 
 import pytest
+from sample_messages import wrench_msg
 
 pytest.importorskip("rclpy")
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.nodes.cutting_process import CuttingProcess
-from kr270_milling.ros import messages, topics
+from kr270_milling.ros import topics
 from kr270_milling.ros.node import ManagedNode, ReportingNode, guarded
 
 ERROR = 2
@@ -82,7 +83,7 @@ def test_test_runs_side_by_side_have_different_domains_and_do_not_hear_each_othe
     command = [sys.executable, "-c", code]
     with subprocess.Popen(command, env=ros_environment, stdout=subprocess.PIPE, text=True) as other:
         while other.poll() is None:
-            publisher.publish(messages.wrench_to_msg(0, [0.0] * 6))
+            publisher.publish(wrench_msg(0, [0.0] * 6))
             world.step(0.02)
         number, heard, publishers = map(int, other.stdout.read().split())
     assert number != domain and heard == publishers == 0

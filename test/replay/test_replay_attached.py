@@ -12,7 +12,7 @@ from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.replay.inputs import cell_of
+from kr270_milling.replay.attached import cell_of
 
 pytestmark = made.needs_messages
 FORM = "/**:\n  ros__parameters:\n"
