@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from kr270_milling.bag.gaps import SHARED, GapCounter, Passes
 from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import one_line
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.definitions import starts_with_stamp
 
@@ -95,7 +96,7 @@ def info_text(data: dict) -> str:
         lines += [f"  {name}: {key} = {value}" for key, value in entries.items()]
     lines += [f"  attached: {a['name']} ({a['size_bytes']} bytes)" for a in data["attachments"]]
     # a file from elsewhere must not steer the terminal
-    return "\n".join("".join(c if c.isprintable() else "?" for c in line) for line in lines)
+    return "\n".join(map(one_line, lines))
 
 
 def _gap_text(gaps: dict | None) -> str:

@@ -13,6 +13,8 @@ from kr270_milling.base.errors import ConfigError
 __all__ = ["find_file", "merge", "override", "parse", "read_tree", "read_yaml", "refusal"]
 
 MOST_BYTES = 256 * 1024  # the YAML reader takes some seconds for them
+MOST_INCLUDES = 64  # names in all files together; to merge a file of MOST_BYTES takes some milliseconds
+MOST_DEPTH = 8  # files that include one another
 
 
 def refusal(file, key: str, value, allowed: str) -> ConfigError:
@@ -22,9 +24,46 @@ def refusal(file, key: str, value, allowed: str) -> ConfigError:
     return ConfigError(file, key, value, allowed)
 
 
-def read_tree(path, seen: tuple = ()) -> dict:
-    """The ``/**: ros__parameters:`` dict of a parameter file, merged over the files that its ``includes`` names."""
-    path = Path(path)
+def read_tree(path) -> dict:
+    """The ``/**: ros__parameters:`` dict of a parameter file, merged over the files that its ``includes`` name.
+
+    Each file is read once, however often it is named. Raises ConfigError, also for more than MOST_INCLUDES names in
+    all the files together and for more than MOST_DEPTH files that include one another.
+    """
+    return _Includes().merged(Path(path), ())
+
+
+class _Includes:
+    """The files of one parameter tree: what each says, and how many names of files were met."""
+
+    def __init__(self):
+        self._trees: dict[Path, dict] = {}
+        self._named = 0
+
+    def merged(self, path: Path, above: tuple[Path, ...]) -> dict:
+        """The merged tree of a file; above: the files that lead to it."""
+        place = path.resolve()
+        if place not in self._trees:
+            self._trees[place] = self._read(path, (*above, place))
+        return self._trees[place]
+
+    def _read(self, path: Path, chain: tuple[Path, ...]) -> dict:
+        includes, tree = _content(path)
+        self._named += len(includes)
+        if self._named > MOST_INCLUDES or (includes and len(chain) > MOST_DEPTH):
+            most = f"at most {MOST_INCLUDES} names of files in all, {MOST_DEPTH} deep"
+            raise ConfigError(path, "includes", len(includes), most)
+        merged: dict = {}
+        for name in includes:
+            included = find_file(name, path.parent)
+            if included.resolve() in chain:
+                raise ConfigError(path, "includes", name, "free of circles")
+            merged = merge(merged, self.merged(included, chain))
+        return merge(merged, tree)
+
+
+def _content(path: Path) -> tuple[list[str], dict]:
+    """The names in ``includes`` and the other keys of a file."""
     tree = read_yaml(path)
     for key in ("/**", "ros__parameters"):
         if not isinstance(tree, dict) or set(tree) != {key}:
@@ -32,15 +71,10 @@ def read_tree(path, seen: tuple = ()) -> dict:
         tree = tree[key]
     if not isinstance(tree, dict):
         raise refusal(path, "/**.ros__parameters", tree, "a group of keys")
-    merged: dict = {}
     includes = tree.pop("includes", [])
     if not isinstance(includes, list) or not all(isinstance(i, str) for i in includes):
         raise refusal(path, "includes", includes, "a list of file names")
-    for name in includes:
-        if path.resolve() in seen:
-            raise ConfigError(path, "includes", name, "free of circles")
-        merged = merge(merged, read_tree(find_file(name, path.parent), (*seen, path.resolve())))
-    return merge(merged, tree)
+    return includes, tree
 
 
 def read_yaml(path: Path):
@@ -74,7 +108,14 @@ def _strict_loader():
     import yaml
 
     class Loader(yaml.SafeLoader):
-        """Refuses the same key twice, and numbers to the base 60 (1:30), which ROS reads as texts."""
+        """Refuses the same key twice, numbers to the base 60 (1:30), which ROS reads as texts, and aliases (*name),
+        which ROS refuses too: some lines of them stand for more values than any memory holds."""
+
+        def compose_node(self, parent, index):
+            if self.check_event(yaml.AliasEvent):
+                line = self.peek_event().start_mark.line + 1
+                raise yaml.YAMLError(f"an alias stands in line {line}; write its value out")
+            return super().compose_node(parent, index)
 
         def construct_mapping(self, node, deep=False):
             seen = set()

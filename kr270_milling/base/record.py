@@ -22,16 +22,21 @@ import numpy as np
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.parameter_file import find_file, merge, override, read_tree, refusal
+from kr270_milling.base.units import UNITS
 
-__all__ = ["Record", "Spec", "parameter", "specs", "build", "flatten", "read_tree", "merge", "override", "find_file"]
-
-#: file unit -> factor to SI
-UNITS = {
-    "": 1.0, "m": 1.0, "mm": 1e-3, "um": 1e-6, "s": 1.0, "ms": 1e-3, "kg": 1.0, "n": 1.0, "hz": 1.0, "w": 1.0,
-    "deg": math.pi / 180, "rpm": 2 * math.pi / 60, "m_per_min": 1 / 60, "mm_per_min": 1e-3 / 60, "mm_per_s": 1e-3,
-    "m_per_s": 1.0, "m_per_s2": 1.0, "m_per_s3": 1.0, "deg_per_s": math.pi / 180, "deg_per_s2": math.pi / 180,
-    "urad_per_n_m": 1e-6, "n_per_m": 1.0, "n_per_mm": 1e3, "n_per_mm2": 1e6, "um_per_n": 1e-6, "kw": 1e3, "n_m": 1.0,
-}  # fmt: skip
+__all__ = [
+    "Record",
+    "Spec",
+    "parameter",
+    "specs",
+    "build",
+    "flatten",
+    "tree_of",
+    "read_tree",
+    "merge",
+    "override",
+    "find_file",
+]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +117,8 @@ def specs(record: type[Record]) -> tuple[Spec, ...]:
 class Record:
     """Base of the parameter dataclasses: checks every value at the door and makes arrays read-only.
 
-    Raises ParameterError, with key and value in the file's unit.
+    Raises ParameterError, with key and value in the file's unit. A record that was built from a parameter file keeps
+    the numbers of the file, and gives them back as they stood there (``tree_of``).
     """
 
     def __post_init__(self):
@@ -127,33 +133,45 @@ class Record:
 
     def replace(self, **changes):
         """A copy with some values (SI) replaced."""
-        return dataclasses.replace(self, **changes)
+        copy = dataclasses.replace(self, **changes)
+        return _keep(copy, {name: value for name, value in _given(self).items() if name not in changes})
+
+
+def _keep(record, given: dict):
+    """The record, which remembers by their names the values that a file gives, in the file's units."""
+    object.__setattr__(record, "_in_file_units", given)
+    return record
+
+
+def _given(record: Record) -> dict:
+    return getattr(record, "_in_file_units", {})
 
 
 def _checked(spec: Spec, value):
     if spec.kind is np.ndarray:
         value = np.array(value, float)
         value.setflags(write=False)
-        shown = [v / spec.scale for v in value.ravel().tolist()]
     elif spec.kind is tuple:
-        value = shown = tuple(value)
-    else:
-        shown = value / spec.scale if spec.kind is float else value
-    if not _allowed(spec, value, shown):
-        raise ParameterError(spec.key, _readable(shown), spec.allowed)
+        value = tuple(value)
+    if not _allowed(spec, value):
+        raise ParameterError(spec.key, _readable(spec, value), spec.allowed)
     return value
 
 
-def _readable(shown):
-    """Without the digits that the way to SI and back may have added."""
-    if isinstance(shown, list):
-        return [_readable(v) for v in shown]
-    return float(f"{shown:.14g}") if isinstance(shown, float) else shown
+def _readable(spec: Spec, value):
+    """In the file's unit, without the digits that the way to SI and back may have added."""
+    if spec.kind is np.ndarray:
+        return [float(f"{v:.14g}") for v in (value / spec.scale).ravel().tolist()]
+    return float(f"{value / spec.scale:.14g}") if spec.kind is float else value
 
 
-def _allowed(spec: Spec, value, shown) -> bool:
-    """Whether the value (``shown`` in the file's unit) has the right type and size and is within its bounds."""
-    if spec.choices and not set(shown if spec.kind is tuple else [shown]) <= set(spec.choices):
+def _allowed(spec: Spec, value) -> bool:
+    """Whether the value (SI) has the right type and size and is within its bounds.
+
+    The bounds are turned into SI as a value of the file is, by one product, which keeps the order of two numbers: a
+    value that is within them in the file's unit is within them here, to the last digit.
+    """
+    if spec.choices and not set(value if spec.kind is tuple else [value]) <= set(spec.choices):
         return False
     if spec.kind is np.ndarray and (value.ndim != 1 or spec.size not in (None, value.size)):
         return False
@@ -162,11 +180,9 @@ def _allowed(spec: Spec, value, shown) -> bool:
         return whole and abs(value) < 2**63 and spec.low <= value <= spec.high and value > spec.above
     if spec.kind not in (float, np.ndarray):
         return True
-    given = np.atleast_1d(np.asarray(shown, float))
-    if not np.isfinite(given).all():
-        return False
-    slack = 1e-12 * np.abs(given)  # the way to SI and back may cost an ulp
-    return bool(np.all((given + slack >= spec.low) & (given - slack <= spec.high) & (given > spec.above)))
+    values = np.atleast_1d(np.asarray(value, float))
+    low, high, above = spec.low * spec.scale, spec.high * spec.scale, spec.above * spec.scale
+    return bool(np.all(np.isfinite(values) & (values >= low) & (values <= high) & (values > above)))
 
 
 def build(record: type[Record], tree: dict, file="", prefix: str = "", lenient: frozenset = frozenset()):
@@ -194,9 +210,10 @@ def build(record: type[Record], tree: dict, file="", prefix: str = "", lenient: 
         elif spec.default is dataclasses.MISSING:
             raise ConfigError(file, path, None, f"is missing; it must be {spec.allowed} ({spec.text})")
     try:
-        return record(**values)
+        made = record(**values)
     except ParameterError as error:
         raise ConfigError(file, prefix + error.key, error.value, error.allowed) from None
+    return _keep(made, {s.name: _plain(tree[key]) for key, s in known.items() if key in tree and _has_unit(s)})
 
 
 def _from_file(spec: Spec, value, file, path: str, lenient: bool):
@@ -232,17 +249,38 @@ def _number(value, refuse: ConfigError, lenient: bool) -> float:
     raise refuse
 
 
-def flatten(record: Record, prefix: str = "") -> dict[str, object]:
-    """Dotted keys and values in file units, as a node declares them and a report lists them."""
-    flat: dict[str, object] = {}
+def _has_unit(spec: Spec) -> bool:
+    return spec.kind in (float, np.ndarray)
+
+
+def _plain(value):
+    """A number or a list of them as floats: a file may write 1e-5, which YAML reads as a text."""
+    return [float(v) for v in value] if isinstance(value, list) else float(value)
+
+
+def tree_of(record: Record) -> dict:
+    """The nested dict of a parameter file: the numbers that the record was built from where it was, in file units."""
+    given, tree = _given(record), {}
     for spec in specs(type(record)):
         value = getattr(record, spec.name)
         if issubclass(spec.kind, Record):
-            flat.update(flatten(value, f"{prefix}{spec.key}."))
-        elif spec.kind is np.ndarray:
-            flat[prefix + spec.key] = [float(v) for v in value / spec.scale]
-        elif spec.kind is tuple:
-            flat[prefix + spec.key] = list(value)
+            tree[spec.key] = tree_of(value)
+        elif _has_unit(spec):
+            tree[spec.key] = given[spec.name] if spec.name in given else (value / spec.scale)
+            if isinstance(tree[spec.key], np.ndarray):
+                tree[spec.key] = tree[spec.key].tolist()
         else:
-            flat[prefix + spec.key] = value / spec.scale if spec.kind is float else value
+            tree[spec.key] = list(value) if spec.kind is tuple else value
+    return tree
+
+
+def flatten(record: Record) -> dict[str, object]:
+    """Dotted keys and values in file units, as a node declares them and a report lists them."""
+    return _flat(tree_of(record), "")
+
+
+def _flat(tree: dict, prefix: str) -> dict[str, object]:
+    flat: dict[str, object] = {}
+    for key, value in tree.items():
+        flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value})
     return flat

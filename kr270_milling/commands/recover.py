@@ -13,6 +13,7 @@ def add_arguments(parser) -> None:
 
 def run(args) -> None:
     from kr270_milling.bag.recover import recover
+    from kr270_milling.base.errors import one_line
 
     with progress("recovering") as report:
         found = recover(args.file, args.out, report)
@@ -22,7 +23,7 @@ def run(args) -> None:
     state = "was whole already" if found.whole else f"{found.lost_bytes} bytes of it could not be used"
     print(f"{found.source}: {state}")
     for sentence in found.dropped:
-        print("  lost: " + "".join(c if c.isprintable() else "?" for c in sentence))
+        print("  lost: " + one_line(sentence))
     if found.lost_messages:
         print(f"  {found.lost_messages} messages are lost")
     print(f"{found.messages} messages in {found.directory}")

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from kr270_milling.bag.playback import PlayOptions, add_play_arguments
+from kr270_milling.base.errors import one_line
 from kr270_milling.commands.console import add_common, output_directory, print_json, print_table, progress
 from kr270_milling.compensation.methods import METHODS
 
@@ -77,8 +78,7 @@ def _recompute(args) -> int:
 
 
 def _shown(value) -> str:
-    """A file from elsewhere must not steer the terminal."""
-    return "".join(c if c.isprintable() else "?" for c in str(value))
+    return one_line(str(value))
 
 
 def _compensate(args) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kr270_milling.base.units import seconds
 from kr270_milling.trajectory.files import write_files
 from kr270_milling.trajectory.offsets import offsets
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
@@ -22,7 +23,7 @@ def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: in
     rows = np.hstack([shift * 1e3, np.degrees(turn)]) + 0.0  # + 0.0 turns -0.0 into 0.0
     lines = ["time_s,dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg\n"]
     for time, row in zip(time_ns.tolist(), rows.tolist(), strict=True):
-        lines.append(f"{time // 10**9}.{time % 10**9:09d}," + ",".join(f"{v:.6f}" for v in row) + "\n")
+        lines.append(f"{seconds(time)}," + ",".join(f"{v:.6f}" for v in row) + "\n")
     write_files({path: lines})
 
 
@@ -38,5 +39,5 @@ def write_joint_table(path, trajectory: Trajectory, joints, velocities=None, nam
     header = [f"{n}_deg" for n in names] + ([] if velocities is None else [f"{n}_deg_per_s" for n in names])
     lines = ["time_s," + ",".join(header) + "\n"]
     for time, row in zip(trajectory.time_ns.tolist(), np.degrees(np.hstack(tables)).tolist(), strict=True):
-        lines.append(f"{time // 10**9}.{time % 10**9:09d}," + ",".join(map(repr, row)) + "\n")
+        lines.append(f"{seconds(time)}," + ",".join(map(repr, row)) + "\n")
     write_files({path: lines})

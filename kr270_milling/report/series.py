@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.units import seconds
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.simulation.milling_pass import PassResult
@@ -92,4 +93,4 @@ def _lines(result: PassResult, target: Trajectory) -> Iterator[str]:
     )
     yield ",".join(COLUMNS) + "\n"
     for stamp, row in zip(result.time_ns.tolist(), columns.tolist(), strict=True):
-        yield f"{stamp // 10**9}.{stamp % 10**9:09d},{','.join(map(repr, row))}\n"
+        yield f"{seconds(stamp)},{','.join(map(repr, row))}\n"

@@ -94,13 +94,17 @@ def _declared(node, path: str, spec: Spec, included, source: str, read_only: boo
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
         shown = getattr(getattr(error, "parameter", None), "value", getattr(error, "value", "?"))
         raise ConfigError(source, path, shown, spec.allowed) from None
-    if value is None and spec.default is not dataclasses.MISSING:
-        return None
+    if spec.default is not dataclasses.MISSING and (value is None or (included is None and _same(value, default))):
+        return None  # the record's own default, which is in SI already
     if value is None:
         raise ConfigError(source, path, None, f"is missing; it must be {spec.allowed} ({spec.text})")
     if isinstance(value, (array.array, np.ndarray)):
         return [float(v) for v in value]
     return list(value) if isinstance(value, (tuple, list)) else value
+
+
+def _same(value, default) -> bool:
+    return default is not None and np.array_equal(value, default)
 
 
 def _default(spec: Spec):

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.units import seconds
 from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, write_files
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
@@ -30,7 +31,7 @@ def write_csv(path, trajectory: Trajectory, joints=None) -> None:
         header += JOINTS
         columns.append(np.degrees(np.asarray(joints, float)).reshape(len(trajectory), 6))
     rows = np.hstack(columns).tolist()
-    times = (f"{t // 10**9}.{t % 10**9:09d}" for t in trajectory.time_ns.tolist())
+    times = map(seconds, trajectory.time_ns.tolist())
     lines = (f"{time},{','.join(map(repr, row))}\n" for time, row in zip(times, rows, strict=True))
     write_files({path: (line for part in ([",".join(header) + "\n"], lines) for line in part)})
 

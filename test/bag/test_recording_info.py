@@ -62,4 +62,4 @@ def test_text_of_a_foreign_file_does_not_steer_the_terminal(tmp_path):
         writer.add_metadata("\x07bell", {"a": "b"})
     with Recording(tmp_path / "a") as recording:
         text = info_text(info(recording))
-    assert "\x1b" not in text and "\x07" not in text and "?[2Jgone?second" in text
+    assert "\x1b" not in text and "\x07" not in text and "\\x1b[2Jgone\\nsecond" in text

@@ -13,6 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from kr270_milling.base import parameter_file
 from kr270_milling.base.record import ConfigError, Record, build, find_file, override, parameter, read_tree
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -105,18 +106,48 @@ def test_a_byte_order_mark_does_no_harm(tmp_path):
     assert read_tree(write(tmp_path, b"\xef\xbb\xbf" + wrapped("a: 1").encode())) == {"a": 1}
 
 
-def test_a_value_that_unfolds_into_billions_is_shown_in_short(tmp_path):
+def test_an_alias_is_refused_whatever_it_stands_for(tmp_path):
+    """As ROS's own parser does: rcl_yaml_param_parser says "Will not support aliasing at line ..."."""
     layers = "\n".join(f"k{i}: &k{i} [{', '.join([f'*k{i - 1}'] * 10)}]" for i in range(1, 12))
-    tree = read_tree(write(tmp_path, wrapped("k0: &k0 [x]\n" + layers)))
-    with pytest.raises(ConfigError) as caught:
-        build(Inner, {"length_mm": tree["k11"]}, "some.yaml")
-    assert len(str(caught.value)) < 2000
+    refusal_of(write(tmp_path, wrapped("k0: &k0 [x]\n" + layers)), "alias", "line 4")
+    refusal_of(write(tmp_path, "/**: &a\n  ros__parameters:\n    length_mm: &b [*b]\n    again: *a\n"), "alias")
+    groups = "\n".join(f"g{i}: {{a: *g{i - 1}, b: *g{i - 1}}}" for i in range(1, 40))
+    refusal_of(write(tmp_path, wrapped("g0: &g0 {a: 1}\n" + groups)), "alias")
 
 
-def test_a_value_that_holds_itself_is_refused(tmp_path):
-    tree = read_tree(write(tmp_path, "/**: &a\n  ros__parameters:\n    length_mm: &b [*b]\n    again: *a\n"))
-    with pytest.raises(ConfigError, match="length_mm|again"):
-        build(Inner, tree)
+def test_a_file_that_is_named_many_times_is_read_once_and_too_many_names_are_refused(tmp_path, monkeypatch):
+    """Twelve names a level and seven levels were 36 million files to read."""
+    read, seen = parameter_file.read_yaml, []
+    monkeypatch.setattr(parameter_file, "read_yaml", lambda path: seen.append(path) or read(path))
+    for level in range(7):
+        lines = f"includes: [{', '.join([f'level{level + 1}.yaml'] * 2)}]\nlevel{level}: 1"
+        write(tmp_path, wrapped(lines), f"level{level}.yaml")
+    write(tmp_path, wrapped("level7: 1"), "level7.yaml")
+    assert read_tree(tmp_path / "level0.yaml") == {f"level{i}": 1 for i in range(8)}
+    assert len(seen) == 8
+    for level in range(7):
+        lines = f"includes: [{', '.join([f'level{level + 1}.yaml'] * 12)}]\nlevel{level}: 1"
+        write(tmp_path, wrapped(lines), f"level{level}.yaml")
+    with pytest.raises(ConfigError, match="at most 64 names of files in all, 8 deep"):
+        read_tree(tmp_path / "level0.yaml")
+    assert len(seen) <= 16
+
+
+def test_a_chain_of_files_is_followed_8_deep(tmp_path):
+    for number in range(2000):
+        write(tmp_path, wrapped(f'includes: ["{number + 1}.yaml"]\nk{number}: 1'), f"{number}.yaml")
+    write(tmp_path, wrapped("last: 1"), "8.yaml")
+    assert len(read_tree(tmp_path / "0.yaml")) == 9
+    write(tmp_path, wrapped('includes: ["9.yaml"]'), "8.yaml")
+    with pytest.raises(ConfigError, match="8 deep"):
+        read_tree(tmp_path / "0.yaml")
+
+
+def test_a_file_named_twice_counts_where_it_is_named_last(tmp_path):
+    write(tmp_path, wrapped("a: 1\nb: 1"), "one.yaml")
+    write(tmp_path, wrapped("a: 2"), "two.yaml")
+    assert read_tree(write(tmp_path, wrapped('includes: ["one.yaml", "two.yaml"]'))) == {"a": 2, "b": 1}
+    assert read_tree(write(tmp_path, wrapped('includes: ["one.yaml", "two.yaml", "one.yaml"]'))) == {"a": 1, "b": 1}
 
 
 def test_a_key_with_a_line_break_stays_on_one_line(tmp_path):

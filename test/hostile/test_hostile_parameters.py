@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import math
 import time
 
@@ -12,9 +13,12 @@ from hostile import POSTURE, SHORT, ask, refused, refused_or_sound
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import find_file, flatten
 from kr270_milling.cell.cell import read_cell
+from kr270_milling.replay.inputs import cell_of
 
 FLAT = flatten(read_cell(find_file("paper.yaml"), SHORT))
 KEYS = sorted(FLAT)
@@ -144,3 +148,21 @@ def test_numbers_at_the_edge_of_what_is_allowed_still_end_within_seconds(place):
                 refused_or_sound("simulate", write(place, key, spec.kind(bound)))
                 tried += 1
     assert tried > 60
+
+
+def test_a_recording_whose_parameter_files_name_each_other_many_times_is_refused_at_once(tmp_path):
+    """6.5 kB of attachments were read some million times by replay --recompute and report."""
+
+    def attached(body: str) -> str:
+        return "/**:\n  ros__parameters:\n" + "".join(f"    {line}\n" for line in body.splitlines())
+
+    files = {f"{i}.yaml": attached(f"includes: {json.dumps([f'{i + 1}.yaml'] * 12)}\nk{i}: 1") for i in range(7)}
+    files |= {"7.yaml": attached("k7: 1"), "cell.yaml": attached('includes: ["0.yaml"]')}
+    doubled = "\n".join(f"g{i}: {{a: *g{i - 1}, b: *g{i - 1}}}" for i in range(1, 40))
+    for number, attachments in enumerate([files, {"cell.yaml": attached("g0: &g0 {a: 1}\n" + doubled)}]):
+        with BagWriter(tmp_path / str(number), attachments=attachments):
+            pass
+        begin = time.process_time()
+        with Recording(tmp_path / str(number)) as recording, pytest.raises(MillingError, match="64 names|alias"):
+            cell_of(recording)
+        assert time.process_time() - begin < 5
