@@ -194,6 +194,11 @@ class Graph:
             self.driver.set_text(COMPENSATOR, METHOD, method, UP)
             self.driver.until(lambda: self._says("revision") != revision, "choosing the method", UP, COMPENSATOR)
 
+    @property
+    def repeats(self) -> bool:
+        """Whether the compensator goes on with passes until it is finished."""
+        return self._says("repeats") == "True"
+
     def _says(self, key: str, node: str = COMPENSATOR) -> str:
         status = self.driver.status(node)
         return "" if status is None else status.values.get(key, "")

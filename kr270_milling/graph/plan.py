@@ -20,7 +20,7 @@ class RanPass:
     run: PassRun
     scored: ScoredPass
     messages_lost: int
-    learning: tuple[RanPass, ...] = ()  #: every pass that "learned" took; the row itself is the best of them
+    learning: tuple[RanPass, ...] = ()  #: every pass of a method that repeats; the row itself is the best of them
 
     def row(self) -> dict:
         """Keys as the command prints them."""
@@ -62,26 +62,26 @@ def run_plan(
         found = pass_from_recording(told.recording, name, graph.driver.namespace)
         return RanPass(told, found.scored, found.lost_to_end)
 
-    rows = [run("original")]
+    original = run("original")
+    rows = [original]
     for method in methods:
         if passes is not None and passes < 2:
             break
         graph.choose(method)
-        if method == "learned":
-            rows.append(_learn(graph, run, passes))
+        if graph.repeats:
+            rows.append(_repeated(method, run, original, passes and passes - 1))
             continue
         for number in range(1, passes or 2):
             rows.append(run(method if number == 1 else f"{method}_{number}"))
     return rows
 
 
-def _learn(graph: Graph, run: Callable[[str], RanPass], passes: int | None) -> RanPass:
-    """Passes until the compensator says that it is finished; the one along the best reference counts."""
-    most = passes - 1 if passes else graph.cell.compensation.max_passes
+def _repeated(method: str, run: Callable[[str], RanPass], original: RanPass, most: int | None) -> RanPass:
+    """Passes until the compensator is finished, or ``most``; the one along the best reference counts."""
     tried: list[RanPass] = []
-    while len(tried) < most and not (tried and tried[-1].run.finished):
-        tried.append(run(f"learned_{len(tried) + 1}"))
-    errors = tried[-1].run.errors[1:]  # the first is that of the original pass
-    best = min(range(len(tried)), key=lambda i: errors[i])
-    named = dataclasses.replace(tried[best].scored, name="learned")
-    return dataclasses.replace(tried[best], scored=named, learning=tuple(tried))
+    while not (tried and tried[-1].run.finished) and (most is None or len(tried) < most):
+        tried.append(run(f"{method}_{len(tried) + 1}"))
+    errors = tried[-1].run.errors  # the first is that of the original pass
+    best = [original, *tried][min(range(len(errors)), key=errors.__getitem__)]
+    named = dataclasses.replace(best.scored, name=method)
+    return dataclasses.replace(best, scored=named, learning=tuple(tried))

@@ -1,0 +1,112 @@
+"""The compensator's protocol: when a pass is complete, and that the order of its messages does not matter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kr270_milling.base.frames import rotation_from_quaternion
+from kr270_milling.base.samples import PoseSample, WrenchSample
+from kr270_milling.cell.jobs import compensator, record_of, simulate
+from kr270_milling.cell.protocols import compensator_protocol
+from kr270_milling.simulation.admission import MessageError
+
+DOWN = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def ran(short_cell):
+    return simulate(short_cell).result
+
+
+@pytest.fixture
+def protocol(short_cell):
+    made = compensator_protocol(short_cell)
+    made.begin(short_cell.target())
+    return made
+
+
+def samples(ran, turned: bool = False) -> list:
+    """Poses and wrenches in turn; turned: the wrenches in the axes of the tool."""
+    turn = np.kron(np.eye(2), rotation_from_quaternion(DOWN)) if turned else np.eye(6)
+    frame = "tool0" if turned else "workpiece"
+    found = []
+    for stamp, tool, wrench in zip(ran.time_ns.tolist(), ran.tool, ran.wrench, strict=True):
+        found += [PoseSample(stamp, "workpiece", tool, DOWN), WrenchSample(stamp, frame, turn.T @ wrench)]
+    return found
+
+
+def feed(protocol, records) -> list:
+    outputs = []
+    for record in records:
+        outputs += (protocol.pose if isinstance(record, PoseSample) else protocol.wrench)(record)
+    return outputs
+
+
+def expected(cell, ran):
+    return compensator(cell, cell.target()).revise(record_of(cell, ran))
+
+
+def assert_revised(outputs, reference) -> None:
+    assert [topic for topic, _ in outputs] == ["reference_trajectory", "joint_trajectory"]
+    np.testing.assert_array_equal(outputs[0][1].position, reference.position)
+
+
+def in_pairs_reversed(records: list) -> list:
+    """Every wrench overtakes the pose that it answers."""
+    return [record for i in range(0, len(records), 2) for record in reversed(records[i : i + 2])]
+
+
+@pytest.mark.parametrize("order", [list, in_pairs_reversed])
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_pass_is_revised_once_from_all_its_messages_in_whatever_order(protocol, ran, short_cell, order, turned):
+    outputs = feed(protocol, order(samples(ran, turned)))
+    assert_revised(outputs, expected(short_cell, ran))
+    np.testing.assert_array_equal(protocol.ran.wrench, ran.wrench)
+    assert not protocol.under_way
+
+
+def test_poses_alone_wait_for_the_last_wrench_until_it_is_given_up(protocol, ran, short_cell):
+    *most, last = samples(ran)
+    assert feed(protocol, most) == [] and protocol.at_end
+    assert_revised(protocol.finish(), expected(short_cell, ran))
+    assert protocol.finish() == [] and feed(protocol, [last]) == []
+
+
+def test_nothing_is_finished_in_mid_pass(protocol, ran):
+    assert feed(protocol, samples(ran)[:40]) == [] == protocol.finish()
+    assert protocol.under_way and not protocol.at_end
+
+
+def test_a_twin_goes_its_own_way(protocol, ran, short_cell):
+    *most, last = samples(ran)
+    feed(protocol, most)
+    twin = protocol.twin()
+    assert_revised(twin.finish(), expected(short_cell, ran))
+    assert protocol.compensator.errors == [] and protocol.at_end
+    assert_revised(feed(protocol, [last]), expected(short_cell, ran))
+
+
+@pytest.mark.parametrize("bad", [
+    PoseSample(0, "base_link", np.zeros(3), DOWN), PoseSample(0, "workpiece", np.full(3, np.nan), DOWN),
+    WrenchSample(0, "base_link", np.zeros(6)), WrenchSample(0, "workpiece", np.full(6, np.inf)),
+])  # fmt: skip
+def test_what_cannot_be_used_is_refused_and_the_pass_goes_on(protocol, ran, short_cell, bad):
+    records = samples(ran)
+    outputs = feed(protocol, records[:40])
+    with pytest.raises(MessageError):
+        feed(protocol, [bad])
+    assert_revised(outputs + feed(protocol, records[40:]), expected(short_cell, ran))
+
+
+def test_holes_are_counted(protocol, ran):
+    records = samples(ran)
+    feed(protocol, records[:40] + records[46:])
+    assert protocol.missing == 3
+
+
+def test_another_method_and_a_reset_start_from_the_target(protocol, ran, short_cell):
+    feed(protocol, samples(ran))
+    spline = compensator(short_cell, short_cell.target(), "spline").revise(record_of(short_cell, ran))
+    assert_revised(protocol.choose("spline"), spline)
+    assert_revised(protocol.reset(), short_cell.target())
