@@ -18,6 +18,7 @@ TOP = Path(__file__).resolve().parents[1]
 LOADS, BALANCE, STIFF = "robot/loads.py", "robot/equilibrium.py", "robot/elastostatics.py"
 MASS, LAWS, SWEEP = "robot/mass.py", "cutting/laws.py", "cutting/sweep.py"
 MOTION, MIRROR, REVISION = "simulation/dynamics.py", "compensation/mirror.py", "compensation/revision.py"
+REFERENCE = "simulation/reference_motion.py"
 TESTS = {
     LOADS: ["robot_loads", "robot_equilibrium", "robot_elastostatics"],
     BALANCE: ["robot_equilibrium", "robot_elastostatics"],
@@ -25,7 +26,8 @@ TESTS = {
     MASS: ["robot_mass"],
     LAWS: ["cutting_laws", "cutting_force"],
     SWEEP: ["cutting_force", "cutting_cut"],
-    MOTION: ["simulation_dynamics", "simulation_arm_model"],
+    MOTION: ["simulation_dynamics", "simulation_arm_model", "simulation_reference_inertia"],
+    REFERENCE: ["simulation_reference_inertia"],
     MIRROR: ["compensation_mirror"],
     REVISION: ["compensation_revision"],
 }
@@ -38,6 +40,21 @@ MUTATIONS = [
     ("(1)", MOTION, "(-<<a21|2 * a21>> / w**2)"),
     ("(1) condensed", MOTION, "output[free] = <<coupling|-coupling>>, coupling.T"),
     ("(1) condensed", MOTION, "compliance[np.ix_(free, free)] <<-|+>> compliance"),
+    ("(1) -M r''", MOTION, "return <<-|>>np.vstack([to * place @ back"),
+    ("(1) ramp", MOTION, "ramp = (1.0 <<-|+>> a12 / h"),
+    ("(1) ramp", MOTION, "a12 / h <<-|+>> 2.0 * z * (1.0 - a11)"),
+    ("(1) ramp", MOTION, "(1.0 - a22 <<+|->> 2.0 * z * a21 / w)"),
+    ("(1) falling", MOTION, "[constant <<-|+>> rising for"),
+    ("(1) corner", MOTION, "response(<<a12|0 * a12>>, a22)"),
+    ("(1) components", MOTION, "back[:, model.inertial] = to.T @ <<model.mass|np.eye(w.size)>>  # r -> eta"),
+    ("(1) r'' at start", REFERENCE, "start = (6 * moved / period - <<4|2>> * v"),
+    ("(1) r'' at end", REFERENCE, "+ 2 * v + <<4|2>> * w) / period"),
+    ("(1) corner", REFERENCE, "np.hstack([(after <<-|+>> before)[:-1]"),
+    ("(1) approach", REFERENCE, "after[0] if approach is None else <<approach|after[0]>>"),
+    ("(1) rest at the end", REFERENCE, "after[stamps <<>=|>>> reference.duration_ns] = 0.0"),
+    ("(1) turning", REFERENCE, "(turned[1:] * turned[:-1]<<.inv()|>>)"),
+    ("(1) turning", REFERENCE, "as_rotvec() <</|*>> np.diff(reference.time)"),
+    ("(1) posture", REFERENCE, "total += (r <<+|->> f * "),
     ("(7) weights", LOADS, "<<+|->> cross(_moment_arms(frames, loads), loads.gravity)"),
     ("(7) wrench", LOADS, "about_axis = cross(arms, force) <<+|->> moment"),
     ("(7) springs", BALANCE, "error = load_torque(frames, wrench[todo], loads) - <<arm|2 * arm>>"),
@@ -99,7 +116,8 @@ def copy_into(folder: Path) -> None:
     without = shutil.ignore_patterns("__pycache__", ".git", ".*_cache", ".hypothesis")
     for name in ("kr270_milling", "config", "test"):
         shutil.copytree(TOP / name, folder / name, ignore=without)
-    shutil.copy(TOP / "pyproject.toml", folder)
+    for name in ("pyproject.toml", "setup.py", "package.xml"):  # a folder with these is a checkout
+        shutil.copy(TOP / name, folder)
 
 
 def run(folder: Path, tests: list[str]) -> str:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import compensated, simulate
+from kr270_milling.cell.jobs import simulate
 from kr270_milling.simulation.arm_model import arm_model
 from kr270_milling.simulation.dynamics import modes
 from kr270_milling.simulation.exchange import Clock
@@ -279,15 +279,6 @@ def test_the_paper_has_eq_1_as_printed_and_every_other_cell_the_moving_reference
     assert not cell().arm_model(cell().target()).reference.size
     assert read_cell(find_file("test_piece.yaml")).dynamics.reference_inertia
     assert type(cell().dynamics)("lumped", 0.1).reference_inertia
-
-
-@pytest.mark.parametrize("method, expected", [("linear", 20.0), ("spline", 27.0), ("mirror", 5.5)])
-def test_what_is_compensated_without_the_term_leaves_what_two_other_calculations_found(method, expected):
-    """[derived] largest deviation of the paper's pass [um], damping ratio 0.182, to the digits that are given."""
-    printed = read_cell(find_file("paper.yaml"))
-    moving = read_cell(find_file("paper.yaml"), ("dynamics.reference_inertia=true",))
-    reference = compensated(printed, simulate(printed), method).reference
-    assert simulate(moving, reference).scores.max_deviation * 1e6 == pytest.approx(expected, abs=0.5)
 
 
 def test_a_straight_cut_does_not_know_the_term_and_a_bent_reference_does():
