@@ -18,12 +18,15 @@ TOP = Path(__file__).resolve().parents[1]
 LOADS, BALANCE, STIFF = "robot/loads.py", "robot/equilibrium.py", "robot/elastostatics.py"
 MASS, LAWS, SWEEP = "robot/mass.py", "cutting/laws.py", "cutting/sweep.py"
 MOTION, MIRROR, REVISION = "simulation/dynamics.py", "compensation/mirror.py", "compensation/revision.py"
-REFERENCE = "simulation/reference_motion.py"
+REFERENCE, MEASURED = "simulation/reference_motion.py", "simulation/measured_modes.py"
+RIGID = "robot/rigid_mass.py"
 TESTS = {
     LOADS: ["robot_loads", "robot_equilibrium", "robot_elastostatics"],
     BALANCE: ["robot_equilibrium", "robot_elastostatics"],
     STIFF: ["robot_elastostatics"],
     MASS: ["robot_mass"],
+    RIGID: ["robot_rigid_mass"],
+    MEASURED: ["simulation_measured_modes"],
     LAWS: ["cutting_laws", "cutting_force"],
     SWEEP: ["cutting_force", "cutting_cut"],
     MOTION: ["simulation_dynamics", "simulation_arm_model", "simulation_reference_inertia"],
@@ -36,7 +39,7 @@ TESTS = {
 MUTATIONS = [
     ("(1)", MOTION, "decay * (c <<+|->> z * w / damped * s), decay"),
     ("(1)", MOTION, "a21, a22 = <<-|+>>decay * w * w"),
-    ("(1)", MOTION, "(1.0 <<-|+>> a11) / w**2"),
+    ("(1)", MOTION, "to * ((1.0 <<-|+>> a11) / w**2)"),
     ("(1)", MOTION, "(-<<a21|2 * a21>> / w**2)"),
     ("(1) condensed", MOTION, "output[free] = <<coupling|-coupling>>, coupling.T"),
     ("(1) condensed", MOTION, "compliance[np.ix_(free, free)] <<-|+>> compliance"),
@@ -46,7 +49,7 @@ MUTATIONS = [
     ("(1) ramp", MOTION, "(1.0 - a22 <<+|->> 2.0 * z * a21 / w)"),
     ("(1) falling", MOTION, "[constant <<-|+>> rising for"),
     ("(1) corner", MOTION, "response(<<a12|0 * a12>>, a22)"),
-    ("(1) components", MOTION, "back[:, model.inertial] = to.T @ <<model.mass|np.eye(w.size)>>  # r -> eta"),
+    ("(1) components", MOTION, "model.shape.T @ <<model.mass @ |>>model.reference  # eta -> delta, r -> eta"),
     ("(1) r'' at start", REFERENCE, "start = (6 * moved / period - <<4|2>> * v"),
     ("(1) r'' at end", REFERENCE, "+ 2 * v + <<4|2>> * w) / period"),
     ("(1) corner", REFERENCE, "np.hstack([(after <<-|+>> before)[:-1]"),
@@ -86,6 +89,19 @@ MUTATIONS = [
     ("(24) spindle", MASS, "total[..., 36:, 36:] <<+=|-=>> _turned"),
     ("(25)", MASS, "inverse = <<np.linalg.inv|np.array>>(jacobian_at(frames, frames.tool.position))"),
     ("(25) M_theta", MASS, "jacobian_at(frames, frames.nodes[..., j, :], <<j|6>>)"),
+    ("rigid: tube across", RIGID, "(length**2 / <<12|3>> + radius**2 / 2)"),
+    ("rigid: tube across", RIGID, "radius**2 / <<2|1>>)"),
+    ("rigid: tube along", RIGID, "return <<mass|2 * mass>> * radius**2 * along"),
+    ("rigid: coupling", RIGID, "out[..., :3, 3:] = <<mass|-mass>> * crossing"),
+    ("rigid: Steiner", RIGID, "inertia <<-|+>> mass * crossing @ crossing"),
+    ("rigid: centre", RIGID, "centre = start + <<arm.link_mass_centre[j]|0.5>> * "),
+    ("rigid: spindle", RIGID, "turn @ np.diag(<<mount.inertia|0 * mount.inertia>>)"),
+    ("rigid: composite", RIGID, "composite = <<composite + |>>body"),
+    ("rigid: screws", RIGID, "cross(frames.nodes[..., :6, :], <<frames|-frames>>.axes)"),
+    ("measured modes", MEASURED, "output=<<shapes|-shapes>>"),
+    ("measured modes", MEASURED, "damping=<<measured.damping_ratio|0 * measured.damping_ratio>>"),
+    ("measured modes", MEASURED, "frequency=<<2|1>> * np.pi *"),
+    ("measured modes", MEASURED, "np.linalg.pinv(<<weight[:, None] * |>>shapes)"),
     ("(26)", LAWS, "(u <<+|->> r * u * u) / (1.0 + u)"),
     ("(26)", LAWS, "(u + r * u * u) / (1.0 <<+|->> u)"),
     ("(26) reading", LAWS, "READING_DEPTH = <<1e-3|1.0>>"),

@@ -8,6 +8,7 @@ import sysconfig
 import typing
 from pathlib import Path
 
+from kr270_milling.base.columns import as_lists
 from kr270_milling.base.errors import ConfigError
 
 __all__ = ["find_file", "merge", "override", "parse", "read_tree", "read_yaml", "refusal"]
@@ -74,7 +75,7 @@ def _content(path: Path) -> tuple[list[str], dict]:
     includes = tree.pop("includes", [])
     if not isinstance(includes, list) or not all(isinstance(i, str) for i in includes):
         raise refusal(path, "includes", includes, "a list of file names")
-    return includes, tree
+    return includes, as_lists(tree, path)
 
 
 def read_yaml(path: Path):

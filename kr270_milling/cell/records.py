@@ -19,8 +19,8 @@ from kr270_milling.cell.uncertainty import Uncertainty
 from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.cutting import Cutting, Stock, Tool
 from kr270_milling.robot import Arm, Mount
-from kr270_milling.simulation.dynamics import Dynamics
 from kr270_milling.simulation.exchange import Exchange
+from kr270_milling.simulation.parameters import Dynamics
 from kr270_milling.trajectory.timing import Timing
 
 __all__ = ["Parameters", "Path", "Workpiece"]

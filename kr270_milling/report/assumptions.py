@@ -11,6 +11,7 @@ import numpy as np
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
+from kr270_milling.robot.mass import MODELS
 from kr270_milling.simulation.arm_model import modal_models
 
 __all__ = ["Assumption", "assumptions", "mode_frequencies"]
@@ -29,7 +30,7 @@ def mode_frequencies(cell: Cell) -> dict[str, np.ndarray]:
     """First natural frequencies [Hz] at the start of the path with each mass model that has an answer there."""
     start = cell.joints(cell.target())[:1]
     found = {}
-    for name in ("lumped", "consistent"):
+    for name in MODELS:
         dynamics = cell.dynamics.replace(mass_model=name)
         try:
             (model,) = modal_models(cell.arm, cell.mount, dynamics, cell.workpiece.pose, start)
@@ -152,7 +153,8 @@ def _arm(cell: Cell) -> list[Assumption]:
             "mass model",
             f"{cell.dynamics.mass_model}; first modes {listed}",
             f"'lumped': all {mass:.1f} kg ride with the tool, the reading of (25) that gives the paper's 6.70 Hz. "
-            "'consistent': the energy-consistent reduction of the same link masses.",
+            "'consistent': the energy-consistent reduction of the paper's beams, which let links bend and twist that "
+            "the springs hold rigid. 'rigid': rigid links on joint springs, the mass that fits the stiffness.",
         ),
         Assumption(
             "components without inertia",

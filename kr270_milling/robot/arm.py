@@ -94,6 +94,13 @@ class Mount(Record):
     mass: float = parameter(0.0, unit="kg", text="mass of spindle and tool", low=0.0, high=5000.0)
     mass_centre: np.ndarray = parameter([0.0, 0.0, 0.0], unit="mm", text="its centre in the flange frame", size=3,
                                         low=-5000.0, high=5000.0)  # fmt: skip
+    inertia: np.ndarray = parameter([0.0, 0.0, 0.0], unit="kg_m2", size=3, low=0.0, high=1e4, text="its moments of "
+                                    "inertia about that centre, axes of the flange; for rigid masses")  # fmt: skip
+
+    def check(self):
+        if 2.0 * self.inertia.max() > self.inertia.sum() * (1 + 1e-9):
+            shown = self.inertia.tolist()
+            raise ParameterError("inertia_kg_m2", shown, "three moments of which none is larger than the others' sum")
 
     @functools.cached_property
     def pose(self) -> Pose:

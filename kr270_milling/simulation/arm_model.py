@@ -6,13 +6,20 @@ import numpy as np
 
 from kr270_milling.base.frames import Pose
 from kr270_milling.robot import Arm, Mount, cartesian_mass, compliance, equilibrium
-from kr270_milling.simulation.dynamics import ArmModel, Dynamics, ModalModel, discretise, discretise_reference, modes
+from kr270_milling.simulation.dynamics import ArmModel, ModalModel, discretise, discretise_reference, modes
+from kr270_milling.simulation.measured_modes import measured_model
+from kr270_milling.simulation.parameters import Dynamics
 
 __all__ = ["arm_model", "modal_models"]
 
 
 def modal_models(arm: Arm, mount: Mount, dynamics: Dynamics, workpiece: Pose, joints: np.ndarray) -> list[ModalModel]:
-    """Modes at postures (n, 6) [rad] in workpiece axes; workpiece: its pose on base_link."""
+    """Modes at postures (n, 6) [rad] in workpiece axes; workpiece: its pose on base_link.
+
+    Where the cell gives measured modes, these at every posture.
+    """
+    if dynamics.modes.frequency.size:
+        return [measured_model(dynamics.modes)] * len(joints)
     loaded = equilibrium(arm, mount, joints, np.zeros(joints.shape), gravity=dynamics.gravity)
     turn = np.kron(np.eye(2), workpiece.rotation.T)  # base axes -> workpiece axes, translations and rotations
     flexible = turn @ compliance(loaded, arm) @ turn.T

@@ -16,31 +16,14 @@ from numba import njit
 from scipy.linalg import eigh
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.record import Record, parameter
 from kr270_milling.simulation.reference_motion import push, reference_motion
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Dynamics", "ArmModel", "ModalModel", "advance", "condense", "discretise", "discretise_reference", "modes"]
+__all__ = ["ArmModel", "ModalModel", "advance", "condense", "discretise", "discretise_reference", "modes"]
 
 
 class DynamicsError(MillingError):
     """Mass or compliance that cannot belong to an arm."""
-
-
-@dataclass(frozen=True, eq=False)
-class Dynamics(Record):
-    """YAML ``dynamics``: how the arm moves under load."""
-
-    mass_model: str = parameter(text="mass matrix M_C of (25)", choices=("lumped", "consistent"))
-    damping_ratio: float = parameter(low=0.0, high=0.99, text="damping ratio of every mode")
-    gravity: bool = parameter(True, text="linearise about the equilibrium under the link weights")
-    follow_pose: bool = parameter(
-        False, text="stiffness and mass follow the posture along the path; false: at its start"
-    )
-    posture_spacing: float = parameter(5e-3, unit="mm", above=0.0, high=1000.0, text="way between two such postures")
-    reference_inertia: bool = parameter(
-        True, text="the reference moves the motor side: F - M r'' in (1); false: (1) as the paper prints it"
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +37,8 @@ class ModalModel:
     force: np.ndarray  #: wrench -> force on the inertial components, (r, 6)
     output: np.ndarray  #: inertial components -> deflection, (6, r)
     feedthrough: np.ndarray  #: static deflection of the components without inertia, (6, 6)
+    reference: np.ndarray  #: r of the six components -> of the inertial ones, (r, 6)
+    damping: np.ndarray | None = None  #: ratio of each mode, (r,); None: that of ``dynamics.damping_ratio``
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +106,13 @@ def modes(compliance: np.ndarray, mass: np.ndarray) -> ModalModel:
     squared, shape = eigh(stiffness, mass_i)
     if not squared[0] > 0.0:
         raise DynamicsError("the compliance matrix is not positive definite: no stable equilibrium to vibrate about")
-    return ModalModel(inertial, np.sqrt(squared), shape, mass_i, force, output, feedthrough)
+    return ModalModel(inertial, np.sqrt(squared), shape, mass_i, force, output, feedthrough, np.eye(6)[inertial])
 
 
 def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[np.ndarray, ...]:
     """A (2r, 2r), B (2r, 6), P (6, 2r), Q (6, 6) over ``period`` [s] for a wrench held over it: exact for (1)."""
     w, r = model.frequency, model.frequency.size
-    a11, a12, a21, a22 = _free(w, damping_ratio, period)
+    a11, a12, a21, a22 = _free(w, _ratios(model, damping_ratio), period)
     to, back = model.shape, model.shape.T @ model.mass  # eta -> delta, delta -> eta
     transition = np.block([[to * a11 @ back, to * a12 @ back], [to * a21 @ back, to * a22 @ back]])
     modal_force = model.shape.T @ model.force
@@ -135,7 +120,11 @@ def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[
     return transition, held, np.hstack([model.output, np.zeros((6, r))]), model.feedthrough
 
 
-def _free(w: np.ndarray, z: float, period: float) -> tuple[np.ndarray, ...]:
+def _ratios(model: ModalModel, damping_ratio: float) -> float | np.ndarray:
+    return damping_ratio if model.damping is None else model.damping
+
+
+def _free(w: np.ndarray, z: float | np.ndarray, period: float) -> tuple[np.ndarray, ...]:
     """a11, a12, a21, a22, each (r,), of the free vibration: (eta, eta') at the end from those at the start."""
     damped = w * np.sqrt(1.0 - z * z)
     decay, c, s = np.exp(-z * w * period), np.cos(damped * period), np.sin(damped * period)
@@ -150,13 +139,11 @@ def discretise_reference(model: ModalModel, damping_ratio: float, period: float)
     A jump of r' by v leaves z' as it was, so delta' jumps by -v. A modal force t / H leaves
     eta(H) = (1 - a12 / H - 2 zeta (1 - a11) / (omega H)) / omega^2, and eta'(H) is the derivative of its like.
     """
-    w, z, h = model.frequency, damping_ratio, period
+    w, z, h = model.frequency, _ratios(model, damping_ratio), period
     a11, a12, a21, a22 = _free(w, z, h)
     held = (1.0 - a11) / w**2, -a21 / w**2
     ramp = (1.0 - a12 / h - 2.0 * z * (1.0 - a11) / (w * h)) / w**2, (1.0 - a22 + 2.0 * z * a21 / w) / (w**2 * h)
-    to = model.shape
-    back = np.zeros((w.size, 6))
-    back[:, model.inertial] = to.T @ model.mass  # r -> eta
+    to, back = model.shape, model.shape.T @ model.mass @ model.reference  # eta -> delta, r -> eta
 
     def response(place, speed):
         return -np.vstack([to * place @ back, to * speed @ back])
