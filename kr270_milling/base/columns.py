@@ -1,4 +1,4 @@
-"""Lists of groups in parameter files, ``modes: [{a: 1.0}, {a: 2.0}]``: a ROS node can take ``modes: {a: [1.0, 2.0]}``."""
+"""Lists of groups in parameter files: ``[{a: 1.0}, {a: 2.0}]`` is to a ROS node ``{a: [1.0, 2.0]}``."""
 
 from __future__ import annotations
 
