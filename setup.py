@@ -45,6 +45,6 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": ["kr270_milling = kr270_milling.cli:main"]
-        + [f"{node} = kr270_milling.nodes.{node}:main" for node in nodes]
+        + [f"{node} = kr270_milling.nodes.start:{node}" for node in nodes]
     },
 )

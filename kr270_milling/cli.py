@@ -47,7 +47,7 @@ EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
 def main(argv: list[str] | None = None) -> int:
     """Exit code 0, 1 (a check failed), 2 (unusable input: one sentence on stderr) or 130 (Ctrl-C).
 
-    Without ``argv`` the process is the command's own, and ends here where ROS was loaded.
+    Without ``argv`` the process is the command's own, and ends here where its exit code would else be in danger.
     """
     if argv is not None:
         return _main(argv)
@@ -55,8 +55,8 @@ def main(argv: list[str] | None = None) -> int:
         code = _main(sys.argv[1:])
     except SystemExit as error:  # argparse, or a run that SIGTERM ends
         code = error.code
-    if "rclpy" in sys.modules:  # its middleware may crash or block while Python ends
-        from kr270_milling.ros.leaving import end_process
+    if "rclpy" in sys.modules or code == EXIT_INTERRUPTED:
+        from kr270_milling.base.process import end_process
 
         end_process(code)
     return code

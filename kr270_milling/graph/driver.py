@@ -18,9 +18,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.signals import SignalHandlerOptions
 
+from kr270_milling.base.process import end_process
 from kr270_milling.graph.processes import RunError
 from kr270_milling.ros import topics
-from kr270_milling.ros.leaving import end_process, leaving
+from kr270_milling.ros.leaving import leaving
 
 __all__ = ["Driver", "Status", "TRANSITIONS", "compatible"]
 

@@ -14,13 +14,13 @@ from pathlib import Path
 import yaml
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.base.process import exit_code
 from kr270_milling.cell.cell import Cell
 from kr270_milling.graph.driver import Driver
 from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unmatched
 from kr270_milling.graph.processes import Child, RunError, remove_litter, stop
 from kr270_milling.ros.cell_file import write_cell
 from kr270_milling.ros.environment import keep_to_this_host
-from kr270_milling.ros.leaving import exit_code
 from kr270_milling.ros.node import LOST
 
 __all__ = ["NOT_COMPLETE", "LOST", "AlreadyRunning", "Graph", "PassRun"]

@@ -38,7 +38,7 @@ class Child:
     def __init__(self, name: str, arguments: Iterable[str], log: Path):
         self.name, self.log = name, log
         self.shared: set[str] = set()  #: files under /dev/shm that it has used
-        command = [sys.executable, "-m", f"kr270_milling.nodes.{name}", *arguments]
+        command = [sys.executable, "-m", "kr270_milling.nodes", name, *arguments]
         with open(log, "ab") as stream:
             self.process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=log.parent,

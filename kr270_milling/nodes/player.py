@@ -26,7 +26,7 @@ from kr270_milling.bag.playback import (
 )
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import one_line
-from kr270_milling.ros.leaving import end_process
+from kr270_milling.base.process import end_process
 from kr270_milling.ros.messages import stamp_from_ns
 from kr270_milling.ros.names import NameRefused, message_class, plain_topic
 from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import os
 import signal
-import sys
 from collections.abc import Iterator
-from typing import NoReturn
 
-__all__ = ["end_process", "exit_code", "leaving"]
+from kr270_milling.base.process import flush
+
+__all__ = ["leaving"]
 
 CRASHES = (signal.SIGSEGV, signal.SIGBUS, signal.SIGABRT, signal.SIGFPE)
 SIGEV_THREAD = 2  # <bits/sigevent-consts.h>
@@ -48,7 +47,7 @@ def leaving(code: int, within: float) -> Iterator[None]:
 
     What is to be told or written has been before. Crashes within the block end the process in the same way.
     """
-    _flush()
+    flush()
     libc = ctypes.CDLL(None, use_errno=True)
     timer = _arm(libc, code, within)
     if timer is None:  # no such timer here: a signal that nobody handles ends the process at least
@@ -80,24 +79,3 @@ def _arm(libc, code: int, within: float) -> ctypes.c_void_p | None:
     expiry = _Times(first=seconds, first_ns=round((within - seconds) * 1e9))
     libc.timer_settime(timer, 0, ctypes.byref(expiry), None)
     return timer
-
-
-def exit_code(error: BaseException | None) -> int:
-    """Of a process that an error is about to end; 0 without one."""
-    if isinstance(error, SystemExit):
-        return error.code if isinstance(error.code, int) else int(error.code is not None)
-    if isinstance(error, KeyboardInterrupt):
-        return 128 + signal.SIGINT
-    return 0 if error is None else 2
-
-
-def end_process(code: int) -> NoReturn:
-    """End without Python's own finalisation, in which the middleware's static objects could still crash."""
-    _flush()
-    os._exit(code)
-
-
-def _flush() -> None:
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # a reader that has gone, a stream that is closed
-            stream.flush()

@@ -14,8 +14,9 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.base.process import end_process
 from kr270_milling.ros.environment import PARENT, keep_to_this_host
-from kr270_milling.ros.leaving import end_process, leaving
+from kr270_milling.ros.leaving import leaving
 
 __all__ = ["run_node"]
 

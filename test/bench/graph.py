@@ -87,7 +87,7 @@ def _recorder_large(out: Path) -> dict:
 def _record(out: Path, rate: int, count: int, size: int) -> tuple[int, float, float, int]:
     """Messages sent, seconds that took, seconds until they were written, messages in the recording."""
     environment = child_environment()
-    node = [sys.executable, "-m", "kr270_milling.nodes.recorder", "--ros-args", "-p", f"directory:={out}"]
+    node = [sys.executable, "-m", "kr270_milling.nodes", "recorder", "--ros-args", "-p", f"directory:={out}"]
     source = [sys.executable, str(Path(__file__).with_name("source.py")), str(rate), str(count), str(size)]
     quiet = {"env": environment, "stderr": subprocess.DEVNULL}
     with subprocess.Popen([*node, "-p", "topics:=bench"], **quiet) as recorder:

@@ -128,7 +128,7 @@ def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]
     found = Growth("recorder (one long recording)", "s")
     environment = child_environment()
     names = ",".join(TOPICS)
-    node = [sys.executable, "-m", "kr270_milling.nodes.recorder", "--ros-args", "-p", f"directory:={out}"]
+    node = [sys.executable, "-m", "kr270_milling.nodes", "recorder", "--ros-args", "-p", f"directory:={out}"]
     source = [sys.executable, str(Path(__file__).with_name("source.py")), str(RATE), str(seconds)]
     with (
         open(out.parent / "recorder.log", "wb") as log,

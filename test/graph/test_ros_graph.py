@@ -72,7 +72,7 @@ def nodes_of(out: Path) -> dict[str, int]:
         except OSError:
             continue
         words = [word.decode("utf-8", "replace") for word in command]
-        name = next((w.rpartition(".")[2] for w in words if w.startswith("kr270_milling.nodes.")), None)
+        name = words[words.index("kr270_milling.nodes") + 1] if "kr270_milling.nodes" in words else None
         if name and state != "Z" and any(w.startswith(str(out)) for w in words):
             found[name] = int(pid)
     return found
@@ -262,7 +262,7 @@ def test_two_graphs_in_two_namespaces_run_at_once(runner, tmp_path, short_cell):
 def test_node_by_hand_ends_with_0_on_a_signal(ros_environment, tmp_path, node, number):
     from kr270_milling.base.parameter_file import find_file
 
-    command = [sys.executable, "-m", f"kr270_milling.nodes.{node}", "--ros-args", "--params-file"]
+    command = [sys.executable, "-m", "kr270_milling.nodes", node, "--ros-args", "--params-file"]
     log = tmp_path / "log"
     with open(log, "w") as stream:
         process = subprocess.Popen([*command, str(find_file("paper.yaml"))], env=ros_environment, stderr=stream)
@@ -284,7 +284,7 @@ BAD = [
 def test_bad_parameter_ends_a_node_with_2_and_one_sentence(ros_environment, assignment, key):
     from kr270_milling.base.parameter_file import find_file
 
-    command = [sys.executable, "-m", "kr270_milling.nodes.cutting_process", "--ros-args"]
+    command = [sys.executable, "-m", "kr270_milling.nodes", "cutting_process", "--ros-args"]
     arguments = ["--params-file", str(find_file("paper.yaml")), "-p", assignment]
     ran = subprocess.run([*command, *arguments], env=ros_environment, capture_output=True, text=True, timeout=30)
     assert ran.returncode == 2

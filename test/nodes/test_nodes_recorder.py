@@ -138,7 +138,7 @@ def test_best_effort_and_latched_publishers_are_both_matched(world, recorder):
 
 
 def start(environment, directory, *arguments, **kwargs):
-    command = [sys.executable, "-m", "kr270_milling.nodes.recorder", "--ros-args", "-p", f"directory:={directory}"]
+    command = [sys.executable, "-m", "kr270_milling.nodes", "recorder", "--ros-args", "-p", f"directory:={directory}"]
     return subprocess.Popen([*command, *arguments], env=environment, stderr=subprocess.PIPE, text=True, **kwargs)
 
 

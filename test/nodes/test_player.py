@@ -211,7 +211,7 @@ def test_a_signal_ends_the_process_with_exit_code_0(bag, domain, tmp_path, numbe
 @needs_ros
 def test_a_playback_ends_by_itself_and_an_unusable_file_ends_with_2(bag, domain, tmp_path):
     environment = environment_of_processes(domain, ROS_LOG_DIR=str(tmp_path))
-    player = [sys.executable, "-m", "kr270_milling.nodes.player"]
+    player = [sys.executable, "-m", "kr270_milling.nodes", "player"]
     done = subprocess.run([*player, str(bag)], env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0 and f"{len(made.one_pass())} messages played" in done.stderr
     done = subprocess.run([*player, "nowhere.mcap"], env=environment, capture_output=True, text=True, timeout=60)

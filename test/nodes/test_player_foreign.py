@@ -15,7 +15,7 @@ from kr270_milling.bag.writer import BagWriter
 pytestmark = made.needs_messages
 pytest.importorskip("rclpy")
 
-PLAYER = [sys.executable, "-m", "kr270_milling.nodes.player"]
+PLAYER = [sys.executable, "-m", "kr270_milling.nodes", "player"]
 
 
 @pytest.fixture

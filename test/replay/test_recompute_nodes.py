@@ -30,7 +30,7 @@ class Graph:
         self.environment = environment_of_processes(domain, ROS_LOG_DIR=str(directory), **profile)
 
     def start(self, node: str, *arguments: str) -> None:
-        command = [sys.executable, "-m", f"kr270_milling.nodes.{node}", "--ros-args", *arguments]
+        command = [sys.executable, "-m", "kr270_milling.nodes", node, "--ros-args", *arguments]
         with open(self.directory / node, "wb") as log:
             self.running[node] = subprocess.Popen(command, env=self.environment, stdout=log, stderr=log)
 

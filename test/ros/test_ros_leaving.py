@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from kr270_milling.ros.leaving import exit_code
+from kr270_milling.base.process import exit_code
 
 #: what compiled code may do while it holds Python's lock
 TROUBLE = {
@@ -22,7 +22,8 @@ TROUBLE = {
 }
 LEAVE = """
 import ctypes, sys, threading
-from kr270_milling.ros.leaving import end_process, leaving
+from kr270_milling.base.process import end_process
+from kr270_milling.ros.leaving import leaving
 print("all told", end="")
 with leaving({code}, 0.3):
     {trouble}

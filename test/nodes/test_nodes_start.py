@@ -1,0 +1,66 @@
+"""A signal that comes while a node, or the command line, is still importing its libraries."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+ROOT = Path(__file__).resolve().parents[2]
+NODE = [
+    sys.executable,
+    "-m",
+    "kr270_milling.nodes",
+    "compliant_robot",
+    "--ros-args",
+    "--params-file",
+    "config/paper.yaml",
+]
+COMMAND = [sys.executable, "-m", "kr270_milling.cli", "simulate", "config/paper.yaml"]
+STARTS = 10
+
+
+def started(command, environment) -> subprocess.Popen:
+    """A process in the midst of its imports: its first compiled library is there."""
+    process = subprocess.Popen(
+        command, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    while "numpy" not in Path(f"/proc/{process.pid}/maps").read_text() and process.poll() is None:
+        time.sleep(0.002)
+    return process
+
+
+@pytest.mark.parametrize(
+    "command, number, expected",
+    [(NODE, signal.SIGINT, 0), (NODE, signal.SIGTERM, 0), (COMMAND, signal.SIGINT, 130)],
+    ids=["node SIGINT", "node SIGTERM", "command SIGINT"],
+)
+def test_start_that_is_interrupted_ends_at_once_and_quietly(ros_environment, command, number, expected):
+    whole = time.monotonic()
+    process = started(command, ros_environment)
+    imports = time.monotonic() - whole  # grows with the load of the machine, as the rest of the imports does
+    for start in range(STARTS):
+        if start:
+            process = started(command, ros_environment)
+        time.sleep(2 * imports * start / STARTS)
+        process.send_signal(number)
+        _, told = process.communicate(timeout=30)
+        assert "Traceback" not in told and "ignored" not in told
+        assert process.returncode == expected, told
+
+
+def test_node_in_the_background_of_a_script_obeys_sigterm(ros_environment, tmp_path):
+    """A shell lets what it starts with ``&`` ignore SIGINT."""
+    node = f"{sys.executable} -m kr270_milling.nodes recorder --ros-args -p directory:={tmp_path}/r"
+    with subprocess.Popen(["sh", "-c", f"trap '' INT; exec {node}"], env=ros_environment) as process:
+        while not list(tmp_path.glob("r/*.mcap")):
+            assert process.poll() is None
+            time.sleep(0.02)
+        process.terminate()
+        assert process.wait(20) == 0
