@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import time
 
-from kr270_milling.bag.playback import PlayOptions, add_play_arguments
+from kr270_milling.bag.play_options import PlayOptions
+from kr270_milling.nodes.play_arguments import add_play_arguments, play_options
 
 FIRST = ("/reference_trajectory", "/joint_trajectory")
 
@@ -14,7 +15,7 @@ def options(*words: str) -> PlayOptions:
     parser = argparse.ArgumentParser()
     parser.add_argument("file")
     add_play_arguments(parser)
-    return PlayOptions.of(parser.parse_args(list(words)))
+    return play_options(parser.parse_args(list(words)))
 
 
 class Listener:

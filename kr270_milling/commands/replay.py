@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from kr270_milling.bag.playback import PlayOptions, add_play_arguments
 from kr270_milling.base.errors import one_line
 from kr270_milling.commands.console import add_common, output_directory, print_json, print_table, progress
 from kr270_milling.compensation.methods import METHODS
+from kr270_milling.nodes.play_arguments import add_play_arguments, play_options
 
 EXIT_FAILED = 1
 
@@ -46,7 +46,7 @@ def _play(args) -> int:
     from kr270_milling.nodes.player import play
 
     with progress("playing") as report:
-        code, count = play(PlayOptions.of(args), ["--ros-args", *args.ros_args] if args.ros_args else [], report)
+        code, count = play(play_options(args), ["--ros-args", *args.ros_args] if args.ros_args else [], report)
     if args.json:
         print_json({"file": args.file, "messages": count, "exit_code": code})
     return code

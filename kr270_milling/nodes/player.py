@@ -15,10 +15,9 @@ from std_srvs.srv import Trigger
 
 from kr270_milling.bag.bagmeta import read_qos
 from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.play_options import PlayOptions
 from kr270_milling.bag.playback import (
     PlayClock,
-    PlayOptions,
-    add_play_arguments,
     is_latched,
     opening,
     passage,
@@ -27,6 +26,7 @@ from kr270_milling.bag.playback import (
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import one_line
 from kr270_milling.base.process import end_process
+from kr270_milling.nodes.play_arguments import add_play_arguments, play_options
 from kr270_milling.ros.messages import stamp_from_ns
 from kr270_milling.ros.names import NameRefused, message_class, plain_topic
 from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded
@@ -229,7 +229,7 @@ def main(args: list[str] | None = None) -> int:
     )
     parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording")
     add_play_arguments(parser)
-    code, _ = play(PlayOptions.of(parser.parse_args(remove_ros_args(words)[1:])), words)
+    code, _ = play(play_options(parser.parse_args(remove_ros_args(words)[1:])), words)
     return end_process(code) if args is None else code
 
 

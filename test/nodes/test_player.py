@@ -16,7 +16,8 @@ from player_listener import FIRST, Listener, options
 from ros_domain import environment_of_processes
 
 from kr270_milling.bag.errors import RecordingError
-from kr270_milling.bag.playback import PlayClock, PlayOptions, opening, passage, span
+from kr270_milling.bag.play_options import PlayOptions
+from kr270_milling.bag.playback import PlayClock, opening, passage, span
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import InputError
 

@@ -1,0 +1,25 @@
+"""What a playback is asked for; light to import, for a command line that shows its help."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["MOST", "PlayOptions"]
+
+MOST = 9e9  # [s], some 285 years, as many nanoseconds as a log time can count
+
+
+@dataclass(frozen=True)
+class PlayOptions:
+    """One playback."""
+
+    file: Path
+    rate: float = 1.0
+    start_offset: float = 0.0  #: [s]
+    playback_duration: float | None = None  #: [s]; None: to the end
+    loop: bool = False
+    topics: tuple[str, ...] | None = None  #: None: all
+    start_paused: bool = False
+    clock: float | None = None  #: [Hz]
+    delay: float = 0.0  #: [s]
