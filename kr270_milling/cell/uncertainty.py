@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import Record, parameter
 
 __all__ = ["Uncertainty"]
@@ -20,6 +23,12 @@ class Uncertainty(Record):
 
     joint_compliance: float = parameter(0.15, low=0.0, high=1.0, text="of each joint's compliance")
     force_coefficient: float = parameter(0.15, low=0.0, high=1.0, text="of each coefficient of the force law")
+    joint_compliances: np.ndarray = parameter(
+        [], low=0.0, high=1.0, text="of each joint on its own, as identified; empty: joint_compliance for all"
+    )
+    force_coefficients: np.ndarray = parameter(
+        [], low=0.0, high=1.0, text="of each coefficient of the force law on its own; empty: force_coefficient for all"
+    )
     damping_ratio: float = parameter(0.3, low=0.0, high=1.0, text="of the damping ratio of all modes")
     placement: float = parameter(
         0.05e-3, unit="mm", low=0.0, high=10.0, text="of the stock's place along each axis of the workpiece frame"
@@ -27,3 +36,20 @@ class Uncertainty(Record):
     matters_above: float = parameter(
         10e-6, unit="um", low=0.0, high=1e4, text="deviations below this do not matter to the part"
     )
+
+    def check(self) -> None:
+        if self.joint_compliances.size not in (0, 6):
+            raise ParameterError("joint_compliances", self.joint_compliances.tolist(), "empty or one number a joint")
+
+    def of_compliances(self) -> np.ndarray:
+        """Of the six compliances, (6,)."""
+        return self.joint_compliances if self.joint_compliances.size else np.full(6, self.joint_compliance)
+
+    def of_coefficients(self, count: int) -> np.ndarray:
+        """Of so many coefficients of the force law in use, (count,); raises ParameterError."""
+        if not self.force_coefficients.size:
+            return np.full(count, self.force_coefficient)
+        if self.force_coefficients.size != count:
+            allowed = f"empty or one number for each of the {count} coefficients of the force law in use"
+            raise ParameterError("uncertainty.force_coefficients", self.force_coefficients.tolist(), allowed)
+        return self.force_coefficients

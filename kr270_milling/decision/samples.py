@@ -33,15 +33,15 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     """
     how, law = cell.uncertainty, cell.cutting.law
 
-    def factors(spread: float, size: int) -> np.ndarray:
-        return np.exp(math.sqrt(math.log1p(spread**2)) * rng.standard_normal(size))
+    def factors(spread: np.ndarray) -> np.ndarray:
+        return np.exp(np.sqrt(np.log1p(spread**2)) * rng.standard_normal(spread.size))
 
-    compliance = cell.arm.joint_compliance * factors(how.joint_compliance, 6)
+    compliance = cell.arm.joint_compliance * factors(how.of_compliances())
     names = SCATTERED[law]
     coefficients: Record = getattr(cell.cutting, law)
-    scattered = zip(names, factors(how.force_coefficient, len(names)), strict=True)
+    scattered = zip(names, factors(how.of_coefficients(len(names))), strict=True)
     coefficients = coefficients.replace(**{name: float(getattr(coefficients, name) * f) for name, f in scattered})
-    damping = min(0.9, cell.dynamics.damping_ratio * float(factors(how.damping_ratio, 1)[0]))
+    damping = min(0.9, cell.dynamics.damping_ratio * float(factors(np.array([how.damping_ratio]))[0]))
     shift = how.placement * np.clip(rng.standard_normal(3), -3.0, 3.0)
     return cell.replace(
         arm=cell.arm.replace(joint_compliance=compliance),
