@@ -19,8 +19,9 @@ MASS = ("mass_kg", "mass_centre_x_mm", "mass_centre_y_mm", "mass_centre_z_mm")
 SHIFT = ("dx_mm", "dy_mm", "dz_mm")
 TILT = ("rx_mrad", "ry_mrad", "rz_mrad")
 SIGMA = ("sigma_um", "sigma_mrad")
+LOAD = ("load_x_mm", "load_y_mm", "load_z_mm")
 REFLECTOR = ("reflector_x_mm", "reflector_y_mm", "reflector_z_mm")
-COLUMNS = (*JOINTS, *WRENCH, *MASS, *REFLECTOR, *SHIFT, *TILT, *SIGMA, "note")
+COLUMNS = (*JOINTS, *WRENCH, *MASS, *LOAD, *REFLECTOR, *SHIFT, *TILT, *SIGMA, "note")
 #: three reflectors 0.2 m apart tell a rotation to sqrt(2) of what each tells a place, over that distance [1/m]
 ROTATION_PER_SHIFT = np.sqrt(2.0) / 0.2
 FARTHEST = 0.2  #: [m] that a load test moves a reflector at most; more is a wrong unit
@@ -89,7 +90,8 @@ def _loads(table: Table, mount: Mount) -> tuple[np.ndarray, np.ndarray]:
         raise InputError(table.path, "the load is zero", table.lines[int(idle.argmax())])
     centre = 1e-3 * table.numbers(MASS[1:], 0.0)
     hung = weighed & _given(table, MASS[1:])
-    return wrench, np.where(hung[:, None], centre, mount.xyz)
+    point = np.where(_given(table, LOAD)[:, None], 1e-3 * table.numbers(LOAD, 0.0), mount.xyz)
+    return wrench, np.where(hung[:, None], centre, point)
 
 
 def _sigma(table: Table) -> tuple[np.ndarray, bool]:
@@ -105,13 +107,11 @@ def _sigma(table: Table) -> tuple[np.ndarray, bool]:
 
 
 def write_measurements(path, measured: Measurements, notes=(), remarks=None) -> None:
-    """The same file again; loads as wrenches at the tool point of the rows, what is not measured empty.
-
-    Only for loads that act at one point: the reader puts them at the mount's tool point.
-    """
+    """The same file again; loads as wrenches, what is not measured empty."""
     tilted = bool(np.isfinite(measured.displacement[:, 3:]).any())
-    names = [*JOINTS, *WRENCH, *REFLECTOR, *SHIFT, *(TILT if tilted else ()), *SIGMA[: 1 + tilted], "note"]
-    columns = [np.degrees(measured.q), measured.wrench, 1e3 * measured.reflector, 1e3 * measured.displacement[:, :3]]
+    names = [*JOINTS, *WRENCH, *LOAD, *REFLECTOR, *SHIFT, *(TILT if tilted else ()), *SIGMA[: 1 + tilted], "note"]
+    places = [1e3 * measured.application, 1e3 * measured.reflector]
+    columns = [np.degrees(measured.q), measured.wrench, *places, 1e3 * measured.displacement[:, :3]]
     if tilted:
         columns.append(1e3 * measured.displacement[:, 3:])
     columns.append(1e6 * measured.sigma[:, :1])

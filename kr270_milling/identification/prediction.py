@@ -51,7 +51,8 @@ def test_pose(mount: Mount, q, forces=None) -> TestPose:
     place = np.tile(mount.xyz, (n, 1))
     nothing = np.full((n, 6), np.nan)
     postures = np.tile(np.asarray(q, float), (n, 1))
-    return TestPose(Measurements(postures, np.hstack([forces, 0 * forces]), place, place, nothing, np.ones((n, 6)), True))
+    wrench = np.hstack([forces, 0 * forces])
+    return TestPose(Measurements(postures, wrench, place, place, nothing, np.ones((n, 6)), True))
 
 
 test_pose.__test__ = False  # type: ignore[attr-defined]

@@ -79,7 +79,7 @@ def sentences(found: Fit, pose: TestPose | None = None) -> list[str]:
     if pose is not None:
         moved, error = predicted_errors(found, pose)
         size = 1e6 * np.sqrt(np.sum(moved**2, axis=1).mean()), 1e6 * np.sqrt(np.mean(error**2))
-        said.append(f"at the cell's posture 100 N move the tool by {size[0]:.1f} um, known to {size[1]:.2f} um (1 sigma)")
+        said.append(f"at the cell's posture 100 N move the tool by {size[0]:.1f} um, known to {size[1]:.2f} um")
     return said
 
 

@@ -1,0 +1,200 @@
+"""``kr270_milling identify compliance``: from load tests to compliances, or from a cell to a plan of load tests."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from kr270_milling.commands.console import add_common, numbers, print_json, print_table
+
+
+def add_arguments(parser) -> None:
+    parser.add_argument(
+        "measurements", metavar="MEASUREMENTS.csv", nargs="?", help="one load test a row, see identification/README.md"
+    )
+    parser.add_argument("--arm", metavar="ARM.yaml", required=True, help="arm or cell file to start from")
+    parser.add_argument(
+        "--cell", metavar="CELL.yaml", help="where the arm is to mill (default: --arm, if it is a cell file)"
+    )
+    parser.add_argument("--at", type=numbers(6, most=720.0), metavar="A1,...,A6", help="posture there [deg]")
+    parser.add_argument("--no-gravity", action="store_true", help="leave the link weights out")
+    parser.add_argument("--robust", action="store_true", help="take the weight from tests that contradict the others")
+    parser.add_argument(
+        "--compensator", metavar="NAMES", default="", help="also fit these of arm.compensator, as stiffness,preload"
+    )
+    plan = parser.add_argument_group("plan")
+    plan.add_argument("--plan", type=_count, metavar="N", help="choose the N load tests that tell most about the cell")
+    plan.add_argument(
+        "--point", type=numbers(3, most=5e3), metavar="X,Y,Z", help="of load and reflector, flange frame [mm]"
+    )
+    plan.add_argument("--mass-kg", type=_positive, default=100.0, help="to hang; 0: none (default: 100)")
+    plan.add_argument("--pull-n", type=_positive, default=800.0, help="of a horizontal rope; 0: none (default: 800)")
+    plan.add_argument(
+        "--noise-um", type=_positive, default=20.0, help="of a measured coordinate, 1 sigma (default: 20)"
+    )
+    plan.add_argument("--postures", type=_count, default=2000, help="candidates to choose from (default: 2000)")
+    plan.add_argument("--seed", type=int, default=1, help="of the candidates (default: 1)")
+    parser.add_argument("--out", metavar="DIR", help="write YAML to include and report, or table and KRL of the plan")
+    add_common(parser)
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 100_000:
+        raise argparse.ArgumentTypeError(f"{text} is not a whole number from 1 to 100000")
+    return value
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 0 to 1e6")
+    return value
+
+
+def run(args) -> None:
+    from kr270_milling.base.errors import InputError
+    from kr270_milling.base.record import find_file
+    from kr270_milling.robot.analysis import read_arm
+
+    arm, mount = read_arm(find_file(args.arm))
+    if args.cell:
+        mount = read_arm(find_file(args.cell))[1]
+    pose = _pose(args, mount)
+    if args.plan is not None:
+        _plan(args, arm, mount, pose)
+    elif args.measurements is None:
+        raise InputError("identify compliance", "needs a table of load tests, or --plan N to make one")
+    else:
+        _identify(args, arm, mount, pose)
+
+
+def _pose(args, mount):
+    import numpy as np
+
+    from kr270_milling.base.record import find_file
+    from kr270_milling.identification.prediction import read_test_pose, test_pose
+
+    if args.at:
+        return test_pose(mount, np.radians(args.at))
+    return read_test_pose(find_file(args.cell or args.arm), mount)
+
+
+def _identify(args, arm, mount, pose) -> None:
+    from kr270_milling.identification.compliance import fit
+    from kr270_milling.identification.measurements import read_measurements
+    from kr270_milling.identification.problem import Problem
+    from kr270_milling.identification.result import as_dict, sentences
+
+    measured = read_measurements(args.measurements, arm, mount)
+    sought = tuple(name.strip() for name in args.compensator.split(",") if name.strip())
+    found = fit(Problem(arm, mount, measured, not args.no_gravity, sought), args.robust)
+    result, said = as_dict(found, pose), sentences(found, pose)
+    if args.out:
+        result["files"] = [str(path) for path in _write(args, found, result, said)]
+    if args.json:
+        print_json(result)
+        return
+    columns, rows = _rows(found)
+    print_table(f"Joint compliances of {arm.name} from {len(measured)} load tests", columns, rows)
+    print(f"residual {result['residual_rms_um']:.2f} um RMS, normal with p = {result['normality_p']:.2g}")
+    for sentence in said:
+        print(sentence)
+    for name in result.get("files", []):
+        print(name)
+
+
+def _rows(found) -> tuple[list[str], list[list[str]]]:
+    import numpy as np
+
+    rows = []
+    for name, value, width, start, free in zip(
+        found.problem.names, found.values, found.half_widths, found.problem.scale, found.free, strict=True
+    ):
+        scale = 1e6 if name.startswith("joint") else 1.0
+        shown = f"{scale * width:.4g}" if np.isfinite(width) else "-"
+        rows.append([name, f"{scale * start:.4g}", f"{scale * value:.4g}", shown, "yes" if free else "no"])
+    return ["number", "arm file", "identified", "95 % +-", "told by the data"], rows
+
+
+def _write(args, found, result: dict, said: list[str]) -> list[Path]:
+    from kr270_milling import __version__
+    from kr270_milling.base.files import staged
+    from kr270_milling.identification.figures import compliance_figures, write_page
+    from kr270_milling.identification.include import write_include
+    from kr270_milling.identification.result import include_sections
+
+    title = f"Joint compliances of {found.problem.arm.name}"
+    notes = [f"{title}, identified by kr270_milling {__version__} from {Path(args.measurements).name}",
+             f"{result['tests']} load tests, residual {result['residual_rms_um']:.2f} um RMS", *said,
+             "name this file in `includes` behind that of the arm"]  # fmt: skip
+    with staged(args.out) as (draft, final):
+        table = ("Identified", *_rows(found))
+        files = [
+            write_include(draft / "compliance.yaml", include_sections(found), notes),
+            write_page(draft / "compliance.html", title, notes[1:-1], [table], compliance_figures(found)),
+        ]
+        return [final(path) for path in files]
+
+
+def _plan(args, arm, mount, pose) -> None:
+    import numpy as np
+
+    from kr270_milling.base.errors import InputError
+    from kr270_milling.identification.candidates import Bench, candidates
+    from kr270_milling.identification.plan import CRITERIA, Planner
+
+    if pose is None:
+        raise InputError(
+            "--plan", "needs the posture where the arm is to mill: name --cell CELL.yaml or --at A1,...,A6"
+        )
+    point = mount.xyz if args.point is None else 1e-3 * np.array(args.point)
+    bench = Bench(point, args.mass_kg, args.pull_n, 1e-6 * max(args.noise_um, 1e-3))
+    choice = candidates(arm, mount, bench, args.postures, args.seed)
+    planner = Planner(arm, mount, choice, pose, not args.no_gravity)
+    names = ("planned for the test pose", "A-optimal", "D-optimal")
+    designs = {name: planner.best(args.plan, c) for name, c in zip(names, CRITERIA, strict=True)}
+    rng = np.random.default_rng(args.seed)
+    blind = sorted((planner.random(args.plan, rng) for _ in range(201)), key=lambda d: d.pose_error)
+    designs["random (median of 201)"] = blind[100]
+    _report_plan(args, choice, designs)
+
+
+def _report_plan(args, choice, designs: dict) -> None:
+    import numpy as np
+
+    from kr270_milling.identification.plan_files import in_order, load_text
+
+    best = next(iter(designs.values()))
+    plan = in_order(choice.take(best.rows))
+    result = {
+        "designs": [{"name": name, "error_um": 1e6 * d.pose_error, "relative": d.relative.tolist(),
+                     "determinant": d.determinant} for name, d in designs.items()],
+        "tests": [{"joints_deg": np.degrees(q).tolist(), "wrench": w.tolist(), "load": load_text(plan, i)}
+                  for i, (q, w) in enumerate(zip(plan.tests.q, plan.tests.wrench, strict=True))],
+    }  # fmt: skip
+    if args.out:
+        result["files"] = [str(path) for path in _write_plan(args, plan, best)]
+    if args.json:
+        print_json(result)
+        return
+    rows = [[name, f"{1e6 * d.pose_error:.3f}", f"{100 * d.relative.max():.1f}", f"{100 * d.determinant:.2f}"]
+            for name, d in designs.items()]  # fmt: skip
+    columns = ["choice", "error there [um]", "worst compliance [%]", "mean [%]"]
+    print_table(f"{args.plan} load tests: what 100 N at the cell's posture are known to (1 sigma)", columns, rows)
+    rows = [[t["load"], " ".join(f"{a:7.2f}" for a in t["joints_deg"])] for t in result["tests"]]
+    print_table("The tests, in the order of the program", ["load", "A1 to A6 [deg]"], rows)
+    for name in result.get("files", []):
+        print(name)
+
+
+def _write_plan(args, plan, best) -> list[Path]:
+    from kr270_milling import __version__
+    from kr270_milling.base.files import staged
+    from kr270_milling.identification.plan_files import write_plan
+
+    error = f"expected error {1e6 * best.pose_error:.3f} um per 100 N"
+    notes = [f"load tests planned by kr270_milling {__version__}, {error}",
+             "measure the reflector without the load, then with it; dx, dy, dz: difference, base axes"]  # fmt: skip
+    with staged(args.out) as (draft, final):
+        return [final(path) for path in write_plan(draft, plan, notes)]
