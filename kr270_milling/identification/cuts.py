@@ -1,0 +1,104 @@
+"""Cuts whose mean forces were measured: a table of feeds, depths and widths, forces in it or in recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.table import Table, read_table
+from kr270_milling.cutting.tool import Tool
+from kr270_milling.identification.sensor import Sensor, mean_force
+
+__all__ = ["COLUMNS", "Cuts", "MODES", "engagement", "read_cuts"]
+
+MODES = ("slot", "up", "down")
+FORCES = ("fx_n", "fy_n", "fz_n")
+CUT = ("feed_per_tooth_mm", "depth_mm", "width_mm")
+RECORDED = ("recording", "start_s", "stop_s", "tare_start_s", "tare_stop_s")
+COLUMNS = (*CUT, "mode", *FORCES, "sigma_n", *RECORDED, "note")
+
+
+@dataclass(frozen=True, eq=False)
+class Cuts:
+    """n cuts with one tool at constant feed; forces are means over whole revolutions."""
+
+    tool: Tool
+    feed_per_tooth: np.ndarray  #: [m], (n,)
+    depth: np.ndarray  #: [m], (n,)
+    entry: np.ndarray  #: angle of a tooth where its chip begins [rad], (n,), from the feed, in the sense of rotation
+    exit: np.ndarray  #: and where it ends [rad], (n,)
+    force: np.ndarray  #: on the tool, workpiece axes with x along the feed [N], (n, 3); NaN: not measured
+    sigma: np.ndarray  #: standard deviation of each component [N], (n,); relative ones if not ``sigma_known``
+    sigma_known: bool
+
+    def __len__(self) -> int:
+        return len(self.depth)
+
+
+def engagement(mode: str, width: float, diameter: float) -> tuple[float, float]:
+    """Entry and exit angle [rad] of a tooth, from the feed direction in the sense of rotation.
+
+    The chip thickness is h = f_z cos(phi). Up-milling begins at phi = -90 deg with h = 0 and ends where the width is
+    used up, sin(phi) = 2 width / diameter - 1; down-milling is its mirror image.
+    """
+    limit = float(np.arcsin(np.clip(2.0 * width / diameter - 1.0, -1.0, 1.0)))
+    if mode == "slot":
+        return -np.pi / 2, np.pi / 2
+    return (-np.pi / 2, limit) if mode == "up" else (-limit, np.pi / 2)
+
+
+def read_cuts(path, tool: Tool, sensor: Sensor | None = None) -> Cuts:
+    """A CSV file of cuts, one a row; the columns are COLUMNS. Raises InputError.
+
+    A row without forces names a recording (beside the file) and the seconds of the cut in it.
+    """
+    table = read_table(path, COLUMNS, (*CUT[:2], "mode"))
+    feed, depth = (1e-3 * table.number(name) for name in CUT[:2])
+    slots = np.array(table.texts("mode")) == "slot"
+    width = 1e-3 * table.number("width_mm", np.nan)
+    width = np.where(slots & np.isnan(width), tool.diameter, width)
+    angles = []
+    for row, line in enumerate(table.lines):
+        if not (0.0 < feed[row] < 0.1 and 0.0 < depth[row] < 1.0):
+            raise InputError(path, "feed per tooth and depth must be above 0 and in mm", line)
+        angles.append(_angles(table, row, float(width[row]), tool.diameter))
+    force, sigma, known = _forces(table, sensor or Sensor(), tool.spindle_speed)
+    entry, leave = np.array(angles).T
+    return Cuts(tool, feed, depth, entry, leave, force, sigma, known)
+
+
+def _angles(table: Table, row: int, width: float, diameter: float) -> tuple[float, float]:
+    mode, line = table.texts("mode")[row], table.lines[row]
+    if mode not in MODES:
+        raise InputError(table.path, f"the mode is {mode[:20]!r}, but must be one of {', '.join(MODES)}", line)
+    most = diameter * (1.0 + 1e-6)
+    if not 0.0 < width <= most or (mode == "slot" and width < 0.99 * diameter):
+        right = "the tool's diameter in a slot" if mode == "slot" else "above 0 and at most the tool's diameter"
+        raise InputError(
+            table.path, f"the width is {1e3 * width:g} mm, but must be {right}, {1e3 * diameter:g} mm", line
+        )
+    return engagement(mode, width, diameter)
+
+
+def _forces(table: Table, sensor: Sensor, spindle_speed: float) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Forces (n, 3), their standard deviations (n,), and whether these are known in all rows."""
+    force, sigma = table.numbers(FORCES, np.nan), table.number("sigma_n", np.nan)
+    recordings = table.texts("recording") if "recording" in table else [""] * len(table)
+    start, stop, tare, tared = (table.number(name, np.nan) for name in RECORDED[1:])
+    for row, line in enumerate(table.lines):
+        if recordings[row]:
+            file = Path(table.path).parent / recordings[row]
+            stretch = (tare[row], tared[row]) if np.isfinite([tare[row], tared[row]]).all() else None
+            if not start[row] < stop[row]:
+                raise InputError(table.path, "start_s must be before stop_s for a recording", line)
+            force[row], own = mean_force(file, sensor, (start[row], stop[row]), spindle_speed, stretch)
+            sigma[row] = own if np.isnan(sigma[row]) else sigma[row]
+        elif not np.isfinite(force[row, :2]).all():
+            raise InputError(table.path, "has neither fx_n and fy_n nor a recording", line)
+    known = bool(np.isfinite(sigma).all())
+    if known and not (sigma > 0.0).all():
+        raise InputError(table.path, "sigma_n must be above 0", table.lines[int((sigma <= 0.0).argmax())])
+    return force, sigma if known else np.ones(len(table)), known

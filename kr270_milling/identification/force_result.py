@@ -1,0 +1,96 @@
+"""What ``identify forces`` says: numbers for JSON, sentences, a parameter file to include, pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kr270_milling.base.record import specs
+from kr270_milling.cutting.laws import FractionalLaw, LinearEdgeLaw
+from kr270_milling.decision.samples import SCATTERED
+from kr270_milling.identification.figures import points
+from kr270_milling.identification.forces import NAMES, SCALE, Coefficients, mean_forces
+from kr270_milling.identification.fractional import FractionalFit, fractional_mean_forces
+
+__all__ = ["as_dict", "figures", "fractional_sections", "linear_edge_sections", "sentences"]
+
+#: names of the record in the order of NAMES; the axial ones where the law has them
+FIELDS = ("tangential_cutting", "tangential_edge", "radial_cutting", "radial_edge", "axial_cutting", "axial_edge")
+
+
+def as_dict(found: Coefficients, bent: FractionalFit | None = None) -> dict:
+    """For JSON; what was not measured becomes null there."""
+    report: dict = dict(zip(NAMES, (found.values / SCALE).tolist(), strict=True))
+    report["ci95"] = dict(zip(NAMES, (found.half_widths / SCALE).tolist(), strict=True))
+    report |= {"residual_rms_n": found.residual_rms, "residuals_n": found.residuals.tolist(), "cuts": len(found.cuts)}
+    if bent is not None:
+        report["fractional"] = {**bent.as_dict(), "residual_rms_n": bent.residual_rms}
+    return report
+
+
+def sentences(found: Coefficients, bent: FractionalFit | None = None) -> list[str]:
+    """What the numbers mean."""
+    said = []
+    if np.isnan(found.values[4]):
+        said.append("K_ac and K_ae: fz_n was not measured")
+    for name, value, width in zip(NAMES, found.values / SCALE, found.half_widths / SCALE, strict=True):
+        if width > abs(value):
+            said.append(f"{name.split('_n_')[0]}: the interval reaches beyond zero, cut at more feeds or deeper")
+        elif value < 0.0:
+            said.append(f"{name.split('_n_')[0]} is negative: look at the signs and at the sense of rotation")
+    if bent is not None:
+        lateral = float(np.sqrt(np.nanmean(found.residuals[:, :2] ** 2)))
+        better = "the fractional law" if bent.residual_rms < 0.9 * lateral else "the linear-edge law"
+        said.append(f"residual {lateral:.3g} N (linear edge), {bent.residual_rms:.3g} N (fractional): use {better}")
+    return said
+
+
+def linear_edge_sections(values, half_widths) -> dict:
+    """The groups of a parameter file: the law with its coefficients, and how well they are known for the verdict."""
+    by_name = {spec.name: spec for spec in specs(LinearEdgeLaw)}
+    given = [(field, k) for k, field in enumerate(FIELDS) if field in by_name and np.isfinite(values[k])]
+    law: dict = {}
+    for field, k in given:
+        spread = f"95 % +- {half_widths[k] / by_name[field].scale:.3g}" if np.isfinite(half_widths[k]) else ""
+        law[by_name[field].key] = (float(max(values[k], 0.0) / by_name[field].scale), spread)
+    sections: dict = {"cutting": {"law": "linear_edge", "linear_edge": law}}
+    relative = {field: half_widths[k] / 1.96 / max(abs(values[k]), 1e-300) for field, k in given}
+    spread = _spread([relative.get(name, np.nan) for name in SCATTERED["linear_edge"]])
+    return sections | spread
+
+
+def fractional_sections(found: FractionalFit) -> dict:
+    """The same of the fractional law."""
+    each = list(zip(specs(FractionalLaw), found.values, found.half_widths, strict=True))
+    law = {s.key: (float(v / s.scale), f"95 % +- {w / s.scale:.3g}") for s, v, w in each}
+    relative = {s.name: w / 1.96 / v for s, v, w in each}
+    spread = _spread([relative.get(name, np.nan) for name in SCATTERED["fractional"]])
+    return {"cutting": {"law": "fractional", "fractional": law}} | spread
+
+
+def _spread(relative: list[float]) -> dict:
+    """``uncertainty.force_coefficients``, if all that the verdict draws are known."""
+    if not np.isfinite(relative).all():
+        return {}
+    shown = np.clip(relative, 1e-4, 1.0).tolist()
+    return {"uncertainty": {"force_coefficients": (shown, "standard deviations from the same fit")}}
+
+
+def figures(found: Coefficients, bent: FractionalFit | None = None) -> list:
+    """Forces and models over the feed, residuals."""
+    cuts = found.cuts
+    feed = 1e3 * cuts.feed_per_tooth
+    per_depth = 1e-3 / cuts.depth
+    model = mean_forces(cuts, found.values)
+    measured = {f"F_{a} measured": (feed, cuts.force[:, i] * per_depth) for i, a in enumerate("xyz")}
+    modelled = {f"F_{a} linear edge": (feed, model[:, i] * per_depth) for i, a in enumerate("xyz")}
+    left = {f"F_{a} linear edge": (feed, found.residuals[:, i]) for i, a in enumerate("xyz")}
+    if bent is not None:
+        curve = fractional_mean_forces(cuts, bent.values)
+        modelled |= {f"F_{a} fractional": (feed, curve[:, i] * per_depth) for i, a in enumerate("xy")}
+        left |= {f"F_{a} fractional": (feed, bent.residuals[:, i]) for i, a in enumerate("xy")}
+    return [
+        points(
+            "Mean forces over the feed", "feed per tooth [mm]", "mean force per mm of depth [N]", measured | modelled
+        ),
+        points("Residuals", "feed per tooth [mm]", "measured less modelled [N]", left),
+    ]

@@ -1,0 +1,116 @@
+"""Force coefficients from mean forces over a revolution [Altintas2012, section 2.8], for any immersion.
+
+With h = f cos(phi), N teeth, depth a, and the means c_2 = int cos^2, sc = int sin cos, c_1 = int cos, s_1 = int sin,
+1_ = int 1 over the engagement, all times N a / 2 pi, the forces on a tool that turns clockwise are
+
+    F_x = K_tc f sc  + K_te s_1 - K_rc f c_2 - K_re c_1,
+    F_y = K_tc f c_2 + K_te c_1 + K_rc f sc  + K_re s_1,
+    F_z = K_ac f c_1 + K_ae 1_,
+
+and F_y has the other sign where it turns counterclockwise. A helix does not change means over whole revolutions.
+The coefficients follow by weighted linear least squares over all cuts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.identification.cuts import Cuts
+
+__all__ = ["Coefficients", "NAMES", "OneFeedError", "fit_linear_edge", "mean_forces"]
+
+#: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON and file units [N/m^2, N/m per file unit]
+NAMES = ("k_tc_n_per_mm2", "k_te_n_per_mm", "k_rc_n_per_mm2", "k_re_n_per_mm", "k_ac_n_per_mm2", "k_ae_n_per_mm")
+SCALE = np.array([1e6, 1e3, 1e6, 1e3, 1e6, 1e3])
+WORST = 1e-6  #: share of the largest singular value below which coefficients are mixed up
+
+
+class OneFeedError(MillingError):
+    """The cuts do not tell the coefficients apart."""
+
+    def __init__(self, feeds: int, cuts: int):
+        self.feeds, self.cuts = feeds, cuts
+        what = "one feed per tooth" if feeds == 1 else f"{feeds} feeds per tooth"
+        super().__init__(
+            f"{cuts} cuts at {what} do not tell the coefficients apart: cutting and edge coefficients need at least "
+            "two feeds, tangential and radial ones two force components"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Coefficients:
+    """What the cuts say; NaN: not measured."""
+
+    cuts: Cuts
+    values: np.ndarray  #: K_tc, K_te, K_rc, K_re, K_ac, K_ae [N/m^2, N/m], (6,)
+    half_widths: np.ndarray  #: of their 95 % intervals, (6,)
+    covariance: np.ndarray  #: (6, 6)
+    residuals: np.ndarray  #: measured less modelled [N], (n, 3)
+
+    @property
+    def residual_rms(self) -> float:
+        """[N], of what was measured."""
+        return float(np.sqrt(np.nanmean(self.residuals**2)))
+
+
+def mean_forces(cuts: Cuts, values) -> np.ndarray:
+    """Mean forces on the tool [N], (n, 3), workpiece axes; values as in Coefficients."""
+    return _design(cuts) @ np.nan_to_num(np.asarray(values, float))
+
+
+def _design(cuts: Cuts) -> np.ndarray:
+    """Derivatives of the mean forces by the coefficients, (n, 3, 6)."""
+    ends = np.stack([cuts.entry, cuts.exit])
+
+    def between(integral):
+        return np.diff(integral(ends), axis=0)[0]
+
+    c_2 = between(lambda p: p / 2 + np.sin(2 * p) / 4)
+    sc, c_1, s_1 = between(lambda p: np.sin(p) ** 2 / 2), between(np.sin), between(lambda p: -np.cos(p))
+    one, f, zero = cuts.exit - cuts.entry, cuts.feed_per_tooth, np.zeros(len(cuts))
+    rows = [
+        [f * sc, s_1, -f * c_2, -c_1, zero, zero],
+        [-cuts.tool.sense * term for term in (f * c_2, c_1, f * sc, s_1, zero, zero)],
+        [zero, zero, zero, zero, f * c_1, one],
+    ]
+    share = cuts.tool.teeth * cuts.depth / (2 * np.pi)
+    return share[:, None, None] * np.moveaxis(np.array(rows), -1, 0)
+
+
+def fit_linear_edge(cuts: Cuts) -> Coefficients:
+    """The linear-edge law; raises OneFeedError. The axial pair only where fz was measured in two cuts at least."""
+    design = _design(cuts)
+    values, widths, covariance = np.full(6, np.nan), np.full(6, np.nan), np.full((6, 6), np.nan)
+    for axes, columns in (((0, 1), slice(0, 4)), ((2,), slice(4, 6))):
+        used = np.isfinite(cuts.force[:, axes])
+        if axes == (2,) and used.sum() < 2:
+            continue
+        weight = np.broadcast_to(cuts.sigma[:, None], used.shape)[used]
+        a = design[:, axes, columns][used] / weight[:, None]
+        found, covered, factor = _least_squares(a, cuts.force[:, axes][used] / weight, cuts)
+        values[columns], covariance[columns, columns] = found, covered
+        widths[columns] = factor * np.sqrt(np.diag(covered))
+    residuals = cuts.force - mean_forces(cuts, values)
+    return Coefficients(cuts, values, widths, covariance, residuals)
+
+
+def _least_squares(a: np.ndarray, b: np.ndarray, cuts: Cuts):
+    """Solution, covariance, and the standard deviations in half a 95 % interval."""
+    lengths = np.linalg.norm(a, axis=0)
+    singular = np.linalg.svd(a / lengths, compute_uv=False)
+    freedom = len(b) - a.shape[1]
+    if freedom < 0 or singular[-1] < WORST * singular[0]:
+        raise OneFeedError(len(np.unique(np.round(cuts.feed_per_tooth, 9))), len(cuts))
+    found = np.linalg.lstsq(a / lengths, b, rcond=None)[0] / lengths
+    inverse = np.linalg.inv((a / lengths).T @ (a / lengths)) / np.outer(lengths, lengths)
+    chi2 = float(np.sum((b - a @ found) ** 2))
+    if cuts.sigma_known:
+        contradicted = freedom > 0 and chi2 > stats.chi2.ppf(0.99, freedom)
+        return found, inverse * (chi2 / freedom if contradicted else 1.0), float(stats.norm.ppf(0.975))
+    if freedom == 0:
+        return found, np.full_like(inverse, np.inf), 1.0
+    return found, inverse * chi2 / freedom, float(stats.t.ppf(0.975, freedom))

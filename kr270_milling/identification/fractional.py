@@ -1,0 +1,80 @@
+"""The fractional law (26)-(28) fitted to mean forces: its chip thickness is bent, so the means are integrated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+from scipy.optimize import least_squares
+
+from kr270_milling.base.record import specs
+from kr270_milling.cutting.laws import FractionalLaw, fractional
+from kr270_milling.identification.cuts import Cuts
+from kr270_milling.identification.forces import OneFeedError
+
+__all__ = ["FractionalFit", "fit_fractional", "fractional_mean_forces"]
+
+POINTS = np.polynomial.legendre.leggauss(48)
+LOWEST = np.array([1e3, 1e-7, 0.0, 0.0])
+HIGHEST = np.array([1e9, 1e-2, 1.0, 10.0])
+
+
+@dataclass(frozen=True, eq=False)
+class FractionalFit:
+    """k_0, h_s, r, k_r [N/m for 1 mm of depth, m] with their 95 % half widths; infinite: the data cannot tell."""
+
+    cuts: Cuts
+    values: np.ndarray  #: (4,)
+    half_widths: np.ndarray  #: (4,)
+    residuals: np.ndarray  #: measured less modelled [N], (n, 3); the law has no axial force
+
+    @property
+    def residual_rms(self) -> float:
+        """[N], of F_x and F_y."""
+        return float(np.sqrt(np.nanmean(self.residuals[:, :2] ** 2)))
+
+    def as_dict(self) -> dict:
+        """In units of the parameter file."""
+        keys = [(spec.key, spec.scale) for spec in specs(FractionalLaw)]
+        values = {key: float(v / scale) for (key, scale), v in zip(keys, self.values, strict=True)}
+        return {**values, "ci95": {key: float(w / s) for (key, s), w in zip(keys, self.half_widths, strict=True)}}
+
+
+def fractional_mean_forces(cuts: Cuts, values) -> np.ndarray:
+    """Mean F_x, F_y on the tool [N], (n, 2): the integrals of (26)-(29) over the engagement by Gauss' rule."""
+    k_0, h_s, r, k_r = values
+    half = (cuts.exit - cuts.entry)[:, None] / 2
+    phi = cuts.entry[:, None] + half * (1 + POINTS[0])
+    sine, cosine = np.sin(phi), np.cos(phi)
+    tangential = fractional(cuts.feed_per_tooth[:, None] * cosine, k_0, h_s, r)
+    weight = half * POINTS[1] * (cuts.tool.teeth * cuts.depth / (2 * np.pi))[:, None]
+    f_x = np.sum(weight * tangential * (sine - k_r * cosine), axis=1)
+    f_y = -cuts.tool.sense * np.sum(weight * tangential * (cosine + k_r * sine), axis=1)
+    return np.stack([f_x, f_y], -1)
+
+
+def fit_fractional(cuts: Cuts, start: FractionalLaw | None = None) -> FractionalFit:
+    """Non-linear least squares from the coefficients of ``start``. Raises OneFeedError for fewer than 3 feeds."""
+    feeds = len(np.unique(np.round(cuts.feed_per_tooth, 9)))
+    if feeds < 3 or 2 * len(cuts) <= 4:
+        raise OneFeedError(feeds, len(cuts))
+    law = start or FractionalLaw()
+    scale = np.array([law.stiffness, law.specific_chip_thickness, max(law.ratio, 0.1), max(law.radial_ratio, 0.1)])
+    first = np.array([law.stiffness, law.specific_chip_thickness, law.ratio, law.radial_ratio]) / scale
+
+    def left(x):
+        return ((fractional_mean_forces(cuts, x * scale) - cuts.force[:, :2]) / cuts.sigma[:, None]).ravel()
+
+    first = np.clip(first, LOWEST / scale + 1e-9, HIGHEST / scale - 1e-9)
+    solved = least_squares(left, first, bounds=(LOWEST / scale, HIGHEST / scale), x_scale="jac", xtol=1e-12, ftol=1e-12)
+    freedom = 2 * len(cuts) - 4
+    variance = 1.0 if cuts.sigma_known else 2 * solved.cost / freedom
+    quantile = stats.norm.ppf(0.975) if cuts.sigma_known else stats.t.ppf(0.975, freedom)
+    _, singular, turned = np.linalg.svd(solved.jac, full_matrices=False)
+    with np.errstate(divide="ignore"):
+        inverse = (turned.T / np.where(singular > 1e-9 * singular[0], singular, 0.0) ** 2) @ turned
+    widths = quantile * np.sqrt(variance * np.diag(inverse)) * scale
+    values = solved.x * scale
+    modelled = np.column_stack([fractional_mean_forces(cuts, values), np.zeros(len(cuts))])
+    return FractionalFit(cuts, values, np.nan_to_num(widths, nan=np.inf), cuts.force - modelled)
