@@ -26,10 +26,13 @@ setup(
         "matplotlib>=3.6",
         "Jinja2>=3.1",
         "rich>=13.0",
+        "plotly>=5.24",
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"],
+        "uff": ["pyuff>=2.4"],
         "test": [
+            "pyuff>=2.4",
             "pytest>=7.4",
             "hypothesis>=6.80",
             "pin>=2.7",

@@ -35,7 +35,6 @@ COMMANDS = {
         "find compliances, force coefficients and modes from measurements of the own cell",
         "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml",
     ),
-    "compare": ("set a recording beside the simulated pass of its cell", "compare out/pass1 config/paper.yaml"),
     "info": ("show what a recording holds", "info out/pass1"),
     "replay": (
         "play a recording back onto topics, recompute it bit for bit, or compensate from it",

@@ -23,7 +23,7 @@ WHAT = {
 
 
 def add_arguments(parser) -> None:
-    sub = parser.add_subparsers(dest="what", metavar="WHAT", required=True)
+    sub = parser.add_subparsers(dest="what", metavar="WHAT", required=True, help="each has --help and --json")
     for name, (text, example) in WHAT.items():
         described = text[0].upper() + text[1:] + "."
         command = sub.add_parser(

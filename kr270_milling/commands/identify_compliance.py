@@ -81,12 +81,13 @@ def _pose(args, mount):
 
 
 def _identify(args, arm, mount, pose) -> None:
+    from kr270_milling.base.record import find_file
     from kr270_milling.identification.compliance import fit
     from kr270_milling.identification.measurements import read_measurements
     from kr270_milling.identification.problem import Problem
     from kr270_milling.identification.result import as_dict, sentences
 
-    measured = read_measurements(args.measurements, arm, mount)
+    measured = read_measurements(find_file(args.measurements), arm, mount)
     sought = tuple(name.strip() for name in args.compensator.split(",") if name.strip())
     found = fit(Problem(arm, mount, measured, not args.no_gravity, sought), args.robust)
     result, said = as_dict(found, pose), sentences(found, pose)

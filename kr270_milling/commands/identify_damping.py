@@ -1,2 +1,79 @@
-def add_arguments(p):
-    p.add_argument("cuts")
+"""``kr270_milling identify damping``: frequency and damping of the modes from a ring-down or an impact."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kr270_milling.commands.console import add_common, print_json, print_table
+
+
+def add_arguments(parser) -> None:
+    parser.add_argument(
+        "recording", metavar="RECORDING", help="recording, UFF file, or CSV with time_s, any of x y z rx ry rz, force_n"
+    )
+    parser.add_argument("--topic", default="deflection", help="of a recording (default: deflection)")
+    parser.add_argument("--from", dest="start", type=float, metavar="S", help="seconds after the first sample")
+    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="seconds after the first sample")
+    parser.add_argument("--band", type=_band, default=(2.0, 100.0), metavar="LOW:HIGH", help="[Hz] (default: 2:100)")
+    parser.add_argument("--modes", type=int, default=6, metavar="N", help="at most (default: 6)")
+    parser.add_argument("--out", metavar="DIR", help="write YAML to include and report")
+    add_common(parser)
+
+
+def _band(text: str) -> tuple[float, float]:
+    low, _, high = text.partition(":")
+    if not 0.0 < float(low) < float(high):
+        raise ValueError(text)
+    return float(low), float(high)
+
+
+def run(args) -> None:
+    from kr270_milling.identification.mode_result import as_dict
+    from kr270_milling.identification.modes import find_modes
+    from kr270_milling.identification.signals import read_signals
+
+    signals = read_signals(args.recording, args.topic).window(args.start, args.stop)
+    modes = find_modes(signals, *args.band, max(1, args.modes))
+    result = as_dict(modes, signals)
+    if args.out:
+        result["files"] = [str(path) for path in _write(args, modes, signals, result)]
+    if args.json:
+        print_json(result)
+        return
+    columns, rows = _rows(result)
+    print_table(f"Modes between {args.band[0]:g} and {args.band[1]:g} Hz", columns, rows)
+    print(f"{result['duration_s']:.3g} s at {result['samples_per_s']:.4g} samples a second")
+    if not all(mode["confirmed"] for mode in result["modes"]):
+        print("the decrement does not confirm each damping ratio: modes are near each other, or ring too briefly")
+    for name in result.get("files", []):
+        print(name)
+
+
+def _rows(result: dict) -> tuple[list[str], list[list[str]]]:
+    rows = []
+    for i, mode in enumerate(result["modes"], 1):
+        decrement = mode["damping_ratio_log_decrement"]
+        shape = " ".join(f"{v:.2f}" for v in mode["shape"])
+        numbers = [f"{mode['frequency_hz']:.3f}", f"{100 * mode['damping_ratio']:.2f}", f"{100 * decrement:.2f}"]
+        rows.append([str(i), *numbers, f"{100 * mode['share_of_energy']:.0f}", shape])
+    return ["mode", "[Hz]", "damping [%]", "by decrement", "energy [%]", "shape x y z rx ry rz"], rows
+
+
+def _write(args, modes, signals, result: dict) -> list[Path]:
+    from kr270_milling import __version__
+    from kr270_milling.base.files import staged
+    from kr270_milling.identification.figures import write_page
+    from kr270_milling.identification.include import write_include
+    from kr270_milling.identification.mode_result import figures, include_sections
+
+    title = f"Modes from {Path(args.recording).name}"
+    notes = [
+        f"{title}, identified by kr270_milling {__version__}",
+        "name this file in `includes`, or copy what you need",
+    ]
+    with staged(args.out) as (draft, final):
+        files = [
+            write_include(draft / "modes.yaml", include_sections(modes, signals), notes),
+            write_page(draft / "modes.html", title, [], [("Modes", *_rows(result))], figures(signals)),
+        ]
+        return [final(path) for path in files]

@@ -36,13 +36,14 @@ def _stretch(text: str) -> tuple[float, float]:
 
 
 def run(args) -> None:
+    from kr270_milling.base.record import find_file
     from kr270_milling.identification.cuts import read_cuts
     from kr270_milling.identification.force_result import as_dict, sentences
     from kr270_milling.identification.forces import OneFeedError, fit_linear_edge
     from kr270_milling.identification.fractional import fit_fractional
 
     tool, down = _tool(args)
-    cuts = read_cuts(args.cuts, tool, _sensor(args, down))
+    cuts = read_cuts(find_file(args.cuts), tool, _sensor(args, down))
     found = fit_linear_edge(cuts)
     try:
         bent = fit_fractional(cuts)

@@ -1,0 +1,68 @@
+"""What ``identify damping`` says: numbers for JSON, a parameter file to include, pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kr270_milling.identification.figures import points
+from kr270_milling.identification.modes import Mode
+from kr270_milling.identification.signals import AXES, Signals
+
+__all__ = ["as_dict", "figures", "include_sections", "six"]
+
+TOGETHER = 0.2  #: relative difference of both damping ratios up to which they confirm each other
+
+
+def six(mode: Mode, names: tuple[str, ...]) -> np.ndarray:
+    """The shape along x, y, z, rx, ry, rz, (6,); 0 where nothing was measured."""
+    shape = np.zeros(6)
+    for name, value in zip(names, mode.shape, strict=True):
+        if name in AXES:
+            shape[AXES.index(name)] = value
+    return shape
+
+
+def as_dict(modes: list[Mode], signals: Signals) -> dict:
+    """For JSON."""
+    rows = [
+        {
+            "frequency_hz": mode.frequency,
+            "damping_ratio": mode.damping_ratio,
+            "damping_ratio_log_decrement": mode.decrement,
+            "confirmed": bool(abs(mode.decrement / mode.damping_ratio - 1.0) < TOGETHER),
+            "shape": six(mode, signals.names).tolist(),
+            "share_of_energy": mode.share,
+        }
+        for mode in modes
+    ]
+    duration = len(signals.values) * signals.step
+    return {"modes": rows, "duration_s": duration, "samples_per_s": 1 / signals.step, "channels": list(signals.names)}
+
+
+def include_sections(modes: list[Mode], signals: Signals) -> dict:
+    """``dynamics.modes`` of a parameter file."""
+    rows = [
+        {
+            "frequency_hz": mode.frequency,
+            "damping_ratio": (mode.damping_ratio, f"logarithmic decrement {mode.decrement:.3g}"),
+            "shape": six(mode, signals.names).tolist(),
+        }
+        for mode in modes
+    ]
+    return {"dynamics": {"modes": rows}}
+
+
+def figures(signals: Signals) -> list:
+    """The signal and its spectrum."""
+    time = signals.step * np.arange(len(signals.values))
+    data = signals.values - signals.values.mean(0)
+    frequency = np.fft.rfftfreq(len(data), signals.step)
+    spectrum = np.abs(np.fft.rfft(data, axis=0)) * 2 / len(data)
+    thin = slice(None, None, max(1, len(time) // 4000))
+    shown = frequency < min(200.0, frequency[-1])
+    by_channel = {name: (time[thin], data[thin, i]) for i, name in enumerate(signals.names)}
+    spectra = {name: (frequency[shown], spectrum[shown, i]) for i, name in enumerate(signals.names)}
+    return [
+        points("Signal", "time [s]", "as recorded", by_channel, lines=True),
+        points("Spectrum", "frequency [Hz]", "as recorded", spectra, lines=True),
+    ]

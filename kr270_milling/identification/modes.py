@@ -1,0 +1,138 @@
+"""Modes from a ring-down or an impact: a rational fit of all channels, and the logarithmic decrement as its check.
+
+A free vibration is a sum of poles, y(t) = sum_k R_k exp(s_k t); its transform is the rational function
+sum_k R_k / (s - s_k). The matrix pencil method [Hua1990] finds the poles from the shift of the Hankel matrix of the
+samples, reduced to its n strongest singular values: f = |s| / 2 pi, zeta = -Re(s) / |s|. The residues R_k follow by
+linear least squares; their ratios between channels are the mode's shape. Of an impact, the response is first divided by
+the hammer's force in the frequency domain and turned back to an impulse response.
+
+Logarithmic decrement: ln of the envelope of the band around the mode falls by zeta omega each second, where
+the envelope is that of the analytic signal (Hilbert).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.identification.signals import Signals
+
+__all__ = ["Mode", "NoModeError", "find_modes", "impulse_response", "log_decrement"]
+
+MOST_SAMPLES = 1200  #: of the pencil; longer ones are thinned after a low-pass
+SHARE = 1e-3  #: of the strongest singular value: below is noise
+MOST_DAMPED = 0.5
+FAINT = 0.02  #: share of the strongest mode's energy below which a pole is none of the machine
+
+
+class NoModeError(MillingError):
+    """Nothing rings."""
+
+    def __init__(self, low: float, high: float):
+        self.low, self.high = low, high
+        super().__init__(f"nothing rings between {low:g} and {high:g} Hz with a damping ratio below {MOST_DAMPED}")
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """One mode of a linear machine."""
+
+    frequency: float  #: undamped [Hz]
+    damping_ratio: float
+    shape: np.ndarray  #: of the channels, (channels,), the largest is 1
+    amplitude: float  #: of its largest channel at the start, in the signal's unit
+    decrement: float  #: damping ratio by the logarithmic decrement; NaN where another mode is too near
+    share: float  #: of the energy of all modes
+
+
+def find_modes(signals: Signals, low: float, high: float, most: int = 6) -> list[Mode]:
+    """The modes between two frequencies [Hz], the lowest first. Raises NoModeError."""
+    data = signals.values - signals.values[-max(1, len(signals.values) // 10) :].mean(0)
+    if signals.force is not None:
+        data = impulse_response(signals)
+    data, step = _thinned(data, signals.step, high)
+    poles = _poles(data, step, 2 * most + 2)
+    shown = (np.abs(poles) > 2 * np.pi * low) & (np.abs(poles) < 2 * np.pi * high) & (poles.imag > 0)
+    damping = -poles.real / np.abs(poles)
+    shown &= (damping > 0.0) & (damping < MOST_DAMPED)
+    residues = _residues(data, step, poles)
+    energy = np.sum(np.abs(residues) ** 2, 1) / np.maximum(2 * np.abs(poles.real), 1e-12)
+    shown &= energy > FAINT * energy[shown].max(initial=0.0)
+    if not shown.any():
+        raise NoModeError(low, high)
+    order = np.flatnonzero(shown)[np.argsort(np.abs(poles[shown]))][:most]
+    total = energy[order].sum()
+    return [_mode(poles, residues, energy, k, order, total, data, step) for k in order]
+
+
+def _mode(poles, residues, energy, k, order, total, data, step) -> Mode:
+    largest = int(np.argmax(np.abs(residues[k])))
+    shape = np.real(residues[k] / residues[k, largest])
+    frequency, damping = float(np.abs(poles[k]) / (2 * np.pi)), float(-poles[k].real / np.abs(poles[k]))
+    others = [abs(np.abs(poles[i]) / (2 * np.pi) - frequency) for i in order if i != k]
+    room = min(others, default=frequency)
+    decrement = log_decrement(data[:, largest], step, frequency, min(0.5 * frequency, 0.45 * room), damping)
+    return Mode(frequency, damping, shape, float(2 * np.abs(residues[k, largest])), decrement, float(energy[k] / total))
+
+
+def impulse_response(signals: Signals) -> np.ndarray:
+    """Response over force in the frequency domain (H_1), back in time: (n, channels).
+
+    What the hammer excites by less than a thousandth of its largest does not count.
+    """
+    n = 2 * len(signals.values)
+    force = np.fft.rfft(signals.force - np.median(signals.force), n)[:, None]
+    response = np.fft.rfft(signals.values - np.median(signals.values, axis=0), n, axis=0)
+    power = np.abs(force) ** 2
+    ratio = response * np.conj(force) / (power + 1e-6 * power.max())
+    return np.fft.irfft(ratio, n, axis=0)[: len(signals.values)]
+
+
+def _thinned(data: np.ndarray, step: float, high: float) -> tuple[np.ndarray, float]:
+    """Fewer samples of what lies below ``high``; a sound mode needs some five samples a period."""
+    factor = int(max(1, min(np.floor(1 / (5 * high * step)), len(data) // 64)))
+    while factor > 1:
+        part = min(factor, 10)
+        data = signal.decimate(data, part, axis=0, ftype="fir")
+        step, factor = step * part, factor // part
+    return data[:MOST_SAMPLES], step
+
+
+def _poles(data: np.ndarray, step: float, order: int) -> np.ndarray:
+    """Of all channels together, (k,) [1/s]."""
+    n = len(data)
+    pencil = n // 3
+    hankel = np.concatenate([np.lib.stride_tricks.sliding_window_view(c, n - pencil) for c in data.T], 1)
+    _, strength, right = np.linalg.svd(hankel.T, full_matrices=False)
+    count = int(min(order, np.count_nonzero(strength > SHARE * strength[0])))
+    basis = right[:count].T
+    shift = np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0]
+    with np.errstate(divide="ignore"):
+        return np.log(np.linalg.eigvals(shift).astype(complex)) / step
+
+
+def _residues(data: np.ndarray, step: float, poles: np.ndarray) -> np.ndarray:
+    """R_k of each channel, (k, channels); poles that grow count from the end, so that no number overflows."""
+    time = step * np.arange(len(data))[:, None]
+    late = np.where(poles.real > 0.0, time[-1], 0.0)
+    return np.linalg.lstsq(np.exp(poles * (time - late)), data.astype(complex), rcond=None)[0]
+
+
+def log_decrement(channel: np.ndarray, step: float, frequency: float, band: float, guess: float) -> float:
+    """Damping ratio from the envelope of a band around the mode, over two time constants or what there is."""
+    edges = np.array([frequency - band, frequency + band]) * 2 * step
+    if not (0.0 < edges[0] < edges[1] < 1.0) or band < 3 * guess * frequency:
+        return float("nan")
+    padded = np.concatenate([np.zeros(len(channel)), channel, np.zeros(len(channel))])
+    filtered = signal.sosfiltfilt(signal.butter(2, edges, "bandpass", output="sos"), padded)
+    envelope = np.abs(signal.hilbert(filtered))[len(channel) : 2 * len(channel)]
+    first = int(np.ceil(0.5 / band / step))
+    last = int(min(len(channel) - first, first + 2.0 / max(guess * 2 * np.pi * frequency, 1e-9) / step))
+    if last - first < 8:
+        return float("nan")
+    time = step * np.arange(first, last)
+    slope = np.polyfit(time, np.log(np.maximum(envelope[first:last], 1e-300)), 1)[0]
+    return float(-slope / (2 * np.pi * frequency))

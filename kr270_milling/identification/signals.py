@@ -1,0 +1,109 @@
+"""Vibrations to find modes in: channels over time from a CSV table, a recording or a UFF file, on an even time grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.table import read_table
+from kr270_milling.identification.sensor import full_topic
+from kr270_milling.messages.series import FIXED, series
+
+__all__ = ["AXES", "Signals", "read_signals"]
+
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+FORCE = "force_n"
+COLUMNS = ("time_s", *AXES, FORCE)
+UFF = (".uff", ".unv", ".58")
+FEWEST = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """Displacements (or speeds, or accelerations: modes are the same) at one point, evenly sampled."""
+
+    step: float  #: [s]
+    values: np.ndarray  #: (n, channels)
+    names: tuple[str, ...]  #: of the channels, of AXES where they are known
+    force: np.ndarray | None = None  #: of the hammer [N], (n,)
+
+    def window(self, start: float | None, stop: float | None) -> Signals:
+        """The seconds between two, after the first sample."""
+        first = 0 if start is None else max(0, round(start / self.step))
+        last = len(self.values) if stop is None else min(len(self.values), round(stop / self.step))
+        if last - first < FEWEST:
+            raise InputError("window", f"holds {max(0, last - first)} samples, but modes need at least {FEWEST}")
+        force = None if self.force is None else self.force[first:last]
+        return Signals(self.step, self.values[first:last], self.names, force)
+
+
+def read_signals(path, topic: str = "deflection") -> Signals:
+    """A CSV table with time_s, any of x to rz and force_n; a recording; or a UFF file. Raises InputError."""
+    suffix = Path(path).suffix.lower()
+    if suffix == ".csv":
+        return _from_table(path)
+    return _from_uff(path) if suffix in UFF else _from_recording(path, topic)
+
+
+def _even(source, time: np.ndarray, table: np.ndarray) -> tuple[float, np.ndarray]:
+    """The step and the table on an even grid of it; gaps are bridged by straight lines."""
+    order = np.argsort(time, kind="stable")
+    time, table = time[order], table[order]
+    steps = np.diff(time)
+    if len(time) < FEWEST or not steps.any():
+        raise InputError(source, f"holds {len(time)} samples, but modes need at least {FEWEST}")
+    step = float(np.median(steps[steps > 0.0]))
+    if steps.max() > 10 * step:
+        raise InputError(source, f"has a gap of {steps.max():.3g} s where samples come every {step:.3g} s")
+    grid = time[0] + step * np.arange(int(np.floor((time[-1] - time[0]) / step + 1e-6)) + 1)
+    return step, np.stack([np.interp(grid, time, column) for column in table.T], -1)
+
+
+def _from_table(path) -> Signals:
+    table = read_table(path, COLUMNS, ("time_s",))
+    names = tuple(name for name in AXES if name in table)
+    if not names:
+        raise InputError(path, f"has none of the columns {', '.join(AXES)}", 1)
+    every = (*names, FORCE) if FORCE in table else names
+    step, values = _even(path, table.number("time_s"), table.numbers(every))
+    force = values[:, -1] if FORCE in table else None
+    return Signals(step, values[:, : len(names)], names, force)
+
+
+def _from_recording(path, name: str) -> Signals:
+    with Recording(path) as recording:
+        topic = full_topic(recording, name)
+        kind = recording.topics()[topic].type
+        if kind not in FIXED:
+            raise RecordingError(recording.path, f"{topic} is of type {kind}, not one of {', '.join(sorted(FIXED))}")
+        read = series(recording, topic)
+    columns = read.values[:, :6] if read.values.shape[1] == 6 else read.values[:, :3]
+    step, values = _even(path, read.stamp * 1e-9, columns)
+    return Signals(step, values, AXES[: columns.shape[1]])
+
+
+def _from_uff(path) -> Signals:
+    """Time histories (function type 1) of data set 58."""
+    try:
+        import pyuff
+    except ModuleNotFoundError:
+        raise InputError(path, "is read by pyuff, which is not installed (pip install pyuff)") from None
+    try:
+        sets = [s for s in np.atleast_1d(pyuff.UFF(str(path)).read_sets()) if s.get("type") == 58]
+    except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
+        raise InputError(path, f"is no UFF file that pyuff reads ({error})") from None
+    histories = [s for s in sets if s.get("func_type") == 1]
+    if not histories:
+        raise InputError(path, "holds no time history (data set 58, function type 1)")
+    length = min(len(s["data"]) for s in histories)
+    names = tuple(AXES[abs(int(s["rsp_dir"])) - 1] if 1 <= abs(int(s["rsp_dir"])) <= 6 else f"channel {i}"
+                  for i, s in enumerate(histories))  # fmt: skip
+    signs = [-1.0 if int(s["rsp_dir"]) < 0 else 1.0 for s in histories]
+    table = np.stack([sign * np.real(s["data"][:length]) for sign, s in zip(signs, histories, strict=True)], -1)
+    step, values = _even(path, np.asarray(histories[0]["x"], float)[:length], table)
+    return Signals(step, values, names)

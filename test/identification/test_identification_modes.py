@@ -1,0 +1,90 @@
+"""Modes from ring-downs and impacts of machines that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.identification.modes import NoModeError, find_modes
+from kr270_milling.identification.signals import Signals, read_signals
+
+#: a milling robot as measured: 7.07 Hz (3.7 %), 10.3 Hz (2.2 %), 16.0 Hz (2.3 %) [shared facts of the project]
+MEASURED = [(7.07, 0.037, [1.0, 0.2, 0.0]), (10.3, 0.022, [0.3, 1.0, 0.1]), (16.0, 0.023, [0.0, 0.4, 1.0])]
+
+
+def ring_down(modes=MEASURED, noise=0.0, n=4000, step=5e-4) -> Signals:
+    """Closed form: sum of exp(-zeta omega t) cos(omega_d t + phase)."""
+    t = np.arange(n) * step
+    y = np.zeros((n, 3))
+    for f, zeta, shape in modes:
+        omega = 2 * np.pi * f
+        y += np.outer(np.exp(-zeta * omega * t) * np.cos(omega * np.sqrt(1 - zeta**2) * t + 0.3), shape)
+    return Signals(step, y + noise * np.random.default_rng(2).normal(size=y.shape), ("x", "y", "z"))
+
+
+@pytest.mark.parametrize(("noise", "rel"), [(0.0, 5e-4), (0.01, 5e-3), (0.05, 0.03)])
+def test_a_ring_down_gives_frequencies_damping_and_shapes(noise, rel):
+    found = find_modes(ring_down(noise=noise), 2.0, 50.0)
+    assert [m.frequency for m in found] == pytest.approx([f for f, _, _ in MEASURED], rel=rel / 10 + 1e-5)
+    assert [m.damping_ratio for m in found] == pytest.approx([z for _, z, _ in MEASURED], rel=rel)
+    for mode, (_, _, shape) in zip(found, MEASURED, strict=True):
+        assert mode.shape == pytest.approx(shape, abs=rel + 1e-3)
+
+
+def test_the_decrement_confirms_the_rational_fit():
+    for mode in find_modes(ring_down(noise=0.01), 2.0, 50.0):
+        assert mode.decrement == pytest.approx(mode.damping_ratio, rel=0.1)
+
+
+def test_an_impact_is_divided_by_the_hammer():
+    n, step = 8000, 2.5e-4
+    t = np.arange(n) * step
+    hammer = np.where((t > 0.05) & (t < 0.054), 1000 * np.sin(np.pi * (t - 0.05) / 0.004), 0.0)
+    response = np.zeros((n, 2))
+    for f, zeta, shape in ((9.8, 0.05, [1.0, 0.3]), (11.9, 0.05, [-0.4, 1.0])):
+        omega = 2 * np.pi * f
+        impulse = np.exp(-zeta * omega * t) * np.sin(omega * np.sqrt(1 - zeta**2) * t)
+        response += np.outer(np.convolve(hammer, impulse)[:n] * step, shape)
+    response += 0.005 * np.abs(response).max() * np.random.default_rng(1).normal(size=response.shape)
+    first, second = find_modes(Signals(step, response, ("x", "y"), hammer), 2.0, 60.0)
+    assert (first.frequency, second.frequency) == (pytest.approx(9.8, rel=1e-3), pytest.approx(11.9, rel=1e-3))
+    assert (first.damping_ratio, second.damping_ratio) == (pytest.approx(0.05, rel=0.01),) * 2
+    assert first.shape == pytest.approx([1.0, 0.3], abs=5e-3) and second.shape == pytest.approx([-0.4, 1.0], abs=5e-3)
+
+
+def test_noise_and_a_creep_do_not_ring():
+    creep = Signals(1e-3, np.linspace(1.0, 0.0, 500)[:, None] ** 2, ("x",))
+    with pytest.raises(NoModeError, match="nothing rings"):
+        find_modes(creep, 5.0, 50.0)
+
+
+def test_tables_are_read_and_refused_with_a_sentence(tmp_path):
+    file = tmp_path / "ring.csv"
+    ring = ring_down(n=400, step=5e-3)
+    rows = [f"{i * ring.step},{x},{y},{z}" for i, (x, y, z) in enumerate(ring.values.tolist())]
+    file.write_text("time_s,x,y,z\n" + "\n".join(rows) + "\n")
+    assert read_signals(file).values == pytest.approx(ring.values, abs=1e-12)
+    with pytest.raises(InputError, match="holds 5 samples"):
+        read_signals(file).window(0.0, 0.025)
+    file.write_text("time_s,x\n" + "\n".join(f"{t},0" for t in [*range(20), 500]) + "\n")
+    with pytest.raises(InputError, match="has a gap"):
+        read_signals(file)
+    file.write_text("time_s,force_n\n0,1\n")
+    with pytest.raises(InputError, match="none of the columns"):
+        read_signals(file)
+
+
+def test_a_uff_file_is_read(tmp_path):
+    pyuff = pytest.importorskip("pyuff")
+    file, ring = tmp_path / "ring.uff", ring_down(n=400, step=5e-3)
+    writer = pyuff.UFF(str(file))
+    for i in range(3):
+        data = {
+            "type": 58, "func_type": 1, "rsp_node": 1, "rsp_dir": i + 1, "ref_node": 1, "ref_dir": 1,
+            "data": ring.values[:, i], "x": np.arange(400) * ring.step, "abscissa_spacing": 1,
+            "orddenom_spec_data_type": 0,
+        }  # fmt: skip
+        writer.write_sets(data, "add")
+    read = read_signals(file)
+    assert read.names == ("x", "y", "z") and read.values == pytest.approx(ring.values, abs=1e-9)
