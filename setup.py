@@ -9,7 +9,7 @@ setup(
     name=package,
     version="0.1.0",
     packages=find_packages(include=[package, package + ".*"]),
-    package_data={package: ["report/*.html"]},
+    package_data={package: ["py.typed", "report/*.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + package]),
         ("share/" + package, ["package.xml"]),

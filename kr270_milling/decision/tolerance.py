@@ -8,9 +8,9 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.decision.part.assessment import PartAssessment
+from kr270_milling.decision.part.assessment import PartAssessment, assess
 
-__all__ = ["Judgement", "judge_part", "judge_straight_cut"]
+__all__ = ["Judgement", "judge", "judge_part", "judge_straight_cut"]
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,11 @@ class Judgement:
         where = f" at {self.feature}" if self.feature and not self.passes else ""
         word = "passes" if self.passes else "fails"
         return f"{word} ({1e6 * self.error:.0f} um against {1e6 * self.tolerance:.0f}{where})"
+
+
+def judge(cell: Cell, ran: ScoredPass) -> Judgement:
+    """The pass of a tool path by what it leaves of the part, that of a straight cut by its deviation."""
+    return judge_part(cell, assess(cell, ran)) if cell.path.file else judge_straight_cut(cell, ran)
 
 
 def judge_part(cell: Cell, part: PartAssessment) -> Judgement:

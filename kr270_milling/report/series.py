@@ -18,18 +18,18 @@ from kr270_milling.trajectory.files import write_files
 from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.trajectory.trajectory_csv import write_csv
 
-__all__ = ["deviation_of", "file_names", "inside", "write_series"]
+__all__ = ["deviation_of", "file_names", "inside", "series_lines", "series_rows", "write_series"]
 
-#: column -> unit is in its name; times have nine decimals, all other numbers come back to the last bit
+#: the unit is in the name: s, mm, deg, N; times have nine decimals
 COLUMNS = (
     "time_s",
-    *(f"{kind}_{axis}_m" for kind in ("target", "reference", "tool", "actual") for axis in "xyz"),
-    *(f"deflection_{axis}_m" for axis in "xyz"),
-    *(f"deflection_r{axis}_rad" for axis in "xyz"),
+    *(f"{kind}_{axis}_mm" for kind in ("target", "reference", "tool", "actual") for axis in "xyz"),
+    *(f"deflection_{axis}_mm" for axis in "xyz"),
+    *(f"deflection_r{axis}_deg" for axis in "xyz"),
     *(f"force_{axis}_n" for axis in "xyz"),
     *(f"moment_{axis}_n_m" for axis in "xyz"),
-    "path_deviation_m",
-    "correction_m",
+    "path_deviation_mm",
+    "correction_mm",
 )
 
 
@@ -72,25 +72,31 @@ def write_series(directory, cell: Cell, passes: Sequence[ScoredPass]) -> list[Pa
     series, references = [], []
     for stem, one in zip(file_names([p.name for p in passes]), passes, strict=True):
         series.append(place / f"{stem}.csv")
-        write_files({series[-1]: _lines(one.result, target)})
+        write_files({series[-1]: series_lines(one.result, target)})
         references.append(place / f"{stem}_reference.csv")
         write_csv(references[-1], one.reference, cell.joints(one.reference))
     return series + references
 
 
-def _lines(result: PassResult, target: Trajectory) -> Iterator[str]:
-    columns = np.column_stack(
+def series_rows(result: PassResult, target: Trajectory) -> np.ndarray:
+    """The columns behind the time, (n, 28)."""
+    return np.column_stack(
         [
-            result.target,
-            result.reference,
-            result.tool,
-            result.actual,
-            result.deflection,
+            1e3 * result.target,
+            1e3 * result.reference,
+            1e3 * result.tool,
+            1e3 * result.actual,
+            1e3 * result.deflection[:, :3],
+            np.degrees(result.deflection[:, 3:]),
             result.wrench,
-            deviation_of(result, target),
-            result.correction,
+            1e3 * deviation_of(result, target),
+            1e3 * result.correction,
         ]
     )
+
+
+def series_lines(result: PassResult, target: Trajectory) -> Iterator[str]:
+    """The lines of the CSV file of a pass."""
     yield ",".join(COLUMNS) + "\n"
-    for stamp, row in zip(result.time_ns.tolist(), columns.tolist(), strict=True):
+    for stamp, row in zip(result.time_ns.tolist(), series_rows(result, target).tolist(), strict=True):
         yield f"{seconds(stamp)},{','.join(map(repr, row))}\n"

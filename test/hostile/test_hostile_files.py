@@ -114,7 +114,7 @@ def test_a_cell_with_a_name_that_is_no_text_is_run(tmp_path):
 
 def test_a_reference_that_is_none_for_this_path_is_refused(tmp_path):
     """Huge, backward and unfinished tables."""
-    head = "time_s,x_m,y_m,z_m,qx,qy,qz,qw\n"
+    head = "time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n"
     rows = {
         "huge": "0,0,0,0,1,0,0,0\n1,1e30,0,0,1,0,0,0\n",
         "far": "0,0,0,0,1,0,0,0\n0.05,50,0,0,1,0,0,0\n0.06,0,0,0,1,0,0,0\n",

@@ -34,7 +34,11 @@ def test_the_file_has_one_header_that_a_csv_reader_understands(tmp_path):
     write_csv(tmp_path / "t.csv", RUN, np.zeros((7, 6)))
     with open(tmp_path / "t.csv", newline="") as stream:
         rows = list(csv.DictReader(stream))
-    assert len(rows) == 7 and float(rows[2]["time_s"]) == 0.054 and float(rows[2]["x_m"]) == RUN.position[2, 0]
+    assert (
+        len(rows) == 7
+        and float(rows[2]["time_s"]) == 0.054
+        and float(rows[2]["x_mm"]) == pytest.approx(1e3 * RUN.position[2, 0], rel=1e-15)
+    )
     assert {"qx", "qw", "a1_deg", "a6_deg"} <= set(rows[0])
 
 

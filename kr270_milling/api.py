@@ -1,0 +1,151 @@
+"""The front door for scripts and notebooks: five functions and the records that they return."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell import cell as cells
+from kr270_milling.cell import jobs
+from kr270_milling.cell.cell import Cell
+from kr270_milling.decision import check as checks
+from kr270_milling.decision import decision, tolerance, verdict
+from kr270_milling.decision.part.assessment import assess_all
+from kr270_milling.report.series import COLUMNS, series_lines, series_rows
+from kr270_milling.simulation.milling_pass import PassResult
+from kr270_milling.simulation.scores import Scores
+from kr270_milling.trajectory.files import write_files
+from kr270_milling.trajectory.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    import pandas
+    import plotly.graph_objects
+
+__all__ = ["Compensation", "Pass", "check", "compensate", "read_cell", "read_recording", "simulate", "verdict_of"]
+
+
+@dataclass(frozen=True, eq=False)
+class Pass:
+    """One pass of a cell, simulated or recorded."""
+
+    cell: Cell
+    scored: jobs.ScoredPass
+
+    def __repr__(self) -> str:
+        static, most = 1e6 * self.scores.static_deviation, 1e6 * self.scores.max_deviation
+        shown = "" if np.isnan(static) else f"static {static:.2f} um, "
+        return f"<Pass {self.name}: {shown}max {most:.2f} um>"
+
+    @property
+    def name(self) -> str:
+        """Of the method, or "original"."""
+        return self.scored.name
+
+    @property
+    def reference(self) -> Trajectory:
+        """The trajectory that the controller ran, workpiece frame."""
+        return self.scored.reference
+
+    @property
+    def result(self) -> PassResult:
+        """Series at the ends of the exchange periods."""
+        return self.scored.result
+
+    @property
+    def scores(self) -> Scores:
+        """Deviations of Table 2."""
+        return self.scored.scores
+
+    @property
+    def tolerance(self) -> tolerance.Judgement:
+        """What the pass leaves on the part against ``part.tolerance_um``."""
+        return tolerance.judge(self.cell, self.scored)
+
+    def to_frame(self) -> pandas.DataFrame:
+        """Every series as a pandas frame, units in the column names; raises ImportError without pandas."""
+        import pandas
+
+        rows = series_rows(self.result, self.cell.target())
+        return pandas.DataFrame(np.column_stack([self.result.time, rows]), columns=list(COLUMNS))
+
+    def to_csv(self, path) -> Path:
+        """Write every series as CSV; returns the path."""
+        write_files({Path(path): series_lines(self.result, self.cell.target())})
+        return Path(path)
+
+    def plot(self) -> plotly.graph_objects.Figure:
+        """Deviation across the feed and force over time, as an interactive figure."""
+        from plotly.subplots import make_subplots
+
+        series = dict(zip(COLUMNS[1:], series_rows(self.result, self.cell.target()).T, strict=True))
+        figure = make_subplots(rows=2, cols=1, shared_xaxes=True)
+        figure.add_scatter(x=self.result.time, y=1e3 * series["path_deviation_mm"], name="deviation", row=1, col=1)
+        for axis in "xyz":
+            figure.add_scatter(x=self.result.time, y=series[f"force_{axis}_n"], name=f"force {axis}", row=2, col=1)
+        figure.update_yaxes(title="deviation [um]", row=1, col=1)
+        figure.update_yaxes(title="force [N]", row=2, col=1)
+        figure.update_xaxes(title="time [s]", row=2, col=1)
+        return figure.update_layout(title=repr(self)[1:-1])
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """A pass as programmed, the compensated one, what the check says of it, and the decision."""
+
+    original: Pass
+    compensated: Pass
+    checked: checks.Checked
+    decision: decision.Decision
+
+    def __repr__(self) -> str:
+        return f"<Compensation {self.compensated.name}: {self.decision.headline}>"
+
+
+def read_cell(path, *assignments: str) -> Cell:
+    """The cell of a parameter file, also a shipped one by its name; raises ConfigError.
+
+    assignments: texts ``"tool.teeth=2"``, as behind ``--set``.
+    """
+    return cells.read_cell(find_file(str(path)), assignments)
+
+
+def simulate(cell: Cell, reference: Trajectory | None = None) -> Pass:
+    """One pass on a fresh workpiece, along the programmed path or along a reference."""
+    return Pass(cell, jobs.simulate(cell, reference, "original" if reference is None else "reference"))
+
+
+def compensate(cell: Cell, method: str | None = None) -> Compensation:
+    """Revise the trajectory by a method (default: that of the cell) and judge it."""
+    method = method or cell.compensation.method
+    original = jobs.simulate(cell)
+    revised = jobs.compensated(cell, original, method)
+    parts = assess_all(cell, (original, revised)) if cell.path.file else ()
+    checked = checks.check(cell, revised.reference, ran=revised)
+    decided = decision.decide(cell, original, revised, parts, checked)
+    return Compensation(Pass(cell, original), Pass(cell, revised), checked, decided)
+
+
+def check(cell: Cell, reference: Trajectory | None = None) -> checks.Checked:
+    """Whether the path of the cell, or a corrected one, may be run."""
+    return checks.check(cell, reference)
+
+
+def verdict_of(cell: Cell, reference: Trajectory, samples: int = verdict.SAMPLES, seed: int = 1) -> verdict.Verdict:
+    """Whether a corrected trajectory helps when the models are as uncertain as the cell says."""
+    rng = np.random.default_rng(seed)
+    return verdict.monte_carlo(cell, cell.target(), reference, rng, samples, seed=seed)
+
+
+def read_recording(path, namespace: str | None = None) -> Pass:
+    """The pass of a recording (.mcap or its directory); raises RecordingError."""
+    from kr270_milling.replay.recorded import pass_from_recording
+
+    place = Path(path)
+    found: Sequence[Path] = sorted(place.glob("*.mcap")) if place.is_dir() else [place]
+    recorded = pass_from_recording(found[0] if found else place, place.stem, namespace)
+    return Pass(recorded.cell, recorded.scored)
