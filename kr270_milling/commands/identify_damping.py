@@ -6,6 +6,9 @@ from pathlib import Path
 
 from kr270_milling.commands.console import add_common, print_json, print_table
 
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+QUANTITIES = ("displacement", "velocity", "acceleration")
+
 
 def add_arguments(parser) -> None:
     parser.add_argument(
@@ -16,6 +19,9 @@ def add_arguments(parser) -> None:
     parser.add_argument("--to", dest="stop", type=float, metavar="S", help="seconds after the first sample")
     parser.add_argument("--band", type=_band, default=(2.0, 100.0), metavar="LOW:HIGH", help="[Hz] (default: 2:100)")
     parser.add_argument("--modes", type=int, default=6, metavar="N", help="at most (default: 6)")
+    parser.add_argument("--quantity", choices=QUANTITIES, default=QUANTITIES[0], help="of the channels")
+    parser.add_argument("--hammer", choices=AXES, help="direction of force_n: scales the shapes by the masses")
+    parser.add_argument("--cell", metavar="CELL.yaml", help="scales the shapes by its compliance, where no hammer was")
     parser.add_argument("--out", metavar="DIR", help="write YAML to include and report")
     add_common(parser)
 
@@ -35,8 +41,12 @@ def run(args) -> None:
     signals = read_signals(args.recording, args.topic).window(args.start, args.stop)
     modes = find_modes(signals, *args.band, max(1, args.modes))
     result = as_dict(modes, signals)
+    shapes = _shapes(args, modes, signals)
+    if shapes is not None:
+        for mode, shape in zip(result["modes"], shapes.tolist(), strict=True):
+            mode["mass_normalised_shape"] = shape
     if args.out:
-        result["files"] = [str(path) for path in _write(args, modes, signals, result)]
+        result["files"] = [str(path) for path in _write(args, modes, signals, shapes, result)]
     if args.json:
         print_json(result)
         return
@@ -45,8 +55,21 @@ def run(args) -> None:
     print(f"{result['duration_s']:.3g} s at {result['samples_per_s']:.4g} samples a second")
     if not all(mode["confirmed"] for mode in result["modes"]):
         print("the decrement does not confirm each damping ratio: modes are near each other, or ring too briefly")
+    if shapes is None:
+        print("the shapes are not scaled: a hammer (--hammer) or the compliance of a cell (--cell) does it")
     for name in result.get("files", []):
         print(name)
+
+
+def _shapes(args, modes, signals):
+    """Mass-normalised, (n, 6), or None."""
+    from kr270_milling.base.record import find_file
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.identification.modal_mass import by_compliance, by_hammer, tool_compliance
+
+    if args.hammer:
+        return by_hammer(modes, signals, args.hammer, args.quantity)
+    return by_compliance(modes, signals, tool_compliance(read_cell(find_file(args.cell)))) if args.cell else None
 
 
 def _rows(result: dict) -> tuple[list[str], list[list[str]]]:
@@ -59,7 +82,7 @@ def _rows(result: dict) -> tuple[list[str], list[list[str]]]:
     return ["mode", "[Hz]", "damping [%]", "by decrement", "energy [%]", "shape x y z rx ry rz"], rows
 
 
-def _write(args, modes, signals, result: dict) -> list[Path]:
+def _write(args, modes, signals, shapes, result: dict) -> list[Path]:
     from kr270_milling import __version__
     from kr270_milling.base.files import staged
     from kr270_milling.identification.figures import write_page
@@ -73,7 +96,7 @@ def _write(args, modes, signals, result: dict) -> list[Path]:
     ]
     with staged(args.out) as (draft, final):
         files = [
-            write_include(draft / "modes.yaml", include_sections(modes, signals), notes),
+            write_include(draft / "modes.yaml", include_sections(modes, shapes), notes),
             write_page(draft / "modes.html", title, [], [("Modes", *_rows(result))], figures(signals)),
         ]
         return [final(path) for path in files]

@@ -39,17 +39,20 @@ def as_dict(modes: list[Mode], signals: Signals) -> dict:
     return {"modes": rows, "duration_s": duration, "samples_per_s": 1 / signals.step, "channels": list(signals.names)}
 
 
-def include_sections(modes: list[Mode], signals: Signals) -> dict:
-    """``dynamics.modes`` of a parameter file."""
+def include_sections(modes: list[Mode], shapes: np.ndarray | None) -> dict:
+    """``dynamics.modes`` of a parameter file with mass-normalised shapes (n, 6); without them one damping ratio."""
+    if shapes is None:
+        mean = sum(mode.share * mode.damping_ratio for mode in modes)
+        return {"dynamics": {"damping_ratio": (float(mean), "mean over the modes, by energy")}}
     rows = [
         {
             "frequency_hz": mode.frequency,
             "damping_ratio": (mode.damping_ratio, f"logarithmic decrement {mode.decrement:.3g}"),
-            "shape": six(mode, signals.names).tolist(),
+            "shape": shape.tolist(),
         }
-        for mode in modes
+        for mode, shape in zip(modes, shapes, strict=True)
     ]
-    return {"dynamics": {"modes": rows}}
+    return {"dynamics": {"follow_pose": ("false", "modes are of one posture"), "modes": rows}}
 
 
 def figures(signals: Signals) -> list:

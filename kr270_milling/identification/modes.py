@@ -46,6 +46,8 @@ class Mode:
     amplitude: float  #: of its largest channel at the start, in the signal's unit
     decrement: float  #: damping ratio by the logarithmic decrement; NaN where another mode is too near
     share: float  #: of the energy of all modes
+    pole: complex  #: s_k [1/s]
+    residues: np.ndarray  #: R_k of each channel, complex (channels,)
 
 
 def find_modes(signals: Signals, low: float, high: float, most: int = 6) -> list[Mode]:
@@ -75,11 +77,12 @@ def _mode(poles, residues, energy, k, order, total, data, step) -> Mode:
     others = [abs(np.abs(poles[i]) / (2 * np.pi) - frequency) for i in order if i != k]
     room = min(others, default=frequency)
     decrement = log_decrement(data[:, largest], step, frequency, min(0.5 * frequency, 0.45 * room), damping)
-    return Mode(frequency, damping, shape, float(2 * np.abs(residues[k, largest])), decrement, float(energy[k] / total))
+    amplitude, share = float(2 * np.abs(residues[k, largest])), float(energy[k] / total)
+    return Mode(frequency, damping, shape, amplitude, decrement, share, complex(poles[k]), residues[k])
 
 
 def impulse_response(signals: Signals) -> np.ndarray:
-    """Response over force in the frequency domain (H_1), back in time: (n, channels).
+    """Response over force in the frequency domain (H_1), back in time: (n, channels), per N s.
 
     What the hammer excites by less than a thousandth of its largest does not count.
     """
@@ -88,7 +91,7 @@ def impulse_response(signals: Signals) -> np.ndarray:
     response = np.fft.rfft(signals.values - np.median(signals.values, axis=0), n, axis=0)
     power = np.abs(force) ** 2
     ratio = response * np.conj(force) / (power + 1e-6 * power.max())
-    return np.fft.irfft(ratio, n, axis=0)[: len(signals.values)]
+    return np.fft.irfft(ratio, n, axis=0)[: len(signals.values)] / signals.step
 
 
 def _thinned(data: np.ndarray, step: float, high: float) -> tuple[np.ndarray, float]:

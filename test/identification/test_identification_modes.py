@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.identification.modal_mass import by_compliance, by_hammer
 from kr270_milling.identification.modes import NoModeError, find_modes
 from kr270_milling.identification.signals import Signals, read_signals
 
@@ -88,3 +90,36 @@ def test_a_uff_file_is_read(tmp_path):
         writer.write_sets(data, "add")
     read = read_signals(file)
     assert read.names == ("x", "y", "z") and read.values == pytest.approx(ring.values, abs=1e-9)
+
+
+def test_a_hammer_scales_the_shapes_by_the_masses():
+    """Two degrees of freedom with masses 500 and 300 kg at x and y; shapes of M and K by eigh, phi^T M phi = 1."""
+    mass, stiff = np.diag([500.0, 300.0]), np.array([[2.2e6, -0.4e6], [-0.4e6, 1.6e6]])
+    squared, phi = eigh(stiff, mass)
+    n, step = 8000, 2.5e-4
+    t = np.arange(n) * step
+    hammer = np.where(t < 0.004, 2000 * np.sin(np.pi * t / 0.004), 0.0)
+    response = np.zeros((n, 2))
+    for omega, shape in zip(np.sqrt(squared), phi.T, strict=True):
+        damped = omega * np.sqrt(1 - 0.03**2)
+        impulse = shape[0] * np.exp(-0.03 * omega * t) * np.sin(damped * t) / damped
+        response += np.outer(np.convolve(hammer, impulse)[:n] * step, shape)
+    signals = Signals(step, response, ("x", "y"), hammer)
+    shapes = by_hammer(find_modes(signals, 2.0, 60.0), signals, "x")
+    for shape, true in zip(shapes, phi.T, strict=True):
+        assert shape[:2] * np.sign(shape[0]) == pytest.approx(true * np.sign(true[0]), rel=0.02)
+    accelerations = Signals(step, np.gradient(np.gradient(response, step, axis=0), step, axis=0), ("x", "y"), hammer)
+    again = by_hammer(find_modes(accelerations, 2.0, 60.0), accelerations, "x", "acceleration")
+    assert np.abs(again[:, :2]) == pytest.approx(np.abs(phi.T), rel=0.05)
+
+
+def test_the_static_compliance_scales_the_shapes_where_there_was_no_hammer():
+    """C = sum phi phi^T / omega^2 is the inverse of K."""
+    mass, stiff = np.diag([500.0, 300.0]), np.array([[2.2e6, -0.4e6], [-0.4e6, 1.6e6]])
+    squared, phi = eigh(stiff, mass)
+    rings = [(w / (2 * np.pi), 0.03, [*(5.0 * v), 0.0]) for w, v in zip(np.sqrt(squared), phi.T, strict=True)]
+    signals = ring_down(rings)
+    soft = np.zeros((6, 6))
+    soft[:2, :2] = np.linalg.inv(stiff)
+    shapes = by_compliance(find_modes(signals, 2.0, 50.0), signals, soft)
+    assert np.abs(shapes[:, :2]) == pytest.approx(np.abs(phi.T), rel=5e-3)
