@@ -21,6 +21,7 @@ from kr270_milling.decision.path_limits import (
 )
 from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 from kr270_milling.simulation.milling_pass import FLIGHT, PassError
+from kr270_milling.trajectory.source_program import SourceProgram
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Checked", "check"]
@@ -33,6 +34,7 @@ class Checked:
     findings: tuple[Finding, ...]
     points: int
     ran: ScoredPass | None  #: the pass that was simulated, if the arm can make it
+    program: SourceProgram  #: what the file of the path says beside its moves
 
     @property
     def may_be_run(self) -> bool:
@@ -52,7 +54,8 @@ class Checked:
 
     def lines(self) -> list[str]:
         """What terminal, report and program headers print: one line a finding, then the summary."""
-        return [*(f"{f.severity:8} {f.text}" for f in self.findings), self.summary]
+        read_over = [self.program.summary] if self.program.summary else []
+        return [*read_over, *(f"{f.severity:8} {f.text}" for f in self.findings), self.summary]
 
     def as_dict(self) -> dict:
         """For JSON; values and limits in the unit that stands beside them."""
@@ -61,6 +64,7 @@ class Checked:
             "points": self.points,
             **{f"{severity}s": self.count(severity) for severity in SEVERITIES},
             "findings": [f.as_dict() for f in self.findings],
+            "read_over": [{"word": word.word, "count": word.count} for word in self.program.read_over],
         }
 
 
@@ -90,7 +94,8 @@ def check(
         found += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
         ran, cut = _cut(cell, run, ran, progress)
         found += cut
-    return Checked(gathered(cell, run, found), len(run), ran if reachable else None)
+    program = fed.toolpath.program if fed else SourceProgram()
+    return Checked(gathered(cell, run, found), len(run), ran if reachable else None, program)
 
 
 def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:

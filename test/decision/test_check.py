@@ -196,6 +196,15 @@ def test_the_command_ends_with_1_when_the_path_must_not_be_run(tmp_path, capsys)
     assert stop["unit"] == "N m" and stop["advice"] and stop["count"] >= 1
 
 
+def test_words_that_move_no_tool_are_summed_up(tmp_path, capsys):
+    program = GCODE.replace("(entry)", "G43 H1\nM8\n(entry)").replace("M5\n", "M9\nM8\nM5\n")
+    assert main(command(tmp_path, "--json", gcode=program)) == 0
+    words = {row["word"]: row["count"] for row in json.loads(capsys.readouterr().out)["read_over"]}
+    assert words["M8"] == 2 and words["G43 H1"] == 1
+    assert main(command(tmp_path, gcode=program)) == 0
+    assert "read over: " in capsys.readouterr().out
+
+
 def test_points_out_of_reach_are_findings_of_check(tmp_path, capsys):
     far = "G21 S8000 M3\nG0 X-14 Y0 Z-0.5\nG1 X12 F4000\nG1 Y2500\nM30\n"
     assert main(command(tmp_path, "--json", gcode=far)) == 1
