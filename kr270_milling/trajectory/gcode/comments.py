@@ -16,10 +16,11 @@ ANNOUNCED = re.compile(
 NAME = re.compile(r"[^\W_][\w .,/+#&'-]*(?:\([\w ]*\))?[\w .]*")
 #: comments that look like names: what begins and ends, hints to the operator, notes of a post
 NO_NAME = re.compile(
-    r"(?:begin|end|start|finish operation|stop|block|path|exported|post|output|file|date|time|compensated|machine|vendor|"
-    r"model|description|document|setup|units?|material|program|made|generated|created|msg|debug|print|when using|moves|"
-    r"rapid moves|using|tools?|t\d+|tc|set|safe|spindle|coolant|work|stock|www|http|default tool|feature|n/?a|no|mm|"
-    r"inch|x|y|z|wcs|total|this|return|go|move|retract|penetrate|header|footer)\b",
+    r"(?:begin|end|start|finish operation|stop|block|path|exported|post|output|file|date|time|compensated|"
+    r"machine|vendor|model|description|document|setup|units?|material|program|made|generated|created|msg|debug|"
+    r"print|when using|moves|rapid moves|using|tools?|t\d+|tc|set|safe|spindle|coolant|work|stock|www|http|"
+    r"default tool|feature|n/?a|no|mm|inch|x|y|z|wcs|total|this|return|go|move|retract|penetrate|header|"
+    r"footer)\b",
     re.I,
 )
 LONGEST_NAME = 48
