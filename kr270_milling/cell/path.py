@@ -8,7 +8,7 @@ import numpy as np
 
 from kr270_milling.bag.recorded_path import is_recording, read_recorded
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.cell.path_checks import check_path
+from kr270_milling.cell.path_checks import check_feed, check_path
 from kr270_milling.cell.plausibility import MOST_STEPS, check_effort, sinking
 from kr270_milling.cell.records import Parameters, Path
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
@@ -61,7 +61,10 @@ def within_joint_limits(cell: Parameters, timed: TimedPath, joints_of) -> TimedP
 def _read(path: Path) -> Toolpath | TimedPath:
     if is_recording(path.file):
         return read_recorded(path.file, path.topic, path.feed_rate)
-    return read_toolpath(path.file)
+    toolpath = read_toolpath(path.file, path.tool, path.feed_rate)
+    if not path.length:  # else the feed is that of the straight cut, which the file replaces
+        check_feed(path.file, toolpath, path.feed_rate)
+    return toolpath
 
 
 def _unreachable(cell: Parameters, timed: TimedPath, error: MillingError) -> InputError:

@@ -11,8 +11,9 @@ from kr270_milling.cutting import Stock, Tool
 from kr270_milling.trajectory.timing import TimedPath
 from kr270_milling.trajectory.toolpath import Toolpath
 
-__all__ = ["check_path"]
+__all__ = ["check_feed", "check_path"]
 
+SAME_FEED = 1e-6  # [m/s]
 SAME_SPEED = 0.1  # [rad/s], 1 rpm: spindle speeds that differ by less are one
 UPRIGHT = np.radians(1.0)  # the cut is that of a tool along z: beyond this its floors and chips are others
 
@@ -37,16 +38,17 @@ def _check_spindle(file: str, path: Toolpath, tool: Tool) -> None:
     speed = path.spindle_speed[cutting]
     if not speed.any():
         return
-    other = np.abs(speed - tool.spindle_speed) > SAME_SPEED
+    other = np.abs(np.abs(speed) - tool.spindle_speed) > SAME_SPEED
     if other.any():
         block = cutting[np.argmax(other)]
-        rpm = 30.0 / np.pi * np.array([path.spindle_speed[block], tool.spindle_speed])
+        rpm = 30.0 / np.pi * np.array([abs(path.spindle_speed[block]), tool.spindle_speed])
         reason = f"the spindle speed S{rpm[0]:.6g} is not the tool.spindle_speed_rpm of the cell, {rpm[1]:.6g}"
         if path.spindle_speed[block] == 0.0:
             reason = "a cutting move while the spindle is off"
         raise InputError(file, reason, _line(path, block))
-    if tool.rotation != "clockwise":
-        reason = f"its spindle turns clockwise (M3, CLW), but tool.rotation of the cell is {tool.rotation}"
+    turns = "clockwise (M3, CLW)" if speed[0] > 0 else "counterclockwise (M4, CCLW)"
+    if not turns.startswith(f"{tool.rotation} "):
+        reason = f"its spindle turns {turns}, but tool.rotation of the cell is {tool.rotation}"
         raise InputError(file, reason, _line(path, cutting[0]))
 
 
@@ -83,3 +85,15 @@ def _check_stock(file: str, timed: TimedPath, tool: Tool, stock: Stock) -> None:
 def _extent(low: np.ndarray, high: np.ndarray) -> str:
     """A box [m] in words, in mm."""
     return ", ".join(f"{axis} {1e3 * a:.6g} to {1e3 * b:.6g}" for axis, a, b in zip("xyz", low, high, strict=True))
+
+
+def check_feed(file: str, path: Toolpath, feed: float) -> None:
+    """Raise InputError where the program has feeds of its own, not that of the cell [m/s]; 0: the cell has none."""
+    other = ~path.rapid & (np.abs(path.feed - feed) > SAME_FEED)
+    if feed and other.any():
+        block = int(np.argmax(other))
+        reason = (
+            f"its feed is {6e4 * path.feed[block]:.6g} mm/min, but path.feed_rate_m_per_min of the cell says "
+            f"{6e4 * feed:.6g}; leave that key out"
+        )
+        raise InputError(file, reason, int(path.line[block]))

@@ -63,6 +63,7 @@ class Path(Record):
         "", text="G-code, APT/CL, CSV of points or a recording of a path, workpiece frame; empty: a straight cut"
     )
     topic: str = parameter("", text="of a recording: where its path is, if several topics hold one")
+    tool: str = parameter("", text="of a program with several tools: whose moves are run, as T1")
     start: np.ndarray = parameter(
         [0.0, 0.0], unit="mm", size=2, low=-1e5, high=1e5, text="straight cut: x, y of the tool tip at the start"
     )
@@ -70,7 +71,7 @@ class Path(Record):
     length: float = parameter(0.0, unit="mm", low=0.0, high=10000.0, text="straight cut: its length")
     feed_rate: float = parameter(
         0.0, unit="m_per_min", low=0.0, high=60.0,
-        text="feed rate v_f of a straight cut, or of a recorded path whose poses all have one stamp",
+        text="feed rate v_f of a straight cut, a program without F, or a recorded path whose poses have one stamp",
     )  # fmt: skip
 
     def check(self) -> None:

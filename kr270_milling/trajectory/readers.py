@@ -12,13 +12,22 @@ from kr270_milling.trajectory.toolpath import Toolpath
 
 __all__ = ["read_toolpath", "SUFFIXES"]
 
-SUFFIXES = {".nc": read_gcode, ".gcode": read_gcode, ".ngc": read_gcode, ".tap": read_gcode, ".apt": read_apt,
-            ".cl": read_apt, ".csv": read_points}  # fmt: skip
+
+GCODE = (".nc", ".gcode", ".ngc", ".tap", ".cnc", ".mpf", ".spf", ".ncc", ".eia", ".iso", ".txt")
+APT = (".apt", ".cl", ".cls", ".aptsource", ".ncl")
+SUFFIXES = dict.fromkeys(GCODE, read_gcode) | dict.fromkeys(APT, read_apt) | {".csv": read_points}
 
 
-def read_toolpath(path) -> Toolpath:
-    """Read G-code, APT/CL or a CSV of points; raises InputError with the line number."""
+def read_toolpath(path, tool: str = "", feed: float = 0.0) -> Toolpath:
+    """Read G-code, APT/CL or a CSV of points; raises InputError with the line number.
+
+    tool: "T1", of a program with several; feed [m/s]: for a program that names none, 0 for none.
+    """
     reader = SUFFIXES.get(Path(path).suffix.lower())
     if reader is None:
         raise InputError(path, f"is no tool path by its name; known are {', '.join(SUFFIXES)}")
-    return reader(path)
+    if reader is read_points:
+        if tool:
+            raise InputError(path, f"a CSV of points has no tools, so {tool} cannot be chosen")
+        return reader(path)
+    return reader(path, tool=tool, feed=feed)

@@ -60,15 +60,50 @@ def test_one_word_comments_name_features(read):
     assert [path.features[i] for i in path.feature] == ["", "circle", "diamond"]
 
 
+def test_a_circle_leads_to_its_goto_and_turns_to_the_right_about_its_axis(read):
+    left = read(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,1,5\nGOTO/0,5,0\nFINI\n")
+    right = read(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,-1,5\nGOTO/0,5,0\nEND\nrubbish\n")
+    assert left.length == pytest.approx(0.005 * np.pi / 2) and right.length == pytest.approx(0.005 * np.pi * 3 / 2)
+    assert set(left.curvature[1:]) == {200.0} and set(right.curvature[1:]) == {-200.0}
+    np.testing.assert_allclose(left.position[-1] * 1e3, [0, 5, 0], atol=1e-12)
+
+
+def test_a_feed_per_revolution_goes_with_the_spindle_and_cclw_turns_it_the_other_way(read):
+    path = read("SPINDL/RPM,6000,CCLW\nGOTO/0,0,0\nFEDRAT/0.2,MMPR\nGOTO/1,0,0\nGODLTA/0,2,0\nFINI\n")
+    np.testing.assert_allclose(path.feed[1:], 0.02)
+    assert path.program.spindle_speeds == pytest.approx((-200 * np.pi,))
+    np.testing.assert_allclose(path.position[-1] * 1e3, [1, 2, 0])
+
+
+def test_tools_and_what_moves_nothing_are_noted(read):
+    path = read(
+        "PARTNO BRACKET\nMULTAX/OFF\nMSYS/0,0,0,1,0,0,0,1,0\nLOADTL/3\nCUTTER/12,0\nCOOLNT/ON\nFEDRAT/600\nGOTO/0,0,5\n"
+        "GOTO/0,0,0\nCOOLNT/OFF\nGOHOME\nRAPID\nGOTO/9,9,5\nFINI\n"
+    )
+    program = path.program
+    assert program.title == "BRACKET" and program.tool == "T3"
+    assert program.current.diameter == pytest.approx(0.012)
+    assert {r.word: r.count for r in program.read_over}["COOLNT"] == 2
+    np.testing.assert_allclose(path.position[2:] * 1e3, [[0, 0, 5], [9, 9, 5]])  # up first
+
+
 @pytest.mark.parametrize(
     ("text", "line", "word"),
     [
         ("GOTO/0,0,0\nFEDRAT/600\nCIRCLE/0,0,5\n", 3, "CIRCLE"),
+        ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,1,0,0,5\nGOTO/-5,0,0\n", 3, "not z; let the CAM output GOTO"),
+        ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5\nGOTO/-4,0,0\n", 4, "does not close"),
+        ("GOTO/5,0,0\nFEDRAT/600\nGOTO/6,0,0\nCIRCLE/0,0,0,0,0,1,6\nFINI\n", 5, "without the GOTO"),
+        ("GOTO/5,0,0\nCYCLE/DRILL,5\n", 2, "CYCLE: let the CAM output drilling as GOTO"),
+        ("GOTO/5,0,0\nCUTCOM/LEFT\n", 2, "CUTCOM: let the CAM output the path of the tool's centre"),
+        ("GOTO/0,0,0\nFEDRAT/0.1,MMPR\nGOTO/1,0,0\n", 3, "without FEDRAT"),
+        ("SPINDL/800,SFM\n", 1, "SFM"),
+        ("LOADTL/1\nFEDRAT/9\nGOTO/0,0,0\nGOTO/1,0,0\nLOADTL/2\nGOTO/2,0,0\n", 5, "2 tools: T1 from line 1, T2"),
         ("GOTO/0,0,0\nMSYS/0,0,0,1,0,0,0,1,0\n", 2, "MSYS"),
         ("GOTO/0,0,0\nGOTO/1,0,0\n", 2, "without FEDRAT"),
         ("GOTO/0,0,0\nFEDRAT/0\nGOTO/1,0,0\n", 3, "zero feed"),
         ("GOTO/0,0,0\nFEDRAT/-5\n", 2, "-5"),
-        ("GOTO/0,0,0\nFEDRAT/0.1,MMPR\n", 2, "FEDRAT"),
+        ("GOTO/0,0,0\nFEDRAT/0.1,MMPM,IPM\n", 2, "FEDRAT"),
         ("GOTO/0,0,nan\n", 1, "NAN"),
         ("GOTO/0,0,inf\n", 1, "INF"),
         ("GOTO/0,0\n", 1, "not 2 numbers"),
@@ -76,7 +111,6 @@ def test_one_word_comments_name_features(read):
         ("GOTO/0,0,0,0,0,-1\n", 1, "below"),
         ("GOTO/1e9,0,0\n", 1, "wrong unit"),
         ("UNITS/FURLONGS\n", 1, "FURLONGS"),
-        ("SPINDL/800,CCLW\n", 1, "CCLW"),
         ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,0,0", 3, "cut off"),
         ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,$\n", 3, "continued"),
         ("GOTO/0,0,0\nFEDRAT/600\nFINI\n", 1, "never moves"),

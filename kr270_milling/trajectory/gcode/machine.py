@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 
 from kr270_milling.trajectory.files import short
 from kr270_milling.trajectory.gcode.blocks import Block
 from kr270_milling.trajectory.gcode.motion import Motion
-from kr270_milling.trajectory.gcode.refusals import Refusals
 from kr270_milling.trajectory.gcode.words import (
     AXES5,
     CURVES,
@@ -22,6 +20,8 @@ from kr270_milling.trajectory.gcode.words import (
     UNKNOWN,
 )
 from kr270_milling.trajectory.path_builder import PathBuilder
+from kr270_milling.trajectory.refusals import Refusals
+from kr270_milling.trajectory.summary import Observed
 
 __all__ = ["Machine"]
 
@@ -38,18 +38,16 @@ PRINTER = "a word of 3-D printers or a number with an exponent; post for a milli
 class Machine:
     """Runs blocks of words: moves go to the path, what cannot be run to the refusals, the rest is counted."""
 
-    def __init__(self, path: PathBuilder, refusals: Refusals, motion: Motion, selected: str, changes: bool):
+    def __init__(self, path: PathBuilder, refusals: Refusals, motion: Motion, seen: Observed, changes: bool):
         self.path = path
         self.refusals = refusals
         self.motion = motion
-        self.silent: Counter = Counter()
-        self.selected = selected  #: the tool whose moves are wanted, "" for all
+        self.seen = seen
+        self.silent = seen.silent
         self.changes = changes  #: whether a tool comes with M6, else with its T
         self.unit = MM
         self.tool = ""
         self.next_tool = ""
-        self.tools: dict[str, int] = {}  #: name -> line of its first change
-        self.offset = ""
         self.turning = 0
         self.speed = 0.0  #: [rad/s]
         self.ended = False
@@ -148,7 +146,7 @@ class Machine:
     def _set(self, groups: dict, axes: dict, number: int) -> None:
         motion = self.motion
         if "units" in groups:
-            self.unit = UNITS[groups["units"]]
+            self.unit = self.seen.unit = UNITS[groups["units"]]
         if "distance" in groups:
             motion.incremental = groups["distance"] == 91
         if "centre" in groups:
@@ -168,8 +166,7 @@ class Machine:
             self._silent(word, groups[word], axes, number)
         if "offset" in groups:
             value = groups["offset"]
-            self.offset = OFFSETS.get(value) or f"G{value:g} P{axes.pop('P', 1):g}"
-            motion.offset = self.offset
+            self.seen.offset = OFFSETS.get(value) or f"G{value:g} P{axes.pop('P', 1):g}"
         if "home" in groups:
             self._home(groups, axes, number)
         if not groups.keys().isdisjoint(("preset", "shift", "data")):
@@ -247,8 +244,8 @@ class Machine:
         if not self.next_tool or self.next_tool == self.tool:
             return
         self.tool = self.refusals.tool = self.next_tool
-        self.tools.setdefault(self.tool, number)
-        self.motion.change_tool(self.tool, self.selected in ("", self.tool))
+        self.seen.tools.setdefault(self.tool, number)
+        self.motion.change_tool(self.tool, self.seen.selected in ("", self.tool))
 
 
 def _drop(axes: dict, *letters: str) -> None:

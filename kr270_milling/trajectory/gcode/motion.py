@@ -6,16 +6,16 @@ A height of TOP is that of a tool that was taken away.
 from __future__ import annotations
 
 import math
-from collections import Counter
 
 import numpy as np
 
 from kr270_milling.trajectory.arcs import ArcError, centre_from_radius, flatten
 from kr270_milling.trajectory.gcode.cycles import Cycle, strokes
 from kr270_milling.trajectory.gcode.feed import Feed
-from kr270_milling.trajectory.gcode.recorder import TOP, Recorder
-from kr270_milling.trajectory.gcode.refusals import Refusals
 from kr270_milling.trajectory.path_builder import PathBuilder
+from kr270_milling.trajectory.recorder import TOP, Recorder
+from kr270_milling.trajectory.refusals import Refusals
+from kr270_milling.trajectory.summary import Observed
 from kr270_milling.trajectory.toolpath import REACH
 
 __all__ = ["Motion"]
@@ -32,9 +32,12 @@ START = "start with G0 X Y Z"
 class Motion:
     """The modal state of moving; lengths inside are in [m], NaN where the program has not said where an axis is."""
 
-    def __init__(self, path: PathBuilder, refusals: Refusals, chord: float, closing: float, feed: float):
+    def __init__(
+        self, path: PathBuilder, refusals: Refusals, seen: Observed, chord: float, closing: float, feed: float
+    ):
         self.path = path
         self.refusals = refusals
+        self.seen = seen
         self.recorder = Recorder(path)
         self.chord = chord
         self.closing = closing
@@ -47,9 +50,6 @@ class Motion:
         self.to_initial = True  #: G98
         self.cycle: Cycle | None = None
         self.tool = ""
-        self.cuts: Counter = Counter()  #: tool -> cutting blocks
-        self.offset = ""
-        self.offsets: dict[tuple[str, str], int] = {}  #: (tool, offset) while cutting -> first line
         self.named = False  #: whether a comment named the operation since the last cut
 
     # --- what moves no tool through material ---
@@ -175,10 +175,9 @@ class Motion:
                 self.refusals.add_derived(line, "F", reason, advice)
             return
         self.recorder.cut(start, ends, feed, line, curvature)
-        self.cuts[self.tool] += 1
         self.named = False
-        if (self.tool, self.offset) not in self.offsets:
-            self.offsets[self.tool, self.offset] = line
+        self.seen.cuts[self.tool] += 1
+        self.seen.offsets.setdefault((self.tool, self.seen.offset), line)
 
     def _arc(self, start, end, arc: dict, axes: dict, unit: float, absolute: dict) -> tuple[list, float, float]:
         """Points along an arc, its curvature in the xy plane [1/m], its length [m]."""
@@ -211,7 +210,9 @@ class Motion:
         if not np.abs(points).max() <= REACH:
             raise ArcError(f"the arc leads more than {REACH:g} m away; wrong unit?")
         ends = points[:, np.argsort(PLANES[self.plane])]
-        length = float(np.linalg.norm(np.diff(ends, axis=0, prepend=[start]), axis=1).sum())
+        chords = np.linalg.norm(np.diff(points[:, :2], axis=0, prepend=[from_point[:2]]), axis=1)
+        swept = 2 / abs(curvature) * np.arcsin(np.clip(abs(curvature) * chords / 2, 0, 1)).sum()
+        length = math.hypot(swept, to_point[2] - from_point[2])
         return list(map(tuple, ends.tolist())), curvature if self.plane == 17 else 0.0, length
 
     def _centre(self, letter: str, start, arc: dict, unit: float, absolute: dict) -> float:

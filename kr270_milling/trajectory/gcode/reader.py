@@ -11,17 +11,17 @@ from __future__ import annotations
 import re
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.trajectory.comments import operation_name
 from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.gcode.blocks import SIMPLE, WORD, CommentError, split_comments, tokens
-from kr270_milling.trajectory.gcode.comments import operation_name
 from kr270_milling.trajectory.gcode.machine import Machine
 from kr270_milling.trajectory.gcode.motion import Motion
 from kr270_milling.trajectory.gcode.names import NAMES_ADVICE, NAMES_SILENT
-from kr270_milling.trajectory.gcode.refusals import Refusals
-from kr270_milling.trajectory.gcode.summary import source_program
 from kr270_milling.trajectory.gcode.words import MACROS, UNKNOWN
 from kr270_milling.trajectory.path_builder import PathBuilder
+from kr270_milling.trajectory.refusals import Refusals
 from kr270_milling.trajectory.source_program import ProgramError, SourceProgram
+from kr270_milling.trajectory.summary import Observed, source_program
 from kr270_milling.trajectory.toolpath import Toolpath
 
 __all__ = ["read_gcode", "survey_gcode"]
@@ -62,12 +62,11 @@ class _Reader:
         self.lines = len(self.text)
         self.path = PathBuilder(source)
         self.refusals = Refusals()
-        self.motion = Motion(self.path, self.refusals, chord, closing, feed)
+        self.seen = Observed(_tool_name(tool))
+        self.motion = Motion(self.path, self.refusals, self.seen, chord, closing, feed)
         changes = any(CHANGE.search(_code(line)) for line in self.text if "6" in line and CHANGE.search(line))
-        self.machine = Machine(self.path, self.refusals, self.motion, _tool_name(tool), changes)
-        self.comments: list[tuple[str, str]] = []  #: with the tool in the spindle, for what they say of tools
+        self.machine = Machine(self.path, self.refusals, self.motion, self.seen, changes)
         self.announced = ""  #: operation that a post announced by word
-        self.title = ""
         self.percent = 0
 
     def read(self) -> SourceProgram:
@@ -83,7 +82,7 @@ class _Reader:
                 break
         else:
             self._check_end()
-        return source_program(self, min(number, self.lines))
+        return source_program(self.seen, self.path, self.refusals, min(number, self.lines))
 
     def _check_end(self) -> None:
         """A program without an end may be cut off."""
@@ -105,7 +104,7 @@ class _Reader:
             return
         if code[:1] == "/":
             code = code.lstrip("/0123456789 ") if code[1:2].isdigit() else code[1:]
-            self.machine.silent["/"] += 1
+            self.seen.silent["/"] += 1
         if code[:1] == ":":
             code = "O" + code[1:]
         if comments:
@@ -145,20 +144,20 @@ class _Reader:
             reset = argument is None and name in ("TRANS", "ROT", "SCALE", "MIRROR")
             idle = name == "CYCLE800" and not re.search(r"[1-9]", (argument or "").split(",,")[-1])
             if name in NAMES_SILENT or reset or idle:
-                self.machine.silent[name] += 1
+                self.seen.silent[name] += 1
             else:
                 fine = False
                 self.refusals.add(number, short(name), advice=advice or UNKNOWN, lost=True)
         return fine
 
     def _comments(self, code: str, comments: list[str]) -> None:
-        if len(self.comments) < MOST_COMMENTS:
+        if len(self.seen.comments) < MOST_COMMENTS:
             tool = self.machine.next_tool
             if match := re.search(r"T\s*0*([0-9]+)", code, re.I):
                 tool = f"T{int(match.group(1))}"
-            self.comments += [(comment, tool) for comment in comments]
-        if TITLE.fullmatch(code) and not self.title:
-            self.title = comments[0]
+            self.seen.comments += [(comment, tool) for comment in comments]
+        if TITLE.fullmatch(code) and not self.seen.title:
+            self.seen.title = comments[0]
         if LABEL.fullmatch(code):
             self._name(comments[0], bool(TITLE.fullmatch(code)))
 

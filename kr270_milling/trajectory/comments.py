@@ -55,10 +55,13 @@ def operation_name(comment: str) -> tuple[str, bool]:
         return "", False
     if not re.search(r"[^\W\d_]{2}", comment) or NO_NAME.match(comment) or comment.endswith((".", ",")):
         return "", False
+    tool = described_tool(comment, 1e-3, "")
+    if tool is not None and (tool.teeth or (tool.diameter and tool.description)):
+        return "", False
     return comment, False
 
 
-def described_tool(comment: str, unit: float, changed: str = "") -> ProgramTool | None:
+def described_tool(comment: str, unit: float, changed: str | None = None) -> ProgramTool | None:
     """The tool that a comment describes; lengths without a unit are in ``unit`` [m]; changed: the tool of its line."""
     if NO_TOOL.match(comment):
         return None
@@ -70,7 +73,7 @@ def described_tool(comment: str, unit: float, changed: str = "") -> ProgramTool 
     diameter = _diameter(comment, unit)
     teeth = TEETH.search(comment)
     kind = KIND.search(comment)
-    if not name or not (kind or teeth or (diameter and (number or SAYS_DIAMETER.search(comment)))):
+    if name is None or not (kind or teeth or (diameter and (number or SAYS_DIAMETER.search(comment)))):
         return None
     count = int(next(filter(None, teeth.groups()))) if teeth else 0
     words = " ".join(kind.group().split()).lower().strip("- ") if kind else ""

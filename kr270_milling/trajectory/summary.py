@@ -3,53 +3,70 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from dataclasses import dataclass, field
 
-from kr270_milling.trajectory.gcode.comments import described_tool
+from kr270_milling.trajectory.comments import described_tool
+from kr270_milling.trajectory.path_builder import PathBuilder
+from kr270_milling.trajectory.refusals import Refusals
 from kr270_milling.trajectory.source_program import ProgramTool, Refusal, SourceProgram, read_over
 
-__all__ = ["source_program"]
+__all__ = ["Observed", "source_program"]
 
 SAME_SPEED = 0.1  #: [rad/s], 1 rpm: spindle speeds that differ by less are one
 
 
-def source_program(reader, last: int) -> SourceProgram:
+@dataclass
+class Observed:
+    """What a reader notes on its way through a program."""
+
+    selected: str  #: the tool whose moves are wanted, "" for all
+    title: str = ""
+    unit: float = 1e-3  #: [m], of lengths in comments
+    tools: dict[str, int] = field(default_factory=dict)  #: name -> line of its first change
+    known: dict[str, ProgramTool] = field(default_factory=dict)  #: what words, not comments, say of tools
+    comments: list[tuple[str, str]] = field(default_factory=list)  #: with the tool of their line
+    cuts: Counter = field(default_factory=Counter)  #: tool -> cutting blocks
+    offset: str = ""
+    offsets: dict[tuple[str, str], int] = field(default_factory=dict)  #: (tool, offset) while cutting -> first line
+    silent: Counter = field(default_factory=Counter)  #: words that move nothing
+
+
+def source_program(seen: Observed, path: PathBuilder, refusals: Refusals, last: int) -> SourceProgram:
     """The record of a program that a reader has been through up to the line ``last``."""
-    machine, motion = reader.machine, reader.motion
-    tools = _tools(reader)
+    tools = _tools(seen)
     cutting = [tool for tool in tools if tool.cuts]
-    chosen = machine.selected or (cutting[0].name if cutting else "")
-    speeds = reader.path.cutting_speeds()
-    offsets = {name: line for (tool, name), line in motion.offsets.items() if tool == chosen or not machine.selected}
-    refused = list(reader.refusals.of(machine.selected))
-    refused += _selection(machine.selected, tools, last)
+    chosen = seen.selected or (cutting[0].name if cutting else "")
+    speeds = path.cutting_speeds()
+    offsets = {name: line for (tool, name), line in seen.offsets.items() if tool == chosen or not seen.selected}
+    refused = list(refusals.of(seen.selected))
+    refused += _selection(seen.selected, tools, last)
     if not refused or len(cutting) < 2:
         refused += _speeds(speeds) + _offsets(offsets)
     return SourceProgram(
-        title=reader.title,
+        title=seen.title,
         tool=chosen,
         tools=tools,
         spindle_speeds=tuple(speed for speed in speeds if speed),
-        feeds=reader.path.cutting_feeds(),
-        work_offset=next(filter(None, offsets), machine.offset),
-        operations=reader.path.cut_features(),
-        read_over=read_over(machine.silent),
+        feeds=path.cutting_feeds(),
+        work_offset=next(filter(None, offsets), seen.offset),
+        operations=path.cut_features(),
+        read_over=read_over(seen.silent),
         refused=tuple(sorted(refused, key=lambda refusal: refusal.line)),
     )
 
 
-def _tools(reader) -> tuple[ProgramTool, ...]:
+def _tools(seen: Observed) -> tuple[ProgramTool, ...]:
     """Every tool that the program changes to, with what its comments say; "" for cuts before the first one."""
-    machine, cuts = reader.machine, reader.motion.cuts
-    names = dict(machine.tools)
+    names, cuts = dict(seen.tools), seen.cuts
     if cuts[""]:
         names = {"": 1} | names
-    said: dict[str, ProgramTool] = {}
-    for comment, changed in reader.comments:
-        tool = described_tool(comment, machine.unit, changed or (next(iter(names)) if len(names) == 1 else ""))
-        if tool is not None and tool.name not in said:
-            said[tool.name] = tool
-        elif tool is not None:
-            said[tool.name] = _merged(said[tool.name], tool)
+    said = dict(seen.known)
+    only = next(iter(names)) if len(names) == 1 else None
+    for comment, changed in seen.comments:
+        tool = described_tool(comment, seen.unit, changed or only)
+        if tool is not None:
+            said[tool.name] = _merged(said.get(tool.name, ProgramTool(tool.name)), tool)
     found = []
     for name, line in names.items():
         known = said.get(name, ProgramTool(name))
