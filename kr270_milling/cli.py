@@ -35,6 +35,7 @@ COMMANDS = {
         "find compliances, force coefficients and modes from measurements of the own cell",
         "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml",
     ),
+    "compare": ("set a measured pass beside the simulated one", "compare out/original config/paper.yaml"),
     "info": ("show what a recording holds", "info out/pass1"),
     "replay": (
         "play a recording back onto topics, recompute it bit for bit, or compensate from it",

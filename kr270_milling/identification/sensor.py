@@ -11,9 +11,10 @@ from kr270_milling.bag.reader import Recording
 from kr270_milling.messages.series import series
 from kr270_milling.robot.loads import GRAVITY
 
-__all__ = ["Sensor", "force_series", "full_topic", "mean_force"]
+__all__ = ["Sensor", "force_series", "full_topic", "mean_force", "pose_series"]
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
+POSE = "geometry_msgs/msg/PoseStamped"
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,17 +41,28 @@ def full_topic(recording: Recording, name: str) -> str:
 
 def force_series(path, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     """Seconds after the first message, (n,), and forces in workpiece axes as the sensor has them, (n, 3) [N]."""
-    with Recording(path) as recording:
-        topic = full_topic(recording, sensor.topic)
-        if recording.topics()[topic].type != WRENCH:
-            raise RecordingError(recording.path, f"{topic} is of type {recording.topics()[topic].type}, not {WRENCH}")
-        read = series(recording, topic)
-    if not len(read.stamp):
-        raise RecordingError(path, f"{topic} has no message")
-    order = np.argsort(read.stamp, kind="stable")
-    stamp = read.stamp[order]
+    time, values = _read(path, sensor.topic, WRENCH)
     sign = -1.0 if sensor.on_part else 1.0
-    return (stamp - stamp[0]) * 1e-9, sign * read.values[order, :3] @ sensor.rotation.T
+    return time - time[0], sign * values[:, :3] @ sensor.rotation.T
+
+
+def pose_series(path, topic: str) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds of the stamps, (n,), and places [m], (n, 3)."""
+    time, values = _read(path, topic, POSE)
+    return time, values[:, :3]
+
+
+def _read(path, name: str, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds of the stamps (n,), ascending, and the numbers (n, columns) of a topic of this type."""
+    with Recording(path) as recording:
+        topic = full_topic(recording, name)
+        if recording.topics()[topic].type != kind:
+            raise RecordingError(recording.path, f"{topic} is of type {recording.topics()[topic].type}, not {kind}")
+        read = series(recording, topic)
+    if len(read.stamp) < 2:
+        raise RecordingError(path, f"{topic} has no two messages")
+    stamp, first = np.unique(read.stamp, return_index=True)
+    return stamp * 1e-9, read.values[first]
 
 
 def mean_force(
