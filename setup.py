@@ -9,7 +9,9 @@ setup(
     name=package,
     version="0.1.0",
     packages=find_packages(include=[package, package + ".*"]),
-    package_data={package: ["py.typed", "report/*.html"]},
+    package_data={
+        package: ["py.typed", "report/page/*.html", "report/page/*.css", "report/page/*.js", "watch/*.html", "watch/*.js"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + package]),
         ("share/" + package, ["package.xml"]),
@@ -23,10 +25,9 @@ setup(
         "mcap>=1.6",
         "rosbags>=0.11",
         "PyYAML>=6.0",
-        "matplotlib>=3.6",
+        "plotly>=6.0",
         "Jinja2>=3.1",
         "rich>=13.0",
-        "plotly>=5.24",
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"],

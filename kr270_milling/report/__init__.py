@@ -1,4 +1,4 @@
-"""Reports: one self-contained HTML page with tables and figures, the figures as SVG files, every series as CSV."""
+"""Reports: one self-contained interactive HTML page; every series as CSV."""
 
 from __future__ import annotations
 
@@ -9,13 +9,26 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decision.part import PartAssessment, assess_all
-from kr270_milling.report.gallery import gallery
-from kr270_milling.report.html import page
-from kr270_milling.report.part_gallery import part_gallery
+from kr270_milling.report.charts_compare import comparison_charts
+from kr270_milling.report.charts_pass import pass_charts
+from kr270_milling.report.charts_setup import setup_charts
+from kr270_milling.report.decision_block import (
+    DecisionBlock,
+    FindingRow,
+    Judgement,
+    ReportTable,
+    decision_of_check,
+)
+from kr270_milling.report.linked import linked
+from kr270_milling.report.page.page import render
+from kr270_milling.report.robot_model import robot_model
 from kr270_milling.report.series import inside, write_series
+from kr270_milling.report.surface_map import part_surface
 from kr270_milling.trajectory.files import write_files
 
-__all__ = ["write_report", "write_series"]
+__all__ = [
+    "DecisionBlock", "FindingRow", "Judgement", "ReportTable", "decision_of_check", "write_report", "write_series",
+]  # fmt: skip
 
 
 def write_report(
@@ -29,24 +42,45 @@ def write_report(
     date: str,
     paper: bool = False,
     parts: Sequence[PartAssessment] = (),
+    decision: DecisionBlock | None = None,
+    tables: Sequence[ReportTable] = (),
 ) -> Path:
-    """Write ``report.html`` and ``figures/*.svg`` into the directory, which is made if need be.
+    """Write ``report.html`` into the directory, which is made if need be; returns its path.
 
     passes: the original one first; source: the cell file; command: how this was called; date: as it shall be printed;
-    paper: set the paper's own results and figure numbers beside ours; parts: the assessments of the passes of a tool
-    path, if they are known already. Returns the path of report.html.
-    Each file appears whole or not at all. Raises InputError where a file cannot be written.
+    paper: set the paper's own results and figure numbers beside ours; parts: the assessments of the passes, if they
+    are known already; decision: what was decided, for the first screen; tables: further ones, after the scores.
+    The file appears whole or not at all. Raises InputError where it cannot be written.
     """
     if not passes:
         raise InputError(title, "a report needs at least one pass")
     place = inside(directory)
-    if cell.path.file:
-        parts = parts or assess_all(cell, passes)
-    pictures = part_gallery(cell, passes, parts) if parts else gallery(cell, passes)
-    about = dict(title=title, source=source, command=command, date=date, paper=paper)
-    text = page(cell, passes, pictures, parts=parts, **about)
-    figures = inside(directory, "figures")
-    head = '<?xml version="1.0" encoding="utf-8"?>\n'
-    write_files({figures / f"{p.name}.svg": (head, p.svg) for p in pictures})
+    parts = parts or assess_all(cell, passes)
+    decision = decision or DecisionBlock()
+    text = render(
+        cell, passes, parts, _data(cell, passes, parts, decision, paper), title=title, source=source, command=command,
+        date=date, paper=paper, decision=decision, more=tables,
+    )  # fmt: skip
     write_files({place / "report.html": (text,)})
     return place / "report.html"
+
+
+def _data(cell: Cell, passes, parts, decision: DecisionBlock, paper: bool) -> dict:
+    """What the page's scripts draw."""
+    charts = setup_charts(cell)
+    if not cell.path.file:
+        charts += [*pass_charts(cell, passes[0]), *comparison_charts(cell, passes)]
+    sizes = [t.whole.max_normal for t in parts] if cell.path.file else [p.scores.max_deviation for p in passes]
+    best = min(range(len(passes)), key=lambda k: sizes[k])
+    return {
+        "linked": linked(cell, passes, parts),
+        "surface": part_surface(parts),
+        "robot": robot_model(cell, passes[best]),
+        "charts": charts,
+        "paper": paper,
+        "best": best,
+        "tolerance_um": None if decision.tolerance is None else decision.tolerance * 1e6,
+        "stock_mm": [*(cell.stock.min * 1e3), *(cell.stock.max * 1e3)],
+        "engaged_s": cell.full_engagement,
+        "part": bool(cell.path.file),
+    }

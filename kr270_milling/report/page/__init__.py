@@ -1,0 +1,1 @@
+"""The report page: templates, style sheet and scripts, and the values that go into them."""

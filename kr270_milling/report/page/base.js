@@ -1,0 +1,87 @@
+"use strict";
+/* Data, numbers in words, colours of the present theme: what every picture shares. */
+const KR = {};
+(() => {
+  const KINDS = { f32: Float32Array, i32: Int32Array };
+
+  /* Packed rows become typed arrays; two dimensions become an array of rows. */
+  function unpack(value) {
+    if (Array.isArray(value)) return value.map(unpack);
+    if (value === null || typeof value !== "object") return value;
+    const kind = "f32" in value ? "f32" : "i32" in value ? "i32" : null;
+    if (!kind) return Object.fromEntries(Object.entries(value).map(([key, v]) => [key, unpack(v)]));
+    const bytes = Uint8Array.from(atob(value[kind]), (c) => c.charCodeAt(0));
+    const flat = new KINDS[kind](bytes.buffer);
+    if (value.shape.length < 2) return flat;
+    const [rows, columns] = value.shape;
+    return Array.from({ length: rows }, (_, r) => flat.subarray(r * columns, (r + 1) * columns));
+  }
+  KR.unpack = unpack;
+  const element = document.getElementById("data");
+  KR.data = element ? unpack(JSON.parse(element.textContent)) : {};
+
+  KR.by = (id) => document.getElementById(id);
+  KR.printing = false;
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  KR.dark = () => dark.matches && !KR.printing;
+
+  /* A number with a typographer's minus, never "-0"; a dash where there is none. */
+  KR.num = (value, digits = 1) => {
+    if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+    const text = value.toFixed(digits);
+    return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "\u2212");
+  };
+  /* Plotly reads a few tags in texts; names from outside are shown letter by letter. */
+  KR.plain = (text) => String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
+
+  const LIGHT = ["#222222", "#c44e00", "#0067a5", "#007d5a", "#a8518a", "#2d8fc4", "#777777", "#a0703c"];
+  const DARK = ["#f2f2f2", "#ff8f4f", "#62b5ff", "#3fd0a2", "#e59ac6", "#a9ddff", "#9aa5b0", "#c79a66"];
+  KR.colour = (k) => (KR.dark() ? DARK : LIGHT)[k % 8];
+  /* Blue to orange-red about a neutral middle: told apart by every kind of colour vision. */
+  KR.diverging = () => KR.dark()
+    ? [[0, "#7cc0ff"], [0.25, "#3c78b8"], [0.5, "#4a525b"], [0.75, "#c8643a"], [1, "#ffa06a"]]
+    : [[0, "#084f96"], [0.25, "#6ba9d6"], [0.5, "#e4e4e4"], [0.75, "#f09a68"], [1, "#a32a00"]];
+
+  KR.css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  KR.axis = (title, more = {}) => ({
+    title: { text: title, standoff: 6, font: { size: 12 } }, gridcolor: KR.css("--grid"), zeroline: false,
+    linecolor: KR.css("--line"), ticks: "outside", tickcolor: KR.css("--line"), automargin: true, ...more,
+  });
+  KR.layout = (more = {}) => ({
+    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", margin: { l: 56, r: 14, t: 12, b: 44 },
+    font: { family: "system-ui, 'DejaVu Sans', Helvetica, Arial, sans-serif", size: 12, color: KR.css("--ink") },
+    hoverlabel: { bgcolor: KR.css("--card"), bordercolor: KR.css("--line"), font: { color: KR.css("--ink") } },
+    legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" }, ...more,
+  });
+  KR.config = { responsive: true, displaylogo: false, displayModeBar: matchMedia("(hover: none)").matches ? false : "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
+                toImageButtonOptions: { format: "svg" } };
+
+  /* Every picture has draw(); those that show the place have mark(i) as well. */
+  KR.pictures = [];
+  KR.draw = (id, traces, layout) => {
+    const element = KR.by(id);
+    element.drawn = true;
+    return Plotly.react(element, traces, layout, KR.config);
+  };
+  KR.redraw = () => {
+    for (const picture of KR.pictures) picture.draw();
+    if (KR.place !== undefined) KR.remark();
+  };
+
+  KR.hasWebgl = (() => {
+    try {
+      return Boolean(document.createElement("canvas").getContext("webgl"));
+    } catch {
+      return false;
+    }
+  })();
+  KR.needsWebgl = (id) => {
+    if (!KR.hasWebgl) KR.by(id).textContent = "This picture needs WebGL, which this browser does not offer.";
+    return KR.hasWebgl;
+  };
+  /* Whether an element is on the screen, or nearly so. */
+  KR.seen = (id) => {
+    const box = KR.by(id).getBoundingClientRect();
+    return box.bottom > -200 && box.top < innerHeight + 200;
+  };
+})();

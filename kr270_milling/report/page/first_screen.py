@@ -1,0 +1,97 @@
+"""The first screen of the page: what was asked, the decision as tiles, the findings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decision.part import PartAssessment
+from kr270_milling.report.decision_block import SEVERITIES, DecisionBlock, FindingRow, Judgement
+from kr270_milling.report.payload import fixed
+
+__all__ = ["Tile", "asked", "finding_rows", "tiles"]
+
+
+@dataclass(frozen=True)
+class Tile:
+    """tone: "good", "bad" or "plain"; the word says the same, so that the colour is not needed."""
+
+    label: str
+    word: str
+    sentence: str
+    tone: str = "plain"
+
+
+def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
+    """The question, in one sentence."""
+    if cell.timed_path is not None:
+        way, duration = cell.timed_path.toolpath.length, cell.target().duration_ns * 1e-9
+        cut = f"{Path(cell.path.file).name} ({way:.3g} m of path in {duration:.3g} s)"
+    else:
+        cut = f"a straight cut of {cell.path.length * 1e3:g} mm, {cell.path.depth_of_cut * 1e3:.4g} mm deep,"
+    speed = cell.tool.spindle_speed * 30 / np.pi
+    how = f"a {cell.tool.diameter * 1e3:g} mm cutter with {cell.tool.teeth} teeth at {speed:.0f} rpm"
+    then = "" if len(passes) == 1 else ", and what does compensation change"
+    return f"How far off does {cell.arm.name} mill {cut} with {how}{then}?"
+
+
+def tiles(decision: DecisionBlock, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> list[Tile]:
+    """The decision; what nobody decided is said to be open."""
+    before, after, name = _largest(passes, parts)
+    found = [_judged("as programmed", decision.as_programmed, f"largest deviation {fixed(before * 1e6, 2)} µm")]
+    if len(passes) > 1:
+        change = f", {100 * (1 - after / before):.1f} % less" if after < before else ", no better"
+        said = f"largest deviation {fixed(after * 1e6, 2)} µm ('{name}'){change}"
+        found.append(_judged("compensated", decision.compensated, said))
+    if decision.may_be_run is not None:
+        stops = sum(f.count for f in decision.findings if f.severity == "stop")
+        reason = "no finding forbids it" if decision.may_be_run else f"{stops} finding{'s' * (stops != 1)} forbid it"
+        tone = "good" if decision.may_be_run else "bad"
+        found.append(Tile("may be run", "yes" if decision.may_be_run else "no", reason, tone))
+    if decision.recommended_method:
+        found.append(Tile("recommended method", decision.recommended_method, ""))
+    if decision.stability:
+        found.append(Tile("stability", "", decision.stability))
+    return found
+
+
+def _largest(passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> tuple[float, float, str]:
+    """Before and after [m], and the name of the best compensated pass."""
+    sizes = [part.whole.max_normal for part in parts] or [p.scores.max_deviation for p in passes]
+    if len(passes) == 1:
+        return sizes[0], sizes[0], passes[0].name
+    best = min(range(1, len(passes)), key=lambda k: sizes[k])
+    return sizes[0], sizes[best], passes[best].name
+
+
+def _judged(label: str, judged: Judgement | None, said: str) -> Tile:
+    if judged is None or judged.passes is None:
+        sentence = judged.sentence if judged and judged.sentence else said
+        return Tile(label, "no tolerance given" if judged is None or not judged.sentence else "", sentence)
+    word, tone = ("passes", "good") if judged.passes else ("fails", "bad")
+    return Tile(label, word, judged.sentence or said, tone)
+
+
+def finding_rows(decision: DecisionBlock) -> list[dict]:
+    """The worst first; numbers as texts."""
+    ordered = sorted(decision.findings, key=lambda f: SEVERITIES.index(f.severity))
+    return [_finding(row) for row in ordered]
+
+
+def _finding(row: FindingRow) -> dict:
+    amount = "" if row.value is None else f"{row.value:.4g} {row.unit}".replace("-", "−").strip()
+    limit = "" if row.limit is None else f"{row.limit:.4g} {row.unit}".replace("-", "−").strip()
+    return {
+        "severity": row.severity,
+        "what": row.what,
+        "where": row.where,
+        "amount": amount + (f" (limit {limit})" if amount and limit else ""),
+        "advice": row.advice,
+        "count": row.count,
+        "point": row.point,
+    }

@@ -1,0 +1,117 @@
+/* The path from above, coloured by deviation: before, after, difference; own or common colour scale. */
+(() => {
+  const { linked, stock_mm: stock } = KR.data;
+  const BUCKETS = 900;
+  const first = linked.passes[0];
+  const several = linked.passes.length > 1;
+  const ids = several ? ["before", "after", "difference"] : ["before"];
+  KR.shownPass = () => (several ? Number(KR.by("pass").value) : 0);
+
+  const minus = (a, b) => a.map((v, i) => v - b[i]);
+  const valuesOf = (id) => {
+    const after = linked.passes[KR.shownPass()];
+    return id === "before" ? first.side : id === "after" ? after.side : minus(after.side, first.side);
+  };
+
+  /* Stations that a map draws: where the tool cuts and is scored, the largest value of each bucket is kept. */
+  function chosen(values) {
+    const rows = [];
+    for (let i = 0; i < values.length; i++) if (linked.scored[i] && Number.isFinite(values[i])) rows.push(i);
+    if (rows.length <= 2 * BUCKETS) return rows;
+    const step = linked.way[linked.way.length - 1] / BUCKETS;
+    const best = new Map();
+    for (const i of rows) {
+      const bucket = Math.floor(linked.way[i] / step);
+      if (!best.has(bucket) || Math.abs(values[i]) > Math.abs(values[best.get(bucket)])) best.set(bucket, i);
+    }
+    return [...best.values()];
+  }
+  const largest = (values, rows) => rows.reduce((m, i) => Math.max(m, Math.abs(values[i])), 0) || 1;
+
+  function extent() {
+    let [x0, y0, x1, y1] = [stock[0], stock[1], stock[3], stock[4]];
+    for (let i = 0; i < linked.x.length; i++) {
+      if (!linked.cutting[i]) continue;
+      x0 = Math.min(x0, linked.x[i]); x1 = Math.max(x1, linked.x[i]);
+      y0 = Math.min(y0, linked.y[i]); y1 = Math.max(y1, linked.y[i]);
+    }
+    const margin = 0.04 * Math.max(x1 - x0, y1 - y0);
+    return [x0 - margin, x1 + margin, y0 - margin, y1 + margin];
+  }
+  const [x0, x1, y0, y1] = extent();
+  const flat = (y1 - y0) / (x1 - x0) < 0.45;
+
+  function draw(id, values, rows, limit) {
+    const worst = rows.reduce((a, c) => (Math.abs(values[c]) > Math.abs(values[a]) ? c : a), rows[0]);
+    const x = rows.map((i) => linked.x[i]);
+    const y = rows.map((i) => linked.y[i]);
+    const text = rows.map((i) => `${KR.num(values[i], 2)} µm<br>${KR.plain(linked.features[linked.feature[i]])}`
+      + `${linked.line[i] ? `, line ${linked.line[i]}` : ""}, XP${linked.point[i]}`);
+    const scale = KR.diverging();
+    const traces = [
+      { x: KR.cut(linked.x), y: KR.cut(linked.y), mode: "lines", hoverinfo: "skip", line: { color: KR.css("--soft"), width: 0.6 } },
+      { x, y, text, customdata: rows, mode: "markers", hovertemplate: "%{text}<extra></extra>",
+        marker: { size: 5.5, color: rows.map((i) => values[i]), colorscale: scale, cmin: -limit, cmax: limit,
+                  colorbar: { orientation: "h", thickness: 10, yref: "container", y: 0, yanchor: "bottom", ypad: 4, outlinewidth: 0, len: 0.9 } } },
+      { x: rows.length ? [linked.x[worst]] : [], y: rows.length ? [linked.y[worst]] : [], mode: "markers+text",
+        text: [`${KR.num(values[worst], 1)} µm`], textposition: "top center", hoverinfo: "skip", cliponaxis: false,
+        textfont: { color: KR.css("--ink"), size: 12 },
+        marker: { symbol: "triangle-up", size: 11, color: KR.css("--ink") } },
+    ];
+    const layout = KR.layout({
+      showlegend: false, hovermode: "closest", margin: { l: 50, r: 12, t: 8, b: 96 },
+      xaxis: KR.axis("x [mm]", { range: [x0, x1], constrain: "domain" }),
+      yaxis: KR.axis("y [mm]", { range: [y0, y1], scaleanchor: "x", constrain: "domain" }),
+      shapes: [
+        { type: "rect", x0: stock[0], x1: stock[3], y0: stock[1], y1: stock[4], layer: "below",
+          fillcolor: KR.css("--shade"), line: { color: KR.css("--line"), width: 1 } },
+        { type: "circle", xsizemode: "pixel", ysizemode: "pixel", xanchor: 0, yanchor: 0, x0: -8, x1: 8, y0: -8, y1: 8,
+          line: { color: KR.css("--accent"), width: 3 } },
+      ],
+    });
+    const element = KR.by(`map_${id}`);
+    const name = id === "before" ? first.name : linked.passes[KR.shownPass()].name;
+    const title = id === "before" ? `${name}` : id === "after" ? `${name}` : `${name} minus ${first.name}`;
+    KR.by(`map_${id}_title`).textContent = `${title}: at most ${KR.num(rows.length ? Math.abs(values[worst]) : NaN, 1)} µm`;
+    element.setAttribute("aria-label", `Tool path from above, deviation of ${title}; the largest is `
+      + `${KR.num(values[worst], 1)} µm at x ${KR.num(linked.x[worst], 1)}, y ${KR.num(linked.y[worst], 1)} mm.`);
+    return KR.draw(`map_${id}`, traces, layout);
+  }
+
+  function drawAll() {
+    const all = ids.map((id) => valuesOf(id));
+    const rows = all.map(chosen);
+    const own = all.map((values, k) => largest(values, rows[k]));
+    const common = document.querySelector("input[name=scale]:checked").value === "common";
+    ids.forEach((id, k) => draw(id, all[k], rows[k], common ? Math.max(...own) : own[k]));
+  }
+
+  function mark(i) {
+    for (const id of ids) {
+      Plotly.relayout(KR.by(`map_${id}`), { "shapes[1].xanchor": linked.x[i], "shapes[1].yanchor": linked.y[i] });
+    }
+  }
+
+  KR.startMaps = () => {
+    if (flat) KR.by("maps").classList.add("flat", "one");
+    for (const id of ["before", "after", "difference"]) {
+      if (!ids.includes(id)) KR.by(`map_${id}`).closest("figure").remove();
+    }
+    if (!several) {
+      KR.by("maps").classList.add("one");
+      KR.by("pass").closest("label").remove();
+      KR.by("scale").remove();
+      const radio = document.createElement("input");
+      Object.assign(radio, { type: "radio", name: "scale", value: "own", checked: true, hidden: true });
+      document.body.append(radio);
+    } else {
+      KR.by("pass").options[0].remove();
+      KR.by("pass").value = String(KR.data.best || 1);
+      KR.by("pass").addEventListener("change", () => KR.redraw());
+      KR.by("scale").addEventListener("change", () => { drawAll(); mark(KR.place); });
+    }
+    KR.pictures.push({ draw: drawAll, mark });
+    drawAll();
+    for (const id of ids) KR.hoverable(`map_${id}`);
+  };
+})();

@@ -1,0 +1,71 @@
+/* The part as machined: its height as a surface coloured by the error, the walls, the tool path. */
+(() => {
+  const { linked, surface } = KR.data;
+  const FLATTEST = 0.16; // share of the longer side that the height shows as
+  const floats = (rows) => rows.map((row) => Array.from(row, (v) => (Number.isFinite(v) ? v : 0)));
+  let here = -1;
+
+  function largest(pass) {
+    let size = 0;
+    for (const row of pass.floor) for (const v of row) if (Math.abs(v) > size) size = Math.abs(v);
+    for (const v of pass.wall) if (Math.abs(v) > size) size = Math.abs(v);
+    return size || 1;
+  }
+  function sizes() {
+    const x = surface.x[surface.x.length - 1] - surface.x[0];
+    const y = surface.y[surface.y.length - 1] - surface.y[0];
+    let low = Infinity;
+    let high = -Infinity;
+    for (const row of surface.z) for (const v of row) { low = Math.min(low, v); high = Math.max(high, v); }
+    const longest = Math.max(x, y);
+    const times = Math.max(1, Math.round((FLATTEST * longest) / Math.max(high - low, 1e-6)));
+    return { x: x / longest, y: y / longest, z: ((high - low) * times) / longest, times, low, high };
+  }
+
+  function draw() {
+    if (!KR.hasWebgl || !KR.by("part").wanted) return null;
+    const k = KR.shownPass();
+    const pass = surface.passes[k];
+    const common = document.querySelector("input[name=scale]:checked").value === "common";
+    const limit = common ? Math.max(...surface.passes.map(largest)) : largest(pass);
+    const size = sizes();
+    const scale = KR.diverging();
+    const traces = [
+      { type: "surface", x: surface.x, y: surface.y, z: surface.z, surfacecolor: floats(pass.floor), cmin: -limit, cmax: limit,
+        colorscale: scale, lighting: { ambient: 0.75, diffuse: 0.5, specular: 0.05 }, hoverinfo: "skip",
+        colorbar: { thickness: 10, len: 0.7, outlinewidth: 0, x: 1, xanchor: "right", title: { text: "µm" } } },
+      { type: "scatter3d", mode: "markers", x: surface.wall_x, y: surface.wall_y, z: surface.wall_z,
+        marker: { size: 3, color: pass.wall, cmin: -limit, cmax: limit, colorscale: scale }, name: "walls",
+        text: Array.from(pass.wall, (v) => `wall ${KR.num(v, 1)} µm`), hovertemplate: "%{text}<extra></extra>" },
+      { type: "scatter3d", mode: "lines", x: KR.cut(linked.x), y: KR.cut(linked.y), z: KR.cut(linked.z), name: "tool path",
+        hoverinfo: "skip", line: { color: KR.css("--soft"), width: 2 }, connectgaps: false },
+      { type: "scatter3d", mode: "markers", x: [linked.x[KR.place]], y: [linked.y[KR.place]], z: [linked.z[KR.place]],
+        hoverinfo: "skip", marker: { size: 9, color: KR.css("--accent"), symbol: "diamond" } },
+    ];
+    here = 3;
+    const axis = (title) => ({ title: { text: title }, gridcolor: KR.css("--grid"), color: KR.css("--soft"),
+                               backgroundcolor: "rgba(0,0,0,0)", zeroline: false, nticks: 5 });
+    const layout = KR.layout({
+      showlegend: false, margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: "keep",
+      scene: { xaxis: axis("x [mm]"), yaxis: axis("y [mm]"), zaxis: { ...axis("z [mm]"), nticks: 3 }, aspectmode: "manual",
+               aspectratio: { x: 1.35 * size.x, y: 1.35 * size.y, z: 1.35 * Math.max(size.z, 0.02) },
+               camera: { eye: { x: -0.62, y: -1.1, z: 0.95 }, center: { x: 0, y: 0, z: -0.12 } } },
+    });
+    KR.by("part_caption").textContent = `Pass '${pass.name}'. Colour: error of floors (surface) and walls (dots) that remain, `
+      + `+ material left, \u2212 cut too deep; neutral: not machined or too near to a wall. Largest ${KR.num(largest(pass), 1)} µm. `
+      + `Heights are drawn ${size.times} times too large. Diamond: the place of the tool tip.`;
+    KR.by("part").setAttribute("aria-label", KR.by("part_caption").textContent);
+    return KR.draw("part", traces, layout);
+  }
+
+  KR.startPart = () => {
+    if (!KR.needsWebgl("part")) return;
+    const mark = (i) => {
+      if (here < 0 || !KR.seen("part")) return;
+      Plotly.restyle("part", { x: [[linked.x[i]]], y: [[linked.y[i]]], z: [[linked.z[i]]] }, [here]);
+    };
+    KR.pictures.push({ draw, mark });
+    KR.by("scale")?.addEventListener("change", draw);
+    KR.whenSeen("part", () => { KR.by("part").wanted = true; draw(); });
+  };
+})();

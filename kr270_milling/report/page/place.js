@@ -1,0 +1,127 @@
+/* The marked place: a station number, moved by pointer, slider, keys or play, told to every picture. */
+(() => {
+  const { linked } = KR.data;
+  const count = linked.time.length;
+  KR.place = 0;
+  let waiting = false;
+  let playing = null;
+  const STEP_MS = 60;
+  const PLAY_STEPS = 400; // from one end to the other
+
+  function tell() {
+    waiting = false;
+    for (const picture of KR.pictures) picture.mark?.(KR.place);
+    KR.by("slider").value = KR.place;
+    KR.by("slider").setAttribute("aria-valuetext", words(KR.place));
+    readout(KR.place);
+  }
+  KR.remark = tell;
+  KR.go = (station) => {
+    const place = Math.max(0, Math.min(count - 1, Math.round(station)));
+    if (place === KR.place) return;
+    KR.place = place;
+    if (waiting) return;
+    waiting = true;
+    requestAnimationFrame(tell);
+  };
+
+  function words(i) {
+    const line = linked.line[i] ? `, line ${linked.line[i]}` : "";
+    return `${linked.features[linked.feature[i]]}${line}, ${KR.num(linked.way[i], 1)} mm`;
+  }
+  function readout(i) {
+    const parts = [["", linked.features[linked.feature[i]]]];
+    if (linked.line[i]) parts.push(["line", linked.line[i]]);
+    parts.push(["point", `XP${linked.point[i]}`], ["t", `${KR.num(linked.time[i], 3)} s`],
+      ["way", `${KR.num(linked.way[i], 2)} mm`],
+      ["x y z", `${KR.num(linked.x[i], 2)} ${KR.num(linked.y[i], 2)} ${KR.num(linked.z[i], 2)} mm`]);
+    for (const one of linked.passes) {
+      const shift = Math.abs(one.correction[i]) > 0.005 ? `, shift ${KR.num(one.correction[i], 1)} µm` : "";
+      parts.push([one.name, `${KR.num(one.side[i], 2)} µm, ${KR.num(one.force[i], 1)} N${shift}`]);
+    }
+    KR.by("readout").replaceChildren(...parts.map(([label, value]) => {
+      const span = document.createElement("span");
+      const i = document.createElement("i");
+      const b = document.createElement("b");
+      i.textContent = label ? `${label} ` : "";
+      b.textContent = value;
+      span.append(i, b);
+      return span;
+    }));
+  }
+
+  /* The station with the largest deviation of the pass that is looked at, where it counts. */
+  KR.worst = (pass) => {
+    let best = 0;
+    let size = -1;
+    linked.passes[pass].side.forEach((v, i) => {
+      if (linked.scored[i] && Math.abs(v) > size) [best, size] = [i, Math.abs(v)];
+    });
+    return best;
+  };
+  KR.stationAt = (time) => {
+    let low = 0;
+    let high = count - 1;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (linked.time[middle] < time) low = middle + 1; else high = middle;
+    }
+    return low;
+  };
+  /* Values where the tool cuts; null between two cuts, so that no line joins them. */
+  KR.cut = (values) => Array.from(values, (v, i) => (linked.cutting[i] ? v : null));
+  KR.stationOfPoint = (point) => Math.max(0, linked.point.findIndex((p) => p >= point));
+
+  function play(on) {
+    clearInterval(playing);
+    playing = null;
+    if (on) {
+      if (KR.place >= count - 1) KR.go(0);
+      const duration = linked.time[count - 1];
+      playing = setInterval(() => {
+        const next = KR.stationAt(linked.time[KR.place] + duration / PLAY_STEPS);
+        if (KR.place >= count - 1) play(false); else KR.go(Math.max(next, KR.place + 1));
+      }, STEP_MS);
+    }
+    KR.by("play").textContent = on ? "❚❚ pause" : "▶ play";
+    KR.by("play").setAttribute("aria-pressed", String(on));
+  }
+
+  function onKey(event) {
+    const inField = event.target.closest("input, select, textarea");
+    if (event.ctrlKey || event.metaKey || event.altKey || inField) return;
+    const step = event.shiftKey ? 10 : 1;
+    if (event.key === "ArrowRight") KR.go(KR.place + step);
+    else if (event.key === "ArrowLeft") KR.go(KR.place - step);
+    else if (event.key === "m" || event.key === "M") KR.go(KR.worst(KR.shownPass()));
+    else if (event.key === "p" || event.key === "P") play(playing === null);
+    else return;
+    event.preventDefault();
+  }
+
+  KR.startPlace = () => {
+    const slider = KR.by("slider");
+    slider.max = count - 1;
+    slider.addEventListener("input", () => KR.go(Number(slider.value)));
+    KR.by("play").addEventListener("click", () => play(playing === null));
+    KR.by("back").addEventListener("click", () => KR.go(KR.place - 1));
+    KR.by("forth").addEventListener("click", () => KR.go(KR.place + 1));
+    KR.by("worst").addEventListener("click", () => KR.go(KR.worst(KR.shownPass())));
+    for (const button of document.querySelectorAll(".go")) {
+      button.addEventListener("click", () => {
+        KR.go(KR.stationOfPoint(Number(button.dataset.point)));
+        KR.by("explore").scrollIntoView();
+      });
+    }
+    document.addEventListener("keydown", onKey);
+  };
+  KR.hoverable = (id) => {
+    const element = KR.by(id);
+    const follow = (event) => {
+      const station = event.points.find((p) => p.customdata !== undefined)?.customdata;
+      if (station !== undefined && playing === null) KR.go(station);
+    };
+    element.on("plotly_hover", follow);
+    element.on("plotly_click", follow);
+  };
+})();

@@ -1,0 +1,140 @@
+/* Deviation, force and correction over the way or the time, one row each, with tolerance and maxima. */
+(() => {
+  const { linked, tolerance_um: tolerance, engaged_s: engaged } = KR.data;
+  const shown = (key, least) => linked.passes.some((p) => p[key].some((v, i) => linked.cutting[i] && Math.abs(v) > least));
+  const ROWS = [
+    { key: "side", title: "deviation to the left [µm]", signed: true },
+    { key: "height", title: "deviation upwards [µm]", signed: true, least: 0.05 },
+    { key: "force", title: "force [N]" },
+    { key: "correction", title: "correction to the left [µm]", signed: true, least: 1e-3 },
+    { key: "lift", title: "correction upwards [µm]", signed: true, least: 0.05 },
+  ].filter((row) => row.least === undefined || shown(row.key, row.least));
+
+  const along = () => document.querySelector("input[name=axis]:checked").value;
+  const horizontal = () => (along() === "time" ? linked.time : linked.way);
+
+  function traces() {
+    const at = Array.from(horizontal());
+    const stations = Array.from(at, (_, i) => i);
+    const found = [];
+    ROWS.forEach((row, r) => {
+      const axis = r ? r + 1 : "";
+      linked.passes.forEach((one, k) => {
+        const values = one[row.key];
+        const gaps = row.key === "side" || row.key === "height" || row.key === "force";
+        const y = Array.from(values, (v, i) => (gaps && !linked.cutting[i] ? null : v));
+        found.push({ x: at, y, customdata: stations, name: KR.plain(one.name), legendgroup: k, showlegend: r === 0,
+          yaxis: `y${axis}`, xaxis: "x", mode: "lines", line: { color: KR.colour(k), width: row.key === "force" ? 0.8 : 1.4 },
+          text: y.map((v) => KR.num(v, 2)), hovertemplate: "%{text}", connectgaps: false });
+      });
+    });
+    found.push(...maxima(at));
+    return found;
+  }
+
+  function maxima(at) {
+    return linked.passes.map((one, k) => {
+      const i = KR.worst(k);
+      return { x: [at[i]], y: [one.side[i]], customdata: [i], mode: "markers+text", xaxis: "x", yaxis: "y", showlegend: false,
+        legendgroup: k, hoverinfo: "skip", marker: { color: KR.colour(k), size: 8, symbol: "circle-open", line: { width: 2 } },
+        text: [`${KR.num(one.side[i], 1)}`], textposition: one.side[i] < 0 ? "bottom center" : "top center",
+        textfont: { color: KR.colour(k), size: 11 }, cliponaxis: false };
+    });
+  }
+
+  /* Stretches of one feature: [first station, last station, name]. */
+  function stretches() {
+    const found = [];
+    let start = 0;
+    for (let i = 1; i <= linked.feature.length; i++) {
+      if (i === linked.feature.length || linked.feature[i] !== linked.feature[start]) {
+        found.push([start, i - 1, linked.features[linked.feature[start]]]);
+        start = i;
+      }
+    }
+    return found;
+  }
+
+  function shapes(at) {
+    const found = [{ type: "line", xref: "x", yref: "paper", x0: at[0], x1: at[0], y0: 0, y1: 1,
+                     line: { color: KR.css("--accent"), width: 2 } }];
+    const shade = (x0, x1) => ({ type: "rect", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, layer: "below",
+                                 fillcolor: KR.css("--shade"), line: { width: 0 } });
+    if (KR.data.part) {
+      stretches().forEach(([a, b], n) => { if (n % 2) found.push(shade(at[a], at[b])); });
+    } else if (engaged < linked.time[linked.time.length - 1]) {
+      found.push(shade(at[KR.stationAt(engaged)], at[at.length - 1]));
+    }
+    if (tolerance) {
+      for (const y of [tolerance, -tolerance]) {
+        found.push({ type: "line", xref: "paper", yref: "y", x0: 0, x1: 1, y0: y, y1: y,
+                     line: { color: KR.css("--bad"), width: 1.5, dash: "dash" } });
+      }
+    }
+    return found;
+  }
+
+  function annotations(at) {
+    const note = (more) => ({ showarrow: false, font: { size: 12 }, ...more });
+    const found = ROWS.map((row, r) => note({ text: `<b>${row.title}</b>`, xref: "paper", yref: `y${r ? r + 1 : ""} domain`,
+      x: 0, y: 1, xanchor: "left", yanchor: "bottom" }));
+    if (tolerance) {
+      found.push(note({ text: `tolerance ±${KR.num(tolerance, 0)} µm`, xref: "paper", yref: "y", x: 1, y: tolerance,
+                        xanchor: "right", yanchor: "bottom", font: { color: KR.css("--bad"), size: 11 } }));
+    }
+    const span = at[at.length - 1] - at[0];
+    const wide = KR.by("series").clientWidth;
+    for (const [a, b, name] of KR.data.part ? stretches() : []) {
+      if (((at[b] - at[a]) / span) * wide < 7 * name.length) continue;
+      found.push(note({ text: KR.plain(name), xref: "x", yref: "paper", x: (at[a] + at[b]) / 2, y: 0, yanchor: "bottom",
+                        font: { size: 10.5, color: KR.css("--soft") } }));
+    }
+    return found;
+  }
+
+  /* Ends of a row's axis, with room for the marked values. */
+  function reach(row) {
+    let [low, high] = [0, 0];
+    for (const one of linked.passes) {
+      one[row.key].forEach((v, i) => {
+        if (linked.cutting[i] || row.key === "correction" || row.key === "lift") [low, high] = [Math.min(low, v), Math.max(high, v)];
+      });
+    }
+    if (row.key === "side" && tolerance) [low, high] = [Math.min(low, -tolerance), Math.max(high, tolerance)];
+    const room = (row.key === "side" ? 0.22 : 0.08) * (high - low || 1);
+    return [row.signed ? low - room : 0, high + room];
+  }
+
+  function draw() {
+    const at = horizontal();
+    const gap = 0.055;
+    const height = (1 - gap * (ROWS.length - 1)) / ROWS.length;
+    const layout = KR.layout({
+      hovermode: "x", margin: { l: 52, r: 14, t: 46, b: 44 }, shapes: shapes(at), annotations: annotations(at),
+      xaxis: KR.axis(along() === "time" ? "time [s]" : "way along the path [mm]",
+        { anchor: ROWS.length > 1 ? `y${ROWS.length}` : "y", range: [at[0], at[at.length - 1]] }),
+      legend: { orientation: "h", x: 0, y: 1.045, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" },
+    });
+    ROWS.forEach((row, r) => {
+      const top = 1 - r * (height + gap);
+      const [low, high] = reach(row);
+      layout[`yaxis${r ? r + 1 : ""}`] = KR.axis("", { domain: [Math.max(0, top - height), top], zeroline: Boolean(row.signed),
+        zerolinecolor: KR.css("--soft"), zerolinewidth: 1, nticks: 6, range: [low, high] });
+    });
+    const sizes = linked.passes.map((p, k) => `${p.name} ${KR.num(Math.abs(p.side[KR.worst(k)]), 1)} µm`).join(", ");
+    KR.by("series").setAttribute("aria-label", `Deviation, force and correction along the path; largest deviation: ${sizes}.`);
+    return KR.draw("series", traces(), layout);
+  }
+
+  KR.startSeries = () => {
+    const picture = { draw, mark: (i) => {
+      const x = horizontal()[i];
+      Plotly.relayout(KR.by("series"), { "shapes[0].x0": x, "shapes[0].x1": x });
+    } };
+    KR.pictures.push(picture);
+    KR.by("series").style.height = `${Math.max(360, 175 * ROWS.length)}px`;
+    draw();
+    KR.hoverable("series");
+    KR.by("axis").addEventListener("change", () => { draw(); picture.mark(KR.place); });
+  };
+})();

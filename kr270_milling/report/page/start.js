@@ -1,0 +1,44 @@
+/* What happens when: at once what is on the first screens, the rest when it is scrolled to; theme, print, resize. */
+(() => {
+  const waiting = new Map();
+  const watcher = new IntersectionObserver((entries) => {
+    for (const entry of entries) {
+      if (!entry.isIntersecting || !waiting.has(entry.target.id)) continue;
+      const job = waiting.get(entry.target.id);
+      waiting.delete(entry.target.id);
+      watcher.unobserve(entry.target);
+      job();
+    }
+  }, { rootMargin: "300px" });
+  KR.whenSeen = (id, job) => {
+    waiting.set(id, job);
+    watcher.observe(KR.by(id));
+  };
+  KR.drawEverything = () => {
+    for (const job of waiting.values()) job();
+    waiting.clear();
+  };
+
+  KR.startPlace();
+  KR.startMaps();
+  KR.startSeries();
+  KR.startSource();
+  KR.startPart();
+  KR.startRobot();
+  KR.startCharts();
+  KR.place = KR.worst(KR.shownPass());
+  KR.remark();
+
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", KR.redraw);
+  addEventListener("beforeprint", () => { KR.printing = true; KR.drawEverything(); KR.redraw(); });
+  addEventListener("afterprint", () => { KR.printing = false; KR.redraw(); });
+  let resized = null;
+  let wide = innerWidth;
+  addEventListener("resize", () => {
+    if (innerWidth === wide) return; // a phone's address bar comes and goes
+    wide = innerWidth;
+    clearTimeout(resized);
+    resized = setTimeout(KR.redraw, 150);
+  });
+  KR.ready = true;
+})();

@@ -1,0 +1,138 @@
+"""The robot for the page's 3-D picture: the URDF's solids as triangles, and the chain that moves them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from kr270_milling.base.frames import rotation_from_abc
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass, commanded_joints
+from kr270_milling.robot.solids import COLOURS
+from kr270_milling.robot.urdf import urdf
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["Link", "Mesh", "RobotModel", "links_of", "robot_model"]
+
+SIDES = 20  #: of the prism that stands for a cylinder
+MOST_POSTURES = 240
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    colour: str
+    vertex: np.ndarray  #: in the frame of the link [m], (v, 3)
+    triangle: np.ndarray  #: rows of ``vertex``, (t, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Link:
+    """parent: row of the link that it hangs on, -1 for the base; joint: 0 to 5 turn it, -1: fixed."""
+
+    name: str
+    parent: int
+    rotation: np.ndarray  #: of the joint's frame in that of the parent, (3, 3)
+    xyz: np.ndarray  #: its origin there [m], (3,)
+    axis: np.ndarray  #: (3,)
+    joint: int
+    meshes: tuple[Mesh, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """Links in an order in which each comes after its parent; joints at p times of the pass that is shown."""
+
+    name: str
+    links: tuple[Link, ...]
+    colours: dict[str, str]
+    pass_name: str
+    time: np.ndarray  #: [s], (p,)
+    joints: np.ndarray  #: commanded positions [rad], (p, 6)
+    stock_corners: np.ndarray  #: of the box, base_link [m], (8, 3)
+    workpiece_rotation: np.ndarray  #: workpiece -> base_link, (3, 3)
+    workpiece_xyz: np.ndarray  #: [m], (3,)
+
+
+def robot_model(cell: Cell, shown: ScoredPass) -> RobotModel:
+    """The robot with the postures that are commanded in a pass."""
+    time, joints = _postures(cell, shown.reference)
+    low, high = cell.stock.min, cell.stock.max
+    corners = np.array([[(low, high)[(c >> k) & 1][k] for k in range(3)] for c in range(8)])
+    colours = {name: "#" + "".join(f"{round(255 * v):02x}" for v in rgb) for name, rgb in COLOURS.items()}
+    links = links_of(urdf(cell.arm, cell.mount, cell.tool.radius))
+    place = cell.workpiece.pose
+    return RobotModel(
+        cell.arm.name, links, colours, shown.name, time, joints, place.apply(corners), place.rotation, place.position
+    )
+
+
+def _postures(cell: Cell, reference: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    time_ns = np.unique(np.linspace(0, reference.duration_ns, MOST_POSTURES).round().astype(np.int64))
+    thinned = Trajectory(
+        time_ns, reference.sample(time_ns), reference.sample_orientation(time_ns), None, reference.frame
+    )
+    return thinned.time, commanded_joints(cell, thinned)
+
+
+def links_of(text: str) -> tuple[Link, ...]:
+    """The links of a URDF whose solids are boxes and cylinders, parents first."""
+    root = ET.fromstring(text)
+    links = {link.get("name"): link for link in root.iter("link")}
+    joints = {joint.find("child").get("link"): joint for joint in root.iter("joint")}
+    order = [name for name in links if name not in joints]
+    moving = 0
+    found: list[Link] = []
+    for name in order:
+        order.extend(child for child, joint in joints.items() if joint.find("parent").get("link") == name)
+        joint = joints.get(name)
+        number = -1
+        if joint is not None and joint.get("type") == "revolute":
+            number, moving = moving, moving + 1
+        parent = order.index(joint.find("parent").get("link")) if joint is not None else -1
+        rotation, xyz = _origin(joint.find("origin") if joint is not None else None)
+        axis = _numbers(joint.find("axis").get("xyz")) if number >= 0 else np.zeros(3)
+        meshes = tuple(_mesh(visual) for visual in links[name].iter("visual"))
+        found.append(Link(name, parent, rotation, xyz, axis, number, meshes))
+    return tuple(found)
+
+
+def _numbers(text: str) -> np.ndarray:
+    return np.array([float(v) for v in text.split()])
+
+
+def _origin(element) -> tuple[np.ndarray, np.ndarray]:
+    if element is None:
+        return np.eye(3), np.zeros(3)
+    return rotation_from_abc(_numbers(element.get("rpy"))[::-1]), _numbers(element.get("xyz"))
+
+
+def _mesh(visual) -> Mesh:
+    rotation, xyz = _origin(visual.find("origin"))
+    shape = visual.find("geometry")[0]
+    if shape.tag == "box":
+        vertex, triangle = _box(_numbers(shape.get("size")))
+    else:
+        vertex, triangle = _cylinder(float(shape.get("radius")), float(shape.get("length")))
+    return Mesh(visual.find("material").get("name"), vertex @ rotation.T + xyz, triangle)
+
+
+def _box(size: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    corner = np.array([[(c >> k) & 1 for k in range(3)] for c in range(8)]) - 0.5
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    triangles = [t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))]
+    return corner * np.asarray(size), np.array(triangles)
+
+
+def _cylinder(radius: float, length: float) -> tuple[np.ndarray, np.ndarray]:
+    angle = 2 * np.pi * np.arange(SIDES) / SIDES
+    ring = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    ends = [np.column_stack([ring, np.full(SIDES, side * length / 2)]) for side in (-1.0, 1.0)]
+    middles = np.array([[0.0, 0.0, -length / 2], [0.0, 0.0, length / 2]])
+    k = np.arange(SIDES)
+    n = (k + 1) % SIDES
+    below, above = np.full(SIDES, 2 * SIDES), np.full(SIDES, 2 * SIDES + 1)
+    parts = [(k, n, n + SIDES), (k, n + SIDES, k + SIDES), (below, n, k), (above, k + SIDES, n + SIDES)]
+    return np.vstack([*ends, middles]), np.vstack([np.column_stack(part) for part in parts])
