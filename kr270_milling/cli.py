@@ -112,6 +112,7 @@ def _run(argv: list[str]) -> int:
         parser.print_help()
         return EXIT_OK
     args = parser.parse_args(argv)
+    args.argv = argv
     from kr270_milling.base.errors import MillingError
 
     if hasattr(sys.stdout, "reconfigure"):  # a file name need not be text that can be printed

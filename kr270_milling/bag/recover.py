@@ -42,11 +42,14 @@ class Recovered:
         return asdict(self)
 
 
-def recover(source, target=None, progress: Callable[[int, int], None] | None = None) -> Recovered:
+def recover(
+    source, target=None, progress: Callable[[int, int], None] | None = None, leave_whole: bool = False
+) -> Recovered:
     """Write what is readable of ``source`` into the new directory ``target`` (default: beside the source, which may be
     a file or a recording's directory, under its name with "_recovered").
 
     The source is not touched. The target appears at once when it is complete; it must not exist before.
+    leave_whole: nothing is written for a source that is whole; ``directory`` is then where it is.
     """
     file = find_file(source)
     place = Path(os.path.abspath(source))
@@ -57,7 +60,10 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         result = _copy(file, part, target.name, progress)
-        os.rename(part, target)
+        if result.whole and leave_whole:
+            target = place if place.is_dir() else place.parent
+        else:
+            os.rename(part, target)
     except OSError as error:
         raise RecordingError(target, f"cannot be written: {error.strerror or error}") from error
     finally:

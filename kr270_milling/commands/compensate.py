@@ -5,7 +5,7 @@ Exit code 1 where the check finds that the revised path must not be run; then no
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_cell, add_common, print_json, print_table, progress
+from kr270_milling.commands.console import add_cell, add_common, command_line, print_json, print_table, progress
 from kr270_milling.compensation.methods import METHODS
 
 SAMPLES = 32
@@ -72,7 +72,7 @@ def run(args) -> int:
         found["verdict"] = _verdict(cell, revised, args)
         decision = decide(cell, original, revised, parts, checked)
         found["decision"] = decision.as_dict()
-        found |= _write(draft, final, cell, passes, parts, motions, args, source, checked)
+        found |= _write(draft, final, cell, passes, parts, motions, args, source, checked, decision)
     if args.json:
         print_json(found)
     else:
@@ -130,7 +130,7 @@ def _verdict(cell, revised, args) -> dict | None:
         ).as_dict()
 
 
-def _write(draft, final, cell, passes, parts, motions, args, source, checked) -> dict:
+def _write(draft, final, cell, passes, parts, motions, args, source, checked, decision) -> dict:
     """All files; their final paths by kind."""
     import datetime
 
@@ -147,19 +147,19 @@ def _write(draft, final, cell, passes, parts, motions, args, source, checked) ->
         placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
         placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
         if parts:
-            placed |= _write_part(draft, final, cell, passes, parts, args, source, date)
+            placed |= _write_part(draft, final, cell, passes, parts, args, source, date, checked, decision)
     return placed
 
 
-def _write_part(draft, final, cell, passes, parts, args, source, date: str) -> dict:
+def _write_part(draft, final, cell, passes, parts, args, source, date: str, checked, decision) -> dict:
     """Report with the error maps, and the part as it is predicted."""
     from kr270_milling.decision.part import machined, write_stl
-    from kr270_milling.report import write_report
+    from kr270_milling.report import decision_block, write_report
 
     title = f"{cell.path.file.rsplit('/', 1)[-1]}: before and after compensation ({passes[1].name})"
     report = write_report(
-        draft, cell, passes, title=title, source=str(source), command="kr270_milling compensate", date=date,
-        parts=parts,
+        draft, cell, passes, title=title, source=str(source), command=command_line(args), date=date,
+        parts=parts, decision=decision_block(decision, checked),
     )  # fmt: skip
     stl = draft / f"part_{passes[1].name}.stl"
     write_stl(stl, machined(cell, passes[1].result.actual))

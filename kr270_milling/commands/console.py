@@ -6,10 +6,14 @@ import argparse
 import contextlib
 import json
 import math
+import shlex
 import sys
 from pathlib import Path
 
-__all__ = ["add_common", "add_cell", "fixed", "numbers", "output_directory", "print_json", "print_table", "progress"]
+__all__ = [
+    "add_cell", "add_common", "command_line", "fixed", "numbers", "output_directory", "print_json", "print_table",
+    "progress",
+]  # fmt: skip
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -49,6 +53,17 @@ def output_directory(path: str) -> Path:
     directory = Path(path)
     directory.mkdir(parents=True, exist_ok=True)
     return directory
+
+
+def command_line(args) -> str:
+    """How the command was called, as it can be typed again; of a place on this machine only the last name is told."""
+    words = ["kr270_milling"]
+    for word in getattr(args, "argv", []):
+        key, equals, value = word.partition("=")
+        if equals and Path(value).is_absolute():
+            word = f"{key}={Path(value).name}"
+        words.append(Path(word).name if Path(word).is_absolute() else word)
+    return shlex.join(words)
 
 
 def print_json(value) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_common, print_json, print_table, progress
+from kr270_milling.commands.console import add_common, command_line, print_json, print_table, progress
 
 METHODS = ("linear", "spline", "learned")
 PAPER = {"original": ("58.10", "63.20"), "linear": ("0.14", "4.70")}
@@ -27,14 +27,14 @@ def run(args) -> None:
         how = "plain loop in one process" + ("" if args.plain else ", since rclpy is not installed")
         with staged(args.out) as (draft, final):
             passes = _plain(cell)
-            report = final(_write(draft, cell, passes, source))
+            report = final(_write(draft, cell, passes, source, args))
         return _tell(args, passes, {"report": str(report), "out": args.out, "ran_as": how})
     from kr270_milling.commands.run import run_cell, summary
 
     found = run_cell(cell, METHODS, args.out, quiet=args.json)
     passes = [ran.scored for ran in found["passes"]]
     how = f"four ROS 2 nodes and a recorder, graph up in {found['graph_up_s']:.2f} s"
-    report = _write(found["out"], cell, passes, source)
+    report = _write(found["out"], cell, passes, source, args)
     return _tell(args, passes, {**summary(found), "report": str(report), "ran_as": how})
 
 
@@ -49,7 +49,7 @@ def _plain(cell) -> list:
     return passes
 
 
-def _write(directory, cell, passes, source):
+def _write(directory, cell, passes, source, args):
     """Report and series; returns the path of the report."""
     import datetime
 
@@ -60,7 +60,7 @@ def _write(directory, cell, passes, source):
     with progress("report") as _:
         report = write_report(
             directory, cell, passes, title="The milling pass of Klimchik et al. (2012)", source=str(source),
-            command="kr270_milling demo", date=date, paper=True,
+            command=command_line(args), date=date, paper=True,
         )  # fmt: skip
         write_series(directory, cell, passes)
     return report

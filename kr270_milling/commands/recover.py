@@ -7,7 +7,9 @@ from kr270_milling.commands.console import add_common, print_json, progress
 
 def add_arguments(parser) -> None:
     parser.add_argument("file", metavar="FILE.mcap|DIR", help="the damaged recording; it is not touched")
-    parser.add_argument("--out", metavar="DIR", help="the new recording (default: beside it, with _recovered)")
+    parser.add_argument(
+        "--out", metavar="DIR", help="the new recording (default: beside it, with _recovered; none of a whole one)"
+    )
     add_common(parser)
 
 
@@ -16,9 +18,12 @@ def run(args) -> None:
     from kr270_milling.base.errors import one_line
 
     with progress("recovering") as report:
-        found = recover(args.file, args.out, report)
+        found = recover(args.file, args.out, report, leave_whole=args.out is None)
     if args.json:
         print_json(found.as_dict())
+        return
+    if found.whole and args.out is None:
+        print(f"{found.source}: is whole, nothing to recover; left as it is")
         return
     state = "was whole already" if found.whole else f"{found.lost_bytes} bytes of it could not be used"
     print(f"{found.source}: {state}")

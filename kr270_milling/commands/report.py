@@ -1,17 +1,31 @@
-"""``kr270_milling report``: the report of one recording, or of a directory of recordings."""
+"""``kr270_milling report``: the report of one recording, or of several passes of one path on the same scales."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from kr270_milling.commands.console import add_common, fixed, output_directory, print_json, print_table, progress
+from kr270_milling.commands.console import (
+    add_common,
+    command_line,
+    fixed,
+    output_directory,
+    print_json,
+    print_table,
+    progress,
+)
 
 
 def add_arguments(parser) -> None:
-    parser.add_argument("recording", metavar="FILE-or-DIR", help="a recording, or a directory that holds some")
+    parser.add_argument(
+        "recordings", metavar="FILE-or-DIR", nargs="+",
+        help="recordings, or directories that hold some; passes of one path are compared on the same scales",
+    )  # fmt: skip
     parser.add_argument("--namespace", metavar="NAME", help="of the robot, where a recording holds several")
     parser.add_argument(
-        "--out", metavar="DIR", help="where the report goes (default: report in DIR, or beside the FILE)"
+        "--out",
+        metavar="DIR",
+        help="where the report goes (default: report in the first DIR, or beside the first FILE)",
     )
     add_common(parser)
 
@@ -19,30 +33,75 @@ def add_arguments(parser) -> None:
 def run(args) -> None:
     import datetime
 
-    from kr270_milling.replay.recorded import pass_from_recording
     from kr270_milling.report import write_report
     from kr270_milling.report.series import write_series
 
-    place = Path(args.recording)
-    paths = recordings(place)
-    with progress("reading") as report:
-        found = []
-        for number, path in enumerate(paths, 1):
-            found.append(pass_from_recording(path, path.stem, args.namespace))
-            report(number, len(paths))
+    places = [Path(place) for place in args.recordings]
+    found, copies = _read(places, args.namespace)
     cell, passes = found[0].cell, [one.scored for one in found]
-    directory = output_directory(args.out or (place if place.is_dir() else place.parent) / "report")
+    first = places[0]
+    directory = output_directory(args.out or (first if first.is_dir() else first.parent) / "report")
     date = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-    title, command = f"Milling passes of {cell.arm.name}, recorded", f"kr270_milling report {args.recording}"
-    page = write_report(directory, cell, passes, title=title, source=args.recording, command=command, date=date)
-    write_series(directory, cell, passes)
+    title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
+    with progress("report"):
+        page = write_report(
+            directory, cell, passes, title=title, source=first.name, command=command_line(args), date=date
+        )
+        write_series(directory, cell, passes)
     rows = [{**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete} for one in found]
     if args.json:
-        print_json({"passes": rows, "report": str(page), "out": str(directory)})
+        print_json({"passes": rows, "copies": copies, "report": str(page), "out": str(directory)})
         return
     columns = ["pass", "static [um]", "max [um]", "lost", "complete"]
     print_table("Path deviation, from the recordings", columns, [_cells(row) for row in rows])
+    for copy in copies:
+        print(f"skipped, a copy of another pass: {copy}")
     print(f"report: {page}")
+
+
+def _read(places: Sequence[Path], namespace: str | None) -> tuple[list, list[str]]:
+    """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
+    import numpy as np
+
+    from kr270_milling.base.errors import InputError
+    from kr270_milling.replay.recorded import pass_from_recording
+
+    paths = list(dict.fromkeys(path for place in places for path in recordings(place)))
+    names = unique_names(paths)
+    found, copies = [], []
+    with progress("reading") as report:
+        for number, (path, name) in enumerate(zip(paths, names, strict=True), 1):
+            one = pass_from_recording(path, name, namespace)
+            report(number, len(paths))
+            if any(_same(one.scored, other.scored) for other in found):
+                copies.append(str(path))
+                continue
+            target, first = one.cell.target(), (found or [one])[0].cell.target()
+            if not np.array_equal(target.time_ns, first.time_ns) or not np.allclose(target.position, first.position):
+                raise InputError(path, f"is a pass of another path than {paths[0]}: give each path a report of its own")
+            found.append(one)
+    return found, copies
+
+
+def _same(one, other) -> bool:
+    """Whether two recorded passes hold the same poses and wrenches: a copy, or what was recovered of one."""
+    import numpy as np
+
+    a, b = one.result, other.result
+    return all(np.array_equal(getattr(a, key), getattr(b, key)) for key in ("time_ns", "tool", "wrench"))
+
+
+def unique_names(paths: Sequence[Path]) -> list[str]:
+    """The stem of each file, with its directories in front where stems are alike."""
+    names = [path.stem for path in paths]
+    for depth in range(1, 8):
+        if len(set(names)) == len(names):
+            break
+        names = [
+            "/".join((*path.parent.parts[-depth:], path.stem)) if names.count(name) > 1 else name
+            for path, name in zip(paths, names, strict=True)
+        ]
+    return names
 
 
 def recordings(path: Path) -> list[Path]:

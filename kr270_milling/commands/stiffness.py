@@ -29,10 +29,16 @@ def run(args) -> None:
     print(f"{arm.name} at {args.joints_deg} deg, {args.frame} frame, tool point at ({x}, {y}, {z}) m\n")
     axes = ["x", "y", "z", "rx", "ry", "rz"]
     diagonal = zip(axes, np.diag(found["compliance"]), np.diag(found["stiffness"]), found["deflection"], strict=True)
-    rows = [[a, f"{c:.4e}", f"{k:.4e}", f"{d:.4e}"] for a, c, k, d in diagonal]
+    least = 1e-9 * np.repeat([np.abs(found["deflection"][k : k + 3]).max() for k in (0, 3)], 3)
+    rows = [[a, _number(c), _number(k), _number(d, n)] for (a, c, k, d), n in zip(diagonal, least, strict=True)]
     print_table(
         "Diagonals and deflection under the wrench [m, rad, N]", ["axis", "compliance", "stiffness", "deflection"], rows
     )
     for model, values in found["mode_frequencies_hz"].items():
         print(f"natural frequencies, {model} mass: " + ", ".join(f"{v:.2f}" for v in values) + " Hz")
     print(f"condition number of the Jacobian (lengths in m): {found['condition_number']:.1f}")
+
+
+def _number(value: float, least: float = 0.0) -> str:
+    """Zeros as zeros, also those that rounding made."""
+    return "0" if abs(value) <= least else f"{value:.4e}"

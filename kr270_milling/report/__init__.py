@@ -12,13 +12,7 @@ from kr270_milling.decision.part import PartAssessment, assess_all
 from kr270_milling.report.charts_compare import comparison_charts
 from kr270_milling.report.charts_pass import pass_charts
 from kr270_milling.report.charts_setup import setup_charts
-from kr270_milling.report.decision_block import (
-    DecisionBlock,
-    FindingRow,
-    Judgement,
-    ReportTable,
-    decision_of_check,
-)
+from kr270_milling.report.decision_block import DecisionBlock, ReportTable, decision_block
 from kr270_milling.report.linked import linked
 from kr270_milling.report.page.page import render
 from kr270_milling.report.robot_model import robot_model
@@ -26,9 +20,7 @@ from kr270_milling.report.series import inside, write_series
 from kr270_milling.report.surface_map import part_surface
 from kr270_milling.trajectory.files import write_files
 
-__all__ = [
-    "DecisionBlock", "FindingRow", "Judgement", "ReportTable", "decision_of_check", "write_report", "write_series",
-]  # fmt: skip
+__all__ = ["DecisionBlock", "ReportTable", "decision_block", "write_report", "write_series"]
 
 
 def write_report(
@@ -58,14 +50,14 @@ def write_report(
     parts = parts or assess_all(cell, passes)
     decision = decision or DecisionBlock()
     text = render(
-        cell, passes, parts, _data(cell, passes, parts, decision, paper), title=title, source=source, command=command,
+        cell, passes, parts, _data(cell, passes, parts, paper), title=title, source=source, command=command,
         date=date, paper=paper, decision=decision, more=tables,
     )  # fmt: skip
     write_files({place / "report.html": (text,)})
     return place / "report.html"
 
 
-def _data(cell: Cell, passes, parts, decision: DecisionBlock, paper: bool) -> dict:
+def _data(cell: Cell, passes, parts, paper: bool) -> dict:
     """What the page's scripts draw."""
     charts = setup_charts(cell)
     if not cell.path.file:
@@ -79,7 +71,7 @@ def _data(cell: Cell, passes, parts, decision: DecisionBlock, paper: bool) -> di
         "charts": charts,
         "paper": paper,
         "best": best,
-        "tolerance_um": None if decision.tolerance is None else decision.tolerance * 1e6,
+        "tolerance_um": [1e6 * allowed for allowed in cell.part.of()],
         "stock_mm": [*(cell.stock.min * 1e3), *(cell.stock.max * 1e3)],
         "engaged_s": cell.full_engagement,
         "part": bool(cell.path.file),

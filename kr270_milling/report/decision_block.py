@@ -1,23 +1,25 @@
-"""What stands on the first screen of a report: the decision, as those who make it deliver it.
+"""What stands on the first screen of a report: the decision in words and numbers that are ready to be shown.
 
-Plain records of words and numbers that are ready to be shown: the report judges nothing itself.
+The report judges nothing itself: ``decision_block`` takes over what ``decision`` found.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
 from dataclasses import dataclass
 
 from kr270_milling.decision.check import Checked
+from kr270_milling.decision.decision import Decision
+from kr270_milling.decision.findings import Finding
+from kr270_milling.decision.tolerance import Judgement
 
-__all__ = ["SEVERITIES", "DecisionBlock", "FindingRow", "Judgement", "ReportTable", "decision_of_check"]
+__all__ = ["Answer", "DecisionBlock", "FindingRow", "ReportTable", "decision_block", "finding_row"]
 
-#: the worst first
-SEVERITIES = ("stop", "warning", "note")
+MICRO = "µm"
 
 
 @dataclass(frozen=True)
-class Judgement:
+class Answer:
     """Whether one version of the path meets the tolerance."""
 
     passes: bool | None  #: None: no tolerance is given
@@ -26,9 +28,9 @@ class Judgement:
 
 @dataclass(frozen=True)
 class FindingRow:
-    """One thing that was found; value and limit are in ``unit``."""
+    """One finding; value and limit are in ``unit``."""
 
-    severity: str  #: one of SEVERITIES
+    severity: str  #: "stop", "warning" or "note"
     what: str
     where: str = ""  #: place in words: "line 42, point 311"
     value: float | None = None
@@ -43,18 +45,17 @@ class FindingRow:
 class DecisionBlock:
     """The answer to what was asked; what is None or empty is not known and is not shown."""
 
-    as_programmed: Judgement | None = None
-    compensated: Judgement | None = None
+    as_programmed: Answer | None = None
+    compensated: Answer | None = None
     may_be_run: bool | None = None
     recommended_method: str = ""
     stability: str = ""  #: statement in one sentence
     findings: tuple[FindingRow, ...] = ()
-    tolerance: float | None = None  #: [m], of the deviation to the side: drawn as lines in the pictures
 
 
 @dataclass(frozen=True)
 class ReportTable:
-    """A further table on the page; the first column is text, the others are texts that are set right-aligned."""
+    """A table on the page; the first column is text, the others are texts that are set right-aligned."""
 
     title: str
     columns: tuple[str, ...]
@@ -62,16 +63,39 @@ class ReportTable:
     note: str = ""
 
 
-def decision_of_check(checked: Checked, method: str = "") -> DecisionBlock:
-    """What ``decision.check`` found, one row for each kind of finding, named by its worst place."""
-    groups: dict[tuple[str, str], list[tuple]] = {}
-    for finding, line in zip(checked.findings, checked.lines, strict=True):
-        groups.setdefault((finding.severity, finding.kind), []).append((finding, line))
-    rows = [_row(severity, found) for (severity, _), found in groups.items()]
-    return DecisionBlock(may_be_run=not checked.stops, recommended_method=method, findings=tuple(rows))
+def decision_block(decision: Decision | None, checked: Checked | None, stability: str = "") -> DecisionBlock:
+    """decision: of an original and a compensated pass; checked: findings of the path that is to be run."""
+    rows = () if checked is None else tuple(map(finding_row, checked.findings))
+    may = None if checked is None else checked.may_be_run
+    if decision is None:
+        return DecisionBlock(may_be_run=may, stability=stability, findings=rows)
+    return DecisionBlock(
+        as_programmed=_answer(decision.as_programmed),
+        compensated=_answer(decision.compensated),
+        may_be_run=decision.may_be_run,
+        recommended_method=decision.recommended_method,
+        stability=stability,
+        findings=rows,
+    )
 
 
-def _row(severity: str, found: Sequence[tuple]) -> FindingRow:
-    worst, line = max(found, key=lambda pair: abs(pair[0].value))
-    where = f"point {worst.point}" + ("" if line is None else f", line {line}")
-    return FindingRow(severity, worst.sentence, where, count=len(found), point=worst.point)
+def _answer(judged: Judgement) -> Answer:
+    left = f"{1e6 * judged.error:.1f} {MICRO} on wall or floor"
+    if judged.passes is None:
+        return Answer(None, f"{left}; part.tolerance_um says nothing")
+    where = f" at {judged.feature}" if judged.feature else ""
+    return Answer(judged.passes, f"{left}{where}, {1e6 * judged.tolerance:.0f} {MICRO} allowed")
+
+
+def finding_row(finding: Finding) -> FindingRow:
+    """A finding of the checks, its place in words; its sentence tells value and limit."""
+    place = finding.where
+    words = [place.feature, f"line {place.line}" if place.line else None, f"XP{place.point}" if place.point else None]
+    return FindingRow(
+        severity=finding.severity,
+        what=re.sub(r"\bum\b", MICRO, finding.sentence),
+        where=", ".join(filter(None, words)),
+        advice=finding.advice,
+        count=finding.count,
+        point=place.point,
+    )

@@ -15,7 +15,12 @@ from kr270_milling.robot.arm import Arm, Mount
 __all__ = ["COLOURS", "Solid", "link_solids"]
 
 #: material of a solid -> red, green, blue, from 0 to 1
-COLOURS = {"arm": (0.90, 0.45, 0.10), "dark": (0.22, 0.24, 0.27), "metal": (0.62, 0.65, 0.69), "tool": (0.80, 0.70, 0.30)}
+COLOURS = {
+    "arm": (0.90, 0.45, 0.10),
+    "dark": (0.22, 0.24, 0.27),
+    "metal": (0.62, 0.65, 0.69),
+    "tool": (0.80, 0.70, 0.30),
+}
 REACH = 2.35  #: [m], a2 + d4 of the KR 270-2, by whose look the widths are chosen
 STICK_OUT = 0.04  #: [m] of the tool from its holder
 HOLDER = 0.06  #: [m] of the holder from the spindle nose

@@ -51,7 +51,7 @@ def test_help_lists_every_command_without_importing_numpy():
     ran = in_a_process(
         "import sys\nfrom kr270_milling.cli import main\n"
         "try:\n    main(['--help'])\nexcept SystemExit as e:\n    assert e.code == 0\n"
-        "heavy = {'numpy', 'scipy', 'numba', 'matplotlib', 'mcap', 'rich', 'rclpy', 'yaml'} & set(sys.modules)\n"
+        "heavy = {'numpy', 'scipy', 'numba', 'plotly', 'mcap', 'rich', 'rclpy', 'yaml'} & set(sys.modules)\n"
         "assert not heavy, heavy"
     )
     assert ran.returncode == 0, ran.stderr

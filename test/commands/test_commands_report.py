@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 from pathlib import Path
 
 import pass_recording as made
 from hostile import ask, refused
+
+from kr270_milling.commands.report import unique_names
+from kr270_milling.replay import recorded
+from kr270_milling.replay.recorded import pass_from_recording
 
 pytestmark = made.needs_messages
 
@@ -37,3 +42,38 @@ def test_of_two_robots_in_a_recording_one_is_named(tmp_path):
     assert "is not recorded in the namespace middle" in refused("report", recording, "--namespace", "middle")
     answer = ask("report", recording, "--namespace", "left")
     assert answer.code == 0 and (tmp_path / "r" / "report" / "report.html").is_file()
+
+
+def test_copies_are_skipped_and_said_and_the_command_stands_in_the_page(tmp_path):
+    recording = made.write(tmp_path / "r" / "one", made.one_pass()) / "one.mcap"
+    shutil.copytree(tmp_path / "r" / "one", tmp_path / "r" / "one_recovered")
+    answer = ask("report", str(tmp_path / "r"), str(recording))
+    assert answer.code == 0 and "skipped, a copy of another pass" in answer.out
+    page = (tmp_path / "r" / "report" / "report.html").read_text()
+    assert "kr270_milling report r one.mcap" in page and str(tmp_path) not in page
+
+
+def test_passes_of_two_paths_are_not_compared(tmp_path, monkeypatch):
+    def another_path(path, *names):
+        found = pass_from_recording(path, *names)
+        longer = found.cell.replace(path=found.cell.path.replace(length=2 * found.cell.path.length))
+        return found if path.parent.name == "a" else dataclasses.replace(found, cell=longer, scored=other.scored)
+
+    first, second = (made.write(tmp_path / name, made.one_pass()) for name in "ab")
+    other = pass_from_recording(made.write(tmp_path / "c", made.one_pass("spline", passes=1)) / "c.mcap")
+    shifted = dataclasses.replace(other.scored.result, wrench=other.scored.result.wrench + 1.0)
+    other = dataclasses.replace(other, scored=dataclasses.replace(other.scored, result=shifted))
+    monkeypatch.setattr(recorded, "pass_from_recording", another_path)
+    assert "is a pass of another path than" in refused("report", str(first), str(second))
+
+
+def test_names_that_are_alike_get_their_directories(tmp_path):
+    paths = [Path("run_1/original.mcap"), Path("run_2/original.mcap"), Path("run_2/spline.mcap")]
+    assert unique_names(paths) == ["run_1/original", "run_2/original", "spline"]
+
+
+def test_a_whole_recording_is_left_alone_by_recover(tmp_path):
+    directory = made.write(tmp_path / "one", made.one_pass())
+    answer = ask("recover", str(directory))
+    assert answer.code == 0 and "left as it is" in answer.out
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["one"]

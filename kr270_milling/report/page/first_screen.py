@@ -10,8 +10,10 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decision.decision import NO_METHOD
+from kr270_milling.decision.findings import SEVERITIES
 from kr270_milling.decision.part import PartAssessment
-from kr270_milling.report.decision_block import SEVERITIES, DecisionBlock, FindingRow, Judgement
+from kr270_milling.report.decision_block import Answer, DecisionBlock, FindingRow
 from kr270_milling.report.payload import fixed
 
 __all__ = ["Tile", "asked", "finding_rows", "tiles"]
@@ -49,12 +51,13 @@ def tiles(decision: DecisionBlock, passes: Sequence[ScoredPass], parts: Sequence
         said = f"largest deviation {fixed(after * 1e6, 2)} µm ('{name}'){change}"
         found.append(_judged("compensated", decision.compensated, said))
     if decision.may_be_run is not None:
-        stops = sum(f.count for f in decision.findings if f.severity == "stop")
+        stops = sum(f.severity == "stop" for f in decision.findings)
         reason = "no finding forbids it" if decision.may_be_run else f"{stops} finding{'s' * (stops != 1)} forbid it"
         tone = "good" if decision.may_be_run else "bad"
         found.append(Tile("may be run", "yes" if decision.may_be_run else "no", reason, tone))
     if decision.recommended_method:
-        found.append(Tile("recommended method", decision.recommended_method, ""))
+        why = "run the path as it was programmed" if decision.recommended_method == NO_METHOD else ""
+        found.append(Tile("recommended method", decision.recommended_method, why))
     if decision.stability:
         found.append(Tile("stability", "", decision.stability))
     return found
@@ -69,10 +72,9 @@ def _largest(passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> t
     return sizes[0], sizes[best], passes[best].name
 
 
-def _judged(label: str, judged: Judgement | None, said: str) -> Tile:
+def _judged(label: str, judged: Answer | None, said: str) -> Tile:
     if judged is None or judged.passes is None:
-        sentence = judged.sentence if judged and judged.sentence else said
-        return Tile(label, "no tolerance given" if judged is None or not judged.sentence else "", sentence)
+        return Tile(label, "no tolerance given", said)
     word, tone = ("passes", "good") if judged.passes else ("fails", "bad")
     return Tile(label, word, judged.sentence or said, tone)
 

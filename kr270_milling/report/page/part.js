@@ -30,10 +30,12 @@
     const limit = common ? Math.max(...surface.passes.map(largest)) : largest(pass);
     const size = sizes();
     const scale = KR.diverging();
+    const place = KR.by("part").clientWidth > 600 ? { len: 0.7, x: 1, xanchor: "right" }
+      : { orientation: "h", len: 0.8, y: 0, yanchor: "bottom" };
     const traces = [
       { type: "surface", x: surface.x, y: surface.y, z: surface.z, surfacecolor: floats(pass.floor), cmin: -limit, cmax: limit,
         colorscale: scale, lighting: { ambient: 0.75, diffuse: 0.5, specular: 0.05 }, hoverinfo: "skip",
-        colorbar: { thickness: 10, len: 0.7, outlinewidth: 0, x: 1, xanchor: "right", title: { text: "µm" } } },
+        colorbar: { thickness: 10, outlinewidth: 0, title: { text: "µm" }, ...place } },
       { type: "scatter3d", mode: "markers", x: surface.wall_x, y: surface.wall_y, z: surface.wall_z,
         marker: { size: 3, color: pass.wall, cmin: -limit, cmax: limit, colorscale: scale }, name: "walls",
         text: Array.from(pass.wall, (v) => `wall ${KR.num(v, 1)} µm`), hovertemplate: "%{text}<extra></extra>" },
@@ -65,6 +67,7 @@
       Plotly.restyle("part", { x: [[linked.x[i]]], y: [[linked.y[i]]], z: [[linked.z[i]]] }, [here]);
     };
     KR.pictures.push({ draw, mark });
+    KR.catchUp("part", mark);
     KR.by("scale")?.addEventListener("change", draw);
     KR.whenSeen("part", () => { KR.by("part").wanted = true; draw(); });
   };

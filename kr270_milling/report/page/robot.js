@@ -1,7 +1,7 @@
 /* The robot with the solids of its URDF, in the posture that is commanded at the place. */
 (() => {
   const { linked, robot } = KR.data;
-  const BOX = { i: [0, 0, 4, 4, 0, 0, 2, 2, 0, 0, 1, 1], j: [1, 3, 6, 7, 4, 5, 3, 7, 2, 6, 5, 7], k: [3, 2, 7, 5, 5, 1, 7, 6, 6, 4, 7, 3] };
+  const BOX = { i: [0, 0, 4, 4, 0, 0, 2, 2, 0, 0, 1, 1], j: [3, 2, 7, 5, 5, 1, 7, 6, 6, 4, 7, 3], k: [1, 3, 6, 7, 4, 5, 3, 7, 2, 6, 5, 7] };
   const EYES = { robot: { x: 0.75, y: -1.25, z: 0.3 }, tool: { x: 0.75, y: -1.0, z: 0.4 } };
   let view = "robot";
 
@@ -131,6 +131,7 @@
   KR.startRobot = () => {
     if (!KR.needsWebgl("robot")) return;
     KR.pictures.push({ draw, mark });
+    KR.catchUp("robot", mark);
     for (const name of ["robot", "tool"]) {
       KR.by(`view_${name}`).addEventListener("click", () => { view = name; draw(); });
     }

@@ -1,6 +1,7 @@
 /* Deviation, force and correction over the way or the time, one row each, with tolerance and maxima. */
 (() => {
-  const { linked, tolerance_um: tolerance, engaged_s: engaged } = KR.data;
+  const { linked, engaged_s: engaged } = KR.data;
+  const tolerance = { side: KR.data.tolerance_um[0], height: KR.data.tolerance_um[1] };
   const shown = (key, least) => linked.passes.some((p) => p[key].some((v, i) => linked.cutting[i] && Math.abs(v) > least));
   const ROWS = [
     { key: "side", title: "deviation to the left [µm]", signed: true },
@@ -65,12 +66,12 @@
     } else if (engaged < linked.time[linked.time.length - 1]) {
       found.push(shade(at[KR.stationAt(engaged)], at[at.length - 1]));
     }
-    if (tolerance) {
-      for (const y of [tolerance, -tolerance]) {
-        found.push({ type: "line", xref: "paper", yref: "y", x0: 0, x1: 1, y0: y, y1: y,
+    ROWS.forEach((row, r) => {
+      for (const y of tolerance[row.key] ? [tolerance[row.key], -tolerance[row.key]] : []) {
+        found.push({ type: "line", xref: "paper", yref: `y${r ? r + 1 : ""}`, x0: 0, x1: 1, y0: y, y1: y,
                      line: { color: KR.css("--bad"), width: 1.5, dash: "dash" } });
       }
-    }
+    });
     return found;
   }
 
@@ -78,10 +79,12 @@
     const note = (more) => ({ showarrow: false, font: { size: 12 }, ...more });
     const found = ROWS.map((row, r) => note({ text: `<b>${row.title}</b>`, xref: "paper", yref: `y${r ? r + 1 : ""} domain`,
       x: 0, y: 1, xanchor: "left", yanchor: "bottom" }));
-    if (tolerance) {
-      found.push(note({ text: `tolerance ±${KR.num(tolerance, 0)} µm`, xref: "paper", yref: "y", x: 1, y: tolerance,
+    ROWS.forEach((row, r) => {
+      const allowed = tolerance[row.key];
+      if (!allowed) return;
+      found.push(note({ text: `tolerance ±${KR.num(allowed, 0)} µm`, xref: "paper", yref: `y${r ? r + 1 : ""}`, x: 1, y: allowed,
                         xanchor: "right", yanchor: "bottom", font: { color: KR.css("--bad"), size: 11 } }));
-    }
+    });
     const span = at[at.length - 1] - at[0];
     const wide = KR.by("series").clientWidth;
     for (const [a, b, name] of KR.data.part ? stretches() : []) {
@@ -100,7 +103,8 @@
         if (linked.cutting[i] || row.key === "correction" || row.key === "lift") [low, high] = [Math.min(low, v), Math.max(high, v)];
       });
     }
-    if (row.key === "side" && tolerance) [low, high] = [Math.min(low, -tolerance), Math.max(high, tolerance)];
+    const allowed = tolerance[row.key] ?? 0;
+    [low, high] = [Math.min(low, -allowed), Math.max(high, allowed)];
     const room = (row.key === "side" ? 0.22 : 0.08) * (high - low || 1);
     return [row.signed ? low - room : 0, high + room];
   }

@@ -14,6 +14,14 @@
     waiting.set(id, job);
     watcher.observe(KR.by(id));
   };
+  /* Pictures that are costly to move are moved only on the screen, and caught up when they come there. */
+  const catcher = new IntersectionObserver((entries) => {
+    for (const entry of entries) if (entry.isIntersecting) entry.target.catchUp?.();
+  }, { rootMargin: "150px" });
+  KR.catchUp = (id, mark) => {
+    KR.by(id).catchUp = () => mark(KR.place);
+    catcher.observe(KR.by(id));
+  };
   KR.drawEverything = () => {
     for (const job of waiting.values()) job();
     waiting.clear();
@@ -40,5 +48,5 @@
     clearTimeout(resized);
     resized = setTimeout(KR.redraw, 150);
   });
-  KR.ready = true;
+  document.documentElement.dataset.ready = "yes";
 })();

@@ -1,0 +1,78 @@
+"""A real browser for the tests of pages: Debian's Chromium through playwright; a skip with its reason without one."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+
+import pytest
+
+FLAGS = [
+    "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update", "--disable-sync",
+    "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+]  # fmt: skip
+#: what a software renderer says of itself; not the page's doing
+RENDERER = ("GPU stall due to ReadPixels", "willReadFrequently", "GL Driver Message")
+PATIENCE = 120_000  # [ms]; a busy machine reads five megabytes of script slowly
+
+
+def chromium() -> str:
+    """Its path; skips the test where it or playwright is missing."""
+    pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
+    found = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+    if not found:
+        pytest.skip("needs a Chromium (Debian: apt-get install chromium), or its path in the variable CHROMIUM")
+    return found
+
+
+@contextlib.contextmanager
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    path = chromium()
+    with sync_playwright() as play:
+        running = play.chromium.launch(executable_path=path, args=FLAGS)
+        try:
+            yield running
+        finally:
+            running.close()
+
+
+class Visit:
+    """One page in a context of its own, with everything it said and asked for."""
+
+    def __init__(self, running, url: str, width: int = 1400, dark: bool = False, touch: bool = False):
+        scheme = "dark" if dark else "light"
+        self.context = running.new_context(
+            viewport={"width": width, "height": 900}, color_scheme=scheme, has_touch=touch, reduced_motion="reduce"
+        )
+        self.page = self.context.new_page()
+        self.said, self.requests = [], []
+        self.page.on("console", lambda m: self.said.append(f"{m.type}: {m.text}"))
+        self.page.on("pageerror", lambda e: self.said.append(f"error: {e}"))
+        self.page.on("request", lambda r: self.requests.append(r.url))
+        self.page.set_default_timeout(PATIENCE)
+        self.page.goto(url)
+        self.page.wait_for_function("document.documentElement.dataset.ready === 'yes'")
+
+    def ask(self, script: str, argument=None):
+        return self.page.evaluate(script, argument)
+
+    @property
+    def complaints(self) -> list[str]:
+        return [text for text in self.said if not any(known in text for known in RENDERER)]
+
+    @property
+    def overhang(self) -> float:
+        """[px] by which something is wider than the screen, where it does not scroll by itself."""
+        return self.ask("""() => {
+          const wide = document.documentElement.clientWidth;
+          const over = [...document.querySelectorAll("body *")]
+            .filter((e) => !e.closest(".wide, .js-plotly-plot, #source"))
+            .map((e) => e.getBoundingClientRect().right - wide);
+          return Math.max(document.documentElement.scrollWidth - wide, ...over);
+        }""")
+
+    def close(self) -> None:
+        self.context.close()
