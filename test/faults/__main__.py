@@ -57,8 +57,8 @@ def _minutes(text: str) -> float:
         value = float(text)
     except ValueError:
         value = -1.0
-    if not 0.1 <= value <= 1000.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0.1 to 1000")
+    if not 0.01 <= value <= 1000.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0.01 to 1000")
     return value
 
 

@@ -12,7 +12,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.graph.graph import NOT_COMPLETE
 from kr270_milling.simulation.milling_pass import PassResult
 
-__all__ = ["TELL_WITHIN", "TOO_LATE", "Trial", "run_trial"]
+__all__ = ["TELL_WITHIN", "TOO_LATE", "Trial", "judge_words", "run_trial"]
 
 TELL_WITHIN = 3.0  # [s] from the fault to a sentence that names the node
 TOO_LATE = "the fault came too late: the pass was over"
@@ -58,12 +58,12 @@ def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: Pa
     if graph.struck_at is None:
         trial.problems.append(TOO_LATE)
         return trial
-    _judge_words(trial, fault, graph)
+    judge_words(trial, fault, graph)
     _judge_recording(trial, fault, graph, plain, again)
     return trial
 
 
-def _judge_words(trial: Trial, fault: Fault, graph: Disturbed) -> None:
+def judge_words(trial: Trial, fault: Fault, graph: Disturbed) -> None:
     named = [told for told in graph.told if fault.names_it(told.sentence) and told.at >= graph.struck_at]
     if fault.told and named:
         trial.detected_s, trial.sentence = named[0].at - graph.struck_at, named[0].sentence
