@@ -26,7 +26,7 @@ def manifest(
     lines += [
         "rsi_offsets.csv: correction at every RSI tick on top of the original program: time_s, mm, deg.\n",
         "joints_*.csv: joint positions of both trajectories for a joint trajectory controller: time_s, deg.\n",
-        "reference_*.csv: the corrected trajectory for 'simulate --reference' and 'check --reference': SI units.\n",
+        "reference_*.csv: the corrected trajectory for 'simulate --reference' and 'check --reference': s, mm, deg.\n",
         "\n",
         "Findings of the check:\n",
         *(f"  {line}\n" for line in findings or ["none were asked for"]),
