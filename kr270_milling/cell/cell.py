@@ -10,26 +10,43 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.bag.recorded_path import find_tool_path
-from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.base.errors import ConfigError, ParameterError
+from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
 from kr270_milling.base.record import build, override, read_tree
-from kr270_milling.cell.path import fed_path, straight_cut, within_joint_limits
+from kr270_milling.cell.path import fed_path, read_program, straight_cut, within_joint_limits
 from kr270_milling.cell.plausibility import MOST_STEPS, check_postures
 from kr270_milling.cell.records import Parameters, Path, Workpiece
 from kr270_milling.cutting import Cut
-from kr270_milling.robot import inverse_near
+from kr270_milling.robot import inverse_near, pose
 from kr270_milling.simulation.arm_model import arm_model, modal_models
 from kr270_milling.simulation.dynamics import ArmModel, ModalModel
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.simulation.reference_motion import approach
+from kr270_milling.trajectory.source_program import SourceProgram
 from kr270_milling.trajectory.timing import TimedPath
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["MOST_STEPS", "Cell", "Path", "Workpiece", "read_cell"]
+__all__ = ["MOST_STEPS", "Cell", "Path", "Workpiece", "read_cell", "with_program"]
+
+
+SAME_PLACE = 1e-3  #: [mm], [deg]
 
 
 @dataclass(frozen=True, eq=False)
 class Cell(Parameters):
     """The records of a parameter file with what follows from them; lengths in metres, workpiece axes."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not self.workpiece.xyz.size or not self.workpiece.abc.size:  # at the start joints
+            object.__setattr__(self, "workpiece", self.placed())
+
+    def placed(self) -> Workpiece:
+        """The workpiece where the start joints put the tool at the start of the straight cut."""
+        cut = straight_cut(self)
+        start = Pose(cut.position[0], rotation_from_quaternion(cut.quaternion[0]))
+        placed = pose(self.arm, self.mount, self.start_joints) @ start.inverse()
+        return self.workpiece.replace(xyz=placed.position, abc=abc_from_rotation(placed.rotation))
 
     @functools.cached_property
     def clock(self) -> Clock:
@@ -45,18 +62,25 @@ class Cell(Parameters):
         """The tool path of ``path.file`` under the limits of controller and joints; None for a straight cut."""
         return within_joint_limits(self, self.fed_path, self.joints) if self.fed_path else None
 
+    @functools.cached_property
+    def program_of_path(self) -> SourceProgram:
+        """What the program in ``path.file`` says beside its moves; empty where there is none."""
+        if self.tool.spindle_speed > 0.0 and self.fed_path is not None:
+            return self.fed_path.toolpath.program
+        return read_program(self.path) if self.path.file else SourceProgram()
+
     def target(self) -> Trajectory:
         """The programmed trajectory of the tool tip in the workpiece frame, knots at the controller step."""
         return self.timed_path.trajectory if self.timed_path else straight_cut(self)
 
     def joints(self, trajectory: Trajectory) -> np.ndarray:
-        """Joint positions [rad], (n, 6), that command the knots of a trajectory, on the branch of ``start_joints``."""
+        """Joint positions [rad], (n, 6), that command the knots of a trajectory, on the branch of ``posture``."""
         return self.joints_at(trajectory.position, trajectory.quaternion)
 
     def joints_at(self, position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
         """Joint positions [rad], (n, 6), for tool positions (n, 3) [m] and orientations (n, 4), workpiece frame."""
         tool = Pose(position, rotation_from_quaternion(quaternion))
-        return inverse_near(self.arm, self.mount, self.workpiece.pose @ tool, self.start_joints)
+        return inverse_near(self.arm, self.mount, self.workpiece.pose @ tool, self.posture)
 
     @functools.cached_property
     def modal_model(self) -> ModalModel:
@@ -126,9 +150,55 @@ class Cell(Parameters):
 
 
 def read_cell(path, assignments=()) -> Cell:
-    """The cell of a parameter file, with ``key=value`` texts on top; raises ConfigError."""
-    tree, lenient = override(read_tree(path), assignments)
+    """The cell of a parameter file, with ``key=value`` texts on top; raises ConfigError, InputError.
+
+    What a program says and the file does not, the spindle speed, is taken from the program.
+    """
+    below = read_tree(path)
+    tree, lenient = override(below, assignments)
     name = tree.get("path", {}).get("file") if isinstance(tree.get("path"), dict) else None
     if isinstance(name, str) and name:
         tree["path"]["file"] = str(find_tool_path(name, pathlib.Path(path).parent))
-    return build(Cell, tree, path, lenient=lenient)
+    tree = _placed_by_hand(tree, lenient, path)
+    cell = build(Cell, tree, path, lenient=lenient)
+    _check_place(cell, tree, path)
+    return with_program(cell, path)
+
+
+def with_program(cell: Cell, source="") -> Cell:
+    """The cell with the spindle speed of its program where it has none of its own."""
+    if cell.tool.spindle_speed > 0.0:
+        return cell
+    speeds = cell.program_of_path.spindle_speeds
+    if not speeds:
+        allowed = "above 0: the program in path.file has no spindle speed S"
+        raise ConfigError(source, "tool.spindle_speed_rpm", 0.0, allowed)
+    try:
+        return cell.replace(tool=cell.tool.replace(spindle_speed=abs(speeds[0])))
+    except ParameterError as error:
+        raise ConfigError(source, error.key, error.value, error.allowed) from None
+
+
+def _placed_by_hand(tree: dict, assigned: frozenset, path) -> dict:
+    """A place given on the command line moves a workpiece that the file puts at the start joints."""
+    given = {key for key in ("xyz_mm", "abc_deg") if f"workpiece.{key}" in assigned}
+    place = tree.get("workpiece")
+    if not given or not isinstance(place, dict) or place.get("at_start_joints") is not True:
+        return tree
+    rest = {key: value for key, value in place.items() if key not in ("xyz_mm", "abc_deg")}
+    derived = build(Cell, tree | {"workpiece": rest}, path, lenient=assigned).workpiece
+    numbers = {"xyz_mm": (1e3 * derived.xyz).tolist(), "abc_deg": np.degrees(derived.abc).tolist()}
+    chosen = {key: place[key] if key in given else numbers[key] for key in numbers}
+    return tree | {"workpiece": rest | chosen | {"at_start_joints": False}}
+
+
+def _check_place(cell: Cell, tree: dict, path) -> None:
+    """Raise ConfigError where a file gives the place of a workpiece twice, and differently."""
+    if not cell.workpiece.at_start_joints:
+        return
+    place = cell.placed()
+    derived = {"xyz_mm": 1e3 * place.xyz, "abc_deg": np.degrees(place.abc)}
+    for key, value in derived.items():
+        given = tree["workpiece"].get(key)
+        if given is not None and not np.allclose(given, value, rtol=0.0, atol=SAME_PLACE):
+            raise ConfigError(path, f"workpiece.{key}", given, "left out: at_start_joints places the workpiece")

@@ -113,7 +113,7 @@ def commanded_joints(cell: Cell, reference: Trajectory) -> np.ndarray:
 def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool) -> Mirror:
     tool = cell.workpiece.pose @ Pose(target.position, rotation_from_quaternion(target.quaternion))
     return mirror(
-        cell.arm, cell.mount, tool, wrench_in_base, cell.start_joints,
+        cell.arm, cell.mount, tool, wrench_in_base, cell.posture,
         relaxation=cell.compensation.relaxation, sag_compensated=sag_compensated,
     )  # fmt: skip
 

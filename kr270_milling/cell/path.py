@@ -14,11 +14,12 @@ from kr270_milling.cell.records import Parameters, Path
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.trajectory.joint_limits import limit_by_joints
 from kr270_milling.trajectory.readers import read_toolpath
+from kr270_milling.trajectory.source_program import SourceProgram
 from kr270_milling.trajectory.timing import TimedPath, time_path
 from kr270_milling.trajectory.toolpath import Toolpath
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["fed_path", "straight_cut", "within_joint_limits"]
+__all__ = ["fed_path", "read_program", "straight_cut", "within_joint_limits"]
 
 WIDE = 5.0  #: times as wide as the stock: more than that is taken for a wrong unit
 
@@ -41,6 +42,12 @@ def fed_path(cell: Parameters) -> TimedPath:
     _check_duration(cell, timed.trajectory)
     check_path(cell.path.file, timed, cell.tool, cell.stock)
     return timed
+
+
+def read_program(path: Path) -> SourceProgram:
+    """What the program of ``path.file`` says beside its moves; empty for a recording."""
+    read = _read(path)
+    return SourceProgram() if isinstance(read, TimedPath) else read.program
 
 
 def within_joint_limits(cell: Parameters, timed: TimedPath, joints_of) -> TimedPath:

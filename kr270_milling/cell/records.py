@@ -31,16 +31,24 @@ class Workpiece(Record):
     """YAML ``workpiece``: where the part is clamped."""
 
     xyz: np.ndarray = parameter(
-        unit="mm", size=3, low=-1e5, high=1e5, text="origin of the workpiece frame on base_link"
+        [], unit="mm", low=-1e5, high=1e5, text="origin of the workpiece frame on base_link, three numbers"
     )
-    abc: np.ndarray = parameter(unit="deg", size=3, low=-360.0, high=360.0, text="its orientation, KUKA A, B, C")
-
+    abc: np.ndarray = parameter(
+        [], unit="deg", low=-360.0, high=360.0, text="its orientation, KUKA A, B, C, three numbers"
+    )
+    at_start_joints: bool = parameter(
+        False, text="place it so that start_joints_deg put the tool where the straight cut starts; xyz, abc follow"
+    )
     fixtures: np.ndarray = parameter(
         [], unit="mm", low=-1e5, high=1e5,
         text="boxes that the tool must not enter, workpiece frame: x, y, z of both corners, one box after the other",
     )  # fmt: skip
 
     def check(self) -> None:
+        for key, value, scale in (("xyz_mm", self.xyz, 1e3), ("abc_deg", self.abc, 180.0 / np.pi)):
+            if value.size != 3 and not (self.at_start_joints and value.size == 0):
+                allowed = "three numbers (or, for a straight cut, give at_start_joints: true instead)"
+                raise ParameterError(key, (value * scale).tolist(), allowed)
         if self.fixtures.size % 6:
             raise ParameterError("fixtures_mm", (1e3 * self.fixtures).tolist(), "six numbers for each box")
 
@@ -83,12 +91,15 @@ class Path(Record):
                 raise ParameterError(spec.key, value, "above 0 for a straight cut (or give path.file)")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Parameters(Record):
     """The whole parameter file."""
 
     start_joints: np.ndarray = parameter(
-        unit="deg", size=6, low=-720.0, high=720.0, text="posture at the start, selects the branch"
+        [], unit="deg", low=-720.0, high=720.0, text="where the path starts, six joints: workpiece.at_start_joints"
+    )
+    posture_hint: np.ndarray = parameter(
+        [], unit="deg", low=-720.0, high=720.0, text="six joints near those of the path: they choose the branch"
     )
     arm: Arm
     mount: Mount
@@ -110,7 +121,12 @@ class Parameters(Record):
         turn = 2.0 * np.pi / self.exchange.micro_step
         if abs(turn - round(turn)) > 1e-6:
             raise ParameterError("exchange.micro_step_deg", np.degrees(self.exchange.micro_step), "a whole part of 360")
-        self.exchange.clock(self.tool.spindle_speed)
+        self._check_posture()
+        programmed = self.path.file and not is_recording(self.path.file)
+        if self.tool.spindle_speed > 0.0:
+            self.exchange.clock(self.tool.spindle_speed)
+        elif not programmed:
+            raise ParameterError("tool.spindle_speed_rpm", 0.0, "above 0 where no program says it")
         if self.path.file:
             return
         steps = self.path.length / self.path.feed_rate / min(self.exchange.period, self.timing.controller_step)
@@ -119,3 +135,23 @@ class Parameters(Record):
             allowed = f"faster: the pass would take {steps:.3g} steps, more than {MOST_STEPS:g}"
             raise ParameterError("path.feed_rate_m_per_min", shown, allowed)
         check_effort(self.exchange, self.tool, self.stock, self.path.length / self.path.feed_rate)
+
+    def _check_posture(self) -> None:
+        """Six joints, once: where the path starts, or near it."""
+        placed = self.workpiece.at_start_joints
+        given = {"start_joints_deg": self.start_joints, "posture_hint_deg": self.posture_hint}
+        for key, value in given.items():
+            if value.size not in (0, 6):
+                raise ParameterError(key, np.degrees(value).tolist(), "six joint positions")
+        if placed and not (self.path.length and self.path.feed_rate):
+            allowed = "false without a straight cut in path; give xyz_mm and abc_deg"
+            raise ParameterError("workpiece.at_start_joints", True, allowed)
+        if placed and not self.start_joints.size:
+            raise ParameterError("start_joints_deg", [], "six joint positions for workpiece.at_start_joints")
+        if not self.start_joints.size and not self.posture_hint.size:
+            raise ParameterError("posture_hint_deg", [], "six joint positions, or give start_joints_deg")
+
+    @property
+    def posture(self) -> np.ndarray:
+        """Joint positions [rad], (6,), at the start of the path or near them; they choose the branch."""
+        return self.start_joints if self.start_joints.size else self.posture_hint

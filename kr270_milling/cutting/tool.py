@@ -18,7 +18,9 @@ class Tool(Record):
 
     diameter: float = parameter(unit="mm", above=0.0, high=200.0, text="cutter diameter")
     teeth: int = parameter(low=1, high=100, text="number of teeth")
-    spindle_speed: float = parameter(unit="rpm", above=0.0, high=200_000.0, text="spindle speed")
+    spindle_speed: float = parameter(
+        0.0, unit="rpm", low=0.0, high=200_000.0, text="spindle speed; 0: that of the program in path.file"
+    )
     pitch: np.ndarray = parameter(
         [], unit="deg", above=0.0, high=360.0, text="angle from each tooth to the next ahead of it; empty: uniform"
     )

@@ -21,7 +21,7 @@ class Kind:
 
 KINDS = {
     "reach": Kind("m", 1.0, "Move the workpiece nearer to the arm, or turn the tool."),
-    "joint limit": Kind("deg", DEG, "Move or turn the workpiece, or choose another branch by start_joints_deg."),
+    "joint limit": Kind("deg", DEG, "Move or turn the workpiece, or choose another branch by posture_hint_deg."),
     "singularity": Kind("", 1.0, "Move the workpiece, or tilt the mount so that the wrist stays bent."),
     "configuration flip": Kind("", 1.0, "Move the workpiece until the arm keeps its configuration along the path."),
     "joint speed": Kind("deg/s", DEG, "Lower the feed there, or keep away from the singularity."),
@@ -48,5 +48,5 @@ KINDS = {
     "envelope": Kind("m", 1.0, "Check workpiece.xyz_mm and its unit: it is on base_link, in mm."),
     "compliance": Kind("urad/(N m)", 1e6, "Check arm.joint_compliance and its unit, urad per N m."),
     "mass": Kind("kg", 1.0, "Check arm.link_mass_kg and mount.mass_kg."),
-    "posture": Kind("deg", DEG, "Give start_joints_deg within the limits of the arm, in degrees."),
+    "posture": Kind("deg", DEG, "Give the posture within the limits of the arm, in degrees."),
 }

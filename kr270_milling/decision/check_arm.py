@@ -23,7 +23,7 @@ def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.nda
         return found, None
     unlimited = cell.arm.replace(joint_lower=np.full(6, -4 * np.pi), joint_upper=np.full(6, 4 * np.pi))
     try:
-        joints = inverse_near(unlimited, cell.mount, tool, cell.start_joints)
+        joints = inverse_near(unlimited, cell.mount, tool, cell.posture)
     except SingularityError as error:
         point = error.index[0] + 1
         return [Violation("singularity", point, error.measure, 0.0, "stop", f"point {point}: {error}")], None
@@ -46,7 +46,7 @@ def runs(over: np.ndarray, badness: np.ndarray) -> list[tuple[int, str]]:
 
 
 def _reach(cell: Cell, tool: Pose) -> list[Violation]:
-    angles, distance = branches(cell.arm, cell.mount, tool, cell.start_joints)
+    angles, distance = branches(cell.arm, cell.mount, tool, cell.posture)
     lost = ~np.isfinite(angles).all(-1).any(-1)
     nearest = distance.min(-1)
     least, most = abs(cell.arm.a2 - cell.arm.forearm), cell.arm.a2 + cell.arm.forearm

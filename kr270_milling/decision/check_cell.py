@@ -70,14 +70,15 @@ def _envelope(cell: Cell) -> list[Violation]:
 
 def _posture(cell: Cell) -> list[Violation]:
     """Joints outside the limits, or all so small that they must be radians."""
-    q, arm = np.asarray(cell.start_joints), cell.arm
+    q, arm = np.asarray(cell.posture), cell.arm
+    key = "start_joints_deg" if cell.start_joints.size else "posture_hint_deg"
     beyond = np.maximum(q - arm.joint_upper, arm.joint_lower - q)
     k = int(np.argmax(beyond))
     if beyond[k] > 0.0:
         limit = arm.joint_upper[k] if q[k] > arm.joint_upper[k] else arm.joint_lower[k]
-        return _warning("posture", q[k], limit, f"start_joints_deg: axis {k + 1} is at {np.degrees(q[k]):.4g} deg")
+        return _warning("posture", q[k], limit, f"{key}: axis {k + 1} is at {np.degrees(q[k]):.4g} deg")
     degrees = np.degrees(np.abs(q))
     if np.any(degrees > 0.0) and np.all(degrees <= 2.0 * np.pi) and np.any(degrees % 1.0 > 1e-9):
-        shown = f"start_joints_deg are all within {degrees.max():.3g} deg: are they radians?"
+        shown = f"{key} are all within {degrees.max():.3g} deg: are they radians?"
         return _warning("posture", np.radians(degrees.max()), 2.0 * np.pi / 180.0, shown)
     return []

@@ -59,11 +59,12 @@ test_pose.__test__ = False  # type: ignore[attr-defined]
 
 
 def read_test_pose(path, mount: Mount) -> TestPose | None:
-    """The posture ``start_joints_deg`` of a cell file; None for a file without one."""
+    """The posture ``start_joints_deg`` or ``posture_hint_deg`` of a cell file; None for a file without one."""
     tree = read_tree(path)
-    if "start_joints_deg" not in tree:
+    key = next((name for name in ("start_joints_deg", "posture_hint_deg") if tree.get(name)), None)
+    if key is None:
         return None
-    start = build(_Start, {"start_joints_deg": tree["start_joints_deg"]}, path)
+    start = build(_Start, {"start_joints_deg": tree[key]}, path)
     return test_pose(mount, start.start_joints)
 
 

@@ -19,7 +19,7 @@ from kr270_milling.bag.recorded_path import find_tool_path
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.parameter_file import find_file, merge, read_tree
 from kr270_milling.base.record import Record, Spec, build, specs
-from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell import Cell, with_program
 
 __all__ = ["declare", "declare_cell"]
 
@@ -63,7 +63,7 @@ def declare_cell(node, writable: tuple[str, ...] = ()) -> Cell:
     cell = declare(node, Cell, writable)
     if cell.path.file:
         cell = cell.replace(path=cell.path.replace(file=str(find_tool_path(cell.path.file))))
-    return cell
+    return with_program(cell, f"parameters of {node.get_fully_qualified_name()}")
 
 
 def _leaves(record: type[Record], prefix: str = ""):

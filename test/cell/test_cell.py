@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import ConfigError, find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import commanded_joints
@@ -172,3 +173,58 @@ def test_a_tool_path_has_no_low_frequency_of_one_feed_direction(tmp_path):
     file.write_text("G21 G90 S8000 M3\nG0 X0 Y-15 Z5\nG1 Z-0.5 F1000\nG1 Y15 F4000\n")
     cell = read_cell(find_file("test_piece.yaml"), [f"path.file={file}"])
     assert np.isnan(cell.low_frequency)
+
+
+# --- where the workpiece is ---
+
+
+def test_the_start_joints_place_the_workpiece_and_numbers_may_move_it():
+    q = "start_joints_deg=[80,-50,120,180,25,180]"
+    turned = read_cell(FILE, [q])
+    np.testing.assert_allclose(np.degrees(turned.joints(turned.target())[0]), [80, -50, 120, 180, 25, 180], atol=1e-6)
+    moved = read_cell(FILE, ["workpiece.xyz_mm=[0,-1600,500]"])
+    np.testing.assert_allclose(moved.workpiece.xyz, [0.0, -1.6, 0.5])
+    np.testing.assert_allclose(moved.workpiece.pose.rotation, PAPER.workpiece.pose.rotation, atol=1e-12)
+
+
+def test_a_place_that_contradicts_the_start_joints_is_refused(tmp_path):
+    placed = "at_start_joints: true"
+    twice = FILE.read_text().replace(placed, f"{placed}\n      xyz_mm: [0.0, -1600.0, 500.0]")
+    (tmp_path / "cell.yaml").write_text(twice)
+    with pytest.raises(ConfigError, match="workpiece.xyz_mm.*at_start_joints places the workpiece"):
+        read_cell(tmp_path / "cell.yaml")
+
+
+def test_a_posture_is_given_once_at_least():
+    with pytest.raises(ConfigError, match="posture_hint_deg.*six joint positions"):
+        read_cell(find_file("test_piece.yaml"), ["posture_hint_deg=[]"])
+
+
+# --- what the program says ---
+
+PROGRAM = "G21 G90\nM3 S6000\nG0 X-40 Y0 Z5\nG0 Z-1\nG1 X40 F900\nG0 Z5\nM30\n"
+SILENT = ["exchange.period_ms=0.25", "tool.spindle_speed_rpm=0"]
+
+
+def test_a_spindle_speed_that_the_cell_does_not_give_is_the_programs(tmp_path):
+    (tmp_path / "part.nc").write_text(PROGRAM)
+    cell = read_cell(find_file("test_piece.yaml"), [*SILENT, f"path.file={tmp_path / 'part.nc'}"])
+    assert cell.tool.spindle_speed == pytest.approx(200 * np.pi)
+    assert cell.program_of_path.feeds == pytest.approx((0.015,)) and cell.feed_rate == pytest.approx(0.015)
+
+
+def test_a_spindle_speed_that_nobody_gives_is_refused(tmp_path):
+    (tmp_path / "part.nc").write_text(PROGRAM.replace("M3 S6000", "M3"))
+    with pytest.raises(ConfigError, match="no spindle speed S"):
+        read_cell(find_file("test_piece.yaml"), [*SILENT, f"path.file={tmp_path / 'part.nc'}"])
+    with pytest.raises(ConfigError, match="tool.spindle_speed_rpm.*above 0"):
+        read_cell(FILE, ["tool.spindle_speed_rpm=0"])
+
+
+def test_a_feed_comes_from_the_cell_where_the_program_has_none_and_may_not_contradict_it(tmp_path):
+    other = [f"path.file={tmp_path / 'part.nc'}", "path.feed_rate_m_per_min=1.2", "tool.spindle_speed_rpm=6000"]
+    (tmp_path / "part.nc").write_text(PROGRAM.replace(" F900", ""))
+    assert read_cell(find_file("test_piece.yaml"), other).feed_rate == pytest.approx(0.02)
+    (tmp_path / "part.nc").write_text(PROGRAM)
+    with pytest.raises(InputError, match="its feed is 900 mm/min, but path.feed_rate_m_per_min of the cell says 1200"):
+        _ = read_cell(find_file("test_piece.yaml"), other).fed_path

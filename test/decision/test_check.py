@@ -77,7 +77,7 @@ def test_out_of_reach_names_all_points_that_are(cell):
 
 
 def test_a_joint_beyond_its_range_is_named_with_its_worst_point(cell):
-    q = np.tile(cell.start_joints, (5, 1))
+    q = np.tile(cell.posture, (5, 1))
     q[:, 4] = np.radians([110, 120, 126, 128, 121])  # A5 has +-125 deg
     found, joints = arm_violations(cell, along_joints(cell, q))
     (limit,) = [f for f in found if f.kind == "joint limit"]
@@ -86,7 +86,7 @@ def test_a_joint_beyond_its_range_is_named_with_its_worst_point(cell):
 
 
 def test_a_pass_through_a5_zero_is_a_singularity_and_a_flip(cell):
-    q = np.tile(cell.start_joints, (9, 1))
+    q = np.tile(cell.posture, (9, 1))
     q[:, 4] = np.radians(np.linspace(8, -8.5, 9))
     found, _ = arm_violations(cell, along_joints(cell, q))
     assert [f.point for f in found if f.kind == "configuration flip"] == [5]
@@ -96,20 +96,20 @@ def test_a_pass_through_a5_zero_is_a_singularity_and_a_flip(cell):
 
 
 def test_elbow_and_shoulder_are_watched_too(cell):
-    q = np.tile(cell.start_joints, (3, 1))
+    q = np.tile(cell.posture, (3, 1))
     q[:, 2] = cell.arm.elbow_offset + np.radians([8, 6, 4])  # the stretched arm at elbow_offset
     (near,) = [f for f in arm_violations(cell, along_joints(cell, q))[0] if f.kind == "singularity"]
     assert near.point == 3 and "elbow" in near.sentence and np.degrees(near.value) == pytest.approx(4, abs=1e-6)
     strict = with_limits(cell, shoulder_distance=5.0)
-    found = arm_violations(strict, along_joints(cell, np.tile(cell.start_joints, (3, 1))))[0]
+    found = arm_violations(strict, along_joints(cell, np.tile(cell.posture, (3, 1))))[0]
     (near,) = [f for f in found if f.kind == "singularity"]
-    wrist = pose(cell.arm, cell.mount, cell.start_joints)  # no tool: the flange is d6 in front of the wrist centre
+    wrist = pose(cell.arm, cell.mount, cell.posture)  # no tool: the flange is d6 in front of the wrist centre
     centre = wrist.position - cell.arm.d6 * wrist.rotation[:, 2]
     assert near.value == pytest.approx(np.hypot(*centre[:2]), abs=1e-9) and "axis 1" in near.sentence
 
 
 def test_a_fast_joint_and_a_hard_one_are_found_at_their_points(cell):
-    q = np.tile(cell.start_joints, (6, 1))
+    q = np.tile(cell.posture, (6, 1))
     q[3:, 0] += np.radians(6.0)  # 120 deg/s within one step of 50 ms, where 110 are allowed
     found, _ = arm_violations(cell, along_joints(cell, q))
     (fast,) = [f for f in found if f.kind == "joint speed"]
