@@ -10,11 +10,8 @@ setup(
     version="0.1.0",
     packages=find_packages(include=[package, package + ".*"]),
     package_data={
-<<<<<<< HEAD
-        package: ["py.typed", "report/page/*.html", "report/page/*.css", "report/page/*.js", "watch/*.html", "watch/*.js"]
-=======
-        package: ["report/page/*.html", "report/page/*.css", "report/page/*.js", "watch/*.html", "watch/*.js"]
->>>>>>> 43320a1 (The decision leads the report; browser tests; report compares several recordings of one path and skips copies; recover leaves a whole recording alone)
+        package: ["py.typed", "report/page/*.html", "report/page/*.css", "report/page/*.js", "watch/*.html"]
+        + ["watch/*.js"]
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + package]),
