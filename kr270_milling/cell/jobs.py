@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.plant import Plant
+from kr270_milling.cell.response import arm_response
 from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.mirror import Mirror, mirror
 from kr270_milling.compensation.revision import PassRecord
@@ -37,6 +40,7 @@ class ScoredPass:
     reference: Trajectory
     result: PassResult
     scores: Scores
+    record: PassRecord | None = None  #: what a tracker reported of it; None: the pass as it was
 
     def row(self) -> dict:
         """The keys that every command prints."""
@@ -49,17 +53,26 @@ class ScoredPass:
         }
 
 
-def simulate(cell: Cell, reference: Trajectory | None = None, name: str = "original", progress=None) -> ScoredPass:
-    """One pass on a fresh workpiece along ``reference`` (default: the target itself)."""
+def simulate(
+    cell: Cell, reference: Trajectory | None = None, name: str = "original", progress=None, plant: Plant | None = None
+) -> ScoredPass:
+    """One pass on a fresh workpiece along ``reference`` (default: the target itself); plant: what runs it instead."""
     target = cell.target()
     reference = target if reference is None else reference
+    if plant is not None:
+        result, tool = plant.run(reference, progress)
+        record = dataclasses.replace(
+            pass_record(cell, result.time_ns, tool, result.wrench), noise=plant.cell.imperfections.pose_noise
+        )
+        return ScoredPass(name, reference, result, scored(cell, result, plant.cell.low_frequency), record)
     result = run_pass(
         cell.arm_model(reference), cell.cut(), cell.clock, target, reference, cell.exchange.iterations, progress
     )
     return ScoredPass(name, reference, result, scored(cell, result))
 
 
-def scored(cell: Cell, result: PassResult) -> Scores:
+def scored(cell: Cell, result: PassResult, low_frequency: float | None = None) -> Scores:
+    """Against the path of the cell; low_frequency [Hz]: of the arm that ran, where that is another one."""
     feed = cell.target().sample_velocity(result.time_ns)
     return score(
         result.time,
@@ -67,26 +80,38 @@ def scored(cell: Cell, result: PassResult) -> Scores:
         result.target,
         feed,
         cell.full_engagement,
-        cell.low_frequency,
+        cell.low_frequency if low_frequency is None else low_frequency,
         result.deflection[:, 1],
         straight=not cell.path.file,
     )
 
 
-def record_of(cell: Cell, result: PassResult) -> PassRecord:
+def record_of(cell: Cell, ran: ScoredPass | PassResult) -> PassRecord:
     """What the compensator learns from: stamps and tool centres, as a node hears them on ``tool_pose``."""
+    if isinstance(ran, ScoredPass) and ran.record is not None:
+        return ran.record
+    result = ran.result if isinstance(ran, ScoredPass) else ran
     return pass_record(cell, result.time_ns, result.tool, result.wrench)
 
 
 def pass_record(cell: Cell, time_ns: np.ndarray, tool: np.ndarray, wrench: np.ndarray) -> PassRecord:
-    """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], heard, recorded or simulated."""
+    """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], heard, recorded or simulated.
+
+    The noise of the positions is what the cell states in ``imperfections``.
+    """
     revolution = 2e9 * np.pi / cell.tool.spindle_speed
-    return PassRecord(time_ns, tool, cell.scored_from_ns, wrench, revolution)
+    return PassRecord(time_ns, tool, cell.scored_from_ns, wrench, revolution, cell.imperfections.pose_noise)
 
 
 def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Compensator:
     """The compensator of a cell, on line and off line."""
-    return Compensator(cell.compensation, target, method, lambda t, wrench: mirrored(cell, t, wrench))
+    return Compensator(
+        cell.compensation,
+        target,
+        method,
+        lambda t, wrench: mirrored(cell, t, wrench),
+        lambda t: arm_response(cell, t),
+    )
 
 
 def mirrored(cell: Cell, target: Trajectory, wrench: np.ndarray) -> Trajectory:
@@ -119,18 +144,24 @@ def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_comp
 
 
 def compensated(
-    cell: Cell, original: ScoredPass, method: str, progress=None, by: Compensator | None = None
-) -> ScoredPass:
-    """The pass along the trajectory that ``method`` makes from the original pass; by: a compensator to do it with."""
+    cell: Cell, original: ScoredPass, method: str, progress=None, by: Compensator | None = None,
+    plant: Plant | None = None,
+) -> ScoredPass:  # fmt: skip
+    """The pass along the trajectory that ``method`` makes from the original pass.
+
+    by: a compensator to do it with; plant: what runs the passes, the original one included.
+    """
     passes: dict[int, ScoredPass] = {}
 
     def run(reference: Trajectory) -> PassRecord:
-        passes[id(reference)] = simulate(cell, reference, method, progress)
-        return record_of(cell, passes[id(reference)].result)
+        passes[id(reference)] = simulate(cell, reference, method, progress, plant)
+        return record_of(cell, passes[id(reference)])
 
     by = by or compensator(cell, cell.target(), method)
-    reference = by.improve(record_of(cell, original.result), run)
-    return passes.get(id(reference)) or simulate(cell, reference, method, progress)
+    reference = by.improve(record_of(cell, original), run)
+    if reference is original.reference:
+        return dataclasses.replace(original, name=method)
+    return passes.get(id(reference)) or simulate(cell, reference, method, progress, plant)
 
 
 def mean_force(result: PassResult) -> np.ndarray:

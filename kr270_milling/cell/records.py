@@ -20,6 +20,7 @@ from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.cutting import Cutting, Stock, Tool
 from kr270_milling.robot import Arm, Mount
 from kr270_milling.simulation.exchange import Exchange
+from kr270_milling.simulation.imperfections import Imperfections
 from kr270_milling.simulation.parameters import Dynamics
 from kr270_milling.trajectory.timing import Timing
 
@@ -116,6 +117,7 @@ class Parameters(Record):
     limits: Limits = dataclasses.field(default_factory=Limits)
     uncertainty: Uncertainty = dataclasses.field(default_factory=Uncertainty)
     part: Part = dataclasses.field(default_factory=Part)
+    imperfections: Imperfections = dataclasses.field(default_factory=Imperfections)
 
     def check(self) -> None:
         turn = 2.0 * np.pi / self.exchange.micro_step

@@ -9,39 +9,60 @@ from collections.abc import Callable
 import numpy as np
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.compensation.arm_fit import Identified
+from kr270_milling.compensation.learning import Learner
 from kr270_milling.compensation.limiting import Limited
+from kr270_milling.compensation.methods import LIFTED
 from kr270_milling.compensation.parameters import Compensation
-from kr270_milling.compensation.revision import PassRecord, corrected, revise
+from kr270_milling.compensation.response import ArmResponse
+from kr270_milling.compensation.revision import PassRecord, corrected, held, revise
+from kr270_milling.compensation.spline_fit import spline_fit
+from kr270_milling.compensation.stages import Course
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Compensator", "EarlierReference", "PassListener", "remaining_error"]
+__all__ = ["Compensator", "EarlierReference", "PassListener", "noise_floor", "remaining_error"]
 
-#: a pass that improves the largest error by less than this share ends the learning
+#: a pass that improves the largest error by less than this share, or by less than LEAST_STEP, ends the learning
 LEAST_GAIN = 0.01
+LEAST_STEP = 0.05e-6  #: [m]
 
 
 class EarlierReference(MillingError):
     """The best reference is that of a pass before the first one that is known here."""
 
-    def __init__(self):
-        super().__init__("the best reference trajectory is that of an earlier pass, which is not known")
+    def __init__(self, what: str = "the best reference trajectory is that of an earlier pass, which is not known"):
+        super().__init__(what)
 
 
 def remaining_error(target: Trajectory, ran: PassRecord) -> float:
-    """Largest distance [m] of the tool from the target path, across the feed, over the scored part of a pass."""
-    time = ran.time_ns[ran.scored]
-    error, feed = ran.position[ran.scored] - target.sample(time), target.sample_velocity(time)
+    """Largest distance [m] of the tool from the target path, across the feed, over the scored part of a pass.
+
+    Of a noisy measurement it is that of the spline through the knots of the target that is nearest to it.
+    """
+    error = ran.position - target.sample(ran.time_ns)
+    if ran.noise:
+        knots = spline_fit(target.time_ns, ran.time_ns, error, ran.scored, "least_squares", target.standing, 1.0)
+        error = Trajectory.spline(target.time_ns, knots, ends="not-a-knot").sample(ran.time_ns)
+    time, error = ran.time_ns[ran.scored], error[ran.scored]
+    feed = target.sample_velocity(time)
     unit = feed / np.maximum(np.linalg.norm(feed, axis=1, keepdims=True), 1e-300)
     across = error - np.sum(error * unit, axis=1, keepdims=True) * unit
     return float(np.max(np.linalg.norm(across, axis=1)))
 
 
+def noise_floor(target: Trajectory, ran: PassRecord) -> float:
+    """[m], what noise alone does to ``remaining_error``: two standard deviations of a spline with that many knots."""
+    return 2.0 * ran.noise * math.sqrt(len(target) / max(len(target), ran.time_ns.size))
+
+
 class Compensator:
     """Holds the target and the reference that the next pass should run.
 
-    "mirror" hands the mean wrench (k, 6) at the target's knots to the function ``mirror``, which knows the arm.
-    "learned", and with ``parameters.repeat`` every method, keeps the best reference so far and is ``finished`` when a
-    pass brings less than 1 % or max_passes are done; else each pass simply revises the reference that it ran.
+    "mirror" hands the mean wrench (k, 6) at the target's knots to the function ``mirror``, which knows the arm;
+    "inverse" and "learned" ask ``arm`` for its response along the target, without it they suppose that the tool follows
+    the reference at once. "learned", and with ``parameters.repeat`` every method, keeps the best reference so far and
+    is ``finished`` when a pass brings less than 1 % or less than the noise, or max_passes are done; else each pass
+    simply revises the reference that it ran.
     """
 
     def __init__(
@@ -50,9 +71,12 @@ class Compensator:
         target: Trajectory,
         method: str | None = None,
         mirror: Callable[[Trajectory, np.ndarray], Trajectory] | None = None,
+        arm: Callable[[Trajectory], ArmResponse] | None = None,
     ):
-        self.parameters, self.target = parameters, target
+        self.parameters = parameters
+        self.target = target
         self._mirror = mirror
+        self._arm = arm
         self.method = method or parameters.method
         self.first: PassRecord | None = None  #: the pass along the target
         self.reset()
@@ -69,7 +93,10 @@ class Compensator:
         self.errors: list[float] = []  #: [m], remaining error of each pass
         self.limited: tuple[Limited, ...] = ()  #: where the correction of ``reference`` was limited
         self.finished = False
+        self.note = ""  #: a sentence where no correction is made, or the model speaks against the one that is made
+        self.learner: Learner | None = None  #: of "inverse" and "learned", from the first pass on
         self._best = (math.inf, self.target, ())
+        self._forgotten = False  # passes that "learned" would need are not known here
 
     def resume(self, reference: Trajectory, errors: tuple[float, ...], finished: bool) -> None:
         """Go on from a later pass along ``reference``; errors [m] of the passes before it, whose references are not
@@ -79,48 +106,90 @@ class Compensator:
         self.finished = finished
         best = min(errors, default=math.inf)
         self._best = (best, reference if finished or not errors else None, ())
+        self._forgotten = bool(errors) and self.remembers
 
     @property
     def repeats(self) -> bool:
         return self.method == "learned" or self.parameters.repeat
 
     @property
+    def remembers(self) -> bool:
+        """Whether the next reference follows from all passes so far, and not from the last one alone."""
+        return self.method in LIFTED and self.repeats
+
+    @property
+    def identified(self) -> Identified | None:
+        """What was learned of the arm."""
+        return self.learner.identified if self.learner else None
+
+    @property
     def cut_off(self) -> float:
         """[m], what max_correction took away from the largest correction."""
-        return max((found.missing for found in self.limited if found.kind == "size"), default=0.0)
+        return max((part.missing for part in self.limited if part.kind == "size"), default=0.0)
 
     def revise(self, ran: PassRecord) -> Trajectory:
         """The reference for the next pass, from the pass that was run along the present one."""
         if not self.errors:
             self.first = ran
         self.errors.append(remaining_error(self.target, ran))
-        if self.repeats and self._is_best():
+        if self.repeats and self._is_best(ran):
             self.finished, (_, self.reference, self.limited) = True, self._best
             if self.reference is None:
                 raise EarlierReference
+            if len(self.errors) > 1 and self.reference is self.target:
+                self.note = f"{self.method} makes no pass better than the one without compensation: it is left out"
             return self.reference
+        if self._forgotten:
+            raise EarlierReference("what is learned follows from all passes, and the earlier ones are not known")
+        if self.method in LIFTED:
+            self.learner = (self.learner or self._new_learner()).with_pass(ran, self.reference)
+        self.reference, self.limited = self._revised(ran)
+        if self.learner is not None:
+            self._refuse_worse()
+        return self.reference
+
+    def _revised(self, ran: PassRecord) -> tuple[Trajectory, tuple[Limited, ...]]:
         how = self.parameters
         limits = {
             "max_correction": how.max_correction,
             "max_change": how.max_change_per_tick,
             "tick": how.tick,
         }
+        if self.learner is not None:
+            values, rates = self.learner.correction()
+            return corrected(self.target, values, "linear" if rates is None else self.method, rates=rates, **limits)
         if self.method == "mirror":
             modified = self._mirror(self.target, ran.mean_wrench(self.target.time_ns))
             shift = modified.position - self.target.position
-            found = corrected(self.target, shift, "mirror", quaternion=modified.quaternion, **limits)
-        else:
-            found = revise(self.method, self.target, self.reference, ran, criterion=how.criterion, **limits)
-        self.reference, self.limited = found
-        return self.reference
+            return corrected(self.target, shift, "mirror", quaternion=modified.quaternion, **limits)
+        return revise(self.method, self.target, self.reference, ran, **limits)
 
-    def _is_best(self) -> bool:
+    def _refuse_worse(self) -> None:
+        """No correction whose predicted error is above that of no compensation."""
+        predicted, none = self.learner.predicted(self.reference), self.learner.predicted(self.target)
+        if predicted <= none:
+            return
+        self.reference, self.limited = self.target, ()
+        self.note = (
+            f"{self.method} would leave {1e6 * predicted:.3g} um where no compensation leaves {1e6 * none:.3g} um: "
+            "no correction is made"
+        )
+
+    def _new_learner(self) -> Learner:
+        target, how = self.target, self.parameters
+        course = Course(how.interpolation == "spline", target.standing, held(target))
+        arm = self._arm(target) if self._arm else ArmResponse.rigid(len(target) - 1)
+        return Learner(target, arm, course, how.criterion)
+
+    def _is_best(self, ran: PassRecord) -> bool:
         """Whether the best reference so far is not worth another revision."""
         previous = self._best[0]
         if self.errors[-1] < previous:
             self._best = (self.errors[-1], self.reference, self.limited)
-        improved = len(self.errors) == 1 or self.errors[-1] < (1.0 - LEAST_GAIN) * previous
-        return self.finished or not improved or len(self.errors) > self.parameters.max_passes
+        gained = previous - self.errors[-1]
+        least = max(LEAST_GAIN * previous, LEAST_STEP, noise_floor(self.target, ran)) if len(self.errors) > 1 else 0.0
+        worth = len(self.errors) == 1 or gained > least
+        return self.finished or not worth or len(self.errors) > self.parameters.max_passes
 
     def improve(self, first: PassRecord, run: Callable[[Trajectory], PassRecord]) -> Trajectory:
         """Revise from the first pass and, where the method repeats, run and revise on; returns the one to keep."""

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Limited", "describe", "limit_change", "limit_size", "resting"]
+__all__ = ["Limited", "describe", "limit_change", "limit_size"]
 
-AT_REST = 1e-9  #: [m/s] slower is standing still
 NOTHING = 1e-9  #: [m] less missing of a correction is no limitation
 
 
@@ -32,11 +31,6 @@ class Limited:
             f"the correction {why} at {where}: {1e3 * self.missing:.4f} of {1e3 * self.wanted:.4f} mm are left out at "
             f"point {self.worst} ({self.time:.3f} s)"
         )
-
-
-def resting(velocity: np.ndarray | None, count: int) -> np.ndarray:
-    """(n,) True where a trajectory with knot velocities (n, 3) [m/s] stands still at a knot."""
-    return np.zeros(count, bool) if velocity is None else ~(np.abs(velocity) > AT_REST).any(axis=1)
 
 
 def limit_size(knots: np.ndarray, largest: float) -> np.ndarray:

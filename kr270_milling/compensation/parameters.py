@@ -17,7 +17,10 @@ class Compensation(Record):
     method: str = parameter(text="how the revised trajectory is made", choices=METHODS)
     relaxation: float = parameter(0.9, above=0.0, high=1.0, text="alpha of (32)")
     sag_compensated: bool = parameter(True, text="the controller already compensates the sag under the link weights")
-    criterion: str = parameter("min_max", text="what 'learned' minimises", choices=("min_max", "least_squares"))
+    criterion: str = parameter("min_max", text="what 'learned' and 'inverse' minimise", choices=("min_max", "least_squares"))
+    interpolation: str = parameter(
+        "spline", text="of 'inverse' and 'learned' between the knots", choices=("spline", "linear")
+    )
     max_passes: int = parameter(12, low=1, high=1000, text="passes that 'learned' and ``repeat`` may take")
     repeat: bool = parameter(
         False, text="simulate and revise until the path error stops improving; 'learned' always does"

@@ -11,17 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.compensation.limiting import Limited, describe, limit_change, limit_size, resting
-from kr270_milling.compensation.spline_fit import BARELY, knot_rates, spline_fit
+from kr270_milling.compensation.limiting import Limited, describe, limit_change, limit_size
+from kr270_milling.compensation.spline_fit import knot_rates
 from kr270_milling.trajectory.trajectory import Trajectory, slerp
 
-__all__ = ["PassRecord", "RevisionError", "chord_error", "corrected", "revise", "spline_fit"]
+__all__ = ["PassRecord", "RevisionError", "chord_error", "corrected", "held", "revise"]
 
+SAME_PLACE = 1e-8  #: [m], between two knots at rest: what rounding in a file moves
 ROUNDS = 30  #: of tightening the limits at the knots until the spline between them keeps them too
-
-
-#: weight in a fit of samples out of cut: a tool that swings out beside the part would cut where it should not
-IN_AIR = 0.3
 
 
 class RevisionError(MillingError):
@@ -37,6 +34,7 @@ class PassRecord:
     scored_from_ns: int = 0  #: the tool is fully engaged from here on
     wrench: np.ndarray | None = None  #: on the tool [N, N m], (n, 6), in the frame of the trajectories; for "mirror"
     revolution_ns: float = 0.0  #: [ns], of the spindle: what the teeth do within it is no error that a knot can follow
+    noise: float = 0.0  #: [m], stated standard deviation of each position along each axis
 
     @property
     def scored(self) -> np.ndarray:
@@ -83,27 +81,19 @@ def revise(
     reference: Trajectory,
     ran: PassRecord,
     *,
-    criterion: str = "min_max",
     max_correction: float = np.inf,
     max_change: float = np.inf,
     tick: float = 12e-3,
 ) -> tuple[Trajectory, tuple[Limited, ...]]:
     """The next reference trajectory after a pass along ``reference``, and where its correction was limited.
 
-    method: "linear" (the paper's: sampled displacement, straight lines between the knots), "spline" (C2 through the
-    same knots) or "learned" (spline knots that minimise the remaining error of the last pass, to be repeated).
+    method: "linear" (the paper's: sampled displacement, straight lines between the knots) or "spline" (C2 through the
+    same knots).
     max_correction [m] bounds the correction, max_change [m] its change within each tick [s] of the controller.
     """
     if len(ran.time_ns) < 2 or not np.all(np.isfinite(ran.position)):
         raise RevisionError("a pass of at least two finite tool positions is needed to revise the reference")
-    knots_ns = target.time_ns
-    if method == "learned":
-        error, still = ran.position - target.sample(ran.time_ns), resting(target.velocity, len(target))
-        unscored = np.where(ran.time_ns < ran.scored_from_ns, BARELY, IN_AIR)
-        fit = spline_fit(knots_ns, ran.time_ns, error, ran.scored, criterion, still, unscored)
-        knots = reference.sample(knots_ns) - target.sample(knots_ns) - fit
-    else:
-        knots = -ran.sampled_displacement(reference, knots_ns)
+    knots = -ran.sampled_displacement(reference, target.time_ns)
     limits = {"max_correction": max_correction, "max_change": max_change, "tick": tick}
     return corrected(target, knots, method, **limits)
 
@@ -114,31 +104,34 @@ def corrected(
     method: str,
     *,
     quaternion: np.ndarray | None = None,
+    rates: np.ndarray | None = None,
     max_correction: float = np.inf,
     max_change: float = np.inf,
     tick: float = 12e-3,
 ) -> tuple[Trajectory, tuple[Limited, ...]]:
     """The target with corrections (k, 3) [m] of its knots and, if given, orientations (k, 4) that go with them.
 
-    "linear" joins the knots by straight lines, as a controller runs LIN motions: on a curved target these are its
+    rates: slopes (k, 3) [m/s] that the correction has at the knots as long as nothing of it is limited. "linear" joins the knots by straight lines, as a controller runs LIN motions: on a curved target these are its
     chords (see ``chord_error``). "mirror" does so where the target does, else it is smooth like the others: the
     correction has a slope at each knot, C2 in time, C1 where the target stands still, so that an exact stop of the
     robot program is one of the trajectory. While the target rests the correction is held at its mean: the chips end
     with the feed, and a tool that crept with the fading load would leave a mark that no program point can undo.
     """
-    still = resting(target.velocity, len(target))
+    still = target.standing
     smooth = method != "linear" and not (method == "mirror" and target.velocity is None)
-    ends = "not-a-knot" if method == "learned" else "natural"
+    given = np.asarray(correction, float)
 
     def slopes(knots: np.ndarray) -> np.ndarray | None:
-        return knot_rates(target.time, knots, still, ends) if smooth else None
+        if rates is not None and np.array_equal(knots, given):
+            return rates
+        return knot_rates(target.time, knots, still) if smooth else None
 
-    wanted = _held(target, still, np.asarray(correction, float))
-    shorter = _smaller(target, limit_size(wanted, max_correction), still, slopes, max_correction, tick)
+    wanted = _held(target, given)
+    shorter = _smaller(target, limit_size(wanted, max_correction), slopes, max_correction, tick)
     knots = _slower(target, shorter, slopes, max_change, tick)
     found = describe("size", target.time, wanted, shorter) + describe("change", target.time, shorter, knots)
-    rates = slopes(knots)
-    velocity = None if rates is None else target.sample_velocity(target.time_ns) + rates
+    slope = slopes(knots)
+    velocity = None if slope is None else target.sample_velocity(target.time_ns) + slope
     turned = target.quaternion
     if quaternion is not None:
         size = np.linalg.norm(wanted, axis=1, keepdims=True)
@@ -148,9 +141,15 @@ def corrected(
     return Trajectory(target.time_ns, position, turned, velocity, target.frame), found
 
 
-def _held(target: Trajectory, still: np.ndarray, correction: np.ndarray) -> np.ndarray:
+def held(target: Trajectory) -> np.ndarray:
+    """(k - 1,) True for segments along which the target rests."""
+    still = target.standing
+    return still[1:] & still[:-1] & (np.linalg.norm(np.diff(target.position, axis=0), axis=1) < SAME_PLACE)
+
+
+def _held(target: Trajectory, correction: np.ndarray) -> np.ndarray:
     """One correction, the mean, for all knots of a rest of the target."""
-    same = still[1:] & still[:-1] & ~np.diff(target.position, axis=0).any(axis=1)
+    same = held(target)
     if not same.any():
         return correction
     rest = np.concatenate([[0], np.cumsum(~same)])
@@ -163,7 +162,7 @@ def _ticks(target: Trajectory, tick: float) -> np.ndarray:
     return np.rint(np.arange(0.0, target.time[-1] + tick, tick) * 1e9).astype(np.int64)
 
 
-def _smaller(target: Trajectory, given: np.ndarray, still, slopes, largest: float, tick: float) -> np.ndarray:
+def _smaller(target: Trajectory, given: np.ndarray, slopes, largest: float, tick: float) -> np.ndarray:
     """Corrections [m] of which no tick sees more than ``largest`` [m]: a spline overshoots its shortened knots."""
     if not np.isfinite(largest):
         return given
@@ -178,7 +177,7 @@ def _smaller(target: Trajectory, given: np.ndarray, still, slopes, largest: floa
         share = np.ones(len(knots))
         for beside in (before[over], before[over] + 1):
             np.minimum.at(share, beside, 0.999 * largest / size[over])
-        knots = _held(target, still, knots * share[:, None])
+        knots = _held(target, knots * share[:, None])
     return knots * (largest / size.max())
 
 

@@ -112,8 +112,7 @@ def corner_blending(original: Trajectory, revised: Trajectory, blend_distance: f
     ahead = legs / np.where(length > 0, length, 1.0)[:, None]
     half_sine = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 2
     distance = np.minimum(blend_distance, np.minimum(length[:-1], length[1:]) / 2)
-    stops = np.zeros(len(legs) - 1, bool) if original.velocity is None else ~original.velocity[1:-1].any(axis=1)
-    rounded = np.where(stops, 0.0, distance * half_sine / 2)
+    rounded = np.where(original.standing[1:-1], 0.0, distance * half_sine / 2)
     correction = np.linalg.norm(revised.position - original.position, axis=1)[1:-1]
     ratio = np.where(rounded < 1e-7, 0.0, rounded / np.maximum(correction, 1e-9))  # below 0.1 um it is no matter
     what = "the share of the correction that corner blending takes"

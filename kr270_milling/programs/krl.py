@@ -21,7 +21,6 @@ import numpy as np
 
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
 from kr270_milling.cell.program import Program
-from kr270_milling.compensation.limiting import resting
 from kr270_milling.programs.krl_motion import Source, modules_of, motion_lines, point_numbers, point_speeds
 from kr270_milling.programs.krl_text import axis_text, comments, frame_row, frame_text, number, position_text
 from kr270_milling.trajectory.files import write_files
@@ -115,7 +114,7 @@ def write_krl(
     if not np.array_equal(original.time_ns, revised.time_ns) or original.frame != revised.frame:
         raise TrajectoryError("the original and the revised trajectory must share their knots and frame")
     source = source or Source(np.zeros(len(original), int), ("",) * len(original))
-    points, stops = point_numbers(program, original, revised), resting(original.velocity, len(original))
+    points, stops = point_numbers(program, original, revised), original.standing
     notes = {kind: heading.lines(program, kind, run) for kind, run in (("ORG", original), ("CMP", revised))}
     head, foot = _head(program, setup), _foot(program)
     most = program.line_limit - FRAME_LINES - max(map(len, notes.values())) - len(head) - len(foot)

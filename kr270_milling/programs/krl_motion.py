@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.cell.program import Program
-from kr270_milling.compensation.limiting import resting
 from kr270_milling.programs.krl_text import number
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
@@ -35,7 +34,7 @@ class Source:
 
 def point_numbers(program: Program, original: Trajectory, revised: Trajectory) -> np.ndarray:
     """Knots that become points, (p,): far enough from the one before in both; the first, the stops and the last."""
-    stops, spacing = resting(original.velocity, len(original)), program.point_spacing
+    stops, spacing = original.standing, program.point_spacing
     rows = np.stack([original.position, revised.position], axis=1).tolist()
     last, kept = len(rows) - 1, [0]
 

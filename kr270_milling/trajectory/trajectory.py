@@ -19,6 +19,7 @@ __all__ = ["Trajectory", "TrajectoryError", "TOOL_DOWN", "slerp"]
 
 #: tool0 in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
 TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
+AT_REST = 1e-6  #: [m/s] a slower tool stands still: in a tick of 12 ms it moves by 12 nm, far below any axis' resolution
 
 
 class TrajectoryError(MillingError):
@@ -96,6 +97,13 @@ class Trajectory:
             return np.where(moving, move / step, 0.0)
         v0, v1 = step * self.velocity[k], step * self.velocity[k + 1]
         return np.where(moving, (v0 + 2 * u * (3 * move - 2 * v0 - v1) + 3 * u**2 * (v0 + v1 - 2 * move)) / step, 0.0)
+
+    @property
+    def standing(self) -> np.ndarray:
+        """(n,) True in the knots where the tool stands still; never where straight lines run through the knots."""
+        if self.velocity is None:
+            return np.zeros(len(self), bool)
+        return np.linalg.norm(self.velocity, axis=1) <= AT_REST
 
     def feed(self, time_ns) -> np.ndarray:
         """Speed of the tool tip [m/s] at times [ns] of any shape."""

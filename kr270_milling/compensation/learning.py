@@ -1,0 +1,145 @@
+"""The methods ``inverse`` and ``learned``: what passes showed, the arm that explains it, and the correction that follows.
+
+A pass is explained by deviation = displacement under wrench and inertia + response to the correction + rest. The next
+correction takes away what the model gives for a tool that runs on its path, and of the rest, averaged over the passes,
+the share g = max(0, 1 - noise^2 / rest^2): none of a rest that is no larger than the stated noise of the measurement,
+all of it where nothing is noisy.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+
+from kr270_milling.compensation.arm_fit import Evidence, Identified, fit
+from kr270_milling.compensation.lifted import Lifted
+from kr270_milling.compensation.response import ArmResponse
+from kr270_milling.compensation.revision import PassRecord
+from kr270_milling.compensation.segments import Segments, cubic_coefficients
+from kr270_milling.compensation.stages import Course
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["Learner"]
+
+UNSCORED = 0.05  #: weight of deviations before full engagement and in the air
+ALONG = 0.1  #: weight of deviations along the feed, which are a matter of time and not of the part
+SMOOTHNESS = 1e-5  #: weight of the roughness without noise: only keeps the knots from working against each other
+ROUGH = 3e-6  #: [m], assumed: size of the differences of a correction that loads ask for; noise beyond it is smoothed
+MISFIT = 0.05  #: share of its own deviation by which a pass may mislead about that on the path
+
+
+class Learner:
+    """Gathers passes along corrections of one target and makes the next correction."""
+
+    def __init__(self, target: Trajectory, arm: ArmResponse, course: Course, criterion: str, learns: bool = True):
+        self.target, self.model, self.arm, self.course = target, arm, arm, course
+        self.criterion, self.learns = criterion, learns
+        self.segments = Segments.of(target.time_ns)
+        self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
+        self.identified: Identified | None = None
+        self.passes: list[Evidence] = []
+        self.expected = np.zeros((len(self.segments), self.segments.parts, 3))  #: [m], without a correction, on the path
+        self._noise = 0.0
+
+    def cubic(self, reference: Trajectory) -> np.ndarray:
+        """Cubics of reference minus target, (m, 4, 3)."""
+        return cubic_coefficients(reference.time_ns, reference.position, reference.velocity) - self.path
+
+    def with_pass(self, ran: PassRecord, reference: Trajectory) -> Learner:
+        """One that has also learned from a pass along ``reference``."""
+        learner = copy.copy(self)
+        learner.passes = list(self.passes)
+        learner._take(ran, reference)
+        return learner
+
+    def _take(self, ran: PassRecord, reference: Trajectory) -> None:
+        segments, time_ns = self.segments, ran.time_ns
+        deviation = segments.mean(time_ns, ran.position - self.target.sample(time_ns))
+        wrench = None
+        if ran.wrench is not None and ran.wrench.any():  # each is the mean of the period that ends at its stamp
+            middle = np.concatenate([time_ns[:1], (time_ns[1:] + time_ns[:-1]) // 2])
+            wrench = segments.mean(middle, ran.wrench)
+        self.passes.append(Evidence(self.cubic(reference), deviation, wrench))
+        scored = segments.mean(time_ns, ran.scored[:, None].astype(float)).ravel() > 0.0
+        scored[:-1] |= scored[1:]  # up to the edge of the first part
+        self.scored = scored.reshape(len(segments), segments.parts)
+        self._noise = ran.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
+        if self.learns:
+            weight = np.where(self.scored, 1.0, UNSCORED)
+            self.arm, self.identified = fit(
+                self.model, segments, self.path, self.path[0, 1], self.passes, weight, self._noise
+            )
+        self.expected = self._expected()
+
+    def _expected(self) -> np.ndarray:
+        """Deviation [m], (m, parts, 3), of a tool that runs on its path without a correction of the reference."""
+        arm, segments = self.arm, self.segments
+        swing = arm.swing(segments, self.path, self.path[0, 1])
+        rests, shares, ideal = [], [], swing
+        for ran in self.passes:
+            model = swing + arm.follow(segments, ran.cubic)
+            ideal = swing
+            if ran.wrench is not None:
+                under = arm.give_way(segments, ran.wrench)
+                ideal = swing + arm.give_way(segments, self._on_path(model + under, ran.wrench))
+                model = model + under
+            rest = ran.deviation - model
+            size = np.sqrt(np.mean(ran.deviation[self.scored] ** 2)) if self.scored.any() else 0.0
+            rests.append(rest)
+            shares.append(1.0 / (self._noise**2 + (MISFIT * size) ** 2 + 1e-24))
+        shares = np.array(shares) / np.sum(shares)
+        rest = np.einsum("n,nkpi->kpi", shares, np.array(rests))
+        noise = self._noise**2 * np.sum(shares**2)
+        power = np.mean(rest[self.scored] ** 2) if self.scored.any() else 0.0
+        return ideal + max(0.0, 1.0 - noise / max(power, 1e-300)) * rest
+
+    def _on_path(self, deviation: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        """The wrench of a tool that does not stray: the cutting force turns with the motion of the tool.
+
+        A tool that drifts by v across the feed v_f meets the stock under the angle v / v_f, and the mean force turns by
+        that angle about z: this damps a vibration across the feed as a dashpot F_x / v_f would.
+        """
+        time = self.segments.middle_ns.ravel() * 1e-9
+        drift = np.gradient(deviation.reshape(-1, 3), time, axis=0).reshape(deviation.shape)
+        feed = self.target.sample_velocity(self.segments.middle_ns)
+        moved = feed + drift
+        speed = np.hypot(feed[..., 0], feed[..., 1])
+        sine = (feed[..., 1] * moved[..., 0] - feed[..., 0] * moved[..., 1])
+        cosine = np.sum(feed[..., :2] * moved[..., :2], axis=-1)
+        angle = np.where(speed > 0.2 * speed.max(), np.arctan2(sine, np.where(speed > 0.0, cosine, 1.0)), 0.0)
+        c, s = np.cos(angle), np.sin(angle)
+        turned = wrench.copy()
+        for x, y in ((0, 1), (3, 4)):
+            turned[..., x] = c * wrench[..., x] - s * wrench[..., y]
+            turned[..., y] = s * wrench[..., x] + c * wrench[..., y]
+        return turned
+
+    def correction(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Values [m] and, of a smooth correction, rates [m/s] at the knots, (k, 3) each."""
+        lifted, base = Lifted(self.arm, self.segments, self.course), self.expected
+        if not self.course.smooth:  # straight lines leave a curved path by themselves
+            chords = cubic_coefficients(self.target.time_ns, self.target.position, None) - self.path
+            base = base + self.arm.follow(self.segments, chords)
+        smoothness = SMOOTHNESS + (self._noise / ROUGH) ** 2 / len(self.passes)
+        if self.criterion == "min_max" and not self._noise:
+            found = lifted.min_max(base, self._weight(), smoothness, self.scored)
+        else:
+            found = lifted.least_squares(base, self._weight(), smoothness)
+        values, rates = found.knots(self.segments)
+        rates[self.course.resting] = 0.0  # up to rounding they are
+        return values, rates if self.course.smooth else None
+
+    def _weight(self) -> np.ndarray:
+        """(m, parts, 3, 3): across the feed one, along it less, where nothing is scored little."""
+        feed = self.target.sample_velocity(self.segments.middle_ns)
+        speed = np.linalg.norm(feed, axis=-1, keepdims=True)
+        along = np.where(speed > 0.01 * speed.max(), feed / np.maximum(speed, 1e-300), 0.0)
+        metric = np.eye(3) - (1.0 - ALONG**2) * along[..., None] * along[..., None, :]
+        return np.where(self.scored, 1.0, UNSCORED**2)[..., None, None] * metric
+
+    def predicted(self, reference: Trajectory) -> float:
+        """Largest deviation across the feed [m] that the model expects along ``reference`` where it is scored."""
+        left = self.expected + self.arm.follow(self.segments, self.cubic(reference))
+        size = np.einsum("kpi,kpij,kpj->kp", left, self._weight(), left)[self.scored]
+        return float(np.sqrt(size.max(initial=0.0)))

@@ -1,0 +1,115 @@
+"""The correction whose response of the arm takes the deviation away: weighted least squares over every knot at once.
+
+The lifted model is d = d0 + H c: deviation d of the tool with the correction c of the knots, d0 without, H the response
+of the arm. The sum of (d0 + H c)^T W (d0 + H c) and of the smoothness is made least segment by segment, backwards
+(dynamic programming, [Bryson1975]): what is left to pay from a knot on is x^T P x / 2 + p^T x of the state x there. So
+nothing of a slowly decaying response is cut off, and the cost is linear in the length of the path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.compensation.response import ArmResponse
+from kr270_milling.compensation.segments import Segments
+from kr270_milling.compensation.stages import CONTROLS, Course, choices, outputs, transitions, units
+
+__all__ = ["Correction", "Lifted"]
+
+ROUNDS = 40  #: most reweightings
+CLOSE = 1.02  #: the largest deviation is within 2 % of the least possible one: it is good enough
+TINY = 1e-12  #: of the trace: keeps what no sample sees from making a matrix singular
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Cubics c, v, a, j of the correction, (m, 4, 3), and what is left of the deviation [m], (m, parts, 3)."""
+
+    cubic: np.ndarray
+    left: np.ndarray
+
+    def knots(self, segments: Segments) -> tuple[np.ndarray, np.ndarray]:
+        """Values [m] and rates [m/s] at the knots, (m + 1, 3) each."""
+        t = segments.duration[-1]
+        c, v, a, j = self.cubic[-1]
+        end, rate = c + v * t + a * t**2 / 2.0 + j * t**3 / 6.0, v + a * t + j * t**2 / 2.0
+        return np.vstack([self.cubic[:, 0], end]), np.vstack([self.cubic[:, 1], rate])
+
+
+class Lifted:
+    """The response of one arm along one path to every knot, to be solved for any deviation and weight."""
+
+    def __init__(self, arm: ArmResponse, segments: Segments, course: Course):
+        self.order, self.smooth = arm.order, course.smooth
+        self._unit = units(arm, segments)
+        state = 2 * arm.order + 9
+        self._output = outputs(arm, segments) * self._unit
+        self._next = transitions(arm, segments) * self._unit / self._unit[:state, None]
+        self._given, self._free, self._first = choices(arm, segments, course, self._unit)
+
+    def least_squares(self, deviation: np.ndarray, weight: np.ndarray, smoothness: float) -> Correction:
+        """The best correction of deviations d0 [m], (m, parts, 3), under weights W (m, parts, 3, 3).
+
+        smoothness: weight of the change of the correction's third (of straight lines: second) difference over a
+        segment of the usual length.
+        """
+        weighted = np.swapaxes(self._output, -1, -2) @ weight
+        cost = np.sum(weighted @ self._output, axis=1)
+        slope = np.sum(weighted @ deviation[..., None], axis=1)[..., 0]
+        policy, push, later, linear = self._backward(cost, slope, smoothness)
+        chosen = self._first.T @ later @ self._first
+        chosen += np.diag(np.where(np.diag(chosen) > 0.0, TINY * np.trace(chosen), 1.0))
+        state = -self._first @ np.linalg.solve(chosen, self._first.T @ linear)
+        local = np.zeros(slope.shape)
+        for k in range(len(local)):
+            local[k] = self._given[k] @ state + self._free[k] @ (policy[k] @ state + push[k])
+            state = self._next[k] @ local[k]
+        left = deviation + (self._output @ local[:, None, :, None])[..., 0]
+        cubic = (local * self._unit)[:, 2 * self.order :].reshape(-1, 4, 3)
+        return Correction(cubic, left)
+
+    def _backward(self, cost: np.ndarray, slope: np.ndarray, smoothness: float):
+        """The best free numbers of each segment, policy x + push, and P, p at the first knot."""
+        m, size, r = *self._given.shape[::2], self.order
+        later, linear = np.zeros((size, size)), np.zeros(size)
+        policy, push = np.zeros((m, CONTROLS, size)), np.zeros((m, CONTROLS))
+        if self.smooth:  # weight of j
+            cost[:, 2 * r + 9 :, 2 * r + 9 :] += smoothness * np.eye(3)
+        difference = np.zeros((3, size + CONTROLS))  # of straight lines: what is free minus v of the state
+        difference[:, 2 * r + 3 : 2 * r + 6], difference[:, size : size + 3] = -np.eye(3), np.eye(3)
+        bend = smoothness * difference.T @ difference
+        for k in range(m - 1, -1, -1):
+            both = np.hstack([self._given[k], self._free[k]])
+            total = both.T @ (cost[k] + self._next[k].T @ later @ self._next[k]) @ both
+            gradient = both.T @ (slope[k] + self._next[k].T @ linear)
+            if not self.smooth and self._free[k].any():
+                total += bend
+            block = total[size:, size:]
+            idle = np.diag(np.where(np.diag(block) > 0.0, TINY * np.trace(block), 1.0))
+            answer = -np.linalg.solve(block + idle, np.column_stack([total[size:, :size], gradient[size:]]))
+            policy[k], push[k] = answer[:, :size], answer[:, size]
+            later = total[:size, :size] + total[:size, size:] @ policy[k]
+            later = 0.5 * (later + later.T)
+            linear = gradient[:size] + total[:size, size:] @ push[k]
+        return policy, push, later, linear
+
+    def min_max(self, deviation, weight, smoothness: float, scored: np.ndarray) -> Correction:
+        """As ``least_squares``, but with the least largest deviation in the parts ``scored`` (m, parts).
+
+        Lawson's reweighting [Lawson1961]: parts with a large deviation gain weight; the weighted mean square is a lower
+        bound of the largest one, so the end is known when it comes near.
+        """
+        share, best, least = np.ones(scored.shape), None, np.inf
+        for _ in range(ROUNDS if scored.any() else 1):
+            found = self.least_squares(deviation, weight * share[..., None, None], smoothness)
+            size = np.sqrt(np.einsum("kpi,kpij,kpj->kp", found.left, weight, found.left))[scored]
+            if best is None or size.max() < least:
+                best, least = found, float(size.max(initial=0.0))
+            now = share[scored]
+            if size.max(initial=0.0) < TINY or least <= CLOSE * np.sqrt(np.sum(now * size**2) / np.sum(now)):
+                break
+            now = now * size / size.max()
+            share[scored] = np.maximum(now / now.mean(), 1e-4)
+        return best

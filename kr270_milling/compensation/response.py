@@ -1,0 +1,152 @@
+"""How the tool follows the reference and gives way to the wrench: the modes of the arm, in closed form.
+
+With the reference r (motor side) and the tool z = r + delta, M delta'' + C delta' + K delta = F - M r''. A change of the
+reference moves the tool, mode by mode, by
+
+    z / r = (2 zeta omega s + omega^2) / (s^2 + 2 zeta omega s + omega^2)
+
+The correction is a cubic c + v t + a t^2 / 2 + j t^3 / 6 between two knots. The relative modal coordinate u = p - q of a
+mode (p of the tool, q of the reference) obeys u'' + 2 zeta omega u' + omega^2 u = -q'' = -(a + j t), which is solved by
+u = h11 u0 + h12 u0' + (h11 - 1) a / omega^2 + (2 zeta / omega (1 - h11) + h12 - t) j / omega^2, where h11 and h12 are
+the free vibrations from u0 = 1 and from u0' = 1. At a corner of the reference p' is steady, so u' jumps by -dv.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from kr270_milling.compensation.segments import Segments
+
+__all__ = ["ArmResponse"]
+
+MOST_DAMPING = 0.95
+LEAST_DAMPING = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class ArmResponse:
+    """Modes of the arm on each of the m segments; no modes (r = 0): the tool follows the reference at once."""
+
+    frequency: np.ndarray  #: omega [rad/s], (m, r)
+    damping: np.ndarray  #: zeta, (m, r)
+    inward: np.ndarray  #: reference -> modal coordinate q, (m, r, 3)
+    outward: np.ndarray  #: relative modal coordinates u -> displacement of the tool, (m, 3, r)
+    push: np.ndarray  #: wrench -> modal force, (m, r, 6)
+    carry: np.ndarray  #: u at the end of a segment -> u of the next one, (m, r, r)
+    moves: bool = True  #: the reference moves the motors' side of the springs; false: eq. (1) as printed
+    gain: float = 1.0  #: of the response to the reference: what the process takes back or adds
+    softness: float = 1.0  #: factor of the displacement under the wrench
+
+    @classmethod
+    def rigid(cls, segments: int) -> ArmResponse:
+        """No modes: the tool follows the reference at once."""
+        none = np.zeros((segments, 0))
+        inward, outward = np.zeros((segments, 0, 3)), np.zeros((segments, 3, 0))
+        return cls(none, none, inward, outward, np.zeros((segments, 0, 6)), np.zeros((segments, 0, 0)))
+
+    @property
+    def order(self) -> int:
+        return self.frequency.shape[1]
+
+    def scaled(self, frequency, damping, gain: float = 1.0, softness: float = 1.0) -> ArmResponse:
+        """Factors on frequencies (r,), damping ratios (r,), gain and static compliance; the shapes stay.
+
+        The static displacement under a wrench, push / omega^2, is that of ``softness`` alone.
+        """
+        factor = np.broadcast_to(frequency, (self.order,))
+        return dataclasses.replace(
+            self,
+            frequency=self.frequency * factor,
+            damping=np.clip(self.damping * damping, LEAST_DAMPING, MOST_DAMPING),
+            push=self.push * factor[:, None] ** 2,
+            gain=self.gain * gain,
+            softness=self.softness * softness,
+        )
+
+    def free(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
+        """h11, h12, h21, h22, (m, t, r), at times (m, t) [s] from the start of each segment."""
+        w, z = self.frequency[:, None], self.damping[:, None]
+        time = time[..., None]
+        damped = w * np.sqrt(1.0 - z * z)
+        decay = np.exp(-z * w * time)
+        cosine, sine = decay * np.cos(damped * time), decay * np.sin(damped * time) / damped
+        return cosine + z * w * sine, sine, -w * w * sine, cosine - z * w * sine
+
+    def forced(self, time: np.ndarray) -> tuple[np.ndarray, ...]:
+        """u of a = 1, u of j = 1, u' of a = 1, u' of j = 1, (m, t, r), from rest."""
+        h11, h12, h21, h22 = self.free(time)
+        w, z = self.frequency[:, None], self.damping[:, None]
+        of_jerk = (2.0 * z / w * (1.0 - h11) + h12 - time[..., None]) / w**2
+        return (h11 - 1.0) / w**2, of_jerk, h21 / w**2, (h22 - 1.0 - 2.0 * z / w * h21) / w**2
+
+    def follow(self, segments: Segments, cubic: np.ndarray) -> np.ndarray:
+        """Motion of the tool [m], (m, parts, 3), by cubics (m, 4, 3) of a correction of the reference.
+
+        Before the pass the tool is on the correction's first value and does not move with it.
+        """
+        return self.gain * (segments.powers @ cubic + self.swing(segments, cubic, np.zeros(3)))
+
+    def swing(self, segments: Segments, cubic: np.ndarray, approach: np.ndarray) -> np.ndarray:
+        """Displacement delta [m], (m, parts, 3), by the inertia of an arm that follows cubics (m, 4, 3).
+
+        approach: the velocity of the reference before the pass [m/s], (3,).
+        """
+        if not (self.order and self.moves):
+            return np.zeros((len(segments), segments.parts, 3))
+        start = self._starts(segments.duration[:, None], cubic, approach)[:, :, None]
+        free, forced = self.free(segments.place), self.forced(segments.place)
+        bend, jerk = (np.einsum("mrd,md->mr", self.inward, cubic[:, i])[:, None] for i in (2, 3))
+        u = free[0] * start[:, 0] + free[1] * start[:, 1] + forced[0] * bend + forced[1] * jerk
+        return u @ np.swapaxes(self.outward, 1, 2)
+
+    def _starts(self, duration: np.ndarray, cubic: np.ndarray, approach: np.ndarray) -> np.ndarray:
+        """u and u' at the start of each segment, (m, 2, r)."""
+        forced = tuple(f[:, 0] for f in self.forced(duration))
+        bend, jerk = (np.einsum("mrd,md->mr", self.inward, cubic[:, i]) for i in (2, 3))
+        speed = cubic[:, 1] + cubic[:, 2] * duration + cubic[:, 3] * duration**2 / 2.0  # at the end of each segment
+        before = np.vstack([approach, speed[:-1]])
+        corner = np.einsum("mrd,md->mr", self.inward, before - cubic[:, 1])
+        added = np.stack([forced[0] * bend + forced[1] * jerk, forced[2] * bend + forced[3] * jerk], axis=1)
+        free = np.stack([h[:, 0] for h in self.free(duration)], axis=1)
+        return _march(free, added, corner, self.carry, 1)[0]
+
+    def give_way(self, segments: Segments, wrench: np.ndarray) -> np.ndarray:
+        """Displacement of the tool [m], (m, parts, 3), under mean wrenches (m, parts, 6), from rest."""
+        if not self.order:
+            return np.zeros(wrench.shape[:2] + (3,))
+        parts, step = segments.parts, segments.duration[:, None] / segments.parts
+        static = np.einsum("mrd,mpd->mpr", self.push, wrench) / self.frequency[:, None] ** 2
+        free = np.stack([h[:, 0] for h in self.free(step)], axis=1)
+        added = np.stack([(1.0 - free[:, None, 0]) * static, -free[:, None, 2] * static], axis=2)
+        steps = np.repeat(free, parts, axis=0), added.reshape(-1, 2, self.order)
+        start, end = _march(*steps, np.zeros((static.size // self.order, self.order)), self.carry, parts)
+        # the cubic through both ends with their slopes, in the middle
+        middle = 0.5 * (start[:, 0] + end[:, 0]) + np.repeat(step, parts, axis=0) * (start[:, 1] - end[:, 1]) / 8.0
+        return self.softness * middle.reshape(static.shape) @ np.swapaxes(self.outward, 1, 2)
+
+
+@njit(cache=True)
+def _march(free, added, corner, carry, every):
+    """u, u' at the start and at the end of n steps, (n, 2, r) each; ``carry`` turns them after each ``every`` steps."""
+    n, r = corner.shape
+    start, end = np.zeros((n, 2, r)), np.zeros((n, 2, r))
+    u, rate = np.zeros(r), np.zeros(r)
+    for k in range(n):
+        rate = rate + corner[k]
+        start[k, 0], start[k, 1] = u, rate
+        end[k, 0] = free[k, 0] * u + free[k, 1] * rate + added[k, 0]
+        end[k, 1] = free[k, 2] * u + free[k, 3] * rate + added[k, 1]
+        if (k + 1) % every:
+            u, rate = end[k, 0].copy(), end[k, 1].copy()
+            continue
+        turn = carry[k // every]
+        for i in range(r):
+            u[i], rate[i] = 0.0, 0.0
+            for j in range(r):
+                u[i] += turn[i, j] * end[k, 0, j]
+                rate[i] += turn[i, j] * end[k, 1, j]
+    return start, end

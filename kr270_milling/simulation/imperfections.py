@@ -1,0 +1,81 @@
+"""What a real arm adds to a pass that no model knows: noise of the measured pose, repeatability, backlash at reversals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.record import Record, parameter
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["Imperfections", "backlash_course", "play"]
+
+#: of a Maxwell-distributed distance with standard deviation 1 along each axis: mean 1.596 + 3 times its deviation 0.673
+REPEATABILITY_SPREAD = np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi)
+
+
+@dataclass(frozen=True, eq=False)
+class Imperfections(Record):
+    """YAML ``imperfections``, of the plant: what it adds to each pass, drawn from ``seed``."""
+
+    pose_noise: float = parameter(
+        0.0, unit="um", low=0.0, high=1e4, text="standard deviation of each measured tool position along each axis"
+    )
+    # ISO 9283: mean distance from the barycentre + 3 standard deviations of it, as data sheets state
+    repeatability: float = parameter(
+        0.0, unit="um", low=0.0, high=1e4, text="position repeatability (ISO 9283): shifts each pass as a whole"
+    )
+    backlash: np.ndarray = parameter(
+        np.zeros(6), unit="deg", size=6, low=0.0, high=5.0, text="play of each joint, which shows where it reverses"
+    )
+    seed: int = parameter(1, low=0, high=2**31 - 1, text="of noise and repeatability")
+
+    def generator(self, number: int) -> np.random.Generator:
+        """The random numbers of pass ``number``, from 0."""
+        return np.random.default_rng([self.seed, number])
+
+    def shift(self, number: int) -> np.ndarray:
+        """[m], (3,): by how much pass ``number`` as a whole lies beside the commanded one."""
+        deviation = self.repeatability / REPEATABILITY_SPREAD
+        return deviation * self.generator(number).standard_normal(3)
+
+    def measured(self, position: np.ndarray, number: int) -> np.ndarray:
+        """Tool positions (n, 3) [m] of pass ``number`` as the tracker reports them."""
+        if not self.pose_noise:
+            return position
+        generator = self.generator(number)
+        generator.standard_normal(3)  # those of ``shift``
+        return position + self.pose_noise * generator.standard_normal(position.shape)
+
+
+def play(angle: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """Where joints stand behind their play: angle (n, 6) [rad] of the motors, width (6,) [rad] of the whole play.
+
+    An arm follows its motor at the distance of half the play and rests while the motor crosses it:
+    q_k = min(max(q_(k-1), m_k - b/2), m_k + b/2).
+    """
+    stands = np.empty_like(angle)
+    stands[0] = angle[0] + 0.5 * width * _first_sense(angle)
+    for k in range(1, len(angle)):
+        stands[k] = np.clip(stands[k - 1], angle[k] - 0.5 * width, angle[k] + 0.5 * width)
+    return stands
+
+
+def _first_sense(angle: np.ndarray) -> np.ndarray:
+    """-1, 0 or 1 (6,): on which side of its play each joint starts, so that its first motion takes it along."""
+    moved = np.diff(angle, axis=0)
+    first = np.argmax(moved != 0.0, axis=0)
+    return -np.sign(moved[first, np.arange(angle.shape[1])])
+
+
+def backlash_course(reference: Trajectory, stamps: np.ndarray, joints: np.ndarray, jacobian: np.ndarray, width):
+    """The reference behind the play of the joints, as a trajectory with knots at the stamps [ns], (n,).
+
+    joints: (n, 6) [rad], those of the motors; jacobian: (n, 3, 6) of the tool's position in the reference's frame; the
+    play counts from where the pass begins, where the tool was touched off. Straight lines join the knots.
+    """
+    lost = play(joints, np.asarray(width, float)) - joints
+    shift = np.einsum("nij,nj->ni", jacobian, lost - lost[0])
+    position = reference.sample(stamps) + shift
+    return Trajectory(stamps, position, reference.sample_orientation(stamps), None, reference.frame)
