@@ -70,8 +70,11 @@ class _Problem:
         return np.concatenate([[0.0, 0.0], np.full(n, np.log(frequency)), np.full(n, np.log(damping)), np.zeros(3)])
 
     def arm_of(self, numbers: np.ndarray) -> ArmResponse:
-        n, factors = self.modes.size, np.ones((2, self.arm.order))
-        factors[0, self.modes], factors[1, self.modes] = np.exp(numbers[2 : 2 + n]), np.exp(numbers[2 + n : 2 + 2 * n])
+        """The other modes share the mean factors of those that are fitted: a wrong mass or damping is wrong for all."""
+        fitted = numbers[2:-3].reshape(2, -1)  # logarithms, of frequencies and of damping ratios
+        mean = fitted.mean(axis=1, keepdims=True) if fitted.size else np.zeros((2, 1))
+        factors = np.tile(np.exp(mean), (1, self.arm.order))
+        factors[:, self.modes] = np.exp(fitted)
         return self.arm.scaled(factors[0], factors[1], float(np.exp(numbers[0])), float(np.exp(numbers[1])))
 
     def residuals(self, numbers: np.ndarray) -> np.ndarray:

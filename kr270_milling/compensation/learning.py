@@ -23,6 +23,7 @@ from kr270_milling.trajectory.trajectory import Trajectory
 __all__ = ["Learner"]
 
 UNSCORED = 0.05  #: weight of deviations before full engagement and in the air
+FREE = 0.3  #: weight of these in the fit of the arm: a tool out of load tells a constant offset from compliance
 ALONG = 0.1  #: weight of deviations along the feed, which are a matter of time and not of the part
 SMOOTHNESS = 1e-5  #: weight of the roughness without noise: only keeps the knots from working against each other
 ROUGH = 3e-6  #: [m], assumed: size of the differences of a correction that loads ask for; noise beyond it is smoothed
@@ -40,7 +41,8 @@ class Learner:
         self.identified: Identified | None = None
         self.passes: list[Evidence] = []
         self.expected = np.zeros((len(self.segments), self.segments.parts, 3))  #: [m], without a correction, on the path
-        self._noise = 0.0
+        self._noise = 0.0  # [m], of the deviation of a part
+        self._rough = 0.0  # [m], of it in ``expected``
 
     def cubic(self, reference: Trajectory) -> np.ndarray:
         """Cubics of reference minus target, (m, 4, 3)."""
@@ -66,7 +68,7 @@ class Learner:
         self.scored = scored.reshape(len(segments), segments.parts)
         self._noise = ran.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
         if self.learns:
-            weight = np.where(self.scored, 1.0, UNSCORED)
+            weight = np.where(self.scored, 1.0, FREE)
             self.arm, self.identified = fit(
                 self.model, segments, self.path, self.path[0, 1], self.passes, weight, self._noise
             )
@@ -92,7 +94,9 @@ class Learner:
         rest = np.einsum("n,nkpi->kpi", shares, np.array(rests))
         noise = self._noise**2 * np.sum(shares**2)
         power = np.mean(rest[self.scored] ** 2) if self.scored.any() else 0.0
-        return ideal + max(0.0, 1.0 - noise / max(power, 1e-300)) * rest
+        share = max(0.0, 1.0 - noise / max(power, 1e-300))
+        self._rough = share * np.sqrt(noise)
+        return ideal + share * rest
 
     def _on_path(self, deviation: np.ndarray, wrench: np.ndarray) -> np.ndarray:
         """The wrench of a tool that does not stray: the cutting force turns with the motion of the tool.
@@ -121,8 +125,8 @@ class Learner:
         if not self.course.smooth:  # straight lines leave a curved path by themselves
             chords = cubic_coefficients(self.target.time_ns, self.target.position, None) - self.path
             base = base + self.arm.follow(self.segments, chords)
-        smoothness = SMOOTHNESS + (self._noise / ROUGH) ** 2 / len(self.passes)
-        if self.criterion == "min_max" and not self._noise:
+        smoothness = SMOOTHNESS + (self._rough / ROUGH) ** 2
+        if self.criterion == "min_max" and not self._rough:
             found = lifted.min_max(base, self._weight(), smoothness, self.scored)
         else:
             found = lifted.least_squares(base, self._weight(), smoothness)
