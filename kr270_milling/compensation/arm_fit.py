@@ -81,14 +81,18 @@ class _Problem:
         arm, first, (single, double) = self.arm_of(numbers), self.first, self.sigma
         found = [numbers / self.prior]
         if first.wrench is not None:
-            model = arm.give_way(self.segments, first.wrench) + arm.swing(self.segments, self.path, self.approach)
-            found.append((self.weight * (model + numbers[-3:] - first.deviation) / single).ravel())
+            model = self._uncorrected(arm) + numbers[-3:]
+            found.append((self.weight * (model - first.deviation) / single).ravel())
         for ran in self.later:
             model = arm.follow(self.segments, ran.cubic) - arm.follow(self.segments, first.cubic)
             if first.wrench is not None and ran.wrench is not None:
                 model = model + arm.give_way(self.segments, ran.wrench - first.wrench)
             found.append((self.weight * (model - (ran.deviation - first.deviation)) / double).ravel())
         return np.concatenate(found)
+
+    def _uncorrected(self, arm: ArmResponse) -> np.ndarray:
+        under = arm.give_way(self.segments, self.first.wrench)
+        return under + arm.swing(self.segments, self.path, self.approach)
 
     def _sensitive(self) -> np.ndarray:
         """Modes whose frequency changes what the passes show."""
@@ -101,11 +105,7 @@ class _Problem:
     def _changes(self, factor: np.ndarray):
         other = self.arm.scaled(factor, 1.0)
         if self.first.wrench is not None:
-            for arm, sign in ((other, 1.0), (self.arm, -1.0)):
-                under = sign * arm.give_way(self.segments, self.first.wrench)
-                moved = sign * arm.swing(self.segments, self.path, self.approach)
-                total = under + moved if arm is other else total + under + moved
-            yield total
+            yield self._uncorrected(other) - self._uncorrected(self.arm)
         for ran in self.later:
             yield other.follow(self.segments, ran.cubic) - self.arm.follow(self.segments, ran.cubic)
 

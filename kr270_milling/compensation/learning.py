@@ -1,4 +1,4 @@
-"""The methods ``inverse`` and ``learned``: what passes showed, the arm that explains it, and the correction that follows.
+"""The methods ``inverse`` and ``learned``: what passes showed, the arm that explains it, the correction that follows.
 
 A pass is explained by deviation = displacement under wrench and inertia + response to the correction + rest. The next
 correction takes away what the model gives for a tool that runs on its path, and of the rest, averaged over the passes,
@@ -40,7 +40,9 @@ class Learner:
         self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
         self.identified: Identified | None = None
         self.passes: list[Evidence] = []
-        self.expected = np.zeros((len(self.segments), self.segments.parts, 3))  #: [m], without a correction, on the path
+        self.expected = np.zeros(
+            (len(self.segments), self.segments.parts, 3)
+        )  #: [m], without a correction, on the path
         self._noise = 0.0  # [m], of the deviation of a part
         self._rough = 0.0  # [m], of it in ``expected``
 
@@ -52,12 +54,13 @@ class Learner:
         """One that has also learned from a pass along ``reference``."""
         learner = copy.copy(self)
         learner.passes = list(self.passes)
-        learner._take(ran, reference)
+        learner.take(ran, reference)
         return learner
 
-    def _take(self, ran: PassRecord, reference: Trajectory) -> None:
+    def take(self, ran: PassRecord, reference: Trajectory) -> None:
+        """Learn from a pass along ``reference``."""
         segments, time_ns = self.segments, ran.time_ns
-        deviation = segments.mean(time_ns, ran.position - self.target.sample(time_ns))
+        deviation = segments.middle(time_ns, ran.position - self.target.sample(time_ns))
         wrench = None
         if ran.wrench is not None and ran.wrench.any():  # each is the mean of the period that ends at its stamp
             middle = np.concatenate([time_ns[:1], (time_ns[1:] + time_ns[:-1]) // 2])
@@ -109,7 +112,7 @@ class Learner:
         feed = self.target.sample_velocity(self.segments.middle_ns)
         moved = feed + drift
         speed = np.hypot(feed[..., 0], feed[..., 1])
-        sine = (feed[..., 1] * moved[..., 0] - feed[..., 0] * moved[..., 1])
+        sine = feed[..., 1] * moved[..., 0] - feed[..., 0] * moved[..., 1]
         cosine = np.sum(feed[..., :2] * moved[..., :2], axis=-1)
         angle = np.where(speed > 0.2 * speed.max(), np.arctan2(sine, np.where(speed > 0.0, cosine, 1.0)), 0.0)
         c, s = np.cos(angle), np.sin(angle)

@@ -17,7 +17,9 @@ class Compensation(Record):
     method: str = parameter(text="how the revised trajectory is made", choices=METHODS)
     relaxation: float = parameter(0.9, above=0.0, high=1.0, text="alpha of (32)")
     sag_compensated: bool = parameter(True, text="the controller already compensates the sag under the link weights")
-    criterion: str = parameter("min_max", text="what 'learned' and 'inverse' minimise", choices=("min_max", "least_squares"))
+    criterion: str = parameter(
+        "min_max", text="what 'learned' and 'inverse' minimise", choices=("min_max", "least_squares")
+    )
     interpolation: str = parameter(
         "spline", text="of 'inverse' and 'learned' between the knots", choices=("spline", "linear")
     )

@@ -1,12 +1,12 @@
 """How the tool follows the reference and gives way to the wrench: the modes of the arm, in closed form.
 
-With the reference r (motor side) and the tool z = r + delta, M delta'' + C delta' + K delta = F - M r''. A change of the
-reference moves the tool, mode by mode, by
+With the reference r (motor side) and the tool z = r + delta, M delta'' + C delta' + K delta = F - M r''. A change of
+the reference moves the tool, mode by mode, by
 
     z / r = (2 zeta omega s + omega^2) / (s^2 + 2 zeta omega s + omega^2)
 
-The correction is a cubic c + v t + a t^2 / 2 + j t^3 / 6 between two knots. The relative modal coordinate u = p - q of a
-mode (p of the tool, q of the reference) obeys u'' + 2 zeta omega u' + omega^2 u = -q'' = -(a + j t), which is solved by
+The correction is a cubic c + v t + a t^2 / 2 + j t^3 / 6 between two knots. The relative modal coordinate u = p - q
+(p of the tool, q of the reference) obeys u'' + 2 zeta omega u' + omega^2 u = -q'' = -(a + j t), which is solved by
 u = h11 u0 + h12 u0' + (h11 - 1) a / omega^2 + (2 zeta / omega (1 - h11) + h12 - t) j / omega^2, where h11 and h12 are
 the free vibrations from u0 = 1 and from u0' = 1. At a corner of the reference p' is steady, so u' jumps by -dv.
 """

@@ -111,7 +111,9 @@ def corrected(
 ) -> tuple[Trajectory, tuple[Limited, ...]]:
     """The target with corrections (k, 3) [m] of its knots and, if given, orientations (k, 4) that go with them.
 
-    rates: slopes (k, 3) [m/s] that the correction has at the knots as long as nothing of it is limited. "linear" joins the knots by straight lines, as a controller runs LIN motions: on a curved target these are its
+    rates: slopes (k, 3) [m/s] that the correction has at the knots as long as nothing of it is limited.
+
+    "linear" joins the knots by straight lines, as a controller runs LIN motions: on a curved target these are its
     chords (see ``chord_error``). "mirror" does so where the target does, else it is smooth like the others: the
     correction has a slope at each knot, C2 in time, C1 where the target stands still, so that an exact stop of the
     robot program is one of the trajectory. While the target rests the correction is held at its mean: the chips end

@@ -57,14 +57,27 @@ class Segments:
     def mean(self, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Mean of samples (n, d) in each part, (m, parts, d); interpolated where no sample lies in a part."""
         size, part = len(self) * self.parts, self.part_of(time_ns)
-        count = np.bincount(part, minlength=size)
-        total = np.stack([np.bincount(part, v, size) for v in values.T], axis=1)
-        mean = total / np.maximum(count, 1)[:, None]
-        empty = count == 0
+        count = np.maximum(np.bincount(part, minlength=size), 1)[:, None]
+        mean = np.stack([np.bincount(part, v, size) for v in values.T], axis=1) / count
+        empty = np.bincount(part, minlength=size) == 0
         if empty.any():
             at = self.middle_ns.ravel()[empty]
             mean[empty] = np.stack([np.interp(at, time_ns, v) for v in values.T], axis=1)
         return mean.reshape(len(self), self.parts, values.shape[1])
+
+    def middle(self, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Samples (n, d) in the middle of each part, (m, parts, d), with as little noise as their mean has.
+
+        Taylor: mean = v + v' <t> + v'' <t^2> / 2 over the times t of the samples from the middle; v' and v'' come from
+        the means of the neighbouring parts.
+        """
+        mean = self.mean(time_ns, values).reshape(-1, values.shape[1])
+        off = (time_ns - self.middle_ns.ravel()[self.part_of(time_ns)])[:, None] * 1e-9
+        first, second = self.mean(time_ns, np.hstack([off, off**2 / 2.0])).reshape(-1, 2).T
+        time = self.middle_ns.ravel() * 1e-9
+        slope = np.gradient(mean, time, axis=0)
+        bend = np.gradient(slope, time, axis=0)
+        return (mean - slope * first[:, None] - bend * second[:, None]).reshape(len(self), self.parts, -1)
 
 
 def cubic_coefficients(time_ns: np.ndarray, value: np.ndarray, rate: np.ndarray | None) -> np.ndarray:

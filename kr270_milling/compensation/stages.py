@@ -66,7 +66,10 @@ def transitions(arm: ArmResponse, segments: Segments) -> np.ndarray:
 
 
 def choices(arm: ArmResponse, segments: Segments, course: Course, unit: np.ndarray):
-    """y of a segment from the state x that arrives and from what is free there, in units: (m, y, x), (m, y, CONTROLS)."""
+    """y of a segment, in units, from the state x that arrives and from what is free there: (m, y, x), (m, y, CONTROLS).
+
+    The third one gives x at the first knot from c, v, a of the correction there, (x, 9).
+    """
     m, r = len(segments), arm.order
     given, free = np.zeros((m, 2 * r + 12, 2 * r + 9)), np.zeros((m, 2 * r + 12, CONTROLS))
     given[:, : 2 * r + 3, : 2 * r + 3] = np.eye(2 * r + 3)

@@ -1,4 +1,4 @@
-"""What a real arm adds to a pass that no model knows: noise of the measured pose, repeatability, backlash at reversals."""
+"""What a real arm adds to a pass and no model knows: noise of the measured pose, repeatability, backlash."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ __all__ = ["Trajectory", "TrajectoryError", "TOOL_DOWN", "slerp"]
 
 #: tool0 in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
 TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
-AT_REST = 1e-6  #: [m/s] a slower tool stands still: in a tick of 12 ms it moves by 12 nm, far below any axis' resolution
+AT_REST = 1e-6  #: [m/s] a slower tool stands still: 12 nm in a tick of 12 ms are below the resolution of any axis
 
 
 class TrajectoryError(MillingError):

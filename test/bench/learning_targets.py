@@ -1,4 +1,4 @@
-"""Table of what ``inverse`` and ``learned`` leave where the plant is not the model: ``python -m bench.learning_targets``.
+"""What ``inverse`` and ``learned`` leave where the plant is not the model: ``python -m bench.learning_targets``.
 
 The paper's pass with the inertia of the moving arm; largest deviation [um] of the plant's true tool. Each row is one
 plant against one model. Run it in ``test/``; it takes some minutes.
@@ -78,7 +78,9 @@ def _rows() -> list[Row]:
             name = f"zeta {ratio:g} / 2, frequency x {frequency:g}, posture followed"
             rows.append(Row(name, model, frequency=frequency, damping=0.5))
             for noise, left in ((5e-6, 2e-6), (20e-6, 6e-6)):
-                row = Row(f"  with noise {1e6 * noise:.0f} um", model, frequency, damping=0.5, noise=noise, learned=left)
+                row = Row(
+                    f"  with noise {1e6 * noise:.0f} um", model, frequency, damping=0.5, noise=noise, learned=left
+                )
                 rows.append(row)
     return rows
 
@@ -106,7 +108,9 @@ def main() -> int:
         wanted = none if row.inverse is None else row.inverse
         good = inverse <= wanted and learned <= row.learned
         missed += not good
-        numbers = f"{1e6 * none:7.2f} {1e6 * inverse:8.3f} {1e6 * wanted:7.2f} {1e6 * learned:8.3f} {1e6 * row.learned:7.2f}"
+        numbers = (
+            f"{1e6 * none:7.2f} {1e6 * inverse:8.3f} {1e6 * wanted:7.2f} {1e6 * learned:8.3f} {1e6 * row.learned:7.2f}"
+        )
         measured = ", ".join(f"{1e6 * e:.3g}" for e in errors)
         print(f"{row.name:62} {numbers} {'' if good else 'MISSED'}  measured {measured}", flush=True)
     return 1 if missed else 0
