@@ -12,7 +12,7 @@ import yaml
 from hostile import POSTURE, SHORT, ask, refused, refused_or_sound
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kr270_milling.replay.inputs import cell_of
+from kr270_milling.replay.attached import cell_of
 
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.writer import BagWriter
