@@ -112,7 +112,7 @@ def _write(args, found, result: dict) -> Path:
         thin = slice(None, None, max(1, len(channel.time) // 5000))
         series = {"measured": (channel.time[thin], channel.measured[thin]),
                   "simulated": (channel.time[thin], channel.simulated[thin])}  # fmt: skip
-        figures.append(points(channel.name, "time [s]", f"[{channel.unit}]", series, lines=True))
+        figures.append(points(channel.name, "time [s]", f"[{channel.unit}]", series, tuple(series)))
     title = f"{Path(args.recording).name} against {Path(args.cell).name}"
     with staged(args.out) as (draft, final):
         page = write_page(draft / "compare.html", title, found.advice, [("Differences", *_rows(result))], figures)

@@ -55,6 +55,7 @@ def _positive(text: str) -> float:
 def run(args) -> None:
     from kr270_milling.base.errors import InputError
     from kr270_milling.base.record import find_file
+    from kr270_milling.commands.plan_load_tests import plan_load_tests
     from kr270_milling.robot.analysis import read_arm
 
     arm, mount = read_arm(find_file(args.arm))
@@ -62,7 +63,7 @@ def run(args) -> None:
         mount = read_arm(find_file(args.cell))[1]
     pose = _pose(args, mount)
     if args.plan is not None:
-        _plan(args, arm, mount, pose)
+        plan_load_tests(args, arm, mount, pose)
     elif args.measurements is None:
         raise InputError("identify compliance", "needs a table of load tests, or --plan N to make one")
     else:
@@ -136,66 +137,3 @@ def _write(args, found, result: dict, said: list[str]) -> list[Path]:
             write_page(draft / "compliance.html", title, notes[1:-1], [table], compliance_figures(found)),
         ]
         return [final(path) for path in files]
-
-
-def _plan(args, arm, mount, pose) -> None:
-    import numpy as np
-
-    from kr270_milling.base.errors import InputError
-    from kr270_milling.identification.candidates import Bench, candidates
-    from kr270_milling.identification.plan import CRITERIA, Planner
-
-    if pose is None:
-        raise InputError(
-            "--plan", "needs the posture where the arm is to mill: name --cell CELL.yaml or --at A1,...,A6"
-        )
-    point = mount.xyz if args.point is None else 1e-3 * np.array(args.point)
-    bench = Bench(point, args.mass_kg, args.pull_n, 1e-6 * max(args.noise_um, 1e-3))
-    choice = candidates(arm, mount, bench, args.postures, args.seed)
-    planner = Planner(arm, mount, choice, pose, not args.no_gravity)
-    names = ("planned for the test pose", "A-optimal", "D-optimal")
-    designs = {name: planner.best(args.plan, c) for name, c in zip(names, CRITERIA, strict=True)}
-    rng = np.random.default_rng(args.seed)
-    blind = sorted((planner.random(args.plan, rng) for _ in range(201)), key=lambda d: d.pose_error)
-    designs["random (median of 201)"] = blind[100]
-    _report_plan(args, choice, designs)
-
-
-def _report_plan(args, choice, designs: dict) -> None:
-    import numpy as np
-
-    from kr270_milling.identification.plan_files import in_order, load_text
-
-    best = next(iter(designs.values()))
-    plan = in_order(choice.take(best.rows))
-    result = {
-        "designs": [{"name": name, "error_um": 1e6 * d.pose_error, "relative": d.relative.tolist(),
-                     "determinant": d.determinant} for name, d in designs.items()],
-        "tests": [{"joints_deg": np.degrees(q).tolist(), "wrench": w.tolist(), "load": load_text(plan, i)}
-                  for i, (q, w) in enumerate(zip(plan.tests.q, plan.tests.wrench, strict=True))],
-    }  # fmt: skip
-    if args.out:
-        result["files"] = [str(path) for path in _write_plan(args, plan, best)]
-    if args.json:
-        print_json(result)
-        return
-    rows = [[name, f"{1e6 * d.pose_error:.3f}", f"{100 * d.relative.max():.1f}", f"{100 * d.determinant:.2f}"]
-            for name, d in designs.items()]  # fmt: skip
-    columns = ["choice", "error there [um]", "worst compliance [%]", "mean [%]"]
-    print_table(f"{args.plan} load tests: what 100 N at the cell's posture are known to (1 sigma)", columns, rows)
-    rows = [[t["load"], " ".join(f"{a:7.2f}" for a in t["joints_deg"])] for t in result["tests"]]
-    print_table("The tests, in the order of the program", ["load", "A1 to A6 [deg]"], rows)
-    for name in result.get("files", []):
-        print(name)
-
-
-def _write_plan(args, plan, best) -> list[Path]:
-    from kr270_milling import __version__
-    from kr270_milling.base.files import staged
-    from kr270_milling.identification.plan_files import write_plan
-
-    error = f"expected error {1e6 * best.pose_error:.3f} um per 100 N"
-    notes = [f"load tests planned by kr270_milling {__version__}, {error}",
-             "measure the reflector without the load, then with it; dx, dy, dz: difference, base axes"]  # fmt: skip
-    with staged(args.out) as (draft, final):
-        return [final(path) for path in write_plan(draft, plan, notes)]

@@ -34,12 +34,16 @@ def bars_with_intervals(title: str, unit: str, names: list[str], series: dict):
     return figure
 
 
-def points(title: str, x: str, y: str, series: dict, lines: bool = False):
-    """Name -> (x values, y values)."""
+def points(title: str, x: str, y: str, series: dict, lines: tuple[str, ...] = (), style: dict | None = None):
+    """Name -> (x values, y values); lines: names that are drawn as lines; style: name -> (colour, symbol)."""
     figure = _figure(title, x, y)
     for name, (across, up) in series.items():
-        mode = "lines" if lines else "markers"
-        figure.add_scatter(name=name, x=np.asarray(across).tolist(), y=np.asarray(up).tolist(), mode=mode)
+        mode = "lines" if name in lines else "markers"
+        colour, symbol = (style or {}).get(name, (None, "circle"))
+        marker = dict(color=colour, symbol=symbol, size=8, line=dict(width=1.5, color=colour))
+        figure.add_scatter(
+            name=name, x=np.asarray(across).tolist(), y=np.asarray(up).tolist(), mode=mode, marker=marker
+        )
     return figure
 
 
@@ -73,7 +77,7 @@ def compliance_figures(found: Fit) -> list:
         points("Residuals of each load test", "test", "measured less modelled [um]",
                {a: (tests, left[:, i]) for i, a in axes}),
         points("Residuals against the normal distribution", "normal quantile", "residual [standard deviations]",
-               {"residuals": (normal, scaled), "normal": (normal, normal)}),
+               {"residuals": (normal, scaled), "normal": (normal, normal)}, ("normal",)),
         heat("Correlation of what was fitted", found.problem.names, found.correlation),
     ]  # fmt: skip
 

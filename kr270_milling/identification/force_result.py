@@ -17,6 +17,10 @@ __all__ = ["as_dict", "figures", "fractional_sections", "linear_edge_sections", 
 FIELDS = ("tangential_cutting", "tangential_edge", "radial_cutting", "radial_edge", "axial_cutting", "axial_edge")
 
 
+COLOURS = {"x": "#1f77b4", "y": "#d62728", "z": "#2ca02c"}
+SYMBOLS = {"measured": "circle", "linear edge": "line-ew-open", "fractional": "x-thin-open"}
+
+
 def as_dict(found: Coefficients, bent: FractionalFit | None = None) -> dict:
     """For JSON; what was not measured becomes null there."""
     report: dict = dict(zip(NAMES, (found.values / SCALE).tolist(), strict=True))
@@ -76,21 +80,23 @@ def _spread(relative: list[float]) -> dict:
 
 
 def figures(found: Coefficients, bent: FractionalFit | None = None) -> list:
-    """Forces and models over the feed, residuals."""
+    """Forces and models over the feed, residuals; a colour a component, a symbol a law."""
     cuts = found.cuts
-    feed = 1e3 * cuts.feed_per_tooth
-    per_depth = 1e-3 / cuts.depth
-    model = mean_forces(cuts, found.values)
-    measured = {f"F_{a} measured": (feed, cuts.force[:, i] * per_depth) for i, a in enumerate("xyz")}
-    modelled = {f"F_{a} linear edge": (feed, model[:, i] * per_depth) for i, a in enumerate("xyz")}
-    left = {f"F_{a} linear edge": (feed, found.residuals[:, i]) for i, a in enumerate("xyz")}
+    feed, per_depth = 1e3 * cuts.feed_per_tooth, 1e-3 / cuts.depth
+    sources = {"measured": cuts.force, "linear edge": mean_forces(cuts, found.values)}
+    left = {"linear edge": found.residuals}
     if bent is not None:
-        curve = fractional_mean_forces(cuts, bent.values)
-        modelled |= {f"F_{a} fractional": (feed, curve[:, i] * per_depth) for i, a in enumerate("xy")}
-        left |= {f"F_{a} fractional": (feed, bent.residuals[:, i]) for i, a in enumerate("xy")}
+        sources["fractional"] = fractional_mean_forces(cuts, bent.values)
+        left["fractional"] = bent.residuals[:, :2]
+    shown, residuals, style = {}, {}, {}
+    for law, rows in sources.items():
+        for axis, column in zip("xyz", rows.T, strict=False):
+            shown[f"F_{axis} {law}"] = (feed, column * per_depth)
+            style[f"F_{axis} {law}"] = (COLOURS[axis], SYMBOLS[law])
+    for law, rows in left.items():
+        for axis, column in zip("xyz", rows.T, strict=False):
+            residuals[f"F_{axis} {law}"] = (feed, column)
     return [
-        points(
-            "Mean forces over the feed", "feed per tooth [mm]", "mean force per mm of depth [N]", measured | modelled
-        ),
-        points("Residuals", "feed per tooth [mm]", "measured less modelled [N]", left),
+        points("Mean forces over the feed", "feed per tooth [mm]", "mean per mm of depth [N]", shown, (), style),
+        points("Residuals", "feed per tooth [mm]", "measured less modelled [N]", residuals, (), style),
     ]

@@ -66,6 +66,6 @@ def figures(signals: Signals) -> list:
     by_channel = {name: (time[thin], data[thin, i]) for i, name in enumerate(signals.names)}
     spectra = {name: (frequency[shown], spectrum[shown, i]) for i, name in enumerate(signals.names)}
     return [
-        points("Signal", "time [s]", "as recorded", by_channel, lines=True),
-        points("Spectrum", "frequency [Hz]", "as recorded", spectra, lines=True),
+        points("Signal", "time [s]", "as recorded", by_channel, signals.names),
+        points("Spectrum", "frequency [Hz]", "as recorded", spectra, signals.names),
     ]

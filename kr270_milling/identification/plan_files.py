@@ -10,10 +10,20 @@ from kr270_milling.identification.candidates import LOADS, Candidates
 from kr270_milling.identification.measurements import write_measurements
 from kr270_milling.programs.krl import EXTERNAL, HEAD
 
-__all__ = ["in_order", "krl_lines", "load_text", "write_plan"]
+__all__ = ["blind_spots", "in_order", "krl_lines", "load_text", "write_plan"]
 
 MODULE = "LOADTEST"
 SPEED = 10  #: [%] of the axis speeds
+BLIND = 0.5  #: relative standard deviation from which a compliance is as good as unknown
+
+
+def blind_spots(relative: np.ndarray) -> list[str]:
+    """What the tests of a plan cannot tell, from the standard deviations of the factors, (6,), in words."""
+    lost = [f"joint {j}" for j in np.flatnonzero(relative > BLIND) + 1]
+    if not lost:
+        return []
+    cure = "a horizontal pull turns joint 1, a --point off axis 6 joint 6, and more tests tell what matters less there"
+    return [f"{', '.join(lost)}: these tests tell next to nothing of it; {cure}"]
 
 
 def in_order(plan: Candidates) -> Candidates:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.record import Record, build, parameter, read_tree
+from kr270_milling.base.record import read_tree
+from kr270_milling.cell.cell import read_cell
 from kr270_milling.identification.compliance import Fit
 from kr270_milling.identification.measurements import Measurements
 from kr270_milling.identification.problem import Problem
@@ -37,13 +38,6 @@ class TestPose:
         return self.loads.q[0]
 
 
-@dataclass(frozen=True, eq=False)
-class _Start(Record):
-    """The start of a cell file."""
-
-    start_joints: np.ndarray = parameter(unit="deg", size=6, low=-720.0, high=720.0, text="posture at the start")
-
-
 def test_pose(mount: Mount, q, forces=None) -> TestPose:
     """Forces (k, 3) [N], base axes, default TEST_FORCE along x, y and z, at the tool point of posture q (6,) [rad]."""
     forces = TEST_FORCE * np.eye(3) if forces is None else np.asarray(forces, float)
@@ -59,13 +53,14 @@ test_pose.__test__ = False  # type: ignore[attr-defined]
 
 
 def read_test_pose(path, mount: Mount) -> TestPose | None:
-    """The posture ``start_joints_deg`` or ``posture_hint_deg`` of a cell file; None for a file without one."""
-    tree = read_tree(path)
-    key = next((name for name in ("start_joints_deg", "posture_hint_deg") if tree.get(name)), None)
-    if key is None:
+    """The posture in the middle of a cell's path; None for a file that is no cell."""
+    if "workpiece" not in read_tree(path):
         return None
-    start = build(_Start, {"start_joints_deg": tree[key]}, path)
-    return test_pose(mount, start.start_joints)
+    cell = read_cell(path)
+    run = cell.target()
+    middle = len(run) // 2
+    place, turn = run.position[middle : middle + 1], run.quaternion[middle : middle + 1]
+    return test_pose(mount, cell.joints_at(place, turn)[0])
 
 
 def pose_derivatives(problem: Problem, factors, pose: TestPose) -> np.ndarray:

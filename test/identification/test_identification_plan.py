@@ -11,7 +11,7 @@ from campaigns import ARM, MOUNT
 from kr270_milling.base.record import find_file
 from kr270_milling.identification.candidates import Bench, candidates
 from kr270_milling.identification.plan import CRITERIA, Planner
-from kr270_milling.identification.plan_files import in_order, write_plan
+from kr270_milling.identification.plan_files import blind_spots, in_order, write_plan
 from kr270_milling.identification.prediction import read_test_pose
 from kr270_milling.robot.kinematics import forward
 
@@ -80,3 +80,9 @@ def test_the_plan_is_sorted_by_load_and_written_for_the_controller(choice, plann
     assert program.startswith("&ACCESS RVP\r\n") and "VERIFY IN T1" in program and program.endswith("END\r\n")
     for q in np.degrees(plan.tests.q):
         assert f"PTP {{A1 {q[0]:.4f},A2 {q[1]:.4f}," in program
+
+
+def test_what_a_plan_cannot_tell_is_said():
+    relative = np.array([0.01, 0.02, 0.02, 0.05, 0.04, 1.0])
+    (said,) = blind_spots(relative)
+    assert said.startswith("joint 6: these tests tell next to nothing") and blind_spots(relative[:5]) == []
