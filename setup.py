@@ -3,7 +3,7 @@ from glob import glob
 from setuptools import find_packages, setup
 
 package = "kr270_milling"
-nodes = ["compliant_robot", "cutting_process", "trajectory_compensator", "recorder", "player"]
+nodes = ["compliant_robot", "cutting_process", "trajectory_compensator", "recorder", "player", "milling_cell"]
 
 setup(
     name=package,

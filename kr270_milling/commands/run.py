@@ -18,6 +18,9 @@ def add_arguments(parser) -> None:
         "--method", choices=METHODS, action="append", help="how to compensate; may be given several times"
     )
     parser.add_argument("--out", metavar="DIR", default="out", help="for recordings, logs, cell.yaml (default: out)")
+    parser.add_argument(
+        "--processes", action="store_true", help="one process a node; else robot and cut share one, which is quicker"
+    )
     parser.add_argument("--namespace", default="", metavar="NAME", help="ROS namespace of the four nodes")
     add_common(parser)
 
@@ -36,14 +39,14 @@ def run(args) -> None:
     require_ros()
     cell = read_cell(find_file(args.cell), args.set)
     methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
-    found = run_cell(cell, methods, args.out, args.passes, args.namespace, args.json)
+    found = run_cell(cell, methods, args.out, args.passes, args.namespace, args.json, not args.processes)
     if args.json:
         print_json(summary(found))
         return
     print_rows(found)
 
 
-def run_cell(cell, methods, out, passes=None, namespace: str = "", quiet: bool = False) -> dict:
+def run_cell(cell, methods, out, passes=None, namespace: str = "", quiet: bool = False, composed: bool = True) -> dict:
     """Run a cell's passes; returns graph_up_s, out (the directory used) and passes, a list of RanPass."""
     from kr270_milling.graph.graph import Graph
     from kr270_milling.graph.plan import fresh_directory, run_plan
@@ -53,7 +56,7 @@ def run_cell(cell, methods, out, passes=None, namespace: str = "", quiet: bool =
     _compile(cell)
     directory = fresh_directory(out)
     tell = (lambda name: None) if quiet or not sys.stderr.isatty() else _tell
-    with Graph(cell, directory, namespace) as graph:
+    with Graph(cell, directory, namespace, composed=composed) as graph:
         ran = run_plan(graph, methods, passes, tell)
         return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
 

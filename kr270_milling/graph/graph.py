@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shlex
 import signal
 import sys
 import threading
@@ -11,11 +10,10 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.process import exit_code
 from kr270_milling.cell.cell import Cell
+from kr270_milling.graph.arguments import ros_arguments, write_recorder_parameters
 from kr270_milling.graph.driver import Driver
 from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unmatched
 from kr270_milling.graph.processes import Child, RunError, remove_litter, stop
@@ -31,6 +29,7 @@ QUIET = 1.0  # [s] without a report after which this is told
 HELD_UP = 0.5  # [s] between two looks of this process, after which the reports that wait are heard first
 CATCH_UP = 5.0  # [s] that a recorder has at the end of a pass to ask for what it was too slow for
 METHOD = "compensation.method"
+TOGETHER = "milling_cell"  # robot and cut in one process
 NOT_COMPLETE = "its recording is not complete"
 
 
@@ -60,12 +59,21 @@ class PassRun:
 class Graph:
     """Context manager: on entry the nodes come up, on exit they are gone, whatever happened in between.
 
-    out: an existing directory that gets cell.yaml, logs and recordings. Raises RunError, AlreadyRunning.
+    out: an existing directory that gets cell.yaml, logs and recordings; composed: robot and cut in one process. Raises
+    RunError, AlreadyRunning.
     """
 
-    def __init__(self, cell: Cell, out: Path, namespace: str = "", extra: tuple[str, ...] = (), stagger: float = 0.0):
+    def __init__(
+        self,
+        cell: Cell,
+        out: Path,
+        namespace: str = "",
+        extra: tuple[str, ...] = (),
+        stagger: float = 0.0,
+        composed: bool = False,
+    ):
         self.cell, self.out = cell, Path(out).resolve()
-        self.extra, self._stagger = extra, stagger
+        self.extra, self._stagger, self._composed = extra, stagger, composed
         self.children: dict[str, Child] = {}
         self.ended: list[Child] = []  # recorders of the passes that are done
         self._namespace, self._signals, self._handlers = namespace, [], {}
@@ -92,7 +100,10 @@ class Graph:
         return self
 
     def _start(self, started: float) -> None:
-        for name in (ROBOT, CUT, COMPENSATOR):
+        if self._composed:
+            self._spawn(TOGETHER, self.out / "cell.yaml", *self.extra)
+            self.children[ROBOT] = self.children[CUT] = self.children.pop(TOGETHER)
+        for name in [name for name in (ROBOT, CUT, COMPENSATOR) if name not in self.children]:
             self._spawn(name, self.out / "cell.yaml", *self.extra)
             self._pause(self._stagger)
         nodes = (ROBOT, CUT, COMPENSATOR)
@@ -110,8 +121,7 @@ class Graph:
             self.driver.spin()
 
     def _spawn(self, name: str, parameters: Path, *arguments: str) -> None:
-        space = ["-r", f"__ns:={self.driver.namespace}"] if self.driver.namespace != "/" else []
-        arguments = ["--ros-args", "--params-file", str(parameters), *space, *arguments]
+        arguments = ros_arguments(parameters, self.driver.namespace, *arguments)
         self.driver.statuses.pop(self.driver.name_of(name), None)
         self.children[name] = Child(name, arguments, self.out / "log" / f"{name}.log")
 
@@ -133,7 +143,7 @@ class Graph:
                 raise RunError(name, child.why_ended())
         for name, message in self.driver.errors:
             if name in ours:
-                raise RunError(ours[name].name, message)
+                raise RunError(name.rpartition("/")[2], message)
         for name, pid in self._of_pass.items():
             if self._says("pid", name) not in ("", pid):
                 raise RunError(name, "was restarted in mid-pass")
@@ -205,8 +215,7 @@ class Graph:
 
     def run_pass(self, name: str) -> PassRun:
         """One pass on a fresh workpiece, recorded to ``out/name``."""
-        self._record(name)
-        self._wait_matched(recorded=True)
+        self.begin_recording(name)
         self.driver.until(self._same_reference, "handing over the reference trajectory", MATCH, ROBOT)
         for child in self.children.values():
             child.note_shared()  # of a node that is killed later this cannot be found out any more
@@ -222,7 +231,7 @@ class Graph:
         self.driver.transition(ROBOT, "deactivate", UP)
         with self._excuse(CUT):
             self.driver.transition(CUT, "deactivate", UP)
-        self._end_recording()
+        self.end_recording()
         errors = tuple(float(e) * 1e-6 for e in self._says("remaining_error_um").split())
         finished = self._says("finished") == "True"
         return PassRun(name, self.out / name, reference, wall, errors, finished)
@@ -234,21 +243,14 @@ class Graph:
     def _same_reference(self) -> bool:
         return bool(self._says("reference")) and self._says("reference") == self._says("reference", ROBOT)
 
-    def _record(self, name: str) -> None:
-        space = self.driver.namespace
-        attach = [str(self.out / "cell.yaml")]
-        if self.cell.path.file:
-            attach.append(str(Path(self.cell.path.file).resolve()))  # the nodes run in another directory
-        values = {"directory": str(self.out / name), "attach": attach, "command": shlex.join(sys.argv)}
-        if space != "/":
-            values["topics"] = [f"{space}/*", "/diagnostics"]
-        file = self.out / "log" / f"recorder_{name}.yaml"
-        file.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), encoding="utf-8")
-        self._spawn(RECORDER, file)
+    def begin_recording(self, name: str) -> None:
+        """Start the recorder of a pass and wait until it hears everybody."""
+        self._spawn(RECORDER, write_recorder_parameters(self.cell, self.out, name, self.driver.namespace))
         with self._excuse(RECORDER):
             self.driver.until(lambda: self.driver.status(RECORDER), "coming up", UP, RECORDER)
+        self._wait_matched(recorded=True)
 
-    def _end_recording(self) -> None:
+    def end_recording(self) -> None:
         """The recorder closes its file while the next workpiece is made."""
         end = time.monotonic() + CATCH_UP
         self.driver.until(lambda: self._all_recorded() or time.monotonic() > end, "catching up", UP, RECORDER)
@@ -261,13 +263,17 @@ class Graph:
         self.ended.append(recorder)
         recorder.note_shared()
         recorder.signal(signal.SIGINT)
-        with self._excuse(CUT):
-            self.driver.transition(CUT, "cleanup", UP)
-            self.driver.transition(CUT, "configure", UP)
+        self.renew_workpiece()
         self.driver.until(lambda: not recorder.alive, "closing its file", UP, RECORDER)
         if recorder.process.returncode != 0:
             raise RunError(RECORDER, recorder.why_ended())
         self._wait_matched(recorded=False)
+
+    def renew_workpiece(self) -> None:
+        """For the next pass."""
+        with self._excuse(CUT):
+            self.driver.transition(CUT, "cleanup", UP)
+            self.driver.transition(CUT, "configure", UP)
 
     def _all_recorded(self) -> bool:
         """The recorder has the last message of every topic of the exchange."""
@@ -285,7 +291,7 @@ class Graph:
             if self.driver is not None:
                 self.driver.close(code)  # before the others leave
         finally:
-            stop(self.children.values())
+            stop(set(self.children.values()))
             stop(recorders)
             remove_litter([*self.children.values(), *recorders])
             for number, handler in self._handlers.items():

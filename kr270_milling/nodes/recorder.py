@@ -186,7 +186,7 @@ def _matching(publishers) -> QoSProfile:
 
 def main(args: list[str] | None = None) -> int:
     """Console script ``recorder``."""
-    return run_node(Recorder, args, drained=True)
+    return run_node(Recorder, args)
 
 
 if __name__ == "__main__":

@@ -6,9 +6,12 @@ import importlib
 import os
 import signal
 
-__all__ = ["NODES", "compliant_robot", "cutting_process", "player", "recorder", "start", "trajectory_compensator"]
+__all__ = [
+    "NODES", "compliant_robot", "cutting_process", "milling_cell", "player", "recorder", "start",
+    "trajectory_compensator",
+]  # fmt: skip
 
-NODES = ("compliant_robot", "cutting_process", "trajectory_compensator", "recorder", "player")
+NODES = ("compliant_robot", "cutting_process", "trajectory_compensator", "recorder", "player", "milling_cell")
 
 
 def start(name: str) -> int:
@@ -41,3 +44,7 @@ def recorder() -> int:
 
 def player() -> int:
     return start("player")
+
+
+def milling_cell() -> int:
+    return start("milling_cell")

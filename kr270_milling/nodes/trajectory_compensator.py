@@ -161,7 +161,7 @@ class TrajectoryCompensator(ReportingNode):
 
 def main(args: list[str] | None = None) -> int:
     """Console script ``trajectory_compensator``."""
-    return run_node(TrajectoryCompensator, args, drained=True)
+    return run_node(TrajectoryCompensator, args)
 
 
 if __name__ == "__main__":

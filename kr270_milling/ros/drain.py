@@ -13,7 +13,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-__all__ = ["DRAIN_PERIOD", "DEPTH", "Taken", "aside", "drain"]
+__all__ = ["DRAIN_PERIOD", "DEPTH", "Taken", "aside", "drain", "is_aside"]
 
 DRAIN_PERIOD = 0.02  # [s] of the wall
 DEPTH = 20_000  # messages that may wait in the reader
@@ -31,6 +31,11 @@ class Aside(CallbackGroup):
         return False
 
     def ending_execution(self, entity) -> None: ...
+
+
+def is_aside(subscription: Subscription) -> bool:
+    """Whether it is one of ``aside``."""
+    return isinstance(subscription.callback_group, Aside)
 
 
 def aside(node, kind: type, topic: str, callback: Callable, qos: QoSProfile) -> Subscription:

@@ -15,6 +15,7 @@ from rclpy.node import Node
 from kr270_milling.base.errors import MillingError
 from kr270_milling.messages.exchange import to_bytes
 from kr270_milling.ros import topics
+from kr270_milling.ros.drain import is_aside
 from kr270_milling.ros.messages import stamp_from_ns
 
 __all__ = ["LOST", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded"]
@@ -112,10 +113,15 @@ class Reporting:
         """Values to publish beside those of ``report``; a node overrides it."""
         return {}
 
+    @property
+    def subscriptions(self):
+        """Those that an executor serves; not those that the node drains itself, which EventsExecutor would take."""
+        return (s for s in super().subscriptions if not is_aside(s))
+
     def _ends(self) -> dict[str, object]:
         """Who has been found: a pass must not start before both ends of every topic have."""
         listeners = {p.topic_name: p.get_subscription_count() for p in self.publishers}
-        heard = {s.topic_name: s.get_publisher_count() for s in self.subscriptions}
+        heard = {s.topic_name: s.get_publisher_count() for s in super().subscriptions}
         ends = {"listeners": listeners, "heard": heard}
         return {k: " ".join(f"{t}={n}" for t, n in v.items() if t not in OWN) for k, v in ends.items()}
 

@@ -105,12 +105,12 @@ class _Watched(Graph):
         super().__init__(cell, out)
         self.rows: dict[str, Growth] = {}
 
-    def _end_recording(self) -> None:
+    def end_recording(self) -> None:
         pids = {name: child.pid for name, child in self.children.items()}
         for name, pid in {**pids, "runner": os.getpid()}.items():
             row = self.rows.setdefault(name, Growth(ONCE.get(name, name), "pass"))
             row.look(len(row.samples) + 1, pid)
-        super()._end_recording()
+        super().end_recording()
 
 
 def _passes(count: int, out: Path, progress: Callable[[float], None]) -> list[Growth]:

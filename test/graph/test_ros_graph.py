@@ -88,8 +88,8 @@ def wait_until(condition, seconds: float, what: str):
 
 def in_mid_pass(out: Path) -> dict[str, int]:
     """Wait until the original pass runs; returns the nodes."""
-    log = out / "log" / "cutting_process.log"
-    wait_until(lambda: log.exists() and "]: cutting" in log.read_text(), 60, "the pass does not start")
+    logs = [out / "log" / f"{name}.log" for name in ("milling_cell", "cutting_process")]
+    wait_until(lambda: any("]: cutting" in log.read_text() for log in logs if log.exists()), 60, "the pass does not start")
     file = out / "original" / "original.mcap"
     wait_until(lambda: file.stat().st_size > 30_000, 30, "nothing of the pass is written")
     return nodes_of(out)
@@ -120,6 +120,14 @@ def test_run_gives_the_plain_loop_bit_for_bit_and_tells_so(runner, tmp_path, sho
     assert not nodes_of(tmp_path)
 
 
+def test_one_process_a_node_gives_the_same_to_the_bit(runner, tmp_path, short_cell):
+    code, out, told = finished(runner(tmp_path / "o", "--processes", "--passes", "1", "--json"))
+    assert code == 0, told
+    recorded = pass_from_recording(json.loads(out)["passes"][0]["recording"])
+    same(recorded.scored.result, simulate(short_cell).result)
+    assert {f"{node}.log" for node in NODES[:3]} <= {file.name for file in (tmp_path / "o" / "log").iterdir()}
+
+
 def test_namespace_that_cannot_be_is_refused_before_anything_is_written(runner, tmp_path):
     code, _, told = finished(runner(tmp_path / "o", "--namespace", "a b"))
     assert code == 2 and told.count("\n") == 1 and "--namespace: 'a b' must be a ROS namespace" in told
@@ -133,16 +141,17 @@ def test_recordings_are_never_overwritten(tmp_path):
         (directory / "cell.yaml").write_text("")
 
 
-@pytest.mark.parametrize("node", ["compliant_robot", "recorder"])
+@pytest.mark.parametrize("node", ["compliant_robot", "recorder", "milling_cell"])
 def test_killed_node_is_named_and_nothing_is_left(runner, tmp_path, node):
-    process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
+    how = [] if node == "milling_cell" else ["--processes"]
+    process = runner(tmp_path / "o", "--passes", "1", *how, sets=LONG)
     pids = in_mid_pass(tmp_path / "o")
     # the ports 70xx are common to every graph on this machine
     shared = {name for pid in pids.values() for name in _shared_files(pid) if "_port70" not in name}
     os.kill(pids[node], signal.SIGKILL)
     code, _, told = finished(process)
     assert code == 2 and told.count("\n") == 1
-    assert node in told and "SIGKILL" in told
+    assert ("compliant_robot" if node == "milling_cell" else node) in told and "SIGKILL" in told
     assert not nodes_of(tmp_path)
     used = {name for pid in filter(str.isdigit, os.listdir("/proc")) for name in _shared_files(pid)}
     left = sorted(name for name in shared - used if os.path.exists(name))
@@ -184,7 +193,7 @@ def test_all_sockets_are_on_this_host_and_a_signal_ends_everything_with_a_whole_
 ):
     process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
     pids = in_mid_pass(tmp_path / "o")
-    assert sorted(pids) == sorted(NODES)
+    assert sorted(pids) == ["milling_cell", "recorder", "trajectory_compensator"]
     for pid in (*pids.values(), process.pid):
         assert set(sockets_of(pid)) == {"0100007F"}  # 127.0.0.1 as /proc writes it
     process.send_signal(number)

@@ -1,0 +1,98 @@
+"""Exchanges a second of the graph, beside bare round trips of the same minute: ``python -m bench.exchanges``.
+
+Each round runs every composition once, in another order: bare trips; one process a node; robot and cut in one process;
+the same without a recorder. Printed: smallest, median and largest of the rounds, and the medians over the bare rate.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.graph.graph import Graph
+from kr270_milling.graph.matching import RECORDER
+from kr270_milling.replay.recompute import recompute
+from kr270_milling.replay.recorded import pass_from_recording
+from kr270_milling.ros.environment import child_environment
+
+__all__ = ["bench_exchanges"]
+
+TRIPS = 4000
+HERE = Path(__file__).resolve().parents[1]
+
+
+class Unrecorded(Graph):
+    """A graph whose passes nobody records."""
+
+    def begin_recording(self, name: str) -> None:
+        self.children.pop(RECORDER, None)
+
+    def end_recording(self) -> None:
+        self.renew_workpiece()
+
+
+def bare() -> float:
+    """Round trips a second of two processes that compute nothing."""
+    environment = child_environment() | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
+    command = [sys.executable, "-m", "bench.trips"]
+    with subprocess.Popen([*command, "answer"], env=environment) as other:
+        try:
+            asked = subprocess.run(
+                [*command, "ask", str(TRIPS)],
+                env=environment,
+                stdout=subprocess.PIPE,
+                text=True,
+                timeout=120,
+                check=True,
+            )
+        finally:
+            other.kill()
+    return float(asked.stdout)
+
+
+def exchanges(cell, kind: type[Graph], composed: bool, passes: int = 2) -> float:
+    """The best of some passes of a fresh graph; each recording must be whole and recompute to the bit."""
+    rates = []
+    with tempfile.TemporaryDirectory() as directory, kind(cell, Path(directory), composed=composed) as graph:
+        for number in range(passes):
+            ran = graph.run_pass(f"pass_{number + 1}")
+            rates.append(cell.clock.steps(cell.target().duration_ns) / ran.wall_s)
+            if kind is Graph:
+                assert pass_from_recording(ran.recording).messages_lost == 0
+                assert number or recompute(ran.recording).verdict == "identical"
+    return max(rates)
+
+
+def bench_exchanges(rounds: int = 5) -> dict[str, list[float]]:
+    """Rates of each composition, one a round [1/s]."""
+    cell = read_cell(find_file("paper.yaml"))
+    kinds = {
+        "bare round trips": bare,
+        "separate, recorded": lambda: exchanges(cell, Graph, composed=False),
+        "composed, recorded": lambda: exchanges(cell, Graph, composed=True),
+        "composed, not recorded": lambda: exchanges(cell, Unrecorded, composed=True),
+    }
+    found: dict[str, list[float]] = {name: [] for name in kinds}
+    for number in range(rounds):
+        for name in list(kinds) if number % 2 == 0 else reversed(kinds):
+            found[name].append(kinds[name]())
+    return found
+
+
+def table(found: dict[str, list[float]]) -> list[str]:
+    yardstick = statistics.median(found["bare round trips"])
+    lines = [f"{'a second':24} {'min':>7} {'median':>7} {'max':>7} {'over bare':>10}"]
+    for name, rates in found.items():
+        middle = statistics.median(rates)
+        lines.append(f"{name:24} {min(rates):7.0f} {middle:7.0f} {max(rates):7.0f} {middle / yardstick:10.2f}")
+    return lines
+
+
+if __name__ == "__main__":
+    print("\n".join(table(bench_exchanges(*map(int, sys.argv[1:])))))
