@@ -24,6 +24,7 @@ from kr270_milling.replay.recorded import pass_from_recording
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
 LONG = ["path.length_mm=75", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # some seconds, to be disturbed
+LONGER = [*LONG[:2], "exchange.period_ms=0.0625"]  # another graph comes up meanwhile
 NODES = ["compliant_robot", "cutting_process", "trajectory_compensator", "recorder"]
 
 
@@ -89,7 +90,9 @@ def wait_until(condition, seconds: float, what: str):
 def in_mid_pass(out: Path) -> dict[str, int]:
     """Wait until the original pass runs; returns the nodes."""
     logs = [out / "log" / f"{name}.log" for name in ("milling_cell", "cutting_process")]
-    wait_until(lambda: any("]: cutting" in log.read_text() for log in logs if log.exists()), 60, "the pass does not start")
+    wait_until(
+        lambda: any("]: cutting" in log.read_text() for log in logs if log.exists()), 60, "the pass does not start"
+    )
     file = out / "original" / "original.mcap"
     wait_until(lambda: file.stat().st_size > 30_000, 30, "nothing of the pass is written")
     return nodes_of(out)
@@ -215,7 +218,7 @@ def test_killed_runner_leaves_no_orphans(runner, tmp_path):
 
 
 def test_second_graph_with_the_same_names_is_refused_and_does_not_disturb_the_first(runner, tmp_path):
-    first = runner(tmp_path / "a", "--passes", "1", "--json", sets=LONG)
+    first = runner(tmp_path / "a", "--passes", "1", "--json", "--processes", sets=LONGER)
     in_mid_pass(tmp_path / "a")
     code, _, told = finished(runner(tmp_path / "b", "--passes", "1"))
     assert code == 2 and "already runs in this ROS domain" in told and told.count("\n") == 1
