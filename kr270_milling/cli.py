@@ -17,6 +17,8 @@ __all__ = ["main"]
 #: name -> (what it does, example)
 COMMANDS = {
     "demo": ("run the paper's case: original pass and three compensations, table and report", "demo --out out"),
+    "init": ("print a first cell file for a program", "init --gcode part.nc > my.yaml"),
+    "keys": ("list the keys of a cell file with unit, range, default and meaning", "keys tool"),
     "run": (
         "run the passes of a cell as ROS 2 nodes, each recorded to MCAP",
         "run config/paper.yaml --method spline --out out",

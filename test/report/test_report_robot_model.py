@@ -76,7 +76,7 @@ def test_the_posture_is_the_commanded_one_not_that_of_the_file(cell):
         from kr270_milling.report.robot_model import _postures
 
         time, joints = _postures(short, reference)
-        assert np.abs(joints[0] - short.start_joints).max() > 0.01
+        assert np.abs(joints[0] - short.posture).max() > 0.01
     else:
         model = robot_model(short, simulate(short))
         time, joints = model.time, model.joints

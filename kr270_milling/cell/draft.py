@@ -1,0 +1,199 @@
+"""A first parameter file for a program: what the program says is filled in, the rest is marked as the user's."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.cell.template import TEMPLATE
+from kr270_milling.trajectory.toolpath import Toolpath
+
+__all__ = ["Box", "draft_text", "stock_of", "straight_text"]
+
+ALLOWANCE = 5e-3  #: [m], around the path of the cutter and below it
+CLEARANCE = 0.5e-3  #: [m], between the stock and a cutter that comes down rapidly beside it
+LEAST_SHARE = 0.2  #: of the area that the path asks for; a stock that is cut down to less is no guess any more
+NEAR = 0.3  #: [m]; a path that stays so near its zero stands at the place of the test piece
+PLACE = (1500.0, 0.0, 800.0)  #: [mm], of the test piece, see config/test_piece.yaml
+PERIOD = 0.25e-3  #: [s], exchange period of the test piece
+LONGEST_PERIOD = 2e-3  #: [s]
+STEPS = 2e6  #: exchange periods that a pass should take at most
+NODES = 2.5e7  #: of the grid, 25 MB
+FINEST, COARSEST = 10.0, 100.0  #: [um], grid steps
+STRAIGHT = """      start_mm: [-8.0, 0.0]              # yours: a straight cut along +x; or give file: part.nc
+      depth_of_cut_mm: 1.0               # yours
+      length_mm: 40.0                    # yours
+      feed_rate_m_per_min: 2.0           # yours"""
+DIAMETER, TEETH, SPEED = 10.0, 4, 8000.0  #: [mm], -, [rpm], where nobody says
+
+
+@dataclass(frozen=True)
+class Box:
+    """Corners [m], workpiece frame."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    @property
+    def area(self) -> float:
+        """[m2], seen from above; 0 for a box without an inside."""
+        return float(np.prod(np.maximum(self.high - self.low, 0.0)[:2]))
+
+
+def stock_of(path: Toolpath, radius: float) -> Box:
+    """A block that the path cuts: its box with cutter and allowance, without the places where the cutter comes down.
+
+    Its top is at zero where the path cuts below zero, else where the cutter moves sideways at the highest.
+    """
+    cuts = np.flatnonzero(~path.rapid)
+    ends = np.concatenate([path.position[cuts], path.position[np.maximum(cuts - 1, 0)]])
+    bottom = float(ends[:, 2].min())
+    sideways = np.hypot(*np.diff(path.position[:, :2], axis=0, prepend=path.position[:1, :2]).T) > 1e-6
+    level = path.position[~path.rapid & sideways, 2]
+    top = 0.0 if bottom < -1e-6 else float(level.max(initial=bottom)) + 1e-3
+    inside = ends[ends[:, 2] < top + 1e-9]
+    inside = inside if len(inside) else ends
+    margin = radius + ALLOWANCE
+    low = np.floor((inside.min(axis=0)[:2] - margin) * 1e3) / 1e3
+    high = np.ceil((inside.max(axis=0)[:2] + margin) * 1e3) / 1e3
+    base = math.floor((bottom - ALLOWANCE) * 1e3) / 1e3
+    return _beside_rapids(Box(np.array([*low, base]), np.array([*high, top])), path, radius, top)
+
+
+def _beside_rapids(box: Box, path: Toolpath, radius: float, top: float) -> Box:
+    """The box cut back until no rapid move below the top meets it."""
+    down = np.flatnonzero(path.rapid & (path.position[:, 2] < top - 1e-6))
+    places = np.unique(np.round(path.position[down, :2], 5), axis=0)
+    cut = box
+    for place in places[:1000]:
+        nearest = np.clip(place, cut.low[:2], cut.high[:2])
+        if math.dist(nearest, place) < radius + CLEARANCE:
+            cut = max(_sides(cut, place, radius + CLEARANCE), key=lambda side: side.area)
+    return cut if cut.area > LEAST_SHARE * box.area else box
+
+
+def _sides(box: Box, place: np.ndarray, margin: float) -> list[Box]:
+    """The box without what lies on one side of a cutter, four ways."""
+    found = []
+    for axis in (0, 1):
+        low, high = box.low.copy(), box.high.copy()
+        low[axis] = max(low[axis], place[axis] + margin)
+        high[axis] = min(high[axis], place[axis] - margin)
+        found += [Box(low, box.high), Box(box.low, high)]
+    return found
+
+
+def draft_text(file: str, path: Toolpath, robot: str) -> str:
+    """The YAML of a cell for a path, which ``check`` reads as it is."""
+    program, tool = path.program, path.program.current
+    speed = abs(program.spindle_speeds[0]) * 30 / math.pi if program.spindle_speeds else 0.0
+    diameter = 1e3 * tool.diameter if tool and tool.diameter else 0.0
+    teeth = tool.teeth if tool else 0
+    stock = stock_of(path, (diameter or DIAMETER) / 2e3)
+    reverse = any(value < 0 for value in program.spindle_speeds)
+    several = sum(bool(known.cuts) for known in program.tools) > 1
+    period, steps = _period(path, speed or SPEED)
+    name = tool.label if tool else ""
+    return _aligned(
+        TEMPLATE.format(
+            robot=robot,
+            operations=_words(f"operations: {', '.join(program.operations)}" if program.operations else ""),
+            place=_list(_place(stock)),
+            offset=program.work_offset or "the work offset",
+            diameter=_number(diameter or DIAMETER),
+            diameter_source=_words(f"[source: comment on {name or 'the tool'}]")
+            if diameter
+            else "yours: the program does not say it",
+            teeth=teeth or TEETH,
+            teeth_source="[source: the tool's comment]" if teeth else "yours: the program does not say it",
+            rotation="counterclockwise" if reverse else "clockwise",
+            speed=f"# spindle_speed_rpm: {_number(speed)}" if speed else f"spindle_speed_rpm: {_number(SPEED)}",
+            speed_source="[source: the program's S]" if speed else "yours: the program has no S",
+            low=_list(1e3 * stock.low),
+            high=_list(1e3 * stock.high),
+            grid=_number(_grid(stock, path, speed or SPEED, teeth or TEETH)),
+            path=f"      file: {_quoted(file)}" + (f"\n      tool: {_quoted(program.tool)}" if several else ""),
+            period=f"{period:.10g}" if "." in f"{period:.10g}" else f"{period:.1f}",
+            steps=steps,
+        )
+    )
+
+
+def straight_text(robot: str) -> str:
+    """The YAML of a cell without a program: a slot along +x."""
+    period = 1e3 * PERIOD
+    return _aligned(
+        TEMPLATE.format(
+            robot=robot,
+            operations="",
+            place=_list(PLACE),
+            offset="of the workpiece",
+            diameter=_number(DIAMETER),
+            diameter_source="yours",
+            teeth=TEETH,
+            teeth_source="yours",
+            rotation="clockwise",
+            speed=f"spindle_speed_rpm: {_number(SPEED)}",
+            speed_source="yours",
+            low="[0.0, -20.0, -10.0]",
+            high="[60.0, 20.0, 0.0]",
+            grid="20.0",
+            path=STRAIGHT,
+            period=_number(period),
+            steps=round(PERIOD * 6.0 * SPEED),
+        )
+    )
+
+
+def _period(path: Toolpath, speed: float) -> tuple[float, int]:
+    """Exchange period [ms] of whole degrees of the spindle at a speed [rpm], longer for a path that takes long."""
+    feed = np.where(path.rapid, 0.2, np.maximum(path.feed, 1e-6))
+    duration = 1.3 * float((path.block_length / feed).sum()) + 5.0
+    wanted = min(max(PERIOD, duration / STEPS), LONGEST_PERIOD)
+    steps = max(1, round(wanted * 6.0 * speed))
+    return 1e3 * steps / (6.0 * speed), steps
+
+
+def _grid(stock: Box, path: Toolpath, speed: float, teeth: int) -> float:
+    """Grid step [um]: a fifth of the feed per tooth, as coarse as the stock needs."""
+    per_tooth = float(path.feed[~path.rapid].max(initial=0.0)) / (speed / 60.0 * teeth)
+    least = 1e6 * math.sqrt(stock.area / NODES)
+    return float(math.ceil(max(least, min(max(2e5 * per_tooth, FINEST), COARSEST))))
+
+
+def _place(stock: Box) -> list[float]:
+    """[mm], on base_link: that of the test piece, for a path far from its zero with the middle of the stock there."""
+    if max(np.abs(stock.low[:2]).max(), np.abs(stock.high[:2]).max()) <= NEAR:
+        return list(PLACE)
+    middle = 1e3 * (stock.low + stock.high)[:2] / 2
+    return [PLACE[0] - float(middle[0]), PLACE[1] - float(middle[1]), PLACE[2]]
+
+
+def _aligned(text: str) -> str:
+    """Remarks behind values start in one column where they can."""
+    lines = []
+    for line in text.splitlines():
+        code, mark, remark = line.partition("  # ")
+        plain = mark and code.strip() and not code.lstrip().startswith("#")
+        lines.append(f"{code.rstrip():<40} # {remark.lstrip()}" if plain else line.rstrip())
+    return "\n".join(lines) + "\n"
+
+
+def _number(value: float) -> str:
+    return str(round(float(value), 4) + 0.0)
+
+
+def _list(values) -> str:
+    return "[" + ", ".join(_number(value) for value in values) + "]"
+
+
+def _quoted(text: str) -> str:
+    """A YAML scalar in single quotes."""
+    return "'" + text.replace("'", "''") + "'"
+
+
+def _words(text: str) -> str:
+    """Text of a file as a comment: printable and on one line."""
+    return "".join(c if c.isprintable() else " " for c in text)[:100]

@@ -1,0 +1,34 @@
+"""``kr270_milling keys``: every key of a cell file with unit, range, default and meaning."""
+
+from __future__ import annotations
+
+from kr270_milling.commands.console import add_common, print_json
+
+
+def add_arguments(parser) -> None:
+    parser.add_argument("section", metavar="SECTION", nargs="?", default="", help="for example tool; default: all")
+    add_common(parser)
+
+
+def run(args) -> None:
+    from dataclasses import asdict
+
+    from kr270_milling.cell.keys import keys_of
+
+    found = keys_of(args.section)
+    if args.json:
+        print_json({"section": args.section, "keys": [asdict(key) | {"range": key.range} for key in found]})
+        return
+    rows = [("key", "unit", "range", "default", "meaning")]
+    rows += [(k.key, k.unit, k.range, "required" if k.required else _shown(k.default), k.text) for k in found]
+    widths = [max(len(row[column]) for row in rows) for column in range(4)]
+    for row in rows:  # whole, however wide the terminal is: a key is to be copied
+        print("  ".join(text.ljust(width) for text, width in zip(row, [*widths, 0], strict=True)).rstrip())
+
+
+def _shown(default) -> str:
+    if isinstance(default, list):
+        return "[" + ", ".join(map(_shown, default)) + "]"
+    if isinstance(default, float):
+        return f"{default:g}"
+    return str(default).lower() if isinstance(default, bool) else str(default) or '""'
