@@ -1,0 +1,77 @@
+"""Messages for viewers of other people: transforms (tf2_msgs) and markers (visualization_msgs) as bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.messages.codec import serialise
+
+__all__ = ["ARROW", "LINE_STRIP", "MARKERS", "TRANSFORMS", "Marker", "Placed", "markers_bytes", "transforms_bytes"]
+
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+MARKERS = "visualization_msgs/msg/MarkerArray"
+ARROW, LINE_STRIP = 0, 4  #: visualization_msgs/msg/Marker.type
+SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A frame in its parent's."""
+
+    parent: str
+    child: str
+    position: np.ndarray  #: [m], (3,)
+    quaternion: np.ndarray  #: x, y, z, w, (4,)
+
+
+@dataclass(frozen=True, eq=False)
+class Marker:
+    """A line strip or an arrow from the first point to the second."""
+
+    name: str  #: its name space
+    frame: str
+    kind: int  #: ARROW or LINE_STRIP
+    width: float  #: of the line, or of the shaft [m]
+    points: np.ndarray  #: [m], (n, 3)
+    colours: np.ndarray  #: red, green, blue, alpha from 0 to 1, (n, 4) or (4,) for the whole
+
+
+def _stamp(ns: int) -> dict:
+    return {"sec": int(ns) // SECOND, "nanosec": int(ns) % SECOND}
+
+
+def transforms_bytes(stamp_ns: int, placed: Sequence[Placed]) -> bytes:
+    """A TFMessage in which every frame has the same stamp."""
+    rows = []
+    for one in placed:
+        translation = dict(zip("xyz", map(float, one.position), strict=True))
+        rotation = dict(zip("xyzw", map(float, one.quaternion), strict=True))
+        header = {"stamp": _stamp(stamp_ns), "frame_id": one.parent}
+        transform = {"translation": translation, "rotation": rotation}
+        rows.append({"header": header, "child_frame_id": one.child, "transform": transform})
+    return serialise(TRANSFORMS, {"transforms": rows})
+
+
+def markers_bytes(stamp_ns: int, markers: Sequence[Marker]) -> bytes:
+    """A MarkerArray; every marker replaces the one of its name that was there before."""
+    return serialise(MARKERS, {"markers": [_marker(stamp_ns, marker) for marker in markers]})
+
+
+def _marker(stamp_ns: int, marker: Marker) -> dict:
+    single = marker.colours.ndim == 1
+    fields = {
+        "header": {"stamp": _stamp(stamp_ns), "frame_id": marker.frame},
+        "ns": marker.name,
+        "type": marker.kind,
+        "pose": {"orientation": {"w": 1.0}},
+        "scale": {"x": marker.width, "y": 2 * marker.width * (marker.kind == ARROW), "z": 0.0},
+        "points": [dict(zip("xyz", row, strict=True)) for row in marker.points.tolist()],
+        "color": dict(zip("rgba", (marker.colours if single else np.ones(4)).tolist(), strict=True)),
+    }
+    if not single:
+        fields["colors"] = [dict(zip("rgba", row, strict=True)) for row in marker.colours.tolist()]
+    return fields
+
