@@ -45,6 +45,7 @@ COMMANDS = {
     ),
     "export": ("write the topics of a recording as tables", "export out/pass1 --csv tables"),
     "report": ("make the report of one or several recordings", "report out"),
+    "watch": ("show a running graph, live, on a page of this host", "watch --port 8270"),
     "recover": ("make a whole recording of one that was cut off or damaged", "recover out/pass1"),
     "bench": ("time the sweep of the teeth and the stiffness model", "bench"),
 }

@@ -21,7 +21,7 @@ def robot_protocol(cell: Cell) -> RobotProtocol:
         thinned=cell.thinned_steps(),
         arm_model=cell.arm_model,
         joints_at=cell.joints_at,
-        description=urdf(cell.arm, cell.mount),
+        description=urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose),
         warn_correction=cell.exchange.warn_correction,
         tooth_rate=cell.tool.spindle_speed / (2 * math.pi) * cell.tool.teeth,
     )

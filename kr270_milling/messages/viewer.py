@@ -74,4 +74,3 @@ def _marker(stamp_ns: int, marker: Marker) -> dict:
     if not single:
         fields["colors"] = [dict(zip("rgba", row, strict=True)) for row in marker.colours.tolist()]
     return fields
-

@@ -18,7 +18,8 @@ from rclpy.serialization import deserialize_message
 
 from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.writer import BagWriter
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.report.scene import INPUTS, Scene
 from kr270_milling.ros.drain import DEPTH, DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.names import NameRefused, message_class, resolved_topic
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence
@@ -27,6 +28,9 @@ from kr270_milling.ros.spin import run_node
 __all__ = ["Recorder", "main"]
 
 LOOK_AROUND = 0.1  # [s] between two looks for new topics and two looks at the chunk's age
+DERIVED_QOS = QoSProfile(  # latched, so that a player gives them to whoever comes late
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
 UNASKED = ("/rosout", "/parameter_events")  # recorded only when asked for by name
 
 
@@ -44,6 +48,10 @@ class Recorder(ReportingNode):
         attachments = self._texts("attach", "files to keep inside the recording")
         seed = self._text("seed", "seed of the run, kept inside the recording")
         command = self._text("command", "command line to keep inside the recording; empty: that of the node")
+        about = "also write what viewers need and nobody publishes: /tf, /tf_static, /markers"
+        described = ParameterDescriptor(description=about, read_only=True)
+        self._viewers = self.declare_parameter("viewers", True, described).value
+        self._scenes: dict[str, Scene] = {}  # of each robot, by its namespace
         if not directory:
             raise InputError(self._where, "directory is missing")
         about = {"command": command or shlex.join(sys.argv), "seed": seed}
@@ -113,6 +121,19 @@ class Recorder(ReportingNode):
                 if status.name != self.get_fully_qualified_name():
                     self._silences.setdefault(status.name, Silence()).heard()
 
+    def _on_scene(self, topic: str, data: bytes, published: int) -> None:
+        self.writer.write(topic, data, published)
+        namespace, _, name = topic.rpartition("/")
+        scene = self._scenes.setdefault(namespace, Scene())
+        derived = []
+        with contextlib.suppress(MillingError, ValueError):  # recorded as it came; there is nothing to show
+            derived += scene.hear(name, data)
+        for found in derived:
+            name = namespace + found.topic
+            if name not in self._subscriptions_of and self._is_wanted(name):
+                self.writer.add_topic(name, found.type, [DERIVED_QOS])
+                self.writer.write(name, found.data, published)
+
     def _subscribe(self, topic: str, types: list[str], publishers) -> None:
         try:
             if len(types) != 1:
@@ -125,7 +146,10 @@ class Recorder(ReportingNode):
             self.report(WARN, f"{topic} is not recorded: {error}")
             return
 
-        write = functools.partial(self._on_report if kind is DiagnosticArray else self.writer.write, topic)
+        write = self._on_report if kind is DiagnosticArray else self.writer.write
+        if self._viewers and topic.rpartition("/")[2] in INPUTS:
+            write = self._on_scene
+        write = functools.partial(write, topic)
         self._subscriptions_of[topic] = aside(self, kind, topic, write, _matching(publishers))
 
     def _drain(self) -> None:

@@ -78,8 +78,14 @@ def _postures(cell: Cell, reference: Trajectory) -> tuple[np.ndarray, np.ndarray
 
 
 def links_of(text: str) -> tuple[Link, ...]:
-    """The links of a URDF whose solids are boxes and cylinders, parents first."""
-    root = ET.fromstring(text)  # noqa: S314  our own text
+    """The links of a URDF whose solids are boxes and cylinders, parents first. Raises ValueError for another text."""
+    try:
+        return _links(ET.fromstring(text))  # noqa: S314  expat itself stops texts that grow without bounds
+    except (ET.ParseError, AttributeError, IndexError, TypeError) as error:
+        raise ValueError(f"is no URDF of joints, boxes and cylinders: {error}") from None
+
+
+def _links(root) -> tuple[Link, ...]:
     links = {link.get("name"): link for link in root.iter("link")}
     joints = {joint.find("child").get("link"): joint for joint in root.iter("joint")}
     order = [name for name in links if name not in joints]

@@ -1,6 +1,6 @@
-"""What a viewer of other people needs to show a pass: transforms of every frame, the path coloured by its error, the force.
+"""What a viewer of other people needs to show a pass: transforms, the path coloured by its error, the force.
 
-Bytes of the graph's topics in, bytes of ``/tf``, ``/tf_static`` and ``/markers`` out; time is the stamp of the messages.
+Bytes of the graph's topics in, bytes of ``/tf``, ``/tf_static`` and ``/markers`` out; time is the stamp of messages.
 """
 
 from __future__ import annotations

@@ -1,0 +1,108 @@
+"""The page and its events (server-sent) on one port; nothing can be sent to it but a GET."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.watch.page import page
+
+__all__ = ["Events", "serve"]
+
+MOST = 40_000  #: events that are kept for a page that comes late: 22 minutes of a pass
+ALIVE = 10.0  #: [s] of the wall between two signs of life on an idle stream
+LOCAL = ("localhost", "127.0.0.1", "[::1]")
+
+
+class Events:
+    """Everything that was told, and whoever waits for more. ``end`` is the last event."""
+
+    def __init__(self):
+        self._rows: list[str] = []
+        self._first = 0  # number of the oldest row that is kept
+        self._changed = threading.Condition()
+        self.ended = False
+
+    def tell(self, event: dict) -> None:
+        with self._changed:
+            self._rows.append(json.dumps(event, allow_nan=False))
+            self._first += max(0, len(self._rows) - MOST)
+            del self._rows[: max(0, len(self._rows) - MOST)]
+            self.ended |= event.get("kind") == "end"
+            self._changed.notify_all()
+
+    def after(self, number: int, patience: float = ALIVE) -> tuple[list[str], int]:
+        """Rows from ``number`` on, and the number of the next one; waits for some [s] where there is none yet."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._first + len(self._rows) > number or self.ended, patience)
+            start = max(0, number - self._first)
+            return self._rows[start:], self._first + len(self._rows)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """GET / and GET /events."""
+
+    protocol_version = "HTTP/1.1"
+
+    def __init__(self, events: Events, hosts: tuple[str, ...], *args):
+        self.events = events
+        self.hosts = hosts
+        super().__init__(*args)
+
+    def handle(self) -> None:
+        with contextlib.suppress(ConnectionError):  # the page was closed
+            super().handle()
+
+    def do_GET(self) -> None:
+        host = (self.headers.get("Host") or "").rpartition(":")[0] or self.headers.get("Host")
+        if self.hosts and host not in self.hosts:  # a name that leads here from elsewhere (DNS rebinding)
+            self.send_error(403)
+        elif self.path == "/":
+            self._send(page().encode(), "text/html; charset=utf-8")
+        elif self.path == "/events":
+            self._stream()
+        else:
+            self.send_error(404)
+
+    def _send(self, body: bytes, kind: str) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _stream(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "text/event-stream")
+        self.send_header("Cache-Control", "no-store")
+        self.send_header("Connection", "close")
+        self.end_headers()
+        self.close_connection = True
+        number = 0
+        while True:
+            ended = self.events.ended
+            rows, number = self.events.after(number)
+            self.wfile.write("".join(f"data: {row}\n\n" for row in rows).encode() or b": alive\n\n")
+            self.wfile.flush()
+            if ended and not rows:
+                return
+
+    def log_message(self, *_) -> None:
+        """A page that looks is nothing to report."""
+
+
+def serve(events: Events, host: str, port: int) -> ThreadingHTTPServer:
+    """Start to serve in a thread; port 0: any that is free. Raises InputError where that cannot be."""
+    hosts = LOCAL if host in (*LOCAL, "::1") else ()
+    try:
+        server = ThreadingHTTPServer((host, port), partial(_Handler, events, hosts))
+    except (OSError, OverflowError) as error:
+        raise InputError(f"{host}:{port}", f"cannot be served at: {error}") from None
+    server.daemon_threads = True
+    threading.Thread(target=server.serve_forever, args=(0.1,), daemon=True).start()
+    return server

@@ -1,0 +1,107 @@
+"""report.scene: what viewers are given follows from the topics of the graph."""
+
+from __future__ import annotations
+
+import numpy as np
+import pass_recording as made
+import pytest
+
+from kr270_milling.base.frames import rotation_from_quaternion
+from kr270_milling.base.samples import JointSample, Text
+from kr270_milling.messages.codec import deserialise, to_bytes
+from kr270_milling.report.scene import INPUTS, OUTPUTS, PERIOD_NS, Scene
+from kr270_milling.robot import forward
+from kr270_milling.robot.urdf import urdf
+
+pytestmark = made.needs_messages
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return made.cell_of("linear", 1)
+
+
+def described(cell) -> bytes:
+    return to_bytes(Text(urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose)))
+
+
+def placed(cell, joints) -> dict[str, np.ndarray]:
+    """Every frame on base_link, by chaining the transforms that a viewer gets."""
+    scene = Scene()
+    found = list(scene.hear("robot_description", described(cell)))
+    found += scene.hear("joint_states", to_bytes(JointSample(0, tuple(f"joint_a{i}" for i in range(1, 7)), joints)))
+    frames = {"base_link": np.eye(4)}
+    waiting = [t for one in found for t in deserialise(one.type, one.data).transforms]
+    while waiting:
+        one = waiting.pop(0)
+        if one.header.frame_id not in frames:
+            waiting.append(one)
+            continue
+        t, r = one.transform.translation, one.transform.rotation
+        step = np.eye(4)
+        step[:3, :3] = rotation_from_quaternion(np.array([r.x, r.y, r.z, r.w]))
+        step[:3, 3] = t.x, t.y, t.z
+        frames[one.child_frame_id] = frames[one.header.frame_id] @ step
+    return frames
+
+
+def test_the_transforms_put_every_frame_where_the_kinematics_does(cell):
+    for joints in np.random.default_rng(5).uniform(-1.2, 1.2, (4, 6)):
+        frames, ours = placed(cell, joints), forward(cell.arm, cell.mount, joints)
+        for name, pose in (("flange", ours.flange), ("tool0", ours.tool), ("workpiece", cell.workpiece.pose)):
+            np.testing.assert_allclose(frames[name][:3, 3], pose.position, atol=1e-8)
+            np.testing.assert_allclose(frames[name][:3, :3], pose.rotation, atol=1e-8)
+
+
+def run(messages, scene):
+    found = []
+    for message in messages:
+        if message.topic in INPUTS:
+            found += scene.hear(message.topic, message.data)
+    return found
+
+
+def test_a_pass_gives_markers_thinned_to_30_hz_with_path_and_force(cell):
+    scene = Scene()
+    list(scene.hear("robot_description", described(cell)))
+    found = run(made.one_pass(), scene)
+    assert {one.topic for one in found} <= set(OUTPUTS)
+    for topic in ("/markers", "/tf"):
+        stamps = np.array([one.stamp_ns for one in found if one.topic == topic])
+        assert stamps.size and np.all(np.diff(stamps) >= PERIOD_NS)
+    last = deserialise("visualization_msgs/msg/MarkerArray", [one for one in found if one.topic == "/markers"][-1].data)
+    named = {marker.ns: marker for marker in last.markers}
+    assert set(named) <= {"path", "removed", "force"} and "force" in named
+    for marker in last.markers:
+        assert marker.header.frame_id == "workpiece" and marker.pose.orientation.w == 1.0
+
+
+def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
+    from kr270_milling.base.samples import PoseSample
+
+    scene, target = Scene(), cell.target()
+    list(scene.hear("target_trajectory", to_bytes(target)))
+    shift = np.array([0.0, 200e-6, 0.0])
+    for k in range(1000):
+        stamp = k * 40_000_000
+        position = target.sample(stamp) + (shift if k > 500 else 0.0)
+        found = list(scene.hear("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, (0.0, 0.0, 0.0, 1.0)))))
+    (markers,) = (deserialise(one.type, one.data).markers for one in found)
+    (path,) = (marker for marker in markers if marker.ns == "path")
+    assert 100 <= len(path.points) <= 200 and len(path.colors) == len(path.points)
+    assert path.colors[0].r < 0.1 and path.colors[-1].r > 0.85  # from no error to the end of the scale
+
+
+def test_a_message_that_is_none_is_refused(cell):
+    with pytest.raises(ValueError, match="CDR|not"):
+        list(Scene().hear("robot_description", b"noise"))
+
+
+@pytest.mark.parametrize("text", ["<robot/>", "<robot", "", "<robot><joint/></robot>", "<robot><link name='a'/></robot>"])
+def test_a_description_of_something_else_gives_no_moving_frames_and_no_crash(text):
+    scene = Scene()
+    try:
+        found = list(scene.hear("robot_description", to_bytes(Text(text))))
+    except ValueError:
+        return
+    assert not [t for one in found for t in deserialise(one.type, one.data).transforms]
