@@ -38,6 +38,7 @@ setup(
             "pytest>=7.4",
             "hypothesis>=6.80",
             "pin>=2.7",
+            "playwright>=1.40",
             "mcap-ros2-support>=0.5",
             "ruff>=0.6",
             "import-linter>=2.6",

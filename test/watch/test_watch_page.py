@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import http.client
 import json
 
@@ -67,19 +68,22 @@ def served():
     server.server_close()
 
 
-def answer(port: int, path: str, host: str, method: str = "GET") -> http.client.HTTPResponse:
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
-    connection.request(method, path, headers={"Host": host})
-    return connection.getresponse()
+def answer(port: int, path: str, host: str, method: str = "GET") -> tuple[int, str]:
+    """Status and text."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
+    with contextlib.closing(connection):
+        connection.request(method, path, headers={"Host": host, "Connection": "close"})
+        with connection.getresponse() as response:
+            return response.status, response.read().decode()
 
 
 def test_only_two_places_can_be_read_and_only_under_the_name_of_this_host(served):
     _, port = served
-    assert answer(port, "/", f"127.0.0.1:{port}").status == 200
-    assert answer(port, "/", f"localhost:{port}").status == 200
-    assert answer(port, "/", "elsewhere.example").status == 403
-    assert answer(port, "/../etc", f"127.0.0.1:{port}").status == 404
-    assert answer(port, "/", f"127.0.0.1:{port}", "POST").status == 501
+    assert answer(port, "/", f"127.0.0.1:{port}")[0] == 200
+    assert answer(port, "/", f"localhost:{port}")[0] == 200
+    assert answer(port, "/", "elsewhere.example")[0] == 403
+    assert answer(port, "/../etc", f"127.0.0.1:{port}")[0] == 404
+    assert answer(port, "/", f"127.0.0.1:{port}", "POST")[0] == 501
 
 
 def test_a_port_that_is_taken_is_said(served):
@@ -92,7 +96,7 @@ def test_who_comes_late_gets_everything_and_the_stream_ends_with_the_graph(serve
     told = [{"kind": "pass", "number": 1, "duration_s": None}, {"kind": "end"}]
     for event in told:
         events.tell(event)
-    body = answer(port, "/events", f"127.0.0.1:{port}").read().decode()
+    _, body = answer(port, "/events", f"127.0.0.1:{port}")
     rows = [json.loads(line[6:]) for line in body.splitlines() if line.startswith("data: ")]
     assert rows == told
 
