@@ -30,9 +30,9 @@ def run(args) -> int:
     from kr270_milling.ros.environment import require_ros
 
     require_ros()
+    from kr270_milling.nodes.watcher import Watcher
     from kr270_milling.ros.names import full_namespace
     from kr270_milling.ros.spin import run_node
-    from kr270_milling.watch.listener import Listener
     from kr270_milling.watch.page import page
     from kr270_milling.watch.server import Events, serve
 
@@ -46,7 +46,7 @@ def run(args) -> int:
         flush=True,
     )
     try:
-        code = run_node(lambda **kwargs: Listener(events, namespace, **kwargs), [])
+        code = run_node(lambda **kwargs: Watcher(events, namespace, **kwargs), [])
         if not events.ended:
             events.tell({"kind": "end"})
         time.sleep(LAST_LOOK)

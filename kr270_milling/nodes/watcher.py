@@ -1,4 +1,4 @@
-"""The listener of the live view: takes the graph's messages some times a second, and knows when the graph is gone."""
+"""Node: the listener of the live view takes the graph's messages some times a second, and knows when the graph is gone."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
 from kr270_milling.watch.feed import Feed
 from kr270_milling.watch.server import Events
 
-__all__ = ["Listener"]
+__all__ = ["Watcher"]
 
 GONE = 2.0  #: [s] of the wall without any publisher after which the graph is closed
 LATCHED = (topics.TARGET_TRAJECTORY, topics.REFERENCE_TRAJECTORY)
 LOOP = (topics.TOOL_POSE, topics.WRENCH, topics.DIAGNOSTICS)
 
 
-class Listener(Node):
+class Watcher(Node):
     """Publishes nothing; best effort on the topics of the loop, so that nobody waits for it."""
 
     failure: str | None = None
