@@ -63,6 +63,11 @@ class Spec:
         return UNITS[self.unit]
 
     @property
+    def optional(self) -> bool:
+        """Whether the value may be missing: NaN in the record, and no key in a file."""
+        return self.kind is float and isinstance(self.default, float) and math.isnan(self.default)
+
+    @property
     def allowed(self) -> str:
         """The sentence about what would be right."""
         if self.kind in (str, tuple):
@@ -153,7 +158,7 @@ def _checked(spec: Spec, value):
         value.setflags(write=False)
     elif spec.kind is tuple:
         value = tuple(value)
-    if not _allowed(spec, value):
+    if not (_allowed(spec, value) or (spec.optional and math.isnan(value))):
         raise ParameterError(spec.key, _readable(spec, value), spec.allowed)
     return value
 
@@ -212,7 +217,7 @@ def build(record: type[Record], tree: dict, file="", prefix: str = "", lenient: 
     try:
         made = record(**values)
     except ParameterError as error:
-        raise ConfigError(file, prefix + error.key, error.value, error.allowed) from None
+        raise refusal(file, prefix + error.key, error.value, error.allowed) from None
     return _keep(made, {s.name: _plain(tree[key]) for key, s in known.items() if key in tree and _has_unit(s)})
 
 
@@ -239,14 +244,17 @@ def _from_file(spec: Spec, value, file, path: str, lenient: bool):
 
 
 def _number(value, refuse: ConfigError, lenient: bool) -> float:
+    number = math.nan
     if isinstance(value, str):  # YAML 1.1 reads 1e-5 as a text, the ROS parser as a number
         try:
-            return float(value)
+            number = float(value)
         except ValueError:
             raise refuse from None
-    if type(value) is float or (lenient and type(value) is int and abs(value) < 2**63):
-        return float(value)
-    raise refuse
+    elif type(value) is float or (lenient and type(value) is int and abs(value) < 2**63):
+        number = float(value)
+    if math.isnan(number):
+        raise refuse
+    return number
 
 
 def _has_unit(spec: Spec) -> bool:
@@ -265,6 +273,8 @@ def tree_of(record: Record) -> dict:
         value = getattr(record, spec.name)
         if issubclass(spec.kind, Record):
             tree[spec.key] = tree_of(value)
+        elif spec.optional and math.isnan(value):
+            continue
         elif _has_unit(spec):
             tree[spec.key] = given[spec.name] if spec.name in given else (value / spec.scale)
             if isinstance(tree[spec.key], np.ndarray):

@@ -2,12 +2,21 @@
 
 from kr270_milling.cutting.cut import Cut, SweepError, UndoError
 from kr270_milling.cutting.grid import GridError, Stock
-from kr270_milling.cutting.laws import Cutting, FractionalLaw, LinearEdgeLaw, fractional, linear_edge
+from kr270_milling.cutting.laws import (
+    AL7075_T6,
+    KLIMCHIK2012,
+    Cutting,
+    FractionalLaw,
+    LinearEdgeLaw,
+    fractional,
+    linear_edge,
+)
 from kr270_milling.cutting.state import Params, State, make_params, make_state
 from kr270_milling.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.cutting.tool import Tool
 
 __all__ = [
-    "Cut", "SweepError", "UndoError", "GridError", "Stock", "Cutting", "FractionalLaw", "LinearEdgeLaw", "fractional",
-    "linear_edge", "Params", "State", "make_params", "make_state", "NO_FORCES", "sweep", "undo", "Tool",
+    "AL7075_T6", "KLIMCHIK2012", "Cut", "SweepError", "UndoError", "GridError", "Stock", "Cutting", "FractionalLaw",
+    "LinearEdgeLaw", "fractional", "linear_edge", "Params", "State", "make_params", "make_state", "NO_FORCES", "sweep",
+    "undo", "Tool",
 ]  # fmt: skip

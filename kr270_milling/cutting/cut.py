@@ -53,7 +53,7 @@ class Cut:
         """Move the tool tip straight from one position (3,) [m] to another in n micro-steps, workpiece frame.
 
         first: number of the first micro-step, counted from the pass's start; forces: (n, 3), filled if given [N].
-        Returns the mean wrench (6,) on the tool [N, N m]. Raises SweepError, GridError.
+        Returns the mean wrench (6,) on the tool, moments about its tip [N, N m]. Raises SweepError, GridError.
         """
         start, end = np.array(pose_from, float), np.array(pose_to, float)
         sound = start.shape == end.shape == (3,) and np.isfinite([start, end]).all()
@@ -63,10 +63,11 @@ class Cut:
             size = log_size(self.params, n, math.dist(start[:2], end[:2]))
             if size > self.state.log_level.size:
                 self.state = self.state._replace(**make_log(size))
-        force_x, force_y, self.torque = sweep(self.state, self.params, start, end, int(first), int(n), forces)
+        wrench = np.empty(6)
+        self.torque = sweep(self.state, self.params, start, end, int(first), int(n), forces, wrench)
         if self.state.ints[FAILED]:
             raise GridError(self.state.pool.size // TILE**2)
-        return np.array([force_x, force_y, 0.0, 0.0, 0.0, 0.0])
+        return wrench
 
     def restore(self) -> None:
         """Take the last sweep back, once. Raises UndoError."""

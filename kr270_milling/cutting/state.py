@@ -53,7 +53,10 @@ class Params(NamedTuple):
     tolerance: int  # levels that the tool may sink before its footprint is swept again
     window: int  # micro-steps within which some tooth passes any point that the tool covers
     is_fractional: bool
-    coefficients: np.ndarray  # (4,)
+    coefficients: np.ndarray  # (6,)
+    axial: bool  # whether the coefficients hold an axial force
+    moments: bool  # whether forces turn the tool about its tip
+    lag: float  # tan(helix) per micro-step of spindle angle: an edge lags lag z / R micro-steps at z above the tip
 
 
 class State(NamedTuple):
@@ -70,6 +73,8 @@ class State(NamedTuple):
     log_level: np.ndarray  # uint16: the nodes' levels before, run after run
     tally: np.ndarray  # int64, (3,): scratch of one tooth and micro-step: nodes, level differences, lowest level
     chips: np.ndarray  # (teeth,): largest chip thickness of each tooth in the last sweep [m]
+    loads: np.ndarray  # (power of 2, 6): F_x, F_y, F_z, M_x, M_y, torque in a micro-step, at its number modulo the size
+    saved_loads: np.ndarray  # as they were before the last sweep, if edges lag
 
 
 def make_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -> Params:
@@ -101,6 +106,9 @@ def make_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -
         window=int(pitch_steps.max()) + int(0.126 / micro_step) + 6,
         is_fractional=cutting.law == "fractional",
         coefficients=cutting.coefficients,
+        axial=cutting.axial,
+        moments=cutting.moments,
+        lag=math.tan(tool.helix) / micro_step,
     )
 
 
@@ -128,6 +136,8 @@ def make_log(size: int) -> dict:
 def make_state(params: Params, stock: Stock, size: int = 1 << 22) -> State:
     """An untouched stock. The pool is only address space until the tool comes to a tile; size: of the undo log."""
     tiles = tile_count(stock)
+    longest = params.lag * stock.thickness / params.shortest  # [micro-steps]
+    loads = np.zeros((1 << (int(min(longest, 2.0**20)) + 2).bit_length(), 6))
     ints = np.zeros(INTS, np.int64)
     ints[NEXT_STEP] = ints[RUN] = ints[FLOOR] = -1
     return State(
@@ -141,4 +151,6 @@ def make_state(params: Params, stock: Stock, size: int = 1 << 22) -> State:
         **make_log(size),
         tally=np.zeros(3, np.int64),
         chips=np.zeros(len(params.radii)),
+        loads=loads,
+        saved_loads=np.zeros_like(loads),
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from kr270_milling.cutting.compiled import compiled, inlined
 from kr270_milling.cutting.fill import clear_quad, clear_sector, tally_log
-from kr270_milling.cutting.laws import force_per_depth
+from kr270_milling.cutting.load import load
 from kr270_milling.cutting.state import (
     FLOOR,
     LEVEL_SUM,
@@ -32,15 +32,17 @@ JUMP = 0.125  # of a tooth's way in a micro-step: a centre that moves further is
 
 
 @compiled
-def sweep(s, p, pose_from, pose_to, first, n, forces):
+def sweep(s, p, pose_from, pose_to, first, n, forces, wrench):
     """Move the tool centre straight from one position to another in n micro-steps of the spindle angle.
 
     s: State, changed; p: Params; poses (3,) [m], tool tip in the workpiece frame; first: number of the first
-    micro-step since the pass began (int); forces: (n, 3) filled with the force of each micro-step, or NO_FORCES.
-    Returns the mean over the micro-steps of F_x, F_y [N] on the tool and of the spindle torque [N m].
+    micro-step since the pass began (int); forces: (n, 3) filled with the force of each micro-step [N], or NO_FORCES;
+    wrench: (6,) filled with the mean of force and moment about the tool tip on the tool [N, N m]. Returns the mean of
+    the spindle torque [N m].
     """
     _open(s, p, pose_from, first, n)
-    sum_x = sum_y = sum_torque = 0.0
+    _clear(wrench)
+    sum_torque = 0.0
     x1, y1 = pose_from[0], pose_from[1]
     for k in range(n):
         step, x0, y0, part = first + k, x1, y1, (k + 1.0) / n
@@ -55,20 +57,24 @@ def sweep(s, p, pose_from, pose_to, first, n, forces):
         depth = min(p.top - z, p.thickness)
         level = max(1, int(depth / p.level_step + 0.5)) if depth > 1e-3 * p.level_step else 0
         whole, path = _plan(s, p, step, level)
-        force_x = force_y = torque = 0.0
         if level > 0:
             for i in range(p.radii.size):
-                f_t, f_r = _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path)
-                if f_t != 0.0 or f_r != 0.0:
-                    c, d = p.middles[i, step % p.steps, 0], p.middles[i, step % p.steps, 1]
-                    force_x += -f_r * c + p.sense * f_t * d  # (29): -F_r along the tooth, -F_t along its motion
-                    force_y += -f_r * d - p.sense * f_t * c
-                    torque += f_t * p.radii[i]
+                h, height = _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path)
+                if h > 0.0:
+                    load(s, p, i, step, h, height)
+        now = s.loads[step & (s.loads.shape[0] - 1)]
         if forces.shape[0] > 0:
-            forces[k, 0], forces[k, 1], forces[k, 2] = force_x, force_y, 0.0
-        sum_x, sum_y, sum_torque = sum_x + force_x, sum_y + force_y, sum_torque + torque
+            forces[k, 0], forces[k, 1], forces[k, 2] = now[0], now[1], now[2]
+        for j in range(5):
+            wrench[j] += now[j]
+        sum_torque += now[5]
+        _clear(now)
     s.ints[NEXT_STEP] = first + n
-    return sum_x / n, sum_y / n, sum_torque / n
+    for j in range(5):
+        wrench[j] /= n
+    if p.moments:
+        wrench[5] = -p.sense * (sum_torque / n)  # what turns the spindle turns its housing the other way
+    return sum_torque / n
 
 
 @compiled
@@ -85,6 +91,8 @@ def undo(s):
     tiles = s.ints[TILES]
     _copy(s.saved_ints, s.ints)
     _copy(s.saved_floats, s.floats)
+    for k in range(s.loads.shape[0]):
+        _copy(s.saved_loads[k], s.loads[k])
     s.ints[TILES] = tiles  # an untouched tile says the same as none
     s.ints[LOGGED] = s.ints[LOGGED_RUNS] = s.ints[TALLIED] = 0
     return True
@@ -97,11 +105,19 @@ def _copy(source, target):
 
 
 @compiled
+def _clear(target):
+    for i in range(target.size):
+        target[i] = 0.0
+
+
+@compiled
 def _open(s, p, pose_from, first, n):
     """Save the state, empty the log, and forget the history if this sweep does not continue the last one."""
     s.ints[LOGGED] = s.ints[LOGGED_RUNS] = s.ints[LOG_LOST] = s.ints[TALLIED] = 0
     _copy(s.ints, s.saved_ints)
     _copy(s.floats, s.saved_floats)
+    for k in range(s.loads.shape[0]):
+        _copy(s.loads[k], s.saved_loads[k])
     for i in range(s.chips.size):
         s.chips[i] = 0.0
     here = s.history[first & (s.history.shape[0] - 1)]
@@ -109,6 +125,8 @@ def _open(s, p, pose_from, first, n):
         here[0], here[1], here[2] = pose_from[0], pose_from[1], 0.0
         s.ints[RUN], s.ints[RUN_LEVEL], s.ints[FLOOR] = first, 65536, -1
         s.saved_ints[NEXT_STEP] = -1  # the old history is not to be taken up again
+        for k in range(s.loads.shape[0]):
+            _clear(s.loads[k])
     if n > p.steps:
         s.saved_ints[NEXT_STEP] = -1  # its places will be written over
 
@@ -155,7 +173,7 @@ def _plan(s, p, step, level):
 
 @inlined
 def _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path):
-    """Clear the sector of tooth i in one micro-step; tangential and radial force on it [N]."""
+    """Clear the sector of tooth i in one micro-step; thickness and height of its chip [m]."""
     turn, scale, radius = step % p.steps, 1.0 / p.spacing, p.radii[i]
     a, b = p.directions[i, turn, 0], p.directions[i, turn, 1]
     c, d = p.directions[i, turn + 1, 0], p.directions[i, turn + 1, 1]
@@ -185,20 +203,22 @@ def _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path):
     tally_log(s.ints, s.log_level, s.tally, level)
     if s.tally[0] == 0:
         return 0.0, 0.0
-    return _force(s, p, i, depth, level)
+    return _chip(s, p, i, depth, level)
 
 
 @inlined
-def _force(s, p, i, depth, level):
-    """Force of a tooth on the nodes in the tally; h from the volume over the depth reached: A_i / (R dphi) if flat."""
+def _chip(s, p, i, depth, level):
+    """Chip thickness and height of the chip of a tooth, of the nodes in the tally [m].
+
+    h is the volume over the height: A_i / (R dphi) if the ground is flat.
+    """
     per_node = p.spacing * p.spacing
     total = s.tally[0] * (depth - level * p.level_step) + s.tally[1] * p.level_step
     height = depth - s.tally[2] * p.level_step
     h = total * per_node / (height * p.radii[i] * p.micro_step)
     s.floats[LEVEL_SUM] += total
     s.chips[i] = max(s.chips[i], h)
-    tangential, radial = force_per_depth(p.is_fractional, p.coefficients, h)
-    return tangential * height, radial * height
+    return h, height
 
 
 @inlined

@@ -14,7 +14,7 @@ __all__ = ["Tool"]
 
 @dataclass(frozen=True, eq=False)
 class Tool(Record):
-    """A cylindrical end mill without helix."""
+    """A cylindrical end mill: straight edges, or edges that a helix makes lag the more the higher above the tip."""
 
     diameter: float = parameter(unit="mm", above=0.0, high=200.0, text="cutter diameter")
     teeth: int = parameter(low=1, high=100, text="number of teeth")
@@ -32,6 +32,9 @@ class Tool(Record):
     )
     start_angle: float = parameter(
         0.0, unit="deg", low=-360.0, high=360.0, text="tooth 0 at t = 0, from +x in the sense of rotation"
+    )
+    helix: float = parameter(
+        0.0, unit="deg", low=0.0, high=75.0, text="helix angle: at z above the tip an edge lags by z tan(helix) / R"
     )
 
     flute_length: float = parameter(0.0, unit="mm", low=0.0, high=500.0, text="of the cutting edges; 0: not known")

@@ -9,7 +9,7 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 from kr270_milling.base.record import specs
-from kr270_milling.cutting.laws import FractionalLaw, fractional
+from kr270_milling.cutting.laws import KLIMCHIK2012, FractionalLaw, fractional
 from kr270_milling.identification.cuts import Cuts
 from kr270_milling.identification.forces import OneFeedError
 
@@ -59,7 +59,7 @@ def fit_fractional(cuts: Cuts, start: FractionalLaw | None = None) -> Fractional
     feeds = len(np.unique(np.round(cuts.feed_per_tooth, 9)))
     if feeds < 3 or 2 * len(cuts) <= 4:
         raise OneFeedError(feeds, len(cuts))
-    law = start or FractionalLaw()
+    law = start or KLIMCHIK2012
     scale = np.array([law.stiffness, law.specific_chip_thickness, max(law.ratio, 0.1), max(law.radial_ratio, 0.1)])
     first = np.array([law.stiffness, law.specific_chip_thickness, law.ratio, law.radial_ratio]) / scale
 

@@ -108,8 +108,8 @@ def _same(value, default) -> bool:
 
 
 def _default(spec: Spec):
-    if spec.default is dataclasses.MISSING or np.size(spec.default) == 0:  # an empty list has no type of its own
-        return None
+    if spec.default is dataclasses.MISSING or spec.optional or np.size(spec.default) == 0:
+        return None  # nothing, or an empty list, which has no type of its own
     if spec.kind is np.ndarray:
         return array.array("d", spec.default / spec.scale)
     return spec.default / spec.scale if spec.kind is float else spec.default

@@ -126,10 +126,9 @@ def _exchange(first, last, iterations, reference, arm, state, wrench, cut_state,
             tool[n + 1] = reference[n + 1] + deflection[:3]
             if k > 0 and not undo(cut_state):
                 return False
-            force_x, force_y, torque = sweep(  # the cut answers
-                cut_state, cut_params, tool[n], tool[n + 1], n * micro_steps, micro_steps, no_forces
+            torque = sweep(  # the cut answers
+                cut_state, cut_params, tool[n], tool[n + 1], n * micro_steps, micro_steps, no_forces, answer
             )
-            answer[0], answer[1] = force_x, force_y
         advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot corrects
         state[:] = scratch
         deflections[n + 1], wrenches[n + 1] = deflection, answer

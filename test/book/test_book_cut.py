@@ -6,13 +6,13 @@ import functools
 
 import numpy as np
 from book import check
+from cuttings import LAWS, PAPER_LAW
 from scipy.integrate import quad
 
-from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
+from kr270_milling.cutting import AL7075_T6, Cut, Cutting, Stock, Tool
 from kr270_milling.cutting.convergence import convergence
 
 FEED, DEPTH = 0.125e-3, 1e-3  # [m] a tooth, [m]
-LAWS = ("fractional", "linear_edge")
 
 
 def _tool() -> Tool:
@@ -31,18 +31,18 @@ def _engaged(cutting: Cutting, low: float = -12e-3, high: float = 12e-3):
 @functools.cache
 def _mean(law: str, low: float = -12e-3, high: float = 12e-3) -> np.ndarray:
     """Mean force (2,) [N] over four revolutions."""
-    cut, here, first = _engaged(Cutting(law=law), low, high)
+    cut, here, first = _engaged(LAWS[law], low, high)
     return cut.sweep(here, here + [16 * FEED, 0.0, 0.0], first, 4 * 360)[:2]
 
 
 @check("force of one tooth at h = 0.125 mm, 1 mm deep", "(26), k_0 read per millimetre of depth [derived]", "N")
 def test_one_tooth():
-    return 133.3, Cutting().force_per_depth(FEED)[0] * DEPTH, 0.05
+    return 133.3, PAPER_LAW.force_per_depth(FEED)[0] * DEPTH, 0.05
 
 
 @check("radial over tangential force", "k_r of [Klimchik2012], section 6")
 def test_radial():
-    tangential, found = Cutting().force_per_depth(40e-6)
+    tangential, found = PAPER_LAW.force_per_depth(40e-6)
     return 0.3, found / tangential, 1e-12
 
 
@@ -76,7 +76,7 @@ def test_half_immersion(way, axis):
     low, high, entry, leave = WAYS[way]
 
     def integrand(phi, which):
-        tangential, radial = (DEPTH * float(f) for f in Cutting().force_per_depth(FEED * np.cos(phi)))
+        tangential, radial = (DEPTH * float(f) for f in PAPER_LAW.force_per_depth(FEED * np.cos(phi)))
         if which == 0:
             return -radial * np.cos(phi) + tangential * np.sin(phi)
         return radial * np.sin(phi) + tangential * np.cos(phi)
@@ -89,7 +89,7 @@ def test_half_immersion(way, axis):
 @check("removed area of a slot 10 mm long", "2 R L + pi R^2 / 2: the half disc at its end", "m^2")
 def test_area():
     stock = Stock(min=np.array([0.0, -12e-3, -5e-3]), max=np.array([25e-3, 12e-3, 0.0]))
-    cut = Cut(_tool(), Cutting(), stock, np.radians(1.0))
+    cut = Cut(_tool(), PAPER_LAW, stock, np.radians(1.0))
     end = np.array([10e-3, 0.0, -DEPTH])
     cut.sweep([-10.1e-3, 0.0, -DEPTH], end, 0, 15000)
     cut.sweep(end, end, 15000, 360)  # so that every tooth reaches the end; scallops on the walls: 1e-9 m^2
@@ -98,7 +98,7 @@ def test_area():
 
 @check("work of the tangential force / (K_tc volume removed)", "energy: power is torque times spindle speed")
 def test_work():
-    law = LinearEdgeLaw(tangential_edge=0.0, radial_cutting=0.0, radial_edge=0.0)
+    law = AL7075_T6.replace(tangential_edge=0.0, radial_cutting=0.0, radial_edge=0.0)
     cut, here, first = _engaged(Cutting(law="linear_edge", linear_edge=law))
     before = cut.removed_volume
     cut.sweep(here, here + [16 * FEED, 0.0, 0.0], first, 4 * 360)
@@ -108,14 +108,14 @@ def test_work():
 
 @check("force of a tool that backs off", "(27): no chip, no force", "N")
 def test_backing_off():
-    cut, here, first = _engaged(Cutting())
+    cut, here, first = _engaged(PAPER_LAW)
     cut.sweep(here, here, first, 360)
     return 0.0, np.abs(cut.sweep(here, here - [2e-3, 0.0, 0.0], first + 360, 1440)).max(), 0.0
 
 
 @functools.cache
 def _convergence() -> dict:
-    return convergence(_tool(), Cutting())
+    return convergence(_tool(), PAPER_LAW)
 
 
 @check("order of convergence in the grid step", "1.5: noise of the nodes along the border of a sector")

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cuttings import ALUMINIUM, PAPER_LAW
 
-from kr270_milling.cutting import Cutting, Tool
+from kr270_milling.cutting import Tool
 from kr270_milling.cutting.convergence import convergence, fitted_order, slot_chip, slot_errors, slot_force
 
 TOOL = Tool(diameter=20e-3, teeth=4, spindle_speed=837.0)
@@ -30,11 +31,11 @@ def test_exact_chips_of_a_revolution_add_up_to_the_area_fed():
 
 def test_exact_slot_force_has_the_mean_that_is_known():
     phi = np.linspace(0, 2 * np.pi, 3600, endpoint=False)
-    assert slot_force(TOOL, Cutting(), FEED, phi).mean(0) == pytest.approx([-44.39, 147.98], rel=2e-3)
+    assert slot_force(TOOL, PAPER_LAW, FEED, phi).mean(0) == pytest.approx([-44.39, 147.98], rel=2e-3)
 
 
 def test_mean_force_at_the_default_steps_is_right_to_a_few_parts_in_ten_thousand():
-    for cutting in (Cutting(), Cutting(law="linear_edge")):
+    for cutting in (PAPER_LAW, ALUMINIUM):
         assert slot_errors(TOOL, cutting, FEED, 10e-6, np.radians(1.0))[0] < 3e-4
 
 
@@ -42,7 +43,7 @@ def test_fitted_order_of_a_power_is_its_exponent():
     assert fitted_order([1.0, 0.5, 0.25], [3.0, 3 / 2**1.5, 3 / 4**1.5]) == pytest.approx(1.5)
 
 
-@pytest.mark.parametrize("cutting", [Cutting(), Cutting(law="linear_edge")], ids=["fractional", "linear_edge"])
+@pytest.mark.parametrize("cutting", [PAPER_LAW, ALUMINIUM], ids=["fractional", "linear_edge"])
 def test_sweep_converges_with_order_one_and_a_half_in_the_grid_and_two_in_the_angle(cutting):
     found = convergence(TOOL, cutting)
     assert 1.2 < found["grid_order"] < 2.0  # nodes near the border of a sector: noise as ds^1.5

@@ -7,8 +7,9 @@ import sys
 
 import numpy as np
 import pytest
+from cuttings import PAPER_LAW
 
-from kr270_milling.cutting import Cut, Cutting, GridError, Stock, SweepError, Tool, UndoError
+from kr270_milling.cutting import Cut, GridError, Stock, SweepError, Tool, UndoError
 from kr270_milling.cutting.grid import TILE
 
 FEED = 0.5e-3  # [m] per revolution
@@ -19,7 +20,7 @@ def new_cut(size=(30e-3, 24e-3), grid_step=10e-6, teeth=4, **kwargs):
     tool = Tool(diameter=20e-3, teeth=teeth, spindle_speed=837.0)
     low = np.array([0.0, -size[1] / 2, -5e-3])
     stock = Stock(min=low, max=np.array([size[0], size[1] / 2, 0.0]), grid_step=grid_step)
-    return Cut(tool, Cutting(), stock, np.radians(1.0), **kwargs)
+    return Cut(tool, PAPER_LAW, stock, np.radians(1.0), **kwargs)
 
 
 @pytest.mark.parametrize("grid_step", [40e-6, 10e-6])

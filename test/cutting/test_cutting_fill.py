@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cuttings import PAPER_LAW
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from kr270_milling.cutting import Cutting, Stock, Tool, make_params, make_state
+from kr270_milling.cutting import Stock, Tool, make_params, make_state
 from kr270_milling.cutting.fill import clear_quad
 
 SIZE = 30
 STOCK = Stock(min=np.zeros(3), max=np.array([3e-3, 3e-3, 1e-3]), grid_step=1e-4)
-PARAMS = make_params(Tool(diameter=1e-3, teeth=1, spindle_speed=1.0), Cutting(), STOCK, np.radians(10.0))
+PARAMS = make_params(Tool(diameter=1e-3, teeth=1, spindle_speed=1.0), PAPER_LAW, STOCK, np.radians(10.0))
 corner = st.floats(-10.0, 40.0)
 
 

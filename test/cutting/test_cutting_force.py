@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cuttings import ALUMINIUM, LAWS, PAPER_LAW
 from scipy.integrate import quad
 
-from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
+from kr270_milling.cutting import AL7075_T6, Cut, Cutting, Stock, Tool
 
 FEED = 0.125e-3  # [m] per tooth
 DEPTH = 1e-3  # [m]
@@ -19,7 +20,7 @@ def paper_tool(**kwargs):
 def engaged(tool=None, cutting=None, low=-12e-3, high=12e-3, degrees=1.0, grid_step=10e-6):
     """A cut with the tool on y = 0, fully engaged in material from y = low to high; where it is, micro-steps so far."""
     stock = Stock(min=np.array([0.0, low, -5e-3]), max=np.array([20e-3, high, 0.0]), grid_step=grid_step)
-    cut = Cut(tool or paper_tool(), cutting or Cutting(), stock, np.radians(degrees))
+    cut = Cut(tool or paper_tool(), cutting or PAPER_LAW, stock, np.radians(degrees))
     start, end = np.array([-10.1e-3, 0.0, -DEPTH]), np.array([-10.1e-3 + 48 * 4 * FEED / 2, 0.0, -DEPTH])
     cut.sweep(start, end, 0, 24 * cut.params.steps)
     return cut, end, 24 * cut.params.steps
@@ -84,7 +85,7 @@ def test_rigid_slot_has_the_mean_force_of_the_fractional_law():
 def test_rigid_slot_has_the_mean_force_of_the_linear_edge_law():
     n, a = 4, 1.0  # teeth, depth [mm]; K in N/mm^2 and N/mm, f_z = 0.125 mm
     expected = [-n * a / 4 * 180.96 * 0.125 - n * a / np.pi * 20.42, n * a / 4 * 600.46 * 0.125 + n * a / np.pi * 17.9]
-    assert mean_force(*engaged(cutting=Cutting(law="linear_edge"))) == pytest.approx(expected, rel=5e-3)
+    assert mean_force(*engaged(cutting=ALUMINIUM)) == pytest.approx(expected, rel=5e-3)
 
 
 @pytest.mark.parametrize(
@@ -92,7 +93,7 @@ def test_rigid_slot_has_the_mean_force_of_the_linear_edge_law():
 )
 @pytest.mark.parametrize("law, name", [(fractional, "fractional"), (linear_edge, "linear_edge")])
 def test_half_immersion_agrees_with_the_quadrature(low, high, entry, exit, law, name):
-    found = mean_force(*engaged(cutting=Cutting(law=name), low=low, high=high))
+    found = mean_force(*engaged(cutting=LAWS[name], low=low, high=high))
     simple = quadrature(law, entry, exit)
     # h = f_z cos(phi) leaves out terms of f_z / R, which a half immersion does not average away
     assert found == pytest.approx(simple, abs=1e-2 * np.linalg.norm(simple))
@@ -167,7 +168,7 @@ def test_tooth_out_of_cut_feels_no_force():
 
 def test_tool_above_or_beside_the_stock_feels_no_force():
     stock = Stock(min=np.array([0.0, 0.0, -5e-3]), max=np.array([20e-3, 20e-3, 0.0]))
-    cut = Cut(paper_tool(), Cutting(), stock, np.radians(1.0))
+    cut = Cut(paper_tool(), PAPER_LAW, stock, np.radians(1.0))
     assert not cut.sweep([-5e-3, 10e-3, 0.0], [25e-3, 10e-3, 1e-3], 0, 3600).any()
     assert not cut.sweep([-5e-3, 35e-3, -1e-3], [25e-3, 35e-3, -1e-3], 3600, 3600).any()
     assert cut.removed_area == 0.0 and cut.tiles == 0
@@ -177,7 +178,7 @@ def test_force_is_proportional_to_depth_and_stops_at_the_stock_s_bottom():
     found = []
     for depth in (1e-3, 2e-3, 5e-3, 8e-3):
         stock = Stock(min=np.array([0.0, -12e-3, -5e-3]), max=np.array([20e-3, 12e-3, 0.0]))
-        cut = Cut(paper_tool(), Cutting(), stock, np.radians(1.0))
+        cut = Cut(paper_tool(), PAPER_LAW, stock, np.radians(1.0))
         found.append(cut.sweep([-10e-3, 0, -depth], [-5e-3, 0, -depth], 0, 3600)[:2])
     assert found[1] == pytest.approx(2 * found[0], rel=1e-9)
     assert found[3] == pytest.approx(found[2], rel=1e-12)
@@ -185,7 +186,7 @@ def test_force_is_proportional_to_depth_and_stops_at_the_stock_s_bottom():
 
 def test_torque_is_the_tangential_force_times_the_radius():
     """With a tangential force K_tc h a_p alone the work of a revolution is K_tc times the volume removed."""
-    law = LinearEdgeLaw(tangential_edge=0.0, radial_cutting=0.0, radial_edge=0.0)
+    law = AL7075_T6.replace(tangential_edge=0.0, radial_cutting=0.0, radial_edge=0.0)
     cut, here, first = engaged(cutting=Cutting(law="linear_edge", linear_edge=law))
     before = cut.removed_volume
     mean_force(cut, here, first)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cuttings import PAPER_LAW
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba import njit
 
-from kr270_milling.cutting import Cut, Cutting, Stock, Tool
+from kr270_milling.cutting import Cut, Stock, Tool
 
 STEP = 1e-4  # [m] grid step of the small grids here
 NODES = 40
@@ -19,7 +20,7 @@ def small_cut(radius=12.0, teeth=4, degrees=10.0, shift=0, **kwargs):
     tool = Tool(diameter=2 * radius * STEP, teeth=teeth, spindle_speed=100.0, **kwargs)
     low = np.array([-shift * STEP, -shift * STEP, -1e-3])
     stock = Stock(min=low, max=np.array([NODES * STEP, NODES * STEP, 0.0]), grid_step=STEP, floor_tolerance=0.0)
-    return Cut(tool, Cutting(), stock, np.radians(degrees))
+    return Cut(tool, PAPER_LAW, stock, np.radians(degrees))
 
 
 def levels(cut):
@@ -205,7 +206,7 @@ def test_a_plunge_lowers_the_whole_footprint():
 def test_the_floor_is_within_its_tolerance_of_the_tool():
     tool = Tool(diameter=18 * STEP, teeth=2, spindle_speed=100.0)
     stock = Stock(min=np.array([0, 0, -1e-3]), max=np.array([4e-3, 4e-3, 0]), grid_step=STEP, floor_tolerance=5e-6)
-    cut = Cut(tool, Cutting(), stock, np.radians(5.0))
+    cut = Cut(tool, PAPER_LAW, stock, np.radians(5.0))
     here = np.array([2e-3, 2e-3, -1e-4])
     cut.sweep(here, here, 0, 200)
     cut.sweep(here, here - [0, 0, 3e-5], 200, 2000)

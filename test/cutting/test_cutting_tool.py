@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cuttings import PAPER_LAW
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build
-from kr270_milling.cutting import Cutting, Stock, Tool, make_params
+from kr270_milling.cutting import Stock, Tool, make_params
 
 PAPER = {"diameter_mm": 20.0, "teeth": 4, "spindle_speed_rpm": 8000.0}
 STOCK = Stock(min=np.zeros(3), max=np.array([10e-3, 5e-3, 2e-3]))
@@ -27,7 +28,7 @@ def test_pitch_angles_add_up_in_the_sense_of_rotation():
 
 def test_clockwise_teeth_stand_at_cos_phi_minus_sin_phi():
     for rotation, sense in (("clockwise", -1), ("counterclockwise", 1)):
-        params = make_params(build(Tool, {**PAPER, "rotation": rotation}), Cutting(), STOCK, np.radians(1.0))
+        params = make_params(build(Tool, {**PAPER, "rotation": rotation}), PAPER_LAW, STOCK, np.radians(1.0))
         assert params.directions[0, 30] == pytest.approx([np.cos(np.pi / 6), sense * 0.5])
         assert params.directions[1, 0] == pytest.approx([0.0, sense], abs=0)
         assert np.array_equal(params.directions[:, 0], params.directions[:, -1])
@@ -54,5 +55,5 @@ def test_impossible_cutters_are_refused(change):
 @pytest.mark.parametrize("degrees", [0.0, -1.0, 0.7, 16.0, float("nan")])
 def test_a_micro_step_must_divide_a_revolution(degrees):
     with pytest.raises(ParameterError, match="micro_step"):
-        make_params(build(Tool, PAPER), Cutting(), STOCK, np.radians(degrees))
-    assert make_params(build(Tool, PAPER), Cutting(), STOCK, np.radians(0.75)).steps == 480
+        make_params(build(Tool, PAPER), PAPER_LAW, STOCK, np.radians(degrees))
+    assert make_params(build(Tool, PAPER), PAPER_LAW, STOCK, np.radians(0.75)).steps == 480

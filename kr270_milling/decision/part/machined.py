@@ -15,8 +15,9 @@ __all__ = ["heights_at", "machined"]
 
 @njit(cache=True, error_model="numpy")
 def _sweep_along(state, params, positions, micro_steps, no_forces):
+    wrench = np.empty(6)
     for n in range(positions.shape[0] - 1):
-        sweep(state, params, positions[n], positions[n + 1], n * micro_steps, micro_steps, no_forces)
+        sweep(state, params, positions[n], positions[n + 1], n * micro_steps, micro_steps, no_forces, wrench)
 
 
 def machined(cell: Cell, positions: np.ndarray) -> Cut:
