@@ -52,12 +52,16 @@ def cell_of(recording: Recording) -> Cell:
 def _as_written(recording: Recording, file: Path) -> tuple[str, ...]:
     """Assignments for keys that the attached cell does not have because its writer did not know them.
 
-    Version 0.1.0 had eq. (1) as printed only.
+    Version 0.1.0 had eq. (1) as printed, and forces only.
     """
-    dynamics = read_tree(file).get("dynamics")
-    silent = isinstance(dynamics, dict) and "reference_inertia" not in dynamics
-    old = recording.library.startswith("kr270_milling/0.1.")
-    return ("dynamics.reference_inertia=false",) if silent and old else ()
+    if not recording.library.startswith("kr270_milling/0.1."):
+        return ()
+    tree, found = read_tree(file), []
+    for group, key in (("dynamics", "reference_inertia"), ("cutting", "moments")):
+        known = tree.get(group)
+        if isinstance(known, dict) and key not in known:
+            found.append(f"{group}.{key}=false")
+    return tuple(found)
 
 
 def _is_plain(name: str) -> bool:

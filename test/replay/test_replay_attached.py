@@ -74,12 +74,14 @@ def test_an_attachment_with_an_endless_name_is_left_alone(tmp_path):
 
 
 @pytest.mark.parametrize("library, expected", [("0.1.0", False), ("0.2.0", True)])
-def test_a_cell_that_does_not_know_the_moving_reference_is_computed_as_its_version_did(
+def test_a_cell_that_does_not_know_a_term_is_computed_as_its_version_did(
     tmp_path, monkeypatch, library, expected
 ):
     whole = Path(find_file("paper.yaml")).read_text()
-    silent = "".join(line for line in whole.splitlines(True) if "reference_inertia" not in line)
+    new = ("reference_inertia", "moments")
+    silent = "".join(line for line in whole.splitlines(True) if not any(key in line for key in new))
     monkeypatch.setattr("kr270_milling.bag.writer.__version__", library)
-    assert cell_in(tmp_path / "a", cell__yaml=silent).dynamics.reference_inertia is expected
+    cell = cell_in(tmp_path / "a", cell__yaml=silent)
+    assert cell.dynamics.reference_inertia is expected and cell.cutting.moments is expected
     said = silent.replace("gravity: true", "gravity: true\n      reference_inertia: true")
     assert cell_in(tmp_path / "b", cell__yaml=said).dynamics.reference_inertia
