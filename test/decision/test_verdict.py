@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from cuttings import SET_ALUMINIUM
 from small_part import assignments, small_part
 
 from kr270_milling.base.errors import ParameterError
@@ -65,7 +66,7 @@ def test_plants_scatter_about_the_model_as_the_uncertainties_say(cell):
 
 
 def test_the_linear_edge_law_scatters_too():
-    cell = read_cell(find_file("paper.yaml"), [*SHORT, "cutting.law=linear_edge"])
+    cell = read_cell(find_file("paper.yaml"), [*SHORT, *SET_ALUMINIUM])
     (plant,) = draw(cell, 1)
     names = ("tangential_cutting", "tangential_edge", "radial_cutting", "radial_edge")
     law, other = cell.cutting.linear_edge, plant.cutting.linear_edge

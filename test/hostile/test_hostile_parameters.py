@@ -12,13 +12,13 @@ import yaml
 from hostile import POSTURE, SHORT, ask, refused, refused_or_sound
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from kr270_milling.replay.attached import cell_of
 
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import find_file, flatten
 from kr270_milling.cell.cell import read_cell
+from kr270_milling.replay.attached import cell_of
 
 FLAT = flatten(read_cell(find_file("paper.yaml"), SHORT))
 KEYS = sorted(FLAT)

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from cuttings import SET_ALUMINIUM
 from milled_part import POCKET, RIGID, small_cell
 
 from kr270_milling.base.errors import InputError
@@ -175,7 +176,7 @@ def test_a_report_without_a_pass_is_refused(tmp_path, cell):
         ["path.length_mm=0.1"],  # three exchange periods, never engaged
         ["path.start_mm=[-30.0, 0.0]", "path.length_mm=5.0"],  # in the air: no force at all
         ["path.start_mm=[-10.0, -10.0]", "path.length_mm=15.0", "stock.min_mm=[0.0, -10.0, -10.0]"],  # one wall
-        ["tool.teeth=3", "tool.rotation=counterclockwise", "cutting.law=linear_edge", "path.length_mm=11.0"],
+        ["tool.teeth=3", "tool.rotation=counterclockwise", *SET_ALUMINIUM, "path.length_mm=11.0"],
         ["dynamics.mass_model=consistent", "dynamics.damping_ratio=0.03", "path.length_mm=11.0"],
     ],
 )
@@ -219,7 +220,7 @@ def test_the_assumption_table_quotes_this_cell_and_the_derived_numbers(cell):
 
 
 def test_assumptions_about_the_papers_text_are_left_out_for_another_cell(cell):
-    linear = read_cell(find_file("paper.yaml"), ["cutting.law=linear_edge", *SHORT])
+    linear = read_cell(find_file("paper.yaml"), [*SET_ALUMINIUM, *SHORT])
     points = {a.point for a in assumptions(linear, paper=False)}
     assert "mass model" in points
     assert not points & {"depth of cut a_p", "damping ratio", "arm variant", "reading of (26)"}

@@ -27,7 +27,8 @@ def test_cell_file_gives_the_same_numbers_bit_for_bit(tmp_path, assignments):
     write_cell(cell, tmp_path / "cell.yaml")
     again = read_cell(tmp_path / "cell.yaml")
     for (key, before), (_, after) in zip(values(cell), values(again), strict=True):
-        assert np.array_equal(before, after), key
+        missing = isinstance(before, float) and np.isnan(before)  # a coefficient of the law that is not in use
+        assert np.array_equal(before, after, equal_nan=missing), key
 
 
 def test_cell_file_stands_alone_and_has_no_empty_list():
