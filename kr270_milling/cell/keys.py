@@ -37,7 +37,7 @@ class Key:
     choices: tuple[str, ...]
     size: int | None  #: of a list, None: any
     required: bool
-    default: object  #: None for a required key
+    default: object  #: None for a required key, or for one that only the section in use must have
     text: str
 
     @property
@@ -83,7 +83,7 @@ def _key(spec: Spec, prefix: str) -> Key:
         choices=spec.choices,
         size=spec.size,
         required=required,
-        default=None if required else _default(spec),
+        default=None if required or spec.optional else _default(spec),
         text=spec.text,
     )
 

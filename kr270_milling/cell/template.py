@@ -46,7 +46,7 @@ TEMPLATE = """\
 {path}
 
     dynamics:
-      mass_model: consistent
+      mass_model: rigid
       damping_ratio: 0.04                # yours: milling robots have 0.02 to 0.05
       gravity: true
       follow_pose: true
