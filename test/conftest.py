@@ -69,13 +69,14 @@ def demo(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(command, "_tell", lambda *arguments: told.append(arguments))
         assert main(["demo", "--plain", "--out", str(tmp_path_factory.mktemp("demo") / "out")]) == 0
-    args, passes, found = told[0]
+    args, passes, moving, found = told[0]
     texts = []
     for args.json in (False, True):
         with contextlib.redirect_stdout(io.StringIO()) as stream:
-            tell(args, passes, found)
+            tell(args, passes, moving, found)
         texts.append(stream.getvalue())
-    return SimpleNamespace(passes={p.name: p for p in passes}, text=texts[0], json=json.loads(texts[1]))
+    moving = {p.name: p for p in moving}
+    return SimpleNamespace(passes={p.name: p for p in passes}, moving=moving, text=texts[0], json=json.loads(texts[1]))
 
 
 @pytest.fixture

@@ -17,8 +17,9 @@ class Uncertainty(Record):
     """YAML ``uncertainty``: relative standard deviations (of log-normal factors) and a standard deviation in mm.
 
     All defaults are assumed: identified joint compliances scatter by 10 to 20 % between methods and postures, cutting
-    coefficients by as much between batches and tool wear, modal damping by a third from mode to mode; a part is
-    touched off within a few hundredths of a millimetre.
+    coefficients by as much between batches and tool wear, modal damping by a third from mode to mode, frequencies by a
+    tenth; a part is touched off within a few hundredths of a millimetre. Repeatability, noise and backlash of a plant
+    are drawn evenly from 0 to the value here.
     """
 
     joint_compliance: float = parameter(0.15, low=0.0, high=1.0, text="of each joint's compliance")
@@ -30,6 +31,19 @@ class Uncertainty(Record):
         [], low=0.0, high=1.0, text="of each coefficient of the force law on its own; empty: force_coefficient for all"
     )
     damping_ratio: float = parameter(0.3, low=0.0, high=1.0, text="of the damping ratio of all modes")
+    frequency: float = parameter(0.1, low=0.0, high=1.0, text="of the frequencies of all modes, by the moving masses")
+    reference_inertia: float = parameter(
+        1.0,
+        low=0.0,
+        high=1.0,
+        text="share of the plants whose reference moves the motor side, as every real arm's does",
+    )
+    # ISO 9283, 0.06 mm: data sheet of the KR 270; noise: a laser tracker at some metres; backlash: half a minute of arc
+    repeatability: float = parameter(60e-6, unit="um", low=0.0, high=1e4, text="largest repeatability of a plant")
+    pose_noise: float = parameter(10e-6, unit="um", low=0.0, high=1e4, text="largest noise of a measured position")
+    backlash: float = parameter(
+        np.radians(0.5 / 60.0), unit="deg", low=0.0, high=5.0, text="largest backlash of a joint of a plant"
+    )
     placement: float = parameter(
         0.05e-3, unit="mm", low=0.0, high=10.0, text="of the stock's place along each axis of the workpiece frame"
     )

@@ -6,6 +6,7 @@ Exit code 1 where the check finds that the revised path must not be run; then no
 from __future__ import annotations
 
 from kr270_milling.commands.console import add_cell, add_common, command_line, print_json, print_table, progress
+from kr270_milling.commands.plant import add_plant, read_plant
 from kr270_milling.compensation.methods import METHODS
 
 SAMPLES = 32
@@ -15,6 +16,7 @@ SHOWN = 3  #: limited stretches that are printed
 
 def add_arguments(parser) -> None:
     add_cell(parser)
+    add_plant(parser)
     parser.add_argument("--method", choices=METHODS, help="default: the cell's compensation.method")
     parser.add_argument("--out", metavar="DIR", default="out", help="where everything goes (default: out)")
     parser.add_argument(
@@ -54,31 +56,45 @@ def run(args) -> int:
     cell = read_cell(source, args.set)
     method = args.method or cell.compensation.method
     motions = args.krl or ["LIN" if method == "linear" else cell.program.motion]
+    plant = read_plant(args, cell)
     with staged(args.out) as (draft, final):
         with progress("original pass") as report:
-            original = simulate(cell, progress=report)
+            original = simulate(cell, progress=report, plant=plant)
         by = compensator(cell, cell.target(), method)
         with progress(f"{method} pass") as report:
-            revised = compensated(cell, original, method, report, by)
+            revised = compensated(cell, original, method, report, by, plant)
         passes = original, revised
         found = {"method": method, "points": len(revised.reference)}
         found |= {k: v for k, v in revised.row().items() if k != "name"}
         found["original"] = {k: v for k, v in original.row().items() if k != "name"}
+        found["passes"] = [ran.row() for ran in passes]
         found |= _correction(cell, revised, by)
         parts = _parts(cell, passes)
         found["features"] = {part.name: part.table() for part in parts}
         checked = _check(cell, revised, motions)
         found["check"] = checked.as_dict()
-        found["verdict"] = _verdict(cell, revised, args)
-        decision = decide(cell, original, revised, parts, checked)
+        verdict = _verdict(cell, original, revised, args)
+        found["verdict"] = verdict and verdict.as_dict()
+        decision = decide(cell, original, revised, parts, checked, verdict and verdict.recommended)
         found["decision"] = decision.as_dict()
         found |= _write(draft, final, cell, passes, parts, motions, args, source, checked, decision)
     if args.json:
         print_json(found)
     else:
-        print(decision.headline)
+        print(_first_line(decision, original, revised))
         _print(cell, passes, found, checked, args)
     return 0 if checked.may_be_run else 1
+
+
+def _first_line(decision, original, revised) -> str:
+    """The decision; ahead of it, where the method makes the part worse, that it does."""
+    before, after = decision.as_programmed.error, decision.compensated.error
+    if after <= before:
+        return decision.headline
+    worse = (
+        f"{revised.name} makes the part worse than no compensation ({1e6 * after:.3g} um against {1e6 * before:.3g})"
+    )
+    return f"{worse}: {decision.headline}"
 
 
 def _correction(cell, revised, by) -> dict:
@@ -94,6 +110,8 @@ def _correction(cell, revised, by) -> dict:
     found = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
     if by.errors[1:]:
         found["remaining_errors_mm"] = [1e3 * error for error in by.errors]
+    found["identified"] = by.identified and by.identified.as_dict()
+    found["note"] = by.note or None
     if by.method == "linear":
         found["chord_error_mm"] = 1e3 * chord_error(cell.target())
     return found
@@ -116,18 +134,20 @@ def _check(cell, revised, motions):
     return check(cell, revised.reference, "LIN" if "LIN" in motions else motions[0], ran=revised)
 
 
-def _verdict(cell, revised, args) -> dict | None:
+def _verdict(cell, original, revised, args):
+    """What plants drawn from the uncertainties say; None where nobody asks."""
     if args.verdict is None:
         return None
     import numpy as np
 
-    from kr270_milling.decision.verdict import monte_carlo
+    from kr270_milling.decision.verdict import alternatives, monte_carlo
 
     rng = np.random.default_rng(args.seed)
     with progress("verdict") as report:
         return monte_carlo(
-            cell, cell.target(), revised.reference, rng, args.verdict, budget=BUDGET, seed=args.seed, progress=report
-        ).as_dict()
+            cell, cell.target(), revised.reference, rng, args.verdict, budget=BUDGET, seed=args.seed, progress=report,
+            method=revised.name, others=alternatives(cell, original, revised.name),
+        )  # fmt: skip
 
 
 def _write(draft, final, cell, passes, parts, motions, args, source, checked, decision) -> dict:
@@ -174,6 +194,10 @@ def _print(cell, passes, found: dict, checked, args) -> None:
             [p.name, f"{p.scores.static_deviation * 1e6:.2f}", f"{p.scores.max_deviation * 1e6:.2f}"] for p in passes
         ]
         print_table("Predicted path deviation [um]", ["pass", "static", "max"], rows)
+    if found["note"]:
+        print(found["note"])
+    if found["identified"]:
+        print(_identified(found["identified"]))
     print(f"largest correction {found['largest_correction_mm']:.4f} mm")
     for part in found["limited"][:SHOWN]:
         print(part["sentence"])
@@ -192,6 +216,13 @@ def _print(cell, passes, found: dict, checked, args) -> None:
     for kind in ("report", "part"):
         if kind in found:
             print(f"{kind}: {found[kind]}")
+
+
+def _identified(found: dict) -> str:
+    """What the passes told of the arm, in one line."""
+    modes = ", ".join(f"{m['frequency_hz']:.2f} Hz ({100 * m['damping_ratio']:.1f} %)" for m in found["modes"])
+    gain, compliance = found["gain"], found["compliance_factor"]
+    return f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"
 
 
 def _print_features(features: dict, method: str) -> None:
@@ -217,3 +248,8 @@ def _print_verdict(verdict: dict) -> None:
     title = f"{verdict['samples']} plants, seed {verdict['seed']}: deviation [um]"
     print_table(title, ["", "5 %", "50 %", "95 %"], rows)
     print(f"verdict: compensation {verdict['verdict']}: {verdict['reason']}")
+    print(f"recommended method: {verdict['recommended_method']} (95 % of the plants: {_levels(verdict)})")
+
+
+def _levels(verdict: dict) -> str:
+    return ", ".join(f"{name} {1e3 * band[2]:.1f} um" for name, band in verdict["methods"].items())

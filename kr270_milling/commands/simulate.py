@@ -6,12 +6,14 @@ import contextlib
 from pathlib import Path
 
 from kr270_milling.commands.console import add_cell, add_common, print_json, print_table, progress
+from kr270_milling.commands.plant import add_plant, read_plant
 
 FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
 
 
 def add_arguments(parser) -> None:
     add_cell(parser)
+    add_plant(parser)
     parser.add_argument("--reference", metavar="FILE.csv", help="run along this trajectory, as written by compensate")
     parser.add_argument(
         "--out", metavar="DIR", help="write the series of the pass here as CSV; of a tool path also the part as STL"
@@ -27,9 +29,11 @@ def run(args) -> None:
 
     cell = read_cell(find_file(args.cell), args.set)
     reference = _reference(cell, args.reference)
+    plant = read_plant(args, cell)
     with staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final):
         with progress("milling") as report:
-            ran = simulate(cell, reference, "original" if reference is None else Path(args.reference).stem, report)
+            name = "original" if reference is None else Path(args.reference).stem
+            ran = simulate(cell, reference, name, report, plant)
         found = summary(cell, ran)
         if cell.path.file:
             found |= _part(cell, ran)

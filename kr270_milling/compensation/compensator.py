@@ -51,8 +51,8 @@ def remaining_error(target: Trajectory, ran: PassRecord) -> float:
 
 
 def noise_floor(target: Trajectory, ran: PassRecord) -> float:
-    """[m], what noise alone does to ``remaining_error``: two standard deviations of a spline with that many knots."""
-    return 2.0 * ran.noise * math.sqrt(len(target) / max(len(target), ran.time_ns.size))
+    """[m], what noise does to ``remaining_error``: the standard deviation of a spline with that many knots."""
+    return ran.noise * math.sqrt(len(target) / max(len(target), ran.time_ns.size))
 
 
 class Compensator:

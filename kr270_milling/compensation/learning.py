@@ -1,9 +1,9 @@
 """The methods ``inverse`` and ``learned``: what passes showed, the arm that explains it, the correction that follows.
 
 A pass is explained by deviation = displacement under wrench and inertia + response to the correction + rest. The next
-correction takes away what the model gives for a tool that runs on its path, and of the rest, averaged over the passes,
-the share g = max(0, 1 - noise^2 / rest^2): none of a rest that is no larger than the stated noise of the measurement,
-all of it where nothing is noisy.
+correction takes away what the model gives for a tool that runs on its path, and of the rest, averaged over the passes
+and (where it is noisy) over the distance of two knots, the share g = max(0, 1 - noise^2 / rest^2): none of a rest that
+is no larger than the stated noise of the measurement, all of it where nothing is noisy.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from kr270_milling.compensation.arm_fit import Evidence, Identified, fit
 from kr270_milling.compensation.lifted import Lifted
@@ -96,6 +97,10 @@ class Learner:
         shares = np.array(shares) / np.sum(shares)
         rest = np.einsum("n,nkpi->kpi", shares, np.array(rests))
         noise = self._noise**2 * np.sum(shares**2)
+        if noise:  # the mean over a knot's distance, of which a correction can make use
+            width = segments.parts
+            rest = uniform_filter1d(rest.reshape(-1, 3), width, axis=0, mode="nearest").reshape(rest.shape)
+            noise /= width
         power = np.mean(rest[self.scored] ** 2) if self.scored.any() else 0.0
         share = max(0.0, 1.0 - noise / max(power, 1e-300))
         self._rough = share * np.sqrt(noise)

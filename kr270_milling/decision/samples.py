@@ -10,6 +10,9 @@ import numpy as np
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import Record
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.plant import imperfect_course
+from kr270_milling.cell.uncertainty import Uncertainty
+from kr270_milling.simulation.imperfections import Imperfections
 from kr270_milling.simulation.milling_pass import PassResult, run_pass
 from kr270_milling.simulation.scores import path_deviation
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -25,7 +28,9 @@ DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
 
 
 def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
-    """A plant drawn from ``cell.uncertainty``: log-normal factors with median 1, a stock that is shifted.
+    """A plant drawn from ``cell.uncertainty``: log-normal factors with median 1, a shifted stock, imperfections.
+
+    Frequencies scatter by the masses that move: stiffness has a factor of its own.
 
     Where the part lies otherwise than thought, the robot runs its programme in the same place, so it is the stock that
     moves under the path; by how much the postures differ is no matter. The size of the shift is limited to 3 standard
@@ -42,13 +47,23 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     scattered = zip(names, factors(how.of_coefficients(len(names))), strict=True)
     coefficients = coefficients.replace(**{name: float(getattr(coefficients, name) * f) for name, f in scattered})
     damping = min(0.9, cell.dynamics.damping_ratio * float(factors(np.array([how.damping_ratio]))[0]))
+    frequency = float(factors(np.array([how.frequency]))[0])
+    moved = bool(rng.random() < how.reference_inertia)
     shift = how.placement * np.clip(rng.standard_normal(3), -3.0, 3.0)
     return cell.replace(
-        arm=cell.arm.replace(joint_compliance=compliance),
+        arm=cell.arm.replace(joint_compliance=compliance, link_mass=cell.arm.link_mass / frequency**2),
+        mount=cell.mount.replace(mass=cell.mount.mass / frequency**2),
         cutting=cell.cutting.replace(**{law: coefficients}),
-        dynamics=cell.dynamics.replace(damping_ratio=damping),
+        dynamics=cell.dynamics.replace(damping_ratio=damping, reference_inertia=moved),
+        imperfections=_imperfect(how, rng),
         stock=cell.stock.replace(min=cell.stock.min + shift, max=cell.stock.max + shift),
     )
+
+
+def _imperfect(how: Uncertainty, rng: np.random.Generator) -> Imperfections:
+    """Evenly from none to what the uncertainties say; the backlash of all joints alike."""
+    noise, repeatability, backlash = rng.random(3) * (how.pose_noise, how.repeatability, how.backlash)
+    return Imperfections(noise, repeatability, np.full(6, backlash), int(rng.integers(2**31)))
 
 
 def run_sample(
@@ -62,7 +77,8 @@ def run_sample(
     try:
         model = plant.arm_model(target)
         for k, reference in enumerate(references):
-            ran = run_pass(model, plant.cut(), plant.clock, target, reference, plant.exchange.iterations)
+            course = imperfect_course(plant, reference, k)
+            ran = run_pass(model, plant.cut(), plant.clock, target, course, plant.exchange.iterations)
             found = deviations(ran, target, scored_from)
             rows[k] = found if found[0] < DIVERGED else np.nan
     except MillingError:

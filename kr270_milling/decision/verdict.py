@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, record_of, simulate
+from kr270_milling.cell.plant import Plant
+from kr270_milling.compensation.methods import METHODS
 from kr270_milling.decision.samples import coarser, perturbed, run_sample
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["HELPS", "INDIFFERENT", "UNTRUSTED", "Verdict", "judge", "monte_carlo"]
+__all__ = ["HELPS", "INDIFFERENT", "TRACKED", "UNTRUSTED", "Verdict", "alternatives", "judge", "monte_carlo"]
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
 LEVELS = (0.05, 0.5, 0.95)
@@ -21,6 +24,8 @@ SAMPLES = 32
 FEWEST = 8
 SAME = 0.1  #: changes of the largest deviation by less than this share are none
 FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
+TRACKED = "learned, with a tracker"  #: passes of the plant itself are measured and learned from
+NONE = "none"  #: run the path as it was programmed
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +37,20 @@ class Verdict:
     original: np.ndarray  #: (n, 2)
     compensated: np.ndarray  #: (n, 2)
     seed: int | None
+    methods: dict[str, np.ndarray] = field(default_factory=dict)  #: largest deviation [m], (n,), by method
+
+    @property
+    def recommended(self) -> str:
+        """The method, planned on the model, that is no risk and leaves the least deviation to 95 % of the plants.
+
+        "none" where no method makes the part better by 10 %.
+        """
+        before = self.original[:, 0]
+        sound = {NONE: _high(before) * (1.0 - SAME)}
+        for name, rows in self.methods.items():
+            if name != TRACKED and judge(before[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
+                sound[name] = _high(rows)
+        return min(sound, key=sound.__getitem__)
 
     def bands(self, which: str) -> dict[str, tuple[float, ...]]:
         """5, 50 and 95 % of the largest and of the static deviation [m]; which: "original" or "compensated"."""
@@ -46,10 +65,43 @@ class Verdict:
         """For JSON; each band is 5, 50, 95 %."""
         found = {"verdict": self.word, "reason": self.reason, "samples": len(self.original), "seed": self.seed,
                  "failed": int(np.isnan(self.compensated).any(axis=1).sum())}  # fmt: skip
+        found["recommended_method"] = self.recommended
+        found["methods"] = {
+            name: [1e3 * float(v) for v in np.nanquantile(rows, LEVELS)] if np.isfinite(rows).any() else [np.nan] * 3
+            for name, rows in {NONE: self.original[:, 0], **self.methods}.items()
+        }
         for which in ("original", "compensated"):
             bands = {f"{name}_deviation_mm": [1e3 * v for v in band] for name, band in self.bands(which).items()}
             found[which] = bands
         return found
+
+
+def _high(rows: np.ndarray) -> float:
+    """What 95 % of the plants stay below [m]; one that failed counts as far off."""
+    return float(np.quantile(np.nan_to_num(rows, nan=1.0), 0.95))
+
+
+def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Trajectory]:
+    """References of the other methods, planned on the same pass; of a tool path, which takes long, "inverse" only.
+
+    "learned" takes passes of its own and is tried with a tracker on each plant.
+    """
+    names = ("inverse",) if cell.path.file else METHODS
+    found = {}
+    for name in names:
+        if name not in (method, "learned"):
+            found[name] = compensator(cell, cell.target(), name).revise(record_of(cell, original))
+    return found
+
+
+def _tracked(cell: Cell, plant: Cell) -> float:
+    """Largest deviation [m] of a plant whose own passes are measured and learned from; NaN where that fails."""
+    try:
+        cuts = Plant(cell, plant)
+        learned = compensated(cell, simulate(cell, plant=cuts), "learned", plant=cuts)
+        return learned.scores.max_deviation
+    except MillingError:
+        return np.nan
 
 
 def monte_carlo(
@@ -62,19 +114,29 @@ def monte_carlo(
     budget: float = np.inf,
     seed: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    method: str = "compensated",
+    others: dict[str, Trajectory] | None = None,
 ) -> Verdict:
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the target and along the revised trajectory.
 
     budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8. seed: only told.
+    method: the name of the revised trajectory; others: trajectories of other methods, to recommend one; with them the
+    first 8 plants of a straight cut also learn from their own passes.
     """
     if not samples >= 1:
         raise ParameterError("samples", samples, "a whole number of at least 1")
     scored_from = None if cell.path.file else cell.full_engagement
     nominal = coarser(cell) if cell.path.file else cell
-    rows = np.full((samples, 2, 2), np.nan)
+    others = others or {}
+    references = (target, revised, *others.values())
+    rows = np.full((samples, len(references), 2), np.nan)
+    tracked: list[float] = []
     start, done = time.perf_counter(), 0
     while done < samples:
-        rows[done] = run_sample(perturbed(nominal, rng), target, (target, revised), scored_from)
+        plant = perturbed(nominal, rng)
+        rows[done] = run_sample(plant, target, references, scored_from)
+        if others and not cell.path.file and done < FEWEST:
+            tracked.append(_tracked(cell, plant))
         done += 1
         if done == 2:  # the first one may have had to compile
             each = (time.perf_counter() - start) / 2
@@ -82,7 +144,10 @@ def monte_carlo(
         if progress is not None:
             progress(done, samples)
     word, reason = judge(rows[:done, 0, 0], rows[:done, 1, 0], cell.uncertainty.matters_above)
-    return Verdict(word, reason, rows[:done, 0], rows[:done, 1], seed)
+    methods = {name: rows[:done, k + 1, 0] for k, name in enumerate((method, *others))}
+    if tracked:
+        methods[TRACKED] = np.array(tracked)
+    return Verdict(word, reason, rows[:done, 0], rows[:done, 1], seed, methods)
 
 
 def judge(original: np.ndarray, compensated: np.ndarray, matters_above: float) -> tuple[str, str]:

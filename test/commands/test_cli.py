@@ -242,6 +242,13 @@ def test_the_demo_prints_four_passes_and_writes_report_and_series(demo):
         assert {"static_deviation_mm", "max_deviation_mm", "low_frequency_hz"} <= set(ran)
     assert found["passes"][0]["static_deviation_mm"] == pytest.approx(0.0581, rel=0.01)
     assert found["passes"][3]["max_deviation_mm"] <= 0.0005
+    moving = {p["name"]: p["max_deviation_mm"] for p in found["passes_reference_inertia"]}
+    assert list(moving) == ["original", "linear", "spline", "learned", "inverse"]
+    # the paper's methods excite the arm (20 and 27 um by two independent calculations), the lifted model does not
+    assert moving["original"] == pytest.approx(0.0628, rel=0.01)
+    assert moving["linear"] == pytest.approx(0.020, rel=0.05) and moving["spline"] == pytest.approx(0.027, rel=0.05)
+    assert moving["learned"] <= 0.0001 and moving["inverse"] <= 0.0003
+    assert "eq. (1) as printed" in demo.text and "with the inertia of the moving arm" in demo.text
     report = Path(found["report"])
     assert report.is_relative_to(found["out"]) and "<svg" in report.read_text()
     assert list(Path(found["out"]).rglob("*.csv"))

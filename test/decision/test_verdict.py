@@ -15,10 +15,16 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cli import main
 from kr270_milling.decision.samples import coarser, deviations, perturbed, run_sample
-from kr270_milling.decision.verdict import HELPS, INDIFFERENT, UNTRUSTED, judge, monte_carlo
+from kr270_milling.decision.verdict import (
+    HELPS, INDIFFERENT, TRACKED, UNTRUSTED, Verdict, alternatives, judge, monte_carlo,
+)  # fmt: skip
 
 SHORT = ("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")
-CERTAIN = {"joint_compliance": 0.0, "force_coefficient": 0.0, "damping_ratio": 0.0, "placement": 0.0}
+AS_PRINTED = {"reference_inertia": 0.0, "repeatability": 0.0, "backlash": 0.0}  # eq. (1) of the paper, a perfect robot
+CERTAIN = {
+    **AS_PRINTED, "joint_compliance": 0.0, "force_coefficient": 0.0, "damping_ratio": 0.0, "frequency": 0.0,
+    "placement": 0.0,
+}  # fmt: skip
 UM = 1e-6
 
 
@@ -86,6 +92,7 @@ def test_a_certain_plant_is_the_model_and_gives_its_scores(cell, pair):
 
 def test_the_paper_is_helped_and_its_bands_enclose_the_model(cell, pair):
     original, revised = pair
+    cell = cell.replace(uncertainty=cell.uncertainty.replace(**AS_PRINTED))
     found = monte_carlo(cell, cell.target(), revised.reference, np.random.default_rng(1), 12, seed=1)
     low, middle, high = found.bands("original")["max"]
     assert found.word == HELPS and low < original.scores.max_deviation < high and low < middle < high
@@ -165,6 +172,49 @@ def test_a_coarser_grid_keeps_to_half_the_feed_per_tooth_and_to_the_deviation(tm
     assert rows[1] == pytest.approx(rows[0], rel=0.02)
 
 
+def test_frequencies_of_the_plants_scatter_and_a_stated_share_of_them_moves_with_its_motors(cell):
+    how = {**CERTAIN, "frequency": 0.1, "reference_inertia": 0.5}
+    plants = draw(cell.replace(uncertainty=cell.uncertainty.replace(**how)), 400)
+    factors = np.array([p.modal_model.frequency[0] for p in plants[:60]]) / cell.modal_model.frequency[0]
+    assert np.log(factors).std() == pytest.approx(0.1, rel=0.4) and np.median(factors) == pytest.approx(1.0, abs=0.04)
+    share = np.mean([p.dynamics.reference_inertia for p in plants])
+    assert share == pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(400))
+
+
+def test_imperfections_of_the_plants_are_spread_evenly_up_to_what_is_stated(cell):
+    plants, how = draw(cell, 400), cell.uncertainty
+    for name in ("pose_noise", "repeatability"):
+        drawn = np.array([getattr(p.imperfections, name) for p in plants]) / getattr(how, name)
+        assert drawn.min() >= 0.0 and drawn.max() <= 1.0 and drawn.mean() == pytest.approx(0.5, abs=0.06)
+    assert len({p.imperfections.seed for p in plants}) == 400
+
+
+def test_the_method_whose_95_percent_are_least_and_that_harms_no_plant_is_recommended():
+    before = np.full((20, 2), 80 * UM)
+    often = np.where(np.arange(20) < 17, 1 * UM, 200 * UM)  # the best one mostly, and worse than none in 3 of 20
+    methods = {"spline": often, "mirror": np.full(20, 20 * UM), "inverse": np.full(20, 9 * UM)}
+    found = Verdict(HELPS, "", before, before, 1, methods)
+    assert found.recommended == "inverse"
+    assert Verdict(HELPS, "", before, before, 1, {"spline": often}).recommended == "none"
+    assert Verdict(HELPS, "", before, before, 1, {"linear": np.full(20, 79 * UM)}).recommended == "none"
+
+
+def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cell):
+    """At the damping of measured robots the paper's methods excite the arm; "inverse" knows of it."""
+    moving = cell.replace(dynamics=cell.dynamics.replace(damping_ratio=0.04, reference_inertia=True))
+    perfect = {"repeatability": 0.0, "backlash": 0.0, "frequency": 0.03}
+    moving = moving.replace(uncertainty=moving.uncertainty.replace(**perfect))
+    original = simulate(moving)
+    spline = compensated(moving, original, "spline")
+    others = alternatives(moving, original, "spline")
+    assert set(others) == {"linear", "mirror", "inverse"}
+    others.pop("mirror")
+    rng = np.random.default_rng(1)
+    found = monte_carlo(moving, moving.target(), spline.reference, rng, 5, method="spline", others=others)
+    assert found.recommended == "inverse" and found.as_dict()["recommended_method"] == "inverse"
+    assert np.quantile(found.methods[TRACKED], 0.95) < np.quantile(found.methods["inverse"], 0.95)
+
+
 def samples(*shares: float, before: float = 50 * UM) -> tuple[np.ndarray, np.ndarray]:
     return np.full(len(shares), before), before * np.array(shares)
 
@@ -190,7 +240,8 @@ def test_the_rule(pair, word):
 
 
 def test_the_command_prints_the_verdict_with_its_seed(tmp_path, capsys):
-    sets = [part for pair in SHORT for part in ("--set", pair)]
+    printed = [f"uncertainty.{name}={value}" for name, value in (("reference_inertia", 0.0), ("repeatability_um", 0.0))]
+    sets = [part for pair in (*SHORT, *printed) for part in ("--set", pair)]
     words = ["compensate", "paper.yaml", "--method", "spline", "--out", str(tmp_path / "o"), "--verdict", "4", *sets]
     assert main([*words, "--seed", "7"]) == 0
     text = capsys.readouterr().out
