@@ -92,13 +92,15 @@ def read_table(path, known, required=()) -> Table:
 
 def _cells(path) -> list[tuple[int, tuple[str, ...]]]:
     try:
+        if not Path(path).is_file():  # a directory, a pipe, a device
+            raise InputError(path, "is no file" if Path(path).exists() else "is no such file")
         if Path(path).stat().st_size > MOST_BYTES:
             raise InputError(path, f"has more than {MOST_BYTES} bytes, so it is no table of measurements")
         text = Path(path).read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError(path, f"cannot be read ({error.strerror})") from None
-    except UnicodeDecodeError:
-        raise InputError(path, "is not UTF-8 text") from None
+    except (OSError, ValueError) as error:
+        if isinstance(error, UnicodeDecodeError):
+            raise InputError(path, "is not UTF-8 text") from None
+        raise InputError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
     found = []
     try:
         for number, row in enumerate(csv.reader(text.splitlines()), 1):

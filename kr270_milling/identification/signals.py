@@ -21,6 +21,7 @@ FORCE = "force_n"
 COLUMNS = ("time_s", *AXES, FORCE)
 UFF = (".uff", ".unv", ".58")
 FEWEST = 16
+MOST_BYTES = 256 * 1024 * 1024  #: of a UFF file, which is read as a whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +95,8 @@ def _from_uff(path) -> Signals:
     except ModuleNotFoundError:
         raise InputError(path, "is read by pyuff, which is not installed (pip install pyuff)") from None
     try:
+        if not Path(path).is_file() or Path(path).stat().st_size > MOST_BYTES:
+            raise InputError(path, f"is no UFF file of at most {MOST_BYTES} bytes")
         sets = [s for s in np.atleast_1d(pyuff.UFF(str(path)).read_sets()) if s.get("type") == 58]
     except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError) as error:
         raise InputError(path, f"is no UFF file that pyuff reads ({error})") from None

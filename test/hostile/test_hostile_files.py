@@ -24,9 +24,16 @@ COMMANDS = {
     "export": ("export", "{file}", "--csv", "{out}"),
     "report": ("report", "{file}", "--out", "{out}"),
     "recover": ("recover", "{file}", "--out", "{out}"),
+    "compliance": ("identify", "compliance", "{file}", "--arm", "kr270_2.yaml", "--out", "{out}"),
+    "forces": ("identify", "forces", "{file}", "--cell", "test_piece.yaml", "--out", "{out}"),
+    "ring-down": ("identify", "damping", "{file}", "--out", "{out}"),
+    "recorded ring-down": ("identify", "damping", "{file}", "--out", "{out}"),
+    "UFF": ("identify", "damping", "{file}", "--out", "{out}"),
+    "compare": ("compare", "{file}", "paper.yaml", *settings(*SHORT), "--out", "{out}"),
 }
 ENDS = {"reference": ".csv", "corrected": ".csv", "path": ".nc", "stiffness": ".yaml", "simulate": ".yaml",
-        "compensate": ".yaml", "check": ".yaml", "run": ".yaml"}  # fmt: skip
+        "compensate": ".yaml", "check": ".yaml", "run": ".yaml", "compliance": ".csv", "forces": ".csv", "ring-down": ".csv",
+        "UFF": ".uff"}  # fmt: skip
 
 KINDS = ("missing", "directory", "empty", "garbage", "text", "zeros", "device", "endless", "pipe", "circle",
          "below a file", "long name", "zero byte in the name", "sparse")  # fmt: skip
