@@ -148,7 +148,7 @@ def merge(below: dict, above: dict) -> dict:
 
 
 def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, frozenset]:
-    """Apply ``key=value`` texts (dotted keys); returns the new tree and the keys set, for ``build``'s ``lenient``."""
+    """Apply ``key=value`` texts (dotted keys); returns the new tree and the keys set."""
     keys = set()
     for text in assignments:
         key, equals, value = text.partition("=")

@@ -75,9 +75,9 @@ class Spec:
             return what if self.kind is str else f"a list, each {what}"
         if self.kind is bool:
             return "true or false"
-        number = "a whole number" if self.kind is int else "a finite number (write 1.0, not 1)"
+        number = "a whole number" if self.kind is int else "a finite number"
         if self.kind is np.ndarray:
-            number = f"a list of {'' if self.size is None else f'{self.size} '}finite numbers (write 1.0, not 1)"
+            number = f"a list of {'' if self.size is None else f'{self.size} '}finite numbers"
         bounds = [f"above {self.above:g}" if self.above > -math.inf else "",
                   f"at least {self.low:g}" if self.low > -math.inf else "",
                   f"at most {self.high:g}" if self.high < math.inf else ""]  # fmt: skip
@@ -190,11 +190,10 @@ def _allowed(spec: Spec, value) -> bool:
     return bool(np.all(np.isfinite(values) & (values >= low) & (values <= high) & (values > above)))
 
 
-def build(record: type[Record], tree: dict, file="", prefix: str = "", lenient: frozenset = frozenset()):
+def build(record: type[Record], tree: dict, file="", prefix: str = ""):
     """A record from the nested dict of a parameter file.
 
-    ``lenient`` names the dotted keys whose whole numbers may stand for floats (those typed on a command line).
-    Raises ConfigError for unknown, missing and unusable keys.
+    A whole number may stand where a float is due. Raises ConfigError for unknown, missing and unusable keys.
     """
     if not isinstance(tree, dict):
         raise refusal(file, prefix.rstrip("."), tree, "a group of keys")
@@ -209,9 +208,9 @@ def build(record: type[Record], tree: dict, file="", prefix: str = "", lenient: 
         path = prefix + key
         if issubclass(spec.kind, Record):
             if key in tree or spec.default is dataclasses.MISSING:
-                values[spec.name] = build(spec.kind, tree.get(key, {}), file, path + ".", lenient)
+                values[spec.name] = build(spec.kind, tree.get(key, {}), file, path + ".")
         elif key in tree:
-            values[spec.name] = _from_file(spec, tree[key], file, path, path in lenient)
+            values[spec.name] = _from_file(spec, tree[key], file, path)
         elif spec.default is dataclasses.MISSING:
             raise ConfigError(file, path, None, f"is missing; it must be {spec.allowed} ({spec.text})")
     try:
@@ -221,8 +220,8 @@ def build(record: type[Record], tree: dict, file="", prefix: str = "", lenient: 
     return _keep(made, {s.name: _plain(tree[key]) for key, s in known.items() if key in tree and _has_unit(s)})
 
 
-def _from_file(spec: Spec, value, file, path: str, lenient: bool):
-    """The value in SI, of the very type that the spec asks for (as strict as the ROS parameter parser)."""
+def _from_file(spec: Spec, value, file, path: str):
+    """The value in SI, of the very type that the spec asks for; a whole number is taken where a float is due."""
     refuse = refusal(file, path, value, spec.allowed)
     if spec.kind in (bool, str):
         if type(value) is not spec.kind:
@@ -237,20 +236,20 @@ def _from_file(spec: Spec, value, file, path: str, lenient: bool):
             raise refuse
         return value
     if spec.kind is float:
-        return _number(value, refuse, lenient) * spec.scale
+        return _number(value, refuse) * spec.scale
     if not isinstance(value, list):
         raise refuse
-    return np.array([_number(v, refuse, lenient) * spec.scale for v in value], float)
+    return np.array([_number(v, refuse) * spec.scale for v in value], float)
 
 
-def _number(value, refuse: ConfigError, lenient: bool) -> float:
+def _number(value, refuse: ConfigError) -> float:
     number = math.nan
     if isinstance(value, str):  # YAML 1.1 reads 1e-5 as a text, the ROS parser as a number
         try:
             number = float(value)
         except ValueError:
             raise refuse from None
-    elif type(value) is float or (lenient and type(value) is int and abs(value) < 2**63):
+    elif type(value) is float or (type(value) is int and abs(value) < 2**63):
         number = float(value)
     if math.isnan(number):
         raise refuse

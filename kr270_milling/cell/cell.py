@@ -155,12 +155,12 @@ def read_cell(path, assignments=()) -> Cell:
     What a program says and the file does not, the spindle speed, is taken from the program.
     """
     below = read_tree(path)
-    tree, lenient = override(below, assignments)
+    tree, assigned = override(below, assignments)
     name = tree.get("path", {}).get("file") if isinstance(tree.get("path"), dict) else None
     if isinstance(name, str) and name:
         tree["path"]["file"] = str(find_tool_path(name, pathlib.Path(path).parent))
-    tree = _placed_by_hand(tree, lenient, path)
-    cell = build(Cell, tree, path, lenient=lenient)
+    tree = _placed_by_hand(tree, assigned, path)
+    cell = build(Cell, tree, path)
     _check_place(cell, tree, path)
     return with_program(cell, path)
 
@@ -186,7 +186,7 @@ def _placed_by_hand(tree: dict, assigned: frozenset, path) -> dict:
     if not given or not isinstance(place, dict) or place.get("at_start_joints") is not True:
         return tree
     rest = {key: value for key, value in place.items() if key not in ("xyz_mm", "abc_deg")}
-    derived = build(Cell, tree | {"workpiece": rest}, path, lenient=assigned).workpiece
+    derived = build(Cell, tree | {"workpiece": rest}, path).workpiece
     numbers = {"xyz_mm": (1e3 * derived.xyz).tolist(), "abc_deg": np.degrees(derived.abc).tolist()}
     chosen = {key: place[key] if key in given else numbers[key] for key in numbers}
     return tree | {"workpiece": rest | chosen | {"at_start_joints": False}}

@@ -84,11 +84,10 @@ def _lookup(tree, path: str):
 
 def _declared(node, path: str, spec: Spec, included, source: str, read_only: bool):
     """The parameter's value in the file's unit, or None where only the record's default is left."""
-    default = included if included is not None else _default(spec)
+    default = _whole(spec, included) if included is not None else _default(spec)
     given = TYPES[spec.kind] if default is None else default
     try:
-        parameter = node.declare_parameter(path, given, _descriptor(spec, read_only))
-        value = parameter.value
+        value = _value(node, path, given, spec, _descriptor(spec, read_only), source)
     except ParameterUninitializedException:
         raise ConfigError(source, path, None, f"is missing; it must be {spec.allowed} ({spec.text})") from None
     except (InvalidParameterTypeException, InvalidParameterValueException) as error:
@@ -105,6 +104,29 @@ def _declared(node, path: str, spec: Spec, included, source: str, read_only: boo
 
 def _same(value, default) -> bool:
     return default is not None and np.array_equal(value, default)
+
+
+def _value(node, path: str, given, spec: Spec, descriptor: ParameterDescriptor, source: str):
+    """The value of a declared parameter; a whole number in the node's file stands for a float."""
+    try:
+        return node.declare_parameter(path, given, descriptor).value
+    except InvalidParameterTypeException:
+        found = node.declare_parameter(path, None, ParameterDescriptor(dynamic_typing=True)).value
+        node.undeclare_parameter(path)
+        value = _whole(spec, found)
+        if value is found:
+            raise ConfigError(source, path, found, spec.allowed) from None
+        return node.declare_parameter(path, value, descriptor, ignore_override=True).value
+
+
+def _whole(spec: Spec, value):
+    """Floats for whole numbers where floats are due; YAML writes 1 for 1.0."""
+    if spec.kind is float and type(value) is int:
+        return float(value)
+    numbers = isinstance(value, (list, array.array)) and all(type(v) in (int, float) for v in value)
+    if spec.kind is np.ndarray and numbers and any(type(v) is int for v in value):
+        return array.array("d", map(float, value))
+    return value
 
 
 def _default(spec: Spec):
