@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.ros.messages import to_msg
 
 
 def pose_msg(stamp_ns: int, position, quaternion):
-    return to_msg(PoseSample(int(stamp_ns), "workpiece", position, quaternion))
+    return to_msg(PoseSample(int(stamp_ns), "workpiece", np.asarray(position, float), np.asarray(quaternion, float)))
 
 
 def wrench_msg(stamp_ns: int, wrench):
-    return to_msg(WrenchSample(int(stamp_ns), "workpiece", wrench))
+    return to_msg(WrenchSample(int(stamp_ns), "workpiece", np.asarray(wrench, float)))

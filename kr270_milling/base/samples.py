@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -36,32 +37,29 @@ def _values(*shape: int, kind: type = float):
     return dataclasses.field(metadata={"shape": shape, "kind": kind})
 
 
-@dataclass(frozen=True, eq=False)
-class PoseSample(Sample):
-    """Where the tool is (geometry_msgs/PoseStamped)."""
+class PoseSample(NamedTuple):
+    """Where the tool is (geometry_msgs/PoseStamped); it comes in every exchange, so that nothing is checked here."""
 
     stamp: int  #: [ns]
     frame: str
-    position: np.ndarray = _values(3)  #: [m], (3,)
-    quaternion: np.ndarray = _values(4)  #: x y z w, (4,)
+    position: np.ndarray  #: [m], (3,)
+    quaternion: np.ndarray  #: x y z w, (4,)
 
 
-@dataclass(frozen=True, eq=False)
-class WrenchSample(Sample):
-    """Force and moment on the tool (geometry_msgs/WrenchStamped)."""
-
-    stamp: int  #: [ns]
-    frame: str
-    wrench: np.ndarray = _values(6)  #: [N, N m], (6,)
-
-
-@dataclass(frozen=True, eq=False)
-class TwistSample(Sample):
-    """A deflection: small displacement and rotation (geometry_msgs/TwistStamped)."""
+class WrenchSample(NamedTuple):
+    """Force and moment on the tool (geometry_msgs/WrenchStamped); made as quickly as a pose."""
 
     stamp: int  #: [ns]
     frame: str
-    twist: np.ndarray = _values(6)  #: [m, rad], (6,)
+    wrench: np.ndarray  #: [N, N m], (6,)
+
+
+class TwistSample(NamedTuple):
+    """A deflection: small displacement and rotation (geometry_msgs/TwistStamped); made as quickly as a pose."""
+
+    stamp: int  #: [ns]
+    frame: str
+    twist: np.ndarray  #: [m, rad], (6,)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,13 +113,14 @@ def same_bits(one, other) -> str:
     """
     if type(one) is not type(other):
         return "type"
-    for field in dataclasses.fields(one):
-        a, b = getattr(one, field.name), getattr(other, field.name)
+    names = one._fields if isinstance(one, tuple) else [field.name for field in dataclasses.fields(one)]
+    for name in names:
+        a, b = getattr(one, name), getattr(other, name)
         if isinstance(a, (np.ndarray, float)) and type(a) is type(b):
             a, b = np.asarray(a), np.asarray(b)
             equal = a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
         else:
             equal = type(a) is type(b) and a == b
         if not equal:
-            return field.name
+            return name
     return ""

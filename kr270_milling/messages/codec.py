@@ -103,8 +103,8 @@ def _pair(translation: str, rotation: str, values) -> dict:
     return {translation: _named("xyz", values[:3]), rotation: _named("xyz", values[3:])}
 
 
-def _six(one, other) -> list[float]:
-    return [one.x, one.y, one.z, other.x, other.y, other.z]
+def _six(one, other) -> np.ndarray:
+    return np.array([one.x, one.y, one.z, other.x, other.y, other.z])
 
 
 def _pose(record: PoseSample) -> dict:
@@ -114,7 +114,8 @@ def _pose(record: PoseSample) -> dict:
 
 def _read_pose(msg) -> PoseSample:
     p, q = msg.pose.position, msg.pose.orientation
-    return PoseSample(_ns(msg.header.stamp), msg.header.frame_id, [p.x, p.y, p.z], [q.x, q.y, q.z, q.w])
+    position, quaternion = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
+    return PoseSample(_ns(msg.header.stamp), msg.header.frame_id, position, quaternion)
 
 
 def _wrench(record: WrenchSample) -> dict:

@@ -76,19 +76,23 @@ def test_bytes_that_end_early_are_refused(record):
 
 
 def test_same_bits_tells_minus_zero_a_shape_and_another_nan():
-    pose = PoseSample(0, "a", [0.0, 1.0, np.nan], [0, 0, 0, 1])
-    assert same_bits(pose, PoseSample(0, "a", [0.0, 1.0, np.nan], [0, 0, 0, 1])) == ""
-    assert same_bits(pose, PoseSample(0, "a", [-0.0, 1.0, np.nan], [0, 0, 0, 1])) == "position"
-    assert same_bits(pose, PoseSample(0, "a", [0.0, 1.0, -np.nan], [0, 0, 0, 1])) == "position"
+    def posed(*position: float) -> PoseSample:
+        return PoseSample(0, "a", np.array(position), np.array([0.0, 0.0, 0.0, 1.0]))
+
+    pose = posed(0.0, 1.0, np.nan)
+    assert same_bits(pose, posed(0.0, 1.0, np.nan)) == ""
+    assert same_bits(pose, posed(-0.0, 1.0, np.nan)) == "position"
+    assert same_bits(pose, posed(0.0, 1.0, -np.nan)) == "position"
+    assert same_bits(pose, posed(0.0, 1.0)) == "position"
     assert same_bits(pose, PoseSample(0, "b", pose.position, pose.quaternion)) == "frame"
     assert same_bits(pose, ClockSample(0)) == "type"
 
 
 def test_a_record_refuses_a_wrong_shape_and_keeps_its_arrays():
     with pytest.raises(ValueError, match="position"):
-        PoseSample(0, "a", [1.0, 2.0], [0, 0, 0, 1])
+        JointSample(0, NAMES, [[1.0, 2.0]])
     with pytest.raises(ValueError, match="read-only"):
-        RECORDS[0].position[0] = 1.0
+        next(record for record in RECORDS if isinstance(record, JointSample)).position[0] = 1.0
 
 
 def test_any_message_is_written_from_nested_mappings():

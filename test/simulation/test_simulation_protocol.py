@@ -69,7 +69,7 @@ def test_a_robot_refuses_what_it_cannot_use_and_goes_on(short_cell):
     robot, cut = protocols(short_cell)
 
     def disturb(robot, cut, pose):
-        for values, frame in (([np.nan] * 6, "workpiece"), ([1.0] * 6, "base_link")):
+        for values, frame in ((np.full(6, np.nan), "workpiece"), (np.ones(6), "base_link")):
             with pytest.raises(MessageError):
                 robot.wrench(WrenchSample(pose.stamp, frame, values))
         assert robot.wrench(WrenchSample(pose.stamp + 500_000, "workpiece", np.ones(6))) == []
@@ -99,7 +99,7 @@ def test_a_cut_refuses_what_it_cannot_use_and_goes_on(short_cell):
 def test_a_cut_without_a_workpiece_says_so(short_cell):
     cut = cut_protocol(short_cell)
     with pytest.raises(NoWorkpiece, match="configure first"):
-        cut.pose(PoseSample(0, "workpiece", np.zeros(3), [1.0, 0.0, 0.0, 0.0]))
+        cut.pose(PoseSample(0, "workpiece", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
     with pytest.raises(NoWorkpiece):
         cut.workpiece()
 
