@@ -20,7 +20,7 @@ import pytest
 from ros_domain import DISCOVERY, environment_of_processes, own_domain
 
 #: a pass of 120 exchanges: air, the first touch and some teeth in the stock
-SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]")
+SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]", "publish.every=1")
 
 
 def pytest_addoption(parser):

@@ -26,6 +26,7 @@ CELL = """/**:
     path: {{length_mm: 4.0}}
     stock: {{grid_step_um: 20.0}}
     exchange: {{iterations: {iterations}}}
+    publish: {{every: {every}}}
     compensation: {{method: {method}}}
 """
 POSE, TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
@@ -42,17 +43,17 @@ class Message:
     stamp: int
 
 
-def cell_text(method: str = "linear", iterations: int = 1) -> str:
-    return CELL.format(method=method, iterations=iterations)
+def cell_text(method: str = "linear", iterations: int = 1, every: int = 1) -> str:
+    return CELL.format(method=method, iterations=iterations, every=every)
 
 
 @functools.cache
-def cell_of(method: str = "linear", iterations: int = 1):
+def cell_of(method: str = "linear", iterations: int = 1, every: int = 1):
     import tempfile
 
     with tempfile.TemporaryDirectory() as directory:
         file = Path(directory, "cell.yaml")
-        file.write_text(cell_text(method, iterations))
+        file.write_text(cell_text(method, iterations, every))
         return read_cell(file)
 
 
@@ -68,9 +69,9 @@ def reference_data(run) -> bytes:
 
 
 @functools.cache
-def one_pass(method: str = "linear", iterations: int = 1, passes: int = 1) -> tuple[Message, ...]:
+def one_pass(method: str = "linear", iterations: int = 1, passes: int = 1, every: int = 1) -> tuple[Message, ...]:
     """What the protocols of the nodes publish in some passes, in the order of causes."""
-    cell = cell_of(method, iterations)
+    cell = cell_of(method, iterations, every)
     robot, cut, compensator = robot_protocol(cell), cut_protocol(cell), compensator_protocol(cell)
     found = messages(compensator.begin(cell.target()))
     for _ in range(passes):

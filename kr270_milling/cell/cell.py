@@ -120,9 +120,14 @@ class Cell(Parameters):
         lateral = np.abs(moves[1]) > np.abs(moves[0])
         return float(model.frequency[lateral][0] if lateral.any() else model.frequency[0]) / (2 * np.pi)
 
-    def thinned_steps(self, period: float = 0.01) -> int:
-        """Exchange periods between two messages that come at most every ``period`` [s] of the pass."""
+    def steps_of(self, period: float) -> int:
+        """Exchange periods that make ``period`` [s] at least."""
         return max(1, math.ceil(period / self.exchange.period - 1e-9))
+
+    @property
+    def thinned_steps(self) -> int:
+        """Exchange periods from one published deflection to the next: ``publish.every``, or as many as make 10 ms."""
+        return self.publish.every or self.steps_of(0.01)
 
     def cut(self) -> Cut:
         """Fresh workpiece."""

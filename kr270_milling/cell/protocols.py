@@ -12,13 +12,18 @@ from kr270_milling.simulation.protocol import CutProtocol, RobotModels, RobotPro
 
 __all__ = ["compensator_protocol", "cut_protocol", "robot_protocol"]
 
+CLOCK_PERIOD = 0.01  # [s] of the pass, at least, from one clock message to the next
 
-def robot_protocol(cell: Cell) -> RobotProtocol:
-    """Of the compliant robot."""
+
+def robot_protocol(cell: Cell, deflection_every: int | None = None) -> RobotProtocol:
+    """Of the compliant robot; deflection_every: exchange periods from one to the next, default: as ``publish`` says."""
+    thinned = cell.thinned_steps
     models = RobotModels(
         clock=cell.clock,
         iterations=cell.exchange.iterations,
-        thinned=cell.thinned_steps(),
+        deflection_every=deflection_every or thinned,
+        joints_every=thinned,
+        clock_every=cell.steps_of(CLOCK_PERIOD),
         arm_model=cell.arm_model,
         joints_at=cell.joints_at,
         description=urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose),

@@ -19,7 +19,7 @@ from kr270_milling.cell.uncertainty import Uncertainty
 from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.cutting import Cutting, Stock, Tool
 from kr270_milling.robot import Arm, Mount
-from kr270_milling.simulation.exchange import Exchange
+from kr270_milling.simulation.exchange import Exchange, Publish
 from kr270_milling.simulation.imperfections import Imperfections
 from kr270_milling.simulation.parameters import Dynamics
 from kr270_milling.trajectory.timing import Timing
@@ -112,6 +112,7 @@ class Parameters(Record):
     dynamics: Dynamics
     exchange: Exchange
     compensation: Compensation
+    publish: Publish = dataclasses.field(default_factory=Publish)
     timing: Timing = dataclasses.field(default_factory=Timing)
     program: Program = dataclasses.field(default_factory=Program)
     limits: Limits = dataclasses.field(default_factory=Limits)

@@ -276,10 +276,10 @@ class Graph:
             self.driver.transition(CUT, "configure", UP)
 
     def _all_recorded(self) -> bool:
-        """The recorder has the last message of every topic of the exchange."""
+        """The recorder has the last pose and wrench."""
         latest = self.driver.status(RECORDER).counts("latest_ns")
         last = float(self._says("pass_time_s", ROBOT)) * 1e9 - 1000  # told in microseconds
-        return all(latest.get(self.driver.name_of(t), -1) >= last for t in ("tool_pose", "wrench", "deflection"))
+        return all(latest.get(self.driver.name_of(t), -1) >= last for t in ("tool_pose", "wrench"))
 
     def close(self, code: int = 0) -> None:
         """Stop everything; the recorder last, so that it has the others' last words.

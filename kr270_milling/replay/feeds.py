@@ -29,13 +29,16 @@ class Feed:
         self.cell = cell
         self._channels = channels
         self._stop = stop
+        self._thinned = cell.thinned_steps
         self._passes = Passes()
         self._lack: Lack | None = None
 
     def _publish(self, outputs: Iterable[Output]) -> None:
         for name, record in outputs:
             if name in self._channels:
-                self._channels[name].expected(getattr(record, "stamp", 0), record)
+                stamp = getattr(record, "stamp", 0)
+                due = name != "deflection" or self.cell.clock.step(stamp) % self._thinned == 0
+                self._channels[name].expected(stamp, record, due)
 
     def end_pass(self) -> None:
         """An input that is missing counts if outputs wait that it led to; else the live node missed it too."""
@@ -54,7 +57,9 @@ class RobotFeed(Feed):
 
     def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
         super().__init__(cell, channels, stop)
-        self.protocol = robot_protocol(cell)
+        self.protocol = robot_protocol(
+            cell, deflection_every=1
+        )  # all deflections: what was published is compared, also if all
         self._begun = False
         self._same_stamp: list[WrenchSample] = []
         self._publish(self.protocol.describe())

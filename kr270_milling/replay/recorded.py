@@ -15,6 +15,7 @@ from kr270_milling.messages.series import series
 from kr270_milling.messages.trajectory import TRAJECTORY, trajectories
 from kr270_milling.replay.attached import cell_of
 from kr270_milling.simulation.milling_pass import PassResult
+from kr270_milling.simulation.sides import RobotSide
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["RecordedPass", "pass_from_recording", "references", "topic_of"]
@@ -76,16 +77,42 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
     if last > MOST_STEPS:
         raise RecordingError(recording.path, f"its reference trajectory takes {reference.duration_ns * 1e-9:g} s")
     heard = {kind: {s: v for s, v in at.items() if 0 <= cell.clock.step(s) <= last} for kind, at in heard.items()}
+    lost_to_end = _lost(cell, heard, last)
+    recorded = dict(heard)
+    heard["deflection"] = _all_deflections(cell, reference, heard["wrench"], heard["deflection"])
     stamps = np.array(sorted(set.intersection(*map(set, heard.values()))), np.int64)
     if stamps.size < 2:
         raise RecordingError(recording.path, "holds no pass: poses, wrenches and deflections of at least one period")
     rows = {kind: np.array([values[stamp] for stamp in stamps.tolist()]) for kind, values in heard.items()}
     ended = int(stamps[-1]) >= int(cell.clock.stamp(last))
     end = last if ended else max(cell.clock.step(int(stamps[-1])), 0)
-    lost, lost_to_end = (sum(max(0, n + 1 - len(values)) for values in heard.values()) for n in (end, last))
+    lost = _lost(cell, recorded, end)
     result = _result(cell, reference, stamps, rows, wall)
     ran = ScoredPass(name or recording.path.stem, reference, result, scored(cell, result))
     return RecordedPass(ran, cell, lost, lost_to_end, ended and not lost and not recording.cut_off)
+
+
+def _lost(cell: Cell, recorded: dict[str, dict], last: int) -> int:
+    """Poses, wrenches and deflections that are missing up to a step; of the deflections those that were due."""
+    thinned = cell.thinned_steps
+    due = sum(cell.clock.step(stamp) % thinned == 0 for stamp in recorded["deflection"])
+    there = {"tool_pose": len(recorded["tool_pose"]), "wrench": len(recorded["wrench"])}
+    return sum(max(0, last + 1 - count) for count in there.values()) + max(0, last // thinned + 1 - due)
+
+
+def _all_deflections(cell: Cell, reference: Trajectory, wrenches: dict, recorded: dict) -> dict[int, np.ndarray]:
+    """Those that were recorded and, as far as these are the same to the bit, those between them: they follow from the
+    wrenches, which were all published."""
+    if len(recorded) >= len(wrenches):
+        return recorded
+    side = RobotSide(cell.arm_model(reference), cell.clock, reference)
+    found = {}
+    for stamp in sorted(wrenches):
+        deflection = side.answer(stamp, wrenches[stamp])
+        if deflection is None or (stamp in recorded and deflection.tobytes() != recorded[stamp].tobytes()):
+            break
+        found[stamp] = deflection
+    return {**recorded, **found}
 
 
 def _by_stamp(recording: Recording, topic: str) -> dict[int, np.ndarray]:

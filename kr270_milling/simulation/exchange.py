@@ -9,7 +9,7 @@ import numpy as np
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import Record, parameter
 
-__all__ = ["Exchange", "Clock"]
+__all__ = ["Clock", "Exchange", "Publish"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +36,16 @@ class Exchange(Record):
                 f"a whole number of micro-steps at this spindle speed, for example {near}",
             )
         return Clock(self.period, whole)
+
+
+@dataclass(frozen=True, eq=False)
+class Publish(Record):
+    """YAML ``publish``: what comes less often than every exchange; pose and wrench, from which all follows, do not."""
+
+    every: int = parameter(
+        0, low=0, high=1_000_000,
+        text="exchange periods from one deflection, and one joint state, to the next; 1: all; 0: as many as make 10 ms",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

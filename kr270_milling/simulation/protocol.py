@@ -40,7 +40,9 @@ class RobotModels:
 
     clock: Clock
     iterations: int  #: exchanges a period
-    thinned: int  #: exchange periods from one joint state to the next
+    deflection_every: int  #: exchange periods from one to the next
+    joints_every: int
+    clock_every: int
     arm_model: Callable[[Trajectory], ArmModel]
     joints_at: Callable[[np.ndarray, np.ndarray], np.ndarray]  #: positions (n, 3), quaternions (n, 4) -> (n, 6) [rad]
     description: str  #: URDF
@@ -66,7 +68,8 @@ class RobotProtocol:
         """Begin a pass along ``reference``."""
         models, reference = self.models, self.reference
         side = RobotSide(models.arm_model(reference), models.clock, reference, models.iterations)
-        self._joints = models.joints_at(side.course[:: models.thinned], side.orientation[:: models.thinned])
+        every = models.joints_every
+        self._joints = models.joints_at(side.course[::every], side.orientation[::every])
         self.side = side
         self._step = 0
         self._asked = 0
@@ -120,10 +123,15 @@ class RobotProtocol:
         return "tool_pose", PoseSample(side.awaited_ns, WORKPIECE, side.tool, side.orientation_now)
 
     def _state(self, stamp_ns: int, deflection: np.ndarray) -> list[Output]:
-        outputs: list[Output] = [("deflection", TwistSample(stamp_ns, WORKPIECE, deflection))]
-        if self._step % self.models.thinned == 0:
-            joints = self._joints[self._step // self.models.thinned]
-            outputs.append(("joint_states", JointSample(stamp_ns, JOINT_NAMES, joints)))
+        outputs: list[Output] = []
+        step, models = self._step, self.models
+        if step % models.deflection_every == 0:
+            outputs.append(("deflection", TwistSample(stamp_ns, WORKPIECE, deflection)))
+        if step % models.joints_every == 0:
+            outputs.append(
+                ("joint_states", JointSample(stamp_ns, JOINT_NAMES, self._joints[step // models.joints_every]))
+            )
+        if step % models.clock_every == 0:
             outputs.append(("clock", ClockSample(stamp_ns)))
         self._step += 1
         return outputs

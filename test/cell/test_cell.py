@@ -153,7 +153,7 @@ def test_the_score_begins_when_the_middle_of_the_tool_is_at_the_border(start, di
 
 
 def test_messages_are_thinned_to_a_hundred_a_second():
-    assert PAPER.thinned_steps() == 20 and PAPER.thinned_steps(0.0101) == 21 and PAPER.thinned_steps(1e-6) == 1
+    assert PAPER.steps_of(0.01) == 20 and PAPER.steps_of(0.0101) == 21 and PAPER.steps_of(1e-6) == 1
 
 
 def test_the_ultra_mills_the_same_line_from_its_own_file():

@@ -24,7 +24,7 @@ def test_a_recorded_exchange_is_recomputed_to_the_last_bit_on_every_channel(tmp_
     found = recompute(made.write(tmp_path / "r", made.one_pass()))
     assert found.verdict == "identical" and found.first is None and not found.stops
     counts = {topic: c.compared for topic, c in found.channels.items()}
-    assert counts == {"/tool_pose": STEPS, "/wrench": STEPS, "/deflection": STEPS, "/joint_states": 7,
+    assert counts == {"/tool_pose": STEPS, "/wrench": STEPS, "/deflection": STEPS, "/joint_states": STEPS,
                       "/reference_trajectory": 2, "/joint_trajectory": 2, "/workpiece": 1}  # fmt: skip
     assert all(c.waiting == c.missing == c.given == 0 for c in found.channels.values())
 
@@ -109,7 +109,9 @@ def test_outputs_that_were_cut_away_from_a_closed_file_are_missed(tmp_path, kept
     found = recompute(made.write(tmp_path / "r", messages))
     assert found.verdict == "incomplete" and found.first is None
     assert found.channels["/joint_states"].missing == len(states) - kept
-    assert [s.reason.split(" are ")[0] for s in found.stops] == [f"{7 - kept} messages that belong on /joint_states"]
+    assert [s.reason.split(" are ")[0] for s in found.stops] == [
+        f"{STEPS - kept} messages that belong on /joint_states"
+    ]
 
 
 @pytest.mark.parametrize("number", [1, 2])

@@ -67,7 +67,7 @@ def heard_all(recording: Path) -> bool:
     """Whether the file, still open, holds the last message of each kind that a pass ends with."""
     count = Counter(topic for topic, _ in made.raw(next(recording.glob("*.mcap"))))
     revised = count["/reference_trajectory"], count["/joint_trajectory"]
-    return revised == (2, 2) and count["/deflection"] == STEPS and count["/joint_states"] == count["/clock"] == 7
+    return revised == (2, 2) and count["/deflection"] == count["/joint_states"] == STEPS and count["/clock"] == 7
 
 
 def recorder_hears(recording: Path, *topics: str) -> bool:
@@ -114,7 +114,7 @@ def test_a_recording_of_the_real_nodes_is_bit_identical_on_every_channel(of_node
     compared = {topic: c.compared for topic, c in found.channels.items()}
     assert {t: compared[t] for t in ("/tool_pose", "/wrench", "/deflection")} == {
         "/tool_pose": STEPS, "/wrench": STEPS, "/deflection": STEPS}  # fmt: skip
-    assert compared["/joint_states"] == compared["/clock"] == 7
+    assert compared["/joint_states"] == STEPS and compared["/clock"] == 7
     assert compared["/reference_trajectory"] == compared["/joint_trajectory"] == 2
     assert compared["/robot_description"] == 1
     assert all(c.differing == c.missing == c.waiting == 0 for c in found.channels.values())

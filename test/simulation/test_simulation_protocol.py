@@ -14,7 +14,7 @@ from kr270_milling.simulation.sides import ExchangeError
 
 
 def protocols(cell):
-    robot, cut = robot_protocol(cell), cut_protocol(cell)
+    robot, cut = robot_protocol(cell, deflection_every=1), cut_protocol(cell)
     robot.reference = cell.target()
     cut.configure()
     return robot, cut
@@ -48,7 +48,7 @@ def test_the_protocols_give_the_compiled_pass_bit_for_bit(short_cell, iterations
     np.testing.assert_array_equal(column(outputs, "deflection", "stamp"), expected.time_ns)
     last = {record.stamp: record for topic, record in outputs if topic == "tool_pose"}  # of the iterated ones
     np.testing.assert_array_equal([record.position for record in last.values()], expected.tool)
-    thinned = cell.thinned_steps()
+    thinned = cell.thinned_steps
     assert column(outputs, "joint_states", "stamp").tolist() == expected.time_ns[::thinned].tolist()
     assert column(outputs, "clock", "stamp").tolist() == expected.time_ns[::thinned].tolist()
 
