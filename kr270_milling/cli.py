@@ -123,13 +123,15 @@ def _run(argv: list[str]) -> int:
     try:
         return args.run(args) or EXIT_OK
     except MillingError as error:
-        return _refuse(str(error))
+        return _refuse(str(error), getattr(error, "listing", ()))
 
 
-def _refuse(sentence: str) -> int:
+def _refuse(sentence: str, listing: tuple = ()) -> int:
+    """The sentence; where an error lists several things, each on a line of its own instead."""
     from kr270_milling.base.errors import one_line
 
-    print(f"kr270_milling: {one_line(sentence)}", file=sys.stderr)
+    for line in listing or (sentence,):
+        print(f"kr270_milling: {one_line(line)}", file=sys.stderr)
     return EXIT_USAGE
 
 

@@ -42,7 +42,9 @@ def shell_lines() -> list[str]:
 def commands() -> list[str]:
     """Every call of ``kr270_milling``, in blocks and in sentences, without the program's name."""
     sentences = re.findall(r"`kr270_milling\s+([^`]+)`", re.sub(r"```.*?```", "", TEXT, flags=re.DOTALL))
-    lines = [m[1].partition(" > ")[0] for line in shell_lines() if (m := re.search(r"(?:^|bin/)kr270_milling (.+)", line))]
+    lines = [
+        m[1].partition(" > ")[0] for line in shell_lines() if (m := re.search(r"(?:^|bin/)kr270_milling (.+)", line))
+    ]
     return [" ".join(text.split()) for text in (*lines, *sentences)]
 
 

@@ -13,6 +13,7 @@ from kr270_milling.trajectory.toolpath import Toolpath
 __all__ = ["Box", "draft_text", "stock_of", "straight_text"]
 
 ALLOWANCE = 5e-3  #: [m], around the path of the cutter and below it
+ROUNDING = 1e-3  #: [mm], of coordinates in inches
 CLEARANCE = 0.5e-3  #: [m], between the stock and a cutter that comes down rapidly beside it
 LEAST_SHARE = 0.2  #: of the area that the path asks for; a stock that is cut down to less is no guess any more
 NEAR = 0.3  #: [m]; a path that stays so near its zero stands at the place of the test piece
@@ -56,9 +57,9 @@ def stock_of(path: Toolpath, radius: float) -> Box:
     inside = ends[ends[:, 2] < top + 1e-9]
     inside = inside if len(inside) else ends
     margin = radius + ALLOWANCE
-    low = np.floor((inside.min(axis=0)[:2] - margin) * 1e3) / 1e3
-    high = np.ceil((inside.max(axis=0)[:2] + margin) * 1e3) / 1e3
-    base = math.floor((bottom - ALLOWANCE) * 1e3) / 1e3
+    low = np.floor((inside.min(axis=0)[:2] - margin) * 1e3 + ROUNDING) / 1e3
+    high = np.ceil((inside.max(axis=0)[:2] + margin) * 1e3 - ROUNDING) / 1e3
+    base = math.floor((bottom - ALLOWANCE) * 1e3 + ROUNDING) / 1e3
     return _beside_rapids(Box(np.array([*low, base]), np.array([*high, top])), path, radius, top)
 
 

@@ -93,7 +93,9 @@ def _bound(value: float) -> float | None:
 
 
 def _default(spec: Spec):
-    """In the unit of the file, without the digits of the way to SI and back."""
+    """In the unit of the file, without the digits of the way to SI and back; None where there is none."""
+    if spec.default is None:
+        return None
     if spec.kind is np.ndarray:
         return [float(f"{value / spec.scale:.12g}") for value in np.ravel(spec.default)]
     if spec.kind is float:

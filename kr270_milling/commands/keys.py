@@ -33,6 +33,8 @@ def run(args) -> None:
 
 
 def _shown(default) -> str:
+    if default is None:
+        return "-"
     if isinstance(default, list):
         return "[" + ", ".join(map(_shown, default)) + "]"
     if isinstance(default, float):

@@ -37,6 +37,8 @@ def run(args) -> None:
     for model, values in found["mode_frequencies_hz"].items():
         print(f"natural frequencies, {model} mass: " + ", ".join(f"{v:.2f}" for v in values) + " Hz")
     print(f"condition number of the Jacobian (lengths in m): {found['condition_number']:.1f}")
+    for warning in found["warnings"]:
+        print(f"warning: {warning}")
 
 
 def _number(value: float, least: float = 0.0) -> str:

@@ -35,8 +35,9 @@ DIAMETER = re.compile(
     rf"(?:tool dia\.?|\bdiam(?:eter)?|\bdia\.?|\bd|ø)\s*[-=:.]?\s*{NUMBER}(?![\d/])\s*(mm|in|inch|\")?(?!\s*\. off)",
     re.I,
 )
+BEFORE = re.compile(rf"{NUMBER}\s*dia(?:m|meter)?\b", re.I)
 METRIC = re.compile(rf"{NUMBER}\s*mm\b", re.I)
-FRACTION = re.compile(r"(?<![\d.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|flat|ball|end|\s|$)", re.I)
+FRACTION = re.compile(r"(?<![\w.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|flat|ball|end|\s|$)", re.I)
 INCH_MARK = re.compile(rf"{NUMBER}\s*(?:\"|''|in\b|inch)", re.I)
 TEETH = re.compile(r"(?:(\d+)\s*-?\s*(?:flutes?|flt|fl|teeth)\b|\bz\s*=\s*(\d+)\b|\b(\d+)f\b)", re.I)
 KIND = re.compile(
@@ -90,6 +91,8 @@ def _diameter(comment: str, unit: float) -> float:
         number, mark = given[-1].groups()
         scale = {"mm": 1e-3, "in": 0.0254, "inch": 0.0254, '"': 0.0254}.get((mark or "").lower(), unit)
         return _plausible(float(number) * scale)
+    if before := BEFORE.search(comment):
+        return _plausible(float(before.group(1)) * unit)
     if metric := METRIC.search(comment):
         return _plausible(float(metric.group(1)) * 1e-3)
     if fraction := FRACTION.search(comment):

@@ -11,6 +11,7 @@ from kr270_milling.base.errors import InputError
 __all__ = ["ProgramError", "ProgramTool", "ReadOver", "Refusal", "SourceProgram", "read_over"]
 
 MOST_KINDS = 8  #: kinds of refused words that one sentence lists; the error carries all of them
+MOST_LINES = 40  #: kinds that a terminal lists
 
 
 @dataclass(frozen=True)
@@ -87,6 +88,7 @@ class ProgramError(InputError):
     def __init__(self, source, program: SourceProgram):
         self.program = program
         self.refusals = program.refused
+        self.listing = _lines(source, program.refused)  #: one text for each kind of refused word, for a terminal
         super().__init__(source, _listed(program.refused), program.refused[0].line)
 
 
@@ -95,16 +97,32 @@ def read_over(counts: Counter) -> tuple[ReadOver, ...]:
     return tuple(ReadOver(word, count) for word, count in counts.most_common())
 
 
-def _listed(refused: Iterable[Refusal]) -> str:
-    """All kinds of refused words in one sentence; like ones are counted."""
+def _kinds(refused: Iterable[Refusal]) -> list[tuple[int, str]]:
+    """First line and sentence of each kind of refused words; like ones are counted."""
     kinds: dict[tuple[str, str], list[Refusal]] = {}
     for refusal in refused:
         kinds.setdefault((refusal.reason, refusal.advice), []).append(refusal)
-    parts = []
-    for like in list(kinds.values())[:MOST_KINDS]:
-        more = f" (and {len(like) - 1} more like it)" if len(like) > 1 else ""
-        where = f"line {like[0].line}: " if parts else ""
-        parts.append(f"{where}{like[0].sentence}{more}")
-    if len(kinds) > MOST_KINDS:
-        parts.append(f"and {len(kinds) - MOST_KINDS} other kinds of words")
-    return " | ".join(parts)
+    return [(like[0].line, like[0].sentence + _more(like)) for like in kinds.values()]
+
+
+def _more(like: list[Refusal]) -> str:
+    if len(like) == 1:
+        return ""
+    shown = ", ".join(str(refusal.line) for refusal in like[1:4])
+    return f" (also line {shown}{f' and {len(like) - 4} more' if len(like) > 4 else ''})"
+
+
+def _listed(refused: Iterable[Refusal]) -> str:
+    """All kinds of refused words in one sentence."""
+    kinds = _kinds(refused)
+    parts = [f"{f'line {line}: ' if k else ''}{text}" for k, (line, text) in enumerate(kinds[:MOST_KINDS])]
+    rest = [f"and {len(kinds) - MOST_KINDS} other kinds of words"] if len(kinds) > MOST_KINDS else []
+    return " | ".join(parts + rest)
+
+
+def _lines(source, refused: Iterable[Refusal]) -> tuple[str, ...]:
+    """The same, each kind as a text of its own."""
+    kinds = _kinds(refused)
+    lines = [f"{source}, line {line}: {text}" for line, text in kinds[:MOST_LINES]]
+    rest = [f"{source}: and {len(kinds) - MOST_LINES} other kinds of words"] if len(kinds) > MOST_LINES else []
+    return tuple(lines + rest)

@@ -74,9 +74,7 @@ def test_an_attachment_with_an_endless_name_is_left_alone(tmp_path):
 
 
 @pytest.mark.parametrize("library, expected", [("0.1.0", False), ("0.2.0", True)])
-def test_a_cell_that_does_not_know_a_term_is_computed_as_its_version_did(
-    tmp_path, monkeypatch, library, expected
-):
+def test_a_cell_that_does_not_know_a_term_is_computed_as_its_version_did(tmp_path, monkeypatch, library, expected):
     whole = Path(find_file("paper.yaml")).read_text()
     new = ("reference_inertia", "moments")
     silent = "".join(line for line in whole.splitlines(True) if not any(key in line for key in new))

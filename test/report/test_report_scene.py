@@ -97,7 +97,9 @@ def test_a_message_that_is_none_is_refused(cell):
         list(Scene().hear("robot_description", b"noise"))
 
 
-@pytest.mark.parametrize("text", ["<robot/>", "<robot", "", "<robot><joint/></robot>", "<robot><link name='a'/></robot>"])
+@pytest.mark.parametrize(
+    "text", ["<robot/>", "<robot", "", "<robot><joint/></robot>", "<robot><link name='a'/></robot>"]
+)
 def test_a_description_of_something_else_gives_no_moving_frames_and_no_crash(text):
     scene = Scene()
     try:

@@ -20,9 +20,17 @@ WRENCH = np.array([300.0, -150.0, 80.0, 20.0, -10.0, 5.0])
 def test_it_holds_every_documented_key_and_goes_into_json():
     found = json.loads(json.dumps(analyse(ARM, BARE, PAPER, np.zeros(6))))
     assert list(found) == ["position_m", "quaternion_xyzw", "jacobian", "stiffness", "compliance", "deflection",
-                           "joint_deflection_rad", "mode_frequencies_hz", "condition_number"]  # fmt: skip
+                           "joint_deflection_rad", "mode_frequencies_hz", "condition_number", "warnings"]  # fmt: skip
     assert found["deflection"] == [0.0] * 6
     assert found["mode_frequencies_hz"]["lumped"][0] == pytest.approx(6.69, abs=0.005)  # facts.md
+
+
+def test_a_posture_outside_the_limits_or_below_the_floor_says_so():
+    assert analyse(ARM, BARE, PAPER, np.zeros(6))["warnings"] == []
+    (limit,) = analyse(ARM, BARE, np.radians([190, -50, 120, 180, 25, 180]), np.zeros(6))["warnings"]
+    assert limit == "axis 1 at 190 deg is outside its limits, -185 to 185 deg"
+    low = analyse(ARM, Mount(xyz=np.array([0.0, 0.0, -1.5])), np.radians([0, -50, 140, 0, 40, 0]), np.zeros(6))
+    assert any("mm below the floor" in warning for warning in low["warnings"])
 
 
 def test_both_frames_tell_the_same_story():

@@ -189,7 +189,7 @@ def test_all_that_cannot_be_run_is_listed_at_once(read):
     with pytest.raises(ProgramError) as caught:
         read(START + "G41 D1\nG1 X1 F100\nX#1\nG42\nA5\nG1 X2\n")
     assert [(r.line, r.word) for r in caught.value.refusals] == [(2, "G41"), (4, "X#1"), (5, "G42"), (6, "A5")]
-    assert "line 4: X#1: post without macros" in str(caught.value) and "1 more like it" in str(caught.value)
+    assert "line 4: X#1: post without macros" in str(caught.value) and "(also line 5)" in str(caught.value)
 
 
 def test_what_follows_from_a_refused_move_is_not_refused_once_more(read):
