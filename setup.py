@@ -10,7 +10,7 @@ setup(
     version="0.1.0",
     packages=find_packages(include=[package, package + ".*"]),
     package_data={
-        package: ["py.typed", "report/page/*.html", "report/page/*.css", "report/page/*.js", "watch/*.html"]
+        package: ["py.typed", "report/page/*.html", "report/page/*.css", "report/page/*.js", "watch/*.html", "*/README.md"]
         + ["watch/*.js"]
     },
     data_files=[

@@ -1,4 +1,4 @@
-"""Node: the listener of the live view takes the graph's messages some times a second, and knows when the graph is gone."""
+"""Node: the listener of the live view takes messages some times a second, and knows when the graph is gone."""
 
 from __future__ import annotations
 

@@ -18,13 +18,14 @@
     const last = one.x.length - 1;
     const here = { x: last < 0 ? [] : [one.x[last]], y: last < 0 ? [] : [one.y[last]], mode: "markers", hoverinfo: "skip",
                    marker: { size: 15, symbol: "circle-open", color: KR.css("--accent"), line: { width: 3 } } };
-    KR.draw("live_map", [trace, here], KR.layout({ showlegend: false, xaxis: KR.axis("x [mm]"), uirevision: "keep",
-      yaxis: KR.axis("y [mm]", { scaleanchor: "x" }) }));
+    KR.draw("live_map", [trace, here], KR.layout({ showlegend: false, xaxis: KR.axis("x [mm]", { constrain: "domain" }), uirevision: "keep",
+      yaxis: KR.axis("y [mm]", { scaleanchor: "x", constrain: "domain" }) }));
   }
 
   function drawSeries() {
     const traces = [];
     const layout = KR.layout({ margin: { l: 52, r: 14, t: 46, b: 44 }, annotations: [], uirevision: "keep",
+      legend: { orientation: "h", x: 0, y: 1.07, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" },
       xaxis: KR.axis("time of the pass [s]", { anchor: "y3" }) });
     ROWS.forEach(([key, title], r) => {
       const axis = r ? r + 1 : "";
@@ -67,7 +68,6 @@
     } else if (event.kind === "end") {
       KR.watch.ended = true;
       KR.by("now").textContent = "the graph is closed; what was seen stays here";
-      source.close();
     }
   }
 
@@ -76,7 +76,11 @@
     drawSeries();
   }
   const source = new EventSource("/events");
-  source.onmessage = (message) => waiting.push(JSON.parse(message.data));
+  source.onmessage = (message) => {
+    const event = JSON.parse(message.data);
+    waiting.push(event);
+    if (event.kind === "end") source.close(); // at once: the server is about to go
+  };
   source.onopen = () => { if (!passes.length) KR.by("now").textContent = "connected, waiting for a pass"; };
   setInterval(() => {
     if (!waiting.length) return;
