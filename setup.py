@@ -10,7 +10,7 @@ setup(
     version="0.1.0",
     packages=find_packages(include=[package, package + ".*"]),
     package_data={
-        package: ["py.typed", "report/page/*.html", "report/page/*.css", "report/page/*.js", "watch/*.html", "*/README.md"]
+        package: ["py.typed", "report/page/*.html", "report/page/*.css", "report/page/*.js", "watch/*.html"]
         + ["watch/*.js"]
     },
     data_files=[
