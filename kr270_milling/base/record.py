@@ -276,7 +276,7 @@ def tree_of(record: Record) -> dict:
             continue
         elif _has_unit(spec):
             tree[spec.key] = given[spec.name] if spec.name in given else (value / spec.scale)
-            if isinstance(tree[spec.key], np.ndarray):
+            if isinstance(tree[spec.key], (np.ndarray, np.generic)):
                 tree[spec.key] = tree[spec.key].tolist()
         else:
             tree[spec.key] = list(value) if spec.kind is tuple else value

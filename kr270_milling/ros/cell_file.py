@@ -28,4 +28,4 @@ def write_cell(cell: Cell, path: Path) -> None:
 def _without_empty(tree: dict) -> dict:
     """Without empty lists, whose type ROS cannot tell, and groups that hold nothing else, which it refuses."""
     kept = {key: _without_empty(value) if isinstance(value, dict) else value for key, value in tree.items()}
-    return {key: value for key, value in kept.items() if value not in ([], {})}
+    return {key: value for key, value in kept.items() if value or not isinstance(value, (list, dict))}
