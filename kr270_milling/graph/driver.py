@@ -60,6 +60,8 @@ class Driver:
         self.statuses: dict[str, Status] = {}  #: by fully qualified node name
         self.errors: list[tuple[str, str]] = []  #: (node, message) of every new ERROR
         self.stuck = False  #: nothing arrives any more
+        self.pids: dict[str, str] = {}  #: by fully qualified name, of the nodes whose reports count
+        self.foreign: set[str] = set()  #: names under which another process reports as well; these reports are ignored
         self._context = Context()
         rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(
@@ -80,10 +82,30 @@ class Driver:
     def status(self, node: str) -> Status | None:
         return self.statuses.get(self.name_of(node))
 
+    def expect(self, node: str, pid: int) -> None:
+        """From now on only the reports of this process count for a node."""
+        name = self.name_of(node)
+        self.statuses.pop(name, None)
+        self.pids[name] = str(pid)
+
+    def says(self, node: str, key: str) -> str:
+        """A value of the last report of a node; empty where there is none."""
+        status = self.status(node)
+        return "" if status is None else status.values.get(key, "")
+
+    def silence(self, node: str, now: float) -> float:
+        """Since when a node has not reported [s]; 0 for one that never did. now: of the monotonic clock."""
+        status = self.status(node)
+        return 0.0 if status is None else now - status.at
+
     def _on_diagnostics(self, msg) -> None:
         for status in msg.status:
             before = self.statuses.get(status.name)
             values = {pair.key: pair.value for pair in status.values}
+            ours = self.pids.get(status.name)
+            if ours is not None and values.get("pid", ours) != ours:
+                self.foreign.add(status.name)
+                continue
             self.statuses[status.name] = Status(status.level, status.message, values, time.monotonic())
             known = before is not None and (before.level, before.message) == (status.level, status.message)
             if status.level == ERROR and not known:

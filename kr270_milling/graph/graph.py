@@ -4,44 +4,32 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import sys
 import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from kr270_milling.base.errors import MillingError
 from kr270_milling.base.process import exit_code
 from kr270_milling.cell.cell import Cell
 from kr270_milling.graph.arguments import ros_arguments, write_recorder_parameters
 from kr270_milling.graph.driver import Driver
+from kr270_milling.graph.hooks import Hooks
+from kr270_milling.graph.litter import remove_litter
 from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unmatched
-from kr270_milling.graph.processes import Child, RunError, remove_litter, stop
+from kr270_milling.graph.processes import Child, RunError, stop
+from kr270_milling.graph.watchdog import Watchdog
 from kr270_milling.ros.cell_file import write_cell
 from kr270_milling.ros.environment import keep_to_this_host
-from kr270_milling.ros.node import LOST
 
-__all__ = ["NOT_COMPLETE", "LOST", "AlreadyRunning", "Graph", "PassRun"]
+__all__ = ["NOT_COMPLETE", "Graph", "PassRun"]
 
 UP = 60.0  # [s] for a node to come up, to compile at its first use, or to revise a long trajectory
-MATCH = 10.0  # [s] for the nodes to find each other
-QUIET = 1.0  # [s] without a report after which this is told
-HELD_UP = 0.5  # [s] between two looks of this process, after which the reports that wait are heard first
+MATCH = 30.0  # [s] for the nodes to find each other
+FRESH = 1.0  # [s] since the last report of a node that reports
 CATCH_UP = 5.0  # [s] that a recorder has at the end of a pass to ask for what it was too slow for
 METHOD = "compensation.method"
 TOGETHER = "milling_cell"  # robot and cut in one process
 NOT_COMPLETE = "its recording is not complete"
-
-
-class AlreadyRunning(MillingError):
-    """Another graph has the same node names; node is one of them."""
-
-    def __init__(self, node: str):
-        self.node = node
-        super().__init__(
-            f"a node {node} already runs in this ROS domain: stop that graph first, or choose another --namespace or "
-            "ROS_DOMAIN_ID"
-        )
 
 
 @dataclass(frozen=True)
@@ -71,16 +59,22 @@ class Graph:
         extra: tuple[str, ...] = (),
         stagger: float = 0.0,
         composed: bool = False,
+        hooks: Hooks | None = None,
     ):
-        self.cell, self.out = cell, Path(out).resolve()
-        self.extra, self._stagger, self._composed = extra, stagger, composed
+        self.cell = cell
+        self.out = Path(out).resolve()
+        self.extra = extra
+        self.driver: Driver | None = None
         self.children: dict[str, Child] = {}
-        self.ended: list[Child] = []  # recorders of the passes that are done
-        self._namespace, self._signals, self._handlers = namespace, [], {}
-        self._excused: set[str] = {ROBOT, CUT, COMPENSATOR, RECORDER}  # may be silent now
-        self._up = False
-        self._of_pass: dict[str, str] = {}  # process id of each node when the pass began
-        self._looked, self._hear_until, self._quiet = time.monotonic(), 0.0, set()
+        self.ended: list[Child] = []  #: recorders of the passes that are done
+        self.spawned: dict[str, tuple] = {}  #: node -> its parameter file and further arguments
+        self._stagger = stagger
+        self._composed = composed
+        self._namespace = namespace
+        self._hooks = hooks or Hooks()
+        self._watchdog = Watchdog({ROBOT, CUT, COMPENSATOR, RECORDER}, self._hooks.tell)
+        self._signals: list[int] = []
+        self._handlers: dict[int, object] = {}
 
     def __enter__(self) -> Graph:
         started = time.monotonic()
@@ -90,7 +84,6 @@ class Graph:
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
                 self._handlers[number] = signal.signal(number, lambda caught, _: self._signals.append(caught))
-        self.driver = None
         try:
             self.driver = Driver(self._namespace, self.check)
             self._start(started)
@@ -101,16 +94,15 @@ class Graph:
 
     def _start(self, started: float) -> None:
         if self._composed:
-            self._spawn(TOGETHER, self.out / "cell.yaml", *self.extra)
-            self.children[ROBOT] = self.children[CUT] = self.children.pop(TOGETHER)
+            self.spawn(TOGETHER, self.out / "cell.yaml", *self.extra, holds=(ROBOT, CUT))
         for name in [name for name in (ROBOT, CUT, COMPENSATOR) if name not in self.children]:
-            self._spawn(name, self.out / "cell.yaml", *self.extra)
+            self.spawn(name, self.out / "cell.yaml", *self.extra)
             self._pause(self._stagger)
         nodes = (ROBOT, CUT, COMPENSATOR)
         self.driver.until(lambda: all(map(self.driver.status, nodes)), "coming up", UP)
         self.driver.transitions([(ROBOT, "configure"), (CUT, "configure")], UP)
-        self._excused = {RECORDER}
-        self._up = True
+        self._watchdog.excused = {RECORDER}
+        self._watchdog.coming_up = False
         self._wait_matched(recorded=False)
         self.up_s = time.monotonic() - started
 
@@ -120,10 +112,14 @@ class Graph:
             self.check()
             self.driver.spin()
 
-    def _spawn(self, name: str, parameters: Path, *arguments: str) -> None:
-        arguments = ros_arguments(parameters, self.driver.namespace, *arguments)
-        self.driver.statuses.pop(self.driver.name_of(name), None)
-        self.children[name] = Child(name, arguments, self.out / "log" / f"{name}.log")
+    def spawn(self, name: str, parameters: Path, *arguments: str, holds: tuple[str, ...] = ()) -> None:
+        """Start a node as a process, or several, which it holds; arguments as behind ``--ros-args``."""
+        self.spawned[name] = parameters, arguments
+        log = self.out / "log" / f"{name}.log"
+        child = Child(name, ros_arguments(parameters, self.driver.namespace, *arguments), log)
+        for node in holds or (name,):
+            self.children[node] = child
+            self.driver.expect(node, child.pid)
 
     def check(self) -> None:
         """Called all the time while something is waited for; raises when the graph cannot go on."""
@@ -131,63 +127,23 @@ class Graph:
             if self._signals[0] == signal.SIGTERM:
                 raise SystemExit(128 + signal.SIGTERM)
             raise KeyboardInterrupt
-        if self.driver is None:
-            return
-        ours = {self.driver.name_of(name): child for name, child in self.children.items()}
-        for name, child in ours.items():
-            status = self.driver.statuses.get(name)
-            if status is not None and status.values.get("pid", str(child.pid)) != str(child.pid):
-                raise AlreadyRunning(name)
-        for name, child in self.children.items():
-            if not child.alive:
-                raise RunError(name, child.why_ended())
-        for name, message in self.driver.errors:
-            if name in ours:
-                raise RunError(name.rpartition("/")[2], message)
-        for name, pid in self._of_pass.items():
-            if self._says("pid", name) not in ("", pid):
-                raise RunError(name, "was restarted in mid-pass")
-        self._check_silence(time.monotonic())
-
-    def _check_silence(self, now: float) -> None:
-        if now - self._looked > HELD_UP:  # it was us who did not listen
-            self._hear_until = now + HELD_UP
-        self._looked = now
-        if now < self._hear_until:
-            return
-        silences = {name: self._silent(name, now) for name in set(self.children) - self._excused}
-        if len(silences) > 1 and max(silences.values()) > LOST and min(silences.values()) > LOST - HELD_UP:
-            self.driver.stuck = True
-            what = f"no node has been heard of for {LOST - HELD_UP:g} s: the middleware of this process may be blocked"
-            raise RunError("graph", what)
-        for name, silent in silences.items():
-            if silent > LOST:
-                raise RunError(name, f"has not been heard of for {LOST:g} s")
-            if silent > QUIET and name not in self._quiet:
-                self.tell(f"{name}: has not been heard of for {QUIET:g} s; waiting")
-            (self._quiet.add if silent > QUIET else self._quiet.discard)(name)
-
-    def _silent(self, name: str, now: float) -> float:
-        status = self.driver.status(name)
-        return 0.0 if status is None else now - status.at
-
-    def tell(self, sentence: str) -> None:
-        """What the user should know while the run goes on."""
-        print(f"kr270_milling: {sentence}", file=sys.stderr)
+        if self.driver is not None:
+            self._hooks.looked()
+            self._watchdog.look(self.driver, self.children)
 
     @contextlib.contextmanager
     def _excuse(self, *names: str):
         """Nodes that are busy with something long are not expected to report."""
-        self._excused |= set(names)
+        self._watchdog.excused |= set(names)
         yield
         self.driver.spin()
         for name in names:
             self.driver.until(lambda n=name: self._is_fresh(n), "reporting again", UP, name)
-        self._excused -= set(names)
+        self._watchdog.excused -= set(names)
 
     def _is_fresh(self, name: str) -> bool:
         status = self.driver.status(name)
-        return status is not None and time.monotonic() - status.at < QUIET
+        return status is not None and time.monotonic() - status.at < FRESH
 
     def _wait_matched(self, recorded: bool) -> None:
         try:
@@ -210,8 +166,7 @@ class Graph:
         return self._says("repeats") == "True"
 
     def _says(self, key: str, node: str = COMPENSATOR) -> str:
-        status = self.driver.status(node)
-        return "" if status is None else status.values.get(key, "")
+        return self.driver.says(node, key)
 
     def run_pass(self, name: str) -> PassRun:
         """One pass on a fresh workpiece, recorded to ``out/name``."""
@@ -220,13 +175,13 @@ class Graph:
         for child in self.children.values():
             child.note_shared()  # of a node that is killed later this cannot be found out any more
         reference, revision = self._says("reference"), self._says("revision")
-        self._of_pass = {node: self._says("pid", node) for node in self.children}
+        self._watchdog.of_pass = {node: self._says("pid", node) for node in self.children}
         self.driver.transition(CUT, "activate", UP)
         self.driver.transition(ROBOT, "activate", UP)
         self.driver.until(self._pass_complete, "the pass", float("inf"), ROBOT)
         with self._excuse(COMPENSATOR):
             self.driver.until(lambda: self._says("revision") != revision, "revising", UP, COMPENSATOR)
-        self._of_pass = {}
+        self._watchdog.of_pass = {}
         wall = float(self._says("wall_s", ROBOT))
         self.driver.transition(ROBOT, "deactivate", UP)
         with self._excuse(CUT):
@@ -245,7 +200,7 @@ class Graph:
 
     def begin_recording(self, name: str) -> None:
         """Start the recorder of a pass and wait until it hears everybody."""
-        self._spawn(RECORDER, write_recorder_parameters(self.cell, self.out, name, self.driver.namespace))
+        self.spawn(RECORDER, write_recorder_parameters(self.cell, self.out, name, self.driver.namespace))
         with self._excuse(RECORDER):
             self.driver.until(lambda: self.driver.status(RECORDER), "coming up", UP, RECORDER)
         self._wait_matched(recorded=True)
@@ -255,11 +210,12 @@ class Graph:
         end = time.monotonic() + CATCH_UP
         self.driver.until(lambda: self._all_recorded() or time.monotonic() > end, "catching up", UP, RECORDER)
         if not self._all_recorded():
-            self.tell(f"recorder: has not received the end of the pass; {NOT_COMPLETE}")
-        elif self._says("missing", RECORDER) != "0":
-            self.tell(f"recorder: {self._says('missing', RECORDER)} messages of the pass were lost; {NOT_COMPLETE}")
+            self._hooks.tell(f"recorder: has not received the end of the pass; {NOT_COMPLETE}")
+        elif (missing := self._says("missing", RECORDER)) != "0":
+            self._hooks.tell(f"recorder: {missing} messages of the pass were lost; {NOT_COMPLETE}")
+        self._hooks.pass_recorded()
         recorder = self.children.pop(RECORDER)
-        self._excused.add(RECORDER)
+        self._watchdog.excused.add(RECORDER)
         self.ended.append(recorder)
         recorder.note_shared()
         recorder.signal(signal.SIGINT)

@@ -13,8 +13,10 @@ from typing import NamedTuple
 from faults.clock import SteppedClock
 from kr270_milling.cell.cell import Cell
 from kr270_milling.graph.graph import Graph
+from kr270_milling.graph.hooks import Hooks
+from kr270_milling.graph.litter import remove_litter
 from kr270_milling.graph.matching import ROBOT
-from kr270_milling.graph.processes import Child, remove_litter
+from kr270_milling.graph.processes import Child
 
 __all__ = ["Disturbed", "Told"]
 
@@ -28,11 +30,11 @@ class Told(NamedTuple):
     sentence: str
 
 
-class Disturbed(Graph):
-    """``disturb`` takes a script that begins so many seconds after the next pass has begun."""
+class Disturbed(Hooks):
+    """Context manager: a graph. ``disturb`` takes a script that begins some seconds after the next pass has begun."""
 
     def __init__(self, cell: Cell, out: Path, clock: SteppedClock | None = None):
-        super().__init__(cell, out)
+        self.graph = Graph(cell, out, hooks=self)
         self.clock = clock
         self.told: list[Told] = []
         self.beside: list[subprocess.Popen] = []  #: processes that are no nodes
@@ -40,35 +42,38 @@ class Disturbed(Graph):
         self.struck_wall_ns = 0
         self.recording = Path(out)
         self._script: Iterator[float] | None = None
-        self._next, self._given = 0.0, {}
+        self._next = 0.0
+
+    @property
+    def children(self) -> dict[str, Child]:
+        return self.graph.children
 
     def disturb(self, script: Iterator[float], after: float) -> None:
         self.told, self.struck_at = [], None
         self._script, self._next = self._delayed(script, after), 0.0
 
     def _delayed(self, script: Iterator[float], after: float) -> Iterator[float]:
-        while self._says("state", ROBOT) != "active" or self.driver.status(ROBOT).message != "pass running":
+        driver = self.graph.driver
+        while driver.says(ROBOT, "state") != "active" or driver.status(ROBOT).message != "pass running":
             yield 0.0
         yield after
         yield from script
 
     def run_pass(self, name: str):
-        self.recording = self.out / name
-        return super().run_pass(name)
+        self.recording = self.graph.out / name
+        return self.graph.run_pass(name)
 
-    def check(self) -> None:
+    def looked(self) -> None:
         if self._script is not None and time.monotonic() >= self._next:
             pause = next(self._script, None)
             self._script = None if pause is None else self._script
             self._next = time.monotonic() + (pause or 0.0)
-        self._listen()
-        super().check()
+        if self.struck_at is not None:
+            self._listen()
 
     def _listen(self) -> None:
         """Warnings and errors since the fault."""
-        if self.struck_at is None or self.driver is None:
-            return
-        for name, status in list(self.driver.statuses.items()):
+        for name, status in list(self.graph.driver.statuses.items()):
             sentence = f"{name.rpartition('/')[2]}: {status.message}"
             said = any(sentence == told.sentence for told in self.told)
             if status.level >= WARN and status.at > self.struck_at and not said:
@@ -87,22 +92,19 @@ class Disturbed(Graph):
         self.struck()
         self.children[node].signal(number)
 
-    def _spawn(self, name: str, parameters: Path, *arguments: str) -> None:
-        self._given[name] = parameters, arguments
-        super()._spawn(name, parameters, *arguments)
-
     def restart(self, node: str, *more: str) -> None:
-        """As a supervisor does: kill, and start again with the same arguments; this graph does not notice by itself."""
+        """As a supervisor does: kill, and start again with the same arguments; the graph does not notice by itself."""
+        graph, driver = self.graph, self.graph.driver
         self.strike(node, signal.SIGKILL)
         self.children[node].process.wait()
         for _ in range(5):
-            self.driver.spin()  # its last words
-        self.ended.append(self.children[node])
-        name, before = self.driver.name_of(node), self.driver.status(node)
-        parameters, arguments = self._given[node]
-        super()._spawn(node, parameters, *arguments, *more)
+            driver.spin()  # its last words
+        graph.ended.append(self.children[node])
+        name, before = driver.name_of(node), driver.status(node)
+        parameters, arguments = graph.spawned[node]
+        graph.spawn(node, parameters, *arguments, *more)
         values = {key: value for key, value in before.values.items() if key != "pid"}
-        self.driver.statuses[name] = dataclasses.replace(before, values=values, at=time.monotonic())
+        driver.statuses[name] = dataclasses.replace(before, values=values, at=time.monotonic())
 
     def end_beside(self) -> None:
         for process in self.beside:
@@ -111,7 +113,14 @@ class Disturbed(Graph):
         self.beside.clear()
 
     def all_children(self) -> list[Child]:
-        return [*self.children.values(), *self.ended]
+        return [*self.children.values(), *self.graph.ended]
+
+    def __enter__(self) -> Disturbed:
+        self.graph.__enter__()
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
 
     def close(self) -> None:
         known = self.all_children()
@@ -120,10 +129,10 @@ class Disturbed(Graph):
         self._script = None
         self.end_beside()
         try:
-            super().close()
+            self.graph.close()
         finally:
-            self.ended = known
+            self.graph.ended = known
 
     def litter(self) -> list[str]:
         """Files that its nodes left in shared memory; removed now."""
-        return remove_litter(self.ended)
+        return remove_litter(self.graph.ended)

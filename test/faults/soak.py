@@ -15,6 +15,7 @@ from faults.footprint import Footprint, footprint, slope
 from faults.rows import fault_cell
 from kr270_milling.bag.reader import Recording
 from kr270_milling.graph.graph import Graph
+from kr270_milling.graph.hooks import Hooks
 from kr270_milling.graph.processes import RunError
 from kr270_milling.ros.environment import child_environment
 
@@ -98,29 +99,29 @@ def run_soak(passes: int, seconds: float, out: Path, progress: Callable[[int, in
     return rows
 
 
-class _Watched(Graph):
-    """Looks at its processes at the end of every pass."""
+class _Watched(Hooks):
+    """Looks at the processes of a graph at the end of every pass."""
 
     def __init__(self, cell, out: Path):
-        super().__init__(cell, out)
+        self.graph = Graph(cell, out, hooks=self)
         self.rows: dict[str, Growth] = {}
 
-    def end_recording(self) -> None:
-        pids = {name: child.pid for name, child in self.children.items()}
+    def pass_recorded(self) -> None:
+        pids = {name: child.pid for name, child in self.graph.children.items()}
         for name, pid in {**pids, "runner": os.getpid()}.items():
             row = self.rows.setdefault(name, Growth(ONCE.get(name, name), "pass"))
             row.look(len(row.samples) + 1, pid)
-        super().end_recording()
 
 
 def _passes(count: int, out: Path, progress: Callable[[float], None]) -> list[Growth]:
-    with _Watched(fault_cell(), out) as graph:
+    watched = _Watched(fault_cell(), out)
+    with watched.graph as graph:
         for number in range(1, count + 1):
             recording = graph.run_pass(f"pass_{number}").recording
             for file in recording.glob("*"):
                 file.unlink()
             progress(number)
-    return list(graph.rows.values())
+    return list(watched.rows.values())
 
 
 def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]) -> Growth:

@@ -17,8 +17,8 @@ pytest.importorskip("rclpy")
 
 from kr270_milling.bag.reader import Recording
 from kr270_milling.cell.jobs import compensated, simulate
+from kr270_milling.graph.litter import shared_files
 from kr270_milling.graph.plan import fresh_directory
-from kr270_milling.graph.processes import _shared_files
 from kr270_milling.replay.recompute import recompute
 from kr270_milling.replay.recorded import pass_from_recording
 
@@ -150,13 +150,13 @@ def test_killed_node_is_named_and_nothing_is_left(runner, tmp_path, node):
     process = runner(tmp_path / "o", "--passes", "1", *how, sets=LONG)
     pids = in_mid_pass(tmp_path / "o")
     # the ports 70xx are common to every graph on this machine
-    shared = {name for pid in pids.values() for name in _shared_files(pid) if "_port70" not in name}
+    shared = {name for pid in pids.values() for name in shared_files(pid) if "_port70" not in name}
     os.kill(pids[node], signal.SIGKILL)
     code, _, told = finished(process)
     assert code == 2 and told.count("\n") == 1
     assert ("compliant_robot" if node == "milling_cell" else node) in told and "SIGKILL" in told
     assert not nodes_of(tmp_path)
-    used = {name for pid in filter(str.isdigit, os.listdir("/proc")) for name in _shared_files(pid)}
+    used = {name for pid in filter(str.isdigit, os.listdir("/proc")) for name in shared_files(pid)}
     left = sorted(name for name in shared - used if os.path.exists(name))
     assert shared and not left, left
     with Recording(tmp_path / "o" / "original") as recording:

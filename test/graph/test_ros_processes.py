@@ -13,11 +13,11 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from kr270_milling.graph import processes
+from kr270_milling.graph import litter
 
 #: runs a command that sees no other process, as in a container that shares /dev/shm
 ALONE = ["unshare", "--pid", "--fork", "--mount-proc"]
-REMOVE = "from kr270_milling.graph.processes import remove_litter; print('\\n'.join(remove_litter([])))"
+REMOVE = "from kr270_milling.graph.litter import remove_litter; print('\\n'.join(remove_litter([])))"
 
 
 def alone() -> bool:
@@ -60,8 +60,8 @@ def test_port_of_a_node_that_is_not_seen_from_here_is_left_alone(port, kind):
 def test_port_without_a_lock_is_left_alone_where_it_was_just_in_the_making(port):
     files = make(port)
     with subprocess.Popen(
-        ["sh", "-c", f"sleep {0.3 * processes.MAKING}; exec flock --no-fork {port}_el sleep 60"]
+        ["sh", "-c", f"sleep {0.3 * litter.MAKING}; exec flock --no-fork {port}_el sleep 60"]
     ) as maker:
-        assert not set(files) & set(processes.remove_litter([]))
+        assert not set(files) & set(litter.remove_litter([]))
         maker.kill()
-    assert {*files, port + "_el"} <= set(processes.remove_litter([]))
+    assert {*files, port + "_el"} <= set(litter.remove_litter([]))

@@ -1,0 +1,74 @@
+"""Whether a running graph can go on: processes that ended, errors, restarts, silence."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.graph.driver import Driver
+from kr270_milling.graph.processes import Child, RunError
+from kr270_milling.ros.node import LOST
+
+__all__ = ["LOST", "QUIET", "AlreadyRunning", "Watchdog"]
+
+QUIET = 1.0  # [s] without a report after which this is told
+HELD_UP = 0.5  # [s] between two looks of this process, after which the reports that wait are heard first
+
+
+class AlreadyRunning(MillingError):
+    """Another graph has the same node names; node is one of them."""
+
+    def __init__(self, node: str):
+        self.node = node
+        super().__init__(
+            f"a node {node} already runs in this ROS domain: stop that graph first, or choose another --namespace or "
+            "ROS_DOMAIN_ID"
+        )
+
+
+class Watchdog:
+    """Looks at the nodes while something is waited for; ``tell`` takes what the user should know meanwhile."""
+
+    def __init__(self, excused: set[str], tell: Callable[[str], None]):
+        self.excused = excused  #: nodes that may be silent now
+        self.coming_up = True  #: another graph with these names is an error; later on its reports are ignored
+        self.of_pass: dict[str, str] = {}  #: process id of each node when the pass began
+        self._tell = tell
+        self._looked, self._hear_until, self._quiet = time.monotonic(), 0.0, set()
+
+    def look(self, driver: Driver, children: Mapping[str, Child]) -> None:
+        """Raises AlreadyRunning or RunError when the graph cannot go on."""
+        ours = {driver.name_of(name): name for name in children}
+        strangers = sorted(driver.foreign & set(ours))
+        if self.coming_up and strangers:
+            raise AlreadyRunning(strangers[0])
+        for name, child in children.items():
+            if not child.alive:
+                raise RunError(name, child.why_ended())
+        for name, message in driver.errors:
+            if name in ours:
+                raise RunError(ours[name], message)
+        for name, pid in self.of_pass.items():
+            if driver.says(name, "pid") not in ("", pid):
+                raise RunError(name, "was restarted in mid-pass")
+        self.look_for_silence(driver, set(children), time.monotonic())
+
+    def look_for_silence(self, driver: Driver, nodes: set[str], now: float) -> None:
+        """now: [s] of the monotonic clock."""
+        if now - self._looked > HELD_UP:  # it was us who did not listen
+            self._hear_until = now + HELD_UP
+        self._looked = now
+        if now < self._hear_until:
+            return
+        silences = {name: driver.silence(name, now) for name in nodes - self.excused}
+        if len(silences) > 1 and max(silences.values()) > LOST and min(silences.values()) > LOST - HELD_UP:
+            driver.stuck = True
+            what = f"no node has been heard of for {LOST - HELD_UP:g} s: the middleware of this process may be blocked"
+            raise RunError("graph", what)
+        for name, silent in silences.items():
+            if silent > LOST:
+                raise RunError(name, f"has not been heard of for {LOST:g} s")
+            if silent > QUIET and name not in self._quiet:
+                self._tell(f"{name}: has not been heard of for {QUIET:g} s; waiting")
+            (self._quiet.add if silent > QUIET else self._quiet.discard)(name)
