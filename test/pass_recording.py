@@ -101,7 +101,7 @@ def _exchange(robot, cut, compensator) -> list[Message]:
 
 
 TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states": JOINTS,
-         "reference_trajectory": REFERENCE, "joint_trajectory": PROGRAM,
+         "robot_description": "std_msgs/msg/String", "reference_trajectory": REFERENCE, "joint_trajectory": PROGRAM,
          "workpiece": "nav_msgs/msg/OccupancyGrid", "diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}  # fmt: skip
 
 

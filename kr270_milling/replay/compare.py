@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 import struct
 from collections import deque
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from kr270_milling.messages.exchange import to_bytes
 
 __all__ = ["Channel", "Difference", "difference"]
 
+EXCERPT = 40  # characters of a long text that are shown
 OPTIONS = slice(2, 4)  # of the encapsulation; a publisher of plain CDR leaves them 0
 
 
@@ -215,6 +217,9 @@ def _difference(path: str, a, b) -> tuple | None:
         if isinstance(a, np.ndarray):
             a, b = ([] if x.tobytes() == y.tobytes() else x.tolist() for x, y in ((a, b), (b, a)))
         pairs = [(f"{path}[{i}]", x, y) for i, (x, y) in enumerate(zip(a, b, strict=True))]
+    elif isinstance(a, str) and max(len(a), len(b)) > EXCERPT and a != b:
+        at = len(os.path.commonprefix([a, b]))
+        return f"{path}, from character {at} on,", a[at : at + EXCERPT], b[at : at + EXCERPT]
     else:
         return None if _bits(a) == _bits(b) else (path, a, b)
     return next((found for pair in pairs if (found := _difference(*pair)) is not None), None)

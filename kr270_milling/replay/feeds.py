@@ -62,13 +62,16 @@ class RobotFeed(Feed):
         )  # all deflections: what was published is compared, also if all
         self._begun = False
         self._same_stamp: list[WrenchSample] = []
-        self._publish(self.protocol.describe())
 
     def reference(self, run: Trajectory) -> None:
         """The reference of the next pass. Raises ValueError for one that no machine of this size can simulate."""
         if self.cell.clock.steps(run.duration_ns) > MOST_STEPS:
             raise ValueError(f"the reference trajectory takes {run.duration_ns * 1e-9:g} s")
         self.protocol.reference = run
+
+    def description(self) -> None:
+        """Compare the recorded description."""
+        self._publish(self.protocol.describe())
 
     def wrench(self, sample: WrenchSample) -> None:
         """The next wrench. Where the exchange is iterated, those of one stamp wait until they are all there."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling import __version__
 from kr270_milling.bag.bagmeta import read_qos
 from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
@@ -60,6 +61,7 @@ class Robot:
         self.namespace = namespace
         self.channels = channels
         self.stops: list[Stop] = []
+        self.foreign = False  #: recorded by another version, whose picture of the arm for viewers may be another
         self.robot = RobotFeed(cell, channels, self._stop)
         self.cut = CutFeed(cell, channels, self._stop)
         self.compensator: CompensatorFeed | None = None
@@ -82,7 +84,11 @@ class Robot:
             self.cut.workpiece(stamp, data)
         elif name in ("reference_trajectory", "target_trajectory"):
             self._trajectory(name, data)
+        elif name == "robot_description" and self.foreign:
+            self.channels[name].take(data)
         else:
+            if name == "robot_description":
+                self.robot.description()
             self.channels[name].recorded(stamp, data)
 
     def hear_compensator(self, name: str, data: bytes) -> None:
@@ -160,9 +166,9 @@ class Robots:
         for namespace in sorted({namespace for namespace, _ in self._names.values()}):
             with self._usable(f"{namespace}/reference_trajectory"):
                 channels = self._channels(namespace)
-                self.robots[namespace] = Robot(
-                    self.cell, namespace, channels, firsts.get(namespace), openings.get(namespace)
-                )
+                robot = Robot(self.cell, namespace, channels, firsts.get(namespace), openings.get(namespace))
+                robot.foreign = recording.library != f"kr270_milling/{__version__}"
+                self.robots[namespace] = robot
 
     def _find_topics(self) -> dict[str, tuple[str, str]]:
         """Topic -> (namespace, name), of the topics that have the right name and type."""

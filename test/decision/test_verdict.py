@@ -16,7 +16,14 @@ from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cli import main
 from kr270_milling.decision.samples import coarser, deviations, perturbed, run_sample
 from kr270_milling.decision.verdict import (
-    HELPS, INDIFFERENT, TRACKED, UNTRUSTED, Verdict, alternatives, judge, monte_carlo,
+    HELPS,
+    INDIFFERENT,
+    TRACKED,
+    UNTRUSTED,
+    Verdict,
+    alternatives,
+    judge,
+    monte_carlo,
 )  # fmt: skip
 
 SHORT = ("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")

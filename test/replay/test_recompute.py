@@ -14,6 +14,9 @@ from pass_recording import STEPS, flip, force_offset
 from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import ConfigError, MillingError
+from kr270_milling.base.samples import Text
+from kr270_milling.cell.protocols import robot_protocol
+from kr270_milling.messages.exchange import to_bytes
 from kr270_milling.replay.compensate import compensate
 from kr270_milling.replay.recompute import recompute
 
@@ -62,6 +65,23 @@ def test_a_changed_map_of_the_workpiece_is_found(tmp_path):
     messages = made.changed(made.one_pass(), "workpiece", 0, flip(-2000))
     found = recompute(made.write(tmp_path / "r", messages))
     assert found.first.topic == "/workpiece" and found.first.field.startswith("data[")
+
+
+def described(text: str) -> list:
+    ((_, record),) = robot_protocol(made.cell_of()).describe()
+    return [made.Message("robot_description", to_bytes(Text(text) if text else record), 0)]
+
+
+def test_a_changed_description_is_found_but_not_in_a_recording_of_another_version(tmp_path, monkeypatch):
+    """What the arm looks like in a viewer changes from version to version; it is no result."""
+    same = recompute(made.write(tmp_path / "same", [*described(""), *made.one_pass()]))
+    assert same.verdict == "identical" and same.channels["/robot_description"].compared == 1
+    other = made.write(tmp_path / "other", [*described("x" * 100), *made.one_pass()])
+    first = recompute(other).first
+    assert first.topic == "/robot_description" and len(str(first)) < 300
+    monkeypatch.setattr("kr270_milling.replay.robots.__version__", "99")
+    found = recompute(other)
+    assert found.verdict == "identical" and found.channels["/robot_description"].given == 1
 
 
 def test_a_map_that_is_latched_from_the_pass_before_is_not_compared_with_this_one(tmp_path):
