@@ -32,6 +32,7 @@ setup(
     ],
     extras_require={
         "ros": ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"],
+        "completion": ["argcomplete>=3.0"],
         "uff": ["pyuff>=2.4"],
         "test": [
             "pyuff>=2.4",
@@ -39,6 +40,7 @@ setup(
             "hypothesis>=6.80",
             "pin>=2.7",
             "playwright>=1.40",
+            "argcomplete>=3.0",
             "mcap-ros2-support>=0.5",
             "ruff>=0.6",
             "import-linter>=2.6",

@@ -7,6 +7,7 @@ import contextlib
 import importlib
 import os
 import re
+import shlex
 import signal
 import sys
 
@@ -106,7 +107,18 @@ def _hear_interrupts() -> None:
             signal.signal(signal.SIGINT, interrupt)
 
 
+def _complete() -> None:
+    """Answer a shell that asks how a line goes on: eval "$(register-python-argcomplete kr270_milling)"."""
+    with contextlib.suppress(ImportError, ValueError):  # not installed; a quote that is still open
+        import argcomplete
+
+        words = shlex.split(os.environ.get("COMP_LINE", ""))[1:]
+        argcomplete.autocomplete(_parser(words))
+
+
 def _run(argv: list[str]) -> int:
+    if "_ARGCOMPLETE" in os.environ:
+        _complete()
     argv = _join_negative(argv)
     if any("\0" in word for word in argv):  # no shell can pass one on, but a caller of main can
         return _refuse("an argument holds a zero byte")
