@@ -19,7 +19,7 @@ from kr270_milling.decision.part.assessment import assess_all
 from kr270_milling.report.series import COLUMNS, series_lines, series_rows
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.simulation.scores import Scores
-from kr270_milling.trajectory.files import write_files
+from kr270_milling.base.files import write_files
 from kr270_milling.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -1,6 +1,7 @@
 """A recording read back, in the order of its log times or, cut off or asked for, in the order of the file.
 
-Nothing is read at once that grows with the file: messages come one by one out of at most 64 MB of unpacked chunks.
+Nothing is read at once that grows with the file: messages come one by one out of at most 64 MB of unpacked chunks
+beside the one that is being read.
 """
 
 from __future__ import annotations
@@ -8,20 +9,21 @@ from __future__ import annotations
 import heapq
 import os
 import stat
-import struct
 import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
 from typing import NamedTuple
 
-from kr270_milling.bag import scan
-from kr270_milling.bag.find import find_file
-from kr270_milling.bag.scan import MAGIC, Attachment, Chunk, Damage
-from kr270_milling.bag.unpack import Unpacker
+from mcap.opcode import Opcode
+
+from kr270_milling.bag.chunks import CACHE, Entry, Messages, Unpacker
+from kr270_milling.bag.contents import Contents
+from kr270_milling.bag.structure import MAGIC, SMALL, Attachment, Chunk, Damage, attached, parsed, parts
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.decode import Topic, make_decoder
 
-__all__ = ["RawMessage", "Recording", "Topic", "find_file"]
+__all__ = ["BEGIN", "END", "Place", "RawMessage", "Recording", "Topic", "find_file", "open_file"]
 
 FOOTER_SIZE = 9 + 20 + len(MAGIC)
 Place = tuple[int, float]  # of a message in its file: offset of the chunk, offset in the unpacked chunk
@@ -37,6 +39,29 @@ class RawMessage(NamedTuple):
     data: bytes
 
 
+def find_file(path) -> Path:
+    """The MCAP file itself, or the one in a recording's directory."""
+    path = Path(path)
+    if not path.is_dir():
+        return path
+    files = sorted(path.glob("*.mcap"))
+    if len(files) != 1:
+        raise RecordingError(path, f"holds {len(files)} MCAP files where a recording has one")
+    return files[0]
+
+
+def open_file(path: Path):
+    """A regular file, opened to be read. Raises RecordingError."""
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe must not make us wait
+    except (OSError, ValueError) as error:
+        raise RecordingError(path, f"cannot be read: {getattr(error, 'strerror', error)}") from error
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise RecordingError(path, "is not a file")
+    return os.fdopen(file, "rb", buffering=65536)
+
+
 class Recording:
     """An open recording. ``cut_off`` tells that its writer did not finish it; then ``last_log_time`` is that of the
     last complete message. Raises RecordingError for what is no MCAP file or is damaged.
@@ -46,130 +71,106 @@ class Recording:
 
     def __init__(self, path, progress: Callable[[int, int], None] | None = None):
         self.path = find_file(path)
-        self._stream = self._open()
+        self.stream = open_file(self.path)
+        self.size = os.fstat(self.stream.fileno()).st_size
+        self.unpack = Unpacker(self.stream)
+        self.contents = Contents(self.stream)
+        self.cut_off = True
+        self.data_end = len(MAGIC)  #: offset behind the last whole record of the data section
         try:
-            self._read_structure(progress)
+            self._read(progress)
         except Damage as damage:
             self.close()
-            raise self._error(damage) from damage
-        except RecordingError:
-            self.close()
-            raise
+            raise self.error(damage) from damage
 
-    def _open(self):
-        try:
-            file = os.open(self.path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe must not make us wait
-        except (OSError, ValueError) as error:
-            raise RecordingError(self.path, f"cannot be read: {getattr(error, 'strerror', error)}") from error
-        if not stat.S_ISREG(os.fstat(file).st_mode):
-            os.close(file)
-            raise RecordingError(self.path, "is not a file")
-        self.size = os.fstat(file).st_size
-        return os.fdopen(file, "rb", buffering=65536)
-
-    def _read_structure(self, progress) -> None:
-        self.schemas: dict[int, scan.SchemaInfo] = {}
-        self.channels: dict[int, scan.ChannelInfo] = {}
-        self.chunks: list[Chunk] = []
-        self.attachments: list[Attachment] = []
-        self._metadata: list[tuple[str, dict[str, str]]] = []
-        self.profile = self.library = ""
-        self.cut_off = True
-        self.data_crc = self._data_end = 0
+    def _read(self, progress) -> None:
         self._check_magic()
-        self._counts: Counter[int] | None = None
-        self._unpack = Unpacker(self._stream)
         summary = self._read_summary()
         self._read_data(summary or self.size)
-        if self._counts is None:
+        if self.contents.counts is None:
             self._survey(progress)
-        if self.cut_off and self._is_whole():
-            raise Damage("a record claims more bytes than the file has", self._end)
+        if self.cut_off and self.is_finished():
+            raise Damage("a record claims more bytes than the file has", self.data_end)
 
     def _check_magic(self) -> None:
-        begin = self._stream.read(len(MAGIC))
+        begin = self.stream.read(len(MAGIC))
         if begin != MAGIC:
             cut = begin and MAGIC.startswith(begin)
             raise Damage("the file ends in its first bytes" if cut else "this is not an MCAP file", 0)
 
-    def _is_whole(self) -> bool:
-        self._stream.seek(max(self.size - FOOTER_SIZE, 0))
-        end = self._stream.read(FOOTER_SIZE)
-        return end.endswith(MAGIC) and end[:9] == scan.HEAD.pack(scan.FOOTER, 20)
+    def is_finished(self) -> bool:
+        """Whether the file ends as a writer ends it: with a footer."""
+        self.stream.seek(max(self.size - FOOTER_SIZE, 0))
+        end = self.stream.read(FOOTER_SIZE)
+        return end.endswith(MAGIC) and end[:9] == bytes([Opcode.FOOTER, 20]) + bytes(7)
 
     def _read_summary(self) -> int | None:
         """Schemas, channels and counts from the end of the file; returns where the summary begins."""
-        if self.size < len(MAGIC) + FOOTER_SIZE or not self._is_whole():
+        if self.size < len(MAGIC) + FOOTER_SIZE or not self.is_finished():
             return None
-        self._stream.seek(footer := self.size - FOOTER_SIZE)
-        start, _, crc = struct.unpack("<QQI", self._stream.read(FOOTER_SIZE)[9:29])
+        at = self.size - FOOTER_SIZE
+        self.stream.seek(at + 9)
+        footer = parsed(Opcode.FOOTER, self.stream.read(20), at)
+        start = footer.summary_start
         if not start:
             return None
-        if not len(MAGIC) <= start <= footer or footer - start > scan.LIMIT:
-            raise Damage("the footer points to an impossible place", footer)
-        self._stream.seek(start)
-        summary = self._stream.read(footer + 25 - start)  # the checksum includes the footer up to itself
-        if crc and zlib.crc32(summary) != crc:
+        if not len(MAGIC) <= start <= at or at - start > SMALL:
+            raise Damage("the footer points to an impossible place", at)
+        self.stream.seek(start)
+        summary = self.stream.read(at + 25 - start)  # the checksum includes the footer up to itself
+        if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
             raise Damage("the summary at the end does not fit its checksum", start)
-        for part in scan.parts(self._stream, start, footer):
-            self._take(part)
-            if part.type == scan.STATISTICS:
-                self._counts = self._read_counts(part)
+        for part in parts(self.stream, start, at):
+            if part.type in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+                self.contents.take(part)
         return start
-
-    def _read_counts(self, part: scan.Part) -> Counter[int]:
-        fields = scan.content(self._stream, part)
-        fields.unpack("QHIIIIQQ")
-        pairs = fields.take(fields.unpack("I")[0])
-        return Counter(dict(struct.iter_unpack("<HQ", pairs[: len(pairs) // 10 * 10])))
 
     def _read_data(self, end: int) -> None:
         """Where everything is; the messages themselves are not read."""
-        self._end = len(MAGIC)
-        for part in scan.parts(self._stream, len(MAGIC), end):
-            self._end = part.start + part.size
-            self._take(part)
-            if part.type == scan.DATA_END:
-                (self.data_crc,), self._data_end = scan.content(self._stream, part).unpack("I"), part.offset
-                self.cut_off = not self._is_whole()
+        for part in parts(self.stream, len(MAGIC), end):
+            self.contents.take(part)
+            if part.type == Opcode.DATA_END:
+                self.cut_off = not self.is_finished()
                 break
-        if not self.profile and not self.library and self._end == len(MAGIC):
-            raise Damage("the file ends before its header", self._end)
-
-    def _take(self, part: scan.Part) -> None:
-        if part.type in (scan.CHUNK, scan.MESSAGE):
-            self.chunks.append(scan.chunk(self._stream, part))
-        elif part.type == scan.ATTACHMENT:
-            self.attachments.append(scan.attachment(self._stream, part))
-        elif part.type == scan.SCHEMA:
-            self.schemas.update([scan.schema(scan.content(self._stream, part))])
-        elif part.type == scan.CHANNEL:
-            self.channels.update([scan.channel(scan.content(self._stream, part))])
-        elif part.type == scan.METADATA:
-            fields = scan.content(self._stream, part)
-            self._metadata.append((fields.text(), fields.mapping()))
-        elif part.type == scan.HEADER:
-            fields = scan.content(self._stream, part)
-            self.profile, self.library = fields.text(), fields.text()
+            self.data_end = part.end
+        if self.data_end == len(MAGIC):
+            raise Damage("the file ends before its header", self.data_end)
 
     def _survey(self, progress) -> None:
         """Look through all chunks of a file without a summary: channels and counts."""
-        self._counts = Counter()
-        for chunk in self.chunks:
-            found = self._unpack(chunk)
-            self.schemas.update(found.schemas)
-            self.channels.update(found.channels)
-            self._counts.update(entry[3] for entry in found.index)
+        counts: Counter[int] = Counter()
+        for chunk in self.contents.chunks:
+            found = self.unpack(chunk)
+            for record in found.definitions:
+                self.contents.define(record, chunk.offset)
+            counts.update(found.counts)
             if progress:
                 progress(chunk.start + chunk.size, self.size)
+        self.contents.counts = counts
 
-    def _error(self, damage: Damage) -> RecordingError:
+    def error(self, damage: Damage) -> RecordingError:
         hint = "; recover may save the rest" if damage.offset else ""
         return RecordingError(self.path, damage.reason + hint, damage.offset)
 
     @property
+    def profile(self) -> str:
+        return self.contents.profile
+
+    @property
+    def library(self) -> str:
+        return self.contents.library
+
+    @property
+    def attachments(self) -> list[Attachment]:
+        return self.contents.attachments
+
+    @property
+    def chunks(self) -> list[Chunk]:
+        return self.contents.chunks
+
+    @property
     def count(self) -> int:
-        return sum(self._counts.values())
+        return sum(self.contents.counts.values())
 
     @property
     def first_log_time(self) -> int | None:
@@ -181,25 +182,19 @@ class Recording:
 
     def topics(self) -> dict[str, Topic]:
         """Topic name -> what it carries, in the order of first appearance. Channels of one topic are one topic."""
-        found: dict[str, Topic] = {}
-        for number, channel in self.channels.items():
-            schema = self.schemas.get(channel.schema_id, scan.SchemaInfo("", "", b""))
-            count = self._counts[number] + (found[channel.topic].count if channel.topic in found else 0)
-            text = schema.data.decode("utf-8", "replace")
-            found[channel.topic] = Topic(schema.name, count, channel.encoding, text, schema.encoding, channel.metadata)
-        return found
+        return self.contents.topics()
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Record name -> entries; of several records with one name the last."""
-        return dict(self._metadata)
+        return dict(self.contents.metadata)
 
     def attachment(self, name: str) -> bytes:
         for about in self.attachments:
             if about.name == name:
                 try:
-                    return scan.attached(self._stream, about)
+                    return attached(self.stream, about)
                 except Damage as damage:
-                    raise self._error(damage) from damage
+                    raise self.error(damage) from damage
         raise RecordingError(self.path, f"nothing named {name!r} is attached")
 
     def messages(
@@ -210,47 +205,67 @@ class Recording:
         that is cut off in its own order, and any file ``as_written``, so that its passes stay apart. within: the place
         of the first message and the one behind the last."""
         low, high = start or 0, 2**64 if end is None else end
-        names = {n: c.topic for n, c in self.channels.items() if topics is None or c.topic in topics}
         first, behind = within or (BEGIN, END)
+        names = {n: c.topic for n, c in self.contents.channels.items() if topics is None or c.topic in topics}
         chunks = [c for c in self.chunks if c.last_time >= low and c.first_time < high
                   and first[0] <= c.offset <= behind[0]]  # fmt: skip
         try:
-            for log_time, at, begin, stop, channel, publish_time, _, chunk in self._entries(chunks, as_written):
-                if not first <= (at, begin) < behind:
+            for entry, found in self._entries(chunks, as_written):
+                if not low <= entry.log_time < high or not first <= (entry.chunk, entry.begin) < behind:
                     continue
-                if channel in names and low <= log_time < high:
-                    yield RawMessage(names[channel], log_time, publish_time, self._unpack(chunk).data[begin:stop])
-                elif channel not in self.channels:
-                    raise Damage(f"a message belongs to channel {channel}, which is not defined", chunk.offset)
+                if entry.channel in names:
+                    data = found.data[entry.begin : entry.end]
+                    yield RawMessage(names[entry.channel], entry.log_time, entry.publish_time, data)
+                elif entry.channel not in self.contents.channels:
+                    raise Damage(f"a message belongs to channel {entry.channel}, which is not defined", entry.chunk)
         except Damage as damage:
-            raise self._error(damage) from damage
+            raise self.error(damage) from damage
 
     def places(self) -> Iterator[tuple[Place, str, int]]:
         """Place, topic and log time of every message as written."""
+        channels = self.contents.channels
         try:
-            for log_time, at, begin, _, channel, _, _, _ in self._entries(self.chunks, True):
-                if channel in self.channels:
-                    yield (at, begin), self.channels[channel].topic, log_time
+            for entry, _ in self._entries(self.chunks, True):
+                if entry.channel in channels:
+                    yield (entry.chunk, entry.begin), channels[entry.channel].topic, entry.log_time
         except Damage as damage:
-            raise self._error(damage) from damage
+            raise self.error(damage) from damage
 
-    def _entries(self, chunks: list[Chunk], as_written: bool) -> Iterator[tuple]:
-        if self.cut_off or as_written:
-            for chunk in chunks:
-                yield from self._chunk_entries(chunk, ordered=False)
+    def _entries(self, chunks: list[Chunk], as_written: bool) -> Iterator[tuple[Entry, Messages]]:
+        if not self.cut_off and not as_written:
+            yield from self._merged(chunks)
             return
-        lanes = [self._lane(chunk) for chunk in sorted(chunks, key=lambda c: c.first_time)]
-        yield from (entry for entry in heapq.merge(*lanes) if entry[2] >= 0)
+        for chunk in chunks:
+            found = self.unpack(chunk)
+            for entry in found.entries():
+                yield entry, found
 
-    def _lane(self, chunk: Chunk) -> Iterator[tuple]:
-        """A chunk's messages by time; the first entry only keeps its place, so that the chunk is unpacked late."""
-        yield chunk.first_time, chunk.offset, -1
-        yield from self._chunk_entries(chunk, ordered=True)
+    def _merged(self, chunks: list[Chunk]) -> Iterator[tuple[Entry, Messages]]:
+        """By log times; a chunk is unpacked when its first time has come and dropped behind its last message."""
+        waiting = sorted(chunks, key=lambda c: (c.first_time, c.offset), reverse=True)
+        lanes: list[tuple[Entry, Iterator[Entry], Messages]] = []
+        held = 0
+        while waiting or lanes:
+            while waiting and (not lanes or waiting[-1].first_time <= lanes[0][0].log_time):
+                found = self.unpack(waiting.pop())
+                if held > CACHE:
+                    reason = f"more than {CACHE} bytes of its chunks overlap in time, too many to sort their messages"
+                    raise Damage(reason, found.offset)
+                held += found.cost
+                self._advance(lanes, found.entries(ordered=True), found)
+            if not lanes:
+                return
+            entry, rest, found = heapq.heappop(lanes)
+            yield entry, found
+            held -= 0 if self._advance(lanes, rest, found) else found.cost
 
-    def _chunk_entries(self, chunk: Chunk, ordered: bool) -> Iterator[tuple]:
-        index = self._unpack(chunk).index
-        for time, begin, stop, channel, publish, sequence in sorted(index) if ordered else index:
-            yield time, chunk.offset, begin, stop, channel, publish, sequence, chunk
+    @staticmethod
+    def _advance(lanes: list, rest: Iterator[Entry], found: Messages) -> bool:
+        """Put the next message of a chunk among the next ones of all; False where there is no more."""
+        entry = next(rest, None)
+        if entry is not None:
+            heapq.heappush(lanes, (entry, rest, found))
+        return entry is not None
 
     def decoded(self, topics: Collection[str] | None = None, **limits) -> Iterator[tuple[RawMessage, object]]:
         """Messages with their fields as attributes; the slow way for any type of the "ros2msg" kind."""
@@ -264,28 +279,8 @@ class Recording:
         """A function from the bytes of a topic's messages to an object; raises RecordingError where it cannot."""
         return make_decoder(self.path, topic, self.topics()[topic])
 
-    def verify(self) -> bool:
-        """Read the whole file against all its checksums; True where it has one over everything, else False (only the
-        chunks were checked). Raises RecordingError at the first damage."""
-        for _ in self.messages():
-            pass
-        for about in self.attachments:
-            self.attachment(about.name)
-        if not self.data_crc:
-            return False
-        crc, left = 0, self._data_end
-        self._stream.seek(0)
-        while left:
-            data = self._stream.read(min(left, 1 << 20))
-            crc, left = zlib.crc32(data, crc), left - len(data)
-            if not data:
-                break
-        if crc != self.data_crc:
-            raise RecordingError(self.path, "the data do not fit the checksum at the end of the file")
-        return True
-
     def close(self) -> None:
-        self._stream.close()
+        self.stream.close()
 
     def __enter__(self) -> Recording:
         return self

@@ -10,18 +10,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import yaml
-from mcap.writer import CompressionType, Writer
 
 from kr270_milling import __version__
 from kr270_milling.bag import bagmeta
+from kr270_milling.bag.errors import MessageRefused, RecordingError
 from kr270_milling.bag.gaps import SHARED, GapCounter
 from kr270_milling.bag.logtime import LogTimes
-from kr270_milling.bag.sink import Sink, open_directory, plain_name, write_new
-from kr270_milling.base.errors import RecordingError
+from kr270_milling.bag.output import Output
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.definitions import definition, starts_with_stamp, type_hash
 
-__all__ = ["BagWriter", "Channel"]
+__all__ = ["BagWriter", "Channel", "MessageRefused"]
 
 CHUNK_SIZE = 1024 * 1024  # [bytes] before compression
 CHUNK_PERIOD = 0.2  # [s]; what a SIGKILL can lose
@@ -42,6 +41,12 @@ class Channel:
     stamped: bool
     gaps: GapCounter = field(default_factory=GapCounter)
     count: int = 0
+    refused: int = 0
+
+    def report(self) -> dict:
+        """Messages, and what is missing by their stamps; those that were refused where there are any."""
+        refused = {"refused": self.refused} if self.refused else {}
+        return dict(count=self.count, **(self.gaps.as_dict() if self.stamped else {}), **refused)
 
 
 class BagWriter:
@@ -49,7 +54,8 @@ class BagWriter:
 
     attachments: name -> text or bytes, such as {"cell.yaml": ...}; metadata: key -> text, such as seed and command
     line; they stand at the begin of the file, the package's version with them. The first error of the file system
-    ends the file: what is in it stays readable, and every later call raises the same RecordingError.
+    ends the file: what is in it stays readable, and every later call raises the same RecordingError. A message that
+    cannot be recorded raises MessageRefused, is counted and harms nothing.
     Messages without a stamp wait for the first stamp, to take it as their log time; start_time [ns]: they do not
     wait, but have this log time until then.
     """
@@ -66,48 +72,53 @@ class BagWriter:
         chunk_period: float = CHUNK_PERIOD,
     ):
         self.directory = Path(os.path.abspath(directory))
-        name = plain_name(self.directory, name or self.directory.name)
-        self.path = self.directory / f"{name}.mcap"
+        self.output = Output(self.directory, self.directory.name if name is None else name, chunk_size)
         self.topics: dict[str, int] = {}
         self.channels: dict[int, Channel] = {}
-        self.error: RecordingError | None = None
-        self.start, self.end, self.count, self.kept = None, 0, 0, 0
-        self._chunk_period, self._last_tick = chunk_period, None
-        self._times, self._held, self._held_size, self._held_since = LogTimes(start_time), deque(), 0, None
+        self.start: int | None = None  #: [ns], smallest and largest log time
+        self.end = 0
+        self._chunk_period = chunk_period
+        self._last_tick: float | None = None
+        self._times = LogTimes(start_time)
+        self._waiting: deque[tuple[Channel, bytes, int, int | None]] = deque()
+        self._waiting_size = 0  # [bytes]
+        self._waiting_since: float | None = None
         self._custom = {"kr270_milling_version": __version__, **{k: str(v) for k, v in (metadata or {}).items()}}
         self._schemas: dict[tuple, int] = {}
-        self._directory = open_directory(self.directory)
-        self._open = True
-        try:
-            self._refuse_old_metadata()
-            self._sink = Sink(self._directory, self.path)
-        except RecordingError:
-            os.close(self._directory)
-            raise
-        # the checksum over the whole data section shows a flipped bit also outside of the chunks
-        self._mcap = Writer(self._sink, chunk_size, CompressionType.ZSTD, enable_data_crcs=True)
-        self._guard(self._begin, attachments or {})
+        self._run(self.output.mcap.start, "ros2", f"kr270_milling/{__version__}")
+        self.add_metadata("kr270_milling", self._custom)
+        for attached, content in (attachments or {}).items():
+            self.add_attachment(attached, content)
 
-    def _refuse_old_metadata(self) -> None:
-        if os.path.lexists(self.directory / "metadata.yaml"):
-            raise RecordingError(self.directory, "holds a recording already, which is not overwritten")
+    @property
+    def path(self) -> Path:
+        return self.output.path
 
-    def _begin(self, attachments: Mapping[str, bytes | str]) -> None:
-        self._mcap.start(profile="ros2", library=f"kr270_milling/{__version__}")
-        self._mcap.add_metadata("kr270_milling", self._custom)
-        for name, content in attachments.items():
-            self._attach(name, content)
+    @property
+    def count(self) -> int:
+        """Messages that were given to the file."""
+        return self.output.count
 
-    def _attach(self, name: str, content: bytes | str) -> None:
-        data = content.encode() if isinstance(content, str) else bytes(content)
-        kind = "application/yaml" if name.endswith((".yaml", ".yml")) else "application/octet-stream"
-        self._mcap.add_attachment(0, 0, name, kind, data)
+    @property
+    def kept(self) -> int:
+        """Messages that a SIGKILL cannot take any more."""
+        return self.output.kept
+
+    @property
+    def error(self) -> RecordingError | None:
+        """What ended the file."""
+        return self.output.error
+
+    def _run(self, call, *args):
+        return self.output.run(call, *args, waiting=len(self._waiting))
 
     def add_attachment(self, name: str, content: bytes | str) -> None:
-        self._guard(self._attach, name, content)
+        data = content.encode() if isinstance(content, str) else bytes(content)
+        kind = "application/yaml" if name.endswith((".yaml", ".yml")) else "application/octet-stream"
+        self._run(self.output.mcap.add_attachment, 0, 0, name, kind, data)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        self._guard(self._mcap.add_metadata, name, {str(k): str(v) for k, v in values.items()})
+        self._run(self.output.mcap.add_metadata, name, {str(k): str(v) for k, v in values.items()})
 
     def add_topic(self, topic: str, type_name: str, qos: Iterable = (), period_ns: int | None = None) -> int:
         """Prepare a topic with an installed message type; qos: its publishers' profiles (see describe_qos).
@@ -119,103 +130,91 @@ class BagWriter:
             if known != type_name:
                 raise RecordingError(self.path, f"{topic} is recorded as {known} and cannot be {type_name} as well")
             return self.topics[topic]
-        text = definition(type_name)
-        profiles = [bagmeta.describe_qos(profile) for profile in qos]
-        about = {"offered_qos_profiles": bagmeta.qos_text(profiles), "topic_type_hash": type_hash(type_name)}
-        return self.add_channel(topic, (type_name, "ros2msg", text.encode()), "cdr", about, period_ns)
+        profiles = bagmeta.qos_text(bagmeta.describe_qos(profile) for profile in qos)
+        about = {"offered_qos_profiles": profiles, "topic_type_hash": type_hash(type_name)}
+        return self.add_channel(topic, (type_name, "ros2msg", definition(type_name).encode()), "cdr", about, period_ns)
 
     def add_channel(
         self, topic: str, schema: tuple[str, str, bytes], encoding: str, about: dict, period_ns: int | None = None
     ) -> int:
         """Prepare a channel as it is given: schema (name, encoding, data), message encoding, channel metadata."""
         if schema not in self._schemas:
-            self._schemas[schema] = self._guard(self._mcap.register_schema, *schema) if schema[0] else 0
-        number = self._guard(self._mcap.register_channel, topic, encoding, self._schemas[schema], about)
+            self._schemas[schema] = self._run(self.output.mcap.register_schema, *schema) if schema[0] else 0
+        number = self._run(self.output.mcap.register_channel, topic, encoding, self._schemas[schema], about)
         stamped = schema[1] == "ros2msg" and starts_with_stamp(schema[2].decode("utf-8", "replace"))
         profiles = bagmeta.read_qos(about.get("offered_qos_profiles", ""))
         kind, digest = schema[0], about.get("topic_type_hash", "")
-        channel = Channel(number, topic, kind, encoding, profiles, digest, stamped, GapCounter(period_ns))
-        self.channels[number] = channel
+        self.channels[number] = Channel(number, topic, kind, encoding, profiles, digest, stamped, GapCounter(period_ns))
         self.topics.setdefault(topic, number)
         return number
 
     def write(self, topic: str, data: bytes, publish_time: int, log_time: int | None = None) -> None:
         """Append one serialised message; times in ns. log_time: by default the message's own stamp, and the latest
-        stamp in the recording for a message that has none."""
+        stamp in the recording for a message that has none. Raises MessageRefused, RecordingError."""
+        self.output.check()
         if topic not in self.topics:
-            raise RecordingError(self.path, f"{topic} is written to, but it was not added")
+            raise MessageRefused(self.path, f"{topic} is written to, but it was not added")
         channel = self.channels[self.topics[topic]]
+        self._check_times(channel, publish_time, publish_time if log_time is None else log_time)
         stamp = stamp_of(data, channel.stamped)
         if log_time is None:
-            self._check_times(publish_time)
             log_time = self._times.of(channel.type, stamp, publish_time)
         if log_time is None:
-            self._hold(channel, data, publish_time, stamp)
+            self._wait(channel, data, publish_time, stamp)
             return
         self._release(log_time)
         self._append(channel, data, publish_time, log_time, channel.count, stamp)
 
-    def _hold(self, channel: Channel, data: bytes, publish_time: int, stamp: int | None) -> None:
+    def write_raw(self, channel_id: int, data: bytes, publish_time: int, log_time: int, sequence: int) -> None:
+        """Append a message with everything given. Raises MessageRefused, RecordingError."""
+        channel = self.channels[channel_id]
+        self._check_times(channel, publish_time, log_time)
+        self._append(channel, data, publish_time, log_time, sequence, stamp_of(data, channel.stamped))
+
+    def _check_times(self, channel: Channel, *times: int) -> None:
+        for time in times:
+            if not 0 <= time < 2**63:
+                channel.refused += 1
+                raise MessageRefused(self.path, f"have the time {time} ns, which is none between 1970 and 2262")
+
+    def _wait(self, channel: Channel, data: bytes, publish_time: int, stamp: int | None) -> None:
         """Keep a message until a stamp has told the time; bounded, for a graph in which none comes."""
-        self._guard(lambda: None)
-        self._held.append((channel, data, publish_time, stamp))
-        self._held_size += len(data)
-        if self._held_size > HOLD_SIZE:
+        self._waiting.append((channel, data, publish_time, stamp))
+        self._waiting_size += len(data)
+        if self._waiting_size > HOLD_SIZE:
             self._release()
             self.flush()
 
     def _release(self, first: int = 0) -> None:
-        """Append what was held, in its order. Where no stamp has come, log times begin at ``first``, or are publish
+        """Append what was waiting, in its order. Where no stamp has come, log times begin at ``first``, or are publish
         times if there is not even a topic with stamps."""
-        if not self._held:
+        if not self._waiting:
             return
         by_wall = first == 0 and not any(channel.stamped for channel in self.channels.values())
-        self._times.begin(self._held[0][2] if by_wall else first, by_wall)
-        while self._held:
-            channel, data, publish_time, stamp = self._held.popleft()
+        self._times.begin(self._waiting[0][2] if by_wall else first, by_wall)
+        while self._waiting:
+            channel, data, publish_time, stamp = self._waiting.popleft()
             log_time = self._times.of(channel.type, stamp, publish_time)
             self._append(channel, data, publish_time, log_time, channel.count, stamp)
-        self._held_size, self._held_since = 0, None
-
-    def write_raw(self, channel_id: int, data: bytes, publish_time: int, log_time: int, sequence: int) -> None:
-        """Append a message with everything given."""
-        channel = self.channels[channel_id]
-        self._append(channel, data, publish_time, log_time, sequence, stamp_of(data, channel.stamped))
+        self._waiting_size, self._waiting_since = 0, None
 
     def _append(self, channel: Channel, data, publish_time: int, log_time: int, sequence: int, stamp: int | None):
-        self._check_times(log_time, publish_time)
-        if self.error is None and self._open:
-            channel.count += 1
-            self.count += 1
-        chunks = self._sink.chunks
-        self._guard(self._mcap.add_message, channel.id, log_time, data, publish_time, sequence)
-        if self._sink.chunks != chunks:
-            self.kept = self.count
+        channel.count += 1
+        self.output.add_message(channel.id, log_time, data, publish_time, sequence)
         self.start = log_time if self.start is None else min(self.start, log_time)
         self.end = max(self.end, log_time)
-        if stamp is not None:
-            self._take_stamp(channel, stamp, log_time)
-
-    def _take_stamp(self, channel: Channel, stamp: int, log_time: int) -> None:
-        """Count gaps, and follow the time of the pass, which goes back to 0 when the next one begins."""
-        if channel.type in SHARED:
-            return
-        before = channel.gaps.passes.number
-        channel.gaps.add(stamp)
-        if channel.gaps.passes.number > before:
-            self._times.latest = log_time
-
-    def _check_times(self, *times: int) -> None:
-        for time in times:
-            if not 0 <= time < 2**63:
-                raise RecordingError(self.path, f"{time} ns is not a time after 1970")
+        if stamp is not None and channel.type not in SHARED:
+            before = channel.gaps.passes.number
+            channel.gaps.add(stamp)
+            if channel.gaps.passes.number > before:  # the time of the pass went back to 0: the next one begins
+                self._times.latest = log_time
 
     def tick(self, now: float) -> None:
         """Close the chunk when it is ``chunk_period`` old, and wait no longer than HOLD_PERIOD for a first stamp;
         now [s]: any clock that does not go back."""
-        if self._held and (self._held_since is None or now < self._held_since):
-            self._held_since = now
-        if self._held and now - self._held_since >= HOLD_PERIOD:
+        if self._waiting and (self._waiting_since is None or now < self._waiting_since):
+            self._waiting_since = now
+        if self._waiting and now - self._waiting_since >= HOLD_PERIOD:
             self._release()
             self.flush()
         if self._last_tick is None or now < self._last_tick:
@@ -226,39 +225,15 @@ class BagWriter:
 
     def flush(self) -> None:
         """Put everything that was written so far into the file, but for what waits for the first stamp."""
-        if self._open and self.kept < self.count:
-            self._guard(self._mcap.flush)
-            self.kept = self.count
-
-    def _guard(self, call, *args):
-        """Run something that writes; at the first error keep the whole records and never write again."""
-        if self.error is not None:
-            raise self.error
-        if not self._open:
-            raise RecordingError(self.path, "the recording is closed")
-        chunks = self._sink.chunks
-        try:
-            return call(*args)
-        except OSError as error:
-            if self._sink.chunks != chunks:  # the chunk is in, only its index is not
-                self.kept = self.count
-            self._sink.close(keep=self._sink.position)
-            os.close(self._directory)
-            self._open = False
-            text = (
-                f"writing ended with an error ({error.strerror or error}); {self.kept} messages in "
-                f"{self._sink.position} bytes are safe, the last {self.count - self.kept + len(self._held)} are lost"
-            )
-            self.error = RecordingError(self.path, text)
-            raise self.error from error
+        self.output.close_chunk()
 
     def report(self) -> dict:
-        """Counts per topic: messages and what is missing by their stamps."""
-        return {c.topic: dict(count=c.count, **(c.gaps.as_dict() if c.stamped else {})) for c in self.channels.values()}
+        """Counts per topic: messages, what is missing by their stamps, what was refused."""
+        return {channel.topic: channel.report() for channel in self.channels.values()}
 
     def close(self) -> None:
         """Finish the file and write ``metadata.yaml``; nothing happens the second time or after an error."""
-        if not self._open:
+        if not self.output.is_open:
             return
         self._release()
         for channel in self.channels.values():
@@ -269,14 +244,8 @@ class BagWriter:
         self.flush()
         self.add_metadata("kr270_milling.counts", {k: json.dumps(v) for k, v in self.report().items()})
         self.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(about, sort_keys=False)})
-        self._guard(self._mcap.finish)
-        self._open = False
-        self._sink.close()
-        try:
-            text = yaml.safe_dump({"rosbag2_bagfile_information": about}, sort_keys=False)
-            write_new(self._directory, self.directory, "metadata.yaml", text.encode())
-        finally:
-            os.close(self._directory)
+        text = yaml.safe_dump({"rosbag2_bagfile_information": about}, sort_keys=False)
+        self.output.finish("metadata.yaml", text.encode())
 
     def __enter__(self) -> BagWriter:
         return self

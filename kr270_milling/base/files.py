@@ -1,4 +1,4 @@
-"""Output directories that are filled as a whole or not at all."""
+"""Output files and directories that are written as a whole or not at all."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import contextlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["staged"]
+__all__ = ["staged", "write_files"]
 
 
 @contextlib.contextmanager
@@ -63,3 +63,31 @@ def _move(draft: Path, final: Path) -> None:
             path.replace(place)
     except OSError as error:
         raise InputError(final, f"cannot be written into ({error.strerror})") from None
+
+
+def write_files(contents: dict[Path, Iterable], newline: str = "\n") -> None:
+    """Write several files of pieces of text, or all of bytes; either all of them appear under their names, in place of
+    what had these names, or none does (short of a power cut). Raises InputError."""
+    parts = {Path(path): Path(path).with_name(f".{Path(path).name}.{os.getpid()}.part") for path in contents}
+    try:
+        for path, pieces in contents.items():
+            part = parts[Path(path)]
+            part.unlink(missing_ok=True)
+            _write(part, iter(pieces), newline)
+        for path, part in parts.items():
+            part.replace(path)
+    except OSError as error:
+        raise InputError(error.filename or "output", f"cannot be written ({error.strerror})") from None
+    finally:
+        for part in parts.values():
+            part.unlink(missing_ok=True)
+
+
+def _write(path: Path, pieces: Iterator, newline: str) -> None:
+    first = next(pieces, "")
+    text = isinstance(first, str)
+    # a file name in a text need not be text that UTF-8 can hold
+    about = dict(encoding="utf-8", errors="backslashreplace", newline=newline) if text else {}
+    with open(path, "x" if text else "xb", **about) as stream:
+        stream.write(first)
+        stream.writelines(pieces)

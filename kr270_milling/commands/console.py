@@ -11,9 +11,11 @@ import sys
 from pathlib import Path
 
 __all__ = [
-    "add_cell", "add_common", "command_line", "fixed", "numbers", "output_directory", "print_json", "print_table",
-    "progress",
+    "EXIT_FAILED", "add_cell", "add_common", "command_line", "fixed", "numbers", "output_directory", "print_json",
+    "print_table", "progress",
 ]  # fmt: skip
+
+EXIT_FAILED = 1  # what was asked was done, and the answer is no
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:

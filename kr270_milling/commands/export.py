@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_common, print_json, progress
+import sys
+
+from kr270_milling.commands.console import EXIT_FAILED, add_common, print_json, progress
 
 
 def add_arguments(parser) -> None:
@@ -13,24 +15,30 @@ def add_arguments(parser) -> None:
     add_common(parser)
 
 
-def run(args) -> None:
+def run(args) -> int:
     from kr270_milling.bag.export import export_csv, export_parquet
     from kr270_milling.bag.reader import Recording
-    from kr270_milling.base.errors import InputError
+    from kr270_milling.base.errors import InputError, one_line
+    from kr270_milling.base.units import seconds
 
     if not args.csv and not args.parquet:
         raise InputError("export", "give --csv DIR or --parquet DIR")
-    files = []
+    files, refused = [], {}
     with progress("exporting") as report, Recording(args.file, report) as recording:
         for directory, write in ((args.csv, export_csv), (args.parquet, export_parquet)):
             if directory:
-                files += write(recording, directory, args.topics, report)
-        told = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files}
+                written = write(recording, directory, args.topics, report)
+                files += written.files
+                refused |= written.refused
         last = recording.last_log_time
     if args.json:
-        print_json(told)
-        return
-    if told["cut_off"]:
-        print(f"{told['file']} was cut off; this is what it holds up to {(last or 0) / 1e9:.6f} s")
+        about = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files, "refused": refused}
+        print_json(about)
+        return EXIT_FAILED if refused else 0
+    if recording.cut_off:
+        print(f"{recording.path} was cut off; this is what it holds up to {seconds(last or 0)} s")
     for file in files:
         print(file)
+    for sentence in refused.values():
+        print("not exported: " + one_line(sentence), file=sys.stderr)
+    return EXIT_FAILED if refused else 0

@@ -18,7 +18,7 @@ def run(args) -> None:
     from kr270_milling.base.errors import one_line
 
     with progress("recovering") as report:
-        found = recover(args.file, args.out, report, leave_whole=args.out is None)
+        found = recover(args.file, args.out, report)
     if args.json:
         print_json(found.as_dict())
         return
@@ -27,6 +27,8 @@ def run(args) -> None:
         return
     state = "was whole already" if found.whole else f"{found.lost_bytes} bytes of it could not be used"
     print(f"{found.source}: {state}")
+    for sentence in found.damage:
+        print("  damage: " + one_line(sentence))
     for sentence in found.dropped:
         print("  lost: " + one_line(sentence))
     if found.lost_messages:

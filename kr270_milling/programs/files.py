@@ -11,6 +11,7 @@ import numpy as np
 
 from kr270_milling import __version__
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import Pose, quaternion_from_rotation
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
@@ -19,7 +20,6 @@ from kr270_milling.programs.manifest import manifest
 from kr270_milling.programs.rsi import RSI_TICKS_NS, write_joint_table, write_rsi_table
 from kr270_milling.robot import pose, status_turn
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
-from kr270_milling.trajectory.files import write_files
 from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.trajectory.trajectory_csv import write_csv
 

@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
 from kr270_milling.cell.program import Program
 from kr270_milling.programs.krl_motion import Source, modules_of, motion_lines, point_numbers, point_speeds
 from kr270_milling.programs.krl_text import axis_text, comments, frame_row, frame_text, number, position_text
-from kr270_milling.trajectory.files import write_files
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
 __all__ = ["Heading", "Setup", "trajectory_hash", "turn_bits", "status_bits", "write_krl"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from kr270_milling.base.files import write_files
 from kr270_milling.base.units import seconds
-from kr270_milling.trajectory.files import write_files
 from kr270_milling.trajectory.offsets import offsets
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import write_files
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decision.part import PartAssessment, assess_all
@@ -18,7 +19,6 @@ from kr270_milling.report.page.page import render
 from kr270_milling.report.robot_model import robot_model
 from kr270_milling.report.series import inside, write_series
 from kr270_milling.report.surface_map import part_surface
-from kr270_milling.trajectory.files import write_files
 
 __all__ = ["DecisionBlock", "ReportTable", "decision_block", "write_report", "write_series"]
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import write_files
 from kr270_milling.base.units import seconds
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.simulation.scores import path_deviation
-from kr270_milling.trajectory.files import write_files
 from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.trajectory.trajectory_csv import write_csv
 

@@ -1,14 +1,12 @@
-"""Text files in and out: refused with a line number when unreadable, written whole or not at all."""
+"""Text files read: refused with a line number when unreadable."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterable
 from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["read_lines", "ends_in_mid_line", "short", "write_files"]
+__all__ = ["read_lines", "ends_in_mid_line", "short"]
 
 MOST_BYTES = 1 << 30  # read at once; a block of a tool path has some 30
 
@@ -56,22 +54,3 @@ def ends_in_mid_line(source, lines: list[str]) -> None:
 def short(text: str) -> str:
     """The beginning of a text from a file, for a sentence."""
     return text if len(text) <= 20 else text[:20] + "..."
-
-
-def write_files(contents: dict[Path, Iterable[str]], newline: str = "\n") -> None:
-    """Write several text files; either all of them appear under their names or none does (short of a power cut)."""
-    parts = {Path(path): Path(path).with_name(f".{Path(path).name}.{os.getpid()}.part") for path in contents}
-    try:
-        for path, chunks in contents.items():
-            part = parts[Path(path)]
-            part.unlink(missing_ok=True)
-            # a file name in a text need not be text that UTF-8 can hold
-            with open(part, "x", encoding="utf-8", errors="backslashreplace", newline=newline) as stream:
-                stream.writelines(chunks)
-        for path, part in parts.items():
-            part.replace(path)
-    except OSError as error:
-        raise InputError(error.filename or "output", f"cannot be written ({error.strerror})") from None
-    finally:
-        for part in parts.values():
-            part.unlink(missing_ok=True)

@@ -8,8 +8,9 @@ from decimal import Decimal
 import numpy as np
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import write_files
 from kr270_milling.base.units import seconds
-from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, write_files
+from kr270_milling.trajectory.files import ends_in_mid_line, read_lines
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
 __all__ = ["write_csv", "read_csv"]

@@ -9,12 +9,28 @@ import sys
 import numpy as np
 import pytest
 from mcap.writer import Writer
-from test_recording_samples import GRID, JOINTS, PERIOD, POSE, TOPICS, header, joints, make, pose, raw, record, time
+from test_recording_samples import (
+    GRID,
+    JOINTS,
+    PERIOD,
+    POSE,
+    TEXT,
+    TOPICS,
+    header,
+    joints,
+    make,
+    pose,
+    raw,
+    record,
+    time,
+)
 
 from kr270_milling.bag.errors import RecordingError
-from kr270_milling.bag.export import _any_tables, export_csv, export_parquet
+from kr270_milling.bag.export import export_csv, export_parquet
 from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.tables import tables as tables_of
 from kr270_milling.bag.writer import BagWriter
+from kr270_milling.cli import main
 
 
 def rows(file) -> list[dict]:
@@ -27,7 +43,7 @@ def tables(tmp_path_factory):
     directory = tmp_path_factory.mktemp("export")
     record(directory / "a", 5)
     with Recording(directory / "a") as recording:
-        files = export_csv(recording, directory / "csv")
+        files = export_csv(recording, directory / "csv").files
     return {file.stem: rows(file) for file in files}
 
 
@@ -69,7 +85,7 @@ def test_a_new_file_begins_where_the_joints_change(tmp_path):
         for i, names in enumerate([["a", "b"], ["a", "b"], ["c"]]):
             writer.write("/joint_states", raw(joints(i, [1.0] * len(names), names=names)), 0)
     with Recording(tmp_path / "a") as recording:
-        files = export_csv(recording, tmp_path / "csv")
+        files = export_csv(recording, tmp_path / "csv").files
     assert [f.name for f in files] == ["joint_states.csv", "joint_states_2.csv"]
     assert [len(rows(f)) for f in files] == [2, 1]
 
@@ -77,7 +93,7 @@ def test_a_new_file_begins_where_the_joints_change(tmp_path):
 def test_topics_can_be_chosen_and_unknown_ones_are_told(tmp_path):
     record(tmp_path / "a", 2)
     with Recording(tmp_path / "a") as recording:
-        assert [f.name for f in export_csv(recording, tmp_path / "csv", ["/wrench"])] == ["wrench.csv"]
+        assert [f.name for f in export_csv(recording, tmp_path / "csv", ["/wrench"]).files] == ["wrench.csv"]
         with pytest.raises(RecordingError, match="/wrnch"):
             export_csv(recording, tmp_path / "csv", ["/wrnch"])
 
@@ -92,21 +108,33 @@ def test_names_of_topics_do_not_lead_out_of_the_directory_and_do_not_collide(tmp
             writer.add_topic(topic, POSE)
             writer.write(topic, raw(pose(0, np.zeros(7))), 0)
     with Recording(tmp_path / "a") as recording:
-        files = export_csv(recording, tmp_path / "csv")
+        files = export_csv(recording, tmp_path / "csv").files
     assert sorted(f.name for f in files) == ["a_b.csv", "a_b_2.csv", "unnamed.csv", "victim.csv", "ä_b.csv"]
     assert all(f.parent == tmp_path / "csv" and len(rows(f)) == 1 for f in files)
     assert victim.read_text() == "mine"
 
 
-def test_a_foreign_topic_is_one_sentence(tmp_path):
+def test_a_topic_that_cannot_be_decoded_is_named_and_the_others_are_written(tmp_path, capsys):
     with open(tmp_path / "a.mcap", "wb") as stream:
         writer = Writer(stream)
         writer.start()
         channel = writer.register_channel("/thing", "json", writer.register_schema("Thing", "jsonschema", b"{}"))
-        writer.add_message(channel, 1, b"{}", 1)
+        text = writer.register_channel("/text", "cdr", writer.register_schema(TEXT, "ros2msg", b"string data\n"))
+        broken = writer.register_channel("/broken", "cdr", writer.register_schema(TEXT, "ros2msg", b"string data\n"))
+        for step in range(3):
+            writer.add_message(channel, 1, b"{}", 1)
+            writer.add_message(text, 2, raw(make(TEXT, "said")), 2)
+            writer.add_message(broken, 3, raw(make(TEXT, "x")) if step < 2 else b"\0\1\0\0\xff\xff\xff\xff", 3)
         writer.finish()
-    with Recording(tmp_path / "a.mcap") as recording, pytest.raises(RecordingError, match="only cdr with ros2msg"):
-        export_csv(recording, tmp_path / "csv")
+    with Recording(tmp_path / "a.mcap") as recording:
+        found = export_csv(recording, tmp_path / "csv")
+    assert [file.name for file in found.files] == ["text.csv"] and len(rows(found.files[0])) == 3
+    assert "only cdr with ros2msg" in found.refused["/thing"]
+    assert "a message on /broken is not a std_msgs/msg/String" in found.refused["/broken"]
+    assert [file.name for file in (tmp_path / "csv").iterdir()] == ["text.csv"]
+    assert main(["export", str(tmp_path / "a.mcap"), "--csv", str(tmp_path / "again")]) == 1
+    printed = capsys.readouterr()
+    assert "text.csv" in printed.out and printed.err.count("not exported: ") == 2
 
 
 def test_progress_reaches_the_end(tmp_path):
@@ -126,7 +154,7 @@ def test_parquet_is_written_where_pyarrow_is_and_else_told(tmp_path):
             return
         import pyarrow.parquet
 
-        files = export_parquet(recording, tmp_path / "parquet")
+        files = export_parquet(recording, tmp_path / "parquet").files
     table = pyarrow.parquet.read_table(next(f for f in files if f.stem == "tool_pose"))
     assert table["position_y_m"].to_pylist() == [step + 0.1 for step in range(5)]
 
@@ -168,5 +196,5 @@ def test_large_messages_of_any_type_are_not_gathered_by_the_thousand(tmp_path):
         for _ in range(count):
             writer.write("/workpiece", data, 0)
     with Recording(tmp_path / "a") as recording:
-        rows = [len(values[0]) for _, values in _any_tables(recording, "/workpiece")]
+        rows = [len(values[0]) for _, values in tables_of(recording, "/workpiece", GRID)]
     assert sum(rows) == count and max(rows) == 10  # 1 MB of messages

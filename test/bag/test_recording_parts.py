@@ -78,7 +78,7 @@ def test_a_text_of_the_second_pass_has_the_time_of_the_second_pass(tmp_path):
 def test_series_and_tables_hold_one_pass_after_the_other(tmp_path):
     with write(tmp_path / "a") as recording:
         assert series(recording, "/wrench").values[:, 0].tolist() == list(range(2 * STEPS))
-        (file,) = export_csv(recording, tmp_path / "csv", ["/said"])
+        (file,) = export_csv(recording, tmp_path / "csv", ["/said"]).files
     with open(file, newline="") as stream:
         assert [row["data"] for row in csv.DictReader(stream)] == ["pass 0", "pass 1"]
 

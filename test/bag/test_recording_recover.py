@@ -5,12 +5,15 @@ import struct
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 from test_recording_samples import TOPICS, record
 
 from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.recover import recover
+from kr270_milling.bag.verify import findings
+from kr270_milling.cli import main
 
 RELAXED = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -28,13 +31,13 @@ def source(tmp_path_factory):
     directory = tmp_path_factory.mktemp("source") / "a"
     written = record(directory, 60, attachments={"cell.yaml": "a: 1\n"}, metadata={"seed": 1}, chunk_size=20_000)
     with Recording(directory) as recording:
-        chunks = [(chunk, len(recording._unpack(chunk).index)) for chunk in recording.chunks]
+        chunks = [(chunk, len(recording.unpack(chunk))) for chunk in recording.chunks]
     return Source(((directory / "a.mcap").read_bytes(), written, chunks))
 
 
 def kept(directory) -> list:
     with Recording(directory) as recording:
-        assert not recording.cut_off and recording.verify()
+        assert not recording.cut_off and not findings(recording)
         return [(m.topic, m.log_time, m.data) for m in recording.messages()]
 
 
@@ -68,7 +71,7 @@ def test_rosbags_reads_what_was_recovered_but_not_the_cut_off_file(source, tmp_p
 
 def test_a_recordings_directory_gets_its_copy_beside_it_and_stays_as_it_was(source, tmp_path, monkeypatch):
     (tmp_path / "r").mkdir()
-    (tmp_path / "r" / "a.mcap").write_bytes(source[0])
+    (tmp_path / "r" / "a.mcap").write_bytes(source[0][:-20])
     monkeypatch.chdir(tmp_path / "r")
     assert recover(".").directory == str(tmp_path / "r_recovered")
     assert [file.name for file in (tmp_path / "r").iterdir()] == ["a.mcap"]
@@ -161,3 +164,28 @@ def test_nothing_is_overwritten_and_nothing_half_is_left(source, tmp_path):
     with pytest.raises(RecordingError):
         recover(tmp_path / "missing.mcap")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mcap", "b", "noise.mcap"]
+
+
+def test_a_whole_recording_is_left_alone(source, tmp_path, capsys):
+    data, written, _ = source
+    (tmp_path / "a.mcap").write_bytes(data)
+    found = recover(tmp_path / "a.mcap")
+    assert found.whole and found.directory == str(tmp_path) and found.messages == len(written)
+    assert (found.topics, found.attachments, found.lost_messages) == (dict.fromkeys(TOPICS, 60), ["cell.yaml"], 0)
+    assert main(["recover", str(tmp_path / "a.mcap")]) == 0
+    assert "left as it is" in capsys.readouterr().out
+    assert [file.name for file in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_a_message_with_an_impossible_publish_time_costs_only_itself(tmp_path):
+    times = [(i, 2**63 if i == 3 else i) for i in range(6)]
+    with open(tmp_path / "a.mcap", "wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2")
+        channel = writer.register_channel("/t", "cdr", writer.register_schema("a/msg/B", "ros2msg", b"int8 x"))
+        for log_time, publish_time in times:
+            writer.add_message(channel, log_time, b"\0\1\0\0\1", publish_time)
+        writer.finish()
+    found = recover(tmp_path / "a.mcap", tmp_path / "b")
+    assert found.messages == 5 and "1 messages that have the time 9223372036854775808 ns" in found.dropped[0]
+    assert [at for _, at, _ in kept(tmp_path / "b")] == [0, 1, 2, 4, 5]

@@ -15,11 +15,12 @@ import yaml
 from test_recording_samples import PERIOD, POSE, TEXT, make, pose, raw, record
 
 from kr270_milling import __version__
-from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.errors import MessageRefused, RecordingError
 from kr270_milling.bag.export import export_csv
 from kr270_milling.bag.info import info
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.recover import recover
+from kr270_milling.bag.verify import findings
 from kr270_milling.bag.writer import BagWriter
 
 ROOT = str(Path(__file__).parents[2])
@@ -126,6 +127,25 @@ def test_wrong_use_is_one_sentence(tmp_path):
         writer.write("/p", raw(pose(0, np.zeros(7))), 0)
 
 
+def test_a_refused_message_is_counted_and_the_recording_goes_on(tmp_path):
+    """A publish time before 1970 or behind 2262 ended the recording, though nothing was wrong with the file."""
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/p", POSE)
+        for step, publish_time in enumerate([0, -1, 2**63, 5, 2**64, 7]):
+            data = raw(pose(step * PERIOD, np.zeros(7)))
+            if 0 <= publish_time < 2**63:
+                writer.write("/p", data, publish_time)
+                continue
+            with pytest.raises(MessageRefused, match=f"the time {publish_time} ns"):
+                writer.write("/p", data, publish_time)
+        with pytest.raises(MessageRefused, match="not added"):
+            writer.write("/q", b"", 0)
+        assert writer.error is None and writer.report()["/p"]["refused"] == 3
+    with Recording(tmp_path / "a") as recording:
+        assert [m.publish_time for m in recording.messages()] == [0, 5, 7]
+        assert json.loads(recording.metadata()["kr270_milling.counts"]["/p"])["refused"] == 3
+
+
 def test_a_chunk_is_closed_by_the_clock(tmp_path):
     with BagWriter(tmp_path / "a") as writer:
         writer.add_topic("/p", POSE)
@@ -176,14 +196,14 @@ def test_a_killed_writer_loses_less_than_a_second_and_the_rest_is_read_exported_
         assert messages[-1].data == raw(pose((len(messages) - 1) * 200_000, np.arange(7) + len(messages) - 1))
         assert recording.last_log_time == messages[-1].log_time
         assert info(recording)["cut_off"] and info(recording)["missing"] == 0
-        [table] = export_csv(recording, tmp_path / "csv")
+        [table] = export_csv(recording, tmp_path / "csv").files
     assert len(table.read_text().splitlines()) == len(messages) + 1
     result = recover(tmp_path / "a")
     assert result.messages == len(messages) and not result.whole and result.attachments == ["cell.yaml"]
     with Recording(result.directory) as whole:
         assert not whole.cut_off
         assert list(whole.messages()) == messages
-        assert whole.verify()
+        assert findings(whole) == []
 
 
 LIMITED = """
@@ -238,7 +258,7 @@ def test_a_chunk_that_fits_only_in_part_is_taken_back(tmp_path, monkeypatch):
     with BagWriter(tmp_path / "a", chunk_size=4000) as writer:
         writer.add_topic("/p", POSE)
         rng = np.random.default_rng(6)  # numbers that cannot be packed
-        monkeypatch.setattr("kr270_milling.bag.sink.os.write", limited)
+        monkeypatch.setattr("kr270_milling.bag.output.os.write", limited)
         with pytest.raises(RecordingError, match="No space left on device") as error:
             for step in range(10_000):
                 writer.write("/p", raw(pose(step, rng.normal(size=7))), 0)
@@ -249,7 +269,7 @@ def test_a_chunk_that_fits_only_in_part_is_taken_back(tmp_path, monkeypatch):
     assert not (tmp_path / "a" / "metadata.yaml").exists()
     with Recording(tmp_path / "a") as recording:
         assert recording.cut_off and recording.count == writer.kept
-        assert recording._end == recording.size  # no piece of a record behind the last whole one
+        assert recording.data_end == recording.size  # no piece of a record behind the last whole one
 
 
 def test_the_disk_is_full_from_the_first_byte(tmp_path):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.files import write_files
 from kr270_milling.cutting import Cut, Stock
 
 __all__ = ["write_stl"]
@@ -31,7 +31,7 @@ def write_stl(path, cut: Cut, spacing: float | None = None) -> int:
     record["corners"] = triangles
     record["normal"] = _normals(record["corners"].astype(float))
     header = b"kr270_milling machined part, mm".ljust(80)
-    _write_whole(Path(path), header + np.uint32(len(record)).tobytes(), record)
+    write_files({Path(path): (header + np.uint32(len(record)).tobytes(), record.view(np.uint8))})
     return len(record)
 
 
@@ -85,17 +85,3 @@ def _normals(corners: np.ndarray) -> np.ndarray:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     return normal / np.where(length > 0, length, 1.0)
-
-
-def _write_whole(path: Path, head: bytes, record: np.ndarray) -> None:
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        part.unlink(missing_ok=True)
-        with open(part, "xb") as stream:
-            stream.write(head)
-            record.tofile(stream)
-        part.replace(path)
-    except OSError as error:
-        raise InputError(path, f"cannot be written ({error.strerror})") from None
-    finally:
-        part.unlink(missing_ok=True)

@@ -1,0 +1,102 @@
+"""What the records of a file say it holds: definitions, chunks, attachments, metadata. Messages are not read here."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
+
+from kr270_milling.bag.structure import Attachment, Chunk, Damage, Part, attachment, chunk, content, parsed
+from kr270_milling.messages.decode import Topic
+
+__all__ = ["Contents"]
+
+MOST_DEFINED = 32 * 1024 * 1024  # [bytes] of names, definitions and metadata that are held
+ENTRY = 150  # [bytes] that Python takes for an entry of a small record or mapping
+MOST_CHUNKS = 250_000  # some 40 MB of places; 70 hours of a recorder that closes one every second
+NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
+
+
+class Contents:
+    """Filled record by record by ``take``. Raises Damage where a file defines more than is bearable."""
+
+    def __init__(self, stream):
+        self.stream = stream
+        self.profile = self.library = ""
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.chunks: list[Chunk] = []
+        self.attachments: list[Attachment] = []
+        self.metadata: list[tuple[str, dict[str, str]]] = []
+        self.counts: Counter[int] | None = None  #: channel -> messages, where the file says it
+        self.data_crc = 0
+        self._defined = 0
+
+    def take(self, part: Part):
+        """Take one record of the top level; returns a chunk's or an attachment's place, or mcap's record."""
+        if part.type in (Opcode.CHUNK, Opcode.MESSAGE):
+            return self._take_chunk(chunk(self.stream, part))
+        if part.type == Opcode.ATTACHMENT:
+            self.attachments.append(attachment(self.stream, part))
+            self._bear(ENTRY + len(self.attachments[-1].name), part.offset)
+            return self.attachments[-1]
+        if part.type in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.STATISTICS,
+                         Opcode.DATA_END):  # fmt: skip
+            record = parsed(part.type, content(self.stream, part), part.offset)
+            self._take_record(part.type, record, part)
+            return record
+        return None
+
+    def _take_chunk(self, found: Chunk) -> Chunk:
+        if len(self.chunks) == MOST_CHUNKS:
+            raise Damage(f"the file has more than {MOST_CHUNKS} chunks", found.offset)
+        self.chunks.append(found)
+        return found
+
+    def _take_record(self, kind: int, record, part: Part) -> None:
+        if kind == Opcode.HEADER:
+            self.profile, self.library = record.profile, record.library
+        elif kind == Opcode.METADATA:
+            self._bear(part.size + ENTRY * len(record.metadata), part.offset)
+            self.metadata.append((record.name, record.metadata))
+        elif kind == Opcode.STATISTICS:
+            self.counts = Counter(record.channel_message_counts)
+        elif kind == Opcode.DATA_END:
+            self.data_crc = record.data_section_crc
+        else:
+            self.define(record, part.offset)
+
+    def define(self, record, offset: int) -> None:
+        """Take a Schema or a Channel; one that was there already is replaced."""
+        known = self.schemas if isinstance(record, Schema) else self.channels
+        if known.get(record.id) != record:
+            self._bear(ENTRY + _size(record), offset)
+            known[record.id] = record
+
+    def _bear(self, size: int, offset: int) -> None:
+        self._defined += size
+        if self._defined > MOST_DEFINED:
+            raise Damage(f"names, definitions and metadata take more than {MOST_DEFINED} bytes", offset)
+
+    def schema_of(self, channel: Channel) -> Schema:
+        return self.schemas.get(channel.schema_id, NO_SCHEMA)
+
+    def topics(self) -> dict[str, Topic]:
+        """Topic name -> what it carries, in the order of first appearance. Channels of one topic are one topic."""
+        found: dict[str, Topic] = {}
+        counts = self.counts or Counter()
+        for number, channel in self.channels.items():
+            schema = self.schema_of(channel)
+            count = counts[number] + (found[channel.topic].count if channel.topic in found else 0)
+            text = schema.data.decode("utf-8", "replace")
+            about = Topic(schema.name, count, channel.message_encoding, text, schema.encoding, channel.metadata)
+            found[channel.topic] = about
+        return found
+
+
+def _size(record) -> int:
+    if isinstance(record, Schema):
+        return len(record.data) + len(record.name)
+    pairs = record.metadata.items()
+    return len(record.topic) + sum(ENTRY + len(key) + len(value) for key, value in pairs)

@@ -1,0 +1,154 @@
+"""The file of a recording while it is written: a new file inside a directory, which ends at its first error."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType, Writer
+
+from kr270_milling.base.errors import InputError, RecordingError
+from kr270_milling.base.files import write_files
+
+__all__ = ["Output", "plain_name"]
+
+NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+
+
+def plain_name(path, name: str) -> str:
+    """``name`` if it is the name of a file in a directory and nothing more."""
+    if not name or name in (".", "..") or "/" in name or "\0" in name or len(name.encode()) > 200:
+        raise RecordingError(path, f"{name[:80]!r} is not a file name")
+    return name
+
+
+class Output:
+    """``directory/name.mcap`` by mcap's Writer, and small files beside it; nothing is written outside the directory.
+
+    No buffer of our own: what mcap's writer gave was written to the kernel and survives a SIGKILL. The first error of
+    the file system ends the file behind the last whole record, and every later call raises the same RecordingError.
+    """
+
+    def __init__(self, directory: Path, name: str, chunk_size: int):
+        self.directory = directory
+        self.path = directory / f"{plain_name(directory, name)}.mcap"
+        self.error: RecordingError | None = None
+        self.count = self.kept = 0  #: messages given, and those of them that are in the file
+        self.position = 0  #: end of the last piece that was written whole; a piece is one or more whole records
+        self._chunks = 0
+        self._folder = _open_directory(directory)
+        try:
+            self._file: int | None = self._create()
+        except RecordingError:
+            os.close(self._folder)
+            raise
+        # the checksum over the whole data section shows a flipped bit also outside of the chunks
+        self.mcap = Writer(self, chunk_size, CompressionType.ZSTD, enable_data_crcs=True)
+
+    def _create(self) -> int:
+        if os.path.lexists(self.directory / "metadata.yaml"):
+            raise RecordingError(self.directory, "holds a recording already, which is not overwritten")
+        try:
+            return os.open(self.path.name, NEW, 0o666, dir_fd=self._folder)
+        except FileExistsError:
+            raise RecordingError(self.path, "exists already and is not overwritten") from None
+        except OSError as error:
+            raise RecordingError(self.path, f"cannot be created: {error.strerror}") from error
+
+    @property
+    def is_open(self) -> bool:
+        return self._file is not None
+
+    # what mcap's Writer asks of a stream
+
+    def write(self, data) -> int:
+        view, done = memoryview(data), 0
+        while done < len(view):
+            done += os.write(self._file, view[done:])
+        self.position += done
+        self._chunks += bool(done) and view[0] == Opcode.CHUNK
+        return done
+
+    def tell(self) -> int:
+        return self.position
+
+    def flush(self) -> None:
+        """Nothing waits here."""
+
+    # what the recording asks
+
+    def check(self) -> None:
+        """Raise where nothing can be written any more."""
+        if self.error is not None:
+            raise self.error
+        if self._file is None:
+            raise RecordingError(self.path, "the recording is closed")
+
+    def run(self, call, *args, waiting: int = 0):
+        """Run a call of mcap's writer; at the first error keep the whole records and never write again.
+
+        waiting: messages that were not given yet, and are lost then as well.
+        """
+        self.check()
+        chunks = self._chunks
+        try:
+            result = call(*args)
+        except OSError as error:
+            if self._chunks != chunks:  # the chunk is in, only its index is not
+                self.kept = self.count
+            self._give_up(error, waiting)
+        if self._chunks != chunks:
+            self.kept = self.count
+        return result
+
+    def add_message(self, channel: int, log_time: int, data, publish_time: int, sequence: int) -> None:
+        self.check()
+        self.count += 1
+        self.run(self.mcap.add_message, channel, log_time, data, publish_time, sequence)
+
+    def close_chunk(self) -> None:
+        """Put every message that was given into the file."""
+        if self.is_open and self.kept < self.count:
+            self.run(self.mcap.flush)
+            self.kept = self.count
+
+    def _give_up(self, error: OSError, waiting: int) -> None:
+        text = (
+            f"writing ended with an error ({error.strerror or error}); {self.kept} messages in {self.position} bytes "
+            f"are safe, the last {self.count - self.kept + waiting} are lost"
+        )
+        with suppress(OSError):
+            os.ftruncate(self._file, self.position)
+        self._close()
+        os.close(self._folder)
+        self.error = RecordingError(self.path, text)
+        raise self.error from error
+
+    def _close(self) -> None:
+        file, self._file = self._file, None
+        with suppress(OSError):
+            os.close(file)
+
+    def finish(self, name: str, data: bytes) -> None:
+        """End the file, and write a small one under ``name`` beside it, in place of whatever has that name."""
+        self.run(self.mcap.finish)
+        self._close()
+        try:
+            write_files({self.directory / name: (data,)})
+        except InputError as error:
+            raise RecordingError(self.directory / name, error.reason) from error
+        finally:
+            os.close(self._folder)
+
+
+def _open_directory(path: Path) -> int:
+    """A handle of a directory that is made if it is missing; a symbolic link in its place is refused."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileExistsError):
+            path.mkdir()
+        return os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    except OSError as error:
+        raise RecordingError(path, f"no recording can be written into this directory: {error.strerror}") from error

@@ -1,0 +1,165 @@
+"""Every byte of a recording checked: all checksums, and the indexes against the messages that they point to."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+import yaml
+from mcap.opcode import Opcode
+
+from kr270_milling.bag.reader import FOOTER_SIZE, Recording
+from kr270_milling.bag.structure import HEAD, MAGIC, SMALL, Damage, Part, attached, content, parsed, parts
+
+__all__ = ["findings"]
+
+MOST = 20  # sentences
+MOST_YAML = 256 * 1024  # [bytes] of metadata.yaml; the YAML reader takes some seconds for them
+
+
+def findings(recording: Recording, progress: Callable[[int, int], None] | None = None) -> list[str]:
+    """One sentence for each damage that is found, up to 20; none where the recording is whole.
+
+    A file whose writer left out a checksum or an index is whole without it. Nothing is raised for damage.
+    """
+    found = ["it is cut off: its writer did not finish it"] if recording.cut_off else []
+    walk = _Walk(recording)
+    try:
+        found += walk.run(progress)
+    except Damage as damage:
+        found.append(_sentence(damage))
+    return (found + _metadata_file(recording))[:MOST]
+
+
+def _sentence(damage: Damage) -> str:
+    return f"{damage.reason} (at byte {damage.offset})"
+
+
+class _Walk:
+    """Once through the file, record by record."""
+
+    def __init__(self, recording: Recording):
+        self.recording, self.stream = recording, recording.stream
+        self.found: list[str] = []
+        self.counts: Counter[int] = Counter()
+        self.chunks = {chunk.offset: chunk for chunk in recording.chunks}
+        self.indexes: dict[int, dict[int, int]] = {}  # chunk -> channel -> place of its message index
+        self.lengths: dict[int, int] = {}  # chunk -> bytes of its record
+
+    def run(self, progress) -> list[str]:
+        end = self.recording.data_end
+        chunk, expected = None, {}
+        for part in parts(self.stream, len(MAGIC), end):
+            if part.type == Opcode.MESSAGE_INDEX:
+                self._guard(self._check_index, part, chunk, expected)
+                continue
+            self._left_out(chunk, expected)
+            chunk, expected = (part.offset, {}) if part.type in (Opcode.CHUNK, Opcode.MESSAGE) else (None, {})
+            if chunk is not None:
+                self.lengths[chunk] = part.end - part.offset
+                expected = self._guard(self._messages, chunk) or {}
+            if progress:
+                progress(part.end, self.recording.size)
+        self._left_out(chunk, expected)
+        for about in self.recording.attachments:
+            self._guard(attached, self.stream, about)
+        self._check_checksum(end)
+        if not self.recording.cut_off:
+            self._check_summary(end)
+        return self.found
+
+    def _guard(self, call, *args):
+        try:
+            return call(*args)
+        except Damage as damage:
+            self.found.append(_sentence(damage))
+            return None
+
+    def _messages(self, chunk: int) -> dict[int, np.ndarray]:
+        """Channel -> (log time, offset) of its messages in a chunk."""
+        found = self.recording.unpack(self.chunks[chunk])
+        self.counts += found.counts
+        unknown = set(found.counts) - set(self.recording.contents.channels)
+        if unknown:
+            raise Damage(f"messages belong to channel {min(unknown)}, which is not defined", chunk)
+        channel, log_time, offset = found.table()
+        rows = np.stack([log_time, offset], axis=1)
+        return {number: rows[channel == number] for number in found.counts}
+
+    def _check_index(self, part: Part, chunk: int | None, expected: dict[int, np.ndarray]) -> None:
+        data = content(self.stream, part)
+        if chunk is None or len(data) < 6:
+            raise Damage("an index of messages belongs to no chunk", part.offset)
+        channel, size = struct.unpack_from("<HI", data)
+        if size != len(data) - 6 or size % 16:
+            raise Damage("an index of messages has an impossible length", part.offset)
+        rows, messages = np.frombuffer(data, "<u8", offset=6).reshape(-1, 2), expected.pop(channel, None)
+        self.indexes.setdefault(chunk, {})[channel] = part.offset
+        if messages is None and not len(rows):
+            return
+        if messages is None or not np.array_equal(_sorted(rows), _sorted(messages)):
+            raise Damage("an index points to other messages than its chunk holds", part.offset)
+
+    def _left_out(self, chunk: int | None, expected: dict) -> None:
+        if chunk in self.indexes and expected:
+            self.found.append(f"a chunk has no index for channel {min(expected)} (at byte {chunk})")
+
+    def _check_checksum(self, end: int) -> None:
+        if not self.recording.contents.data_crc or self.recording.cut_off:
+            return
+        crc, left = 0, end
+        self.stream.seek(0)
+        while left and (data := self.stream.read(min(left, 1 << 20))):
+            crc, left = zlib.crc32(data, crc), left - len(data)
+        if crc != self.recording.contents.data_crc:
+            self.found.append("the data do not fit the checksum at their end")
+
+    def _check_summary(self, end: int) -> None:
+        """The index of chunks and the counts, against what is there."""
+        at = self.recording.size - FOOTER_SIZE
+        self.stream.seek(at + 9)
+        footer = parsed(Opcode.FOOTER, self.stream.read(20), at)
+        behind = end + HEAD.size + 4  # of the record that ends the data
+        if footer.summary_start not in (0, behind) or (not footer.summary_start and behind != at):
+            self.found.append(f"the footer does not point to the end of the data (at byte {at})")
+        if +self.counts != +self.recording.contents.counts:
+            self.found.append("the counts of messages at the end are not those of the messages")
+        for part in parts(self.stream, behind, at):
+            if part.type == Opcode.CHUNK_INDEX and part.size <= SMALL:
+                self._guard(self._check_chunk_index, part)
+
+    def _check_chunk_index(self, part: Part) -> None:
+        index = parsed(part.type, content(self.stream, part), part.offset)
+        chunk = self.chunks.get(index.chunk_start_offset)
+        if chunk is None:
+            raise Damage("the index of chunks points to a place without a chunk", part.offset)
+        says = (index.chunk_length, index.message_start_time, index.message_end_time, index.compression,
+                index.compressed_size, index.uncompressed_size)  # fmt: skip
+        is_so = (self.lengths.get(chunk.offset), chunk.first_time, chunk.last_time, chunk.compression, chunk.size,
+                 chunk.unpacked)  # fmt: skip
+        if says != is_so or index.message_index_offsets != self.indexes.get(chunk.offset, {}):
+            raise Damage("the index of chunks says another thing than the chunk", part.offset)
+
+
+def _sorted(rows: np.ndarray) -> np.ndarray:
+    return rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+
+
+def _metadata_file(recording: Recording) -> list[str]:
+    """Whether ``metadata.yaml`` beside the file, if there is one, counts the same messages."""
+    path = recording.path.with_name("metadata.yaml")
+    if not path.is_file() or path.stat().st_size > MOST_YAML:
+        return []
+    try:
+        about = yaml.safe_load(path.read_bytes())["rosbag2_bagfile_information"]
+        counts = {t["topic_metadata"]["name"]: t["message_count"] for t in about["topics_with_message_count"]}
+        files, count = about["relative_file_paths"], about["message_count"]
+    except (yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError, OSError):
+        return [f"{path.name} beside it cannot be read"]
+    if files != [recording.path.name]:
+        return []  # of several files, or of another one
+    same = count == recording.count and counts == {name: about.count for name, about in recording.topics().items()}
+    return [] if same else [f"{path.name} beside it counts other messages"]
