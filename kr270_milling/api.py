@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell as cells
 from kr270_milling.cell import jobs
@@ -19,7 +20,6 @@ from kr270_milling.decision.part.assessment import assess_all
 from kr270_milling.report.series import COLUMNS, series_lines, series_rows
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.simulation.scores import Scores
-from kr270_milling.base.files import write_files
 from kr270_milling.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
