@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import functools
 from collections.abc import Iterable, Mapping
 
 import yaml
@@ -9,7 +11,7 @@ import yaml
 from kr270_milling.base import parameter_file as config_file
 from kr270_milling.base.errors import ConfigError
 
-__all__ = ["bag_information", "describe_qos", "qos_text", "read_qos"]
+__all__ = ["bag_information", "describe_qos", "qos_text", "read_qos", "yaml_text"]
 
 INFINITE = 2**63 - 1  # [ns], as rosbag2 writes a duration without limit
 DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
@@ -49,11 +51,20 @@ def _plain(key: str, value):
 
 def qos_text(profiles: Iterable) -> str:
     """The channel metadata ``offered_qos_profiles``: a YAML list of profiles."""
-    return yaml.safe_dump([describe_qos(p) for p in profiles], sort_keys=False).strip()
+    return yaml_text([describe_qos(p) for p in profiles]).strip()
+
+
+def yaml_text(value) -> str:
+    return yaml.dump(value, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper), sort_keys=False)
 
 
 def read_qos(text: str) -> list[dict]:
     """The profiles in a channel's metadata; none where the text of a foreign file is not a list of mappings."""
+    return copy.deepcopy(_profiles(text))
+
+
+@functools.lru_cache(maxsize=32)
+def _profiles(text: str) -> list[dict]:
     try:
         profiles = config_file.parse(text[:100_000], "", "offered_qos_profiles")
     except ConfigError:

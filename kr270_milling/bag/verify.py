@@ -17,6 +17,7 @@ from kr270_milling.bag.structure import HEAD, MAGIC, SMALL, Damage, Part, attach
 __all__ = ["findings"]
 
 MOST = 20  # sentences
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 MOST_YAML = 256 * 1024  # [bytes] of metadata.yaml; the YAML reader takes some seconds for them
 
 
@@ -154,7 +155,8 @@ def _metadata_file(recording: Recording) -> list[str]:
     if not path.is_file() or path.stat().st_size > MOST_YAML:
         return []
     try:
-        about = yaml.safe_load(path.read_bytes())["rosbag2_bagfile_information"]
+        tree = yaml.load(path.read_bytes(), Loader=LOADER)  # noqa: S506 - a safe one
+        about = tree["rosbag2_bagfile_information"]
         counts = {t["topic_metadata"]["name"]: t["message_count"] for t in about["topics_with_message_count"]}
         files, count = about["relative_file_paths"], about["message_count"]
     except (yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError, OSError):

@@ -9,8 +9,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import yaml
-
 from kr270_milling import __version__
 from kr270_milling.bag import bagmeta
 from kr270_milling.bag.errors import MessageRefused, RecordingError
@@ -243,8 +241,8 @@ class BagWriter:
         about = bagmeta.bag_information(self.path.name, topics, self.start or 0, self.end, self._custom)
         self.flush()
         self.add_metadata("kr270_milling.counts", {k: json.dumps(v) for k, v in self.report().items()})
-        self.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(about, sort_keys=False)})
-        text = yaml.safe_dump({"rosbag2_bagfile_information": about}, sort_keys=False)
+        self.add_metadata("rosbag2", {"serialized_metadata": bagmeta.yaml_text(about)})
+        text = bagmeta.yaml_text({"rosbag2_bagfile_information": about})
         self.output.finish("metadata.yaml", text.encode())
 
     def __enter__(self) -> BagWriter:

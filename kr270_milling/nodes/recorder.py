@@ -16,7 +16,7 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
-from kr270_milling.bag.errors import RecordingError
+from kr270_milling.bag.errors import MessageRefused, RecordingError
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.report.scene import INPUTS, Scene
@@ -58,6 +58,7 @@ class Recorder(ReportingNode):
         self.writer = BagWriter(directory, attachments=self._read(attachments), metadata=about)
         self._subscriptions_of: dict[str, object] = {}
         self._stopped, self._before = False, -1
+        self._refused = 0  # messages
         self._there: set[str] = set()  # topics with a publisher
         self._gone: set[str] = set()  # topics that had one
         self._silences: dict[str, Silence] = {}  # of the nodes that report to /diagnostics
@@ -157,11 +158,15 @@ class Recorder(ReportingNode):
             self._keep(write, data, published)
 
     def _keep(self, call, *args) -> None:
-        """Nothing is written after the first error; the recording so far stays readable."""
+        """A refused message is counted; nothing is written after the first error of the file, which stays readable."""
         if self._stopped:
             return
         try:
             call(*args)
+        except MessageRefused as refused:
+            self._refused += 1
+            if self._refused == 1:  # the rest is counted in the report and in the file
+                self.report(WARN, f"a message is not recorded: {refused}")
         except RecordingError as error:
             self._stopped, self.failure = True, str(error)
             self.report(ERROR, str(error))
@@ -172,6 +177,7 @@ class Recorder(ReportingNode):
             "messages": self.writer.count,
             "latest_ns": " ".join(f"{c.topic}={c.gaps.last}" for c in self.writer.channels.values() if c.gaps.last),
             "missing": sum(entry.get("missing", 0) for entry in self.writer.report().values()),
+            "refused": self._refused,
         }
 
     def settled(self) -> bool:
@@ -192,6 +198,8 @@ class Recorder(ReportingNode):
             if entry.get("missing"):
                 came, missing = entry["count"], entry["missing"]
                 self.get_logger().warning(f"{topic}: {missing} of {came + missing} messages are missing")
+            if entry.get("refused"):
+                self.get_logger().warning(f"{topic}: {entry['refused']} messages were refused and are not recorded")
         self.get_logger().info(f"{self.writer.count} messages in {self.writer.path}")
         return None
 

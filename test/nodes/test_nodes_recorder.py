@@ -15,6 +15,7 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
 from std_msgs.msg import String
 
 from kr270_milling.bag.reader import Recording
@@ -51,6 +52,18 @@ def test_every_message_is_kept_with_its_bytes_and_its_stamp(world, recorder, tmp
         assert not recording.cut_off
     assert found.stamp.tolist() == found.log_time.tolist() == [i * 500_000 for i in range(300)]
     assert np.array_equal(found.values, np.repeat(np.arange(300.0)[:, None], 6, axis=1))
+
+
+def test_a_message_with_an_impossible_publish_time_is_counted_and_the_recording_goes_on(world, recorder, tmp_path):
+    """What the middleware hands over; it ended the whole recording."""
+    data = serialize_message(wrench_msg(0, np.zeros(6)))
+    recorder.writer.add_topic("/wrench", "geometry_msgs/msg/WrenchStamped")
+    for publish_time in (1, -1, 2**63, 4):
+        recorder._keep(recorder.writer.write, "/wrench", data, publish_time)
+    assert recorder.failure is None and recorder.watch()["refused"] == 2
+    assert recorder.close() is None
+    with Recording(tmp_path / "rec") as recording:
+        assert [m.publish_time for m in recording.messages()] == [1, 4]
 
 
 def test_latched_message_of_an_earlier_publisher_is_recorded(world, recorder):
