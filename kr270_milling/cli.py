@@ -34,6 +34,10 @@ COMMANDS = {
         "pose, stiffness and natural frequencies of an arm at one posture",
         "stiffness config/kr270_2.yaml --joints-deg 90,-50,120,180,25,180",
     ),
+    "stability": (
+        "limit depth of cut and chatter frequency over spindle speed",
+        "stability config/paper.yaml --speeds 4000:12000:100",
+    ),
     "identify": (
         "find compliances, force coefficients and modes from measurements of the own cell",
         "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml",

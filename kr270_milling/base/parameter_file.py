@@ -157,7 +157,7 @@ def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, froze
         parsed = parse(value, "--set", key)
         for part in reversed(key.split(".")):
             parsed = {part: parsed}
-        tree = merge(tree, typing.cast(dict, parsed))
+        tree = merge(tree, typing.cast(dict, as_lists(parsed, "--set")))
         keys.add(key)
     return tree, frozenset(keys)
 

@@ -83,6 +83,11 @@ class Path(Record):
         text="feed rate v_f of a straight cut, a program without F, or a recorded path whose poses have one stamp",
     )  # fmt: skip
 
+    radial_immersion: float = parameter(
+        1.0, above=0.0, high=1.0, text="stability: width of the cut, a share of the diameter"
+    )
+    mode: str = parameter("slot", choices=("slot", "up", "down"), text="stability: sense of a cut that is no slot")
+
     def check(self) -> None:
         if self.topic and not is_recording(self.file):
             raise ParameterError("topic", self.topic, "empty where path.file is no recording (.mcap)")

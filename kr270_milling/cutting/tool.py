@@ -8,6 +8,7 @@ import numpy as np
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import Record, parameter
+from kr270_milling.cutting.tool_modes import ToolModes
 
 __all__ = ["Tool"]
 
@@ -43,6 +44,8 @@ class Tool(Record):
     max_cutting_speed: float = parameter(
         0.0, unit="m_per_min", low=0.0, high=2e4, text="its maker's limit; 0: not known"
     )
+
+    modes: ToolModes = ToolModes()
 
     def check(self) -> None:
         for name, unit in (("pitch", "deg"), ("runout", "um")):

@@ -1,0 +1,89 @@
+"""``kr270_milling stability``: limit depth of cut and chatter frequency over spindle speed."""
+
+from __future__ import annotations
+
+import argparse
+
+from kr270_milling.commands.console import add_cell, add_common, fixed, print_json, print_table, progress
+
+COUNT = 60  #: speeds without --speeds
+SHOWN = 24  #: rows of the printed table
+
+
+def add_arguments(parser) -> None:
+    add_cell(parser)
+    parser.add_argument(
+        "--speeds", metavar="LOW:HIGH:COUNT", type=_speeds,
+        help=f"spindle speeds [rpm] (default: {COUNT} from half to one and a half times that of the cell)",
+    )  # fmt: skip
+    parser.add_argument("--no-arm", action="store_true", help="leave out the arm: the modes of tool.modes alone")
+    parser.add_argument("--out", metavar="DIR", help="write lobes.csv and the picture lobes.html here")
+    parser.epilog += (
+        "\nkeys: path.radial_immersion (share of the diameter) and path.mode (slot, up, down) say how the tool is "
+        "engaged, tool.modes what of tool and spindle vibrates"
+    )
+    add_common(parser)
+
+
+def _speeds(text: str) -> tuple[float, float, int]:
+    try:
+        low, high, count = text.split(":")
+        values = float(low), float(high), int(count)
+    except ValueError:
+        values = (0.0, 0.0, 0)
+    if not (0.0 < values[0] <= values[1] <= 2e5 and 1 <= values[2] <= 100_000):
+        raise argparse.ArgumentTypeError(f"{text!r} is not LOW:HIGH:COUNT with speeds from 0 to 200000 rpm")
+    return values
+
+
+def run(args) -> None:
+    import numpy as np
+
+    from kr270_milling.base.record import find_file
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.studies.lobes import lobes
+
+    cell = read_cell(find_file(args.cell), args.set)
+    nominal = cell.tool.spindle_speed * 30.0 / np.pi
+    low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, COUNT)
+    with progress("stability") as report:
+        found = lobes(cell, np.linspace(low, high, count) * np.pi / 30.0, not args.no_arm, progress=report)
+    rows = [lobe.as_dict() for lobe in found]
+    files = _write(args.out, rows) if args.out else []
+    if args.json:
+        engaged = {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode}
+        print_json({"cell": args.cell, "arm": not args.no_arm, **engaged, "lobes": rows, "files": files})
+        return
+    every = max(1, -(-len(rows) // SHOWN))
+    shown = [[f"{r['spindle_speed_rpm']:.0f}", _depth(r["depth_limit_mm"]), fixed(r["chatter_hz"], 1)] for r in rows]
+    print_table("Stability lobes", ["spindle speed [rpm]", "limit depth [mm]", "chatter [Hz]"], shown[::every])
+    best = max(rows, key=lambda r: r["depth_limit_mm"])
+    print(f"deepest stable cut: {_depth(best['depth_limit_mm'])} mm at {best['spindle_speed_rpm']:.0f} rpm")
+    for name in files:
+        print(name)
+
+
+def _depth(value: float) -> str:
+    return "above 100" if value == float("inf") else f"{value:.3f}"
+
+
+def _write(out: str, rows: list[dict]) -> list[str]:
+    """Table and picture."""
+    import plotly.graph_objects as go
+
+    from kr270_milling.base.files import staged
+
+    columns = list(rows[0])
+    with staged(out) as (draft, final):
+        table, page = draft / "lobes.csv", draft / "lobes.html"
+        lines = [",".join(repr(row[name]) for name in columns) for row in rows]
+        table.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
+        figure = go.Figure()
+        speeds = [row["spindle_speed_rpm"] for row in rows]
+        chatter = [f"{row['chatter_hz']:.1f} Hz" for row in rows]
+        figure.add_scatter(x=speeds, y=[row["depth_limit_mm"] for row in rows], text=chatter, name="limit depth")
+        figure.update_layout(title="Stability lobes: below the line the cut is stable", template="plotly_white")
+        figure.update_xaxes(title="spindle speed [rpm]")
+        figure.update_yaxes(title="depth of cut [mm]", rangemode="tozero")
+        figure.write_html(page, include_plotlyjs=True)
+        return [str(final(table)), str(final(page))]

@@ -1,0 +1,141 @@
+"""Stability lobes of a cell: limit depth of cut and chatter frequency over spindle speed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cutting.laws import axial_per_depth, force_per_depth
+from kr270_milling.studies.monodromy import Modes, directional_matrices, multipliers
+
+__all__ = ["Lobe", "engagement_angles", "limit_depth", "lobes", "modes_of"]
+
+DEPTHS = np.geomspace(1e-6, 0.1, 26)  #: [m], between which the first loss of stability is looked for
+HALVINGS = 12  #: of such an interval, a factor of 1.6: to 0.01 % of the depth
+NODES = 40, 200  #: least and most nodes of a tooth period
+PER_PERIOD = 32  #: nodes in a period of the fastest mode
+SMALL_STEP = 1e-3  #: share of the chip thickness over which the force law is differentiated
+
+
+@dataclass(frozen=True)
+class Lobe:
+    """One spindle speed."""
+
+    spindle_speed: float  #: [rad/s]
+    depth_limit: float  #: [m]; infinite where nothing below 100 mm chatters
+    chatter_frequency: float  #: [rad/s]; NaN where there is none
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return {
+            "spindle_speed_rpm": self.spindle_speed * 30.0 / math.pi,
+            "depth_limit_mm": 1e3 * self.depth_limit,
+            "chatter_hz": self.chatter_frequency / (2.0 * math.pi),
+        }
+
+
+def modes_of(cell: Cell, arm: bool = True) -> Modes:
+    """The modes of the arm where the path starts, and those of ``tool.modes``; arm: False leaves out the former.
+
+    Raises ParameterError where that leaves no mode.
+    """
+    tool = cell.tool.modes
+    frequency = [2.0 * np.pi * tool.frequency] if tool.frequency.size else []
+    ratio, shape = [tool.damping_ratio], [tool.shapes.reshape(-1, 3)]
+    if arm:
+        model = cell.modal_model
+        own = np.full(model.frequency.size, cell.dynamics.damping_ratio) if model.damping is None else model.damping
+        frequency.append(model.frequency)
+        ratio.append(own)
+        shape.append((model.output[:3] @ model.shape).T)
+    if not frequency:
+        raise ParameterError("tool.modes", [], "given where the arm is left out: there is no mode that could chatter")
+    return Modes(np.concatenate(frequency), np.concatenate(ratio), np.concatenate(shape))
+
+
+def engagement_angles(immersion: float, mode: str) -> tuple[float, float]:
+    """Entry and exit [rad] from where a full slot is entered; immersion: radial, a share of the diameter."""
+    if mode == "slot" or immersion >= 1.0:
+        return 0.0, math.pi
+    width = math.acos(1.0 - 2.0 * immersion)
+    return (0.0, width) if mode == "up" else (math.pi - width, math.pi)
+
+
+def lobes(
+    cell: Cell,
+    speeds: Sequence[float],
+    arm: bool = True,
+    threads: int = 2,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Lobe]:
+    """Limit depth at each spindle speed [rad/s], for the immersion of ``path`` and the feed per tooth of the cell."""
+    tool, modes = cell.tool, modes_of(cell, arm)
+    if tool.pitch.size and np.ptp(tool.pitch) > 1e-9:
+        raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: its lobes are those of tau")
+    angles = engagement_angles(cell.path.radial_immersion, cell.path.mode)
+    gradients = _gradients(cell)
+
+    def one(speed: float) -> Lobe:
+        delay = 2.0 * math.pi / (speed * tool.teeth)
+        nodes = int(np.clip(PER_PERIOD * delay * modes.frequency.max() / (2.0 * math.pi), *NODES))
+        matrices = directional_matrices(gradients, tool.sense, tool.teeth, *angles, nodes)
+        return Lobe(speed, *limit_depth(modes, matrices, delay))
+
+    found = []
+    with ThreadPoolExecutor(threads) as pool:
+        for lobe in pool.map(one, speeds):
+            found.append(lobe)
+            if progress is not None:
+                progress(len(found), len(speeds))
+    return found
+
+
+def limit_depth(modes: Modes, matrices: np.ndarray, delay: float) -> tuple[float, float]:
+    """The smallest depth [m] at which a multiplier leaves the unit circle, and the frequency there [rad/s]."""
+
+    def largest(depth: float) -> float:
+        return float(np.abs(multipliers(modes, matrices, depth, delay)).max())
+
+    first = next((i for i, depth in enumerate(DEPTHS) if largest(depth) > 1.0), None)
+    if first is None:
+        return math.inf, math.nan
+    low, high = (0.0 if first == 0 else DEPTHS[first - 1]), DEPTHS[first]
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if largest(middle) > 1.0 else (middle, high)
+    return high, _frequency(modes, multipliers(modes, matrices, high, delay), delay)
+
+
+def _frequency(modes: Modes, found: np.ndarray, delay: float) -> float:
+    """Of the multiplier on the circle: (arg mu + 2 pi k) / tau, the k that lies nearest above or at a mode.
+
+    The multiplier is the same for all k; a chatter frequency lies near the mode that it excites.
+    """
+    angle = abs(float(np.angle(found[np.argmax(np.abs(found))])))
+    turns = np.arange(-1000, 1001)
+    candidates = np.concatenate([angle + 2.0 * np.pi * turns, -angle + 2.0 * np.pi * turns]) / delay
+    candidates = candidates[candidates > 0.0]
+    away = np.abs(candidates[:, None] / modes.frequency - 1.0).min(axis=1)
+    return float(candidates[np.argmin(away)])
+
+
+def _gradients(cell: Cell):
+    """K_t, K_r, K_a [N/m^2] at the chip thickness f_z s: dF/dh per depth, by a central difference of the law."""
+    tool, cutting = cell.tool, cell.cutting
+    feed_per_tooth = 2.0 * np.pi * cell.feed_rate / (tool.spindle_speed * tool.teeth)
+    fractional, c = cutting.law == "fractional", cutting.coefficients
+
+    def gradients(sine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        h = np.maximum(feed_per_tooth * sine, 1e-3 * feed_per_tooth)
+        step = SMALL_STEP * h
+        (t1, r1), (t0, r0) = force_per_depth(fractional, c, h + step), force_per_depth(fractional, c, h - step)
+        a1, a0 = axial_per_depth(fractional, c, h + step), axial_per_depth(fractional, c, h - step)
+        return (t1 - t0) / (2 * step), (r1 - r0) / (2 * step), (a1 - a0) / (2 * step)
+
+    return gradients
