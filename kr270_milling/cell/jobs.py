@@ -111,6 +111,7 @@ def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Co
         method,
         lambda t, wrench: mirrored(cell, t, wrench),
         lambda t: arm_response(cell, t),
+        lambda t: record_of(cell, simulate(cell, t)),
     )
 
 

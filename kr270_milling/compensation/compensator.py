@@ -60,7 +60,7 @@ class Compensator:
 
     "mirror" hands the mean wrench (k, 6) at the target's knots to the function ``mirror``, which knows the arm;
     "inverse" and "learned" ask ``arm`` for its response along the target, without it they suppose that the tool follows
-    the reference at once. "learned", and with ``parameters.repeat`` every method, keeps the best reference so far and
+    the reference at once; where nothing measured the wrench they take that of the model's own pass, ``predict``. "learned", and with ``parameters.repeat`` every method, keeps the best reference so far and
     is ``finished`` when a pass brings less than 1 % or less than the noise, or max_passes are done; else each pass
     simply revises the reference that it ran.
     """
@@ -72,11 +72,13 @@ class Compensator:
         method: str | None = None,
         mirror: Callable[[Trajectory, np.ndarray], Trajectory] | None = None,
         arm: Callable[[Trajectory], ArmResponse] | None = None,
+        predict: Callable[[Trajectory], PassRecord] | None = None,
     ):
         self.parameters = parameters
         self.target = target
         self._mirror = mirror
         self._arm = arm
+        self._predict = predict
         self.method = method or parameters.method
         self.first: PassRecord | None = None  #: the pass along the target
         self.reset()
@@ -96,6 +98,7 @@ class Compensator:
         self.note = ""  #: a sentence where no correction is made, or the model speaks against the one that is made
         self.learner: Learner | None = None  #: of "inverse" and "learned", from the first pass on
         self._best = (math.inf, self.target, ())
+        self._in_vain = 0  # passes in a row that brought nothing
         self._forgotten = False  # passes that "learned" would need are not known here
 
     def resume(self, reference: Trajectory, errors: tuple[float, ...], finished: bool) -> None:
@@ -179,17 +182,21 @@ class Compensator:
         target, how = self.target, self.parameters
         course = Course(how.interpolation == "spline", target.standing, held(target))
         arm = self._arm(target) if self._arm else ArmResponse.rigid(len(target) - 1)
-        return Learner(target, arm, course, how.criterion)
+        return Learner(target, arm, course, how.criterion, self._predict)
 
     def _is_best(self, ran: PassRecord) -> bool:
-        """Whether the best reference so far is not worth another revision."""
-        previous = self._best[0]
-        if self.errors[-1] < previous:
-            self._best = (self.errors[-1], self.reference, self.limited)
-        gained = previous - self.errors[-1]
-        least = max(LEAST_GAIN * previous, LEAST_STEP, noise_floor(self.target, ran)) if len(self.errors) > 1 else 0.0
-        worth = len(self.errors) == 1 or gained > least
-        return self.finished or not worth or len(self.errors) > self.parameters.max_passes
+        """Whether the best reference so far is not worth another revision.
+
+        Of passes that the noise cannot tell apart the later one is better: it follows from more of them. One such pass
+        may be bad luck, so a noisy measurement must bring nothing twice in a row.
+        """
+        error, best, floor = self.errors[-1], self._best[0], noise_floor(self.target, ran)
+        first = len(self.errors) == 1
+        if first or error < (best + floor if best < self.errors[0] else best):
+            self._best = (min(error, best), self.reference, self.limited)
+        worth = first or best - error > max(LEAST_GAIN * best, LEAST_STEP, floor)
+        self._in_vain = 0 if worth else self._in_vain + 1
+        return self.finished or self._in_vain > bool(floor) or len(self.errors) > self.parameters.max_passes
 
     def improve(self, first: PassRecord, run: Callable[[Trajectory], PassRecord]) -> Trajectory:
         """Revise from the first pass and, where the method repeats, run and revise on; returns the one to keep."""

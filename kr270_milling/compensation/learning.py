@@ -9,6 +9,7 @@ is no larger than the stated noise of the measurement, all of it where nothing i
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -34,9 +35,20 @@ MISFIT = 0.05  #: share of its own deviation by which a pass may mislead about t
 class Learner:
     """Gathers passes along corrections of one target and makes the next correction."""
 
-    def __init__(self, target: Trajectory, arm: ArmResponse, course: Course, criterion: str, learns: bool = True):
-        self.target, self.model, self.arm, self.course = target, arm, arm, course
-        self.criterion, self.learns = criterion, learns
+    def __init__(
+        self,
+        target: Trajectory,
+        arm: ArmResponse,
+        course: Course,
+        criterion: str,
+        predict: Callable[[Trajectory], PassRecord] | None = None,
+    ):
+        self.target = target
+        self.model = arm
+        self.arm = arm  #: as the passes show it
+        self.course = course
+        self.criterion = criterion
+        self._predict = predict
         self.segments = Segments.of(target.time_ns)
         self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
         self.identified: Identified | None = None
@@ -62,21 +74,28 @@ class Learner:
         """Learn from a pass along ``reference``."""
         segments, time_ns = self.segments, ran.time_ns
         deviation = segments.middle(time_ns, ran.position - self.target.sample(time_ns))
-        wrench = None
-        if ran.wrench is not None and ran.wrench.any():  # each is the mean of the period that ends at its stamp
-            middle = np.concatenate([time_ns[:1], (time_ns[1:] + time_ns[:-1]) // 2])
-            wrench = segments.mean(middle, ran.wrench)
+        wrench = self._wrench(ran)
+        if wrench is None and self.passes:
+            wrench = self.passes[0].wrench
+        elif wrench is None and self._predict is not None:
+            wrench = self._wrench(self._predict(self.target))
         self.passes.append(Evidence(self.cubic(reference), deviation, wrench))
         scored = segments.mean(time_ns, ran.scored[:, None].astype(float)).ravel() > 0.0
         scored[:-1] |= scored[1:]  # up to the edge of the first part
         self.scored = scored.reshape(len(segments), segments.parts)
         self._noise = ran.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
-        if self.learns:
-            weight = np.where(self.scored, 1.0, FREE)
-            self.arm, self.identified = fit(
-                self.model, segments, self.path, self.path[0, 1], self.passes, weight, self._noise
-            )
+        weight = np.where(self.scored, 1.0, FREE)
+        self.arm, self.identified = fit(
+            self.model, segments, self.path, self.path[0, 1], self.passes, weight, self._noise
+        )
         self.expected = self._expected()
+
+    def _wrench(self, ran: PassRecord) -> np.ndarray | None:
+        """In each part, (m, parts, 6); None where it is not known."""
+        if ran.wrench is None or not ran.wrench.any():
+            return None
+        middle = np.concatenate([ran.time_ns[:1], (ran.time_ns[1:] + ran.time_ns[:-1]) // 2])
+        return self.segments.mean(middle, ran.wrench)  # each is the mean of the period that ends at its stamp
 
     def _expected(self) -> np.ndarray:
         """Deviation [m], (m, parts, 3), of a tool that runs on its path without a correction of the reference."""
