@@ -60,8 +60,10 @@ class Compensator:
 
     "mirror" hands the mean wrench (k, 6) at the target's knots to the function ``mirror``, which knows the arm;
     "inverse" and "learned" ask ``arm`` for its response along the target, without it they suppose that the tool follows
-    the reference at once; where nothing measured the wrench they take that of the model's own pass, ``predict``. "learned", and with ``parameters.repeat`` every method, keeps the best reference so far and
-    is ``finished`` when a pass brings less than 1 % or less than the noise, or max_passes are done; else each pass
+    the reference at once; where nothing measured the wrench they take that of the model's own pass, ``predict``.
+
+    "learned", and with ``parameters.repeat`` every method, keeps the best reference so far and is ``finished`` when a
+    pass brings less than 1 % or less than the noise, or max_passes are done; of any other method each pass
     simply revises the reference that it ran.
     """
 

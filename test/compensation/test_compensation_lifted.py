@@ -102,7 +102,7 @@ def test_the_correction_is_c2_between_stops_rests_in_them_and_is_held_while_the_
     for knot in (5, 8, 9):
         assert np.abs(v[knot]).max() < 1e-12 and np.abs(ends[1][knot - 1]).max() < 1e-12
     assert not found.cubic[8, 1:].any() and np.abs(v[0]).max() == 0.0
-    assert np.abs((ends[2][4] - a[5])).max() > 1e-3  # a bend of its own after a stop
+    assert np.abs(ends[2][4] - a[5]).max() > 1e-3  # a bend of its own after a stop
 
 
 def test_min_max_lowers_the_largest_deviation_and_its_peaks_are_alike():

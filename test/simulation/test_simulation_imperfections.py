@@ -80,7 +80,7 @@ def test_a_pass_that_lies_beside_the_commanded_one_is_cut_there(cell):
 
 
 def test_backlash_shows_where_a_joint_turns_back_and_is_as_large_as_its_lever(cell):
-    """Out and back across the arm: on the way back the tool stands beside the reference by the play of the joints there."""
+    """Out and back across the arm: on the way back the tool stands beside the reference by the play of the joints."""
     target = cell.target()
     away = np.minimum(target.time_ns, target.duration_ns - target.time_ns)
     there_and_back = target.with_position(target.position[:1] + np.outer(away * 1e-9, [0.0, 0.05, 0.0]))
