@@ -37,6 +37,7 @@ setup(
         "test": [
             "pyuff>=2.4",
             "pytest>=7.4",
+            "pytest-xdist>=3.5",
             "hypothesis>=6.80",
             "pin>=2.7",
             "playwright>=1.40",

@@ -93,14 +93,16 @@ def _main(argv: list[str]) -> int:
 
 
 def _hear_interrupts() -> None:
-    """Ctrl-C as Python has it, but not in the midst of a compilation, which would leave the compiler half made and
-    could crash at the end: it waits for that, some seconds at most, unless it comes twice."""
+    """Ctrl-C as Python has it, but not in the midst of a compilation or an import: it waits for their end, some seconds
+    at most, unless it comes twice. It would leave the compiler half made, and compiled libraries report an interrupt of
+    their own import as a broken installation."""
     pressed: list[int] = []
 
     def interrupt(number, frame):
         pressed.extend([number] * (number == signal.SIGINT))
         compiler = sys.modules.get("numba.core.compiler_lock")
-        if compiler and compiler.global_compiler_lock.is_locked() and len(pressed) < 2:
+        busy = _is_importing(frame) or (compiler is not None and compiler.global_compiler_lock.is_locked())
+        if busy and len(pressed) < 2:
             signal.signal(signal.SIGALRM, interrupt)
             signal.setitimer(signal.ITIMER_REAL, 0.02)  # look again
             return
@@ -118,6 +120,14 @@ def _complete() -> None:
 
         words = shlex.split(os.environ.get("COMP_LINE", ""))[1:]
         argcomplete.autocomplete(_parser(words))
+
+
+def _is_importing(frame) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename == "<frozen importlib._bootstrap>":
+            return True
+        frame = frame.f_back
+    return False
 
 
 def _run(argv: list[str]) -> int:

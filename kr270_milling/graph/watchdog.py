@@ -62,9 +62,9 @@ class Watchdog:
         if now < self._hear_until:
             return
         silences = {name: driver.silence(name, now) for name in nodes - self.excused}
-        if len(silences) > 1 and max(silences.values()) > LOST and min(silences.values()) > LOST - HELD_UP:
+        if len(silences) > 1 and max(silences.values()) > LOST and min(silences.values()) > LOST / 2:
             driver.stuck = True
-            what = f"no node has been heard of for {LOST - HELD_UP:g} s: the middleware of this process may be blocked"
+            what = f"no node has been heard of for {LOST / 2:g} s: the middleware of this process may be blocked"
             raise RunError("graph", what)
         for name, silent in silences.items():
             if silent > LOST:

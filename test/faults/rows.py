@@ -24,7 +24,7 @@ __all__ = ["Row", "expected_seconds", "fault_cell", "run_faults"]
 #: a pass of 4,800 exchanges, some two seconds at full speed
 CELL = ("path.length_mm=40", "stock.grid_step_um=50", "exchange.period_ms=0.125")
 AFTER = (0.05, 0.8)  # [s] from the start of the pass to the fault
-TRIES = 3  #: a busy machine may look so late that the pass is over before the fault
+TRIES = 6  #: a busy machine may look so late that the pass is over before the fault
 SECONDS = {True: 9.0, False: 6.0}  # [s] that a trial takes, with and without a graph of its own
 COLUMNS = ("fault", "repeats", "detected within max [s]", "named", "others", "orphans", "litter", "recording")
 

@@ -132,9 +132,12 @@ def test_the_real_nodes_publish_what_the_plain_exchange_gives(of_nodes):
 
 def test_a_killed_recorders_file_is_recomputed_as_far_as_it_goes(of_nodes, tmp_path):
     file = next(of_nodes.glob("*.mcap"))
-    cut = tmp_path / "cut.mcap"
-    shutil.copy(file, cut)
-    with open(cut, "r+b") as stream:
-        stream.truncate(int(file.stat().st_size * 0.6))
-    found = recompute(cut)
+    for share in (0.6, 0.75, 0.9):  # chunks are closed by the wall clock: the first of a slow pass may be behind 60 %
+        cut = tmp_path / f"cut_{share}.mcap"
+        shutil.copy(file, cut)
+        with open(cut, "r+b") as stream:
+            stream.truncate(int(file.stat().st_size * share))
+        found = recompute(cut)
+        if "/wrench" in found.channels and found.channels["/wrench"].compared:
+            break
     assert found.cut_off and found.verdict == "identical" and found.channels["/wrench"].compared > 0
