@@ -127,7 +127,7 @@ def _write(args, found, bent, said: list[str]) -> list[Path]:
     if args.law == "fractional":
         sections = fractional_sections(bent)
     else:
-        sections = linear_edge_sections(found.values, found.half_widths)
+        sections = linear_edge_sections(found.values, found.half_widths, found.axial)
     table = ("Linear-edge law", *_rows(as_dict(found)))
     with staged(args.out) as (draft, final):
         files = [

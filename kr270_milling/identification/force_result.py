@@ -8,7 +8,7 @@ from kr270_milling.base.record import specs
 from kr270_milling.cutting.laws import FractionalLaw, LinearEdgeLaw
 from kr270_milling.decision.samples import SCATTERED
 from kr270_milling.identification.figures import points
-from kr270_milling.identification.forces import NAMES, SCALE, Coefficients, mean_forces
+from kr270_milling.identification.forces import NAMES, SCALE, TOWARD_PART, Coefficients, mean_forces
 from kr270_milling.identification.fractional import FractionalFit, fractional_mean_forces
 
 __all__ = ["as_dict", "figures", "fractional_sections", "linear_edge_sections", "sentences"]
@@ -25,6 +25,7 @@ def as_dict(found: Coefficients, bent: FractionalFit | None = None) -> dict:
     """For JSON; what was not measured becomes null there."""
     report: dict = dict(zip(NAMES, (found.values / SCALE).tolist(), strict=True))
     report["ci95"] = dict(zip(NAMES, (found.half_widths / SCALE).tolist(), strict=True))
+    report["axial_force"] = "toward the part" if found.axial == TOWARD_PART else "into the holder"
     report |= {"residual_rms_n": found.residual_rms, "residuals_n": found.residuals.tolist(), "cuts": len(found.cuts)}
     if bent is not None:
         report["fractional"] = {**bent.as_dict(), "residual_rms_n": bent.residual_rms}
@@ -36,6 +37,8 @@ def sentences(found: Coefficients, bent: FractionalFit | None = None) -> list[st
     said = []
     if np.isnan(found.values[4]):
         said.append("K_ac and K_ae: fz_n was not measured")
+    elif found.axial != TOWARD_PART:
+        said.append("the axial force pushes the tool into its holder: the YAML file has it with a minus")
     for name, value, width in zip(NAMES, found.values / SCALE, found.half_widths / SCALE, strict=True):
         if width > abs(value):
             said.append(f"{name.split('_n_')[0]}: the interval reaches beyond zero, cut at more feeds or deeper")
@@ -48,14 +51,15 @@ def sentences(found: Coefficients, bent: FractionalFit | None = None) -> list[st
     return said
 
 
-def linear_edge_sections(values, half_widths) -> dict:
+def linear_edge_sections(values, half_widths, axial: float = TOWARD_PART) -> dict:
     """The groups of a parameter file: the law with its coefficients, and how well they are known for the verdict."""
     by_name = {spec.name: spec for spec in specs(LinearEdgeLaw)}
     given = [(field, k) for k, field in enumerate(FIELDS) if field in by_name and np.isfinite(values[k])]
     law: dict = {}
     for field, k in given:
         spread = f"95 % +- {half_widths[k] / by_name[field].scale:.3g}" if np.isfinite(half_widths[k]) else ""
-        law[by_name[field].key] = (float(max(values[k], 0.0) / by_name[field].scale), spread)
+        value = max(values[k], 0.0) if k < 4 else values[k] * axial / TOWARD_PART
+        law[by_name[field].key] = (float(value / by_name[field].scale), spread)
     sections: dict = {"cutting": {"law": "linear_edge", "linear_edge": law}}
     relative = {field: half_widths[k] / 1.96 / max(abs(values[k]), 1e-300) for field, k in given}
     spread = _spread([relative.get(name, np.nan) for name in SCATTERED["linear_edge"]])
@@ -64,7 +68,8 @@ def linear_edge_sections(values, half_widths) -> dict:
 
 def fractional_sections(found: FractionalFit) -> dict:
     """The same of the fractional law."""
-    each = list(zip(specs(FractionalLaw), found.values, found.half_widths, strict=True))
+    each = zip(specs(FractionalLaw), found.values, found.half_widths, strict=True)
+    each = [(s, v, w) for s, v, w in each if np.isfinite(v)]
     law = {s.key: (float(v / s.scale), f"95 % +- {w / s.scale:.3g}") for s, v, w in each}
     relative = {s.name: w / 1.96 / v for s, v, w in each}
     spread = _spread([relative.get(name, np.nan) for name in SCATTERED["fractional"]])
@@ -83,11 +88,11 @@ def figures(found: Coefficients, bent: FractionalFit | None = None) -> list:
     """Forces and models over the feed, residuals; a colour a component, a symbol a law."""
     cuts = found.cuts
     feed, per_depth = 1e3 * cuts.feed_per_tooth, 1e-3 / cuts.depth
-    sources = {"measured": cuts.force, "linear edge": mean_forces(cuts, found.values)}
+    sources = {"measured": cuts.force, "linear edge": mean_forces(cuts, found.values, found.axial)}
     left = {"linear edge": found.residuals}
     if bent is not None:
         sources["fractional"] = fractional_mean_forces(cuts, bent.values)
-        left["fractional"] = bent.residuals[:, :2]
+        left["fractional"] = bent.residuals
     shown, residuals, style = {}, {}, {}
     for law, rows in sources.items():
         for axis, column in zip("xyz", rows.T, strict=False):

@@ -5,9 +5,11 @@ With h = f cos(phi), N teeth, depth a, and the means c_2 = int cos^2, sc = int s
 
     F_x = K_tc f sc  + K_te s_1 - K_rc f c_2 - K_re c_1,
     F_y = K_tc f c_2 + K_te c_1 + K_rc f sc  + K_re s_1,
-    F_z = K_ac f c_1 + K_ae 1_,
+    F_z = s (K_ac f c_1 + K_ae 1_),
 
-and F_y has the other sign where it turns counterclockwise. A helix does not change means over whole revolutions.
+and F_y has the other sign where it turns counterclockwise. With z out of the part, s = -1 where the axial force pulls
+the tool toward the part (as ``cutting`` has it), +1 where it pushes the tool into its holder; K_ac and K_ae then are
+positive, as published ones are. A helix does not change means over whole revolutions.
 The coefficients follow by weighted linear least squares over all cuts.
 """
 
@@ -21,11 +23,12 @@ from scipy import stats
 from kr270_milling.base.errors import MillingError
 from kr270_milling.identification.cuts import Cuts
 
-__all__ = ["Coefficients", "NAMES", "OneFeedError", "fit_linear_edge", "mean_forces"]
+__all__ = ["Coefficients", "NAMES", "OneFeedError", "TOWARD_PART", "fit_linear_edge", "mean_forces"]
 
 #: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON and file units [N/m^2, N/m per file unit]
 NAMES = ("k_tc_n_per_mm2", "k_te_n_per_mm", "k_rc_n_per_mm2", "k_re_n_per_mm", "k_ac_n_per_mm2", "k_ae_n_per_mm")
 SCALE = np.array([1e6, 1e3, 1e6, 1e3, 1e6, 1e3])
+TOWARD_PART, INTO_HOLDER = -1.0, 1.0  #: s of F_z
 WORST = 1e-6  #: share of the largest singular value below which coefficients are mixed up
 
 
@@ -50,6 +53,7 @@ class Coefficients:
     half_widths: np.ndarray  #: of their 95 % intervals, (6,)
     covariance: np.ndarray  #: (6, 6)
     residuals: np.ndarray  #: measured less modelled [N], (n, 3)
+    axial: float = TOWARD_PART  #: s of F_z, from the sign of what was measured
 
     @property
     def residual_rms(self) -> float:
@@ -57,12 +61,12 @@ class Coefficients:
         return float(np.sqrt(np.nanmean(self.residuals**2)))
 
 
-def mean_forces(cuts: Cuts, values) -> np.ndarray:
-    """Mean forces on the tool [N], (n, 3), workpiece axes; values as in Coefficients."""
-    return _design(cuts) @ np.nan_to_num(np.asarray(values, float))
+def mean_forces(cuts: Cuts, values, axial: float = TOWARD_PART) -> np.ndarray:
+    """Mean forces on the tool [N], (n, 3), workpiece axes; values and axial as in Coefficients."""
+    return _design(cuts, axial) @ np.nan_to_num(np.asarray(values, float))
 
 
-def _design(cuts: Cuts) -> np.ndarray:
+def _design(cuts: Cuts, axial: float) -> np.ndarray:
     """Derivatives of the mean forces by the coefficients, (n, 3, 6)."""
     ends = np.stack([cuts.entry, cuts.exit])
 
@@ -75,7 +79,7 @@ def _design(cuts: Cuts) -> np.ndarray:
     rows = [
         [f * sc, s_1, -f * c_2, -c_1, zero, zero],
         [-cuts.tool.sense * term for term in (f * c_2, c_1, f * sc, s_1, zero, zero)],
-        [zero, zero, zero, zero, f * c_1, one],
+        [zero, zero, zero, zero, axial * f * c_1, axial * one],
     ]
     share = cuts.tool.teeth * cuts.depth / (2 * np.pi)
     return share[:, None, None] * np.moveaxis(np.array(rows), -1, 0)
@@ -83,7 +87,8 @@ def _design(cuts: Cuts) -> np.ndarray:
 
 def fit_linear_edge(cuts: Cuts) -> Coefficients:
     """The linear-edge law; raises OneFeedError. The axial pair only where fz was measured in two cuts at least."""
-    design = _design(cuts)
+    axial = INTO_HOLDER if np.nansum(cuts.force[:, 2]) > 0.0 else TOWARD_PART
+    design = _design(cuts, axial)
     values, widths, covariance = np.full(6, np.nan), np.full(6, np.nan), np.full((6, 6), np.nan)
     for axes, columns in (((0, 1), slice(0, 4)), ((2,), slice(4, 6))):
         used = np.isfinite(cuts.force[:, axes])
@@ -94,8 +99,8 @@ def fit_linear_edge(cuts: Cuts) -> Coefficients:
         found, covered, factor = _least_squares(a, cuts.force[:, axes][used] / weight, cuts)
         values[columns], covariance[columns, columns] = found, covered
         widths[columns] = factor * np.sqrt(np.diag(covered))
-    residuals = cuts.force - mean_forces(cuts, values)
-    return Coefficients(cuts, values, widths, covariance, residuals)
+    residuals = cuts.force - mean_forces(cuts, values, axial)
+    return Coefficients(cuts, values, widths, covariance, residuals, axial)
 
 
 def _least_squares(a: np.ndarray, b: np.ndarray, cuts: Cuts):

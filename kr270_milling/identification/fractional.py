@@ -22,12 +22,15 @@ HIGHEST = np.array([1e9, 1e-2, 1.0, 10.0])
 
 @dataclass(frozen=True, eq=False)
 class FractionalFit:
-    """k_0, h_s, r, k_r [N/m for 1 mm of depth, m] with their 95 % half widths; infinite: the data cannot tell."""
+    """k_0, h_s, r, k_r, k_a [N/m for 1 mm of depth, m] with their 95 % half widths; infinite: the data cannot tell.
+
+    k_a is above 0 where the axial force pulls the tool toward the part, and NaN where fz was not measured.
+    """
 
     cuts: Cuts
-    values: np.ndarray  #: (4,)
-    half_widths: np.ndarray  #: (4,)
-    residuals: np.ndarray  #: measured less modelled [N], (n, 3); the law has no axial force
+    values: np.ndarray  #: (5,)
+    half_widths: np.ndarray  #: (5,)
+    residuals: np.ndarray  #: measured less modelled [N], (n, 3)
 
     @property
     def residual_rms(self) -> float:
@@ -42,8 +45,11 @@ class FractionalFit:
 
 
 def fractional_mean_forces(cuts: Cuts, values) -> np.ndarray:
-    """Mean F_x, F_y on the tool [N], (n, 2): the integrals of (26)-(29) over the engagement by Gauss' rule."""
-    k_0, h_s, r, k_r = values
+    """Mean forces on the tool [N], (n, 3): integrals of (26)-(29) over the engagement by Gauss' rule.
+
+    values: k_0, h_s, r, k_r and k_a, if there is one; F_z = -k_a times the mean tangential force.
+    """
+    k_0, h_s, r, k_r, k_a = [*np.nan_to_num(values), 0.0][:5]
     half = (cuts.exit - cuts.entry)[:, None] / 2
     phi = cuts.entry[:, None] + half * (1 + POINTS[0])
     sine, cosine = np.sin(phi), np.cos(phi)
@@ -51,7 +57,7 @@ def fractional_mean_forces(cuts: Cuts, values) -> np.ndarray:
     weight = half * POINTS[1] * (cuts.tool.teeth * cuts.depth / (2 * np.pi))[:, None]
     f_x = np.sum(weight * tangential * (sine - k_r * cosine), axis=1)
     f_y = -cuts.tool.sense * np.sum(weight * tangential * (cosine + k_r * sine), axis=1)
-    return np.stack([f_x, f_y], -1)
+    return np.stack([f_x, f_y, -k_a * np.sum(weight * tangential, axis=1)], -1)
 
 
 def fit_fractional(cuts: Cuts, start: FractionalLaw | None = None) -> FractionalFit:
@@ -64,7 +70,7 @@ def fit_fractional(cuts: Cuts, start: FractionalLaw | None = None) -> Fractional
     first = np.array([law.stiffness, law.specific_chip_thickness, law.ratio, law.radial_ratio]) / scale
 
     def left(x):
-        return ((fractional_mean_forces(cuts, x * scale) - cuts.force[:, :2]) / cuts.sigma[:, None]).ravel()
+        return ((fractional_mean_forces(cuts, x * scale) - cuts.force)[:, :2] / cuts.sigma[:, None]).ravel()
 
     first = np.clip(first, LOWEST / scale + 1e-9, HIGHEST / scale - 1e-9)
     solved = least_squares(left, first, bounds=(LOWEST / scale, HIGHEST / scale), x_scale="jac", xtol=1e-12, ftol=1e-12)
@@ -75,6 +81,22 @@ def fit_fractional(cuts: Cuts, start: FractionalLaw | None = None) -> Fractional
     with np.errstate(divide="ignore"):
         inverse = (turned.T / np.where(singular > 1e-9 * singular[0], singular, 0.0) ** 2) @ turned
     widths = quantile * np.sqrt(variance * np.diag(inverse)) * scale
-    values = solved.x * scale
-    modelled = np.column_stack([fractional_mean_forces(cuts, values), np.zeros(len(cuts))])
-    return FractionalFit(cuts, values, np.nan_to_num(widths, nan=np.inf), cuts.force - modelled)
+    ratio, width = _axial(cuts, solved.x * scale)
+    values = np.append(solved.x * scale, ratio)
+    residuals = cuts.force - fractional_mean_forces(cuts, values)
+    return FractionalFit(cuts, values, np.append(np.nan_to_num(widths, nan=np.inf), width), residuals)
+
+
+def _axial(cuts: Cuts, values: np.ndarray) -> tuple[float, float]:
+    """k_a and its half width by a line through 0: F_z over the mean tangential force."""
+    seen = np.isfinite(cuts.force[:, 2])
+    if seen.sum() < 2:
+        return np.nan, np.nan
+    unit = fractional_mean_forces(cuts, [*values, 1.0])[seen, 2]
+    weight = 1.0 / cuts.sigma[seen] ** 2
+    power = float(np.sum(weight * unit**2))
+    ratio = float(np.sum(weight * unit * cuts.force[seen, 2]) / power)
+    left = float(np.sum(weight * (cuts.force[seen, 2] - ratio * unit) ** 2))
+    variance = 1.0 if cuts.sigma_known else left / (seen.sum() - 1)
+    quantile = stats.norm.ppf(0.975) if cuts.sigma_known else stats.t.ppf(0.975, seen.sum() - 1)
+    return ratio, float(quantile * np.sqrt(variance / power))

@@ -11,6 +11,7 @@ import pytest
 from kr270_milling.base.errors import InputError
 from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
 from kr270_milling.identification.cuts import Cuts, engagement, read_cuts
+from kr270_milling.identification.force_result import linear_edge_sections
 from kr270_milling.identification.forces import OneFeedError, fit_linear_edge, mean_forces
 from kr270_milling.identification.fractional import fit_fractional, fractional_mean_forces
 from kr270_milling.identification.materials import find_material, materials
@@ -36,13 +37,12 @@ def measured(some: Cuts, values=TRUE, rng=None, sigma=0.0) -> Cuts:
 
 def test_slot_means_are_the_closed_forms():
     """[Altintas2012]: F_x = -N a (K_rc f / 4 + K_re / pi), F_y = N a (K_tc f / 4 + K_te / pi), F_z = N a (K_ac f / pi
-    + K_ae / 2)."""
+    + K_ae / 2), toward the part as ``cutting`` has it."""
     k_tc, k_te, k_rc, k_re, k_ac, k_ae = TRUE
     f, na = np.array(FEEDS), 4 * 1e-3
-    expected = na * np.stack(
-        [-k_rc * f / 4 - k_re / np.pi, k_tc * f / 4 + k_te / np.pi, k_ac * f / np.pi + k_ae / 2], -1
-    )
-    assert mean_forces(cuts(), TRUE) == pytest.approx(expected, rel=1e-12)
+    f_x, f_y = -k_rc * f / 4 - k_re / np.pi, k_tc * f / 4 + k_te / np.pi
+    f_z = k_ac * f / np.pi + k_ae / 2
+    assert mean_forces(cuts(), TRUE) == pytest.approx(na * np.stack([f_x, f_y, -f_z], -1), rel=1e-12)
 
 
 @pytest.mark.parametrize(("mode", "width"), [("up", 0.01), ("down", 0.01), ("up", 0.005), ("down", 0.015)])
@@ -50,7 +50,7 @@ def test_slot_means_are_the_closed_forms():
 def test_means_of_partial_immersion_are_those_of_the_cut_itself(mode, width, rotation):
     """The compiled sweep over a grid, a revolution after a run-in; 1 % as its own checks in the book."""
     tool = TOOL.replace(rotation=rotation)
-    law = LinearEdgeLaw(*(float(v) for v in TRUE[:4]))
+    law = LinearEdgeLaw(*(float(v) for v in TRUE))
     # with clockwise teeth the chip of up-milling begins at +y: the part lies on that side
     side = (1.0 if mode == "up" else -1.0) * -tool.sense
     low, high = sorted([side * (0.01 - width), side * 0.012])
@@ -62,8 +62,8 @@ def test_means_of_partial_immersion_are_those_of_the_cut_itself(mode, width, rot
     for turn in range(60, 64):
         wrench = cut.sweep(at, at + [step, 0, 0], 360 * turn, 360)
         at = at + [step, 0.0, 0.0]
-    expected = mean_forces(cuts(mode, width, (0.1e-3,), tool), TRUE)[0, :2]
-    assert wrench[:2] == pytest.approx(expected, abs=0.015 * np.abs(expected).max())
+    expected = mean_forces(cuts(mode, width, (0.1e-3,), tool), TRUE)[0]
+    assert wrench[:3] == pytest.approx(expected, abs=0.015 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize(("mode", "width"), [("slot", 0.02), ("up", 0.01), ("down", 0.004)])
@@ -89,6 +89,15 @@ def test_without_axial_forces_the_axial_pair_is_not_told():
     assert np.isnan(found.values[4:]).all() and found.values[:4] == pytest.approx(TRUE[:4])
 
 
+def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_says_so():
+    some = measured(cuts())
+    some.force[:, 2] *= -1.0
+    found = fit_linear_edge(some)
+    assert found.values == pytest.approx(TRUE) and found.axial == 1.0
+    sections = linear_edge_sections(found.values, found.half_widths, found.axial)
+    assert sections["cutting"]["linear_edge"]["axial_cutting_n_per_mm2"][0] == pytest.approx(-222.0)
+
+
 def test_one_feed_is_refused():
     with pytest.raises(OneFeedError, match="at least two feeds"):
         fit_linear_edge(measured(cuts(feeds=(0.1e-3,) * 5)))
@@ -102,16 +111,16 @@ def test_fractional_means_are_those_of_the_facts():
     for mode, width, expected in (
         ("slot", 0.02, (-44.39, 147.98)), ("up", 0.01, (-78.268, 57.168)), ("down", 0.01, (33.874, 90.811)),
     ):  # fmt: skip
-        got = fractional_mean_forces(cuts(mode, width, (0.125e-3,)), paper)[0]
+        got = fractional_mean_forces(cuts(mode, width, (0.125e-3,)), paper)[0, :2]
         assert got == pytest.approx(expected, abs=5e-3)
 
 
 def test_the_fractional_law_is_found_and_told_from_the_other():
-    paper = np.array([5e6, 18e-6, 0.1, 0.3])
+    paper = np.array([5e6, 18e-6, 0.1, 0.3, 0.2])
     some = cuts(feeds=np.linspace(0.01e-3, 0.25e-3, 12))
     rng = np.random.default_rng(1)
-    lateral = fractional_mean_forces(some, paper) + 0.3 * rng.normal(size=(12, 2))
-    some = dataclasses.replace(some, force=np.column_stack([lateral, np.full(12, np.nan)]))
+    force = fractional_mean_forces(some, paper) + 0.3 * rng.normal(size=(12, 3))
+    some = dataclasses.replace(some, force=force)
     found = fit_fractional(some)
     assert np.all(np.abs(found.values - paper) < 1.5 * found.half_widths)
     assert np.all(found.half_widths < 0.2 * paper)
