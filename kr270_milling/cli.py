@@ -38,6 +38,10 @@ COMMANDS = {
         "limit depth of cut and chatter frequency over spindle speed",
         "stability config/paper.yaml --speeds 4000:12000:100",
     ),
+    "sweep": (
+        "full passes with other values of any keys, on as many cores as there are",
+        "sweep config/paper.yaml --vary path.depth_of_cut_mm=0.2:1:0.2 --out sweep",
+    ),
     "identify": (
         "find compliances, force coefficients and modes from measurements of the own cell",
         "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml",

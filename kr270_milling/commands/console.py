@@ -8,6 +8,7 @@ import json
 import math
 import shlex
 import sys
+import time
 from pathlib import Path
 
 __all__ = [
@@ -16,6 +17,8 @@ __all__ = [
 ]  # fmt: skip
 
 EXIT_FAILED = 1  # what was asked was done, and the answer is no
+
+LINE_PERIOD = 3.0  #: [s] between two lines of progress
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -120,3 +123,25 @@ def progress(text: str):
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(text)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+@contextlib.contextmanager
+def study_progress(what: str, each: int):
+    """Yields ``report(done, total)`` of chunks with ``each`` rows: rate and time left, a line every few seconds."""
+    start = last = time.monotonic()
+    before = None
+
+    def report(done: int, total: int) -> None:
+        nonlocal last, before
+        before = done - 1 if before is None else before
+        now = time.monotonic()
+        if now - last < LINE_PERIOD and done < total:
+            return
+        last = now
+        rate = (done - before) / (now - start)
+        print(
+            f"{done} of {total} chunks, {rate * each:.3g} {what} a second, {(total - done) / rate:.0f} s left",
+            file=sys.stderr,
+        )
+
+    yield report

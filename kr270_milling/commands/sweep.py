@@ -1,0 +1,47 @@
+"""``kr270_milling sweep``: full passes with other values of any keys, scores to Parquet, on all cores."""
+
+from __future__ import annotations
+
+from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json, study_progress
+
+
+def add_arguments(parser) -> None:
+    add_cell(parser)
+    parser.add_argument(
+        "--vary", metavar="KEY=LOW:HIGH:STEP", action="append", required=True,
+        help="values of a key, also KEY=A,B,C; may be given several times",
+    )  # fmt: skip
+    parser.add_argument("--samples", metavar="N", type=int, help="with --latin: that many rows")
+    parser.add_argument("--latin", action="store_true", help="a Latin hypercube between the values instead of a grid")
+    parser.add_argument("--seed", metavar="N", type=int, default=1, help="of --latin (default: 1)")
+    parser.add_argument("--out", metavar="DIR", default="sweep", help="where the rows go (default: sweep)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, tcp://host:port")
+    parser.add_argument("--chunk", metavar="N", type=int, default=8, help="rows a file (default: 8)")
+    add_common(parser)
+
+
+def run(args) -> None:
+    from kr270_milling.base.errors import ParameterError
+    from kr270_milling.base.record import find_file
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.studies.engine import Study, read_rows, run_chunks
+    from kr270_milling.studies.sweep import Sweep, parse_axis
+
+    if args.latin != (args.samples is not None):
+        raise ParameterError("--samples", args.samples, "given together with --latin")
+    cell = find_file(args.cell).resolve()
+    read_cell(cell, args.set)  # what no row could run is refused before anything is started
+    axes = tuple(parse_axis(text) for text in args.vary)
+    sweep = Sweep(str(cell), tuple(args.set), axes, args.samples, args.seed, args.chunk)
+    plan = {"study": "sweep", "cell": cell.name, "set": args.set, "vary": args.vary, "samples": args.samples,
+            "seed": args.seed, "chunk": args.chunk}  # fmt: skip
+    study = Study(output_directory(args.out), plan)
+    with study_progress("passes", args.chunk) as report:
+        seconds = run_chunks(study, sweep.chunks, sweep, args.scheduler, report)
+    table = read_rows(args.out)
+    failed = sum(text != "" for text in table["error"].to_pylist())
+    found = {"rows": table.num_rows, "failed": failed, "out": args.out, "wall_s": seconds}
+    if args.json:
+        print_json(found)
+    else:
+        print(f"{table.num_rows} rows, {failed} failed (column error), in {seconds:.1f} s: {args.out}")

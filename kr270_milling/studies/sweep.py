@@ -1,0 +1,168 @@
+"""Full passes of a cell with other values of its keys: a grid of them, or a Latin hypercube."""
+
+from __future__ import annotations
+
+import functools
+import io
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.base.errors import MillingError, ParameterError
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import mean_force, simulate
+
+__all__ = ["Axis", "Sweep", "parse_axis"]
+
+MOST_ROWS = 10_000_000
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A key and the values that it takes."""
+
+    key: str
+    values: tuple[float | str, ...]
+
+
+def parse_axis(text: str) -> Axis:
+    """``key=LOW:HIGH:STEP`` or ``key=A,B,C``; raises ParameterError."""
+    key, equals, given = text.partition("=")
+    wrong = ParameterError("--vary", text, "key=LOW:HIGH:STEP or key=A,B,C")
+    if not equals or not key:
+        raise wrong
+    if ":" not in given:
+        values = tuple(given.split(","))
+        if not all(values):
+            raise wrong
+        return Axis(key, tuple(map(_value, values)))
+    try:
+        low, high, step = map(float, given.split(":"))
+    except ValueError:
+        raise wrong from None
+    if not (math.isfinite(low) and math.isfinite(high) and low <= high and 0.0 < step < math.inf):
+        raise wrong
+    count = math.floor((high - low) / step + 1e-9) + 1
+    if count > MOST_ROWS:
+        raise ParameterError("--vary", text, f"at most {MOST_ROWS} values")
+    return Axis(key, tuple(low + step * i for i in range(count)))
+
+
+def _value(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """All rows of a study; a worker makes any chunk of them from its number alone."""
+
+    cell: str  #: file
+    settings: tuple[str, ...]  #: ``key=value`` for all rows
+    axes: tuple[Axis, ...]
+    samples: int | None = None  #: of a Latin hypercube; None: the grid, the last axis fastest
+    seed: int = 1
+    chunk: int = 8  #: rows a file
+
+    def __post_init__(self):
+        if not 1 <= self.chunk <= 100_000:
+            raise ParameterError("--chunk", self.chunk, "from 1 to 100000")
+        if self.samples is not None and not 1 <= self.samples <= MOST_ROWS:
+            raise ParameterError("--samples", self.samples, f"from 1 to {MOST_ROWS}")
+        if len(self) > MOST_ROWS:
+            raise ParameterError("--vary", [axis.key for axis in self.axes], f"at most {MOST_ROWS} combinations")
+        if self.samples is not None and any(isinstance(v, str) for axis in self.axes for v in axis.values):
+            raise ParameterError("--vary", [axis.key for axis in self.axes], "numbers where --latin draws between them")
+
+    def __len__(self) -> int:
+        return self.samples or math.prod(len(axis.values) for axis in self.axes)
+
+    @property
+    def chunks(self) -> int:
+        """Number of files."""
+        return -(-len(self) // self.chunk)
+
+    def values(self, index: int) -> tuple:
+        """The values of one row."""
+        if self.samples is not None:
+            return tuple(_hypercube(self)[index].tolist())
+        places = np.unravel_index(index, [len(axis.values) for axis in self.axes])
+        return tuple(axis.values[int(i)] for axis, i in zip(self.axes, places, strict=True))
+
+    def __call__(self, number: int) -> bytes:
+        """The Parquet bytes of one chunk: keys, scores, and the sentence of what failed."""
+        first = number * self.chunk
+        return _parquet(self, [_row(self, index) for index in range(first, min(first + self.chunk, len(self)))])
+
+
+@functools.lru_cache(maxsize=1)
+def _hypercube(sweep: Sweep) -> np.ndarray:
+    """Between the first and the last value of each axis, (samples, axes)."""
+    from scipy.stats import qmc
+
+    low, high = np.array([(float(axis.values[0]), float(axis.values[-1])) for axis in sweep.axes]).T
+    unit = qmc.LatinHypercube(len(sweep.axes), seed=np.random.default_rng(sweep.seed)).random(sweep.samples)
+    return low + unit * (high - low)
+
+
+def _parquet(sweep: Sweep, rows: list[dict]) -> bytes:
+    import pyarrow as pa
+    import pyarrow.parquet as parquet
+
+    texts = {axis.key for axis in sweep.axes if any(isinstance(value, str) for value in axis.values)} | {"error"}
+    kinds = {name: pa.string() if name in texts else pa.float64() for name in rows[0]} | {"index": pa.int64()}
+    columns = {name: [str(row[name]) if name in texts else row[name] for row in rows] for name in rows[0]}
+    sink = io.BytesIO()
+    table = pa.table({name: pa.array(columns[name], kinds[name]) for name in columns})
+    parquet.write_table(table, sink, compression="zstd")
+    return sink.getvalue()
+
+
+def _text(value: float | str) -> str:
+    """As a parameter file would have it; a whole number stands for a float, too."""
+    if isinstance(value, str):
+        return value
+    return str(int(value)) if value.is_integer() else repr(value)
+
+
+def _row(sweep: Sweep, index: int) -> dict:
+    values = sweep.values(index)
+    keys = [axis.key for axis in sweep.axes]
+    texts = [f"{key}={_text(value)}" for key, value in zip(keys, values, strict=True)]
+    scores, error = dict.fromkeys(SCORES, math.nan), ""
+    try:
+        scores = _scores(read_cell(Path(sweep.cell), (*sweep.settings, *texts)))
+    except MillingError as refusal:
+        error = str(refusal)
+    return {"index": index, **dict(zip(keys, values, strict=True)), **scores, "error": error}
+
+
+SCORES = (
+    "static_deviation_um", "max_deviation_um", "mean_fx_n", "mean_fy_n", "mean_fz_n", "max_torque_n_m",
+    "max_power_w", "removed_volume_mm3", "duration_s",
+)  # fmt: skip
+
+
+def _scores(cell) -> dict[str, float]:
+    ran = simulate(cell)
+    result = ran.result
+    torque = float(result.torque.max())
+    return dict(
+        zip(
+            SCORES,
+            (
+                1e6 * ran.scores.static_deviation,
+                1e6 * ran.scores.max_deviation,
+                *mean_force(result).tolist(),
+                torque,
+                torque * cell.tool.spindle_speed,
+                1e9 * result.removed_volume,
+                float(result.time[-1]),
+            ),
+            strict=True,
+        )
+    )

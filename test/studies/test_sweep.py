@@ -1,0 +1,82 @@
+"""Sweeps on real Dask workers: rows that do not depend on them, failures as rows, studies that go on."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.cli import main
+from kr270_milling.studies.engine import Study
+from kr270_milling.studies.sweep import Axis, Sweep, parse_axis
+
+pytest.importorskip("pyarrow")
+pytest.importorskip("dask.distributed")
+SHORT = ("path.length_mm=4", "stock.grid_step_um=40", "stock.max_mm=[4,12,0]")
+
+
+def sweep(**more) -> Sweep:
+    axes = (Axis("path.depth_of_cut_mm", (0.2, 0.4)), Axis("tool.teeth", (2.0, 4.0)))
+    return Sweep(str(find_file("paper.yaml")), SHORT, axes, **more)
+
+
+def test_axes_are_ranges_or_lists():
+    assert parse_axis("tool.teeth=2:6:2") == Axis("tool.teeth", (2.0, 4.0, 6.0))
+    assert parse_axis("path.depth_of_cut_mm=0.2:2:0.2").values[-1] == pytest.approx(2.0)
+    assert parse_axis("dynamics.mass_model=lumped,rigid").values == ("lumped", "rigid")
+    for text in ("tool.teeth", "tool.teeth=", "tool.teeth=1:0:1", "tool.teeth=1:2:0", "=1,2", "x=1:2:nan"):
+        with pytest.raises(ParameterError):
+            parse_axis(text)
+
+
+def test_a_grid_has_every_combination_and_a_hypercube_every_stratum():
+    assert [sweep().values(i) for i in range(4)] == [(0.2, 2.0), (0.2, 4.0), (0.4, 2.0), (0.4, 4.0)]
+    drawn = sweep(samples=40)
+    values = np.array([drawn.values(i) for i in range(40)])
+    for column, low, high in ((0, 0.2, 0.4), (1, 2.0, 4.0)):
+        strata = np.floor((values[:, column] - low) / (high - low) * 40)
+        assert sorted(strata) == list(range(40))
+
+
+def test_the_rows_are_plain_passes_whatever_the_chunk():
+    import io
+
+    import pyarrow.parquet as parquet
+
+    def rows(chunk):
+        made = sweep(chunk=chunk)
+        return [row for n in range(made.chunks) for row in parquet.read_table(io.BytesIO(made(n))).to_pylist()]
+
+    one, all_at_once = rows(1), rows(4)
+    assert one == all_at_once and [row["index"] for row in one] == [0, 1, 2, 3]
+    cell = read_cell(find_file("paper.yaml"), [*SHORT, "path.depth_of_cut_mm=0.4", "tool.teeth=2"])
+    assert one[2]["max_deviation_um"] == 1e6 * simulate(cell).scores.max_deviation
+
+
+def test_the_command_runs_on_workers_goes_on_and_has_failures_as_rows(tmp_path, capsys):
+    import pyarrow.parquet as parquet
+
+    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.5,-1,0.8", "--chunk", "1", "--json"]
+    words += ["--out", str(tmp_path / "out"), *(part for pair in SHORT for part in ("--set", pair))]
+    assert main(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["rows"] == 3 and found["failed"] == 1
+    files = sorted((tmp_path / "out").glob("*.parquet"))
+    (refused,) = [row for f in files for row in parquet.read_table(f).to_pylist() if row["error"]]
+    assert "path.depth_of_cut_mm" in refused["error"] and refused["path.depth_of_cut_mm"] == -1.0
+    whole = [f.read_bytes() for f in files]
+    files[1].unlink()  # as if the driver had been killed
+    assert main(words) == 0
+    assert [f.read_bytes() for f in files] == whole
+
+
+def test_a_folder_of_another_study_is_refused(tmp_path):
+    Study(tmp_path, {"seed": 1})
+    Study(tmp_path, {"seed": 1})
+    with pytest.raises(InputError, match="another study"):
+        Study(tmp_path, {"seed": 2})
