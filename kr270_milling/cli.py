@@ -18,7 +18,7 @@ __all__ = ["main"]
 #: name -> (what it does, example)
 COMMANDS = {
     "demo": ("run the paper's case: original pass and three compensations, table and report", "demo --out out"),
-    "init": ("print a first cell file for a program", "init --gcode part.nc > my.yaml"),
+    "init": ("print a first cell file for a program", "init --gcode config/test_piece.nc"),
     "keys": ("list the keys of a cell file with unit, range, default and meaning", "keys tool"),
     "run": (
         "run the passes of a cell as ROS 2 nodes, each recorded to MCAP",

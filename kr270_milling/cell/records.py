@@ -49,6 +49,8 @@ class Workpiece(Record):
         for key, value, scale in (("xyz_mm", self.xyz, 1e3), ("abc_deg", self.abc, 180.0 / np.pi)):
             if value.size != 3 and not (self.at_start_joints and value.size == 0):
                 allowed = "three numbers (or, for a straight cut, give at_start_joints: true instead)"
+                if not value.size:
+                    raise ParameterError(key, None, f"is missing; it must be {allowed}")
                 raise ParameterError(key, (value * scale).tolist(), allowed)
         if self.fixtures.size % 6:
             raise ParameterError("fixtures_mm", (1e3 * self.fixtures).tolist(), "six numbers for each box")
@@ -157,7 +159,8 @@ class Parameters(Record):
         if placed and not self.start_joints.size:
             raise ParameterError("start_joints_deg", [], "six joint positions for workpiece.at_start_joints")
         if not self.start_joints.size and not self.posture_hint.size:
-            raise ParameterError("posture_hint_deg", [], "six joint positions, or give start_joints_deg")
+            allowed = "is missing; it must be six joint positions (or give start_joints_deg)"
+            raise ParameterError("posture_hint_deg", None, allowed)
 
     @property
     def posture(self) -> np.ndarray:
