@@ -37,6 +37,8 @@ def _shown(default) -> str:
         return "-"
     if isinstance(default, list):
         return "[" + ", ".join(map(_shown, default)) + "]"
+    if default is None:
+        return "with the section"
     if isinstance(default, float):
         return f"{default:g}"
     return str(default).lower() if isinstance(default, bool) else str(default) or '""'

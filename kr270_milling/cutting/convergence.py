@@ -1,8 +1,8 @@
 """How fast the sweep converges in grid and angle step, against a rigid slot whose chips are known exactly.
 
 Two teeth in succession leave trochoids. With rho the distance from the centre to the earlier one along the tooth, and
-v the feed, a tooth at phi removes R h dphi = ((R^2 - rho^2) / 2 - v sin(phi) / omega (R - rho)) dphi. For small feeds
-h is f_z cos(phi); the next term takes f_z / (2 R) 0.85 off the mean, 0.27 % for the paper's cutter.
+v the feed, a tooth at phi removes A = ((R^2 - rho^2) / 2 - v sin(phi) / omega (R - rho)) dphi, and seen from where the
+centre was it goes (R - v sin(phi) / omega) dphi. For small feeds h, the quotient, is f_z cos(phi).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def slot_chip(tool: Tool, feed_per_tooth: float, phi: np.ndarray) -> np.ndarray:
         psi = phi - np.arcsin(way * np.sin(phi) / radius)
     rho = radius * np.cos(psi - phi) - way * np.cos(phi)
     area = (radius**2 - rho**2) / 2 - drift * np.sin(phi) * (radius - rho)
-    return np.where(rho < radius, area / radius, 0.0)
+    return np.where(rho < radius, area / (radius - drift * np.sin(phi)), 0.0)
 
 
 def slot_force(tool: Tool, cutting: Cutting, feed_per_tooth: float, phi: np.ndarray) -> np.ndarray:

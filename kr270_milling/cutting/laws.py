@@ -95,6 +95,12 @@ class Cutting(Record):
     law: str = parameter("fractional", choices=("fractional", "linear_edge"), text="force law")
     fractional: FractionalLaw = FractionalLaw()
     linear_edge: LinearEdgeLaw = LinearEdgeLaw()
+    chip_angle: str = parameter(
+        "previous_centre",
+        choices=("previous_centre", "nominal"),
+        text="dphi of h = A / (R dphi): as seen from the tool centre of the step before, as section 4 has it; nominal: "
+        "the spindle's, which damps vibrations along the tooth's motion too much",
+    )
     moments: bool = parameter(
         True, text="moments of the forces about the tool tip, reaction torque of the spindle; false: forces only, (29)"
     )

@@ -55,6 +55,7 @@ class Params(NamedTuple):
     is_fractional: bool
     coefficients: np.ndarray  # (6,)
     axial: bool  # whether the coefficients hold an axial force
+    nominal: bool  # whether the angle of a tooth is that of the spindle alone
     moments: bool  # whether forces turn the tool about its tip
     lag: float  # tan(helix) per micro-step of spindle angle: an edge lags lag z / R micro-steps at z above the tip
 
@@ -107,6 +108,7 @@ def make_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -
         is_fractional=cutting.law == "fractional",
         coefficients=cutting.coefficients,
         axial=cutting.axial,
+        nominal=cutting.chip_angle == "nominal",
         moments=cutting.moments,
         lag=math.tan(tool.helix) / micro_step,
     )

@@ -203,19 +203,24 @@ def _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path):
     tally_log(s.ints, s.log_level, s.tally, level)
     if s.tally[0] == 0:
         return 0.0, 0.0
-    return _chip(s, p, i, depth, level)
+    return _chip(s, p, i, step, x1 - x0, y1 - y0, depth, level)
 
 
 @inlined
-def _chip(s, p, i, depth, level):
-    """Chip thickness and height of the chip of a tooth, of the nodes in the tally [m].
+def _chip(s, p, i, step, dx, dy, depth, level):
+    """Chip thickness and height of the chip of a tooth, of the nodes in the tally [m]; dx, dy: step of the centre [m].
 
-    h is the volume over the height: A_i / (R dphi) if the ground is flat.
+    h is the volume over the height: A_i / (R dphi_i) if the ground is flat. dphi_i is the tooth's angle as seen from
+    the centre before the step: R dphi_i = R dphi + d . t, t the tooth's direction of motion in the middle of the step.
     """
     per_node = p.spacing * p.spacing
     total = s.tally[0] * (depth - level * p.level_step) + s.tally[1] * p.level_step
     height = depth - s.tally[2] * p.level_step
     h = total * per_node / (height * p.radii[i] * p.micro_step)
+    if not p.nominal:
+        c, d = p.middles[i, step % p.steps, 0], p.middles[i, step % p.steps, 1]
+        along = p.sense * (dy * c - dx * d) / (p.radii[i] * p.micro_step)
+        h /= max(1.0 + along, JUMP)  # a centre that jumps may outrun the tooth
     s.floats[LEVEL_SUM] += total
     s.chips[i] = max(s.chips[i], h)
     return h, height

@@ -20,6 +20,12 @@ __all__ = ["cell_of", "in_file_order"]
 CELL = "cell.yaml"
 LONGEST_NAME = 200  # [bytes], of an attached file
 MOST_ATTACHED = 64 * 1024 * 1024  # [bytes] of attachments that are unpacked to read the cell
+#: what version 0.1.0 did where its cells have no key for it: group, key, value
+FIRST_VERSION = (
+    ("dynamics", "reference_inertia", "false"),
+    ("cutting", "moments", "false"),
+    ("cutting", "chip_angle", "nominal"),
+)
 
 
 def cell_of(recording: Recording) -> Cell:
@@ -52,15 +58,15 @@ def cell_of(recording: Recording) -> Cell:
 def _as_written(recording: Recording, file: Path) -> tuple[str, ...]:
     """Assignments for keys that the attached cell does not have because its writer did not know them.
 
-    Version 0.1.0 had eq. (1) as printed, and forces only.
+    Version 0.1.0 had eq. (1) as printed, forces only, and chips over the nominal angle.
     """
     if not recording.library.startswith("kr270_milling/0.1."):
         return ()
     tree, found = read_tree(file), []
-    for group, key in (("dynamics", "reference_inertia"), ("cutting", "moments")):
+    for group, key, value in FIRST_VERSION:
         known = tree.get(group)
         if isinstance(known, dict) and key not in known:
-            found.append(f"{group}.{key}=false")
+            found.append(f"{group}.{key}={value}")
     return tuple(found)
 
 

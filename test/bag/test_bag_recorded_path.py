@@ -18,7 +18,7 @@ from kr270_milling.trajectory.toolpath import Toolpath
 from kr270_milling.trajectory.trajectory import TOOL_DOWN
 
 NAV = "nav_msgs/msg/Path"
-SIDE = 0.0005476  # [m], depth of cut of the paper's cell
+SIDE = 0.00054725  # [m], depth of cut of the paper's cell
 FEED = 4.0 / 60.0  # [m/s]
 CELL = find_file("paper.yaml")
 

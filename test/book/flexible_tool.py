@@ -2,8 +2,8 @@
 
 The published benchmark [Insperger2004]: two teeth, 922 Hz, damping 0.011, 0.03993 kg, K_t = 6e8, K_n = 2e8 N/m^2,
 forces linear in the chip. It has no cutter diameter, because there the delay is constant and the chip is the feed and
-the vibration projected on the tooth. Here a chip is A_i / (R dphi) (Fig. 6), which a tooth's vibration along its
-motion changes too, by its share of the cutting speed; both agree for a feed per tooth that is small beside the radius.
+the vibration projected on the tooth. Here a chip is A_i / (R dphi_i) (Fig. 6) with the tooth's angle as seen from where
+the centre was: a vibration along the tooth's motion is no chip. With the nominal angle it would be one, and damp.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ from kr270_milling.simulation.milling_pass import CompliantArm
 __all__ = ["BENCHMARK", "Milling", "Mode", "growth", "limit_depth"]
 
 GRID = 1e-6  # [m]
-CHIP = 5  # nodes in a feed per tooth
-RADIUS = 1000  # feeds per tooth in the radius
 MICRO_STEP = math.radians(1.0)
 PERIODS = 80  # tooth periods of a run at most
+MOST_TURNS = 200  # of run-in
 LOST, LARGE = 0.03, 0.35  # of the feed per tooth: below, the grid's noise reigns; above, teeth leave the cut
 
 
@@ -48,6 +47,18 @@ class Milling:
 
     spindle_rpm: float
     immersion: str  #: slot, up, down: half immersion up- or down-milling
+    radius: int = 1000  #: R / f_z
+    chip_angle: str = "previous_centre"
+
+    @property
+    def chip(self) -> int:
+        """Nodes of the grid in a feed per tooth: the area of a sector is a few hundred nodes."""
+        return max(5, 4000 // self.radius)
+
+    @property
+    def feed(self) -> float:
+        """A tooth [m]."""
+        return self.chip * GRID
 
     @property
     def wall(self) -> tuple[float, float]:
@@ -56,14 +67,15 @@ class Milling:
 
 
 def _workpiece(mode: Mode, milling: Milling) -> Cut:
-    feed, radius = CHIP * GRID, RADIUS * CHIP * GRID
+    radius = milling.radius * milling.feed
     law = LinearEdgeLaw(tangential_cutting=mode.tangential, tangential_edge=0.0, radial_cutting=mode.normal,
                         radial_edge=0.0)  # fmt: skip
     low, high = np.multiply(milling.wall, radius)
-    stock = Stock(min=np.array([-1.1 * radius, low, -0.05]), max=np.array([1.1 * radius + 2 * PERIODS * feed, high, 0]),
-                  grid_step=GRID)  # fmt: skip
+    end = 1.1 * radius + (PERIODS + 2 * MOST_TURNS) * milling.feed
+    stock = Stock(min=np.array([-1.1 * radius, low, -0.05]), max=np.array([end, high, 0]), grid_step=GRID)
     tool = Tool(diameter=2 * radius, teeth=2, spindle_speed=milling.spindle_rpm * 2 * np.pi / 60)
-    return Cut(tool, Cutting(law="linear_edge", linear_edge=law), stock, MICRO_STEP)
+    cutting = Cutting(law="linear_edge", linear_edge=law, chip_angle=milling.chip_angle)
+    return Cut(tool, cutting, stock, MICRO_STEP)
 
 
 def _model(mode: Mode, spindle_speed: float) -> ArmModel:
@@ -94,7 +106,7 @@ class _Run:
     def __init__(self, mode: Mode, milling: Milling, depth: float):
         self.cut = _workpiece(mode, milling)
         self.turn = self.cut.params.steps
-        self.feed = 2 * CHIP * GRID
+        self.feed = 2 * milling.feed  # a turn
         self.start, self.step = np.array([0.0, 0.0, -depth]), 0
         self.model = _model(mode, self.cut.tool.spindle_speed)
         self.cut.sweep(self.start, self.start, 0, self.turn)  # a hole as large as the tool, without feed
@@ -106,8 +118,12 @@ class _Run:
         kick = 0.1 * self.feed * np.array([1.0, 2 * np.pi * mode.frequency]) / np.sqrt(2)
         self.arm.state = self.orbit[0] + kick
         self.before = self._course(self.step) + [self.orbit[0, 0], 0.0, 0.0]
-        for _ in range(self.turn):  # the surface that the undisturbed motion leaves
+        for _ in range(self._run_in() * self.turn):  # the surface that the undisturbed motion leaves
             self._to(self._course(self.step + 1) + [self.orbit[(self.step + 1) % self.turn, 0], 0.0, 0.0])
+
+    def _run_in(self) -> int:
+        """Turns until every point of the surface ahead is the orbit's own: its whole width over the feed, and one."""
+        return min(MOST_TURNS, 2 + math.ceil(np.ptp(self.orbit[:, 0]) / self.feed))
 
     def _course(self, step: int) -> np.ndarray:
         return self.start + [self.feed * step / self.turn, 0.0, 0.0]

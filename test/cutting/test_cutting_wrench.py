@@ -34,7 +34,7 @@ def tool(helix: float = 0.0, rotation: str = "clockwise") -> Tool:
 def engaged(cutting, cutter, low=-1.2, high=1.2):
     """A cut that is fully engaged, where it is, and its next micro-step; fed along +x."""
     stock = Stock(
-        min=np.array([0.0, low * RADIUS, -10e-3]), max=np.array([14e-3, high * RADIUS, 0.0]), grid_step=5e-6
+        min=np.array([0.0, low * RADIUS, -10e-3]), max=np.array([14e-3, high * RADIUS, 0.0]), grid_step=2.5e-6
     )  # fmt: skip
     cut = Cut(cutter, cutting, stock, np.radians(1.0))
     turns = math.ceil(1.1 * RADIUS / FEED / TEETH)

@@ -81,5 +81,6 @@ def test_a_cell_that_does_not_know_a_term_is_computed_as_its_version_did(tmp_pat
     monkeypatch.setattr("kr270_milling.bag.writer.__version__", library)
     cell = cell_in(tmp_path / "a", cell__yaml=silent)
     assert cell.dynamics.reference_inertia is expected and cell.cutting.moments is expected
+    assert cell.cutting.chip_angle == ("previous_centre" if expected else "nominal")
     said = silent.replace("gravity: true", "gravity: true\n      reference_inertia: true")
     assert cell_in(tmp_path / "b", cell__yaml=said).dynamics.reference_inertia
