@@ -20,6 +20,8 @@ MASS, LAWS, SWEEP = "robot/mass.py", "cutting/laws.py", "cutting/sweep.py"
 MOTION, MIRROR, REVISION = "simulation/dynamics.py", "compensation/mirror.py", "compensation/revision.py"
 REFERENCE, MEASURED = "simulation/reference_motion.py", "simulation/measured_modes.py"
 RIGID = "robot/rigid_mass.py"
+RESPONSE, STAGES, LIFTED = "compensation/response.py", "compensation/stages.py", "compensation/lifted.py"
+PLAY = "simulation/imperfections.py"
 TESTS = {
     LOADS: ["robot_loads", "robot_equilibrium", "robot_elastostatics"],
     BALANCE: ["robot_equilibrium", "robot_elastostatics"],
@@ -33,6 +35,10 @@ TESTS = {
     REFERENCE: ["simulation_reference_inertia"],
     MIRROR: ["compensation_mirror"],
     REVISION: ["compensation_revision"],
+    RESPONSE: ["compensation_response"],
+    STAGES: ["compensation_lifted"],
+    LIFTED: ["compensation_lifted"],
+    PLAY: ["simulation_imperfections"],
 }
 
 #: equation, file, a text that stands there once, with <<what it is|what it becomes>>
@@ -122,8 +128,19 @@ MUTATIONS = [
     ("(32)", MIRROR, "modified.position <<+|->> relaxation * shift"),
     ("(32) alpha", MIRROR, "modified.position + <<relaxation|2 * relaxation>> * shift"),
     ("(32) rotation", MIRROR, "from_rotvec(<<relaxation|-relaxation>> * vector)"),
-    ("Fig. 14", REVISION, "knots = <<-|>>ran.sampled_displacement(reference, knots_ns)"),
-    ("Fig. 14 learned", REVISION, "target.sample(knots_ns) <<-|+>> fit"),
+    ("Fig. 14", REVISION, "knots = <<-|>>ran.sampled_displacement(reference, target.time_ns)"),
+    ("z / r bend", RESPONSE, "return (h11 <<-|+>> 1.0) / w**2, of_jerk"),
+    ("z / r jerk", RESPONSE, "of_jerk = (2.0 * z / w * (1.0 <<-|+>> h11)"),
+    ("z / r corner", RESPONSE, "self.inward, before <<-|+>> cubic[:, 1])"),
+    ("z / r damping", RESPONSE, "return cosine <<+|->> z * w * sine, sine"),
+    ("delta = push / omega^2", RESPONSE, "added = np.stack([(1.0 <<-|+>> free[:, None, 0]) * static"),
+    ("middle of a part", RESPONSE, "(start[:, 1] <<-|+>> end[:, 1]) / 8.0"),
+    ("lifted stop", STAGES, "given[k, j] = <<-|>>2.0 / time[k] ** 2"),
+    ("lifted corner", STAGES, "free[k, rate, :3] = <<|->>jump[k]"),
+    ("lifted cost to go", LIFTED, "gradient[:size] <<+|->> total[:size, size:] @ push[k]"),
+    ("lifted policy", LIFTED, "later = total[:size, :size] <<+|->> total[:size, size:] @ policy[k]"),
+    ("repeatability", PLAY, "np.sqrt(8.0 / np.pi) <<+|->> 3.0 * np.sqrt"),
+    ("play", PLAY, "np.clip(stands[k - 1], angle[k] <<-|+>> 0.5 * width"),
 ]
 
 

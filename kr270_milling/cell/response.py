@@ -28,30 +28,24 @@ def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
 
 def _response(cell: Cell, models: list[ModalModel], posture: np.ndarray) -> ArmResponse:
     """posture: number of the model of each segment, (m,)."""
-    inward = [_inward(model) for model in models]
+    inward = [(model.shape.T @ model.mass @ model.reference)[:, :3] for model in models]
+    ratios = [np.broadcast_to(cell.dynamics.damping_ratio if m.damping is None else m.damping, m.frequency.shape)
+              for m in models]  # fmt: skip
     after = np.append(posture[1:], posture[-1])
     carry = np.array([_carry(models[k], models[n]) for k, n in zip(posture.tolist(), after.tolist(), strict=True)])
-    order = models[0].frequency.size
 
     def along(rows) -> np.ndarray:
         return np.ascontiguousarray(np.stack(rows)[posture])
 
     return ArmResponse(
         frequency=along([model.frequency for model in models]),
-        damping=np.full((posture.size, order), cell.dynamics.damping_ratio),
+        damping=along(ratios),
         inward=along(inward),
         outward=along([(model.output @ model.shape)[:3] for model in models]),
         push=along([model.shape.T @ model.force for model in models]),
         carry=np.ascontiguousarray(carry),
         moves=cell.dynamics.reference_inertia,
     )
-
-
-def _inward(model: ModalModel) -> np.ndarray:
-    """Reference position -> modal coordinate q, (r, 3)."""
-    whole = np.zeros((model.frequency.size, 6))
-    whole[:, model.inertial] = model.shape.T @ model.mass
-    return whole[:, :3]
 
 
 def _carry(before: ModalModel, after: ModalModel) -> np.ndarray:

@@ -103,7 +103,13 @@ def test_two_postures_hand_the_displacement_over_whatever_their_modes_are_called
     assert turned.follow(SEGMENTS, cubic) == pytest.approx(arm.follow(SEGMENTS, cubic), abs=1e-16)
 
 
-@pytest.mark.parametrize("sets", [("dynamics.mass_model=lumped",), ("dynamics.mass_model=rigid",)])
+MEASURED = (
+    "dynamics.modes=[{frequency_hz: 7.1, damping_ratio: 0.037, shape: [0.0, 0.05, 0.0, 0.0, 0.0, 0.0]}, "
+    "{frequency_hz: 10.3, damping_ratio: 0.022, shape: [0.02, 0.01, 0.03, 0.0, 0.0, 0.0]}]"
+)
+
+
+@pytest.mark.parametrize("sets", [("dynamics.mass_model=lumped",), ("dynamics.mass_model=rigid",), (MEASURED,)])
 def test_the_lifted_model_of_a_cell_is_the_arm_that_its_pass_runs(sets):
     """In the air the pass knows nothing but the inertia of the arm: correction and path against the lifted model."""
     short = ("path.length_mm=12", "stock.min_mm=[50,-1,-1]", "stock.max_mm=[51,1,0]", "timing.controller_step_ms=20")
