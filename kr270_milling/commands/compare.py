@@ -14,8 +14,8 @@ def add_arguments(parser) -> None:
         "--set", metavar="key=value", action="append", default=[], help="override a key, for example tool.teeth=2"
     )
     parser.add_argument("--reference", metavar="FILE.csv", help="the pass ran along this, as written by compensate")
-    parser.add_argument("--force-topic", default="wrench", help="geometry_msgs/WrenchStamped (default: wrench)")
-    parser.add_argument("--pose-topic", default="tool_pose", help="geometry_msgs/PoseStamped (default: tool_pose)")
+    parser.add_argument("--force-topic", default="wrench", help="WrenchStamped (default: wrench)")
+    parser.add_argument("--pose-topic", default="tool_pose", help="PoseStamped in workpiece axes (default: tool_pose)")
     abc = numbers(3, most=720.0)
     parser.add_argument("--sensor-abc", type=abc, metavar="A,B,C", help="force sensor in the workpiece [deg]")
     parser.add_argument("--sensor-on", choices=("tool", "part"), default="tool", help="a plate under the part: part")

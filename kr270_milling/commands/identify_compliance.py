@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 from kr270_milling.commands.console import add_common, numbers, print_json, print_table
+from kr270_milling.commands.option_types import bounded
 
 
 def add_arguments(parser) -> None:
@@ -23,33 +23,25 @@ def add_arguments(parser) -> None:
         "--compensator", metavar="NAMES", default="", help="also fit these of arm.compensator, as stiffness,preload"
     )
     plan = parser.add_argument_group("plan")
-    plan.add_argument("--plan", type=_count, metavar="N", help="choose the N load tests that tell most about the cell")
+    plan.add_argument(
+        "--plan", type=bounded(1, 1000, int), metavar="N", help="choose the N load tests that tell most about the cell"
+    )
     plan.add_argument(
         "--point", type=numbers(3, most=5e3), metavar="X,Y,Z", help="of load and reflector, flange frame [mm]"
     )
-    plan.add_argument("--mass-kg", type=_positive, default=100.0, help="to hang; 0: none (default: 100)")
-    plan.add_argument("--pull-n", type=_positive, default=800.0, help="of a horizontal rope; 0: none (default: 800)")
+    plan.add_argument("--mass-kg", type=bounded(0, 5000), default=100.0, help="to hang; 0: none (default: 100)")
     plan.add_argument(
-        "--noise-um", type=_positive, default=20.0, help="of a measured coordinate, 1 sigma (default: 20)"
+        "--pull-n", type=bounded(0, 50_000), default=800.0, help="of a horizontal rope; 0: none (default: 800)"
     )
-    plan.add_argument("--postures", type=_count, default=2000, help="candidates to choose from (default: 2000)")
-    plan.add_argument("--seed", type=int, default=1, help="of the candidates (default: 1)")
+    plan.add_argument(
+        "--noise-um", type=bounded(0.001, 1e5), default=20.0, help="of a measured coordinate, 1 sigma (default: 20)"
+    )
+    plan.add_argument(
+        "--postures", type=bounded(1, 50_000, int), default=2000, help="candidates to choose from (default: 2000)"
+    )
+    plan.add_argument("--seed", type=bounded(0, 2**31, int), default=1, help="of the candidates (default: 1)")
     parser.add_argument("--out", metavar="DIR", help="write YAML to include and report, or table and KRL of the plan")
     add_common(parser)
-
-
-def _count(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 100_000:
-        raise argparse.ArgumentTypeError(f"{text} is not a whole number from 1 to 100000")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value <= 1e6:
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 0 to 1e6")
-    return value
 
 
 def run(args) -> None:

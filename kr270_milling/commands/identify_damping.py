@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kr270_milling.commands.console import add_common, print_json, print_table
+from kr270_milling.commands.option_types import bounded, stretch
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 QUANTITIES = ("displacement", "velocity", "acceleration")
@@ -15,22 +16,19 @@ def add_arguments(parser) -> None:
         "recording", metavar="RECORDING", help="recording, UFF file, or CSV with time_s, any of x y z rx ry rz, force_n"
     )
     parser.add_argument("--topic", default="deflection", help="of a recording (default: deflection)")
-    parser.add_argument("--from", dest="start", type=float, metavar="S", help="seconds after the first sample")
-    parser.add_argument("--to", dest="stop", type=float, metavar="S", help="seconds after the first sample")
-    parser.add_argument("--band", type=_band, default=(2.0, 100.0), metavar="LOW:HIGH", help="[Hz] (default: 2:100)")
-    parser.add_argument("--modes", type=int, default=6, metavar="N", help="at most (default: 6)")
+    parser.add_argument(
+        "--from", dest="start", type=bounded(0, 1e6), metavar="S", help="seconds after the first sample"
+    )
+    parser.add_argument("--to", dest="stop", type=bounded(0, 1e6), metavar="S", help="seconds after the first sample")
+    parser.add_argument(
+        "--band", type=stretch(0.01, 1e5), default=(2.0, 100.0), metavar="LOW:HIGH", help="[Hz] (default: 2:100)"
+    )
+    parser.add_argument("--modes", type=bounded(1, 20, int), default=6, metavar="N", help="at most (default: 6)")
     parser.add_argument("--quantity", choices=QUANTITIES, default=QUANTITIES[0], help="of the channels")
     parser.add_argument("--hammer", choices=AXES, help="direction of force_n: scales the shapes by the masses")
     parser.add_argument("--cell", metavar="CELL.yaml", help="scales the shapes by its compliance, where no hammer was")
     parser.add_argument("--out", metavar="DIR", help="write YAML to include and report")
     add_common(parser)
-
-
-def _band(text: str) -> tuple[float, float]:
-    low, _, high = text.partition(":")
-    if not 0.0 < float(low) < float(high):
-        raise ValueError(text)
-    return float(low), float(high)
 
 
 def run(args) -> None:
@@ -39,7 +37,7 @@ def run(args) -> None:
     from kr270_milling.identification.signals import read_signals
 
     signals = read_signals(args.recording, args.topic).window(args.start, args.stop)
-    modes = find_modes(signals, *args.band, max(1, args.modes))
+    modes = find_modes(signals, *args.band, args.modes)
     result = as_dict(modes, signals)
     shapes = _shapes(args, modes, signals)
     if shapes is not None:

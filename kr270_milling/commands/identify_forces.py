@@ -5,34 +5,29 @@ from __future__ import annotations
 from pathlib import Path
 
 from kr270_milling.commands.console import add_common, numbers, print_json, print_table
+from kr270_milling.commands.option_types import bounded, stretch
 
 
 def add_arguments(parser) -> None:
     parser.add_argument("cuts", metavar="CUTS.csv", help="one cut a row, with its forces or a recording of them")
     parser.add_argument("--cell", metavar="CELL.yaml", help="its tool made the cuts")
     parser.add_argument("--teeth", type=int, help="of the tool, instead of the cell's")
-    parser.add_argument("--diameter-mm", type=float, help="of the tool, instead of the cell's")
+    parser.add_argument("--diameter-mm", type=bounded(0, 1000), help="of the tool, instead of the cell's")
     parser.add_argument("--rotation", choices=("clockwise", "counterclockwise"), help="instead of the cell's")
     parser.add_argument("--law", choices=("linear_edge", "fractional"), default="linear_edge", help="for the YAML file")
     recorded = parser.add_argument_group("recordings of a sensor")
     recorded.add_argument("--topic", default="wrench", help="of type geometry_msgs/WrenchStamped (default: wrench)")
-    recorded.add_argument("--spindle-speed-rpm", type=float, help="instead of the cell's")
-    recorded.add_argument("--tare", type=_stretch, metavar="START:STOP", help="seconds of an idle stretch")
+    recorded.add_argument("--spindle-speed-rpm", type=bounded(0, 1e6), help="instead of the cell's")
+    recorded.add_argument("--tare", type=stretch(0, 1e6), metavar="START:STOP", help="seconds of an idle stretch")
     recorded.add_argument(
         "--sensor-abc", type=numbers(3, most=720.0), metavar="A,B,C", help="sensor in the workpiece [deg]"
     )
     recorded.add_argument("--sensor-on", choices=("tool", "part"), default="tool", help="a plate under the part: part")
-    recorded.add_argument("--sensor-mass-kg", type=float, default=0.0, help="that hangs on it, where there is no tare")
+    recorded.add_argument(
+        "--sensor-mass-kg", type=bounded(0, 5000), default=0.0, help="that hangs on it, where there is no tare"
+    )
     parser.add_argument("--out", metavar="DIR", help="write YAML to include and report")
     add_common(parser)
-
-
-def _stretch(text: str) -> tuple[float, float]:
-    start, _, stop = text.partition(":")
-    low, high = float(start), float(stop)
-    if not 0.0 <= low < high:
-        raise ValueError(text)
-    return low, high
 
 
 def run(args) -> None:

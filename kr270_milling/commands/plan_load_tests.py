@@ -21,8 +21,10 @@ def plan_load_tests(args, arm, mount, pose) -> None:
             "--plan", "needs the posture where the arm is to mill: name --cell CELL.yaml or --at A1,...,A6"
         )
     point = mount.xyz if args.point is None else 1e-3 * np.array(args.point)
-    bench = Bench(point, args.mass_kg, args.pull_n, 1e-6 * max(args.noise_um, 1e-3))
+    bench = Bench(point, args.mass_kg, args.pull_n, 1e-6 * args.noise_um)
     choice = candidates(arm, mount, bench, args.postures, args.seed)
+    if args.plan > len(choice.tests):
+        raise InputError("--plan", f"asks for {args.plan} load tests, but only {len(choice.tests)} are possible here")
     planner = Planner(arm, mount, choice, pose, not args.no_gravity)
     names = ("planned for the test pose", "A-optimal", "D-optimal")
     designs = {name: planner.best(args.plan, c) for name, c in zip(names, CRITERIA, strict=True)}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.identification.measurements import Measurements
 from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.kinematics import forward, singularity_measures
@@ -87,7 +87,9 @@ def _forces(a1: np.ndarray, bench: Bench) -> np.ndarray:
     """(k, loads, 3) [N]: what hangs, and pulls outward from axis 1, to its side, and between both."""
     outward = np.stack([np.cos(a1), -np.sin(a1), np.zeros_like(a1)], -1)
     sideways = np.stack([np.sin(a1), np.cos(a1), np.zeros_like(a1)], -1)
-    loads = []
+    loads: list[np.ndarray] = []
+    if not (bench.mass > 0.0 or bench.pull > 0.0):
+        raise ParameterError("mass_kg and pull_n", [bench.mass, bench.pull], "above 0, one of them at least")
     if bench.mass > 0.0:
         loads.append(np.tile([0.0, 0.0, -GRAVITY * bench.mass], (len(a1), 1)))
     if bench.pull > 0.0:

@@ -127,3 +127,27 @@ def test_a_material_is_listed_and_written_to_be_included(capsys, tmp_path):
     from kr270_milling.cell.cell import read_cell
 
     assert read_cell(cell).cutting.linear_edge.tangential_cutting == pytest.approx(767.01e6)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("compliance", "--arm", "test_piece.yaml", "--plan", "5", "--seed", "-1"),
+        ("compliance", "--arm", "test_piece.yaml", "--plan", "100", "--postures", "2"),
+        ("compliance", "--arm", "test_piece.yaml", "--plan", "5", "--mass-kg", "0", "--pull-n", "0"),
+        ("compliance", "--arm", "test_piece.yaml", "--plan", "5", "--noise-um", "nan"),
+        ("forces", "cuts.csv", "--teeth", "0", "--diameter-mm", "20"),
+        ("forces", "cuts.csv", "--teeth", "4", "--diameter-mm", "nan"),
+        ("forces", "cuts.csv", "--cell", "test_piece.yaml", "--tare", "5:1"),
+        ("damping", "cuts.csv", "--from", "nan"),
+        ("damping", "cuts.csv", "--band", "9:3"),
+        ("material", "Al7075", "--row", "7", "--out", "nowhere"),
+    ],
+)
+def test_hostile_options_are_refused(capsys, words):
+    try:
+        code = main(["identify", *words])
+    except SystemExit as exited:  # argparse
+        code = exited.code
+    out, err = capsys.readouterr()
+    assert code == 2 and out == "" and "Traceback" not in err
