@@ -56,7 +56,7 @@ class Cut:
         Returns the mean wrench (6,) on the tool, moments about its tip [N, N m]. Raises SweepError, GridError.
         """
         start, end = np.array(pose_from, float), np.array(pose_to, float)
-        sound = start.shape == end.shape == (3,) and np.isfinite([start, end]).all()
+        sound = start.shape == end.shape == (3,) and all(map(math.isfinite, start.tolist() + end.tolist()))
         if not sound or first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):
             raise SweepError(pose_from, pose_to, first, n)
         if self._log_grows and n <= self.params.steps:

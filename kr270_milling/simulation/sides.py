@@ -5,6 +5,8 @@ A recording is recomputed with the same two classes, so what a node published ca
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from kr270_milling.base.errors import MillingError
@@ -36,14 +38,11 @@ class RobotSide:
         self.orientation = reference.sample_orientation(self.stamps)  #: (steps + 1, 4)
         self.correction = 0.0  #: [m], largest corrected minus predicted tool centre so far
         self._arm = CompliantArm(model, model.push(reference, self.stamps))
+        self._whole_stamps: list[int] = self.stamps.tolist()  # an item of a list is had in a tenth of the time
         self._next = 0  # step whose wrench is awaited
         self._iteration = 0
         self.tool = self.course[0]  #: last predicted tool centre [m], (3,)
-
-    @property
-    def awaited_ns(self) -> int:
-        """Stamp of the wrench that the robot waits for."""
-        return int(self.stamps[min(self._next, self.steps)])
+        self.awaited_ns = 0  #: stamp of the wrench that the robot waits for
 
     @property
     def done(self) -> bool:
@@ -70,10 +69,11 @@ class RobotSide:
             return None
         else:
             deflection = self._arm.correct(wrench)
-            shift = self.course[self._next] + deflection[:3] - self.tool
-            self.correction = max(self.correction, float(np.sqrt(np.sum(shift**2))))
+            x, y, z = (self.course[self._next] + deflection[:3] - self.tool).tolist()
+            self.correction = max(self.correction, math.sqrt(x * x + y * y + z * z))
         self._next, self._iteration = self._next + 1, 0
-        if not self.done:
+        if self._next <= self.steps:
+            self.awaited_ns = self._whole_stamps[self._next]
             self.tool = self.course[self._next] + self._arm.predict()[:3]
         return deflection
 
