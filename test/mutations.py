@@ -17,6 +17,7 @@ from pathlib import Path
 TOP = Path(__file__).resolve().parents[1]
 LOADS, BALANCE, STIFF = "robot/loads.py", "robot/equilibrium.py", "robot/elastostatics.py"
 MASS, LAWS, SWEEP = "robot/mass.py", "cutting/laws.py", "cutting/sweep.py"
+LOAD = "cutting/load.py"
 MOTION, MIRROR, REVISION = "simulation/dynamics.py", "compensation/mirror.py", "compensation/revision.py"
 REFERENCE, MEASURED = "simulation/reference_motion.py", "simulation/measured_modes.py"
 RIGID = "robot/rigid_mass.py"
@@ -31,6 +32,7 @@ TESTS = {
     MEASURED: ["simulation_measured_modes"],
     LAWS: ["cutting_laws", "cutting_force"],
     SWEEP: ["cutting_force", "cutting_cut"],
+    LOAD: ["cutting_force", "cutting_cut"],
     MOTION: ["simulation_dynamics", "simulation_arm_model", "simulation_reference_inertia"],
     REFERENCE: ["simulation_reference_inertia"],
     MIRROR: ["compensation_mirror"],
@@ -114,13 +116,13 @@ MUTATIONS = [
     ("(27)", LAWS, "u = <<np.maximum(h, 0.0)|h>> / h_s"),
     ("(27) linear edge", LAWS, "k_e * (h <<>|>=>> 0.0)"),
     ("(28)", LAWS, "return tangential, <<c|-c>>[3] * tangential"),
-    ("(29) F_x, F_r", SWEEP, "force_x += <<-|+>>f_r * c"),
-    ("(29) F_x, F_t", SWEEP, "-f_r * c <<+|->> p.sense * f_t * d"),
-    ("(29) F_y, F_r", SWEEP, "force_y += <<-|+>>f_r * d"),
-    ("(29) F_y, F_t", SWEEP, "-f_r * d <<-|+>> p.sense * f_t * c"),
+    ("(29) F_x, F_r", LOAD, "force_x = share * (<<-|+>>f_r * c"),
+    ("(29) F_x, F_t", LOAD, "-f_r * c <<+|->> p.sense * f_t * d"),
+    ("(29) F_y, F_r", LOAD, "force_y = share * (<<-|+>>f_r * d"),
+    ("(29) F_y, F_t", LOAD, "-f_r * d <<-|+>> p.sense * f_t * c"),
     ("h_i = A_i / (R dphi)", SWEEP, "(<<height|2 * height>> * p.radii[i] * p.micro_step)"),
     ("A_i", SWEEP, "total = s.tally[0] * (depth <<-|+>> level * p.level_step) + s.tally[1]"),
-    ("torque", SWEEP, "torque <<+=|-=>> f_t * p.radii[i]"),
+    ("torque", LOAD, "now[5] <<+=|-=>> share * (f_t * p.radii[i])"),
     ("(30)", MIRROR, "commanded.position <<+ loaded.position - |- loaded.position + >>sagged.position"),
     ("(30) rotation", MIRROR, "turned = <<loaded|sagged>>.rotation @ np.swapaxes(sagged.rotation, -1, -2)"),
     ("(30) weights", MIRROR, "loaded = equilibrium(arm, mount, joints, wrench, gravity=<<True|False>>).pose"),

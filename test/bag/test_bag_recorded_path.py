@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -63,7 +64,7 @@ def refusal(file, *args) -> str:
 
 
 @given(st.integers(0, 12), st.booleans(), st.sampled_from(["", "workpiece", "a", "abcdefgh"]))
-@settings(max_examples=40)
+@settings(max_examples=budget(40))
 def test_every_number_of_a_path_comes_out(count, little, frame):
     from test_recording_samples import STORE
 
@@ -94,7 +95,7 @@ def test_the_message_of_rclpy_is_read_too():
 
 
 @given(st.integers(0, 400), st.binary(max_size=30))
-@settings(max_examples=200)
+@settings(max_examples=budget(200))
 def test_a_damaged_path_is_refused_or_read_within_its_bytes(cut, tail):
     data = raw(nav(line(4), [0] * 4))[:cut] + tail
     try:

@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 import pytest
+from budget import budget
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType, Writer
@@ -19,7 +20,7 @@ from kr270_milling.bag.verify import findings
 from kr270_milling.messages.definitions import definition
 from kr270_milling.messages.series import series
 
-RELAXED = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+RELAXED = settings(max_examples=budget(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture(scope="module")

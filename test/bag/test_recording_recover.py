@@ -3,6 +3,7 @@ from __future__ import annotations
 import struct
 
 import pytest
+from budget import budget
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
@@ -15,7 +16,7 @@ from kr270_milling.bag.recover import recover
 from kr270_milling.bag.verify import findings
 from kr270_milling.cli import main
 
-RELAXED = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+RELAXED = settings(max_examples=budget(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 class Source(tuple):

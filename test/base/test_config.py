@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -209,7 +210,7 @@ def test_a_flat_record_says_what_the_file_says_to_the_last_digit(record, tree):
         assert flat[key] == (float(value) if number else value), key
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=budget(200), deadline=None)
 @given(st.floats(10.0, 600.0), st.floats(-90.0, 90.0))
 def test_the_numbers_of_a_file_come_back_and_their_bounds_hold_to_the_last_digit(speed, angle):
     sample = build(Sample, merge(GOOD, {"speed_rpm": speed, "angles_deg": [angle, 0.0]}))
@@ -274,7 +275,7 @@ def cell_or_one_sentence(make):
         assert str(error).isprintable() and len(str(error)) < 3000
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=budget(150), deadline=None)
 @given(st.lists(st.tuples(st.sampled_from(KEYS), VALUES), min_size=1, max_size=3))
 def test_any_value_for_any_key_gives_a_cell_or_one_sentence(changes):
     tree = SHIPPED

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -268,7 +269,7 @@ VALUES = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=budget(150), deadline=None)
 @given(VALUES.map(lambda v: yaml.dump({"/**": {"ros__parameters": v}}).encode()) | st.binary(max_size=200))
 def test_any_file_gives_a_record_or_one_sentence(tmp_path_factory, content):
     path = write(tmp_path_factory.getbasetemp(), content)
@@ -286,7 +287,7 @@ TOKENS = st.sampled_from(
 )  # fmt: skip
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=budget(400), deadline=None)
 @given(st.lists(TOKENS, max_size=25).map("".join))
 def test_any_text_out_of_pieces_of_yaml_gives_a_tree_or_one_sentence(tmp_path_factory, text):
     path = write(tmp_path_factory.getbasetemp(), text)
@@ -296,7 +297,7 @@ def test_any_text_out_of_pieces_of_yaml_gives_a_tree_or_one_sentence(tmp_path_fa
         assert str(error).isprintable()
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=budget(400), deadline=None)
 @given(st.sampled_from(["speed_rpm", "inner", "topics"]), st.lists(TOKENS, max_size=12).map("".join))
 def test_any_assignment_gives_a_record_or_one_sentence(key, text):
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from budget import budget
 from cuttings import PAPER_LAW
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -35,7 +36,7 @@ def inside(xs, ys):
     return odd, near
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=budget(200), deadline=None)
 @example((0.0, 0.0, 0.0, 2.2e-309), (0.0, 0.0, 0.0, 1.0))
 @given(st.tuples(*[corner] * 4), st.tuples(*[corner] * 4))
 def test_a_quadrilateral_is_cleared_inside_and_nowhere_else(xs, ys):

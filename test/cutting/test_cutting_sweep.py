@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from budget import budget
 from cuttings import PAPER_LAW
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -111,7 +112,7 @@ def passes(draw):
     return tool, legs
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=budget(60), deadline=None)
 @given(passes())
 def test_every_node_has_the_level_that_brute_force_gives_it(case):
     tool, (here, *legs) = case

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from budget import budget
 from hostile import POSTURE, SHORT, ask, contents, refused, refused_or_sound, settings
 from hypothesis import HealthCheck, given
 from hypothesis import settings as examples
@@ -67,7 +68,7 @@ def test_a_call_that_misses_something_or_has_too_much_is_refused(words, tmp_path
     assert contents(tmp_path) == {}
 
 
-@examples(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@examples(max_examples=budget(150), deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(st.floats(), min_size=6, max_size=6), st.lists(st.floats(), min_size=6, max_size=6), st.booleans())
 def test_any_posture_under_any_wrench_is_refused_or_has_finite_numbers(joints, wrench, gravity):
     words = [f"--joints-deg={','.join(map(repr, joints))}", f"--wrench={','.join(map(repr, wrench))}"]
@@ -75,7 +76,7 @@ def test_any_posture_under_any_wrench_is_refused_or_has_finite_numbers(joints, w
     assert answer.code in (0, 2)
 
 
-@examples(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@examples(max_examples=budget(60), deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(st.floats(-720, 720), min_size=6, max_size=6), st.lists(st.floats(-1e6, 1e6), min_size=6, max_size=6))
 def test_any_posture_that_can_be_has_numbers_that_can_be(joints, wrench):
     words = [f"--joints-deg={','.join(map(repr, joints))}", f"--wrench={','.join(map(repr, wrench))}"]

@@ -9,6 +9,7 @@ import time
 
 import pytest
 import yaml
+from budget import budget
 from hostile import POSTURE, SHORT, ask, refused, refused_or_sound
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -88,13 +89,13 @@ def test_any_value_is_refused_or_gives_numbers_that_can_be(command, count, place
     attempt()
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=budget(80), deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.sampled_from([k for k in KEYS if k.startswith(("arm.", "mount."))]), VALUES)
 def test_any_arm_is_refused_or_has_a_finite_stiffness(place, key, value):
     refused_or_sound("stiffness", write(place, key, value), POSTURE, "--gravity")
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=budget(60), deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.sampled_from(KEYS), st.text(max_size=30))
 def test_any_override_is_refused_or_taken(key, text):
     answer = ask(
@@ -103,7 +104,7 @@ def test_any_override_is_refused_or_taken(key, text):
     assert answer.code == 0 or answer.err.count("\n") == 1
 
 
-@settings(max_examples=200, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=budget(200), deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.one_of(st.text(), st.binary().map(lambda b: b.decode("latin-1"))), st.booleans())
 def test_any_text_is_refused_as_a_cell(place, text, framed):
     place.write_text(f"/**:\n  ros__parameters: {text}\n" if framed else text, encoding="utf-8", errors="replace")

@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from budget import budget
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_recording_samples import JOINTS, POSE, STORE, TWIST, WRENCH, joints, pose, raw, twist, wrench
@@ -13,7 +14,7 @@ from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.messages.series import batches, joint_series, series
 
-RELAXED = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+RELAXED = settings(max_examples=budget(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 def written(directory, type_name, messages, little=True):

@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_recording_samples import PATH, POSE, STORE, path, pose, raw
@@ -67,7 +68,7 @@ def test_200000_points_take_less_than_a_second():
 
 
 @given(st.integers(0, 400), st.binary(max_size=30))
-@settings(max_examples=300)
+@settings(max_examples=budget(300))
 def test_a_damaged_message_is_refused_or_read_within_its_bytes(cut, tail):
     data = raw(random_path(3)[0])
     try:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from milled_part import POCKET, small_cell
@@ -18,7 +19,7 @@ from kr270_milling.report.surface_map import MOST_CELLS, part_surface
 from kr270_milling.simulation.scores import path_deviation
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=budget(30), deadline=None)
 @given(st.integers(1, 6000), st.integers(2, 60), st.integers(0, 2**32 - 1))
 def test_thinning_keeps_both_ends_and_every_extremum_of_a_bucket(size, buckets, seed):
     y = np.random.default_rng(seed).normal(size=size)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +23,7 @@ def same_pose(a: Pose, b: Pose, tolerance=1e-10):
     return np.abs(a.position - b.position).max() < tolerance and np.abs(a.rotation - b.rotation).max() < tolerance
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=budget(100), deadline=None)
 @given(st.sampled_from(ARMS), st.lists(st.floats(0.001, 0.999), min_size=6, max_size=6))
 def test_every_branch_leads_back_to_the_pose_and_one_is_the_posture_itself(arm, shares):
     q = arm.joint_lower + np.array(shares) * (arm.joint_upper - arm.joint_lower)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -61,7 +62,7 @@ def test_a_deviation_along_the_feed_is_none():
     assert found.max_deviation == found.static_deviation == 0.0 and np.isnan(found.ringing_frequency)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=budget(60), deadline=None)
 @given(st.floats(3.0, 40.0), st.floats(0.01, 0.3), st.floats(0.0, 6.28), st.floats(-1e-4, 1e-4))
 def test_the_ringing_of_a_damped_vibration_is_found(frequency, damping, phase, mean):
     found = ringing_frequency(TIME, ringing(frequency, damping, 5e-6, phase, mean))

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from budget import budget
 from dialect_writers import DIALECTS, SPEED, Move, write
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -16,7 +17,10 @@ GRID = st.integers(-40_000, 40_000).map(lambda n: n / 1000)  # [mm]
 HEIGHT = st.integers(-5_000, 10_000).map(lambda n: n / 1000)
 FEED = st.sampled_from([100.0, 400.0, 1250.0])
 quick = settings(
-    deadline=None, max_examples=25, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    deadline=None,
+    max_examples=budget(25),
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 
 
