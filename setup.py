@@ -36,6 +36,8 @@ setup(
         "completion": ["argcomplete>=3.0"],
         "uff": ["pyuff>=2.4"],
         "test": [
+            "dask[distributed]>=2024.1",
+            "pyarrow>=14",
             "pyuff>=2.4",
             "pytest>=7.4",
             "pytest-xdist>=3.5",

@@ -38,6 +38,10 @@ COMMANDS = {
         "limit depth of cut and chatter frequency over spindle speed",
         "stability config/paper.yaml --speeds 4000:12000:100",
     ),
+    "map": (
+        "where to clamp the part and how to turn the tool: reach, limits and predicted error over placements",
+        "map config/test_piece.yaml --x 1200:1800:13 --y=-300:300:7 --tool-turn=-90:90:7",
+    ),
     "sweep": (
         "full passes with other values of any keys, on as many cores as there are",
         "sweep config/paper.yaml --vary path.depth_of_cut_mm=0.2:1:0.2 --out sweep",

@@ -23,6 +23,7 @@ PAGES = [
         "README.md", "CONTRIBUTING.md", "config/README.md", "kr270_milling/nodes/README.md",
         "kr270_milling/bag/README.md", "kr270_milling/guide/tutorial.md", "kr270_milling/guide/numbers.md",
         "kr270_milling/guide/design.md", "kr270_milling/guide/extending.md", "test/faults/README.md",
+        "kr270_milling/studies/README.md",
     )
 ]  # fmt: skip
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)

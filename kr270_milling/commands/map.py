@@ -1,0 +1,99 @@
+"""``kr270_milling map``: where to clamp the part, how to turn the tool, in which posture."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+from kr270_milling.commands.console import (
+    add_cell,
+    add_common,
+    output_directory,
+    print_json,
+    print_table,
+    study_progress,
+)
+
+BEST = 5  #: placements that are written as cells
+AXES = {
+    "x": ("mm", "of the workpiece's origin on base_link"),
+    "y": ("mm", "likewise"),
+    "z": ("mm", "likewise"),
+    "turn": ("deg", "of the workpiece about z of base_link, on top of the cell's"),
+    "tool-turn": ("deg", "of the tool about its own axis"),
+}
+
+
+def add_arguments(parser) -> None:
+    add_cell(parser)
+    for name, (unit, text) in AXES.items():
+        parser.add_argument(f"--{name}", metavar="LOW:HIGH:COUNT", type=_axis, help=f"[{unit}] {text}")
+    parser.add_argument("--out", metavar="DIR", default="map", help="where rows, cells and picture go (default: map)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, tcp://host:port")
+    parser.add_argument("--chunk", metavar="N", type=int, default=500, help="placements a file (default: 500)")
+    add_common(parser)
+
+
+def _axis(text: str) -> tuple[float, float, int]:
+    try:
+        low, high, count = text.split(":")
+        values = float(low), float(high), int(count)
+    except ValueError:
+        values = (math.nan, math.nan, 0)
+    if not (abs(values[0]) <= 1e5 and values[0] <= values[1] <= 1e5 and 1 <= values[2] <= 1_000_000):
+        raise argparse.ArgumentTypeError(f"{text!r} is not LOW:HIGH:COUNT with finite numbers")
+    return values
+
+
+def run(args) -> None:
+    import numpy as np
+
+    from kr270_milling.base.errors import ParameterError
+    from kr270_milling.base.record import find_file
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.studies.best import best_rows, write_cells, write_picture
+    from kr270_milling.studies.engine import Study, read_rows, run_chunks
+    from kr270_milling.studies.placements import Placements, course_of
+
+    source = find_file(args.cell).resolve()
+    cell = read_cell(source, args.set)
+    here = [*(1e3 * cell.workpiece.xyz).tolist(), 0.0, 0.0]
+    given = [args.x, args.y, args.z, args.turn, args.tool_turn]
+    scales = [1e-3] * 3 + [np.pi / 180.0] * 2
+    axes = tuple(
+        scale * (np.array([value]) if axis is None else np.linspace(*axis))
+        for axis, value, scale in zip(given, here, scales, strict=True)
+    )
+    placements = Placements(cell, course_of(cell), axes, args.chunk)
+    if not 1 <= args.chunk <= 1_000_000 or len(placements) > 10_000_000:
+        raise ParameterError("--chunk", args.chunk, "at least 1, and at most 10 million placements in all")
+    plan = {"study": "map", "cell": source.name, "set": args.set, "axes": given, "chunk": args.chunk}
+    study = Study(output_directory(args.out), plan)
+    with study_progress("postures", 8 * args.chunk * len(placements.course.position)) as report:
+        seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
+    table = read_rows(args.out)
+    best = best_rows(table, BEST)
+    cells = write_cells(args.out, source, cell, placements.course, best)
+    found = {
+        "rows": table.num_rows,
+        "rows_per_s": table.num_rows / seconds if seconds else None,
+        "postures_per_s": table.num_rows * len(placements.course.position) / seconds if seconds else None,
+        "feasible": int(np.sum(table["feasible"].to_numpy())),
+        "best": [row | {"cell": str(path)} for row, path in zip(best, cells, strict=True)],
+        "picture": str(write_picture(args.out, table)),
+        "out": args.out,
+    }
+    if args.json:
+        print_json(found)
+        return
+    _print(found)
+
+
+def _print(found: dict) -> None:
+    columns = ["x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", "error_max_um", "compensated_max_um"]
+    rows = [[f"{row[name]:.4g}" for name in columns] for row in found["best"]]
+    print_table("Best placements: largest static error across the feed [um]", columns, rows)
+    print(f"{found['rows']} rows, {found['feasible']} feasible: {found['out']}")
+    for row in found["best"]:
+        print(row["cell"])
+    print(found["picture"])

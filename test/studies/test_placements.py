@@ -1,0 +1,87 @@
+"""Maps of placements: measures of a row against the arm's own functions, the best cells, real workers."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cli import main
+from kr270_milling.robot import pose
+from kr270_milling.studies.placements import Course, Placements, moved_cell
+
+pytest.importorskip("pyarrow")
+
+
+@pytest.fixture(scope="module")
+def placements() -> Placements:
+    cell = read_cell(find_file("test_piece.yaml"), ["dynamics.gravity=false"])
+    x = np.linspace(-0.04, 0.04, 5)
+    course = Course(
+        np.stack([x, 0 * x, -1e-3 + 0 * x], 1),
+        np.tile(np.diag([1.0, -1.0, -1.0]), (5, 1, 1)),
+        np.tile([1.0, 0.0, 0.0], (5, 1)),
+        np.tile([-40.0, 150.0, 5.0], (5, 1)),
+    )
+    axes = (np.array([1.4, 1.5]), np.array([-0.1, 0.1]), np.array([0.8]), np.radians([0.0, 20.0]),
+            np.radians([-30.0, 0.0]))  # fmt: skip
+    return Placements(cell, course, axes)
+
+
+def test_a_feasible_row_is_what_finite_differences_of_the_arm_give(placements):
+    chosen = placements.placements(0, len(placements))
+    rows = placements.rows(chosen)
+    number, branch = np.argwhere(rows["feasible"])[3]
+    x, y, z, turn, tool_turn = chosen[number]
+    row = {"x_mm": 1e3 * x, "y_mm": 1e3 * y, "z_mm": 1e3 * z, "turn_deg": np.degrees(turn),
+           "tool_turn_deg": np.degrees(tool_turn), "branch": branch}  # fmt: skip
+    moved = moved_cell(placements.cell, placements.course, row)
+    place = moved["workpiece"]
+    settings = [f"workpiece.xyz_mm={place['xyz_mm']}", f"workpiece.abc_deg={place['abc_deg']}"]
+    settings += [f"mount.abc_deg={moved['mount']['abc_deg']}", f"posture_hint_deg={moved['posture_hint_deg']}"]
+    cell = read_cell(find_file("test_piece.yaml"), settings)
+    quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))  # the tool down
+    q = cell.joints_at(placements.course.position, quaternion)  # independent: the path of the cell itself
+    across = []
+    for joints in q:
+        step = 1e-6
+        here = pose(cell.arm, cell.mount, joints).position
+        turned = [(pose(cell.arm, cell.mount, joints + step * e).position - here) / step for e in np.eye(6)]
+        turned = np.stack(turned, axis=1)
+        force = cell.workpiece.pose.rotation @ placements.course.force[0]
+        way = turned @ (cell.arm.joint_compliance * (turned.T @ force))
+        feed = cell.workpiece.pose.rotation[:, 0]
+        across.append(np.linalg.norm(way - way @ feed * feed))
+    assert rows["error_max_um"][number, branch] == pytest.approx(1e6 * max(across), rel=1e-4)
+    assert rows["error_mean_um"][number, branch] == pytest.approx(1e6 * np.mean(across), rel=1e-4)
+
+
+def test_a_place_out_of_reach_is_infeasible_and_says_nothing_of_errors(placements):
+    rows = placements.rows(np.array([[9.0, 0.0, 0.8, 0.0, 0.0]]))
+    assert not rows["feasible"].any() and not rows["reachable"].any() and np.isnan(rows["error_max_um"]).all()
+
+
+def test_a_quarter_turn_of_everything_changes_nothing_but_joint_1(placements):
+    """Turning the place about axis 1 turns axis 1: errors and singularities stay."""
+    one = placements.rows(np.array([[1.4, 0.1, 0.8, 0.3, 0.2]]))
+    c, s = np.cos(0.5), np.sin(0.5)
+    other = placements.rows(np.array([[1.4 * c - 0.1 * s, 1.4 * s + 0.1 * c, 0.8, 0.8, 0.2]]))
+    np.testing.assert_allclose(one["error_max_um"], other["error_max_um"], rtol=1e-9)
+    np.testing.assert_allclose(one["singularity"], other["singularity"], rtol=1e-9)
+
+
+def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path, capsys):
+    pytest.importorskip("dask.distributed")
+    words = ["map", "paper.yaml", "--x=-100:100:2", "--y=-1700:-1500:2", "--out", str(tmp_path / "map"), "--json"]
+    words += ["--set", "path.length_mm=6", "--set", "stock.grid_step_um=40", "--chunk", "3"]
+    assert main(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["rows"] == 4 * 8 and found["rows_per_s"] > 0 and found["best"] and len(found["best"]) <= 5
+    errors = [row["error_max_um"] for row in found["best"]]
+    assert errors == sorted(errors)
+    best = read_cell(found["best"][0]["cell"])
+    assert 1e3 * best.workpiece.xyz[:2] == pytest.approx([found["best"][0]["x_mm"], found["best"][0]["y_mm"]])
+    assert best.joints(best.target()).shape[1] == 6
