@@ -67,6 +67,8 @@ def _recompute(args) -> int:
         print("The recording was cut off; what is there was compared.")
     for stop in result.stops:
         print(_shown(stop))
+    for sentence in result.damage:
+        print("damage: " + _shown(sentence))
     if result.first:
         print(f"first difference: {_shown(result.first)}")
     print(f"{result.verdict}: {result.compared} messages compared bit for bit")

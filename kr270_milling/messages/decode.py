@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.codec import read_message
-from kr270_milling.messages.definitions import DEFINITION_ERRORS, store_for
+from kr270_milling.messages.definitions import DEFINITION_ERRORS, has_lists, store_for
 
 __all__ = ["Topic", "make_decoder", "plain"]
 
@@ -24,6 +25,10 @@ class Topic(NamedTuple):
     metadata: dict[str, str]
 
 
+#: [bytes] of a message with lists of messages or texts in it: as Python's objects they take some twenty times as much
+MOST_OBJECTS = 4 * 1024 * 1024
+
+
 def make_decoder(path, topic: str, about: Topic) -> Callable[[bytes], object]:
     """A function from a message's bytes to an object with the fields as attributes; ``path`` is for the errors."""
     if about.encoding != "cdr" or about.schema_encoding != "ros2msg":
@@ -35,7 +40,11 @@ def make_decoder(path, topic: str, about: Topic) -> Callable[[bytes], object]:
     except DEFINITION_ERRORS as error:
         raise RecordingError(path, f"the definition of {about.type} cannot be used") from error
 
+    limit = MOST_OBJECTS if has_lists(store, about.type) else math.inf
+
     def decode(data: bytes):
+        if len(data) > limit:
+            raise RecordingError(path, f"a message on {topic} has {len(data)} bytes, more than {limit} to be decoded")
         try:
             return read_message(store, about.type, data)
         except (ValueError, MemoryError, RecursionError) as error:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from kr270_milling.base.errors import RecordingError
 
-__all__ = ["DEFINITION_ERRORS", "definition", "starts_with_stamp", "store_for", "store_of", "type_hash"]
+__all__ = ["DEFINITION_ERRORS", "definition", "has_lists", "starts_with_stamp", "store_for", "store_of", "type_hash"]
 
 TYPE_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)")
 MOST_TEXT = 256 * 1024  # [characters] of a definition in a file; its parser takes 0.7 s for them
@@ -125,6 +125,19 @@ def _refuse_large(fields) -> None:
         plain = inner == Nodetype.BASE and about[0] != "string"
         if not 1 <= length <= (2**31 if plain else MOST_ITEMS):
             raise ValueError(f"{name} is an array of {length} items")
+
+
+def has_lists(store, type_name: str, seen: frozenset = frozenset()) -> bool:
+    """Whether a message may hold a list of messages or texts, itself or in a message within it."""
+    from rosbags.interfaces import Nodetype
+
+    for _, kind in store.fielddefs[type_name][1]:
+        if kind[0] == Nodetype.SEQUENCE and (kind[1][0][0] == Nodetype.NAME or kind[1][0][1][0] == "string"):
+            return True
+        part = kind[1][0] if kind[0] == Nodetype.ARRAY else kind
+        if part[0] == Nodetype.NAME and part[1] not in seen and has_lists(store, part[1], seen | {type_name}):
+            return True
+    return False
 
 
 def starts_with_stamp(text: str) -> bool:

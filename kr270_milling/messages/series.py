@@ -18,6 +18,7 @@ from kr270_milling.messages.cdr import Cursor
 __all__ = ["FIXED", "JOINTS", "JointSeries", "Series", "batches", "joint_series", "series"]
 
 BATCH, BATCH_BYTES = 4096, 4 * 1024 * 1024
+BEARABLE, MOST_UNFOLDED = 64 * 1024 * 1024, 50  # [bytes] of a series, and what it may take beside, in sizes of the file
 MOST_FRAMES = 1024 * 1024  # [characters] of the names of all frames on one topic
 JOINTS = "sensor_msgs/msg/JointState"
 #: type -> (column, unit) of the numbers behind its header
@@ -181,7 +182,7 @@ def series(recording, topic: str) -> Series:
     if about is None or about.type not in FIXED:
         raise RecordingError(recording.path, f"{topic} is no topic with poses, wrenches or twists in it")
     frames: dict[str, None] = {}
-    tables, length = [], 0
+    tables, length, size = [], 0, 0
     for rows in batches(recording, topic):
         new = dict.fromkeys(frame for frame in rows.frame_ids if frame not in frames)
         frames.update(new)
@@ -189,6 +190,10 @@ def series(recording, topic: str) -> Series:
         if length > MOST_FRAMES:
             raise RecordingError(recording.path, f"{topic} names frames of more than {MOST_FRAMES} characters in all")
         tables.append((rows.log_time, rows.stamp, rows.values))
+        size += rows.values.nbytes
+        if size > BEARABLE + MOST_UNFOLDED * recording.size:
+            reason = f"{topic} unfolds into more than {size} bytes, {MOST_UNFOLDED} times the size of the file"
+            raise RecordingError(recording.path, reason)
     log_time, stamp, values = zip(*tables, strict=True) if tables else ((), (), ())
     times = [_joined(list(column), (0,), np.int64) for column in (log_time, stamp)]
     return Series(topic, about.type, *times, tuple(frames), _joined(list(values), (0, len(FIXED[about.type]))))

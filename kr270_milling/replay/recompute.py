@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from kr270_milling import __version__
 from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.verify import findings
 from kr270_milling.replay.compare import Channel, Difference
 from kr270_milling.replay.complete import incomplete
 from kr270_milling.replay.robots import Robots, Stop
@@ -19,8 +20,9 @@ __all__ = ["Recomputed", "recompute"]
 
 @dataclass(frozen=True)
 class Recomputed:
-    """The verdict: "identical", "different", or "incomplete" where a model could not go on, or where not all was
-    compared that should have been."""
+    """The verdict: "identical", "different", "damaged" where all that was compared is the same, but a checksum or an
+    index of the file does not fit, or "incomplete" where a model could not go on, or where not all was compared that
+    should have been."""
 
     file: str
     cut_off: bool
@@ -28,6 +30,7 @@ class Recomputed:
     first: Difference | None
     stops: tuple[Stop, ...]
     version: str  #: of the package that wrote the recording
+    damage: tuple[str, ...] = ()  #: what does not fit in the file
 
     @property
     def compared(self) -> int:
@@ -37,6 +40,8 @@ class Recomputed:
     def verdict(self) -> str:
         if self.first is not None:
             return "different"
+        if self.damage:
+            return "damaged"
         return "incomplete" if self.stops else "identical"
 
     def as_dict(self) -> dict:
@@ -49,6 +54,7 @@ class Recomputed:
             channels={topic: c.as_dict() for topic, c in self.channels.items()},
             first_difference=first and dict(topic=first.topic, index=first.index, stamp_ns=first.stamp_ns,
                                             field=first.field, recorded=first.recorded, recomputed=first.recomputed),
+            damage=list(self.damage),
             stopped=[dict(robot=s.robot or "/", stamp_ns=s.stamp_ns, reason=s.reason) for s in self.stops],
             recorded_version=self.version,
             version=__version__,
@@ -68,4 +74,5 @@ def recompute(path, progress=None) -> Recomputed:
             stops += incomplete(robot, recording.cut_off)
         version = recording.metadata().get("kr270_milling", {}).get("kr270_milling_version", "")
         first = min(firsts, key=lambda d: d.order, default=None)
-        return Recomputed(str(recording.path), recording.cut_off, channels, first, tuple(stops), version)
+        damage = () if recording.cut_off else tuple(findings(recording))
+        return Recomputed(str(recording.path), recording.cut_off, channels, first, tuple(stops), version, damage)

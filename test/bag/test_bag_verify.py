@@ -13,6 +13,7 @@ from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.recover import recover
 from kr270_milling.bag.verify import findings
 from kr270_milling.cli import main
+from kr270_milling.replay.recompute import recompute
 
 NAMES = {1: "header", 7: "message index", 9: "attachment", 12: "metadata", 15: "end of data", 11: "statistics",
          8: "chunk index", 2: "footer"}  # fmt: skip
@@ -64,6 +65,21 @@ def test_a_flipped_bit_in_any_record_is_told_and_mended(whole, tmp_path, name, c
                 messages = [(m.topic, m.log_time, m.data) for m in recording.messages(as_written=True)]
             lost = name == "attachment" or not result.dropped
             assert messages == written if lost else set(messages) <= set(written)
+
+
+def test_a_recompute_does_not_call_a_damaged_recording_identical(tmp_path):
+    import pass_recording as made
+
+    directory = made.write(tmp_path / "r", made.one_pass())
+    (file,) = directory.glob("*.mcap")
+    whole = file.read_bytes()
+    assert recompute(directory).verdict == "identical"
+    for name in ("message index", "metadata", "end of data"):
+        begin, end = places(whole)[name][0]
+        damaged = bytearray(whole)
+        damaged[(begin + end) // 2] ^= 4
+        file.write_bytes(damaged)
+        assert recompute(directory).verdict == "damaged", name
 
 
 def foreign(path, index, change=lambda data: data):
