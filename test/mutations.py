@@ -168,16 +168,22 @@ def run(folder: Path, tests: list[str]) -> str:
     return "" if done.returncode == 0 else found.group(1) if found else f"pytest ended with {done.returncode}"
 
 
+def texts(pattern: str) -> tuple[str, str]:
+    """What stands in the file, and what it becomes."""
+    before, old, new, after = re.fullmatch(r"(.*?)<<(.*?)\|(.*?)>>(?!>)(.*)", pattern, re.DOTALL).groups()
+    return before + old + after, before + new + after
+
+
 def mutate(file: str, pattern: str) -> str:
     """First test that fails with the mutation, "" if it survives."""
-    before, old, new, after = re.fullmatch(r"(.*?)<<(.*?)\|(.*?)>>(?!>)(.*)", pattern, re.DOTALL).groups()
+    old, new = texts(pattern)
     with tempfile.TemporaryDirectory() as name:
         copy_into(Path(name))
         source = Path(name, "kr270_milling", file)
         text = source.read_text()
-        if text.count(before + old + after) != 1:
+        if text.count(old) != 1:
             return "NOT APPLIED: the text is not there exactly once"
-        source.write_text(text.replace(before + old + after, before + new + after))
+        source.write_text(text.replace(old, new))
         return run(Path(name), TESTS[file])
 
 

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import mutations
 import pytest
 
 import kr270_milling
@@ -39,6 +40,15 @@ for name in {wanted!r}:
 """
     ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=120)
     assert len(wanted) > 50 and ran.returncode == 0, ran.stderr[-2000:]
+
+
+@pytest.mark.parametrize("file", sorted(mutations.TESTS))
+def test_mutations_fit_the_code_that_they_change(file):
+    """Whether a test notices them, ``python test/mutations.py`` tells, which takes long."""
+    text = (ROOT / "kr270_milling" / file).read_text(encoding="utf-8")
+    for equation, changed, pattern in mutations.MUTATIONS:
+        assert changed != file or text.count(mutations.texts(pattern)[0]) == 1, (equation, pattern)
+    assert all(list(ROOT.glob(f"test/*/test_{name}.py")) for name in mutations.TESTS[file])
 
 
 # --- files ---

@@ -178,6 +178,7 @@ class _Trials:
         if self.trials:
             last = self.trials[-1]
             last.orphans = sum(map(is_alive, pids))
-            last.litter = len(graph.litter())
+            litter = graph.litter()
+            last.litter = len(litter)
             last.problems += [f"{last.orphans} processes are left"] if last.orphans else []
-            last.problems += [f"{last.litter} files are left in shared memory"] if last.litter else []
+            last.problems += [f"left in shared memory: {', '.join(litter)}"] if litter else []
