@@ -21,7 +21,8 @@ PAGES = [
     ROOT / name
     for name in (
         "README.md", "CONTRIBUTING.md", "config/README.md", "kr270_milling/nodes/README.md",
-        "kr270_milling/bag/README.md", "kr270_milling/guide/tutorial.md", "kr270_milling/guide/numbers.md",
+        "kr270_milling/bag/README.md", "kr270_milling/trajectory/README.md", "kr270_milling/guide/tutorial.md",
+        "kr270_milling/guide/numbers.md",
         "kr270_milling/guide/design.md", "kr270_milling/guide/extending.md", "test/faults/README.md",
         "kr270_milling/studies/README.md",
     )
