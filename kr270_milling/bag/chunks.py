@@ -35,7 +35,7 @@ class Entry(NamedTuple):
 class Messages:
     """The content of a chunk: its bytes, where the messages are, and the definitions that it introduces."""
 
-    def __init__(self, data: bytes, chunk: Chunk):
+    def __init__(self, data: bytes | memoryview, chunk: Chunk):
         self.data = data
         self.offset = chunk.offset
         self.counts: Counter[int] = Counter()  #: channel -> messages
@@ -122,7 +122,7 @@ def unpacked(stream, chunk: Chunk) -> Messages:
     return found
 
 
-def _unpack(packed: bytes, chunk: Chunk) -> bytes:
+def _unpack(packed: bytes, chunk: Chunk) -> bytes | memoryview:
     """The bytes of a chunk; never many more than it announces, which mcap's breakup_chunk does not see to."""
     if chunk.compression in ("", "run"):
         return packed
@@ -133,19 +133,20 @@ def _unpack(packed: bytes, chunk: Chunk) -> bytes:
     raise Damage(f"a chunk is packed with {chunk.compression!r}, which is not known here", chunk.offset)
 
 
-def _unpack_zstd(packed: bytes, chunk: Chunk) -> bytes:
+def _unpack_zstd(packed: bytes, chunk: Chunk) -> memoryview:
     import zstandard
 
-    pieces, size = [], 0
+    data, size = memoryview(bytearray(chunk.unpacked)), 0  # zeros take no memory before they are written
     try:
         # in steps, so that memory follows what is really there and not what the file claims
         with zstandard.ZstdDecompressor(max_window_size=LIMIT).stream_reader(packed) as reader:
-            while size <= chunk.unpacked and (piece := reader.read(STEP)):
-                pieces.append(piece)
-                size += len(piece)
+            while size < len(data) and (step := reader.readinto(data[size : size + STEP])):
+                size += step
+            if reader.read(1):
+                raise Damage(f"a chunk unpacks to more than {chunk.unpacked} bytes", chunk.offset)
     except zstandard.ZstdError as error:
         raise Damage("a chunk cannot be unpacked", chunk.offset) from error
-    return b"".join(pieces)
+    return data[:size].toreadonly()
 
 
 def _unpack_lz4(packed: bytes, chunk: Chunk) -> bytes:

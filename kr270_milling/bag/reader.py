@@ -214,7 +214,7 @@ class Recording:
                 if not low <= entry.log_time < high or not first <= (entry.chunk, entry.begin) < behind:
                     continue
                 if entry.channel in names:
-                    data = found.data[entry.begin : entry.end]
+                    data = bytes(found.data[entry.begin : entry.end])
                     yield RawMessage(names[entry.channel], entry.log_time, entry.publish_time, data)
                 elif entry.channel not in self.contents.channels:
                     raise Damage(f"a message belongs to channel {entry.channel}, which is not defined", entry.chunk)

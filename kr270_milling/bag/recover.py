@@ -201,7 +201,7 @@ class _Rescue:
                 self.lost[f"of channel {entry.channel}, whose definition is lost"] += 1
                 continue
             try:
-                self.writer.write_raw(self._number(entry.channel), found.data[entry.begin : entry.end],
+                self.writer.write_raw(self._number(entry.channel), bytes(found.data[entry.begin : entry.end]),
                                       entry.publish_time, entry.log_time, entry.sequence)  # fmt: skip
             except MessageRefused as refused:
                 self.lost[f"that {refused.reason}"] += 1

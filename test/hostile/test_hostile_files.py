@@ -32,7 +32,8 @@ COMMANDS = {
     "compare": ("compare", "{file}", "paper.yaml", *settings(*SHORT), "--out", "{out}"),
 }
 ENDS = {"reference": ".csv", "corrected": ".csv", "path": ".nc", "stiffness": ".yaml", "simulate": ".yaml",
-        "compensate": ".yaml", "check": ".yaml", "run": ".yaml", "compliance": ".csv", "forces": ".csv", "ring-down": ".csv",
+        "compensate": ".yaml", "check": ".yaml", "run": ".yaml", "compliance": ".csv", "forces": ".csv",
+        "ring-down": ".csv",
         "UFF": ".uff"}  # fmt: skip
 
 KINDS = ("missing", "directory", "empty", "garbage", "text", "zeros", "device", "endless", "pipe", "circle",

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -16,6 +19,7 @@ from kr270_milling.base.samples import (
     WrenchSample,
     same_bits,
 )
+from kr270_milling.messages import codec
 from kr270_milling.messages.codec import deserialise, from_bytes, serialise, to_bytes, type_of
 from kr270_milling.trajectory.trajectory import Trajectory
 
@@ -102,3 +106,9 @@ def test_any_message_is_written_from_nested_mappings():
     assert found.header.stamp.sec == 1 and found.status[0].level == 2 and found.status[0].values[0].value == "v"
     with pytest.raises(KeyError, match="no field x"):
         serialise(kind, {"x": 1})
+
+
+def test_the_example_of_the_readme_runs():
+    text = Path(codec.__file__).with_name("README.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    exec(example, {})
