@@ -32,7 +32,7 @@ class CuttingProcess(ManagedNode):
         pose, reference = topics.TOOL_POSE, topics.REFERENCE_TRAJECTORY
         self._pose = self.create_subscription(pose.type, pose.name, self._on_pose, pose.qos, raw=True)
         self.create_subscription(reference.type, reference.name, self._on_reference, reference.qos, raw=True)
-        self.create_service(Trigger, "publish_workpiece", self._on_request)
+        self.create_service(Trigger, "~/publish_workpiece", self._on_request)
         self.create_timer(LOOK, self._watch_robot)
         self.report(OK, "unconfigured")
 

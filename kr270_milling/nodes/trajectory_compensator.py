@@ -44,7 +44,7 @@ class TrajectoryCompensator(ReportingNode):
         self.create_subscription(target.type, target.name, self._on_target, target.qos, raw=True)
         self._pose = aside(self, pose.type, pose.name, self._on_pose, pose.qos)
         self._wrench = aside(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
-        self.create_service(Trigger, "reset", self._on_reset)
+        self.create_service(Trigger, "~/reset", self._on_reset)
         self._revision = 0
         self._ended: float | None = None  # when the last pose came [s of the wall]
         self._silence = Silence()

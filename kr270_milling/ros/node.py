@@ -7,6 +7,7 @@ import os
 import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
@@ -25,6 +26,7 @@ REPORT_PERIOD = 0.2  # [s] of the wall; a partner's death must be told within 3 
 SILENT = 2.6  # [s] of the wall after which a silence is told; a partner that is held up for 2 s is only waited for
 LOST = 4.0  # [s] of the wall after which one that must answer is given up; a busy machine takes long to go on
 HELD_UP = 0.5  # [s] between two looks after which it was us who did not listen
+HARDWARE = "simulated robot cell"  # of every status: no node of this package speaks for a machine
 OWN = ("/rosout", "/parameter_events")  # topics that every node has for itself
 
 
@@ -130,6 +132,7 @@ class Reporting:
         status = DiagnosticStatus(
             level=self._level,
             name=self.get_fully_qualified_name(),
+            hardware_id=HARDWARE,
             message=self.message,
             values=[KeyValue(key=k, value=str(v)) for k, v in values.items()],
         )
@@ -157,7 +160,9 @@ class ManagedNode(Reporting, LifecycleNode):
         LifecycleNode.__init__(self, name, **kwargs)
         self.start_reporting()
         self.active = False
-        self._autostart = self.declare_parameter("autostart", False).value
+        about = "configure and activate without being told to; for a node that is started by hand"
+        described = ParameterDescriptor(description=about, read_only=True)
+        self._autostart = self.declare_parameter("autostart", False, described).value
         self._start_timer = self.create_timer(0.01, self._start_alone) if self._autostart else None
 
     def _start_alone(self) -> None:

@@ -148,7 +148,7 @@ def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, robot, cut
     assert set(maps[0].data) == {100}
     for step in range(len(robot.stamps)):
         robot.exchange(step)
-    client = robot.node.create_client(Trigger, "publish_workpiece")
+    client = robot.node.create_client(Trigger, "cutting_process/publish_workpiece")
     world.until(client.service_is_ready)
     future = client.call_async(Trigger.Request())
     world.until(lambda: future.done() and len(maps) == 2)
@@ -166,7 +166,7 @@ def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, robot, cut
 def test_request_before_configure_is_answered_with_a_sentence(world, short_cell, tmp_path):
     world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     partner = world.partner()
-    client = partner.create_client(Trigger, "publish_workpiece")
+    client = partner.create_client(Trigger, "cutting_process/publish_workpiece")
     world.until(client.service_is_ready)
     future = client.call_async(Trigger.Request())
     world.until(future.done)

@@ -150,7 +150,7 @@ def raised(short_cell):
 
 
 def reset(machine):
-    client = machine.node.create_client(Trigger, "reset")
+    client = machine.node.create_client(Trigger, "trajectory_compensator/reset")
     machine.world.until(client.service_is_ready)
     future = client.call_async(Trigger.Request())
     machine.world.until(future.done)

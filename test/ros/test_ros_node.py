@@ -87,3 +87,14 @@ def test_test_runs_side_by_side_have_different_domains_and_do_not_hear_each_othe
             world.step(0.02)
         number, heard, publishers = map(int, other.stdout.read().split())
     assert number != domain and heard == publishers == 0
+
+
+def test_autostart_is_described_and_cannot_be_set_later_and_a_status_names_its_hardware(world, short_cell, tmp_path):
+    from rclpy.parameter import Parameter
+
+    node = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
+    assert node.describe_parameter("autostart").description and node.describe_parameter("autostart").read_only
+    assert not node.set_parameters([Parameter("autostart", value=True)])[0].successful
+    heard = world.listen(world.partner(), topics.DIAGNOSTICS)
+    world.until(lambda: heard)
+    assert heard[0].status[0].hardware_id
