@@ -26,6 +26,9 @@ def run(args) -> None:
     from kr270_milling.base.record import find_file
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.cell.jobs import simulate
+    from kr270_milling.decision.part import assess
+    from kr270_milling.decision.stability import stability_of
+    from kr270_milling.decision.tolerance import judge_part, judge_straight_cut
 
     cell = read_cell(find_file(args.cell), args.set)
     reference = _reference(cell, args.reference)
@@ -35,8 +38,13 @@ def run(args) -> None:
             name = "original" if reference is None else Path(args.reference).stem
             ran = simulate(cell, reference, name, report, plant)
         found = summary(cell, ran)
-        if cell.path.file:
-            found |= _part(cell, ran)
+        stability = stability_of(cell, ran.result)
+        found["stability"] = stability.as_dict()
+        part = assess(cell, ran) if cell.path.file else None
+        tolerance = judge_part(cell, part) if part else judge_straight_cut(cell, ran)
+        found["tolerance"] = tolerance.as_dict()
+        if part:
+            found |= {key: value for key, value in part.as_dict().items() if key != "name"}
         if draft:
             found["files"] = [str(final(path)) for path in _write(draft, cell, ran)]
     if args.json:
@@ -46,6 +54,8 @@ def run(args) -> None:
         _print_features(found)
     else:
         _print_scores(found)
+    print(f"tolerance: {tolerance.words}")
+    print(stability.text)
     print(f"removed area        {found['removed_area_mm2']:10.3f} mm2")
     print(f"{found['steps']} micro-steps in {found['wall_s']:.3f} s, {found['real_time_factor']:.1f} x real time")
     for name in found.get("files", []):
@@ -59,15 +69,6 @@ def _print_scores(found: dict) -> None:
     ringing = found["ringing_frequency_hz"]
     print(f"low frequency       {found['low_frequency_hz']:10.3f} Hz   model; ringing {ringing:.3f} Hz")
     print(f"mean force          {x:10.3f} {y:.3f} {z:.3f} N   last quarter, workpiece axes")
-
-
-def _part(cell, ran) -> dict:
-    """Per-feature results of a tool path."""
-    from kr270_milling.decision.part import assess
-
-    found = assess(cell, ran).as_dict()
-    del found["name"]
-    return found
 
 
 def _write(directory: Path, cell, ran) -> list[Path]:

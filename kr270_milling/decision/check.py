@@ -19,6 +19,7 @@ from kr270_milling.decision.path_limits import (
     correction_per_tick,
     correction_size,
 )
+from kr270_milling.decision.stability import CHATTERS, Stability, stability_of
 from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 from kr270_milling.simulation.milling_pass import FLIGHT, PassError
 from kr270_milling.trajectory.source_program import SourceProgram
@@ -35,6 +36,7 @@ class Checked:
     points: int
     ran: ScoredPass | None  #: the pass that was simulated, if the arm can make it
     program: SourceProgram  #: what the file of the path says beside its moves
+    stability: Stability | None  #: of the pass that was simulated
 
     @property
     def may_be_run(self) -> bool:
@@ -55,7 +57,8 @@ class Checked:
     def lines(self) -> list[str]:
         """What terminal, report and program headers print: one line a finding, then the summary."""
         read_over = [self.program.summary] if self.program.summary else []
-        return [*read_over, *(f"{f.severity:8} {f.text}" for f in self.findings), self.summary]
+        stability = [self.stability.text] if self.stability else []
+        return [*read_over, *(f"{f.severity:8} {f.text}" for f in self.findings), *stability, self.summary]
 
     def as_dict(self) -> dict:
         """For JSON; values and limits in the unit that stands beside them."""
@@ -64,6 +67,7 @@ class Checked:
             "points": self.points,
             **{f"{severity}s": self.count(severity) for severity in SEVERITIES},
             "findings": [f.as_dict() for f in self.findings],
+            "stability": self.stability and self.stability.as_dict(),
             "read_over": [{"word": word.word, "count": word.count} for word in self.program.read_over],
         }
 
@@ -83,6 +87,7 @@ def check(
     programmed = cell.target() if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     found, joints = arm_violations(cell, run)
+    stability = None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in found)
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
@@ -94,8 +99,16 @@ def check(
         found += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
         ran, cut = _cut(cell, run, ran, progress)
         found += cut
+        stability = stability_of(cell, ran.result) if ran else None
+        found += _chatter(stability)
     program = fed.toolpath.program if fed else SourceProgram()
-    return Checked(gathered(cell, run, found), len(run), ran if reachable else None, program)
+    return Checked(gathered(cell, run, found), len(run), ran if reachable else None, program, stability)
+
+
+def _chatter(stability: Stability | None) -> list[Violation]:
+    if stability is None or stability.word != "chatter":
+        return []
+    return [Violation("chatter", None, stability.residue, CHATTERS, "stop", f"the cut chatters: {stability.text[11:]}")]
 
 
 def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:

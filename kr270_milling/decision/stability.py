@@ -1,0 +1,67 @@
+"""Does a simulated pass chatter: what remains of the tool's motion from tooth to tooth.
+
+Seen once a tooth period, a stable cut repeats itself but for the slow swinging of the arm, whose second difference over
+teeth is small: A (w T)^2 for a swing of amplitude A and circular frequency w. A chattering cut does not repeat itself:
+its motion is no multiple of the tooth period and grows until the teeth leave the material.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.cell.cell import Cell
+from kr270_milling.simulation.milling_pass import PassResult
+
+__all__ = ["Stability", "stability_of"]
+
+FEWEST_TEETH = 60  #: in one stretch of cutting; fewer say nothing about growth
+CHATTERS = 0.05  #: share of the feed per tooth, root mean square
+GROWS = 1.5  #: ratio of the last third of a straight cut to the middle one
+SMALL = 0.005  #: share of the feed per tooth below which growth is numerical noise
+
+
+@dataclass(frozen=True)
+class Stability:
+    """What a pass says about chatter."""
+
+    word: str  #: "stable", "chatter" or "no statement"
+    residue: float  #: root mean square from tooth to tooth, a share of the feed per tooth; NaN without a statement
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        if self.word == "no statement":
+            return f"stability: no statement, no cut of {FEWEST_TEETH} teeth without a break"
+        return f"stability: {self.word}, from tooth to tooth {100 * self.residue:.2g} % of the feed per tooth remain"
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return {"word": self.word, "residue_share": self.residue, "limit_share": CHATTERS}
+
+
+def stability_of(cell: Cell, result: PassResult) -> Stability:
+    """Judge the worst stretch of cutting without a break; a straight cut also by whether its residue grows."""
+    period = 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
+    feed_per_tooth = cell.feed_rate * period
+    worst, grows = np.nan, False
+    for first, last in _stretches(result.volume > 0.0):
+        time = result.time[first:last]
+        teeth = np.arange(time[0], time[-1], period)
+        if teeth.size < FEWEST_TEETH:
+            continue
+        at_teeth = np.stack([np.interp(teeth, time, result.deflection[first:last, k]) for k in range(2)], 1)
+        residue = np.linalg.norm(np.diff(at_teeth, 2, axis=0), axis=1)
+        parts = [float(np.sqrt(np.mean(part**2))) / feed_per_tooth for part in np.array_split(residue, 3)]
+        worst = np.fmax(worst, parts[2])
+        grows |= not cell.path.file and parts[2] > SMALL and parts[2] > GROWS * parts[1]
+    if np.isnan(worst):
+        return Stability("no statement", np.nan)
+    return Stability("chatter" if grows or worst > CHATTERS else "stable", float(worst))
+
+
+def _stretches(cutting: np.ndarray) -> list[tuple[int, int]]:
+    """Ranges [first, last) of periods in which the tool cuts without a break."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], cutting.astype(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
