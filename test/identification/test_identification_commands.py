@@ -11,6 +11,7 @@ from test_identification_forces import TRUE, cuts, measured
 
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.cli import main
+from kr270_milling.identification.sensor import Sensor, mean_force
 from kr270_milling.messages.codec import serialise
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
@@ -63,6 +64,22 @@ def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path, capsy
     for key, true in zip(keys, TRUE / [1e6, 1e3, 1e6, 1e3, 1e6, 1e3], strict=True):
         assert abs(found[key] - true) < 2 * found["ci95"][key]
     assert found["ci95"]["k_tc_n_per_mm2"] < 0.02 * found["k_tc_n_per_mm2"]
+
+
+@pytest.mark.parametrize("on_part", [False, True])
+def test_the_weight_on_a_sensor_is_taken_off_where_there_is_no_tare(tmp_path, on_part):
+    """20 kg hang on it: 196.133 N down, which a plate under the part feels as a force on the part."""
+    force, sign = np.array([10.0, 40.0, -15.0]), -1.0 if on_part else 1.0
+    with BagWriter(tmp_path / "cut") as writer:
+        writer.add_topic("/wrench", WRENCH, [{}])
+        for k in range(250):
+            shown = sign * force + [0.0, 0.0, -196.133]
+            stamp = {"sec": 0, "nanosec": k * 400_000}
+            fields = {"header": {"stamp": stamp}, "wrench": {"force": dict(zip("xyz", shown.tolist(), strict=True))}}
+            writer.write("/wrench", serialise(WRENCH, fields), k)
+    sensor = Sensor(on_part=on_part, mass=20.0)
+    found, _ = mean_force(tmp_path / "cut", sensor, (0.02, 0.08), RPM * 2 * math.pi / 60)
+    assert found == pytest.approx(force, abs=1e-3)
 
 
 def test_a_cut_that_the_recording_does_not_hold_is_refused(tmp_path, capsys):
