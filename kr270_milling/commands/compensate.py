@@ -8,6 +8,7 @@ from __future__ import annotations
 from kr270_milling.commands.console import add_cell, add_common, command_line, print_json, print_table, progress
 from kr270_milling.commands.plant import add_plant, read_plant
 from kr270_milling.compensation.methods import METHODS
+from kr270_milling.nodes.option_types import bounded
 
 SAMPLES = 32
 BUDGET = 300.0  #: [s], of the verdict; beyond it fewer plants are run
@@ -25,7 +26,7 @@ def add_arguments(parser) -> None:
         "in straight lines, else the cell's program.motion)",
     )  # fmt: skip
     parser.add_argument(
-        "--verdict", metavar="N", type=_count, nargs="?", const=SAMPLES,
+        "--verdict", metavar="N", type=bounded(1, 999_999, int), nargs="?", const=SAMPLES,
         help=f"judge the compensation by N plants (default {SAMPLES}) drawn from the cell's uncertainty; by fewer, but "
         f"at least 8, where they take more than {BUDGET:.0f} s",
     )  # fmt: skip
@@ -33,16 +34,10 @@ def add_arguments(parser) -> None:
         "--force", action="store_true",
         help="write the programs of a path that must not be run all the same, marked NOT RELEASED in name and header",
     )  # fmt: skip
-    parser.add_argument("--seed", metavar="N", type=_count, default=1, help="of the verdict's plants (default: 1)")
+    parser.add_argument(
+        "--seed", metavar="N", type=bounded(1, 999_999, int), default=1, help="of the verdict's plants (default: 1)"
+    )
     add_common(parser)
-
-
-def _count(text: str) -> int:
-    import argparse
-
-    if not (text.isascii() and text.isdigit() and 1 <= len(text) <= 6 and int(text) >= 1):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 999999")
-    return int(text)
 
 
 def run(args) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from kr270_milling.commands.console import add_common, numbers, print_json, print_table
-from kr270_milling.commands.option_types import bounded, stretch
+from kr270_milling.nodes.option_types import bounded, stretch
 
 
 def add_arguments(parser) -> None:

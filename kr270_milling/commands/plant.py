@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import math
+
+from kr270_milling.nodes.option_types import bounded
 
 __all__ = ["add_plant", "read_plant"]
 
@@ -16,19 +17,9 @@ def add_plant(parser: argparse.ArgumentParser) -> None:
         help="cell file of the arm, material and imperfections that really cut; CELL.yaml is the model that plans",
     )  # fmt: skip
     parser.add_argument(
-        "--noise-um", metavar="SIGMA", type=_noise,
+        "--noise-um", metavar="SIGMA", type=bounded(0.0, MOST_NOISE),
         help="standard deviation of each measured tool position along each axis (default: the plant's imperfections)",
     )  # fmt: skip
-
-
-def _noise(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value <= MOST_NOISE:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0 to {MOST_NOISE:g}")
-    return value
 
 
 def read_plant(args, cell):

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 
 from kr270_milling.commands.console import add_cell, add_common, fixed, print_json, print_table
 from kr270_milling.compensation.methods import METHODS
+from kr270_milling.nodes.option_types import bounded
 
 
 def add_arguments(parser) -> None:
     add_cell(parser)
     parser.add_argument(
-        "--passes", type=_passes, metavar="N", help="passes in all, with the original one (default: as many as needed)"
+        "--passes",
+        type=bounded(1, 1000, int),
+        metavar="N",
+        help="passes in all, with the original one (default: as many as needed)",
     )
     parser.add_argument(
         "--method", choices=METHODS, action="append", help="how to compensate; may be given several times"
@@ -23,12 +26,6 @@ def add_arguments(parser) -> None:
     )
     parser.add_argument("--namespace", default="", metavar="NAME", help="ROS namespace of the four nodes")
     add_common(parser)
-
-
-def _passes(text: str) -> int:
-    if not (text.isascii() and text.isdecimal()) or not 1 <= int(text) <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 1000")
-    return int(text)
 
 
 def run(args) -> None:

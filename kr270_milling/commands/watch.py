@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
-
 from kr270_milling.commands.console import add_common
+from kr270_milling.nodes.option_types import bounded
 
 PORT = 8270
 LAST_LOOK = 1.0  #: [s] for an open page to take the last events
@@ -13,14 +12,10 @@ LAST_LOOK = 1.0  #: [s] for an open page to take the last events
 def add_arguments(parser) -> None:
     parser.add_argument("--namespace", metavar="NAME", default="", help="ROS namespace of the robot")
     parser.add_argument("--host", default="127.0.0.1", help="where it is served (default: 127.0.0.1, this host alone)")
-    parser.add_argument("--port", type=_port, default=PORT, help=f"default: {PORT}; 0: any that is free")
+    parser.add_argument(
+        "--port", type=bounded(0, 65535, int), default=PORT, help=f"default: {PORT}; 0: any that is free"
+    )
     add_common(parser)
-
-
-def _port(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and int(text) < 65536):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 0 to 65535")
-    return int(text)
 
 
 def run(args) -> int:

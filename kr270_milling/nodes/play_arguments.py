@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 
 from kr270_milling.bag.play_options import MOST, PlayOptions
+from kr270_milling.nodes.option_types import bounded
 
 __all__ = ["add_play_arguments", "play_options"]
 
@@ -14,23 +14,9 @@ CLOCK_RATE = 40.0  # [Hz], of --clock without a number, as in ros2 bag play
 MOST_RATE = 1e6  # and of --clock [Hz]
 
 
-def _number(low: float, inclusive: bool, most: float = MOST):
-    def parse(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not (low <= value <= most) or (value == low and not inclusive):
-            first = f"{'from' if inclusive else 'above'} {low:g}"
-            raise argparse.ArgumentTypeError(f"{text!r} is not a number {first}, at most {most:g}")
-        return value
-
-    return parse
-
-
 def add_play_arguments(parser) -> None:
     """The options of ``ros2 bag play`` that the player has."""
-    above, least = _number(0.0, False, MOST_RATE), _number(0.0, True)
+    above, least = bounded(0.0, MOST_RATE, above=True), bounded(0.0, MOST)
     parser.add_argument("-r", "--rate", type=above, default=1.0, help="how many times as fast as recorded")
     parser.add_argument(
         "--start-offset", type=least, default=0.0, metavar="S",

@@ -7,17 +7,20 @@ import argparse
 __all__ = ["bounded", "stretch"]
 
 
-def bounded(low: float, high: float, kind: type = float):
-    """A number from low to high; NaN is none."""
+def bounded(low: float, high: float, kind: type = float, above: bool = False):
+    """A number from low to high, or above low; NaN is none. A whole number has nothing but digits."""
 
     def parse(text: str):
         try:
             value = kind(text)
         except ValueError:
             value = None
-        if value is None or not low <= value <= high:
+        if kind is int and not (text.isascii() and text.lstrip("-").isdecimal()):
+            value = None
+        if value is None or not low <= value <= high or (above and value == low):
             what = "whole number" if kind is int else "number"
-            raise argparse.ArgumentTypeError(f"{text!r} is not a {what} from {low:g} to {high:g}")
+            bounds = f"above {low:g}, at most {high:g}" if above else f"from {low:g} to {high:g}"
+            raise argparse.ArgumentTypeError(f"{text!r} is not a {what} {bounds}")
         return value
 
     return parse
