@@ -27,6 +27,7 @@ CELL = """/**:
     stock: {{grid_step_um: 20.0}}
     exchange: {{iterations: {iterations}}}
     publish: {{every: {every}}}
+    cutting: {{chip_angle: previous_centre, moments: true}}
     compensation: {{method: {method}}}
 """
 POSE, TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"

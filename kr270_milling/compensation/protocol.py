@@ -43,6 +43,7 @@ class CompensatorProtocol:
         self.ran: PassRecord | None = None  #: the last complete pass
         self.ran_by: Compensator | None = None  #: the compensator before it revised after that pass
         self.missing = 0  #: poses that the last complete pass lacks
+        self.missing_wrenches = 0  #: the same of its wrenches
         self._await_pass(0)
 
     def begin(self, target: Trajectory) -> list[Output]:
@@ -163,6 +164,7 @@ class CompensatorProtocol:
         self.ran = self.models.pass_record(stamps, positions, self._wrench_series(stamps, poses))
         self.ran_by = self.compensator
         self.missing = _holes(stamps)
+        self.missing_wrenches = _holes(np.array(sorted(self._wrenches)))
         self._await_pass(self._listener.end_ns)  # this one is over, also if nothing can be made of it
         made = _twin(self.compensator)
         made.revise(self.ran)
@@ -197,6 +199,8 @@ def _twin(made: Compensator) -> Compensator:
 
 
 def _holes(stamps: np.ndarray) -> int:
-    """How many poses are missing in a pass, where they come at one period."""
+    """How many messages are missing in a pass, where they come at one period."""
+    if stamps.size < 2:
+        return 0
     steps = np.diff(stamps) / np.median(np.diff(stamps))
     return int(np.sum(np.rint(steps) - 1)) if np.max(np.abs(steps - np.rint(steps))) < 0.25 else 0

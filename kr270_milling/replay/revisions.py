@@ -186,7 +186,10 @@ class CompensatorFeed:
         return min(abs(last - earlier), abs(last - (1.0 - LEAST_GAIN) * earlier)) > ROUNDING
 
     def _compare(self) -> None:
-        """The recorded references with those that follow from the pass before, if one is complete."""
+        """The recorded references with those that follow from the pass before, if one is complete.
+
+        Where the recording has a hole in the pass, another reference is no difference: the live node may have had all.
+        """
         published, self._published = self._published, []
         if self.protocol.at_end and not self.revisions:  # the last wrench is not in the file
             self._revised([])
@@ -194,7 +197,7 @@ class CompensatorFeed:
             self.on_pass(self, published[0] if published else None)
         for data in published:
             found = next((c for c in self._candidates() if _same_bytes(c, data)), None)
-            differs = found is None and bool(self.revisions)
+            differs = found is None and any(not r.missing + r.missing_wrenches for r in self.revisions)
             found = self.revisions[0] if differs else found
             self._known = found is not None
             self.protocol = found or self.protocol
