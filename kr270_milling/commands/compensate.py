@@ -101,7 +101,7 @@ def _correction(cell, revised, by) -> dict:
     from kr270_milling.compensation.revision import chord_error
 
     size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
-    limited = [dataclasses.asdict(part) | {"sentence": part.sentence} for part in by.limited]
+    limited = [dataclasses.asdict(part) | {"sentence": _limit(part, by.learner)} for part in by.limited]
     found = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
     if by.errors[1:]:
         found["remaining_errors_mm"] = [1e3 * error for error in by.errors]
@@ -110,6 +110,13 @@ def _correction(cell, revised, by) -> dict:
     if by.method == "linear":
         found["chord_error_mm"] = 1e3 * chord_error(cell.target())
     return found
+
+
+def _limit(part, learner) -> str:
+    """What was not let through and, where most of it is for the arm's own inertia, at which feed it would be."""
+    if learner is None or learner.inertia(part.time) < 0.5 * part.wanted:
+        return part.sentence
+    return f"{part.sentence}; in reach at about {100 * part.feed_share:.0f} % of the programmed feed there"
 
 
 def _parts(cell, passes) -> tuple:

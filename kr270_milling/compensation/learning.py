@@ -169,6 +169,11 @@ class Learner:
         metric = np.eye(3) - (1.0 - ALONG**2) * along[..., None] * along[..., None, :]
         return np.where(self.scored, 1.0, UNSCORED**2)[..., None, None] * metric
 
+    def inertia(self, time: float) -> float:
+        """[m], size of the tool's displacement by the acceleration of the programmed path at a time [s]."""
+        swing = self.arm.swing(self.segments, self.path, self.path[0, 1]).reshape(-1, 3)
+        return float(np.linalg.norm(swing[self.segments.part_of(np.array([round(time * 1e9)]))[0]]))
+
     def predicted(self, reference: Trajectory) -> float:
         """Largest deviation across the feed [m] that the model expects along ``reference`` where it is scored."""
         left = self.expected + self.arm.follow(self.segments, self.cubic(reference))

@@ -24,6 +24,16 @@ class Limited:
     missing: float  #: [m], how much of it is not made
 
     @property
+    def feed_share(self) -> float:
+        """Share of the programmed feed at which the limit would about hold, where the inertia of the arm asks for it.
+
+        A path that is run at the share f accelerates with f^2 and so does the correction c = r'' / omega^2; its change
+        in a tick goes with f^3.
+        """
+        made = max(0.0, 1.0 - self.missing / self.wanted) if self.wanted else 1.0
+        return made ** (1.0 / 2.0 if self.kind == "size" else 1.0 / 3.0)
+
+    @property
     def sentence(self) -> str:
         where = f"point {self.first}" if self.first == self.last else f"points {self.first} to {self.last}"
         why = "is too large" if self.kind == "size" else "changes too fast"

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from test_compensation_response import one_mode
 
 from kr270_milling.compensation.lifted import Lifted
+from kr270_milling.compensation.limiting import Limited
 from kr270_milling.compensation.response import ArmResponse
 from kr270_milling.compensation.segments import Segments, cubic_coefficients
 from kr270_milling.compensation.stages import Course
@@ -136,3 +137,10 @@ def test_a_long_path_costs_in_proportion_to_its_length():
 
     cost(50)
     assert cost(3000) < 40 * cost(300)
+
+
+def test_a_limited_correction_is_in_reach_at_a_lower_feed():
+    """Size goes with the square of the feed, its change in a tick with the cube."""
+    size = Limited("size", 1, 2, 1, 0.0, wanted=400e-6, missing=300e-6)
+    change = Limited("change", 1, 2, 1, 0.0, wanted=80e-6, missing=70e-6)
+    assert size.feed_share == pytest.approx(0.5) and change.feed_share == pytest.approx(0.5)

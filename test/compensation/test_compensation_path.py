@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from small_part import small_part
+from small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.jobs import compensated, compensator, mirrored, record_of, simulate
@@ -202,3 +202,14 @@ def test_a_long_path_is_fitted_in_time_in_proportion():
         return time.process_time() - start
 
     assert fit(800) < 5.0
+
+
+def test_a_corner_out_of_reach_says_at_which_feed_it_is_in_reach(tmp_path, capsys):
+    """The arm's own inertia asks for the correction at a corner, the load for that of a straight cut."""
+    from kr270_milling.cli import main
+
+    sets = assignments(tmp_path, GCODE, "compensation.method=inverse", "dynamics.reference_inertia=true")
+    words = [part for pair in (*sets, "compensation.max_correction_mm=0.03") for part in ("--set", pair)]
+    main(["compensate", "paper.yaml", "--out", str(tmp_path / "out"), *words])
+    text = capsys.readouterr().out
+    assert "is too large at points" in text and "% of the programmed feed there" in text
