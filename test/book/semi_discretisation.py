@@ -28,28 +28,54 @@ def directional(immersion, intervals):
     return total.reshape(intervals, 20).mean(1)
 
 
-def multipliers(depth, delay, h):
+def later(immersion, intervals, radius):
+    """By how many intervals the delay of the engaged tooth is longer than a tooth period; radius: R / f_z of a slot.
+
+    The centre was at a distance f_z behind, so that the tooth before passed the same point of the surface at another
+    angle: the delay is (pitch + phi - psi) / Omega with phi - psi = f_z sin(phi) / R, phi from the feed direction.
+    """
+    entry, leave = ENGAGED[immersion]
+    phi = (np.arange(intervals) + 0.5) * np.pi / intervals  # from +y; one of two teeth is within half a turn
+    return -np.cos(phi) * ((phi >= entry) & (phi <= leave)) * intervals / (np.pi * radius)
+
+
+def multipliers(depth, delay, h, shift=None):
     """Floquet multipliers of x'' + 2 zeta w x' + w^2 x = -(a / m) h(t) (x - x_tau) over one delay [s].
 
     Over an interval the coefficients are constant and the delayed term is a straight line between its ends. State:
-    x, x', x one interval ago, two, ... len(h) intervals ago.
+    x, x', x one interval ago, two, ... some more than len(h) intervals ago. shift: of the delay, in intervals, each.
     """
     k = len(h)
-    step, transition = delay / k, np.eye(k + 2)
+    shift = np.zeros(k) if shift is None else shift
+    step, transition = delay / k, np.eye(k + 5)
     strength = depth * np.asarray(h) / MASS
     system = np.zeros((k, 4, 4))  # x, x', delayed term, its rate
     system[:, 0, 1], system[:, 1, 0], system[:, 1, 1] = 1.0, -(OMEGA**2) - strength, -2 * ZETA * OMEGA
     system[:, 1, 2], system[:, 2, 3] = strength, 1.0
-    for exact in expm(system * step)[:, :2]:
-        ends = np.outer(exact[:, 2] - exact[:, 3] / step, transition[k + 1])  # from x(t_i - tau) ...
-        ends += np.outer(exact[:, 3] / step, transition[k])  # ... to x(t_i+1 - tau)
+    for exact, more in zip(expm(system * step)[:, :2], shift, strict=True):
+        ends = np.outer(exact[:, 2] - exact[:, 3] / step, _ago(transition, k + more))  # from x(t_i - tau) ...
+        ends += np.outer(exact[:, 3] / step, _ago(transition, k + more - 1))  # ... to x(t_i+1 - tau)
         now = exact[:, :2] @ transition[:2] + ends
         transition = np.vstack([now, transition[:1], transition[2:-1]])
     return np.linalg.eigvals(transition)
 
 
-def radius(depth, delay, h):
-    return np.abs(multipliers(depth, delay, h)).max()
+def _ago(transition, age):
+    """x ``age`` intervals ago, on a straight line between two; age >= 1."""
+    whole = int(age)
+    return transition[whole + 1] + (age - whole) * (transition[whole + 2] - transition[whole + 1])
+
+
+def radius(depth, delay, h, shift=None):
+    return np.abs(multipliers(depth, delay, h, shift)).max()
+
+
+def drifting_limit(case, intervals=320):
+    """Limit depth [m] with the delays of ``later``: a tool whose radius is no large multiple of the feed per tooth."""
+    near, _ = semi_discretisation(case)
+    h, shift = directional(case.immersion, intervals), later(case.immersion, intervals, case.radius)
+    delay = 60.0 / case.spindle_rpm / TEETH
+    return brentq(lambda d: radius(d, delay, h, shift) - 1, 0.85 * near, 1.2 * near, rtol=1e-4)
 
 
 def limit(delay, coarse, fine, depths):
