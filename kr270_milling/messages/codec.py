@@ -22,13 +22,13 @@ from kr270_milling.base.samples import (
     TwistSample,
     WrenchSample,
 )
+from kr270_milling.base.units import SECOND
 from kr270_milling.messages.definitions import store_of
 from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["TOOL", "deserialise", "from_bytes", "read_message", "serialise", "to_bytes", "type_of"]
 
-SECOND = 1_000_000_000
 TOOL = "tool0"
 
 

@@ -11,6 +11,7 @@ import struct
 import numpy as np
 
 from kr270_milling.base.samples import PoseSample, TwistSample, WrenchSample
+from kr270_milling.base.units import SECOND
 from kr270_milling.messages import codec
 from kr270_milling.messages.trajectory import read_trajectory
 from kr270_milling.simulation.admission import TOOL, WORKPIECE, MessageError
@@ -18,7 +19,6 @@ from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["pose_from_bytes", "to_bytes", "trajectory_from_bytes", "wrench_from_bytes"]
 
-SECOND = 1_000_000_000
 FRAME = WORKPIECE.encode() + b"\0"
 LITTLE = b"\0\1\0\0"  # CDR, little-endian
 HEAD = f"<4siII{len(FRAME)}s2x"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.units import SECOND
 from kr270_milling.messages.codec import serialise
 
 __all__ = ["ARROW", "LINE_STRIP", "MARKERS", "TRANSFORMS", "Marker", "Placed", "markers_bytes", "transforms_bytes"]
@@ -14,7 +15,6 @@ __all__ = ["ARROW", "LINE_STRIP", "MARKERS", "TRANSFORMS", "Marker", "Placed", "
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 MARKERS = "visualization_msgs/msg/MarkerArray"
 ARROW, LINE_STRIP = 0, 4  #: visualization_msgs/msg/Marker.type
-SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True, eq=False)

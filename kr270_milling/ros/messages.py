@@ -5,12 +5,11 @@ from __future__ import annotations
 from builtin_interfaces.msg import Time
 from rclpy.serialization import deserialize_message, serialize_message
 
+from kr270_milling.base.units import SECOND
 from kr270_milling.messages import codec, exchange
 from kr270_milling.ros.names import message_class
 
 __all__ = ["from_msg", "ns_from_stamp", "stamp_from_ns", "to_msg"]
-
-SECOND = 1_000_000_000
 
 
 def stamp_from_ns(ns: int) -> Time:
