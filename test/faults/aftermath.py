@@ -10,6 +10,7 @@ import numpy as np
 from kr270_milling.bag.info import info
 from kr270_milling.bag.reader import Recording
 from kr270_milling.messages.series import series
+from kr270_milling.replay.attached import cell_of
 from kr270_milling.replay.recompute import recompute
 from kr270_milling.simulation.milling_pass import PassResult
 
@@ -38,15 +39,16 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, begun_ns: int, a
     Raises RecordingError.
     """
     with Recording(path) as recording:
-        about = info(recording)
+        about, every = info(recording), cell_of(recording).thinned_steps
         wrong, short, ends = False, 0, {}
         for topic, values in zip(WIDTH, (expected.tool, expected.wrench, expected.deflection), strict=True):
             found = series(recording, topic)
-            ends[topic] = found.stamp[-1] if found.stamp.size else -1
-            short += expected.time_ns.size - np.unique(found.stamp).size
+            due = expected.time_ns[:: every if topic == "/deflection" else 1]
+            ends[topic] = found.stamp.size and found.stamp[-1] == due[-1]
+            short += due.size - np.unique(found.stamp).size
             wrong = wrong or not _same(found, expected.time_ns, values, WIDTH[topic])
         last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=begun_ns)
-    complete = all(end == expected.time_ns[-1] for end in ends.values()) and not short
+    complete = all(ends.values()) and not short
     behind = max(0.0, (struck_ns - last) * 1e-9)
     verdict = recompute(path).verdict if again else ""
     return Recorded(about["cut_off"], about["messages"], about["missing"], short, behind, complete, not wrong, verdict)
