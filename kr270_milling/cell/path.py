@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
+import os
 
 import numpy as np
 
@@ -68,10 +70,20 @@ def within_joint_limits(cell: Parameters, timed: TimedPath, joints_of) -> TimedP
 def _read(path: Path) -> Toolpath | TimedPath:
     if is_recording(path.file):
         return read_recorded(path.file, path.topic, path.feed_rate)
-    toolpath = read_toolpath(path.file, path.tool, path.feed_rate)
+    try:
+        found = os.stat(path.file)
+    except (OSError, ValueError) as error:
+        raise InputError(path.file, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
+    toolpath = _program(path.file, path.tool, path.feed_rate, (found.st_mtime_ns, found.st_size))
     if not path.length:  # else the feed is that of the straight cut, which the file replaces
         check_feed(path.file, toolpath, path.feed_rate)
     return toolpath
+
+
+@functools.lru_cache(maxsize=1)
+def _program(file: str, tool: str, feed: float, stamp: tuple) -> Toolpath:
+    """The tool path of a file, read once as long as its stamp is the same."""
+    return read_toolpath(file, tool, feed)
 
 
 def _unreachable(cell: Parameters, timed: TimedPath, error: MillingError) -> InputError:
