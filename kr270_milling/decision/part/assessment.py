@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,11 +107,12 @@ def assess(cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None) -> PartA
 
 
 def assess_all(cell: Cell, passes: Sequence[ScoredPass]) -> tuple[PartAssessment, ...]:
-    """Several passes of one cell; the part of the rigid arm is made once."""
+    """Several passes of one cell, two at a time; the part of the rigid arm is made once."""
     first = passes[0].result
     ideal = ideal_part(cell, course(cell, first.time_ns), first.target)
     same = [np.array_equal(p.result.target, first.target) for p in passes]
-    return tuple(assess(cell, p, ideal if s else None) for p, s in zip(passes, same, strict=True))
+    with ThreadPoolExecutor(2) as pool:  # the sweep of a workpiece runs without the interpreter's lock
+        return tuple(pool.map(lambda p, s: assess(cell, p, ideal if s else None), passes, same))
 
 
 def _row(name: str, series: tuple, feature: int | None) -> FeatureRow:

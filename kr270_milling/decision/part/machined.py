@@ -13,7 +13,7 @@ from kr270_milling.cutting.state import FAILED
 __all__ = ["heights_at", "machined"]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)  # several workpieces are swept at once
 def _sweep_along(state, params, positions, micro_steps, no_forces):
     wrench = np.empty(6)
     for n in range(positions.shape[0] - 1):
