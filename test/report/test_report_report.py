@@ -155,13 +155,14 @@ def test_the_decision_leads_the_page(tmp_path, cell, passes):
     decision = DecisionBlock(
         Answer(False, "40 µm, 30 allowed"), Answer(True, "2 µm"), True, "spline", "stable", (finding_row(finding),)
     )
-    table = ReportTable("Another table", ("pass", "value"), (("original", "1.5"),))
+    table = ReportTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00")))
     text = text_of(write_report(tmp_path, cell, passes, decision=decision, tables=[table], **WORDS))
     page = Page(text)
     order = ["fails", "40 µm, 30 allowed", "passes", "yes", "spline", "stable", "Another table", "warning"]
     order += ["Feed slower.", "ring, line 7, XP12"]
     places = [page.texts.index(word) for word in order]
     assert places == sorted(places)
+    assert "\u22121.5" in page.texts and "0.00" in page.texts and "other-2" in page.texts
     assert 'data-point="12"' in text and "it is 31 µm" in text and "3 places" in text
 
 

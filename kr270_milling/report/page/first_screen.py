@@ -45,11 +45,12 @@ def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
 def tiles(decision: DecisionBlock, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> list[Tile]:
     """The decision; what nobody decided is said to be open."""
     before, after, name = _largest(passes, parts)
-    found = [_judged("as programmed", decision.as_programmed, f"largest deviation {fixed(before * 1e6, 2)} µm")]
+    size = f"{fixed(before * 1e6, 2)} µm"
+    found = [_judged("as programmed", decision.as_programmed, size, "largest deviation")]
     if len(passes) > 1:
         change = f", {100 * (1 - after / before):.1f} % less" if after < before else ", no better"
-        said = f"largest deviation {fixed(after * 1e6, 2)} µm ('{name}'){change}"
-        found.append(_judged("compensated", decision.compensated, said))
+        size = f"{fixed(after * 1e6, 2)} µm"
+        found.append(_judged("compensated", decision.compensated, size, f"largest deviation of '{name}'{change}"))
     if decision.may_be_run is not None:
         stops = sum(f.severity == "stop" for f in decision.findings)
         reason = "no finding forbids it" if decision.may_be_run else f"{stops} finding{'s' * (stops != 1)} forbid it"
@@ -72,11 +73,12 @@ def _largest(passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> t
     return sizes[0], sizes[best], passes[best].name
 
 
-def _judged(label: str, judged: Answer | None, said: str) -> Tile:
+def _judged(label: str, judged: Answer | None, amount: str, said: str) -> Tile:
+    """amount: the largest deviation, said: what it is, for a path that nobody judged."""
     if judged is None or judged.passes is None:
-        return Tile(label, "no tolerance given", said)
+        return Tile(label, amount, f"{said}; no tolerance is given")
     word, tone = ("passes", "good") if judged.passes else ("fails", "bad")
-    return Tile(label, word, judged.sentence or said, tone)
+    return Tile(label, word, judged.sentence or f"{said}: {amount}", tone)
 
 
 def finding_rows(decision: DecisionBlock) -> list[dict]:

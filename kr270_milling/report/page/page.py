@@ -80,7 +80,7 @@ def render(
         findings=finding_rows(decision),
         scores=tables.part_scores(parts) if cell.path.file else tables.line_scores(passes, paper),
         features=tables.feature_table(parts) if cell.path.file else None,
-        more=[t for t in more if t.rows],
+        more=[tables.typographic(t) for t in more if t.rows],
         run=tables.run_rows(cell, source, command, date),
         inputs=tables.input_rows(cell, data["robot"].joints[0]),
         details=tables.detail_rows(cell, passes),

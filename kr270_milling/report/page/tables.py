@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,7 +16,17 @@ from kr270_milling.report.decision_block import ReportTable
 from kr270_milling.report.paper import TABLE_2
 from kr270_milling.report.payload import fixed
 
-__all__ = ["detail_rows", "feature_table", "input_rows", "line_scores", "part_scores", "run_rows", "shown", "warning"]
+__all__ = [
+    "detail_rows",
+    "feature_table",
+    "input_rows",
+    "line_scores",
+    "part_scores",
+    "run_rows",
+    "shown",
+    "typographic",
+    "warning",
+]
 
 UM = 1e6
 #: column of the part's tables, key of FeatureRow, factor, digits
@@ -39,6 +50,23 @@ def shown(value, key: str = "") -> str:
     if isinstance(value, str) and key.rpartition(".")[2] in ("file", "topic"):
         return Path(value).name if key.endswith("file") else value
     return str(value).replace("-", "−") if isinstance(value, int) else str(value)
+
+
+def typographic(table: ReportTable) -> ReportTable:
+    """A table of others with the page's minus sign and micro sign, and no "-0.00"."""
+    rows = tuple(tuple(map(_typographic, row)) for row in table.rows)
+    columns = tuple(_micro(column) for column in table.columns)
+    return ReportTable(_micro(table.title), columns, rows, _micro(table.note))
+
+
+def _typographic(text: str) -> str:
+    if re.fullmatch(r"-0(\.0*)?", text):
+        return text[1:]
+    return _micro(re.sub(r"(?<![\w-])-(?=\d)", "−", text))
+
+
+def _micro(text: str) -> str:
+    return re.sub(r"\bum\b", "µm", text)
 
 
 def line_scores(passes: Sequence[ScoredPass], paper: bool) -> ReportTable:
