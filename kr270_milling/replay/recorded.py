@@ -129,7 +129,7 @@ def _wall_time(recording: Recording) -> float:
     """[s], as the robot said it in /diagnostics; NaN if it did not."""
     wall = float("nan")
     if DIAGNOSTICS in recording.topics():
-        for _, msg in recording.decoded([DIAGNOSTICS]):
+        for _, msg in recording.decoded([DIAGNOSTICS], as_written=True):
             for pair in (pair for status in msg.status for pair in status.values if pair.key == "wall_s"):
                 with contextlib.suppress(ValueError):
                     wall = float(pair.value)

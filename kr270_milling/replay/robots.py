@@ -210,7 +210,7 @@ class Robots:
 
     def _opening_reports(self) -> dict[str, Report]:
         found: dict[str, Report] = {}
-        for _, array in self.recording.decoded(set(self._diagnostics)):
+        for _, array in self.recording.decoded(set(self._diagnostics), as_written=True):
             for namespace, report in _reports_in(array):
                 found.setdefault(namespace, report)
         return found
