@@ -76,13 +76,21 @@ class Messages:
         channel = raw[at] + 256 * raw[at + 1].astype(np.uint16)
         return channel, np.frombuffer(self._times, np.uint64), (at - HEAD.size).astype(np.uint64)
 
-    def entries(self, ordered: bool = False) -> Iterator[Entry]:
-        """The messages as they were written, or by their log times."""
-        order = np.argsort(np.frombuffer(self._times, np.uint64), kind="stable") if ordered else range(len(self))
-        for k in order:
-            begin = self._begins[k]
-            channel, sequence, log_time, publish = MESSAGE_HEAD.unpack_from(self.data, begin - MESSAGE_HEAD.size)
-            yield Entry(log_time, self.offset, begin, self._ends[k], channel, publish, sequence)
+    def entry(self, k: int) -> Entry:
+        """The message number k of the file's order."""
+        begin = self._begins[k]
+        channel, sequence, log_time, publish = MESSAGE_HEAD.unpack_from(self.data, begin - MESSAGE_HEAD.size)
+        return Entry(log_time, self.offset, begin, self._ends[k], channel, publish, sequence)
+
+    def entries(self) -> Iterator[Entry]:
+        """The messages as they were written."""
+        return map(self.entry, range(len(self)))
+
+    def by_time(self) -> tuple[np.ndarray, np.ndarray]:
+        """Log times [ns] in their order, and which messages have them, (n,) each; 12 bytes a message."""
+        times = np.frombuffer(self._times, np.uint64)
+        order = np.argsort(times, kind="stable").astype(np.uint32)
+        return times[order], order
 
 
 class Unpacker:
@@ -92,6 +100,7 @@ class Unpacker:
         self._stream = stream
         self._limit = cache
         self.used = 0  #: [bytes]
+        self.work = 0  #: [bytes] that were unpacked, again and again where they were forgotten
         self._remembered: OrderedDict[int, Messages] = OrderedDict()
 
     def __call__(self, chunk: Chunk) -> Messages:
@@ -101,6 +110,7 @@ class Unpacker:
             return found
         found = self._remembered[chunk.offset] = unpacked(self._stream, chunk)
         self.used += found.cost
+        self.work += found.cost
         while self.used > self._limit and len(self._remembered) > 1:
             self.used -= self._remembered.popitem(last=False)[1].cost
         return found

@@ -241,31 +241,35 @@ class Recording:
                 yield entry, found
 
     def _merged(self, chunks: list[Chunk]) -> Iterator[tuple[Entry, Messages]]:
-        """By log times; a chunk is unpacked when its first time has come and dropped behind its last message."""
+        """By log times. A chunk is opened when its first time has come; of one that waits for its next message only
+        the order is held, and it is unpacked again where it was forgotten meanwhile."""
         waiting = sorted(chunks, key=lambda c: (c.first_time, c.offset), reverse=True)
-        lanes: list[tuple[Entry, Iterator[Entry], Messages]] = []
-        held = 0
+        lanes: list[tuple[int, int, int, Chunk, Iterator]] = []
+        held, begun = 0, self.unpack.work
+        bearable, work = CACHE + 2 * self.size, 20 * (CACHE + sum(chunk.unpacked for chunk in chunks))
         while waiting or lanes:
-            while waiting and (not lanes or waiting[-1].first_time <= lanes[0][0].log_time):
-                found = self.unpack(waiting.pop())
-                if held > CACHE:
-                    reason = f"more than {CACHE} bytes of its chunks overlap in time, too many to sort their messages"
-                    raise Damage(reason, found.offset)
-                held += found.cost
-                self._advance(lanes, found.entries(ordered=True), found)
+            while waiting and (not lanes or waiting[-1].first_time <= lanes[0][0]):
+                chunk = waiting.pop()
+                times, order = self.unpack(chunk).by_time()
+                held += times.nbytes + order.nbytes
+                self._advance(lanes, chunk, zip(times, order, strict=True))
+            if held > bearable or self.unpack.work - begun > work:
+                raise Damage("its chunks overlap in time so much that their messages cannot be sorted", len(MAGIC))
             if not lanes:
                 return
-            entry, rest, found = heapq.heappop(lanes)
-            yield entry, found
-            held -= 0 if self._advance(lanes, rest, found) else found.cost
+            _, _, k, chunk, rest = heapq.heappop(lanes)
+            found = self.unpack(chunk)
+            yield found.entry(k), found
+            if not self._advance(lanes, chunk, rest):
+                held -= 12 * len(found)
 
     @staticmethod
-    def _advance(lanes: list, rest: Iterator[Entry], found: Messages) -> bool:
+    def _advance(lanes: list, chunk: Chunk, rest: Iterator) -> bool:
         """Put the next message of a chunk among the next ones of all; False where there is no more."""
-        entry = next(rest, None)
-        if entry is not None:
-            heapq.heappush(lanes, (entry, rest, found))
-        return entry is not None
+        following = next(rest, None)
+        if following is not None:
+            heapq.heappush(lanes, (int(following[0]), chunk.offset, int(following[1]), chunk, rest))
+        return following is not None
 
     def decoded(self, topics: Collection[str] | None = None, **limits) -> Iterator[tuple[RawMessage, object]]:
         """Messages with their fields as attributes; the slow way for any type of the "ros2msg" kind."""
