@@ -1,9 +1,9 @@
 """Does a simulated pass chatter: what remains of the tool's motion from tooth to tooth.
 
-Seen once a tooth period T, a stable cut repeats itself but for the slow swinging of the arm, whose fourth difference over
-teeth is small: A (w T)^4 / 16 for a swing of amplitude A and circular frequency w, 0.02 % of it at 20 Hz and 533 teeth a second.
-A chattering cut does not repeat itself: its motion is no multiple of the tooth period and grows until the teeth leave the
-material. What swings slower than a tenth of the tooth frequency is left to the deviation.
+Seen once a tooth period T, a stable cut repeats itself but for the slow swinging of the arm, whose fourth difference
+over teeth is small: A (w T)^4 / 16 for a swing of amplitude A and circular frequency w, 0.02 % of it at 20 Hz and 533
+teeth a second. A chattering cut does not repeat itself: its motion is no multiple of the tooth period and grows until
+the teeth leave the material. What swings slower than a tenth of the tooth frequency is left to the deviation.
 """
 
 from __future__ import annotations
