@@ -109,6 +109,55 @@ def test_half_immersion(way, axis):
     return expected[which], _mean("fractional", low, high)[which], 0.0125 * np.hypot(*expected)
 
 
+AXIAL = AL7075_T6.replace(axial_cutting=220e6, axial_edge=5e3)
+IMMERSIONS = {  # y of the material in mm; phi of [Altintas2012] from +y clockwise, where a tooth enters and leaves
+    "slot": (-12.0, 12.0, 0.0, np.pi),
+    "half up": (0.0, 12.0, 0.0, np.pi / 2),
+    "half down": (-12.0, 0.0, np.pi / 2, np.pi),
+    "quarter up": (5.0, 12.0, 0.0, np.pi / 3),
+    "quarter down": (-12.0, -5.0, 2 * np.pi / 3, np.pi),
+}
+SMALL_FEED = 0.05e-3  # [m] a tooth: the closed forms leave out terms of f_z / R
+
+
+@functools.cache
+def _helical_mean(name: str) -> np.ndarray:
+    """Mean wrench (6,) over a revolution of a cutter with 30 deg of helix, fully engaged, 8 mm deep."""
+    low, high, _, _ = IMMERSIONS[name]
+    stock = Stock(min=np.array([0.0, low, -10.0]) * 1e-3, max=np.array([14.0, high, 0.0]) * 1e-3, grid_step=2.5e-6)
+    tool = _tool().replace(helix=np.radians(30.0))
+    cut = Cut(tool, Cutting("linear_edge", linear_edge=AXIAL), stock, np.radians(1.0))
+    start, turn = np.array([-10e-3, 0.0, -8e-3]), np.array([4 * SMALL_FEED, 0.0, 0.0])
+    cut.sweep(start, start + 55 * turn, 0, 55 * 360)
+    return cut.sweep(start + 55 * turn, start + 56 * turn, 55 * 360, 360)
+
+
+def _altintas(phi: float) -> np.ndarray:
+    """F_x, F_y, F_z, M_z as antiderivatives in phi, per N a / (2 pi); clockwise: the spindle is turned back."""
+    law, c, s, c2, s2 = AXIAL, np.cos(phi), np.sin(phi), np.cos(2 * phi), np.sin(2 * phi)
+    x = SMALL_FEED / 4 * (law.tangential_cutting * c2 - law.radial_cutting * (2 * phi - s2))
+    y = SMALL_FEED / 4 * (law.tangential_cutting * (2 * phi - s2) + law.radial_cutting * c2)
+    x += -law.tangential_edge * s + law.radial_edge * c
+    y += -law.tangential_edge * c - law.radial_edge * s
+    z = law.axial_cutting * SMALL_FEED * c - law.axial_edge * phi
+    torque = 10e-3 * (-law.tangential_cutting * SMALL_FEED * c + law.tangential_edge * phi)
+    return np.array([x, y, z, torque])
+
+
+@check(
+    "helix of 30 deg, {name}: mean {component}", "closed form of [Altintas2012], chapter 2, linear-edge law", "N, N m",
+    cases=("name component", [(name, c) for name in IMMERSIONS for c in ("F_x", "F_y", "F_z", "M_z")]),
+)  # fmt: skip
+def test_altintas(name, component):
+    """In the plane 1 % of the resultant; along the axis and about it 1 % of the value."""
+    _, _, entry, leave = IMMERSIONS[name]
+    expected = 4 * 8e-3 / (2 * np.pi) * (_altintas(leave) - _altintas(entry))
+    which = ("F_x", "F_y", "F_z", "M_z").index(component)
+    found = _helical_mean(name)[[0, 1, 2, 5]]
+    scale = np.hypot(*expected[:2]) if which < 2 else abs(expected[which])
+    return expected[which], found[which], 0.01 * scale
+
+
 @check("removed area of a slot 10 mm long", "2 R L + pi R^2 / 2: the half disc at its end", "m^2")
 def test_area():
     stock = Stock(min=np.array([0.0, -12e-3, -5e-3]), max=np.array([25e-3, 12e-3, 0.0]))

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 from book import check
-from posture import PAPER, SPINDLE, arm_of
+from posture import PAPER, SPINDLE, arm_of, postures
+from rigid_arm import rigid_arm
 
 from kr270_milling.robot import (
     BARE,
@@ -15,6 +17,7 @@ from kr270_milling.robot import (
     forward,
     joint_mass,
     mode_frequencies,
+    rigid_joint_mass,
 )
 from kr270_milling.robot.mass import assembled_mass
 
@@ -80,3 +83,19 @@ def test_both_forms():
     springs = np.diag(arm_of().joint_stiffness) - solved.hessian
     at_joints = mode_frequencies(np.linalg.inv(springs), joint_mass(arm_of(), SPINDLE, solved.posture))
     return 0.0, np.abs(at_tool / at_joints - 1).max(), 1e-9
+
+
+@check("rigid links: M_theta at 100 postures, heavy spindle", "pinocchio's crba", "kg m^2")
+def test_rigid_joint_mass():
+    spindle = SPINDLE.replace(inertia=np.array([0.6, 0.5, 0.3]))
+    model = rigid_arm(arm_of(), spindle)
+    data, worst = model.createData(), 0.0
+    for q in postures():
+        upper = np.triu(pin.crba(model, data, q))
+        worst = max(worst, np.abs(rigid_joint_mass(arm_of(), spindle, q) - upper - np.triu(upper, 1).T).max())
+    return 0.0, worst, 1e-9
+
+
+@check("rigid links: first mode at the paper's posture", "composite rigid bodies on the joint springs [derived]", "Hz")
+def test_rigid_mode():
+    return 13.5, _modes("rigid")[0], 0.07

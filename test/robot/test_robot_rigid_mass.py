@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from scipy.spatial.transform import Rotation
+from rigid_arm import rigid_arm
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
@@ -31,32 +31,8 @@ PAPER = np.radians([90, -50, 120, 180, 25, 180])
 POSTURES = np.random.default_rng(7).uniform(ARM.joint_lower, ARM.joint_upper, (50, 6))
 
 
-def tube(mass, vector, radius):
-    """Inertia of a thin tube about its middle, by pinocchio's rotation and the textbook's principal moments."""
-    length = np.linalg.norm(vector)
-    across = mass * (radius**2 / 2 + length**2 / 12)
-    turn = Rotation.align_vectors([vector / length], [[1.0, 0, 0]])[0].as_matrix()
-    return turn @ np.diag([mass * radius**2, across, across]) @ turn.T
-
-
-def oracle():
-    """The arm in pinocchio: each link's frame at O_(j-1), KUKA's axes."""
-    model, parent = pin.Model(), 0
-    axes = [(0, 0, -1), (0, 1, 0), (0, 1, 0), (-1, 0, 0), (0, 1, 0), (-1, 0, 0)]
-    for j, axis in enumerate(axes):
-        offset = np.zeros(3) if j == 0 else ARM.link_vectors[j - 1]
-        joint = pin.JointModelRevoluteUnaligned(np.array(axis, float))
-        parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), offset), f"joint_{j + 1}")
-        vector, mass = ARM.link_vectors[j], ARM.link_mass[j]
-        own = tube(mass, vector, ARM.link_section_radius[j]) if vector.any() else np.zeros((3, 3))
-        model.appendBodyToJoint(parent, pin.Inertia(mass, ARM.link_mass_centre[j] * vector, own), pin.SE3.Identity())
-    rider = pin.Inertia(MOUNT.mass, ARM.link_vectors[5] + MOUNT.mass_centre, np.diag(MOUNT.inertia))
-    model.appendBodyToJoint(parent, rider, pin.SE3.Identity())
-    return model
-
-
 def test_the_joint_space_mass_is_that_of_pinocchio():
-    model = oracle()
+    model = rigid_arm(ARM, MOUNT)
     data = model.createData()
     ours = rigid_joint_mass(ARM, MOUNT, POSTURES)
     for q, found in zip(POSTURES, ours, strict=True):
