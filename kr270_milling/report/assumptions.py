@@ -125,11 +125,13 @@ def _cut(cell: Cell) -> list[Assumption]:
             "Seen from +z of the workpiece. The force sum (29) holds for teeth at (cos φ, −sin φ), which is clockwise.",
         )
     )
+    helix = f"helix {np.degrees(tool.helix):g}°" if tool.helix else "no helix"
+    axial = "F_z is that of the axial coefficients" if cell.cutting.axial else "F_z is neglected as in the paper"
     rows.append(
         Assumption(
             "tool and spindle",
-            "rigid, no helix" + ("" if np.any(tool.runout) else ", no run-out"),
-            "Only the arm gives way; F_z is neglected as in the paper.",
+            f"rigid, {helix}" + ("" if np.any(tool.runout) else ", no run-out"),
+            f"Only the arm gives way; {axial}.",
         )
     )
     return rows
