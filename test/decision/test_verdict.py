@@ -217,7 +217,7 @@ def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cel
     assert set(others) == {"linear", "mirror", "inverse"}
     others.pop("mirror")
     rng = np.random.default_rng(1)
-    found = monte_carlo(moving, moving.target(), spline.reference, rng, 5, method="spline", others=others)
+    found = monte_carlo(moving, moving.target(), spline.reference, rng, 3, method="spline", others=others)
     assert found.recommended == "inverse" and found.as_dict()["recommended_method"] == "inverse"
     assert np.quantile(found.methods[TRACKED], 0.95) < np.quantile(found.methods["inverse"], 0.95)
 
@@ -249,13 +249,13 @@ def test_the_rule(pair, word):
 def test_the_command_prints_the_verdict_with_its_seed(tmp_path, capsys):
     printed = [f"uncertainty.{name}={value}" for name, value in (("reference_inertia", 0.0), ("repeatability_um", 0.0))]
     sets = [part for pair in (*SHORT, *printed) for part in ("--set", pair)]
-    words = ["compensate", "paper.yaml", "--method", "spline", "--out", str(tmp_path / "o"), "--verdict", "4", *sets]
+    words = ["compensate", "paper.yaml", "--method", "spline", "--out", str(tmp_path / "o"), "--verdict", "2", *sets]
     assert main([*words, "--seed", "7"]) == 0
     text = capsys.readouterr().out
-    assert "4 plants, seed 7" in text and "verdict: compensation helps" in text
+    assert "2 plants, seed 7" in text and "verdict: compensation helps" in text
     assert main([*words, "--seed", "7", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["verdict"]
-    assert found["verdict"] == "helps" and found["samples"] == 4 and found["seed"] == 7
+    assert found["verdict"] == "helps" and found["samples"] == 2 and found["seed"] == 7
     assert len(found["compensated"]["static_deviation_mm"]) == 3
 
 
