@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 
 from kr270_milling.bag.chunks import CACHE, Entry, Messages, Unpacker
 from kr270_milling.bag.contents import Contents
-from kr270_milling.bag.structure import MAGIC, SMALL, Attachment, Chunk, Damage, attached, parsed, parts
+from kr270_milling.bag.structure import MAGIC, SMALL, Attachment, Chunk, Damage, attached, checksum, parsed, parts
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.decode import Topic, make_decoder
 
@@ -82,15 +82,25 @@ class Recording:
         except Damage as damage:
             self.close()
             raise self.error(damage) from damage
+        self.profile = self.contents.profile
+        self.library = self.contents.library
 
     def _read(self, progress) -> None:
         self._check_magic()
         summary = self._read_summary()
         self._read_data(summary or self.size)
+        self._check_loose()
         if self.contents.counts is None:
             self._survey(progress)
         if self.cut_off and self.is_finished():
             raise Damage("a record claims more bytes than the file has", self.data_end)
+
+    def _check_loose(self) -> None:
+        """Messages beside chunks are rare: in most files they are another record, with a flipped bit in its type."""
+        loose = {chunk.compression == "run" for chunk in self.chunks}
+        crc = self.contents.data_crc
+        if len(loose) == 2 and not self.cut_off and crc and checksum(self.stream, self.data_end) != crc:
+            raise Damage("the data do not fit the checksum at their end", self.data_end)
 
     def _check_magic(self) -> None:
         begin = self.stream.read(len(MAGIC))
@@ -151,14 +161,6 @@ class Recording:
     def error(self, damage: Damage) -> RecordingError:
         hint = "; recover may save the rest" if damage.offset else ""
         return RecordingError(self.path, damage.reason + hint, damage.offset)
-
-    @property
-    def profile(self) -> str:
-        return self.contents.profile
-
-    @property
-    def library(self) -> str:
-        return self.contents.library
 
     @property
     def attachments(self) -> list[Attachment]:

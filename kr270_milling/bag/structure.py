@@ -19,8 +19,8 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 
 __all__ = [
-    "LIMIT", "MAGIC", "Attachment", "Chunk", "Damage", "Part", "attached", "attachment", "chunk", "content", "exactly",
-    "inner", "next_chunk", "parsed", "parts",
+    "LIMIT", "MAGIC", "Attachment", "Chunk", "Damage", "Part", "attached", "attachment", "checksum", "chunk", "content",
+    "exactly", "inner", "next_chunk", "parsed", "parts",
 ]  # fmt: skip
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -132,6 +132,15 @@ def exactly(stream, size: int, offset: int) -> bytes:
     if len(data) != size:
         raise Damage("the file became shorter while it was read", offset)
     return data
+
+
+def checksum(stream, end: int) -> int:
+    """Of everything before an offset, as the end of the data states it."""
+    crc, left = 0, end
+    stream.seek(0)
+    while left and (data := stream.read(min(left, RUN))):
+        crc, left = zlib.crc32(data, crc), left - len(data)
+    return crc
 
 
 def content(stream, part: Part, limit: int = SMALL) -> bytes:

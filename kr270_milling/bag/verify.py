@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections import Counter
 from collections.abc import Callable
 
@@ -12,7 +11,7 @@ import yaml
 from mcap.opcode import Opcode
 
 from kr270_milling.bag.reader import FOOTER_SIZE, Recording
-from kr270_milling.bag.structure import HEAD, MAGIC, SMALL, Damage, Part, attached, content, parsed, parts
+from kr270_milling.bag.structure import HEAD, MAGIC, SMALL, Damage, Part, attached, checksum, content, parsed, parts
 
 __all__ = ["findings"]
 
@@ -111,11 +110,7 @@ class _Walk:
     def _check_checksum(self, end: int) -> None:
         if not self.recording.contents.data_crc or self.recording.cut_off:
             return
-        crc, left = 0, end
-        self.stream.seek(0)
-        while left and (data := self.stream.read(min(left, 1 << 20))):
-            crc, left = zlib.crc32(data, crc), left - len(data)
-        if crc != self.recording.contents.data_crc:
+        if checksum(self.stream, end) != self.recording.contents.data_crc:
             self.found.append("the data do not fit the checksum at their end")
 
     def _check_summary(self, end: int) -> None:

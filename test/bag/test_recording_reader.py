@@ -23,13 +23,20 @@ from kr270_milling.messages.series import series
 RELAXED = settings(max_examples=budget(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
+class Whole(tuple):
+    """Bytes and messages; hypothesis prints its arguments, so the text is short."""
+
+    def __repr__(self):
+        return "whole"
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """A small file with several chunks, its bytes and what is in it."""
     directory = tmp_path_factory.mktemp("whole") / "a"
     written = record(directory, 40, topics=["/tool_pose", "/wrench", "/robot_description"],
                      attachments={"cell.yaml": "a: 1\n" * 50}, chunk_size=2000)  # fmt: skip
-    return (directory / "a.mcap").read_bytes(), written
+    return Whole(((directory / "a.mcap").read_bytes(), written))
 
 
 def read(path) -> tuple[list, bool]:
