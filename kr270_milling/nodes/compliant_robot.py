@@ -115,13 +115,12 @@ class CompliantRobot(ManagedNode):
 
     @guarded
     def _on_wrench(self, data: bytes) -> None:
-        if not self.active or self._given_up:
+        if not self.active or self._given_up or self.protocol.done:
             return
         sample = wrench_from_bytes(data)
-        was_done = self.protocol.done
         outputs = self.protocol.wrench(sample)
-        if not outputs and self.protocol.done == was_done:  # the last answer of a pass may lead to no message
-            return
+        if not outputs and not self.protocol.done:
+            return  # not what is awaited
         if sample.stamp == 0:
             self._started = time.monotonic()  # the cutting process may have come late
             self.report(OK, "pass running")

@@ -24,7 +24,7 @@ from kr270_milling.replay.recorded import pass_from_recording
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
 LONG = ["path.length_mm=75", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # some seconds, to be disturbed
-LONGER = [*LONG[:2], "exchange.period_ms=0.0625"]  # another graph comes up meanwhile
+LONGER = [*LONG[:2], "exchange.period_ms=0.0416666666666667"]  # 27,000 exchanges, in which another comes up
 NODES = ["compliant_robot", "cutting_process", "trajectory_compensator", "recorder"]
 
 
@@ -218,11 +218,11 @@ def test_killed_runner_leaves_no_orphans(runner, tmp_path):
 
 
 def test_second_graph_with_the_same_names_is_refused_and_does_not_disturb_the_first(runner, tmp_path):
-    first = runner(tmp_path / "a", "--passes", "1", "--json", "--processes", sets=LONGER)
+    first = runner(tmp_path / "a", "--passes", "1", "--json", sets=LONGER)
     in_mid_pass(tmp_path / "a")
     code, _, told = finished(runner(tmp_path / "b", "--passes", "1"))
     assert code == 2 and "already runs in this ROS domain" in told and told.count("\n") == 1
-    code, out, told = finished(first)
+    code, out, told = finished(first, 300.0)
     assert code == 0, told
     assert json.loads(out)["passes"][0]["messages_lost"] == 0
 

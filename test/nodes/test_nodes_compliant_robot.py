@@ -57,6 +57,18 @@ def test_robot_waits_for_a_cut_that_comes_late(world, robot, short_cell):
     assert len(partner.deflections) == steps + 1
 
 
+def test_pass_is_complete_also_where_its_last_deflection_is_not_published(world, short_cell, tmp_path):
+    cell = short_cell.replace(publish=short_cell.publish.replace(every=7))
+    robot = world.add(CompliantRobot, cell=cell, directory=tmp_path)
+    robot.trigger_configure()
+    partner = Partner(world, cell)
+    robot.trigger_activate()
+    partner.told.until(NAME, "pass complete")
+    steps = cell.clock.steps(cell.target().duration_ns)
+    assert steps % 7 and len(partner.poses) == steps + 1
+    world.until(lambda: len(partner.deflections) == steps // 7 + 1)
+
+
 def test_robot_asks_again_before_the_start_for_as_long_as_it_takes(world, robot, short_cell):
     partner = Partner(world, short_cell)
     partner.answering = False
