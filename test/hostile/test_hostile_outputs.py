@@ -76,7 +76,7 @@ def test_links_among_the_files_are_never_followed(name, recordings, tmp_path):
         assert name == "recover" and answer.err.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", ["compensate", "report"])
+@pytest.mark.parametrize("name", ["compensate"])
 def test_a_linked_folder_below_the_output_is_refused(name, recordings, tmp_path):
     names = written(name, recordings, tmp_path / "first")
     folders = {os.path.dirname(file) for file in names} - {""}

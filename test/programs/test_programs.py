@@ -109,7 +109,8 @@ def test_tool_and_base_are_mount_and_workpiece_as_the_controller_sees_them(cell,
     text = (next(tmp_path.glob("krl_spline_*")) / "MILLING_ORG.src").read_text()
     # the paper's spindle in line with axis 6: for a KUKA, whose flange has z along axis 6, a tool without turns
     assert "$TOOL={X 0.0000,Y 0.0000,Z 0.0000,A 0.00000,B 0.00000,C 0.00000}" in text
-    assert "$BASE={X 0.0000,Y -1633.1999,Z 485.7641,A 90.00000,B 45.00000,C 0.00000}" in text
+    x, y, z = 1e3 * cell.workpiece.pose.position
+    assert f"$BASE={{X {abs(x):.4f},Y {y:.4f},Z {z:.4f},A 90.00000,B 45.00000,C 0.00000}}" in text
     assert "VERIFY IN T1" in text and DATE in text and re.search(r"sha256 of this trajectory [0-9a-f]{64}", text)
 
 
