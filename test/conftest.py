@@ -34,6 +34,17 @@ def pytest_terminal_summary(terminalreporter, config):
         terminalreporter.write_line(book.markdown(book.ROWS))
 
 
+#: folders whose tests start processes: one worker runs them one after another, so that they have the other's core
+PROCESSES = ("faults", "graph", "nodes", "ros", "watch")
+
+
+def pytest_collection_modifyitems(items) -> None:
+    """One group for ``--dist loadgroup``."""
+    for item in items:
+        if Path(item.fspath).parent.name in PROCESSES:
+            item.add_marker(pytest.mark.xdist_group("processes"))
+
+
 @pytest.fixture
 def domain():
     """A ROS domain id that no other test run on this machine uses now."""

@@ -116,7 +116,7 @@ def _client(scheduler: str | None) -> Iterator:
                 yield client
             return
         cluster = LocalCluster(
-            n_workers=os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address=None,
+            n_workers=os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
             host="127.0.0.1", silence_logs="ERROR",
         )  # fmt: skip
         with cluster, Client(cluster) as client:

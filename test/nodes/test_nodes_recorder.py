@@ -174,6 +174,8 @@ def test_killed_recorder_leaves_all_but_the_last_half_second(world, ros_environm
     with start(ros_environment, tmp_path / "rec") as process:
         world.until(lambda: publisher.get_subscription_count(), 20)
         publish_wrenches(world, publisher, range(200))
+        # it takes the first message when its executor is up; half a second later all of them are in the file
+        world.until(lambda: b"/wrench" in next((tmp_path / "rec").glob("*.mcap")).read_bytes(), 20)
         world.step(0.6)
         publish_wrenches(world, publisher, range(200, 210))
         process.kill()
