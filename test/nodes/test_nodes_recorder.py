@@ -44,6 +44,7 @@ def test_every_message_is_kept_with_its_bytes_and_its_stamp(world, recorder, tmp
     partner = world.partner()
     publisher = partner.create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
+    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     publish_wrenches(world, publisher, range(300))
     world.until(lambda: recorder.writer.report()["/wrench"]["count"] == 300)
     recorder.close()
@@ -90,6 +91,7 @@ def test_topic_that_appears_late_is_found(world, recorder):
     world.step(0.3)
     publisher = world.partner().create_publisher(String, "late", 10)
     world.until(lambda: publisher.get_subscription_count())
+    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     publisher.publish(String(data="hello"))
     world.until(lambda: recorder.writer.report().get("/late", {}).get("count") == 1)
 
@@ -99,6 +101,7 @@ def test_missing_messages_are_counted_and_told(world, recorder):
     told = world.diagnostics(partner)
     publisher = partner.create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
+    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     publish_wrenches(world, publisher, [i for i in range(100) if i not in (50, 51, 70)])
     world.until(lambda: told.last.get(NAME, {}).get("missing") == "3")
 
@@ -108,6 +111,7 @@ def test_vanished_publisher_is_told_as_a_warning(world, recorder):
     partner = world.partner()
     publisher = partner.create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
+    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     world.until(lambda: "/wrench=1" in told.last.get(NAME, {}).get("heard", ""))
     world.remove(partner)
     told.until(NAME, "nobody publishes /wrench any more", WARN, deadline=1.5)
@@ -119,6 +123,7 @@ def test_node_that_reports_no_more_is_told_as_a_warning(world, recorder):
     told = world.diagnostics(world.partner("watcher"))
     publisher = partner.create_publisher(*topics.DIAGNOSTICS)
     world.until(lambda: publisher.get_subscription_count() == 2)
+    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     report = DiagnosticArray(status=[DiagnosticStatus(name="/spindle", message="turning")])
     publisher.publish(report)
     told.until(NAME, "/spindle not heard of for 2.6 s", WARN, deadline=3.2)
@@ -160,6 +165,7 @@ def test_signal_ends_the_recorder_with_0_and_a_whole_file(world, ros_environment
     publisher = world.partner().create_publisher(*topics.WRENCH)
     with start(ros_environment, tmp_path / "rec") as process:
         world.until(lambda: publisher.get_subscription_count(), 20)
+        world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
         publish_wrenches(world, publisher, range(200))
         process.send_signal(number)
         assert process.wait(10) == 0, process.stderr.read()
@@ -173,6 +179,7 @@ def test_killed_recorder_leaves_all_but_the_last_half_second(world, ros_environm
     publisher = world.partner().create_publisher(*topics.WRENCH)
     with start(ros_environment, tmp_path / "rec") as process:
         world.until(lambda: publisher.get_subscription_count(), 20)
+        world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
         publish_wrenches(world, publisher, range(200))
         # it takes the first message when its executor is up; half a second later all of them are in the file
         world.until(lambda: b"/wrench" in next((tmp_path / "rec").glob("*.mcap")).read_bytes(), 20)
@@ -193,6 +200,7 @@ def test_full_disk_is_told_and_what_was_written_stays_readable(world, ros_enviro
     publisher = world.partner().create_publisher(String, "noise", 100)
     with start(ros_environment, tmp_path / "rec", preexec_fn=limit) as process:
         world.until(lambda: publisher.get_subscription_count(), 20)
+        world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
         end = time.monotonic() + 10
         while process.poll() is None and time.monotonic() < end:
             publisher.publish(String(data=os.urandom(5000).hex()))
@@ -215,6 +223,7 @@ def test_missing_messages_are_told_of_all_that_there_should_be(world, tmp_path, 
     recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}")
     publisher = world.partner().create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
+    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     publish_wrenches(world, publisher, [i for i in range(30) if not 10 <= i < 15])
     world.until(lambda: recorder.writer.report()["/wrench"]["count"] == 25)
     recorder.close()
