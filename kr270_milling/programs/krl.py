@@ -26,7 +26,7 @@ from kr270_milling.programs.krl_motion import Source, modules_of, motion_lines, 
 from kr270_milling.programs.krl_text import axis_text, comments, frame_row, frame_text, number, position_text
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
-__all__ = ["Heading", "Setup", "trajectory_hash", "turn_bits", "status_bits", "write_krl"]
+__all__ = ["Heading", "Setup", "trajectory_hash", "write_krl"]
 
 KINDS = {"ORG": "original trajectory", "CMP": "compensated trajectory"}
 HEAD = ("&ACCESS RVP", "&REL 1", "&PARAM EDITMASK = *")
@@ -74,24 +74,6 @@ class Heading:
             f"sha256 of its source {self.source_hash or 'not given'}",
             *self.findings,
         ])  # fmt: skip
-
-
-def turn_bits(joints) -> int:
-    """KUKA's T: bit i is 1 where joint i+1 [rad], (6,), is negative."""
-    return sum(1 << i for i, angle in enumerate(np.asarray(joints, float).tolist()) if angle < 0)
-
-
-def status_bits(joints, a1: float, a2: float, a3: float, d4: float) -> int:
-    """KUKA's S of joint positions [rad], (6,), for the arm lengths [m] of the chain in use here.
-
-    Bit 0: the wrist centre is behind axis 1; bit 1: the elbow is bent upwards (A3 above the stretched arm); bit 2: A5
-    is negative (from -180 to 0 deg, or from 180 deg up).
-    """
-    _, q2, q3, _, q5, _ = np.asarray(joints, float).tolist()
-    wrist = a1 + a2 * np.cos(q2) + d4 * np.cos(q2 + q3) + a3 * np.sin(q2 + q3)
-    bent = q3 >= np.arctan2(a3, d4)
-    flipped = -np.pi <= q5 < 0 or q5 >= np.pi
-    return int(wrist < 0) + 2 * int(bent) + 4 * int(flipped)
 
 
 def trajectory_hash(trajectory: Trajectory) -> str:

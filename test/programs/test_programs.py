@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from krl_robot import Robot
 from scipy.spatial.transform import Rotation
 from small_part import small_part
 
@@ -18,17 +19,7 @@ from kr270_milling.programs.files import source_hash, write_programs
 from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.trajectory.trajectory_csv import read_csv
 
-NUMBER = r"(-?[0-9.]+)"
-FRAME = ",".join(rf"{k} {NUMBER}" for k in "XYZABC")
 DATE = "2030-01-01T00:00:00+00:00"
-
-
-def matrix(frame) -> np.ndarray:
-    """KUKA frame X, Y, Z [mm], A, B, C [deg] as a transform [m]: turns about z, y', x''."""
-    t = np.eye(4)
-    t[:3, 3] = np.array(frame[:3]) * 1e-3
-    t[:3, :3] = Rotation.from_euler("ZYX", frame[3:], degrees=True).as_matrix()
-    return t
 
 
 def flange(arm, q) -> np.ndarray:
@@ -50,28 +41,6 @@ def flange(arm, q) -> np.ndarray:
     return np.linalg.multi_dot(chain)
 
 
-class Reader:
-    """The modules of one program in the order in which the main module runs them."""
-
-    def __init__(self, folder: Path, main: str):
-        self.source = (folder / f"{main}.src").read_text()
-        called = re.findall(rf"^({main}_[0-9]{{3}})\( \)", self.source, re.M)
-        texts = {name: (folder / f"{name}.src").read_text() for name in (main, *called)}
-        frames = {}
-        for name in {main, *called}:
-            data = (folder / f"{name}.dat").read_text()
-            for number, *values in re.findall(rf"DECL FRAME XP([0-9]+)={{{FRAME}}}", data):
-                frames[int(number)] = [float(v) for v in values]
-        self.numbers = [int(k) for text in texts.values() for k in re.findall(r"^(?:SPL|LIN) XP([0-9]+)", text, re.M)]
-        self.points = np.array([matrix(frames[k]) for k in self.numbers])
-        self.tool, self.base = (
-            matrix([float(v) for v in re.search(rf"\${name}={{{FRAME}}}", self.source).groups()])
-            for name in ("TOOL", "BASE")
-        )
-        start = re.search(r"DECL E6POS XAPPROACH=.*S ([0-9]+),T ([0-9]+)", (folder / f"{main}.dat").read_text())
-        self.status, self.turn = map(int, start.groups())
-
-
 def wavy(target: Trajectory, size: float = 50e-6) -> Trajectory:
     """A correction in all three components, at rest where the target rests."""
     still = np.zeros(len(target), bool) if target.velocity is None else ~target.velocity.any(axis=1)
@@ -90,15 +59,15 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
     target = cell.target()
     run = wavy(target) if kind == "CMP" else target
     write_programs(tmp_path, cell, target, wavy(target), method="wavy", date=DATE, motions=(motion,))
-    read = Reader(next(tmp_path.glob(f"krl_{motion.lower()}_*")), f"MILLING_{kind}")
+    read = Robot(next(tmp_path.glob(f"krl_{motion.lower()}_*")), f"MILLING_{kind}")
     table = np.loadtxt(tmp_path / f"joints_{'wavy' if kind == 'CMP' else 'original'}.csv", delimiter=",", skiprows=1)
-    knots = np.array(read.numbers) - 1
+    knots = read.numbers - 1
     reached = np.array([flange(cell.arm, np.radians(q)) for q in table[knots, 1:]])
-    told = read.base @ read.points @ np.linalg.inv(read.tool)
+    told = read.matrix("BASE") @ read.transforms @ np.linalg.inv(read.matrix("TOOL"))
     assert np.abs(told[:, :3, 3] - reached[:, :3, 3]).max() < 1e-6
     turned = Rotation.from_matrix(np.swapaxes(told[:, :3, :3], 1, 2) @ reached[:, :3, :3])
     assert np.degrees(turned.magnitude()).max() < 1e-3
-    assert np.abs(read.points[:, :3, 3] - run.position[knots]).max() < 1e-6
+    assert np.abs(read.transforms[:, :3, 3] - run.position[knots]).max() < 1e-6
     assert table[:, 0] == pytest.approx(run.time, abs=1e-9)
     away = np.linalg.norm(np.diff(run.position[knots], axis=0), axis=1)
     assert away.min() > 0.9e-5 and len(knots) > 0.9 * len(run)  # nothing but close points is left out
@@ -132,7 +101,7 @@ def test_status_and_turn_are_those_of_each_programs_own_first_point(tmp_path):
         beside = line.with_position(line.position + [0.0, sign * 1e-5, 0.0])
         folder = tmp_path / f"{sign:g}"
         write_programs(folder, cell, line, beside, method="beside", date=DATE)
-        turns = [Reader(next(folder.glob("krl_spline_*")), f"MILLING_{kind}").turn for kind in ("ORG", "CMP")]
+        turns = [Robot(next(folder.glob("krl_spline_*")), f"MILLING_{kind}").turn for kind in ("ORG", "CMP")]
         # A1 turns about -z: to the left, at y > 0, it is negative; of the last bit the first point has nothing else
         assert turns[0] & 1 == 0 and turns[1] & 1 == (1 if sign > 0 else 0)
 
@@ -141,11 +110,11 @@ def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, 
     own = cell.replace(compensation=cell.compensation.replace(sag_compensated=False))
     line = Trajectory(np.arange(4) * 10**8, np.outer(np.arange(4), [1e-3, 0, 0]), cell.target().quaternion[0])
     write_programs(tmp_path, own, line, line, method="same", date=DATE)
-    read = Reader(next(tmp_path.glob("krl_spline_*")), "MILLING_ORG")
-    told = read.base @ read.points @ np.linalg.inv(read.tool)
+    read = Robot(next(tmp_path.glob("krl_spline_*")), "MILLING_ORG")
+    told = read.matrix("BASE") @ read.transforms @ np.linalg.inv(read.matrix("TOOL"))
     reached = np.array([flange(own.arm, q) for q in commanded_joints(own, line)])
     assert np.abs(told[:, :3, 3] - reached[:, :3, 3]).max() < 1e-6
-    lifted = (own.workpiece.pose.apply(read.points[:, :3, 3]) - own.workpiece.pose.apply(line.position))[:, 2]
+    lifted = (own.workpiece.pose.apply(read.transforms[:, :3, 3]) - own.workpiece.pose.apply(line.position))[:, 2]
     assert np.all(lifted > 0.1e-3)  # 700 kg of arm bend it by tenths of a millimetre
 
 

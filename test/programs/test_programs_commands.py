@@ -6,7 +6,8 @@ import re
 
 import numpy as np
 import pytest
-from test_trajectory_krl import NUMBER, Robot, swaying, write
+from krl_robot import NUMBER, Robot
+from test_trajectory_krl import swaying, write
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.cell.program import Program

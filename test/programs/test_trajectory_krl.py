@@ -2,87 +2,20 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
+from krl_robot import Robot
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.cell.program import Program
-from kr270_milling.programs.krl import Heading, Setup, status_bits, trajectory_hash, turn_bits, write_krl
+from kr270_milling.programs.krl import Heading, Setup, trajectory_hash, write_krl
 from kr270_milling.trajectory.gcode import read_gcode
 from kr270_milling.trajectory.timing import Timing, time_path
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
-
-NUMBER = r"-?\d+\.?\d*"
-SRC = [r"&ACCESS RVP", r"&REL 1", r"&PARAM EDITMASK = \*", r"DEF [A-Z]\w*\( \)", r";.*", r"BAS\(#INITMOV,0\)",
-       r"\$(TOOL|BASE)=\{[XYZABC0-9 ,.-]*\}", r"\$(TOOL|BASE)=(TOOL|BASE)_DATA\[\d+\]", r"\$IPO_MODE=#BASE",
-       r"\$ORI_TYPE=#VAR", r"\$ADVANCE=3", rf"\$APO\.CDIS={NUMBER}", r"BAS\(#VEL_PTP,\d+\)",
-       r"\$LOAD=\{M .*,CM \{X .*\}\}", r"PTP X(HOME|APPROACH)", r"LIN XRETRACT", r"WAIT SEC \d+\.\d",
-       r"\$OUT\[\d+\]=(TRUE|FALSE)", r"[A-Z]\w*\( \)", r"SPLINE", r"ENDSPLINE",
-       rf"SPL XP\d+ WITH \$VEL\.CP={NUMBER}", rf"\$VEL\.CP={NUMBER}", r"LIN XP\d+( C_DIS)?", r"END"]  # fmt: skip
-DAT = [*SRC[:3], r"DEFDAT [A-Z]\w*", r";.*", r"EXT BAS \(BAS_COMMAND :IN,REAL :IN\)",
-       rf"DECL FRAME XP\d+=\{{X {NUMBER},Y {NUMBER},Z {NUMBER},A {NUMBER},B {NUMBER},C {NUMBER}\}}",
-       r"DECL FRAME XRETRACT=\{X .*\}", r"DECL E6AXIS XHOME=\{A1 .*,E6 0.0\}",
-       r"DECL E6POS XAPPROACH=\{X .*,S \d+,T \d+,E1 0.0,E2 0.0,E3 0.0,E4 0.0,E5 0.0,E6 0.0\}", r"ENDDAT"]  # fmt: skip
-
-
-class Robot:
-    """Runs a main module and notes where it goes, how fast, and where it comes to rest."""
-
-    def __init__(self, directory: Path, main: str):
-        self.directory, self.points, self.rests, self.state = directory, [], [], {}
-        self.steps: list[str] = []  # every line of the main module and what it calls, in the order of execution
-        self.run(main)
-
-    def run(self, module: str) -> None:
-        text = (self.directory / f"{module}.src").read_bytes().decode("ascii")
-        assert text.endswith("END\r\n") and "\n" not in text.replace("\r\n", "")
-        frames = self.data(module)
-        in_block = False
-        for line in text.splitlines():
-            assert any(re.fullmatch(pattern, line) for pattern in SRC), line
-            self.steps.append(line)
-            if match := re.fullmatch(r"(\$[\w.]+)=(.*)", line):
-                self.state[match[1]] = match[2]
-            elif match := re.fullmatch(r"([A-Z]\w*)\( \)", line):
-                self.run(match[1])
-            elif line in ("SPLINE", "ENDSPLINE"):
-                assert in_block == (line == "ENDSPLINE")
-                in_block = line == "SPLINE"
-                if not in_block:
-                    self.rests.append(self.points[-1][0])
-            elif match := re.fullmatch(r"(LIN|SPL) XP(\d+)(.*)", line):
-                speed = match[3].partition("=")[2] or self.state.get("$VEL.CP", "0")
-                assert in_block == (match[1] == "SPL")
-                self.points.append((int(match[2]), frames[int(match[2])], float(speed)))
-                if match[1] == "LIN" and not match[3] and match[2] != "1":  # the approach ends there
-                    self.rests.append(int(match[2]))
-
-    def data(self, module: str) -> dict[int, dict[str, float]]:
-        text = (self.directory / f"{module}.dat").read_bytes().decode("ascii")
-        frames = {}
-        for line in text.splitlines():
-            assert any(re.fullmatch(pattern, line) for pattern in DAT), line
-            if match := re.match(r"DECL FRAME XP(\d+)=\{(.*)\}", line):
-                frames[int(match[1])] = {k: float(v) for k, v in (item.split() for item in match[2].split(","))}
-        return frames
-
-    @property
-    def numbers(self) -> np.ndarray:
-        return np.array([number for number, _, _ in self.points])
-
-    def column(self, keys: str) -> np.ndarray:
-        return np.array([[frame[key] for key in keys] for _, frame, _ in self.points])
-
-    @property
-    def time(self) -> np.ndarray:
-        """[s] at each point, along straight lines."""
-        length = np.linalg.norm(np.diff(self.column("XYZ"), axis=0), axis=1) * 1e-3
-        return np.concatenate([[0.0], np.cumsum(length / [speed for _, _, speed in self.points[1:]])])
 
 
 def setup() -> Setup:
@@ -253,13 +186,3 @@ def test_nothing_is_written_when_the_directory_is_not_there_or_the_pair_does_not
     with pytest.raises(TrajectoryError):
         write(tmp_path, Program(), swaying(20)[0], swaying(21)[1])
     assert not list(tmp_path.iterdir())
-
-
-def test_turn_and_status_of_known_postures():
-    """T 2 and S 2 are what a KR C4 shows for the home posture A2 -90, A3 90; the other bits by their definition."""
-    home = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
-    arm = (0.350, 1.250, -0.055, 1.100)
-    assert turn_bits(home) == 2 and status_bits(home, *arm) == 2
-    assert turn_bits(np.radians([-1.0, 1, -1, 1, -1, -1])) == 1 + 4 + 16 + 32
-    assert status_bits(np.radians([0.0, -90, 90, 0, -5, 0]), *arm) == 2 + 4
-    assert status_bits(np.radians([0.0, -140, -20, 0, 5, 0]), *arm) == 1  # leaning back, elbow the other way
