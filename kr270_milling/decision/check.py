@@ -19,7 +19,7 @@ from kr270_milling.decision.path_limits import (
     correction_per_tick,
     correction_size,
 )
-from kr270_milling.decision.stability import CHATTERS, Stability, stability_of
+from kr270_milling.decision.stability import Stability, stability_of
 from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 from kr270_milling.simulation.milling_pass import FLIGHT, PassError
 from kr270_milling.trajectory.source_program import SourceProgram
@@ -108,7 +108,8 @@ def check(
 def _chatter(stability: Stability | None) -> list[Violation]:
     if stability is None or stability.word != "chatter":
         return []
-    return [Violation("chatter", None, stability.residue, CHATTERS, "stop", f"the cut chatters: {stability.text[11:]}")]
+    sentence = f"the cut chatters: {100 * stability.residue:.2g} % of the feed per tooth remain from tooth to tooth"
+    return [Violation("chatter", None, stability.residue, stability.limit, "stop", sentence)]
 
 
 def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:
@@ -131,8 +132,8 @@ def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) ->
     if run is target:
         return []
     how = cell.compensation
-    found = correction_size(target, run, how.tick_ns, how.max_correction + 1e-8)
-    found += correction_per_tick(target, run, how.tick_ns, how.max_change_per_tick + 1e-9)
+    found = correction_size(target, run, how.tick_ns, how.max_correction)
+    found += correction_per_tick(target, run, how.tick_ns, how.max_change_per_tick)
     if motion == "LIN":
         found += corner_blending(target, run, cell.program.blend_distance, cell.limits.blending_share)
     return found

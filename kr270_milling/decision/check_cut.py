@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.decision.check_arm import runs
 from kr270_milling.decision.engagement import Engagement, engagement
-from kr270_milling.decision.path_limits import Violation, exceeding
+from kr270_milling.decision.path_limits import Violation, exceeding, violations
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["cut_violations"]
+
+Stops = Callable[..., list[Violation]]
 
 PLUNGE = 0.5  #: sine of the slope below which a way down is a ramp: 30 deg
 UNLIKELY_FEED = 0.25  #: of the diameter, a tooth: no cutter takes that, so a unit has slipped
@@ -22,24 +25,38 @@ def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violati
     result = ran.result
     if not result.removed_volume > 0.0:
         return [Violation("stock missed", 1, 0.0, 0.0, "stop", "the path removes nothing from the stock")]
-    found = _spindle(cell, run, ran) + _tool(cell)
-    # what springs back when the tool lifts off shaves as much from a wall
-    spring_back = float(np.max(np.linalg.norm(result.deflection[:, :3], axis=1)))
-    margin = spring_back + cell.limits.rapid_contact
+    margin = _spring_back(cell, ran) + cell.limits.rapid_contact
     met = engagement(cell, margin)
-    found += _rapid(run, met, margin) + _below(cell, run, met) + _fixtures(cell, run, met)
-    return found + _flutes(cell, run, met) + _plunges(cell, run, met)
+    #: the point of the program that each place of the path leads to, from 1
+    points = np.clip(np.searchsorted(run.time, met.time - 1e-6), 0, len(run) - 1) + 1
+
+    def stops(kind: str, over: np.ndarray, deep: np.ndarray, limit: float, text: str, subject: str = "", **more):
+        """text: with {deep} for the depth in mm and {point} for its point."""
+
+        def sentence(k: int, point: int, where: str) -> str:
+            return text.format(deep=f"{1e3 * deep[k]:.4g}", point=point)
+
+        return violations(kind, over, deep, limit, sentence, subject=subject, points=points, **more)
+
+    found = _spindle(cell, run, ran) + _tool(cell)
+    over = met.rapid & (met.inner > margin)
+    text = "a rapid move goes through material {deep} mm deep at point {point}"
+    found += stops("rapid in material", over, met.inner, margin, text)
+    found += _below(cell, met, stops) + _fixtures(cell, met, stops)
+    if flutes := cell.tool.flute_length:
+        text = f"the cut is {{deep}} mm deep at point {{point}}, the flutes are {1e3 * flutes:.4g} mm"
+        found += stops("depth of cut", met.depth > flutes, met.depth, flutes, text)
+    return found + ([] if cell.tool.centre_cutting else _plunges(met, stops))
 
 
-def _points(run: Trajectory, met: Engagement) -> np.ndarray:
-    """The point of the program that each place of the path leads to, from 1."""
-    return np.clip(np.searchsorted(run.time, met.time - 1e-9), 0, len(run) - 1) + 1
-
-
-def _worst(run: Trajectory, met: Engagement, over: np.ndarray, badness: np.ndarray) -> list[tuple[int, int]]:
-    """For each stretch of the path where ``over``: its worst place and the point of the program there."""
-    points = _points(run, met)
-    return [(k, int(points[k])) for k, _ in runs(over, badness)]
+def _spring_back(cell: Cell, ran: ScoredPass) -> float:
+    """[m], largest deflection while the tool feeds through material: what springs back when it lifts off shaves as
+    much from a wall."""
+    result = ran.result
+    cutting = result.volume > 0.0
+    if cell.timed_path is not None:
+        cutting &= ~cell.timed_path.toolpath.rapid[cell.timed_path.block_at(result.time_ns)]
+    return float(np.max(np.linalg.norm(result.deflection[cutting, :3], axis=1), initial=0.0))
 
 
 def _spindle(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
@@ -73,55 +90,35 @@ def _tool(cell: Cell) -> list[Violation]:
     return found
 
 
-def _rapid(run: Trajectory, met: Engagement, margin: float) -> list[Violation]:
-    found = []
-    for k, point in _worst(run, met, met.rapid & (met.inner > margin), met.inner):
-        sentence = f"a rapid move goes through material {1e3 * met.inner[k]:.4g} mm deep at point {point}"
-        found.append(Violation("rapid in material", point, float(met.inner[k]), margin, "stop", sentence))
-    return found
-
-
-def _below(cell: Cell, run: Trajectory, met: Engagement) -> list[Violation]:
-    low, high, allowed = cell.stock.min, cell.stock.max, cell.limits.below_stock
+def _over(met: Engagement, low: np.ndarray, high: np.ndarray, radius: float) -> np.ndarray:
+    """Where the tool stands over or in a box, seen from above, (m,)."""
     beside = met.position[:, :2] - np.clip(met.position[:, :2], low[:2], high[:2])
-    inside = np.hypot(*beside.T) < cell.tool.radii.max()
+    return np.hypot(*beside.T) < radius
+
+
+def _below(cell: Cell, met: Engagement, stops: Stops) -> list[Violation]:
+    low, allowed = cell.stock.min, cell.limits.below_stock
+    inside = _over(met, low, cell.stock.max, cell.tool.radii.max())
     deep = np.where(inside, low[2] - met.position[:, 2], -np.inf)
-    found = []
-    for k, point in _worst(run, met, deep > allowed + 1e-9, deep):
-        sentence = f"the tool is {1e3 * deep[k]:.4g} mm below the bottom of the stock at point {point}"
-        found.append(Violation("below the stock", point, float(deep[k]), allowed, "stop", sentence))
-    return found
+    text = "the tool is {deep} mm below the bottom of the stock at point {point}"
+    return stops("below the stock", deep > allowed + 1e-9, deep, allowed, text)
 
 
-def _fixtures(cell: Cell, run: Trajectory, met: Engagement) -> list[Violation]:
+def _fixtures(cell: Cell, met: Engagement, stops: Stops) -> list[Violation]:
     found = []
     for number, (low, high) in enumerate(cell.workpiece.fixture_boxes, 1):
-        beside = met.position[:, :2] - np.clip(met.position[:, :2], low[:2], high[:2])
-        over = (np.hypot(*beside.T) < cell.tool.radii.max()) & (met.position[:, 2] < high[2])
-        deep = np.where(over, high[2] - met.position[:, 2], 0.0)
-        for k, point in _worst(run, met, over, deep):
-            sentence = f"the tool enters fixture {number} at point {point}, {1e3 * deep[k]:.4g} mm below its top"
-            found.append(Violation("in the fixture", point, float(deep[k]), 0.0, "stop", sentence, f"fixture {number}"))
+        deep = np.where(_over(met, low, high, cell.tool.radii.max()), high[2] - met.position[:, 2], 0.0)
+        text = f"the tool enters fixture {number} at point {{point}}, {{deep}} mm below its top"
+        found += stops("in the fixture", deep > 0.0, deep, 0.0, text, f"fixture {number}")
     return found
 
 
-def _flutes(cell: Cell, run: Trajectory, met: Engagement) -> list[Violation]:
-    flutes = cell.tool.flute_length
-    found = []
-    for k, point in _worst(run, met, met.depth > flutes, met.depth) if flutes else []:
-        sentence = f"the cut is {1e3 * met.depth[k]:.4g} mm deep at point {point}, the flutes are {1e3 * flutes:.4g} mm"
-        found.append(Violation("depth of cut", point, float(met.depth[k]), flutes, "stop", sentence))
-    return found
-
-
-def _plunges(cell: Cell, run: Trajectory, met: Engagement) -> list[Violation]:
-    """Steep ways down into material of a cutter that has no edge in its middle."""
-    if cell.tool.centre_cutting:
-        return []
+def _plunges(met: Engagement, stops: Stops) -> list[Violation]:
+    """Steep ways down into material of a cutter that has no edge in its middle; the depth is that of the whole way."""
     move = np.diff(met.position, axis=0, prepend=met.position[:1])
     steep = -move[:, 2] > PLUNGE * np.linalg.norm(move, axis=1)
-    found = []
-    for k, point in _worst(run, met, steep & (met.core > 0.0), met.core):
-        sentence = f"the cutter plunges into material at point {point}, but it is not centre-cutting"
-        found.append(Violation("plunge", point, float(met.core[k]), 0.0, "stop", sentence))
-    return found
+    over = steep & (met.core > 0.0)
+    so_far = np.cumsum(np.where(over, met.core, 0.0))
+    deep = so_far - np.maximum.accumulate(np.where(over, 0.0, so_far))
+    text = "the cutter plunges {deep} mm into material at point {point}, but it is not centre-cutting"
+    return stops("plunge", over, deep, 0.0, text)

@@ -6,6 +6,7 @@ robot program.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,8 +15,11 @@ from kr270_milling.trajectory.joint_limits import joint_rates
 from kr270_milling.trajectory.offsets import offsets
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Violation", "exceeding", "correction_size", "correction_per_tick", "axis_reversals", "corner_blending",
-           "joint_speeds", "joint_accelerations"]  # fmt: skip
+__all__ = ["Violation", "violations", "exceeding", "correction_size", "correction_per_tick", "axis_reversals",
+           "corner_blending", "joint_speeds", "joint_accelerations"]  # fmt: skip
+
+ROUNDING = 1e-5  #: share of a limit that a value may lie above it: what was cut down to the limit is not beyond it
+LEAST_JUMP = 1e-7  #: [m], of the tool where an axis reverses; a smaller one shows nowhere
 
 
 @dataclass(frozen=True)
@@ -31,22 +35,49 @@ class Violation:
     subject: str = ""  #: of what kind there are several: an axis, a singularity
 
 
+def violations(
+    kind: str,
+    over: np.ndarray,
+    value: np.ndarray,
+    limit,
+    sentence: Callable[[int, int, str], str],
+    *,
+    worst: np.ndarray | None = None,
+    severity: str = "stop",
+    subject: str = "",
+    points: np.ndarray | None = None,
+) -> list[Violation]:
+    """One violation for each stretch of True in ``over`` (n,), named by its worst place k.
+
+    value (n,) and limit, a number or (n,): of the places in SI units; sentence(k, point, "points 3 to 5") says it;
+    worst (n,): is largest at the worst place, default: value, NaN the worst; points (n,): of the program, from 1.
+    """
+    points = np.arange(1, len(over) + 1) if points is None else points
+    worst = np.where(np.isnan(value), np.inf, value) if worst is None else worst
+    limits = np.broadcast_to(limit, len(over))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(np.int8)))
+    found = []
+    for start, stop in edges.reshape(-1, 2).tolist():
+        k = start + int(np.argmax(worst[start:stop]))
+        first, point, last = int(points[start]), int(points[k]), int(points[stop - 1])
+        where = f"point {first}" if first == last else f"points {first} to {last}"
+        text = sentence(k, point, where)
+        found.append(Violation(kind, point, float(value[k]), float(limits[k]), severity, text, subject))
+    return found
+
+
 def exceeding(kind: str, value, limit: float, what: str, unit: str, scale: float = 1.0, severity="stop", first=1):
     """Violations where ``value`` (n,), one per point, exceeds the limit, or is NaN; the sentence shows value * scale.
 
     first: number of the point that value[0] belongs to.
     """
     value = np.asarray(value, float)
-    over = ~(value <= limit * (1 + 1e-9))  # NaN is over
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], over, [False]]).astype(np.int8)))
-    violations = []
-    for start, stop in edges.reshape(-1, 2).tolist():
-        worst = start + int(np.argmax(np.where(np.isnan(value[start:stop]), np.inf, value[start:stop])))
-        span = f"point {start + first}" if stop - start == 1 else f"points {start + first} to {stop - 1 + first}"
-        amount = f"{value[worst] * scale:.4g} {unit} at point {worst + first}"
-        sentence = f"{what} exceeds {limit * scale:.4g} {unit} ({span}): {amount}"
-        violations.append(Violation(kind, worst + first, float(value[worst]), limit, severity, sentence))
-    return violations
+
+    def sentence(k: int, point: int, where: str) -> str:
+        return f"{what} exceeds {limit * scale:.4g} {unit} ({where}): {value[k] * scale:.4g} {unit} at point {point}"
+
+    over, points = ~(value <= limit * (1 + ROUNDING)), np.arange(first, first + len(value))
+    return violations(kind, over, value, limit, sentence, severity=severity, points=points)
 
 
 def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:
@@ -81,6 +112,8 @@ def axis_reversals(joints, backlash, lever, least: float = 1e-5) -> list[Violati
     for axis, (angle, play) in enumerate(zip(np.asarray(joints, float).T, np.asarray(backlash, float), strict=True)):
         for k in _turns(angle.tolist(), least):
             jump = float(play * lever[k, axis])
+            if jump < LEAST_JUMP:
+                continue
             name = f"axis {axis + 1}"
             sentence = f"{name} reverses at point {k + 1}: its backlash lets the tool jump by {1e6 * jump:.3g} um"
             violations.append(Violation("axis reversal", k + 1, jump, 0.0, "note", sentence, name))

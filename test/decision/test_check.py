@@ -14,8 +14,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main
 from kr270_milling.decision.check import check
-from kr270_milling.decision.check_arm import arm_violations, runs
-from kr270_milling.decision.check_cell import cell_violations
+from kr270_milling.decision.check_arm import arm_violations
 from kr270_milling.robot import pose
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.trajectory.trajectory_csv import write_csv
@@ -147,37 +146,10 @@ def test_the_spindle_is_compared_with_what_the_pass_asks_for(cell, ran):
     assert [f.value for f in found if f.what == "spindle power"] == pytest.approx([1e-3 * power])  # [kW]
 
 
-def test_a_rapid_move_through_material_is_found(tmp_path):
-    plunge = GCODE.replace("G1 X26\nG0 Z2", "G1 X26\nG0 X26 Y34\nG0 Z2")
-    checked = check(small_part(tmp_path, plunge))
-    (rapid,) = [f for f in checked.findings if f.what.startswith("rapid")]
-    assert not checked.may_be_run and rapid.where.line == 11 and rapid.value == pytest.approx(0.5)  # [mm], below Z0
-
-
-def test_a_path_that_removes_nothing_must_not_be_run(cell):
-    above = cell.replace(path=cell.path.replace(file=""), stock=cell.stock)
-    above = above.replace(path=above.path.replace(start=np.array([-1.0, 0.0])))
-    checked = check(above)  # a straight cut that starts a metre beside the stock
-    assert not checked.may_be_run and "stock missed" in kinds(checked)
-
-
-def test_a_tool_below_the_stock_must_not_be_run(tmp_path):
-    deep = small_part(tmp_path, GCODE, "stock.min_mm=[0,-14,-0.3]")
-    assert "below the stock" in kinds(check(deep))
-    plate = small_part(tmp_path, GCODE, "stock.min_mm=[0,-14,-0.3]", "limits.below_stock_mm=0.25")
-    assert "below the stock" not in kinds(check(plate))
-
-
 def test_a_reference_of_another_path_is_refused(cell):
     other = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.01, 0.05, 0.05)
     with pytest.raises(InputError, match="points of this cell's path"):
         check(cell, other)
-
-
-def test_runs_of_true_are_named_by_their_worst():
-    over = np.array([True, False, True, True, True, False, True])
-    worst = runs(over, np.array([1.0, 9, 1, 3, 2, 9, 5]))
-    assert worst == [(0, "point 1"), (3, "points 3 to 5"), (6, "point 7")]
 
 
 def command(directory, *words: str, gcode: str = GCODE, sets=()) -> list[str]:
@@ -238,55 +210,3 @@ def test_many_findings_of_one_kind_are_gathered_under_the_worst(tmp_path, capsys
     lines = capsys.readouterr().out.splitlines()
     reverses = [line for line in lines if "reverses" in line]
     assert len(reverses) <= 6 and any("more of the kind" in line for line in reverses)  # one line an axis at most
-
-
-def test_a_slot_that_ends_in_material_and_retracts_may_be_run(tmp_path):
-    slot = "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\nG0 Z-0.5\nG1 X26 F4000\nG0 Z5\nM30\n"
-    checked = check(small_part(tmp_path, slot))
-    assert checked.may_be_run, checked.lines()
-
-
-def test_a_rapid_move_along_a_wall_deeper_than_spring_back_is_found(tmp_path):
-    beside = (
-        "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\nG0 Z-0.5\nG1 X26 F4000\nG0 Z2\nG0 X26 Y0.4\nG0 Z-0.5\nG0 X0\nG0 Z2\nM30\n"
-    )
-    checked = check(small_part(tmp_path, beside))
-    (rapid,) = [f for f in checked.findings if f.what == "rapid in material"]
-    assert not checked.may_be_run and rapid.where.line in (7, 8)
-
-
-def test_a_fixture_in_the_way_and_one_beside_it(tmp_path):
-    inside = small_part(tmp_path, GCODE, "workpiece.fixtures_mm=[30,10,-10, 60,30,-0.2, 90,90,0, 99,99,50]")
-    (finding,) = [f for f in check(inside).findings if f.what == "in the fixture"]
-    assert finding.severity == "stop" and finding.value == pytest.approx(0.3) and "fixture 1" in finding.sentence
-
-
-def test_flutes_plunges_chips_and_speeds_beyond_the_cutter(tmp_path):
-    plunge = "G21 G90 S8000 M3\nG0 X10 Y0 Z2\nG1 Z-0.5 F500\nG1 X26 F4000\nG0 Z2\nM30\n"
-    limits = ["tool.flute_length_mm=0.4", "tool.centre_cutting=false", "tool.max_feed_per_tooth_mm=0.1",
-              "tool.max_cutting_speed_m_per_min=400"]  # fmt: skip
-    assert {"depth of cut", "plunge", "feed per tooth", "cutting speed"} <= kinds(
-        check(small_part(tmp_path, plunge, *limits))
-    )
-    enough = ["tool.flute_length_mm=0.51", "tool.max_feed_per_tooth_mm=0.126", "tool.max_cutting_speed_m_per_min=503"]
-    assert not kinds(check(small_part(tmp_path, plunge, *enough)))  # 20 mm at 8000 rpm: 502.7 m/min; 0.125 mm a tooth
-
-
-def test_a_flexible_arm_pushed_away_is_a_finding(tmp_path):
-    soft = small_part(tmp_path, GCODE, "arm.joint_compliance_urad_per_n_m=[900,900,900,900,900,900]")
-    checked = check(soft)  # 900 urad/(N m) and some kN m of weight: the arm hangs down
-    assert "joint deflection" in kinds(checked) and "compliance" in kinds(checked, "warning")
-    wild = check(small_part(tmp_path, GCODE, "cutting.fractional.stiffness_n_per_m=5e10", "dynamics.gravity=false"))
-    assert "deflection" in kinds(wild)
-
-
-@pytest.mark.parametrize("setting, what", [
-    ("arm.link_mass_kg=[336800,259.4,85.2,54.5,36.3,18.2]", "mass"),
-    ("workpiece.xyz_mm=[0,-16331.9,485.7]", "envelope"),
-    ("start_joints_deg=[1.5708,-0.8727,2.0944,3.1416,0.4363,3.1416]", "posture"),
-    ("start_joints_deg=[90,-50,170,180,25,180]", "posture"),
-    ("tool.diameter_mm=0.9", "tool and grid"),
-])  # fmt: skip
-def test_numbers_that_no_cell_has_are_warned_of(cell, tmp_path, setting, what):
-    (warning,) = [v for v in cell_violations(small_part(tmp_path, GCODE, setting)) if v.kind == what]
-    assert warning.severity == "warning" and not cell_violations(cell)
