@@ -23,6 +23,7 @@ __all__ = [
     "commanded_joints",
     "compensated",
     "compensator",
+    "joint_ranges",
     "mean_force",
     "mirrored",
     "pass_record",
@@ -134,6 +135,12 @@ def commanded_joints(cell: Cell, reference: Trajectory) -> np.ndarray:
     if cell.compensation.sag_compensated:
         return cell.joints(reference)
     return _mirror(cell, reference, np.zeros((len(reference), 6)), False).joints
+
+
+def joint_ranges(cell: Cell, reference: Trajectory) -> dict[str, np.ndarray]:
+    """The joint positions [deg], (6,), that a reference commands: at its start and end, the least and the largest."""
+    joints = np.degrees(commanded_joints(cell, reference))
+    return {"start": joints[0], "end": joints[-1], "min": joints.min(axis=0), "max": joints.max(axis=0)}
 
 
 def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool) -> Mirror:

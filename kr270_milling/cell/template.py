@@ -64,7 +64,7 @@ TEMPLATE = """\
       corner_tolerance_um: 10.0          # yours
 
     compensation:
-      method: learned                    # the others leave what the path's own acceleration moves the tool by
+      method: learned                    # the model of the test piece says: the best; linear, spline harm
       relaxation: 0.9
       sag_compensated: true              # yours: true where the tool is zeroed on the part
       criterion: least_squares

@@ -5,13 +5,25 @@ Exit code 1 where the check finds that the revised path must not be run; then no
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_cell, add_common, command_line, print_json, print_table, progress
+import sys
+
+from kr270_milling.commands.console import (
+    add_cell,
+    add_common,
+    command_line,
+    joints_text,
+    print_json,
+    print_table,
+    progress,
+)  # fmt: skip
 from kr270_milling.commands.plant import add_plant, read_plant
 from kr270_milling.compensation.methods import METHODS
 from kr270_milling.nodes.option_types import bounded
 
-SAMPLES = 32
-BUDGET = 300.0  #: [s], of the verdict; beyond it fewer plants are run
+SAMPLES, FEWEST = 32, 8  #: plants of the verdict
+BUDGET = 300.0  #: [s], of a verdict that is asked for; beyond it fewer plants are run
+USUAL_BUDGET = 50.0  #: [s], of one that nobody asks for; where 8 plants take longer it is left out
+LONGEST_PASS = USUAL_BUDGET / 4  #: [s]; after a longer one not even a first plant is tried
 SHOWN = 3  #: limited stretches that are printed
 
 
@@ -25,11 +37,17 @@ def add_arguments(parser) -> None:
         help="motions of the robot programs; may be given twice (default: LIN for the method linear, which corrects "
         "in straight lines, else the cell's program.motion)",
     )  # fmt: skip
-    parser.add_argument(
+    verdict = parser.add_mutually_exclusive_group()
+    verdict.add_argument(
         "--verdict", metavar="N", type=bounded(1, 999_999, int), nargs="?", const=SAMPLES,
         help=f"judge the compensation by N plants (default {SAMPLES}) drawn from the cell's uncertainty; by fewer, but "
-        f"at least 8, where they take more than {BUDGET:.0f} s",
+        f"at least {FEWEST}, where they take more than {BUDGET:.0f} s. Without this option: as many as take "
+        f"{USUAL_BUDGET:.0f} s, and none where {FEWEST} take longer",
     )  # fmt: skip
+    verdict.add_argument(
+        "--quick", action="store_true", help=f"a verdict of {FEWEST} plants, without a look at other methods"
+    )
+    verdict.add_argument("--no-verdict", action="store_true", help="no verdict: the model itself is what cuts")
     parser.add_argument(
         "--force", action="store_true",
         help="write the programs of a path that must not be run all the same, marked NOT RELEASED in name and header",
@@ -44,7 +62,7 @@ def run(args) -> int:
     from kr270_milling.base.files import staged
     from kr270_milling.base.record import find_file
     from kr270_milling.cell.cell import read_cell
-    from kr270_milling.cell.jobs import compensated, compensator, simulate
+    from kr270_milling.cell.jobs import compensated, compensator, joint_ranges, simulate
     from kr270_milling.decision.decision import decide
 
     source = find_file(args.cell)
@@ -61,6 +79,7 @@ def run(args) -> int:
         passes = original, revised
         found = {"method": method, "points": len(revised.reference)}
         found |= {k: v for k, v in revised.row().items() if k != "name"}
+        found["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
         found["original"] = {k: v for k, v in original.row().items() if k != "name"}
         found["passes"] = [ran.row() for ran in passes]
         found |= _correction(cell, revised, by)
@@ -70,7 +89,7 @@ def run(args) -> int:
         found["check"] = checked.as_dict()
         verdict = _verdict(cell, original, revised, args)
         found["verdict"] = verdict and verdict.as_dict()
-        decision = decide(cell, original, revised, parts, checked, verdict and verdict.recommended)
+        decision = decide(cell, original, revised, parts, checked, verdict)
         found["decision"] = decision.as_dict()
         found |= _write(draft, final, cell, passes, parts, motions, args, source, checked, decision)
     if args.json:
@@ -137,19 +156,32 @@ def _check(cell, revised, motions):
 
 
 def _verdict(cell, original, revised, args):
-    """What plants drawn from the uncertainties say; None where nobody asks."""
-    if args.verdict is None:
-        return None
+    """What plants drawn from the uncertainties say; None where nobody wants it or it would take too long."""
     import numpy as np
 
     from kr270_milling.decision.verdict import alternatives, monte_carlo
 
-    rng = np.random.default_rng(args.seed)
-    with progress("verdict") as report:
-        return monte_carlo(
-            cell, cell.target(), revised.reference, rng, args.verdict, budget=BUDGET, seed=args.seed, progress=report,
-            method=revised.name, others=alternatives(cell, original, revised.name),
-        )  # fmt: skip
+    if args.no_verdict:
+        return None
+    found = None
+    if args.verdict or original.result.wall_time < LONGEST_PASS:
+        others = {} if args.quick else alternatives(cell, original, revised.name)
+        with progress("verdict") as report:
+            found = monte_carlo(
+                cell, cell.target(), revised.reference, np.random.default_rng(args.seed),
+                args.verdict or (FEWEST if args.quick else SAMPLES), budget=BUDGET if args.verdict else USUAL_BUDGET,
+                give_up=not args.verdict, seed=args.seed, progress=report, estimate=_estimate, method=revised.name,
+                others=others,
+            )  # fmt: skip
+    if found is None:
+        print(f"no verdict: {FEWEST} plants take more than {USUAL_BUDGET:.0f} s; --verdict runs them", file=sys.stderr)
+    return found
+
+
+def _estimate(plants: int, seconds: float) -> None:
+    """What is to come, where it takes a while."""
+    if seconds > 5.0:
+        print(f"verdict: {plants} plants, about {seconds:.0f} s", file=sys.stderr)
 
 
 def _write(draft, final, cell, passes, parts, motions, args, source, checked, decision) -> dict:
@@ -200,6 +232,7 @@ def _print(cell, passes, found: dict, checked, args) -> None:
         print(found["note"])
     if found["identified"]:
         print(_identified(found["identified"]))
+    print(joints_text(found["commanded_joints_deg"]))
     print(f"largest correction {found['largest_correction_mm']:.4f} mm")
     for part in found["limited"][:SHOWN]:
         print(part["sentence"])

@@ -12,8 +12,8 @@ import time
 from pathlib import Path
 
 __all__ = [
-    "EXIT_FAILED", "add_cell", "add_common", "command_line", "fixed", "numbers", "output_directory", "print_json",
-    "print_table", "progress",
+    "EXIT_FAILED", "add_cell", "add_common", "command_line", "fixed", "joints_text", "numbers", "output_directory",
+    "print_json", "print_table", "progress",
 ]  # fmt: skip
 
 EXIT_FAILED = 1  # what was asked was done, and the answer is no
@@ -52,6 +52,13 @@ def numbers(count: int, most: float = math.inf):
 def fixed(value: float, digits: int = 2) -> str:
     """A number with so many decimals; "-" for one that has no meaning (NaN)."""
     return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+def joints_text(joints: dict) -> str:
+    """The joints that a pass commands, as ``joint_ranges`` gives them."""
+    ranges = zip(joints["start"], joints["min"], joints["max"], strict=True)
+    shown = [f"A{k} {fixed(q)} ({fixed(low)} to {fixed(high)})" for k, (q, low, high) in enumerate(ranges, 1)]
+    return f"commanded joints at the start (and along the path) [deg]: {', '.join(shown)}"
 
 
 def output_directory(path: str) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-from kr270_milling.commands.console import add_cell, add_common, print_json, print_table, progress
+from kr270_milling.commands.console import add_cell, add_common, joints_text, print_json, print_table, progress
 from kr270_milling.commands.plant import add_plant, read_plant
 
 FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
@@ -56,6 +56,7 @@ def run(args) -> None:
         _print_scores(found)
     print(f"tolerance: {tolerance.words}")
     print(stability.text)
+    print(joints_text(found["commanded_joints_deg"]))
     print(f"removed area        {found['removed_area_mm2']:10.3f} mm2")
     print(f"{found['steps']} micro-steps in {found['wall_s']:.3f} s, {found['real_time_factor']:.1f} x real time")
     for name in found.get("files", []):
@@ -120,12 +121,13 @@ def _reference(cell, path: str | None):
 
 def summary(cell, ran) -> dict:
     """What ``--json`` prints of one pass."""
-    from kr270_milling.cell.jobs import mean_force
+    from kr270_milling.cell.jobs import joint_ranges, mean_force
 
     result = ran.result
     duration = float(result.time[-1])
     return {
         **ran.row(),
+        "commanded_joints_deg": joint_ranges(cell, ran.reference),
         "steps": result.micro_steps,
         "duration_s": duration,
         "wall_s": result.wall_time,

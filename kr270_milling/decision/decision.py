@@ -9,6 +9,7 @@ from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decision.check import Checked
 from kr270_milling.decision.part.assessment import PartAssessment
 from kr270_milling.decision.tolerance import Judgement, judge_part, judge_straight_cut
+from kr270_milling.decision.verdict import Verdict
 
 __all__ = ["NO_METHOD", "Decision", "decide"]
 
@@ -24,6 +25,7 @@ class Decision:
     may_be_run: bool
     warnings: int
     recommended_method: str  #: "none": the compensation does not make the part better
+    verdict: Verdict | None = None  #: of plants that are not the model; None: nobody asked, or it would take long
 
     @property
     def headline(self) -> str:
@@ -31,9 +33,10 @@ class Decision:
         run = "yes" if self.may_be_run else "no"
         if self.may_be_run and self.warnings:
             run += f", with {self.warnings} warning{'' if self.warnings == 1 else 's'}"
+        verdict = f"; verdict: {self.verdict.text}" if self.verdict else ""
         return (
-            f"as programmed: {self.as_programmed.words}; compensated: {self.compensated.words}; may be run: {run}; "
-            f"recommended method: {self.recommended_method}"
+            f"as programmed: {self.as_programmed.words}; compensated: {self.compensated.words}; may be run: {run}"
+            f"{verdict}; recommended method: {self.recommended_method}"
         )
 
     def as_dict(self) -> dict:
@@ -43,6 +46,7 @@ class Decision:
             "compensated": self.compensated.as_dict(),
             "may_be_run": self.may_be_run,
             "recommended_method": self.recommended_method,
+            "verdict": self.verdict and self.verdict.word,
         }
 
 
@@ -52,16 +56,16 @@ def decide(
     revised: ScoredPass,
     parts: tuple[PartAssessment, ...],
     checked: Checked,
-    recommended: str | None = None,
+    verdict: Verdict | None = None,
 ) -> Decision:
     """parts: assessments of both passes, empty for a straight cut; checked: of the revised path.
 
-    recommended: the method that the verdict names; default: that of the revised pass where it makes the part better.
+    Without a verdict the method of the revised pass is recommended where it makes the part better.
     """
     if parts:
         before, after = (judge_part(cell, part) for part in parts)
     else:
         before, after = (judge_straight_cut(cell, ran) for ran in (original, revised))
-    if recommended is None:
-        recommended = revised.name if after.error < before.error else NO_METHOD
-    return Decision(before, after, checked.may_be_run, checked.count("warning"), recommended)
+    better = revised.name if after.error < before.error else NO_METHOD
+    recommended = verdict.recommended if verdict else better
+    return Decision(before, after, checked.may_be_run, checked.count("warning"), recommended, verdict)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -51,6 +53,12 @@ class Verdict:
             if name != TRACKED and judge(before[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
                 sound[name] = _high(rows)
         return min(sound, key=sound.__getitem__)
+
+    @property
+    def text(self) -> str:
+        """The word with the band of what the compensation leaves."""
+        low, middle, high = (1e6 * value for value in self.bands("compensated")["max"])
+        return f"{self.word} ({len(self.original)} plants: {middle:.3g} um, 5 to 95 % {low:.3g} to {high:.3g})"
 
     def bands(self, which: str) -> dict[str, tuple[float, ...]]:
         """5, 50 and 95 % of the largest and of the static deviation [m]; which: "original" or "compensated"."""
@@ -112,42 +120,58 @@ def monte_carlo(
     samples: int = SAMPLES,
     *,
     budget: float = np.inf,
+    give_up: bool = False,
     seed: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    estimate: Callable[[int, float], None] | None = None,
     method: str = "compensated",
     others: dict[str, Trajectory] | None = None,
-) -> Verdict:
+) -> Verdict | None:
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the target and along the revised trajectory.
 
-    budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8. seed: only told.
+    budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8; give_up: None is
+    returned where 8 take longer as well. estimate(plants, seconds) is told then what is to come. seed: only noted.
     method: the name of the revised trajectory; others: trajectories of other methods, to recommend one; with them the
-    first 8 plants of a straight cut also learn from their own passes.
+    first 8 plants of a straight cut also learn from their own passes. The plants run in as many threads as there are
+    cores; the numbers do not depend on how many.
     """
     if not samples >= 1:
         raise ParameterError("samples", samples, "a whole number of at least 1")
     scored_from = None if cell.path.file else cell.full_engagement
     nominal = coarser(cell) if cell.path.file else cell
-    others = others or {}
-    references = (target, revised, *others.values())
-    rows = np.full((samples, len(references), 2), np.nan)
-    tracked: list[float] = []
-    start, done = time.perf_counter(), 0
-    while done < samples:
-        plant = perturbed(nominal, rng)
-        rows[done] = run_sample(plant, target, references, scored_from)
-        if others and not cell.path.file and done < FEWEST:
-            tracked.append(_tracked(cell, plant))
-        done += 1
-        if done == 2:  # the first one may have had to compile
-            each = (time.perf_counter() - start) / 2
-            samples = min(samples, max(FEWEST, int(budget / each))) if np.isfinite(budget) else samples
-        if progress is not None:
-            progress(done, samples)
-    word, reason = judge(rows[:done, 0, 0], rows[:done, 1, 0], cell.uncertainty.matters_above)
-    methods = {name: rows[:done, k + 1, 0] for k, name in enumerate((method, *others))}
+    references = {method: revised, **(others or {})}
+    plants = [perturbed(nominal, rng) for _ in range(samples)]
+
+    def run(k: int) -> tuple[np.ndarray, float | None]:
+        rows = run_sample(plants[k], target, (target, *references.values()), scored_from)
+        tracks = others and not cell.path.file and k < FEWEST
+        return rows, _tracked(cell, plants[k]) if tracks else None
+
+    start, cores = time.perf_counter(), len(os.sched_getaffinity(0))
+    found = [run(0)]
+    each = (time.perf_counter() - start) / cores
+    count = min(samples, max(FEWEST, int(min(budget / each, samples))))
+    if give_up and count * each > budget:
+        return None
+    if estimate is not None:
+        estimate(count, count * each)
+    pool = ThreadPoolExecutor(cores)
+    try:
+        for row in pool.map(run, range(1, count)):
+            if progress is not None:
+                progress(len(found), count)
+            found.append(row)
+    finally:  # after an interrupt only the plants that run are waited for
+        pool.shutdown(cancel_futures=True)
+    if progress is not None:
+        progress(count, count)
+    rows = np.stack([row for row, _ in found])
+    methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
+    tracked = [value for _, value in found if value is not None]
     if tracked:
         methods[TRACKED] = np.array(tracked)
-    return Verdict(word, reason, rows[:done, 0], rows[:done, 1], seed, methods)
+    word, reason = judge(rows[:, 0, 0], rows[:, 1, 0], cell.uncertainty.matters_above)
+    return Verdict(word, reason, rows[:, 0], rows[:, 1], seed, methods)
 
 
 def judge(original: np.ndarray, compensated: np.ndarray, matters_above: float) -> tuple[str, str]:

@@ -49,6 +49,7 @@ class DecisionBlock:
     compensated: Answer | None = None
     may_be_run: bool | None = None
     recommended_method: str = ""
+    verdict: str = ""  #: of plants that are not the model, with its band
     stability: str = ""  #: statement in one sentence
     findings: tuple[FindingRow, ...] = ()
 
@@ -74,9 +75,14 @@ def decision_block(decision: Decision | None, checked: Checked | None, stability
         compensated=_answer(decision.compensated),
         may_be_run=decision.may_be_run,
         recommended_method=decision.recommended_method,
-        stability=stability,
+        verdict=decision.verdict.text if decision.verdict else "",
+        stability=stability or _stated(checked),
         findings=rows,
     )
+
+
+def _stated(checked: Checked | None) -> str:
+    return checked.stability.text.removeprefix("stability: ") if checked and checked.stability else ""
 
 
 def _answer(judged: Judgement) -> Answer:

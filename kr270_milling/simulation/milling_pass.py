@@ -111,7 +111,7 @@ def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
         raise PassError(float(np.linalg.norm(deflections[first, :3])), float(stamps[first]) * 1e-9)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def _exchange(first, last, iterations, reference, arm, state, wrench, cut_state, cut_params, micro_steps, out):
     """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large."""
     tool, deflections, wrenches, corrections, torques, volumes = out

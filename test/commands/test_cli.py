@@ -226,7 +226,7 @@ def test_a_typed_override_reaches_the_pass(capsys):
 
 
 def test_compensate_writes_a_trajectory_that_simulate_runs_to_the_predicted_scores(capsys, tmp_path):
-    found = answer(capsys, "compensate", "paper.yaml", "--method", "spline", "--out", str(tmp_path))
+    found = answer(capsys, "compensate", "paper.yaml", "--method", "spline", "--no-verdict", "--out", str(tmp_path))
     path = Path(found["trajectory"])
     rows = list(csv.reader(line for line in path.read_text().splitlines() if not line.startswith("#")))
     assert path.is_relative_to(tmp_path) and len(rows) == 26 and found["points"] == 25

@@ -30,7 +30,8 @@ def quick(monkeypatch):
 def command(tmp_path, *words: str, gcode: str | bytes = GCODE, sets=()) -> list[str]:
     pairs = assignments(tmp_path, gcode, *sets)
     more = [part for pair in pairs for part in ("--set", pair)]
-    return ["compensate", "paper.yaml", "--out", str(tmp_path / "out"), *words, *more]
+    verdict = () if {"--verdict", "--quick"} & set(words) else ("--no-verdict",)
+    return ["compensate", "paper.yaml", "--out", str(tmp_path / "out"), *verdict, *words, *more]
 
 
 def test_a_tool_path_ends_with_table_report_programs_and_findings(tmp_path, capsys):
@@ -66,7 +67,7 @@ def test_json_tells_the_features_before_and_after_and_all_paths(quick, tmp_path,
 
 
 def test_a_straight_cut_keeps_its_contract_and_gets_programs(tmp_path, capsys):
-    words = ["compensate", "paper.yaml", "--method", "spline", "--out", str(tmp_path / "out"), "--json"]
+    words = ["compensate", "paper.yaml", "--method", "spline", "--out", str(tmp_path / "out"), "--json", "--no-verdict"]
     words += ["--set", "path.length_mm=20", "--set", "stock.grid_step_um=40", "--set", "stock.max_mm=[20,12,0]"]
     assert main(words) == 0
     found = json.loads(capsys.readouterr().out)
@@ -135,7 +136,7 @@ def test_unusable_input_is_one_sentence_with_its_line_and_leaves_nothing(tmp_pat
     gcode, line, what = BAD[name]
     words = command(tmp_path, gcode=gcode)
     if sub == "check":
-        words = ["check", *words[1:2], *words[4:]]
+        words = ["check", words[1], *words[words.index("--no-verdict") + 1 :]]
     code = main(words)
     told = capsys.readouterr()
     if sub == "check" and name in ("a point out of reach", "a joint beyond its range"):

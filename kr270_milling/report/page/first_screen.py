@@ -59,6 +59,9 @@ def tiles(decision: DecisionBlock, passes: Sequence[ScoredPass], parts: Sequence
     if decision.recommended_method:
         why = "run the path as it was programmed" if decision.recommended_method == NO_METHOD else ""
         found.append(Tile("recommended method", decision.recommended_method, why))
+    if decision.verdict:
+        word, _, band = decision.verdict.partition(" (")
+        found.append(Tile("verdict", word, band.rstrip(")").replace(" um", " µm")))
     if decision.stability:
         found.append(Tile("stability", "", decision.stability))
     return found
