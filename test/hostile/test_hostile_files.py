@@ -116,7 +116,16 @@ def test_a_cell_with_a_name_that_is_no_text_is_run(tmp_path):
     for more in ([], ["--json"]):
         answer = ask("simulate", cell, *settings(*SHORT), "--out", os.fsdecode(folder + b"/out"), *more)
         assert answer.code == 0 and "original" in answer.out, answer
-    answer = ask("compensate", cell, *settings(*SHORT), "--method", "linear", "--no-verdict", "--out", os.fsdecode(folder + b"/more"))
+    answer = ask(
+        "compensate",
+        cell,
+        *settings(*SHORT),
+        "--method",
+        "linear",
+        "--no-verdict",
+        "--out",
+        os.fsdecode(folder + b"/more"),
+    )
     assert answer.code in (0, 1) and answer.err == "", answer
 
 

@@ -14,7 +14,7 @@ pytest.importorskip("geometry_msgs")
 SECRET = b"not to be touched"
 WRITERS = {
     "simulate": ("simulate", "paper.yaml", *settings(*SHORT), "--out", "{out}"),
-    "compensate": ("compensate", "paper.yaml", *settings(*SHORT), "--method", "linear", "--no-verdict", "--out", "{out}"),
+    "compensate": ("compensate", "paper.yaml", *settings(*SHORT), "--method=linear", "--no-verdict", "--out", "{out}"),
     "demo": ("demo", "--plain", "--out", "{out}"),
     "export": ("export", "{recording}", "--csv", "{out}"),
     "revise": ("replay", "{passed}", "--compensate", "--out", "{out}"),

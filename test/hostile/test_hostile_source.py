@@ -127,7 +127,7 @@ def test_a_report_shows_texts_from_files_and_does_not_run_them(tmp_path):
             f'    path: {{file: "path <i>.nc"}}\n')  # fmt: skip
     (folder / "cell <u>.yaml").write_text(text)
     cell = str(folder / "cell <u>.yaml")
-    answer = ask("compensate", cell, *settings(*SET), "--method", "linear", "--no-verdict", "--out", str(tmp_path / "out"))
+    answer = ask("compensate", cell, *settings(*SET), "--method=linear", "--no-verdict", "--out", str(tmp_path / "out"))
     assert answer.code in (0, 1), answer
     page = looked_at(tmp_path / "out" / "report.html")
     shown = " ".join(page.texts)
