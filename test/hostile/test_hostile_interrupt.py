@@ -28,7 +28,7 @@ sys.exit(main({words!r}))
 LONG = ["--set", "path.feed_rate_m_per_min=0.05"]  # some ten times as long as the paper's pass
 COMMANDS = {
     "simulate": (["simulate", "paper.yaml", *LONG, "--out", "out"], "cell.jobs", "simulate"),
-    "compensate": (["compensate", "paper.yaml", *LONG, "--no-verdict", "--out", "out"], "cell.jobs", "simulate"),
+    "compensate": (["compensate", "paper.yaml", *LONG, "--method=learned", "--out=out"], "cell.jobs", "simulate"),
     "bench": (["bench"], "cell.jobs", "simulate"),
     "demo": (["demo", "--plain", "--out", "out"], "cell.jobs", "simulate"),
     "check": (["check", "paper.yaml", *LONG], "decision.check", "check"),
