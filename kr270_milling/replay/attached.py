@@ -15,7 +15,7 @@ from kr270_milling.base.errors import ConfigError, one_line
 from kr270_milling.base.parameter_file import read_tree
 from kr270_milling.cell.cell import Cell, read_cell
 
-__all__ = ["cell_of", "in_file_order"]
+__all__ = ["CELL", "cell_of", "in_file_order"]
 
 CELL = "cell.yaml"
 LONGEST_NAME = 200  # [bytes], of an attached file

@@ -60,7 +60,7 @@ class CompensatorFeed:
         self._opening = opening
         self._given_method = cell.compensation.method
         self._published: list[bytes] = []  # references that were recorded and not compared yet
-        self._known = False  # whether the state is the node's, and not made up from reports
+        self.known = False  # whether the state is the node's, and not made up from reports
         self._begun = False
         self._without: CompensatorProtocol | None = None  # the protocol as if the last wrench did not come
         self._undecided = False
@@ -75,10 +75,26 @@ class CompensatorFeed:
         """The reference that the first pass runs; where it stands in the file does not matter."""
         run = trajectory_from_bytes(data, as_sent=True)
         state = self.protocol.models.compensator(self.target, self.method)
-        self._known = _same(state.reference, run)
-        if not self._known:
+        self.known = _same(state.reference, run)
+        if not self.known:
             state.resume(run, (), False)
         self.protocol.resume(state)
+
+    @property
+    def lacks_passes(self) -> bool:
+        """Whether what is run, and what follows from it, comes from passes that are not in this recording."""
+        return not self.known and self.protocol.compensator.repeats
+
+    def goes_on_from(self, before: CompensatorFeed | None) -> bool:
+        """Begin with the state behind an earlier recording, if it leads to what is run here, by this method."""
+        if before is None or not before.known:
+            return False
+        state, run = before.protocol, self.protocol.compensator.reference
+        if not _same(state.compensator.reference, run):
+            state.choose(self.method)
+        self.known = _same(state.compensator.reference, run)
+        self.protocol = state if self.known else self.protocol
+        return self.known
 
     def reference(self, data: bytes) -> None:
         """The next recorded reference; the first is the one that is run."""
@@ -93,7 +109,7 @@ class CompensatorFeed:
     def new_target(self, target: Trajectory) -> None:
         """A target of the user."""
         self.target = target
-        self._known = False
+        self.known = False
 
     def pose(self, sample: PoseSample) -> None:
         """The next tool_pose, one that can be used."""
@@ -122,7 +138,7 @@ class CompensatorFeed:
     def _feed(self, sample, how: Callable[[CompensatorProtocol, object], list]) -> None:
         protocol = self.protocol
         if sample.stamp >= protocol.end_ns and protocol.under_way and self._without is None:
-            if not self._known:
+            if not self.known:
                 self._restore()
             self._without = protocol.twin()
         if how is CompensatorProtocol.pose and self._without is not None:
@@ -155,7 +171,7 @@ class CompensatorFeed:
             self._compare()
 
     def _tell_undecided(self) -> None:
-        reason = f"whether {self.method} goes on or back to an earlier pass is not decidable from this file"
+        reason = f"whether {self.method} goes on or back to an earlier pass is not decidable from this file alone"
         self._stop(self.protocol.end_ns, reason)
 
     def _restore(self) -> None:
@@ -168,7 +184,7 @@ class CompensatorFeed:
             protocol.compensator = state
             return
         if report is None and state.repeats:
-            reason = "nothing in the recording tells how good the passes before this one were"
+            reason = "neither this recording nor one beside it tells how good the passes before this one were"
             self._stop(protocol.end_ns, reason)
             self._undecided = True
         errors = report.errors if report else ()
@@ -180,7 +196,7 @@ class CompensatorFeed:
     def _decided(self, revised: CompensatorProtocol) -> bool:
         """Whether the rounding of earlier errors in the diagnostics leaves no doubt about what repeats."""
         state = revised.compensator
-        if not state.repeats or len(state.errors) < 2 or self._known or revised.ran_by.finished:
+        if not state.repeats or len(state.errors) < 2 or self.known or revised.ran_by.finished:
             return True
         earlier, last = min(state.errors[:-1]), state.errors[-1]
         return min(abs(last - earlier), abs(last - (1.0 - LEAST_GAIN) * earlier)) > ROUNDING
@@ -199,7 +215,7 @@ class CompensatorFeed:
             found = next((c for c in self._candidates() if _same_bytes(c, data)), None)
             differs = found is None and any(not r.missing + r.missing_wrenches for r in self.revisions)
             found = self.revisions[0] if differs else found
-            self._known = found is not None
+            self.known = found is not None
             self.protocol = found or self.protocol
             self._compare_with(data, found)
             if found is None or differs:
@@ -222,7 +238,7 @@ class CompensatorFeed:
     def _go_on_from(self, reference: Trajectory) -> None:
         """What is run next is what was sent, whatever led to it."""
         state = self.protocol.compensator
-        if not self._known:
+        if not self.known:
             state = self.protocol.models.compensator(self.target, self.method)
             state.resume(reference, (), False)
         state.reference = reference
@@ -232,7 +248,7 @@ class CompensatorFeed:
         """States that the node may be in now, the likely one first."""
         yield from self.revisions
         yield from self._unrevised()
-        if self._known and not self.revisions and self.protocol.compensator.first is not None:
+        if self.known and not self.revisions and self.protocol.compensator.first is not None:
             for method in METHODS:
                 other = self.protocol.twin()
                 with contextlib.suppress(MillingError):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.exchange import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
-from kr270_milling.replay.attached import cell_of, in_file_order
+from kr270_milling.replay.attached import CELL, cell_of, in_file_order
 from kr270_milling.replay.compare import Channel
 from kr270_milling.replay.feeds import CutFeed, RobotFeed
 from kr270_milling.replay.revisions import CompensatorFeed, Report, read_report
@@ -150,9 +151,12 @@ class Robot:
 
 
 class Robots:
-    """The robots of a recording; ``feed`` gives them its messages."""
+    """The robots of a recording; ``feed`` gives them its messages.
 
-    def __init__(self, recording: Recording):
+    later: files of passes that came behind this one; any other recording beside it may be that of an earlier pass.
+    """
+
+    def __init__(self, recording: Recording, later: frozenset[Path] = frozenset()):
         self.recording = recording
         self.cell = cell_of(recording)
         self._names = self._find_topics()
@@ -166,7 +170,10 @@ class Robots:
         for namespace in sorted({namespace for namespace, _ in self._names.values()}):
             with self._usable(f"{namespace}/reference_trajectory"):
                 channels = self._channels(namespace)
-                robot = Robot(self.cell, namespace, channels, firsts.get(namespace), openings.get(namespace))
+                first = firsts.get(namespace)
+                robot = Robot(self.cell, namespace, channels, first, openings.get(namespace))
+                if first is not None and robot.compensator.lacks_passes:
+                    _look_back(recording, namespace, first, robot.compensator, later)
                 robot.foreign = recording.library != f"kr270_milling/{__version__}"
                 self.robots[namespace] = robot
 
@@ -239,6 +246,26 @@ class Robots:
         except (ValueError, OverflowError) as error:
             what = f"a message on {topic} cannot be used: {' '.join(str(error).split())}"
             raise RecordingError(self.recording.path, what) from error
+
+
+def _look_back(recording: Recording, namespace: str, run: bytes, feed: CompensatorFeed, later: frozenset[Path]) -> None:
+    """Let the feed of a later pass begin with what the recordings of the passes before it show, if they lie beside it.
+
+    First those that published the reference ``run``, each with those before it; then the pass along the target, from
+    which another method may have been chosen.
+    """
+    folder, topic, later = recording.path.parent, f"{namespace}/reference_trajectory", later | {recording.path}
+    files = sorted({*folder.glob("*.mcap"), *folder.parent.glob("*/*.mcap")} - later)
+    for published in (True, False):
+        for file in files:
+            with contextlib.suppress(MillingError), Recording(file) as before:
+                references = [message.data for message in before.messages({topic}, as_written=True)]
+                if (run in references[1:]) is not published or before.attachment(CELL) != recording.attachment(CELL):
+                    continue
+                robots = Robots(before, later if published else later.union(files))
+                robots.feed(None, Robot.hear_compensator)
+                if feed.goes_on_from(robots.robots[namespace].compensator):
+                    return
 
 
 def _reports_in(array):

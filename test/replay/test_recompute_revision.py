@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pass_recording as made
 import pytest
 from pass_recording import STEPS, flip
@@ -64,6 +66,20 @@ def test_learned_is_decided_only_where_the_file_tells_enough(tmp_path, errors, f
     assert found.channels["/wrench"].compared == STEPS
     assert found.channels["/reference_trajectory"].compared == (verdict == "identical")
     assert all(any(w in s.reason for w in ("earlier", "before this one")) for s in found.stops)
+
+
+def test_every_pass_of_learned_is_recomputed_with_the_recordings_beside_it(tmp_path):
+    """Its revision needs all passes: they lie in one folder, each in a recording of its own, in whatever order."""
+    messages, passes = made.one_pass("learned", 1, 3), ["c", "a", "b"]
+    starts = [i for i, m in enumerate(messages) if m.topic == "reference_trajectory"]
+    for name, start, end in zip(passes, starts, starts[1:], strict=False):
+        made.write(tmp_path / name, messages[start : end + 2], cell=made.cell_text("learned"))
+    for name in passes:
+        found = recompute(tmp_path / name)
+        assert found.verdict == "identical", (found.first, found.stops)
+        assert found.channels["/reference_trajectory"].compared == 1 + (name == "c")
+    shutil.rmtree(tmp_path / "c")
+    assert recompute(tmp_path / "b").verdict == "incomplete"
 
 
 def test_learned_keeps_its_reference_when_it_has_finished(tmp_path):
