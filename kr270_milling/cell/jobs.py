@@ -113,7 +113,17 @@ def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Co
         lambda t, wrench: mirrored(cell, t, wrench),
         lambda t: arm_response(cell, t),
         lambda t: record_of(cell, simulate(cell, t)),
+        lambda t, time_ns, shift: strayed(cell, t, time_ns, shift),
     )
+
+
+def strayed(cell: Cell, target: Trajectory, time_ns: np.ndarray, shift: np.ndarray) -> PassRecord:
+    """The cut alone, along a path that strays from the target by shifts (k, 3) [m] at times (k,) [ns]."""
+    steps = np.arange(cell.clock.steps(target.duration_ns) + 1)
+    stamps = cell.clock.stamp(steps)
+    tool = target.sample(stamps) + np.column_stack([np.interp(stamps, time_ns, axis) for axis in shift.T])
+    wrench, _, _ = cell.cut().along(tool, steps * cell.clock.micro_steps)
+    return pass_record(cell, stamps, tool, wrench)
 
 
 def mirrored(cell: Cell, target: Trajectory, wrench: np.ndarray) -> Trajectory:

@@ -34,6 +34,7 @@ class Evidence:
     cubic: np.ndarray  #: (m, 4, 3)
     deviation: np.ndarray  #: [m], (m, parts, 3)
     wrench: np.ndarray | None  #: [N, N m], (m, parts, 6)
+    on_path: np.ndarray | None = None  #: what it would have been of a tool on its path [N, N m], (m, parts, 6)
 
 
 @dataclass(frozen=True)

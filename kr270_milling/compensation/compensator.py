@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import math
 from collections.abc import Callable
 
@@ -60,7 +61,8 @@ class Compensator:
 
     "mirror" hands the mean wrench (k, 6) at the target's knots to the function ``mirror``, which knows the arm;
     "inverse" and "learned" ask ``arm`` for its response along the target, without it they suppose that the tool follows
-    the reference at once; where nothing measured the wrench they take that of the model's own pass, ``predict``.
+    the reference at once. Where nothing measured the wrench they take that of the model's own pass, ``predict``.
+    ``cut`` tells what the process answers where the tool strays from the target by shifts (k, 3) [m] at times (k,) [ns].
 
     "learned", and with ``parameters.repeat`` every method, keeps the best reference so far and is ``finished`` when a
     pass brings less than 1 % or less than the noise, or max_passes are done; of any other method each pass
@@ -75,12 +77,14 @@ class Compensator:
         mirror: Callable[[Trajectory, np.ndarray], Trajectory] | None = None,
         arm: Callable[[Trajectory], ArmResponse] | None = None,
         predict: Callable[[Trajectory], PassRecord] | None = None,
+        cut: Callable[[Trajectory, np.ndarray, np.ndarray], PassRecord] | None = None,
     ):
         self.parameters = parameters
         self.target = target
         self._mirror = mirror
         self._arm = arm
         self._predict = predict
+        self._cut = cut
         self.method = method or parameters.method
         self.first: PassRecord | None = None  #: the pass along the target
         self.reset()
@@ -184,7 +188,8 @@ class Compensator:
         target, how = self.target, self.parameters
         course = Course(how.interpolation == "spline", target.standing, held(target))
         arm = self._arm(target) if self._arm else ArmResponse.rigid(len(target) - 1)
-        return Learner(target, arm, course, how.criterion, self._predict)
+        cut = self._cut and functools.partial(self._cut, target)
+        return Learner(target, arm, course, how.criterion, self._predict, cut)
 
     def _is_best(self, ran: PassRecord) -> bool:
         """Whether the best reference so far is not worth another revision.

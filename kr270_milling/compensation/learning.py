@@ -9,6 +9,7 @@ is no larger than the stated noise of the measurement, all of it where nothing i
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -33,7 +34,11 @@ MISFIT = 0.05  #: share of its own deviation by which a pass may mislead about t
 
 
 class Learner:
-    """Gathers passes along corrections of one target and makes the next correction."""
+    """Gathers passes along corrections of one target and makes the next correction.
+
+    predict: the model's own pass along a reference; cut: what the model's cut makes of a tool that strays from the
+    target by shifts (k, 3) [m] at times (k,) [ns].
+    """
 
     def __init__(
         self,
@@ -42,6 +47,7 @@ class Learner:
         course: Course,
         criterion: str,
         predict: Callable[[Trajectory], PassRecord] | None = None,
+        cut: Callable[[np.ndarray, np.ndarray], PassRecord] | None = None,
     ):
         self.target = target
         self.model = arm
@@ -49,6 +55,8 @@ class Learner:
         self.course = course
         self.criterion = criterion
         self._predict = predict
+        self._cut = cut
+        self._ideal: np.ndarray | None = None  # wrench of the model's cut on the path itself
         self.segments = Segments.of(target.time_ns)
         self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
         self.identified: Identified | None = None
@@ -74,12 +82,7 @@ class Learner:
         """Learn from a pass along ``reference``."""
         segments, time_ns = self.segments, ran.time_ns
         deviation = segments.middle(time_ns, ran.position - self.target.sample(time_ns))
-        wrench = self._wrench(ran)
-        if wrench is None and self.passes:
-            wrench = self.passes[0].wrench
-        elif wrench is None and self._predict is not None:
-            wrench = self._wrench(self._predict(self.target))
-        self.passes.append(Evidence(self.cubic(reference), deviation, wrench))
+        self.passes.append(self._evidence(ran, self.cubic(reference), deviation))
         scored = segments.mean(time_ns, ran.scored[:, None].astype(float)).ravel() > 0.0
         scored[:-1] |= scored[1:]  # up to the edge of the first part
         self.scored = scored.reshape(len(segments), segments.parts)
@@ -88,7 +91,19 @@ class Learner:
         self.arm, self.identified = fit(
             self.model, segments, self.path, self.path[0, 1], self.passes, weight, self._noise
         )
+        last = self.passes[-1]
+        if last.wrench is not None and last.on_path is None:
+            self.passes[-1] = dataclasses.replace(last, on_path=self._on_path(last))
         self.expected = self._expected()
+
+    def _evidence(self, ran: PassRecord, cubic: np.ndarray, deviation: np.ndarray) -> Evidence:
+        """Where nothing measured the wrench it is that of the first pass, and that of the model's own pass."""
+        wrench = self._wrench(ran)
+        if wrench is None and self.passes:
+            return dataclasses.replace(self.passes[0], cubic=cubic, deviation=deviation)
+        if wrench is None and self._predict is not None:
+            wrench = self._wrench(self._predict(self.target))
+        return Evidence(cubic, deviation, wrench)
 
     def _wrench(self, ran: PassRecord) -> np.ndarray | None:
         """In each part, (m, parts, 6); None where it is not known."""
@@ -99,19 +114,14 @@ class Learner:
 
     def _expected(self) -> np.ndarray:
         """Deviation [m], (m, parts, 3), of a tool that runs on its path without a correction of the reference."""
-        arm, segments = self.arm, self.segments
-        swing = arm.swing(segments, self.path, self.path[0, 1])
-        rests, shares, ideal = [], [], swing
+        segments, last = self.segments, self.passes[-1]
+        ideal = self.arm.swing(segments, self.path, self.path[0, 1])
+        if last.on_path is not None:
+            ideal = ideal + self.arm.give_way(segments, last.on_path)
+        rests, shares = [], []
         for ran in self.passes:
-            model = swing + arm.follow(segments, ran.cubic)
-            ideal = swing
-            if ran.wrench is not None:
-                under = arm.give_way(segments, ran.wrench)
-                ideal = swing + arm.give_way(segments, self._on_path(model + under, ran.wrench))
-                model = model + under
-            rest = ran.deviation - model
             size = np.sqrt(np.mean(ran.deviation[self.scored] ** 2)) if self.scored.any() else 0.0
-            rests.append(rest)
+            rests.append(ran.deviation - self._modelled(ran))
             shares.append(1.0 / (self._noise**2 + (MISFIT * size) ** 2 + 1e-24))
         shares = np.array(shares) / np.sum(shares)
         rest = np.einsum("n,nkpi->kpi", shares, np.array(rests))
@@ -125,26 +135,28 @@ class Learner:
         self._rough = share * np.sqrt(noise)
         return ideal + share * rest
 
-    def _on_path(self, deviation: np.ndarray, wrench: np.ndarray) -> np.ndarray:
-        """The wrench of a tool that does not stray: the cutting force turns with the motion of the tool.
+    def _on_path(self, ran: Evidence) -> np.ndarray:
+        """w + k (w_c(path) - w_c(path + deviation)): the wrench of a pass, had its tool not strayed.
 
-        A tool that drifts by v across the feed v_f meets the stock under the angle v / v_f, and the mean force turns by
-        that angle about z: this damps a vibration across the feed as a dashpot F_x / v_f would.
+        w_c is the wrench of the model's cut, k the factor that explains w with w_c along the strayed path. A tool that
+        drifts across the feed turns its chips, one that sinks cuts with its whole end: both damp what the arm does.
         """
-        time = self.segments.middle_ns.ravel() * 1e-9
-        drift = np.gradient(deviation.reshape(-1, 3), time, axis=0).reshape(deviation.shape)
-        feed = self.target.sample_velocity(self.segments.middle_ns)
-        moved = feed + drift
-        speed = np.hypot(feed[..., 0], feed[..., 1])
-        sine = feed[..., 1] * moved[..., 0] - feed[..., 0] * moved[..., 1]
-        cosine = np.sum(feed[..., :2] * moved[..., :2], axis=-1)
-        angle = np.where(speed > 0.2 * speed.max(), np.arctan2(sine, np.where(speed > 0.0, cosine, 1.0)), 0.0)
-        c, s = np.cos(angle), np.sin(angle)
-        turned = wrench.copy()
-        for x, y in ((0, 1), (3, 4)):
-            turned[..., x] = c * wrench[..., x] - s * wrench[..., y]
-            turned[..., y] = s * wrench[..., x] + c * wrench[..., y]
-        return turned
+        if self._cut is None:
+            return ran.wrench
+        time_ns = self.segments.middle_ns.ravel()
+        strayed = self._wrench(self._cut(time_ns, self._modelled(ran).reshape(-1, 3)))
+        if self._ideal is None:
+            self._ideal = self._wrench(self._cut(time_ns, np.zeros((time_ns.size, 3))))
+        if strayed is None or self._ideal is None:
+            return ran.wrench
+        factor = max(0.0, np.sum(ran.wrench[..., :3] * strayed[..., :3]) / np.sum(strayed[..., :3] ** 2))
+        return ran.wrench + factor * (self._ideal - strayed)
+
+    def _modelled(self, ran: Evidence) -> np.ndarray:
+        """Deviation [m], (m, parts, 3), that the arm explains: under the wrench, its inertia and the correction."""
+        arm, segments = self.arm, self.segments
+        moved = arm.swing(segments, self.path, self.path[0, 1]) + arm.follow(segments, ran.cubic)
+        return moved if ran.wrench is None else moved + arm.give_way(segments, ran.wrench)
 
     def correction(self) -> tuple[np.ndarray, np.ndarray | None]:
         """Values [m] and, of a smooth correction, rates [m/s] at the knots, (k, 3) each."""

@@ -10,7 +10,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.cutting.grid import TILE, GridError, Stock, levels_in_window
 from kr270_milling.cutting.laws import Cutting
 from kr270_milling.cutting.state import FAILED, LEVEL_SUM, TILES, log_size, make_log, make_params, make_state
-from kr270_milling.cutting.sweep import NO_FORCES, sweep, undo
+from kr270_milling.cutting.sweep import NO_FORCES, sweep, sweep_along, undo
 from kr270_milling.cutting.tool import Tool
 
 __all__ = ["Cut", "SweepError", "UndoError"]
@@ -68,6 +68,19 @@ class Cut:
         if self.state.ints[FAILED]:
             raise GridError(self.state.pool.size // TILE**2)
         return wrench
+
+    def along(self, positions: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Move the tool tip through positions (n, 3) [m], reached at micro-steps (n,) from the pass's start.
+
+        Returns the mean wrench (n, 6) [N, N m], the mean spindle torque (n,) [N m] and the volume removed (n,) [m^3] on
+        the way to each position; 0 for the first. Raises GridError.
+        """
+        positions, steps = np.ascontiguousarray(positions, float), np.ascontiguousarray(steps, np.int64)
+        wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
+        sweep_along(self.state, self.params, positions, steps, NO_FORCES, wrench, torque, volume)
+        if self.state.ints[FAILED]:
+            raise GridError(self.state.pool.size // TILE**2)
+        return wrench, torque, volume
 
     def restore(self) -> None:
         """Take the last sweep back, once. Raises UndoError."""

@@ -151,10 +151,6 @@ def _cut_again(cell: Cell, stamps: np.ndarray, tool: np.ndarray) -> tuple:
     From the recorded tool centres on a fresh workpiece; across a hole in the recording the tool goes straight.
     """
     cut, clock = cell.cut(), cell.clock
-    steps = [clock.step(stamp) * clock.micro_steps for stamp in stamps.tolist()]
-    torque, volume = np.zeros(stamps.size), np.zeros(stamps.size)
-    for i in range(1, stamps.size):
-        before = cut.removed_volume
-        cut.sweep(tool[i - 1], tool[i], steps[i - 1], steps[i] - steps[i - 1])
-        torque[i], volume[i] = cut.torque, cut.removed_volume - before
-    return torque, volume, steps[-1], cut.removed_area, cut.removed_volume
+    steps = np.array([clock.step(stamp) for stamp in stamps.tolist()]) * clock.micro_steps
+    _, torque, volume = cut.along(tool, steps)
+    return torque, volume, int(steps[-1]), cut.removed_area, cut.removed_volume

@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cutting import NO_FORCES, Cut, GridError, sweep
+from kr270_milling.cutting import Cut
 from kr270_milling.cutting.grid import TILE
-from kr270_milling.cutting.state import FAILED
 
 __all__ = ["heights_at", "machined"]
-
-
-@njit(cache=True, error_model="numpy", nogil=True)  # several workpieces are swept at once
-def _sweep_along(state, params, positions, micro_steps, no_forces):
-    wrench = np.empty(6)
-    for n in range(positions.shape[0] - 1):
-        sweep(state, params, positions[n], positions[n + 1], n * micro_steps, micro_steps, no_forces, wrench)
 
 
 def machined(cell: Cell, positions: np.ndarray) -> Cut:
     """A fresh workpiece after the tool tip went through positions (n + 1, 3) [m], one exchange period from each to the
     next, workpiece frame. Positions that are the target's leave the part of a rigid arm. Raises GridError."""
     cut = cell.cut()
-    _sweep_along(cut.state, cut.params, np.ascontiguousarray(positions, float), cell.clock.micro_steps, NO_FORCES)
-    if cut.state.ints[FAILED]:
-        raise GridError(cut.state.pool.size // TILE**2)
+    cut.along(positions, np.arange(len(positions)) * cell.clock.micro_steps)
     return cut
 
 
