@@ -62,7 +62,7 @@ class Compensator:
     "mirror" hands the mean wrench (k, 6) at the target's knots to the function ``mirror``, which knows the arm;
     "inverse" and "learned" ask ``arm`` for its response along the target, without it they suppose that the tool follows
     the reference at once. Where nothing measured the wrench they take that of the model's own pass, ``predict``.
-    ``cut`` tells what the process answers where the tool strays from the target by shifts (k, 3) [m] at times (k,) [ns].
+    ``cut`` tells what the process answers to a tool that strays from the target by (k, 3) [m] at times (k,) [ns].
 
     "learned", and with ``parameters.repeat`` every method, keeps the best reference so far and is ``finished`` when a
     pass brings less than 1 % or less than the noise, or max_passes are done; of any other method each pass
