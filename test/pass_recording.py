@@ -70,10 +70,13 @@ def reference_data(run) -> bytes:
 
 
 @functools.cache
-def one_pass(method: str = "linear", iterations: int = 1, passes: int = 1, every: int = 1) -> tuple[Message, ...]:
-    """What the protocols of the nodes publish in some passes, in the order of causes."""
+def one_pass(
+    method: str = "linear", iterations: int = 1, passes: int = 1, every: int = 1, plant=None
+) -> tuple[Message, ...]:
+    """What the protocols of the nodes publish in some passes, in the order of causes; plant: of robot and cut."""
     cell = cell_of(method, iterations, every)
-    robot, cut, compensator = robot_protocol(cell), cut_protocol(cell), compensator_protocol(cell)
+    cuts = plant or cell
+    robot, cut, compensator = robot_protocol(cuts), cut_protocol(cuts), compensator_protocol(cell, plant)
     found = messages(compensator.begin(cell.target()))
     for _ in range(passes):
         robot.reference = compensator.compensator.reference

@@ -14,6 +14,7 @@ from kr270_milling.cell.response import arm_response
 from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.mirror import Mirror, mirror
 from kr270_milling.compensation.revision import PassRecord
+from kr270_milling.simulation.imperfections import Imperfections
 from kr270_milling.simulation.milling_pass import PassResult, run_pass
 from kr270_milling.simulation.scores import Scores, score
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -61,10 +62,8 @@ def simulate(
     target = cell.target()
     reference = target if reference is None else reference
     if plant is not None:
-        result, tool = plant.run(reference, progress)
-        record = dataclasses.replace(
-            pass_record(cell, result.time_ns, tool, result.wrench), noise=plant.cell.imperfections.pose_noise
-        )
+        result, number = plant.run(reference, progress), plant.passes - 1
+        record = pass_record(cell, result.time_ns, result.tool, result.wrench, plant.cell.imperfections, number)
         return ScoredPass(name, reference, result, scored(cell, result, plant.cell.low_frequency), record)
     result = run_pass(
         cell.arm_model(reference), cell.cut(), cell.clock, target, reference, cell.exchange.iterations, progress
@@ -95,13 +94,19 @@ def record_of(cell: Cell, ran: ScoredPass | PassResult) -> PassRecord:
     return pass_record(cell, result.time_ns, result.tool, result.wrench)
 
 
-def pass_record(cell: Cell, time_ns: np.ndarray, tool: np.ndarray, wrench: np.ndarray) -> PassRecord:
+def pass_record(
+    cell: Cell, time_ns: np.ndarray, tool: np.ndarray, wrench: np.ndarray, tracker: Imperfections | None = None,
+    number: int = 0,
+) -> PassRecord:  # fmt: skip
     """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], heard, recorded or simulated.
 
-    The noise of the positions is what the cell states in ``imperfections``.
+    The noise of the positions is what the cell states in ``imperfections``. tracker: simulate one with this noise for
+    the true tool centres of the pass ``number``.
     """
     revolution = 2e9 * np.pi / cell.tool.spindle_speed
-    return PassRecord(time_ns, tool, cell.scored_from_ns, wrench, revolution, cell.imperfections.pose_noise)
+    noise = (tracker or cell.imperfections).pose_noise
+    tool = tool if tracker is None else tracker.measured(tool, number)
+    return PassRecord(time_ns, tool, cell.scored_from_ns, wrench, revolution, noise)
 
 
 def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Compensator:

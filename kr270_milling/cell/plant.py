@@ -25,17 +25,17 @@ class Plant:
         self.target = model.target()
         self.passes = 0  #: run so far
 
-    def run(self, reference: Trajectory, progress=None) -> tuple[PassResult, np.ndarray]:
-        """One pass on a fresh workpiece, and the tool positions (n, 3) [m] that a tracker reports of it.
+    def run(self, reference: Trajectory, progress=None) -> PassResult:
+        """One pass on a fresh workpiece.
 
-        The result is true: its ``reference`` is the course that the motors took, with repeatability and backlash.
+        It is true, and not what a noisy tracker reports: its ``reference`` is the course that the motors took, with
+        repeatability and backlash.
         """
         cell, number = self.cell, self.passes
         self.passes += 1
         course = imperfect_course(cell, reference, number)
         iterations = cell.exchange.iterations
-        result = run_pass(cell.arm_model(reference), cell.cut(), cell.clock, self.target, course, iterations, progress)
-        return result, cell.imperfections.measured(result.tool, number)
+        return run_pass(cell.arm_model(reference), cell.cut(), cell.clock, self.target, course, iterations, progress)
 
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int) -> Trajectory:

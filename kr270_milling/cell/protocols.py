@@ -6,6 +6,7 @@ import math
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints, compensator, pass_record
+from kr270_milling.cell.plant import imperfect_course
 from kr270_milling.compensation.protocol import CompensatorModels, CompensatorProtocol
 from kr270_milling.robot.urdf import urdf
 from kr270_milling.simulation.protocol import CutProtocol, RobotModels, RobotProtocol
@@ -25,6 +26,7 @@ def robot_protocol(cell: Cell, deflection_every: int | None = None) -> RobotProt
         joints_every=thinned,
         clock_every=cell.steps_of(CLOCK_PERIOD),
         arm_model=cell.arm_model,
+        course=lambda reference, number: imperfect_course(cell, reference, number),
         joints_at=cell.joints_at,
         description=urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose),
         warn_correction=cell.exchange.warn_correction,
@@ -38,13 +40,13 @@ def cut_protocol(cell: Cell) -> CutProtocol:
     return CutProtocol(cell.clock, cell.stock, cell.cut)
 
 
-def compensator_protocol(cell: Cell) -> CompensatorProtocol:
-    """Of the trajectory compensator."""
+def compensator_protocol(cell: Cell, plant: Cell | None = None) -> CompensatorProtocol:
+    """Of the trajectory compensator; plant: the cell that is simulated in the place of a real one, and its tracker."""
     models = CompensatorModels(
         clock=cell.clock,
         iterations=cell.exchange.iterations,
         compensator=lambda target, method: compensator(cell, target, method),
-        pass_record=lambda stamps, positions, wrench: pass_record(cell, stamps, positions, wrench),
+        pass_record=lambda number, *series: pass_record(cell, *series, plant and plant.imperfections, number),
         joints=lambda reference: commanded_joints(cell, reference),
     )
     return CompensatorProtocol(models)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import sys
 
 from kr270_milling.commands.console import add_cell, add_common, fixed, print_json, print_table
+from kr270_milling.commands.plant import add_plant, read_plant
 from kr270_milling.compensation.methods import METHODS
 from kr270_milling.nodes.option_types import bounded
 
 
 def add_arguments(parser) -> None:
     add_cell(parser)
+    add_plant(parser)
     parser.add_argument(
         "--passes",
         type=bounded(1, 1000, int),
@@ -36,15 +38,22 @@ def run(args) -> None:
     require_ros()
     cell = read_cell(find_file(args.cell), args.set)
     methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
-    found = run_cell(cell, methods, args.out, args.passes, args.namespace, args.json, not args.processes)
+    plant = read_plant(args, cell)
+    found = run_cell(cell, methods, args.out, args.passes, args.namespace, args.json, not args.processes, plant)
     if args.json:
         print_json(summary(found))
         return
     print_rows(found)
 
 
-def run_cell(cell, methods, out, passes=None, namespace: str = "", quiet: bool = False, composed: bool = True) -> dict:
-    """Run a cell's passes; returns graph_up_s, out (the directory used) and passes, a list of RanPass."""
+def run_cell(
+    cell, methods, out, passes=None, namespace: str = "", quiet: bool = False, composed: bool = True, plant=None
+) -> dict:
+    """Run a cell's passes, with the arm and the material of ``plant`` if there is one.
+
+    Returns graph_up_s, out (the directory used) and passes, a list of RanPass.
+    """
+    from kr270_milling.base.errors import ParameterError
     from kr270_milling.graph.graph import Graph
     from kr270_milling.graph.plan import fresh_directory, run_plan
     from kr270_milling.ros.names import full_namespace
@@ -53,7 +62,11 @@ def run_cell(cell, methods, out, passes=None, namespace: str = "", quiet: bool =
     _compile(cell)
     directory = fresh_directory(out)
     tell = (lambda name: None) if quiet or not sys.stderr.isatty() else _tell
-    with Graph(cell, directory, namespace, composed=composed) as graph:
+    cuts = None if plant is None else plant.cell
+    if cuts is not None and cuts.clock != cell.clock:
+        allowed = f"{1e3 * cell.clock.period:g} in {cell.clock.micro_steps} micro-steps, as the cell that plans has it"
+        raise ParameterError("plant: exchange.period_ms", 1e3 * cuts.clock.period, allowed)
+    with Graph(cell, directory, namespace, composed=composed, plant=cuts) as graph:
         ran = run_plan(graph, methods, passes, tell)
         return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
 

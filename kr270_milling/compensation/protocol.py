@@ -26,7 +26,7 @@ class CompensatorModels:
     clock: Clock
     iterations: int  #: exchanges a period
     compensator: Callable[[Trajectory, str | None], Compensator]  #: target, method -> one without any pass
-    pass_record: Callable[[np.ndarray, np.ndarray, np.ndarray], PassRecord]  #: stamps, positions, wrenches
+    pass_record: Callable[[int, np.ndarray, np.ndarray, np.ndarray], PassRecord]  #: number, stamps, positions, wrenches
     joints: Callable[[Trajectory], np.ndarray]  #: [rad], (n, 6), that command the knots
 
 
@@ -42,6 +42,7 @@ class CompensatorProtocol:
         self.compensator: Compensator | None = None
         self.ran: PassRecord | None = None  #: the last complete pass
         self.ran_by: Compensator | None = None  #: the compensator before it revised after that pass
+        self.passes = 0  #: that were complete
         self.missing = 0  #: poses that the last complete pass lacks
         self.missing_wrenches = 0  #: the same of its wrenches
         self._await_pass(0)
@@ -161,7 +162,8 @@ class CompensatorProtocol:
         stamps = np.array(self._listener.stamps)
         poses = self._listener.items
         positions = np.array([pose.position for pose in poses])
-        self.ran = self.models.pass_record(stamps, positions, self._wrench_series(stamps, poses))
+        self.ran = self.models.pass_record(self.passes, stamps, positions, self._wrench_series(stamps, poses))
+        self.passes += 1
         self.ran_by = self.compensator
         self.missing = _holes(stamps)
         self.missing_wrenches = _holes(np.array(sorted(self._wrenches)))

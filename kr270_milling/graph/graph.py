@@ -47,8 +47,8 @@ class PassRun:
 class Graph:
     """Context manager: on entry the nodes come up, on exit they are gone, whatever happened in between.
 
-    out: an existing directory that gets cell.yaml, logs and recordings; composed: robot and cut in one process. Raises
-    RunError, AlreadyRunning.
+    out: an existing directory that gets cell.yaml, logs and recordings; composed: robot and cut in one process; plant:
+    what robot and cut are in the place of the cell, by which the compensator plans. Raises RunError, AlreadyRunning.
     """
 
     def __init__(
@@ -60,8 +60,10 @@ class Graph:
         stagger: float = 0.0,
         composed: bool = False,
         hooks: Hooks | None = None,
+        plant: Cell | None = None,
     ):
         self.cell = cell
+        self.plant = plant
         self.out = Path(out).resolve()
         self.extra = extra
         self.driver: Driver | None = None
@@ -81,6 +83,8 @@ class Graph:
         keep_to_this_host()
         (self.out / "log").mkdir(exist_ok=True)
         write_cell(self.cell, self.out / "cell.yaml")
+        if self.plant is not None:
+            write_cell(self.plant, self.out / "plant.yaml")
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
                 self._handlers[number] = signal.signal(number, lambda caught, _: self._signals.append(caught))
@@ -93,11 +97,14 @@ class Graph:
         return self
 
     def _start(self, started: float) -> None:
+        cuts = self.out / ("cell.yaml" if self.plant is None else "plant.yaml")
+        tracked = () if self.plant is None else ("-p", f"plant:={cuts}")
         if self._composed:
-            self.spawn(TOGETHER, self.out / "cell.yaml", *self.extra, holds=(ROBOT, CUT))
-        for name in [name for name in (ROBOT, CUT, COMPENSATOR) if name not in self.children]:
-            self.spawn(name, self.out / "cell.yaml", *self.extra)
+            self.spawn(TOGETHER, cuts, *self.extra, holds=(ROBOT, CUT))
+        for name in [name for name in (ROBOT, CUT) if name not in self.children]:
+            self.spawn(name, cuts, *self.extra)
             self._pause(self._stagger)
+        self.spawn(COMPENSATOR, self.out / "cell.yaml", *tracked, *self.extra)
         nodes = (ROBOT, CUT, COMPENSATOR)
         self.driver.until(lambda: all(map(self.driver.status, nodes)), "coming up", UP)
         self.driver.transitions([(ROBOT, "configure"), (CUT, "configure")], UP)
@@ -200,7 +207,10 @@ class Graph:
 
     def begin_recording(self, name: str) -> None:
         """Start the recorder of a pass and wait until it hears everybody."""
-        self.spawn(RECORDER, write_recorder_parameters(self.cell, self.out, name, self.driver.namespace))
+        plant = self.plant
+        if plant is not None:
+            plant = plant.replace(imperfections=plant.imperfections.replace(first_pass=len(self.ended)))
+        self.spawn(RECORDER, write_recorder_parameters(self.cell, self.out, name, self.driver.namespace, plant))
         with self._excuse(RECORDER):
             self.driver.until(lambda: self.driver.status(RECORDER), "coming up", UP, RECORDER)
         self._wait_matched(recorded=True)

@@ -7,6 +7,8 @@ import time
 from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from std_srvs.srv import Trigger
 
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.protocols import compensator_protocol
 from kr270_milling.compensation.parameters import METHODS
 from kr270_milling.messages.exchange import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
@@ -35,7 +37,9 @@ class TrajectoryCompensator(ReportingNode):
     def __init__(self, **kwargs):
         super().__init__("trajectory_compensator", **kwargs)
         self.cell = declare_cell(self, writable=(METHOD,))
-        self.protocol = compensator_protocol(self.cell)
+        about = "parameter file of the simulated plant, whose tracker's noise is added to the poses; empty: none"
+        plant = self.declare_parameter("plant", "", ParameterDescriptor(description=about, read_only=True)).value
+        self.protocol = compensator_protocol(self.cell, read_cell(find_file(plant)) if plant else None)
         about = "the cell file's path is the target until one is published"
         described = ParameterDescriptor(description=about, read_only=True)
         own = self.declare_parameter("use_cell_path", True, described).value

@@ -15,9 +15,9 @@ from kr270_milling.base.errors import ConfigError, one_line
 from kr270_milling.base.parameter_file import read_tree
 from kr270_milling.cell.cell import Cell, read_cell
 
-__all__ = ["CELL", "cell_of", "in_file_order"]
+__all__ = ["CELL", "cell_of", "in_file_order", "plant_of"]
 
-CELL = "cell.yaml"
+CELL, PLANT = "cell.yaml", "plant.yaml"
 LONGEST_NAME = 200  # [bytes], of an attached file
 MOST_ATTACHED = 64 * 1024 * 1024  # [bytes] of attachments that are unpacked to read the cell
 #: what version 0.1.0 did where its cells have no key for it: group, key, value
@@ -35,13 +35,22 @@ def cell_of(recording: Recording) -> Cell:
     ones. Raises RecordingError, ConfigError.
     """
     names = [a.name for a in recording.attachments if _is_plain(a.name)]
-    parameter_files = [n for n in names if n.endswith((".yaml", ".yml"))]
+    parameter_files = [n for n in names if n.endswith((".yaml", ".yml")) and n != PLANT]
     if CELL not in names and len(parameter_files) != 1:
         what = f"has {', '.join(sorted(parameter_files))}" if parameter_files else "has no parameter file"
         raise RecordingError(recording.path, f"{what} attached, but {CELL} is needed to recompute it")
     if sum(a.size for a in recording.attachments) > MOST_ATTACHED:
         raise RecordingError(recording.path, "holds more attachments than a cell needs")
-    main = CELL if CELL in names else parameter_files[0]
+    return _read(recording, CELL if CELL in names else parameter_files[0], names)
+
+
+def plant_of(recording: Recording, cell: Cell) -> Cell:
+    """What cut in the pass: the attached ``plant.yaml``, else the cell itself."""
+    names = [a.name for a in recording.attachments if _is_plain(a.name)]
+    return _read(recording, PLANT, names) if PLANT in names else cell
+
+
+def _read(recording: Recording, main: str, names: list[str]) -> Cell:
     with tempfile.TemporaryDirectory() as directory:
         for name in names:
             Path(directory, name).write_bytes(recording.attachment(name))

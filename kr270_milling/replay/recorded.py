@@ -11,9 +11,10 @@ from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
 from kr270_milling.cell.cell import MOST_STEPS, Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
+from kr270_milling.cell.plant import imperfect_course
 from kr270_milling.messages.series import series
 from kr270_milling.messages.trajectory import TRAJECTORY, trajectories
-from kr270_milling.replay.attached import cell_of
+from kr270_milling.replay.attached import cell_of, plant_of
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.simulation.sides import RobotSide
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -71,6 +72,7 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
     """The pass that a recording holds; a file that was cut off gives the part that is there."""
     with Recording(path) as recording:
         cell, reference = cell_of(recording), references(recording, namespace)[0]
+        plant = plant_of(recording, cell)
         heard = {kind: _by_stamp(recording, topic_of(recording, kind, namespace)) for kind in SERIES}
         wall = _wall_time(recording)
     last = cell.clock.steps(reference.duration_ns)
@@ -79,7 +81,8 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
     heard = {kind: {s: v for s, v in at.items() if 0 <= cell.clock.step(s) <= last} for kind, at in heard.items()}
     lost_to_end = _lost(cell, heard, last)
     recorded = dict(heard)
-    heard["deflection"] = _all_deflections(cell, reference, heard["wrench"], heard["deflection"])
+    course = imperfect_course(plant, reference, 0)
+    heard["deflection"] = _all_deflections(plant, reference, course, heard["wrench"], heard["deflection"])
     stamps = np.array(sorted(set.intersection(*map(set, heard.values()))), np.int64)
     if stamps.size < 2:
         raise RecordingError(recording.path, "holds no pass: poses, wrenches and deflections of at least one period")
@@ -87,8 +90,8 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
     ended = int(stamps[-1]) >= int(cell.clock.stamp(last))
     end = last if ended else max(cell.clock.step(int(stamps[-1])), 0)
     lost = _lost(cell, recorded, end)
-    result = _result(cell, reference, stamps, rows, wall)
-    ran = ScoredPass(name or recording.path.stem, reference, result, scored(cell, result))
+    result = _result(cell, plant, course, stamps, rows, wall)
+    ran = ScoredPass(name or recording.path.stem, reference, result, scored(cell, result, plant.low_frequency))
     return RecordedPass(ran, cell, lost, lost_to_end, ended and not lost and not recording.cut_off)
 
 
@@ -100,12 +103,14 @@ def _lost(cell: Cell, recorded: dict[str, dict], last: int) -> int:
     return sum(max(0, last + 1 - count) for count in there.values()) + max(0, last // thinned + 1 - due)
 
 
-def _all_deflections(cell: Cell, reference: Trajectory, wrenches: dict, recorded: dict) -> dict[int, np.ndarray]:
+def _all_deflections(
+    plant: Cell, reference: Trajectory, course: Trajectory, wrenches: dict, recorded: dict
+) -> dict[int, np.ndarray]:
     """Those that were recorded and, as far as these are the same to the bit, those between them: they follow from the
     wrenches, which were all published."""
     if len(recorded) >= len(wrenches):
         return recorded
-    side = RobotSide(cell.arm_model(reference), cell.clock, reference)
+    side = RobotSide(plant.arm_model(reference), plant.clock, course)
     found = {}
     for stamp in sorted(wrenches):
         deflection = side.answer(stamp, wrenches[stamp])
@@ -136,12 +141,12 @@ def _wall_time(recording: Recording) -> float:
     return wall
 
 
-def _result(cell: Cell, reference: Trajectory, stamps: np.ndarray, rows: dict, wall: float) -> PassResult:
-    course, tool = reference.sample(stamps), rows["tool_pose"][:, :3]
+def _result(cell: Cell, plant: Cell, run: Trajectory, stamps: np.ndarray, rows: dict, wall: float) -> PassResult:
+    course, tool = run.sample(stamps), rows["tool_pose"][:, :3]
     shift = course + rows["deflection"][:, :3] - tool
     return PassResult(
         stamps, cell.target().sample(stamps), course, tool, rows["deflection"], rows["wrench"],
-        np.sqrt(np.sum(shift**2, axis=1)), *_cut_again(cell, stamps, tool), wall,
+        np.sqrt(np.sum(shift**2, axis=1)), *_cut_again(plant, stamps, tool), wall,
     )  # fmt: skip
 
 

@@ -49,8 +49,8 @@ class CompensatorFeed:
     last pose may have come before the live revision or not in time: both revisions are tried.
     """
 
-    def __init__(self, cell: Cell, channels: dict[str, Channel], stop, opening: Report | None):
-        self.protocol = compensator_protocol(cell)
+    def __init__(self, cell: Cell, plant: Cell, channels: dict[str, Channel], stop, opening: Report | None):
+        self.protocol = compensator_protocol(cell, None if plant is cell else plant)
         self.target = cell.target()
         self.report: Report | None = None
         self.on_pass: Callable[[CompensatorFeed, bytes | None], None] = lambda feed, published: None

@@ -17,7 +17,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.exchange import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
-from kr270_milling.replay.attached import CELL, cell_of, in_file_order
+from kr270_milling.replay.attached import CELL, cell_of, in_file_order, plant_of
 from kr270_milling.replay.compare import Channel
 from kr270_milling.replay.feeds import CutFeed, RobotFeed
 from kr270_milling.replay.revisions import CompensatorFeed, Report, read_report
@@ -55,20 +55,20 @@ class Stop:
 
 
 class Robot:
-    """Everything in one namespace."""
+    """Everything in one namespace; cells: the one that plans, and the one that cuts."""
 
-    def __init__(self, cell: Cell, namespace: str, channels: dict[str, Channel], first: bytes | None, opening):
-        self.cell = cell
+    def __init__(self, cells: tuple[Cell, Cell], namespace: str, channels: dict[str, Channel], first, opening):
+        self.cell, plant = cells
         self.namespace = namespace
         self.channels = channels
         self.stops: list[Stop] = []
         self.foreign = False  #: recorded by another version, whose picture of the arm for viewers may be another
-        self.robot = RobotFeed(cell, channels, self._stop)
-        self.cut = CutFeed(cell, channels, self._stop)
+        self.robot = RobotFeed(plant, channels, self._stop)
+        self.cut = CutFeed(plant, channels, self._stop)
         self.compensator: CompensatorFeed | None = None
         if first is not None:
             self.robot.reference(trajectory_from_bytes(first))
-            self.compensator = CompensatorFeed(cell, channels, self._stop, opening)
+            self.compensator = CompensatorFeed(self.cell, plant, channels, self._stop, opening)
             self.compensator.begin(first)
 
     def _stop(self, stamp_ns: int, reason: str) -> None:
@@ -159,6 +159,7 @@ class Robots:
     def __init__(self, recording: Recording, later: frozenset[Path] = frozenset()):
         self.recording = recording
         self.cell = cell_of(recording)
+        plant = plant_of(recording, self.cell)
         self._names = self._find_topics()
         self._diagnostics = {
             topic: recording.decoder(topic)
@@ -171,7 +172,7 @@ class Robots:
             with self._usable(f"{namespace}/reference_trajectory"):
                 channels = self._channels(namespace)
                 first = firsts.get(namespace)
-                robot = Robot(self.cell, namespace, channels, first, openings.get(namespace))
+                robot = Robot((self.cell, plant), namespace, channels, first, openings.get(namespace))
                 if first is not None and robot.compensator.lacks_passes:
                     _look_back(recording, namespace, first, robot.compensator, later)
                 robot.foreign = recording.library != f"kr270_milling/{__version__}"

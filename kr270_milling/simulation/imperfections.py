@@ -30,10 +30,11 @@ class Imperfections(Record):
         np.zeros(6), unit="deg", size=6, low=0.0, high=5.0, text="play of each joint, which shows where it reverses"
     )
     seed: int = parameter(1, low=0, high=2**31 - 1, text="of noise and repeatability")
+    first_pass: int = parameter(0, low=0, high=1_000_000, text="passes whose random numbers are drawn already")
 
     def generator(self, number: int) -> np.random.Generator:
         """The random numbers of pass ``number``, from 0."""
-        return np.random.default_rng([self.seed, number])
+        return np.random.default_rng([self.seed, self.first_pass + number])
 
     def shift(self, number: int) -> np.ndarray:
         """[m], (3,): by how much pass ``number`` as a whole lies beside the commanded one."""

@@ -44,6 +44,7 @@ class RobotModels:
     joints_every: int
     clock_every: int
     arm_model: Callable[[Trajectory], ArmModel]
+    course: Callable[[Trajectory, int], Trajectory]  #: reference, number of the pass -> where the motors take the tool
     joints_at: Callable[[np.ndarray, np.ndarray], np.ndarray]  #: positions (n, 3), quaternions (n, 4) -> (n, 6) [rad]
     description: str  #: URDF
     warn_correction: float  #: share of the feed per tooth above which a correction is large
@@ -57,6 +58,7 @@ class RobotProtocol:
         self.models = models
         self.reference: Trajectory | None = None  #: that the next pass runs
         self.side: RobotSide | None = None  #: of the pass under way, or of the last one
+        self.passes = 0  #: that ran to their end
         self._asked = 0  # questions since the last answer
         self._stale = 0  # answers to come for questions that were asked twice
 
@@ -67,9 +69,10 @@ class RobotProtocol:
     def start(self) -> list[Output]:
         """Begin a pass along ``reference``."""
         models, reference = self.models, self.reference
-        side = RobotSide(models.arm_model(reference), models.clock, reference, models.iterations)
-        every = models.joints_every
-        self._joints = models.joints_at(side.course[::every], side.orientation[::every])
+        course = models.course(reference, self.passes)
+        side = RobotSide(models.arm_model(reference), models.clock, course, models.iterations)
+        stamps = side.stamps[:: models.joints_every]  # the encoders stand on the motors' side
+        self._joints = models.joints_at(reference.sample(stamps), reference.sample_orientation(stamps))
         self.side = side
         self._step = 0
         self._asked = 0
@@ -111,6 +114,7 @@ class RobotProtocol:
         self._asked = 0
         deflection = side.answer(stamp_ns, in_workpiece_axes(sample, side.orientation_now))
         if side.done:
+            self.passes += 1
             return self._state(stamp_ns, deflection)
         if side.awaited_ns != stamp_ns:
             self._stale = 0
