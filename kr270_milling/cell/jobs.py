@@ -31,6 +31,7 @@ __all__ = [
     "record_of",
     "scored",
     "simulate",
+    "strayed",
 ]
 
 

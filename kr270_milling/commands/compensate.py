@@ -24,7 +24,6 @@ SAMPLES, FEWEST = 32, 8  #: plants of the verdict
 BUDGET = 300.0  #: [s], of a verdict that is asked for; beyond it fewer plants are run
 USUAL_BUDGET = 50.0  #: [s], of one that nobody asks for; where 8 plants take longer it is left out
 LONGEST_PASS = USUAL_BUDGET / 4  #: [s]; after a longer one not even a first plant is tried
-SHOWN = 3  #: limited stretches that are printed
 
 
 def add_arguments(parser) -> None:
@@ -85,7 +84,7 @@ def run(args) -> int:
         found |= _correction(cell, revised, by)
         parts = _parts(cell, passes)
         found["features"] = {part.name: part.table() for part in parts}
-        checked = _check(cell, revised, motions)
+        checked = _check(cell, revised, by, motions)
         found["check"] = checked.as_dict()
         verdict = _verdict(cell, original, revised, args)
         found["verdict"] = verdict and verdict.as_dict()
@@ -148,11 +147,16 @@ def _parts(cell, passes) -> tuple:
         return assess_all(cell, passes)
 
 
-def _check(cell, revised, motions):
-    """What ``kr270_milling check`` finds, for LIN motions if there are any: these are blended."""
+def _check(cell, revised, by, motions):
+    """What ``kr270_milling check`` finds, for LIN motions if there are any: these are blended; and what was limited."""
     from kr270_milling.decision.check import check
+    from kr270_milling.decision.path_limits import Violation
 
-    return check(cell, revised.reference, "LIN" if "LIN" in motions else motions[0], ran=revised)
+    limited = [
+        Violation("correction limited", p.worst, p.wanted, p.wanted - p.missing, "warning", _limit(p, by.learner))
+        for p in by.limited
+    ]
+    return check(cell, revised.reference, "LIN" if "LIN" in motions else motions[0], ran=revised, more=limited)
 
 
 def _verdict(cell, original, revised, args):
@@ -234,10 +238,6 @@ def _print(cell, passes, found: dict, checked, args) -> None:
         print(_identified(found["identified"]))
     print(joints_text(found["commanded_joints_deg"]))
     print(f"largest correction {found['largest_correction_mm']:.4f} mm")
-    for part in found["limited"][:SHOWN]:
-        print(part["sentence"])
-    if len(found["limited"]) > SHOWN:
-        print(f"and so at {len(found['limited']) - SHOWN} more places (--json lists them)")
     if "chord_error_mm" in found:
         print(f"LIN chords stand off the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um")
     print("\n".join(checked.lines()))

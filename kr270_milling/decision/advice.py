@@ -29,6 +29,7 @@ KINDS = {
     "axis reversal": Kind("um", 1e6, "It shows on the part unless a load holds the axis to one side."),
     "correction size": Kind("mm", 1e3, "Check compliances and force law; then raise compensation.max_correction_mm."),
     "correction per tick": Kind("um", 1e6, "Use method inverse, or raise compensation.max_change_per_tick_um."),
+    "correction limited": Kind("mm", 1e3, "Lower the feed there, or raise the limit in section compensation."),
     "corner blending": Kind("%", 100.0, "Lower program.blend_distance_mm, or use SPLINE motions."),
     "spindle torque": Kind("N m", 1.0, "Lower depth, width or feed of the cut."),
     "spindle power": Kind("kW", 1e-3, "Lower depth, width, feed or speed of the cut."),

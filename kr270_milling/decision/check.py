@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,14 +75,15 @@ class Checked:
 
 def check(
     cell: Cell, reference: Trajectory | None = None, motion: str | None = None, ran: ScoredPass | None = None,
-    progress=None,
+    progress=None, more: Iterable[Violation] = (),
 ) -> Checked:  # fmt: skip
     """Check the cell's own path, or a corrected one; motion: LIN or SPLINE.
 
     Default: LIN for a correction in straight lines of a smooth path, as compensate writes it, else that of ``program``.
 
-    ran: the pass along it, if it was simulated already. Where the arm cannot make the path, nothing is simulated.
-    Raises InputError for a path that cannot be read or misses the stock, and for a reference of another path.
+    ran: the pass along it, if it was simulated already; more: violations that are known already. Where the arm cannot
+    make the path, nothing is simulated. Raises InputError for a path that cannot be read or misses the stock, and for a
+    reference of another path.
     """
     fed = cell.fed_path
     programmed = cell.target() if fed is None else fed.trajectory
@@ -92,7 +94,7 @@ def check(
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
         found, _ = arm_violations(cell, run)
-    found += cell_violations(cell)
+    found += [*cell_violations(cell), *more]
     if reachable:
         target = cell.target()
         straight = run.velocity is None and target.velocity is not None

@@ -6,10 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from small_part import small_part
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
+from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate, strayed
 from kr270_milling.cell.plant import Plant
 from kr270_milling.compensation.compensator import noise_floor, remaining_error
 
@@ -73,6 +74,43 @@ def test_the_papers_methods_make_the_part_worse_where_the_arm_lies_between(cell,
 def test_one_pass_of_inverse_is_enough_where_the_arm_is_the_models(cell):
     original = simulate(cell)
     assert compensated(cell, original, "inverse").scores.max_deviation < 2 * UM
+
+
+SHALLOW = """\
+G21 G90 S8000 M3
+G0 X-14 Y0 Z5
+(slot)
+G0 Z-0.4
+G1 X30 F4000
+G0 Z5
+M30
+"""
+
+
+def test_the_cut_answers_a_tool_that_sinks(tmp_path):
+    """The rapid move down leaves the arm swinging: where the tool sinks it cuts with its whole end, F_z and F_y change.
+
+    On the path it does not sink; the wrench there is that of a rigid arm.
+    """
+    cell = small_part(
+        tmp_path, SHALLOW, "cutting.fractional.axial_ratio=0.4", "dynamics.reference_inertia=true",
+        "dynamics.damping_ratio=0.04", "dynamics.mass_model=rigid",
+    )  # fmt: skip
+    original, by = simulate(cell), compensator(cell, cell.target(), "inverse")
+    by.revise(record_of(cell, original))
+    (evidence,), scored = by.learner.passes, by.learner.scored
+    rigid = strayed(cell, cell.target(), np.zeros(1, np.int64), np.zeros((1, 3)))
+    exact = by.learner.segments.mean(rigid.time_ns - 125_000, rigid.wrench)[scored]  # each is of the period before
+
+    def off(wrench):
+        return np.sqrt(np.mean((wrench[scored] - exact)[:, :3] ** 2, axis=0))
+
+    assert np.all(off(evidence.wrench) > 0.7) and np.all(off(evidence.on_path) < 0.15)  # [N]
+    before, after = (
+        np.abs((ran.result.actual - ran.result.target)[ran.result.volume > 0.0]).max(axis=0)
+        for ran in (original, simulate(cell, by.reference))
+    )
+    assert before.min() > 30 * UM and after.max() < 1 * UM
 
 
 def test_straight_lines_between_the_knots_do_nearly_as_well(cell):

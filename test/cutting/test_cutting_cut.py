@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 from cuttings import PAPER_LAW
 
-from kr270_milling.cutting import Cut, GridError, Stock, SweepError, Tool, UndoError
+from kr270_milling.cutting import AL7075_T6, Cut, Cutting, GridError, Stock, SweepError, Tool, UndoError
 from kr270_milling.cutting.grid import TILE
 
 FEED = 0.5e-3  # [m] per revolution
 Z = -1e-3
 
 
-def new_cut(size=(30e-3, 24e-3), grid_step=10e-6, teeth=4, **kwargs):
+def new_cut(size=(30e-3, 24e-3), grid_step=10e-6, teeth=4, law=PAPER_LAW, **kwargs):
     tool = Tool(diameter=20e-3, teeth=teeth, spindle_speed=837.0)
     low = np.array([0.0, -size[1] / 2, -5e-3])
     stock = Stock(min=low, max=np.array([size[0], size[1] / 2, 0.0]), grid_step=grid_step)
-    return Cut(tool, PAPER_LAW, stock, np.radians(1.0), **kwargs)
+    return Cut(tool, law, stock, np.radians(1.0), **kwargs)
 
 
 @pytest.mark.parametrize("grid_step", [40e-6, 10e-6])
@@ -91,6 +91,31 @@ def test_a_copy_goes_its_own_way():
     assert cut.removed_area == area < copy.removed_area
     assert np.array_equal(cut.sweep([-8e-3, 0.0, Z], [-7e-3, 0.0, Z], 1440, 720), wrench)
     assert np.array_equal(cut.heights()[2], copy.heights()[2])
+
+
+def test_a_course_is_swept_as_its_parts_are():
+    whole, parts = new_cut(), new_cut()
+    places = np.column_stack([np.linspace(-10e-3, -6e-3, 9), 1e-4 * np.arange(9.0), np.full(9, Z)])
+    steps = 40 * np.arange(9)
+    wrench, torque, volume = whole.along(places, steps)
+    for k in range(1, 9):
+        before = parts.removed_volume
+        assert np.array_equal(parts.sweep(places[k - 1], places[k], steps[k - 1], 40), wrench[k])
+        assert parts.torque == torque[k] and parts.removed_volume - before == pytest.approx(volume[k], rel=1e-9)
+    assert not (wrench[0].any() or torque[0] or volume[0]) and volume[1:].min() > 0.0
+
+
+def test_a_tool_that_sinks_cuts_with_its_whole_end():
+    """Its end sweeps pi R^2 v_z; with F_a = K_ac A / (R dphi) H the axial force is K_ac pi R v_z / omega: it damps."""
+    cut = new_cut(law=Cutting(law="linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6)))
+    radius, omega, speed, turns = 10e-3, cut.tool.spindle_speed, 1e-3, 10
+    middle = cut.stock.min[:2] + 0.5 * (cut.stock.max - cut.stock.min)[:2]
+    end = np.array([*middle, Z - speed * turns * 2 * np.pi / omega])
+    cut.sweep([*middle, Z], [*middle, Z], 0, 720)  # a hole as large as the tool
+    sinking = cut.sweep([*middle, Z], end, 720, 360 * turns)[2]
+    assert sinking == pytest.approx(-220e6 * np.pi * radius * speed / omega, rel=0.02)
+    rising = cut.sweep(end, [*middle, Z], 720 + 360 * turns, 720)[2]
+    assert abs(rising) < 0.01 * abs(sinking)  # what the floor tolerance has left
 
 
 def test_memory_follows_the_area_cut():
