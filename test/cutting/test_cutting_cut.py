@@ -116,7 +116,7 @@ def test_a_tool_that_sinks_cuts_with_its_whole_end():
     assert sinking == pytest.approx(-220e6 * np.pi * radius * speed / omega, rel=0.02)
     rising = cut.sweep(end, [*middle, Z], 720 + 360 * turns, 720)[2]
     left = cut.stock.floor_tolerance / (speed * 2 * 2 * np.pi / omega)  # in two turns
-    assert abs(rising) < left * abs(sinking) < 0.1 * abs(sinking)
+    assert abs(rising) < left * abs(sinking) and left < 0.15
 
 
 def test_memory_follows_the_area_cut():
