@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
+import subprocess
 import tempfile
 from pathlib import Path
 
@@ -37,3 +38,13 @@ def environment_of_processes(domain: int, **more: str) -> dict[str, str]:
     kept = {name: value for name, value in os.environ.items() if name not in DISCOVERY}
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
     return {**kept, "ROS_DOMAIN_ID": str(domain), "PYTHONPATH": path, **more}
+
+
+@contextlib.contextmanager
+def running(command: list[str], environment: dict[str, str], **kwargs):
+    """A process that ends with the block, also where a check in the block fails while the process goes on."""
+    with subprocess.Popen(command, env=environment, **kwargs) as process:
+        try:
+            yield process
+        finally:
+            process.kill()

@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from ros_domain import running
 from sample_messages import pose_msg, wrench_msg
 
 pytest.importorskip("rclpy")
@@ -155,9 +156,16 @@ def test_best_effort_and_latched_publishers_are_both_matched(world, recorder):
         world.until(lambda n=name: recorder.writer.report()[f"/{n}"]["count"] == 1)
 
 
+def written(directory, topic: str) -> int:
+    """How many messages of the topic are in the file while its writer still works."""
+    with Recording(directory) as recording:
+        found = recording.topics().get(topic)
+        return found.count if found else 0
+
+
 def start(environment, directory, *arguments, **kwargs):
     command = [sys.executable, "-m", "kr270_milling.nodes", "recorder", "--ros-args", "-p", f"directory:={directory}"]
-    return subprocess.Popen([*command, *arguments], env=environment, stderr=subprocess.PIPE, text=True, **kwargs)
+    return running([*command, *arguments], environment, stderr=subprocess.PIPE, text=True, **kwargs)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -181,9 +189,7 @@ def test_killed_recorder_leaves_all_but_the_last_half_second(world, ros_environm
         world.until(lambda: publisher.get_subscription_count(), 20)
         world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
         publish_wrenches(world, publisher, range(200))
-        # it takes the first message when its executor is up; half a second later all of them are in the file
-        world.until(lambda: b"/wrench" in next((tmp_path / "rec").glob("*.mcap")).read_bytes(), 20)
-        world.step(0.6)
+        world.until(lambda: written(tmp_path / "rec", "/wrench") == 200, 20)
         publish_wrenches(world, publisher, range(200, 210))
         process.kill()
         process.wait(10)

@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import pytest
+from ros_domain import running
 
 pytest.importorskip("rclpy")
 
@@ -58,7 +59,7 @@ def test_start_that_is_interrupted_ends_at_once_and_quietly(ros_environment, com
 def test_node_in_the_background_of_a_script_obeys_sigterm(ros_environment, tmp_path):
     """A shell lets what it starts with ``&`` ignore SIGINT."""
     node = f"{sys.executable} -m kr270_milling.nodes recorder --ros-args -p directory:={tmp_path}/r"
-    with subprocess.Popen(["sh", "-c", f"trap '' INT; exec {node}"], env=ros_environment) as process:
+    with running(["sh", "-c", f"trap '' INT; exec {node}"], ros_environment) as process:
         while not list(tmp_path.glob("r/*.mcap")):
             assert process.poll() is None
             time.sleep(0.02)

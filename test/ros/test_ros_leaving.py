@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+from ros_domain import running
 
 pytest.importorskip("rclpy")
 
@@ -53,7 +54,7 @@ def test_code_is_the_one_that_was_earned(trouble, code):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_node_whose_middleware_blocks_while_it_leaves_ends_with_0(ros_environment, number):
-    with subprocess.Popen([sys.executable, "-c", NODE], env=ros_environment, stdout=subprocess.PIPE) as process:
+    with running([sys.executable, "-c", NODE], ros_environment, stdout=subprocess.PIPE) as process:
         assert process.stdout.readline() == b"up\n"
         process.send_signal(number)
         assert process.wait(20) == 0

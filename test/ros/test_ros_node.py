@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import pytest
+from ros_domain import running
 from sample_messages import wrench_msg
 
 pytest.importorskip("rclpy")
@@ -72,8 +73,8 @@ def test_names_can_be_remapped(world, short_cell, tmp_path):
 def test_test_runs_side_by_side_have_different_domains_and_do_not_hear_each_other(world, domain, ros_environment):
     publisher = world.partner().create_publisher(*topics.WRENCH)
     code = (
-        "import sys; sys.path.insert(0, 'test'); import conftest, time\n"
-        "number = next(conftest.domain.__wrapped__())\n"
+        "import sys; sys.path.insert(0, 'test'); import conftest, ros_domain\n"
+        "held = ros_domain.own_domain(); number = held.__enter__()\n"
         "from kr270_milling.ros import topics\n"
         "world = conftest.World(number); node = world.partner()\n"
         "heard = world.listen(node, topics.WRENCH); world.step(1.5)\n"
@@ -81,7 +82,7 @@ def test_test_runs_side_by_side_have_different_domains_and_do_not_hear_each_othe
         "world.close()\n"
     )
     command = [sys.executable, "-c", code]
-    with subprocess.Popen(command, env=ros_environment, stdout=subprocess.PIPE, text=True) as other:
+    with running(command, ros_environment, stdout=subprocess.PIPE, text=True) as other:
         while other.poll() is None:
             publisher.publish(wrench_msg(0, [0.0] * 6))
             world.step(0.02)
