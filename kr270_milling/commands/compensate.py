@@ -23,7 +23,7 @@ from kr270_milling.nodes.option_types import bounded
 SAMPLES, FEWEST = 32, 8  #: plants of the verdict
 BUDGET = 300.0  #: [s], of a verdict that is asked for; beyond it fewer plants are run
 USUAL_BUDGET = 50.0  #: [s], of one that nobody asks for; where 8 plants take longer it is left out
-LONGEST_PASS = USUAL_BUDGET / 4  #: [s]; after a longer one not even a first plant is tried
+LONGEST_PASS = USUAL_BUDGET / 2  #: [s]; after a longer one not even a first plant is tried
 
 
 def add_arguments(parser) -> None:

@@ -161,10 +161,12 @@ def monte_carlo(
             if progress is not None:
                 progress(len(found), count)
             found.append(row)
+            if len(found) >= FEWEST and time.perf_counter() - start > budget:
+                break
     finally:  # after an interrupt only the plants that run are waited for
         pool.shutdown(cancel_futures=True)
     if progress is not None:
-        progress(count, count)
+        progress(len(found), len(found))
     rows = np.stack([row for row, _ in found])
     methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
     tracked = [value for _, value in found if value is not None]

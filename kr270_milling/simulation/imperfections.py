@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from kr270_milling.base.record import Record, parameter
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -56,11 +57,19 @@ def play(angle: np.ndarray, width: np.ndarray) -> np.ndarray:
     An arm follows its motor at the distance of half the play and rests while the motor crosses it:
     q_k = min(max(q_(k-1), m_k - b/2), m_k + b/2).
     """
-    stands = np.empty_like(angle)
-    stands[0] = angle[0] + 0.5 * width * _first_sense(angle)
-    for k in range(1, len(angle)):
-        stands[k] = np.clip(stands[k - 1], angle[k] - 0.5 * width, angle[k] + 0.5 * width)
+    stands = np.array(angle, float)
+    stands[0] += 0.5 * width * _first_sense(angle)
+    _follow(stands, 0.5 * np.asarray(width, float))
     return stands
+
+
+@njit(cache=True, nogil=True)
+def _follow(stands: np.ndarray, half: np.ndarray) -> None:
+    """From the second row on motors (n, 6) become joints."""
+    for k in range(1, stands.shape[0]):
+        for axis in range(stands.shape[1]):
+            motor = stands[k, axis]
+            stands[k, axis] = min(max(stands[k - 1, axis], motor - half[axis]), motor + half[axis])
 
 
 def _first_sense(angle: np.ndarray) -> np.ndarray:
