@@ -51,7 +51,7 @@ def numbers(count: int, most: float = math.inf):
 
 def fixed(value: float, digits: int = 2) -> str:
     """A number with so many decimals; "-" for one that has no meaning (NaN)."""
-    return "-" if math.isnan(value) else f"{value:.{digits}f}"
+    return "-" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
 def joints_text(joints: dict) -> str:
