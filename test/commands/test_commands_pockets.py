@@ -15,7 +15,7 @@ PROGRAMS = Path(__file__).parents[1] / "trajectory" / "programs"
 DIALECTS = ["fusion_haas.nc", "freecad_linuxcnc.ngc", "mastercam_fanuc.nc", "linuxcnc.ngc", "haas.nc", "sinumerik.mpf"]
 #: coarse, so that a pocket takes seconds
 COARSE = ("stock.grid_step_um=100", "stock.floor_tolerance_um=10", "exchange.micro_step_deg=6", "exchange.period_ms=2",
-          "timing.controller_step_ms=24", "dynamics.posture_spacing_mm=20", 'program.spindle_on=["$OUT[1]=TRUE"]',
+          "timing.controller_step_ms=50", "dynamics.reference_inertia=false", "dynamics.posture_spacing_mm=20", 'program.spindle_on=["$OUT[1]=TRUE"]',
           'program.spindle_off=["$OUT[1]=FALSE"]')  # fmt: skip
 SETS = [word for pair in COARSE for word in ("--set", pair)]
 
@@ -38,11 +38,11 @@ def drafted(capsys, directory: Path, name: str) -> Path:
 @pytest.mark.parametrize("name", DIALECTS)
 def test_the_pocket_of_each_dialect_ends_in_a_program_a_report_and_a_decision(capsys, tmp_path, name):
     cell = drafted(capsys, tmp_path, name)
-    code, text = run(capsys, "compensate", cell, "--method", "inverse", "--no-verdict", "--json", "--out",
+    code, text = run(capsys, "compensate", cell, "--method", "mirror", "--no-verdict", "--json", "--out",
                      tmp_path / "part", *SETS)  # fmt: skip
     found = json.loads(text)
     decision = found["decision"]
-    assert code == 0 and decision["may_be_run"] is True and decision["recommended_method"] == "inverse"
+    assert code == 0 and decision["may_be_run"] is True and decision["recommended_method"] == "mirror"
     for version in ("as_programmed", "compensated"):
         assert {"passes_tolerance", "wall_um", "floor_um"} <= set(decision[version])
     assert decision["compensated"]["wall_um"] < decision["as_programmed"]["wall_um"]
