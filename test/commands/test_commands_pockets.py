@@ -14,9 +14,11 @@ from kr270_milling.cli import main
 PROGRAMS = Path(__file__).parents[1] / "trajectory" / "programs"
 DIALECTS = ["fusion_haas.nc", "freecad_linuxcnc.ngc", "mastercam_fanuc.nc", "linuxcnc.ngc", "haas.nc", "sinumerik.mpf"]
 #: coarse, so that a pocket takes seconds
-COARSE = ("stock.grid_step_um=100", "stock.floor_tolerance_um=10", "exchange.micro_step_deg=6", "exchange.period_ms=2",
-          "timing.controller_step_ms=50", "dynamics.reference_inertia=false", "dynamics.posture_spacing_mm=20", 'program.spindle_on=["$OUT[1]=TRUE"]',
-          'program.spindle_off=["$OUT[1]=FALSE"]')  # fmt: skip
+COARSE = (
+    "stock.grid_step_um=100", "stock.floor_tolerance_um=10", "exchange.micro_step_deg=6", "exchange.period_ms=2",
+    "timing.controller_step_ms=50", "dynamics.reference_inertia=false", "dynamics.posture_spacing_mm=20",
+    'program.spindle_on=["$OUT[1]=TRUE"]', 'program.spindle_off=["$OUT[1]=FALSE"]',
+)  # fmt: skip
 SETS = [word for pair in COARSE for word in ("--set", pair)]
 
 
