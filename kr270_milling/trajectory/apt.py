@@ -1,9 +1,9 @@
 """APT source and CL text in: one statement after the other.
 
-GOTO, GODLTA, FROM, CIRCLE (about an axis along z, before its GOTO), RAPID, FEDRAT, SPINDL, UNITS, tools, FINI. Words
-that move nothing are counted; those that cannot be run are listed all at once. Without UNITS/ the unit is mm. A
-comment, PPRINT or TOOL PATH names the feature that follows. A tool axis i, j, k points from the tip to the spindle; the
-tool turns about no more than it must.
+GOTO, GODLTA, FROM, CIRCLE before its GOTO, about an axis along z in the sense of Creo or of NX, RAPID, FEDRAT, SPINDL,
+UNITS, tools, FINI. Words that move nothing are counted; those that cannot be run are listed all at once. Without UNITS/
+the unit is mm. A comment, PPRINT or TOOL PATH names the feature that follows. A tool axis i, j, k points from the tip
+to the spindle; the tool turns about no more than it must.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ class _Reader:
         body = self.text if self.text[-1].strip() else self.text[:-1]
         for number, line in enumerate(body, 1):
             code, comment, note = line.partition("$$")
-            if comment and not code.strip():
+            code, continued, _ = code.partition("$")  # what follows the sign is a remark
+            if comment and not (code.strip() or continued):
                 self._name(note.strip())
             first = first if held else number
             held += code.strip()
-            if held.endswith("$") and not comment:  # the statement goes on in the next line
-                held = held[:-1]
+            if continued:
                 continue
             if held:
                 self._statement(held, first)

@@ -73,6 +73,9 @@ class Machine:
 
     def _goto(self, values: list[str], number: int) -> None:
         numbers = [_number(v) for v in values]
+        points = len(numbers) > 6 or (len(numbers) == 6 and abs(math.hypot(*numbers[3:]) - 1) > 1e-3)
+        if self.circle is not None and points and len(numbers) % 3 == 0:
+            numbers = numbers[-3:]  # Creo lists points of the arc, the last one is its end
         if len(numbers) not in (3, 6):
             raise StatementError(f"GOTO/ needs x, y, z or x, y, z, i, j, k, not {len(numbers)} numbers")
         point = tuple(v * self.unit for v in numbers[:3])
@@ -104,19 +107,26 @@ class Machine:
         return self.feed * abs(self.path.spindle_speed) / (2 * math.pi) or None
 
     def _arc(self, start, end, circle: list[float]) -> tuple[list, float]:
-        """Ends of the chords of an arc that turns to the right about (i, j, k): k = 1 is counterclockwise."""
+        """Ends of the chords of an arc; k = 1 is counterclockwise, by the right-hand rule, and in NX clockwise.
+
+        Seven numbers: PTC Creo help, "CL output for circular interpolation". NX adds tolerance and tool and names the
+        axis "assuming a clockwise direction": NX documentation, CLSF manager; its programs confirm it.
+        """
         centre = tuple(v * self.unit for v in circle[:2])
+        clockwise = (circle[5] < 0) == (len(circle) == 7)
         closing = max(CLOSING, min(0.5e-3, 1e-3 * math.dist(start[:2], centre)))
         try:
-            points, curvature = flatten(start, end, centre, circle[5] < 0, closing, CHORD)
+            points, curvature = flatten(start, end, centre, clockwise, closing, CHORD)
         except ArcError as error:
             raise StatementError(str(error)) from None
         return list(map(tuple, points.tolist())), curvature
 
     def _circle(self, values: list[str], number: int) -> None:
+        if "TIMES" in values:
+            raise StatementError("CIRCLE/ of several turns; let the CAM output each turn, or GOTO moves")
         numbers = [_number(v) for v in values]
-        if len(numbers) < 7:
-            raise StatementError("CIRCLE/ needs x, y, z, i, j, k, r")
+        if len(numbers) not in (7, 11):
+            raise StatementError("CIRCLE/ needs x, y, z, i, j, k, r, and in NX four numbers more")
         if abs(abs(numbers[5]) - 1) > 1e-6:
             raise StatementError("CIRCLE/ about an axis that is not z; let the CAM output GOTO moves")
         if self.position is None:

@@ -68,6 +68,33 @@ def test_a_circle_leads_to_its_goto_and_turns_to_the_right_about_its_axis(read):
     np.testing.assert_allclose(left.position[-1] * 1e3, [0, 5, 0], atol=1e-12)
 
 
+def test_the_axis_of_a_circle_of_nx_turns_the_other_way(read):
+    """NX writes eleven numbers and means k = 1 clockwise: a path along -x, a quarter up to +y, and on without a corner.
+
+    The sense is that of the documentation of NX ("assuming a clockwise direction") and of tool paths that NX wrote.
+    """
+    path = read(
+        "TOOL PATH/TRIM,TOOL,MILL\nFEDRAT/MMPM,600\nGOTO/8,-2,0\nGOTO/0,-2,0\n"
+        "CIRCLE/0,0,0,0,0,1,2,0.06,0.5,10,0\nGOTO/-2,0,0\nGOTO/-2,6,0\nEND-OF-PATH\n"
+    )
+    assert path.length == pytest.approx(8e-3 + 2e-3 * np.pi / 2 + 6e-3) and path.curvature.min() == -500.0
+    ends = path.tangent(np.arange(1, len(path)), path.plane_length[1:])
+    starts = path.tangent(np.arange(1, len(path)), np.zeros(len(path) - 1))
+    np.testing.assert_allclose(starts[1:], ends[:-1], atol=1e-9)
+
+
+def test_circles_of_creo_are_orbits_points_of_the_arc_and_continued_with_a_remark(read):
+    """PTC Creo help, "CL output for circular interpolation": right-hand rule, helices, lists of points."""
+    helix = read(
+        "UNITS/INCHES\nFEDRAT / 8.0, IPM\nGOTO / 1.2, 0.0, -0.6\nCIRCLE / 1.0, 0.0, -0.6, $ $$ 1ST ORBIT\n"
+        "0.0, 0.0, 1.0, 0.2\nGOTO / 1.2, 0.0, -0.5\nFINI\n"
+    )
+    turn = 25.4e-3 * np.hypot(0.4 * np.pi, 0.1)
+    assert helix.length == pytest.approx(turn, rel=1e-5) and (helix.curvature[1:] > 0).all()
+    listed = read(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,1,5\nGOTO/4,3,0, $\n3,4,0, $\n0,5,0\nFINI\n")
+    assert listed.length == pytest.approx(5e-3 * np.pi / 2)
+
+
 def test_a_feed_per_revolution_goes_with_the_spindle_and_cclw_turns_it_the_other_way(read):
     path = read("SPINDL/RPM,6000,CCLW\nGOTO/0,0,0\nFEDRAT/0.2,MMPR\nGOTO/1,0,0\nGODLTA/0,2,0\nFINI\n")
     np.testing.assert_allclose(path.feed[1:], 0.02)
@@ -91,6 +118,7 @@ def test_tools_and_what_moves_nothing_are_noted(read):
     ("text", "line", "word"),
     [
         ("GOTO/0,0,0\nFEDRAT/600\nCIRCLE/0,0,5\n", 3, "CIRCLE"),
+        ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5,0.1,0.5,9,0,TIMES,2\n", 3, "several turns"),
         ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,1,0,0,5\nGOTO/-5,0,0\n", 3, "not z; let the CAM output GOTO"),
         ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5\nGOTO/-4,0,0\n", 4, "does not close"),
         ("GOTO/5,0,0\nFEDRAT/600\nGOTO/6,0,0\nCIRCLE/0,0,0,0,0,1,6\nFINI\n", 5, "without the GOTO"),
