@@ -1,9 +1,10 @@
-"""A ROS domain id that no other test run on this machine uses."""
+"""A ROS domain id that nobody on this machine uses, another one for every test."""
 
 from __future__ import annotations
 
 import contextlib
 import fcntl
+import itertools
 import os
 import subprocess
 import tempfile
@@ -14,6 +15,9 @@ import pytest
 #: what a shell may have set about discovery
 DISCOVERY = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE")
 ROOT = Path(__file__).resolve().parents[1]
+PORTS = 7400, 250  # first UDP port of domain 0, and ports of a domain (RTPS, section 9.6.1)
+COUNT = 100  # domains; from 102 on their ports may be those of any program
+_turn = itertools.count(os.getpid())  # what one test leaves is not in the domain of the next
 
 
 @contextlib.contextmanager
@@ -21,16 +25,28 @@ def own_domain():
     """Locked by a file, so that the kernel gives it back whatever becomes of this process."""
     directory = Path(tempfile.gettempdir(), "kr270_milling_domains")
     directory.mkdir(exist_ok=True)
-    for offset in range(100):
-        number = 1 + (os.getpid() + offset) % 100
+    for _ in range(COUNT):
+        number = 1 + next(_turn) % COUNT
         with open(directory / str(number), "w") as stream:
             try:
                 fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError:
                 continue
-            yield number
-            return
-    pytest.fail("every ROS domain id is in use by another test run")
+            if not is_used(number):
+                yield number
+                return
+    pytest.fail("every ROS domain id is in use")
+
+
+def is_used(domain: int) -> bool:
+    """Whether somebody has a UDP port of the domain open."""
+    first, each = PORTS
+    return any(first + each * domain <= port < first + each * (domain + 1) for port in _open_ports())
+
+
+def _open_ports() -> set[int]:
+    tables = [path for path in (Path("/proc/net/udp"), Path("/proc/net/udp6")) if path.exists()]
+    return {int(row.split()[1].rpartition(":")[2], 16) for t in tables for row in t.read_text().splitlines()[1:]}
 
 
 def environment_of_processes(domain: int, **more: str) -> dict[str, str]:

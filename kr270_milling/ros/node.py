@@ -170,6 +170,11 @@ class ManagedNode(Reporting, LifecycleNode):
         if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
 
+    def destroy_node(self) -> None:
+        """With the state machine, which rclpy forgets: it holds the node, and with it the participant, until Python ends."""
+        super().destroy_node()
+        self._state_machine.destroy_when_not_in_use()
+
     @property
     def state(self) -> str:
         """Of the lifecycle."""

@@ -45,7 +45,6 @@ def test_every_message_is_kept_with_its_bytes_and_its_stamp(world, recorder, tmp
     partner = world.partner()
     publisher = partner.create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
-    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     publish_wrenches(world, publisher, range(300))
     world.until(lambda: recorder.writer.report()["/wrench"]["count"] == 300)
     recorder.close()
@@ -92,7 +91,6 @@ def test_topic_that_appears_late_is_found(world, recorder):
     world.step(0.3)
     publisher = world.partner().create_publisher(String, "late", 10)
     world.until(lambda: publisher.get_subscription_count())
-    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     publisher.publish(String(data="hello"))
     world.until(lambda: recorder.writer.report().get("/late", {}).get("count") == 1)
 
@@ -102,7 +100,6 @@ def test_missing_messages_are_counted_and_told(world, recorder):
     told = world.diagnostics(partner)
     publisher = partner.create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
-    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     publish_wrenches(world, publisher, [i for i in range(100) if i not in (50, 51, 70)])
     world.until(lambda: told.last.get(NAME, {}).get("missing") == "3")
 
@@ -112,7 +109,6 @@ def test_vanished_publisher_is_told_as_a_warning(world, recorder):
     partner = world.partner()
     publisher = partner.create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
-    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     world.until(lambda: "/wrench=1" in told.last.get(NAME, {}).get("heard", ""))
     world.remove(partner)
     told.until(NAME, "nobody publishes /wrench any more", WARN, deadline=1.5)
@@ -124,7 +120,6 @@ def test_node_that_reports_no_more_is_told_as_a_warning(world, recorder):
     told = world.diagnostics(world.partner("watcher"))
     publisher = partner.create_publisher(*topics.DIAGNOSTICS)
     world.until(lambda: publisher.get_subscription_count() == 2)
-    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     report = DiagnosticArray(status=[DiagnosticStatus(name="/spindle", message="turning")])
     publisher.publish(report)
     told.until(NAME, "/spindle not heard of for 2.6 s", WARN, deadline=3.2)
@@ -168,12 +163,18 @@ def start(environment, directory, *arguments, **kwargs):
     return running([*command, *arguments], environment, stderr=subprocess.PIPE, text=True, **kwargs)
 
 
+def heard(world, publisher):
+    """Wait until publisher and recorder have found each other: each end matches on its own."""
+    told, word = world.diagnostics(world.partner("listener")), f"{publisher.topic_name}=1"
+    world.until(lambda: word in told.last.get(NAME, {}).get("heard", "").split(), 20)
+    world.until(publisher.get_subscription_count)
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_ends_the_recorder_with_0_and_a_whole_file(world, ros_environment, tmp_path, number):
     publisher = world.partner().create_publisher(*topics.WRENCH)
     with start(ros_environment, tmp_path / "rec") as process:
-        world.until(lambda: publisher.get_subscription_count(), 20)
-        world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
+        heard(world, publisher)
         publish_wrenches(world, publisher, range(200))
         process.send_signal(number)
         assert process.wait(10) == 0, process.stderr.read()
@@ -186,8 +187,7 @@ def test_signal_ends_the_recorder_with_0_and_a_whole_file(world, ros_environment
 def test_killed_recorder_leaves_all_but_the_last_half_second(world, ros_environment, tmp_path):
     publisher = world.partner().create_publisher(*topics.WRENCH)
     with start(ros_environment, tmp_path / "rec") as process:
-        world.until(lambda: publisher.get_subscription_count(), 20)
-        world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
+        heard(world, publisher)
         publish_wrenches(world, publisher, range(200))
         world.until(lambda: written(tmp_path / "rec", "/wrench") == 200, 20)
         publish_wrenches(world, publisher, range(200, 210))
@@ -205,8 +205,7 @@ def test_full_disk_is_told_and_what_was_written_stays_readable(world, ros_enviro
 
     publisher = world.partner().create_publisher(String, "noise", 100)
     with start(ros_environment, tmp_path / "rec", preexec_fn=limit) as process:
-        world.until(lambda: publisher.get_subscription_count(), 20)
-        world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
+        heard(world, publisher)
         end = time.monotonic() + 10
         while process.poll() is None and time.monotonic() < end:
             publisher.publish(String(data=os.urandom(5000).hex()))
@@ -229,7 +228,6 @@ def test_missing_messages_are_told_of_all_that_there_should_be(world, tmp_path, 
     recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}")
     publisher = world.partner().create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
-    world.step(1.0)  # the reader matches a little after the writer, and what comes before is lost
     publish_wrenches(world, publisher, [i for i in range(30) if not 10 <= i < 15])
     world.until(lambda: recorder.writer.report()["/wrench"]["count"] == 25)
     recorder.close()
