@@ -19,6 +19,8 @@ NEEDED = {
     (CUT, "workpiece"): {RECORDER},
     (COMPENSATOR, "reference_trajectory"): {ROBOT, CUT, RECORDER},
     (COMPENSATOR, "joint_trajectory"): {RECORDER},
+    (COMPENSATOR, "target_path"): {RECORDER},
+    (COMPENSATOR, "reference_path"): {RECORDER},
 }
 
 

@@ -1,4 +1,4 @@
-"""Messages for viewers of other people: transforms (tf2_msgs) and markers (visualization_msgs) as bytes."""
+"""Messages for viewers of other people as bytes: transforms (tf2_msgs), markers (visualization_msgs), paths (nav_msgs)."""
 
 from __future__ import annotations
 
@@ -9,11 +9,17 @@ import numpy as np
 
 from kr270_milling.base.units import SECOND
 from kr270_milling.messages.codec import serialise
+from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["ARROW", "LINE_STRIP", "MARKERS", "TRANSFORMS", "Marker", "Placed", "markers_bytes", "transforms_bytes"]
+__all__ = [
+    "ARROW", "LINE_STRIP", "MARKERS", "PATH", "TRANSFORMS", "Marker", "Placed", "markers_bytes", "path_bytes",
+    "transforms_bytes",
+]  # fmt: skip
 
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 MARKERS = "visualization_msgs/msg/MarkerArray"
+PATH = "nav_msgs/msg/Path"
+PATH_POINTS = 500  #: of a path, evenly in time, beside at most as many of its knots
 ARROW, LINE_STRIP = 0, 4  #: visualization_msgs/msg/Marker.type
 
 
@@ -53,6 +59,24 @@ def transforms_bytes(stamp_ns: int, placed: Sequence[Placed]) -> bytes:
         transform = {"translation": translation, "rotation": rotation}
         rows.append({"header": header, "child_frame_id": one.child, "transform": transform})
     return serialise(TRANSFORMS, {"transforms": rows})
+
+
+def path_bytes(run: Trajectory) -> bytes:
+    """A Path along a trajectory, in its frame; every pose has the stamp of its time from the start."""
+    knots = run.time_ns[:: -(-len(run) // PATH_POINTS)]
+    times = np.union1d(knots, np.linspace(0, run.duration_ns, PATH_POINTS).astype(np.int64))
+    turns = run.quaternion[np.searchsorted(run.time_ns, times, side="right") - 1]  # of the knot before
+    poses = [
+        {
+            "header": {"stamp": _stamp(ns), "frame_id": run.frame},
+            "pose": {
+                "position": dict(zip("xyz", place, strict=True)),
+                "orientation": dict(zip("xyzw", turn, strict=True)),
+            },
+        }
+        for ns, place, turn in zip(times.tolist(), run.sample(times).tolist(), turns.tolist(), strict=True)
+    ]
+    return serialise(PATH, {"header": {"frame_id": run.frame}, "poses": poses})
 
 
 def markers_bytes(stamp_ns: int, markers: Sequence[Marker]) -> bytes:

@@ -12,6 +12,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.protocols import compensator_protocol
 from kr270_milling.compensation.parameters import METHODS
 from kr270_milling.messages.exchange import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.messages.viewer import path_bytes
 from kr270_milling.ros import topics
 from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
@@ -43,7 +44,7 @@ class TrajectoryCompensator(ReportingNode):
         about = "the cell file's path is the target until one is published"
         described = ParameterDescriptor(description=about, read_only=True)
         own = self.declare_parameter("use_cell_path", True, described).value
-        self.open_outlets("reference_trajectory", "joint_trajectory")
+        self.open_outlets("reference_trajectory", "joint_trajectory", "reference_path", "target_path")
         target, pose, wrench = topics.TARGET_TRAJECTORY, topics.TOOL_POSE, topics.WRENCH
         self.create_subscription(target.type, target.name, self._on_target, target.qos, raw=True)
         self._pose = aside(self, pose.type, pose.name, self._on_pose, pose.qos)
@@ -69,6 +70,8 @@ class TrajectoryCompensator(ReportingNode):
         self.send(outputs)
         self._revision += 1
         state = self.protocol.compensator
+        for name, run in (("reference_path", state.reference), ("target_path", state.target)):
+            self.outlets[name].publish(path_bytes(run))
         told = {
             "revision": self._revision,  # tells every published reference from the one before
             "method": state.method,

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from nav_msgs.msg import OccupancyGrid
+from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -14,8 +14,8 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 __all__ = [
-    "BY_NAME", "CLOCK", "DEFLECTION", "DIAGNOSTICS", "JOINT_STATES", "JOINT_TRAJECTORY", "REFERENCE_TRAJECTORY",
-    "ROBOT_DESCRIPTION", "TARGET_TRAJECTORY", "TOOL_POSE", "Topic", "WORKPIECE", "WRENCH",
+    "BY_NAME", "CLOCK", "DEFLECTION", "DIAGNOSTICS", "JOINT_STATES", "JOINT_TRAJECTORY", "REFERENCE_PATH",
+    "REFERENCE_TRAJECTORY", "ROBOT_DESCRIPTION", "TARGET_PATH", "TARGET_TRAJECTORY", "TOOL_POSE", "Topic", "WORKPIECE", "WRENCH",
 ]  # fmt: skip
 
 #: the loop of one exchange: lockstep, one message in flight; the publisher keeps so many that a recorder which was
@@ -41,6 +41,8 @@ class Topic(NamedTuple):
 TARGET_TRAJECTORY = Topic(MultiDOFJointTrajectory, "target_trajectory", LATCHED)
 REFERENCE_TRAJECTORY = Topic(MultiDOFJointTrajectory, "reference_trajectory", LATCHED)
 JOINT_TRAJECTORY = Topic(JointTrajectory, "joint_trajectory", LATCHED)
+TARGET_PATH = Topic(Path, "target_path", LATCHED)
+REFERENCE_PATH = Topic(Path, "reference_path", LATCHED)
 TOOL_POSE = Topic(PoseStamped, "tool_pose", LOOP)
 WRENCH = Topic(WrenchStamped, "wrench", LOOP)
 DEFLECTION = Topic(TwistStamped, "deflection", LOOP)
@@ -61,4 +63,6 @@ BY_NAME = {
     "robot_description": ROBOT_DESCRIPTION,
     "reference_trajectory": REFERENCE_TRAJECTORY,
     "joint_trajectory": JOINT_TRAJECTORY,
+    "target_path": TARGET_PATH,
+    "reference_path": REFERENCE_PATH,
 }
