@@ -28,6 +28,7 @@ class CuttingProcess(ManagedNode):
         self._robots = 0
         self._silence = Silence()
         self._waiting = False
+        self._mapped = True  # the published map shows the part as it is
         self.open_outlets("wrench", "workpiece")
         pose, reference = topics.TOOL_POSE, topics.REFERENCE_TRAJECTORY
         self._pose = self.create_subscription(pose.type, pose.name, self._on_pose, pose.qos, raw=True)
@@ -39,6 +40,7 @@ class CuttingProcess(ManagedNode):
     def configure(self) -> None:
         self._compile()
         self.send(self.protocol.configure())
+        self._mapped = True
         self.stamp_ns = 0
         self.report(OK, "configured: fresh workpiece")
 
@@ -52,7 +54,8 @@ class CuttingProcess(ManagedNode):
         self.report(OK, "waiting for the tool")
 
     def deactivate(self) -> None:
-        self._publish_map()
+        if not self._mapped:
+            self._publish_map()
         self.report(OK, "stopped")
 
     def cleanup(self) -> None:
@@ -65,6 +68,7 @@ class CuttingProcess(ManagedNode):
             return
         self._silence.heard()
         self.send(self.protocol.pose(pose_from_bytes(data)))
+        self._mapped = False
         self.stamp_ns = self.protocol.stamp_ns
         if self._robots == 0 and self.protocol.side.step == 1:
             self._robots = self._pose.get_publisher_count()
@@ -80,6 +84,8 @@ class CuttingProcess(ManagedNode):
     @guarded
     def _watch_robot(self) -> None:
         silent = self._silence.look()
+        if self.active and not self._mapped and self.protocol.at_end and silent > LOOK:
+            self._publish_map()  # of a pass by hand; in a run the cut is deactivated at once
         if not self.active or not self.protocol.under_way:
             return
         robots = self._pose.get_publisher_count()
@@ -98,6 +104,7 @@ class CuttingProcess(ManagedNode):
         except NoWorkpiece as error:
             self.report(WARN, str(error))
             return False
+        self._mapped = True
         return True
 
     def _on_request(self, _, response):

@@ -167,6 +167,11 @@ class CutProtocol:
         """Whether a pass has begun and has not come to the end of the reference trajectory."""
         return self.side is not None and self.side.step >= 0 and self.stamp_ns < self.end_ns
 
+    @property
+    def at_end(self) -> bool:
+        """Whether the pass has come to the end of the reference trajectory."""
+        return self.side is not None and self.side.step > 0 and not self.under_way
+
     def pose(self, sample: PoseSample) -> list[Output]:
         """Answer a tool_pose; raises MessageError, ExchangeError, NoWorkpiece where it is refused."""
         checked_pose(sample)

@@ -143,19 +143,24 @@ def test_robot_that_leaves_after_the_pass_is_no_fault(world, robot):
 
 
 def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, robot, cut):
+    """Of a pass by hand too, whose cut nobody deactivates."""
     maps = world.listen(robot.node, topics.WORKPIECE)
     world.until(lambda: maps)  # latched, of the fresh part
     assert set(maps[0].data) == {100}
-    for step in range(len(robot.stamps)):
+    for step in range(len(robot.stamps) - 1):
         robot.exchange(step)
+    cut.trigger_deactivate()  # in mid-pass
+    world.until(lambda: len(maps) == 2)
+    cut.trigger_activate()
+    robot.exchange(len(robot.stamps) - 1)
+    world.until(lambda: len(maps) == 3)
+    cut.trigger_deactivate()  # the map is known already
     client = robot.node.create_client(Trigger, "cutting_process/publish_workpiece")
     world.until(client.service_is_ready)
     future = client.call_async(Trigger.Request())
-    world.until(lambda: future.done() and len(maps) == 2)
-    assert future.result().success and min(maps[1].data) < 100
-    cut.trigger_deactivate()
-    world.until(lambda: len(maps) == 3)
-    assert maps[2].data == maps[1].data and maps[2].header.frame_id == "workpiece"
+    world.until(lambda: future.done() and len(maps) == 4)
+    assert future.result().success and min(maps[2].data) < 100
+    assert maps[3].data == maps[2].data and maps[2].header.frame_id == "workpiece"
     cells = (100 - np.array(maps[2].data)) / 100 * maps[2].info.resolution ** 2
     depth = cut.cell.stock.max[2] - cut.cell.stock.min[2]
     # the map rounds a cell's share to a percent of the stock's height: half a percent of each touched cell
