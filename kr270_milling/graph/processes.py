@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from kr270_milling.base.errors import MillingError
@@ -28,6 +28,16 @@ class RunError(MillingError):
         super().__init__(f"{node}: {reason}")
 
 
+@contextlib.contextmanager
+def _held_back() -> Iterator[None]:
+    """Signals wait in a process that is started meanwhile until it has its handlers (``nodes.start``)."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 class Child:
     """One node as a process; what it prints goes to ``log``."""
 
@@ -35,7 +45,7 @@ class Child:
         self.name, self.log = name, log
         self.shared: set[str] = set()  #: files under /dev/shm that it has used
         command = [sys.executable, "-m", "kr270_milling.nodes", name, *arguments]
-        with open(log, "ab") as stream:
+        with open(log, "ab") as stream, _held_back():
             self.process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=log.parent,
                 env=child_environment(), start_new_session=True,

@@ -18,6 +18,7 @@ def start(name: str) -> int:
     """Import the node of this name and run it as this process; returns or ends with its exit code."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))  # a runner lets them wait until here
     return importlib.import_module(f"kr270_milling.nodes.{name}").main()
 
 

@@ -13,6 +13,9 @@ from ros_domain import running
 
 pytest.importorskip("rclpy")
 
+from kr270_milling.graph.processes import Child
+from kr270_milling.nodes.start import NODES
+
 ROOT = Path(__file__).resolve().parents[2]
 NODE = [
     sys.executable,
@@ -54,6 +57,17 @@ def test_start_that_is_interrupted_ends_at_once_and_quietly(ros_environment, com
         _, told = process.communicate(timeout=30)
         assert "Traceback" not in told and "ignored" not in told
         assert process.returncode == expected, told
+
+
+def test_node_that_a_run_starts_and_interrupts_at_any_time_ends_quietly(ros_environment, tmp_path):
+    """Also while Python itself starts, which has no handlers yet."""
+    names = [name for name in NODES if name != "player"]
+    for start in range(STARTS):
+        child = Child(names[start % len(names)], ["--ros-args"], tmp_path / f"{start}.log")
+        time.sleep(0.008 * start)
+        child.signal((signal.SIGINT, signal.SIGTERM)[start % 2])
+        assert child.process.wait(30) == 0
+        assert child.log.read_text() == ""
 
 
 def test_node_in_the_background_of_a_script_obeys_sigterm(ros_environment, tmp_path):
