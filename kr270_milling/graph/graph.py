@@ -14,12 +14,12 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.graph.arguments import ros_arguments, write_recorder_parameters
 from kr270_milling.graph.driver import Driver
 from kr270_milling.graph.hooks import Hooks
-from kr270_milling.graph.litter import remove_litter
 from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unmatched
 from kr270_milling.graph.processes import Child, RunError, stop
 from kr270_milling.graph.watchdog import Watchdog
 from kr270_milling.ros.cell_file import write_cell
 from kr270_milling.ros.environment import keep_to_this_host
+from kr270_milling.ros.litter import remove_litter
 
 __all__ = ["NOT_COMPLETE", "Graph", "PassRun"]
 
@@ -81,6 +81,7 @@ class Graph:
     def __enter__(self) -> Graph:
         started = time.monotonic()
         keep_to_this_host()
+        remove_litter()
         (self.out / "log").mkdir(exist_ok=True)
         write_cell(self.cell, self.out / "cell.yaml")
         if self.plant is not None:
@@ -179,8 +180,6 @@ class Graph:
         """One pass on a fresh workpiece, recorded to ``out/name``."""
         self.begin_recording(name)
         self.driver.until(self._same_reference, "handing over the reference trajectory", MATCH, ROBOT)
-        for child in self.children.values():
-            child.note_shared()  # of a node that is killed later this cannot be found out any more
         reference, revision = self._says("reference"), self._says("revision")
         self._watchdog.of_pass = {node: self._says("pid", node) for node in self.children}
         self.driver.transition(CUT, "activate", UP)
@@ -227,7 +226,6 @@ class Graph:
         recorder = self.children.pop(RECORDER)
         self._watchdog.excused.add(RECORDER)
         self.ended.append(recorder)
-        recorder.note_shared()
         recorder.signal(signal.SIGINT)
         self.renew_workpiece()
         self.driver.until(lambda: not recorder.alive, "closing its file", UP, RECORDER)
@@ -259,7 +257,7 @@ class Graph:
         finally:
             stop(set(self.children.values()))
             stop(recorders)
-            remove_litter([*self.children.values(), *recorders])
+            remove_litter()
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 

@@ -12,7 +12,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.graph.litter import shared_files
 from kr270_milling.ros.environment import child_environment
 
 __all__ = ["Child", "RunError", "stop"]
@@ -43,7 +42,6 @@ class Child:
 
     def __init__(self, name: str, arguments: Iterable[str], log: Path):
         self.name, self.log = name, log
-        self.shared: set[str] = set()  #: files under /dev/shm that it has used
         command = [sys.executable, "-m", "kr270_milling.nodes", name, *arguments]
         with open(log, "ab") as stream, _held_back():
             self.process = subprocess.Popen(
@@ -77,15 +75,11 @@ class Child:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(self.pid, number)
 
-    def note_shared(self) -> None:
-        self.shared |= shared_files(self.pid)
-
 
 def stop(children: Iterable[Child], grace: float = GRACE) -> list[str]:
     """End node after node, all at once, and wait for them; returns the names of those that had to be killed."""
     children = [c for c in children if c.alive]
     for child in children:
-        child.note_shared()
         child.signal(signal.SIGINT)
         child.signal(signal.SIGCONT)  # a stopped process hears no signal
     end = time.monotonic() + grace

@@ -1,4 +1,4 @@
-"""Messages for viewers of other people as bytes: transforms (tf2_msgs), markers (visualization_msgs), paths (nav_msgs)."""
+"""Messages for viewers of other people, as bytes: transforms, markers and paths."""
 
 from __future__ import annotations
 

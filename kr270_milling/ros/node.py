@@ -171,7 +171,7 @@ class ManagedNode(Reporting, LifecycleNode):
             self.trigger_activate()
 
     def destroy_node(self) -> None:
-        """With the state machine, which rclpy forgets: it holds the node, and with it the participant, until Python ends."""
+        """With the state machine, which rclpy forgets: it keeps the node, and with it the participant, alive."""
         super().destroy_node()
         self._state_machine.destroy_when_not_in_use()
 

@@ -18,6 +18,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.process import end_process
 from kr270_milling.ros.environment import PARENT, keep_to_this_host
 from kr270_milling.ros.leaving import leaving
+from kr270_milling.ros.litter import remove_litter
 
 __all__ = ["run_node", "run_nodes"]
 
@@ -61,6 +62,8 @@ def give_way() -> None:
 
 def _run_nodes(makes: Sequence[Callable], args: list[str] | None, stop: list[int]) -> int:
     keep_to_this_host()
+    if PARENT not in os.environ:
+        remove_litter()  # a runner did it
     context = Context()
     program = os.path.basename(sys.argv[0])
     try:

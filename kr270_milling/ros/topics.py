@@ -15,7 +15,8 @@ from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 __all__ = [
     "BY_NAME", "CLOCK", "DEFLECTION", "DIAGNOSTICS", "JOINT_STATES", "JOINT_TRAJECTORY", "REFERENCE_PATH",
-    "REFERENCE_TRAJECTORY", "ROBOT_DESCRIPTION", "TARGET_PATH", "TARGET_TRAJECTORY", "TOOL_POSE", "Topic", "WORKPIECE", "WRENCH",
+    "REFERENCE_TRAJECTORY", "ROBOT_DESCRIPTION", "TARGET_PATH", "TARGET_TRAJECTORY", "TOOL_POSE", "Topic",
+    "WORKPIECE", "WRENCH",
 ]  # fmt: skip
 
 #: the loop of one exchange: lockstep, one message in flight; the publisher keeps so many that a recorder which was

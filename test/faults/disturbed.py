@@ -14,9 +14,9 @@ from faults.clock import SteppedClock
 from kr270_milling.cell.cell import Cell
 from kr270_milling.graph.graph import Graph
 from kr270_milling.graph.hooks import Hooks
-from kr270_milling.graph.litter import remove_litter
 from kr270_milling.graph.matching import ROBOT
 from kr270_milling.graph.processes import Child
+from kr270_milling.ros.litter import remove_litter
 
 __all__ = ["Disturbed", "Told"]
 
@@ -84,8 +84,6 @@ class Disturbed(Hooks):
 
     def struck(self) -> None:
         """The fault happens now."""
-        for child in self.children.values():
-            child.note_shared()
         self.struck_at, self.struck_wall_ns = time.monotonic(), time.time_ns()
 
     def strike(self, node: str, number: int) -> None:
@@ -124,8 +122,6 @@ class Disturbed(Hooks):
 
     def close(self) -> None:
         known = self.all_children()
-        for child in known:
-            child.note_shared()
         self._script = None
         self.end_beside()
         try:
@@ -135,4 +131,4 @@ class Disturbed(Hooks):
 
     def litter(self) -> list[str]:
         """Files that its nodes left in shared memory; removed now."""
-        return remove_litter(self.graph.ended)
+        return remove_litter()

@@ -15,4 +15,6 @@ def choose_domain() -> str:
         return f"ROS domain {os.environ['ROS_DOMAIN_ID']} (ROS_DOMAIN_ID)"
     number = next((number for number in range(COUNT, 0, -1) if not is_used(number)), 0)
     os.environ["ROS_DOMAIN_ID"] = str(number)
-    return f"ROS domain {number} (free; set ROS_DOMAIN_ID to choose another)" if number else "ROS domain 0 (none is free)"
+    return (
+        f"ROS domain {number} (free; set ROS_DOMAIN_ID to choose another)" if number else "ROS domain 0 (none is free)"
+    )

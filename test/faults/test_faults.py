@@ -247,10 +247,9 @@ def test_compensator_that_comes_in_mid_pass_says_that_it_has_not_heard_the_start
 
 def test_recorder_that_hangs_while_it_closes_its_file_is_ended_with_the_graph(short_cell, tmp_path):
     class Hanging:
-        name, pid, shared = "recorder", 0, set()
+        name, pid = "recorder", 0
         process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, start_new_session=True)
         alive = property(lambda self: self.process.poll() is None)
-        note_shared = lambda self: None  # noqa: E731
 
         def signal(self, number: int) -> None:
             self.process.send_signal(number)

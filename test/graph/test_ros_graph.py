@@ -17,10 +17,10 @@ pytest.importorskip("rclpy")
 
 from kr270_milling.bag.reader import Recording
 from kr270_milling.cell.jobs import compensated, simulate
-from kr270_milling.graph.litter import shared_files
 from kr270_milling.graph.plan import fresh_directory
 from kr270_milling.replay.recompute import recompute
 from kr270_milling.replay.recorded import pass_from_recording
+from kr270_milling.ros.litter import SHARED
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
 LONG = ["path.length_mm=75", "stock.grid_step_um=50", "exchange.period_ms=0.125"]  # some seconds, to be disturbed
@@ -51,6 +51,15 @@ def start_run(environment, out, *arguments, sets):
     return subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
+
+
+def shared_files(pid: int | str) -> set[str]:
+    """Files of Fast DDS under /dev/shm that a process has mapped."""
+    try:
+        maps = Path(f"/proc/{pid}/maps").read_text()
+    except OSError:  # it has ended
+        return set()
+    return {line.split()[5] for line in maps.splitlines() if SHARED + "fastrtps_" in line}
 
 
 def finished(process, seconds: float = 120.0) -> tuple[int, str, str]:

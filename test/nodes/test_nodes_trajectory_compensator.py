@@ -69,6 +69,21 @@ def test_first_reference_is_the_target_itself_with_its_joint_positions(machine, 
     assert np.allclose(positions, short_cell.joints(target), rtol=0, atol=1e-12)
 
 
+def test_target_and_reference_are_latched_as_paths_for_viewers(world, machine, ran, short_cell):
+    machine.play(ran, range(ran.time_ns.size))
+    reference = machine.reference(1)
+    latecomer = world.partner("viewer")
+    for topic, run in ((topics.TARGET_PATH, short_cell.target()), (topics.REFERENCE_PATH, reference)):
+        paths = world.listen(latecomer, topic)
+        world.until(lambda paths=paths: paths)
+        (path,) = paths
+        stamps = [messages.ns_from_stamp(pose.header.stamp) for pose in path.poses]
+        places = [[pose.pose.position.x, pose.pose.position.y, pose.pose.position.z] for pose in path.poses]
+        assert stamps[0] == 0 and stamps[-1] == run.duration_ns and set(run.time_ns.tolist()) <= set(stamps)
+        assert np.array_equal(places, run.sample(stamps))
+        assert path.header.frame_id == path.poses[-1].header.frame_id == "workpiece"
+
+
 def test_measured_pass_without_wrench_is_revised_from_its_poses(machine, ran, short_cell):
     machine.play(ran, range(ran.time_ns.size), wrench=False)
     expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
