@@ -10,7 +10,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell does to what
     signal.signal(signal.SIGINT, signal.default_int_handler)  # the programs that are tested must hear it
 
 import contextlib
-import gc
 import io
 import json
 import time
@@ -46,17 +45,9 @@ def pytest_collection_modifyitems(items) -> None:
             item.add_marker(pytest.mark.xdist_group("processes"))
 
 
-@pytest.fixture(scope="session")
-def no_old_objects():
-    """What is there before the first node need not be looked through after each of them."""
-    gc.collect()
-    gc.freeze()
-
-
 @pytest.fixture
-def domain(no_old_objects):
+def domain():
     """A ROS domain id that no other test run on this machine uses now."""
-    gc.collect()  # nodes refer to themselves; those of an earlier test would go on talking in this one's domain
     with own_domain() as number:
         yield number
 
