@@ -115,6 +115,10 @@ def test_repeated_points_within_a_path_are_left_out(read):
     assert len(read(START + "G1 X1 F100\n" + "X1\n" * 1000 + "X2\n")) == 3
 
 
+def test_a_file_that_ends_in_m_words_is_whole_without_the_end_of_its_line(read):
+    assert len(read(START + "G1 X1 F100\nN9 M9 M5")) == len(read(START + "G1 X1 F100\nM30\n"))
+
+
 @pytest.mark.parametrize(
     ("text", "line", "word"),
     [

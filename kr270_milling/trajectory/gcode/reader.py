@@ -29,6 +29,7 @@ __all__ = ["read_gcode", "survey_gcode"]
 CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
 TITLE = re.compile(r"\s*[O:]\s*[0-9]+\s*", re.I)
 LABEL = re.compile(r"\s*(?:N\s*[0-9]+|[O:]\s*[0-9]+)?\s*", re.I)
+LAST = re.compile(r"\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})+\s*", re.I)
 ROUND = ", or put a remark in brackets"
 MOST_COMMENTS = 2000
 
@@ -85,7 +86,9 @@ class _Reader:
         return source_program(self.seen, self.path, self.refusals, min(number, self.lines))
 
     def _check_end(self) -> None:
-        """A program without an end may be cut off."""
+        """A program without an end may be cut off, unless it ends in M words, which move nothing."""
+        if LAST.fullmatch(_code(self.text[-1])):
+            return
         try:
             ends_in_mid_line(self.source, self.text)
         except InputError as error:
