@@ -23,6 +23,8 @@ from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityE
 from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.trajectory.trajectory_csv import write_csv
 
+AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
+BESIDE = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  #: [m], of the approach beside the first point, tried in this order
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
 
 __all__ = ["as_commanded", "source_hash", "write_programs"]
@@ -45,8 +47,8 @@ def write_programs(
 
     "krl_spline", "krl_lin": the modules of both programs, for each of ``motions`` (default: ``program.motion``; None:
     no robot program), in a directory named after motion, method, date and hash; "rsi": revised minus original at each
-    tick; "joints": joint positions of both; "trajectory": the revised one as CSV, which ``simulate`` and ``check``
-    read; "manifest": which file goes where, and in which order to try them.
+    tick; "joints": joint positions of both, named as well; "trajectory": the revised one as CSV, which ``simulate`` and
+    ``check`` read; "manifest": which file goes where, in which order to try them, and what the columns are.
 
     method: for the names; date: ISO text; source: sha256 of what the original was made from; findings: lines of the
     check, which stand in every header. A program that is not released has NOT_RELEASED for its name.
@@ -67,20 +69,22 @@ def write_programs(
         folder.mkdir(parents=True, exist_ok=True)
         written = krl.write_krl(folder, program.replace(motion=motion), setup, *shown, heading, origin)
         files[f"krl_{motion.lower()}"] = written
-    files |= _tables(place, cell, (original, revised), shown, joints, method)
+    tick = cell.compensation.tick_ns
+    tick = tick if tick in RSI_TICKS_NS else RSI_TICKS_NS[-1]
+    files |= _tables(place, (original, revised), shown, joints, tick, label)
     files["manifest"] = [place / "MANIFEST.txt"]
-    write_files({files["manifest"][0]: manifest(place, program, files, findings, released)})
+    write_files({files["manifest"][0]: manifest(place, program, files, findings, tick, released)})
     return files
 
 
-def _tables(place: Path, cell: Cell, runs, shown, joints, method: str) -> dict[str, list[Path]]:
-    tick = cell.compensation.tick_ns
+def _tables(place: Path, runs, shown, joints, tick_ns: int, label: str) -> dict[str, list[Path]]:
+    """label: method, date, hash."""
     files = {
-        "rsi": [place / "rsi_offsets.csv"],
-        "joints": [place / "joints_original.csv", place / f"joints_{method}.csv"],
-        "trajectory": [place / f"reference_{method}.csv"],
+        "rsi": [place / f"rsi_offsets_{label}.csv"],
+        "joints": [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"],
+        "trajectory": [place / f"reference_{label.rsplit('_', 2)[0]}.csv"],
     }
-    write_rsi_table(files["rsi"][0], *shown, tick if tick in RSI_TICKS_NS else RSI_TICKS_NS[-1])
+    write_rsi_table(files["rsi"][0], *shown, tick_ns)
     for path, run, q in zip(files["joints"], runs, joints, strict=True):
         write_joint_table(path, run, q)
     write_csv(files["trajectory"][0], runs[1], joints[1])
@@ -116,33 +120,38 @@ KUKA_FLANGE = Pose.from_abc(np.zeros(3), [0.0, np.pi / 2, 0.0])
 
 
 def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
-    """$TOOL is the mount, $BASE the workpiece, status and turn those above the first point of each program."""
+    """$TOOL is the mount, $BASE the workpiece."""
     safe_z = float(cell.stock.max[2]) + cell.program.safe_height
-    (status, turn), (revised_status, revised_turn) = (_status_above(cell, run, safe_z) for run in (original, revised))
     mount, to_kuka = cell.mount, KUKA_FLANGE.inverse()
     return krl.Setup(
         tool=to_kuka @ mount.pose,
         base=cell.workpiece.pose,
-        status=status,
-        turn=turn,
+        approaches=(_approach(cell, original, safe_z), _approach(cell, revised, safe_z)),
         safe_z=safe_z,
         load_mass=mount.mass,
         load_centre=tuple(to_kuka.apply(mount.mass_centre).tolist()),
-        revised_status=revised_status,
-        revised_turn=revised_turn,
     )
 
 
-def _status_above(cell: Cell, run: Trajectory, safe_z: float) -> tuple[int, int]:
-    """S and T of the approach; raises InputError where the arm cannot reach it."""
+def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
+    """Above the first point, a little beside it where an axis would stand at zero: its sign, the bit of T, would be
+    left to rounding, and a controller that finds the other sign looks for the axis a whole turn away.
+
+    Raises InputError where the arm cannot reach it.
+    """
     above = run.position[:1].copy()
     above[0, 2] = max(above[0, 2], safe_z)
-    try:
-        joints = cell.joints_at(above, run.quaternion[:1])[0]
-    except (ReachError, JointLimitError, SingularityError) as error:
-        raise InputError("program.safe_height_mm", f"the approach cannot be reached: {error}") from None
-    status, turn = status_turn(cell.arm, joints)
-    return int(status), int(turn)
+    found = []
+    for shift in BESIDE:
+        try:
+            joints = cell.joints_at(above + [*shift, 0.0], run.quaternion[:1])[0]
+        except (ReachError, JointLimitError, SingularityError) as error:
+            raise InputError("program.safe_height_mm", f"the approach cannot be reached: {error}") from None
+        status, turn = status_turn(cell.arm, joints)
+        found.append(krl.Approach(above[0] + [*shift, 0.0], int(status), int(turn)))
+        if np.abs(joints).min() > AT_ZERO:
+            return found[-1]
+    return found[0]
 
 
 def _source(cell: Cell, count: int) -> krl_motion.Source | None:

@@ -26,7 +26,7 @@ from kr270_milling.programs.krl_motion import Source, modules_of, motion_lines, 
 from kr270_milling.programs.krl_text import axis_text, comments, frame_row, frame_text, number, position_text
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
-__all__ = ["Heading", "Setup", "trajectory_hash", "write_krl"]
+__all__ = ["Approach", "Heading", "Setup", "trajectory_hash", "write_krl"]
 
 KINDS = {"ORG": "original trajectory", "CMP": "compensated trajectory"}
 HEAD = ("&ACCESS RVP", "&REL 1", "&PARAM EDITMASK = *")
@@ -35,18 +35,24 @@ FRAME_LINES = 20  #: of a module beside heading, templates and motions
 
 
 @dataclass(frozen=True, eq=False)
+class Approach:
+    """The E6POS that a PTP from home leads to, at the safe height above the first point."""
+
+    position: np.ndarray  #: [m], (3,), in $BASE
+    status: int  #: S
+    turn: int  #: T
+
+
+@dataclass(frozen=True, eq=False)
 class Setup:
     """What the controller must know of the cell beside the points."""
 
     tool: Pose  #: tool0 in $FLANGE, whose z points out of the flange ($TOOL)
     base: Pose  #: the workpiece frame on $ROBROOT ($BASE)
-    status: int  #: S above the first point
-    turn: int  #: T above the first point
-    safe_z: float  #: [m], height of approach and retract in the workpiece frame
+    approaches: tuple[Approach, Approach]  #: of the original and of the compensated program
+    safe_z: float  #: [m], height of the retract in the workpiece frame
     load_mass: float = 0.0  #: [kg], spindle and tool
     load_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m], in $FLANGE
-    revised_status: int | None = None  #: of the compensated program, where it differs
-    revised_turn: int | None = None
 
 
 @dataclass(frozen=True)
@@ -139,19 +145,16 @@ def _frames(run: Trajectory, numbers: np.ndarray) -> list[str]:
 
 def _places(program: Program, setup: Setup, kind: str, run: Trajectory) -> list[str]:
     """Home, approach, first point and retract."""
-    rows = _rows(run)[[0, -1]]
-    above = rows.copy()
-    above[:, 2] = np.maximum(above[:, 2], 1e3 * setup.safe_z)
-    status, turn = setup.status, setup.turn
-    if kind == "CMP":  # an axis that starts at zero may be negative in one program only
-        status = status if setup.revised_status is None else setup.revised_status
-        turn = turn if setup.revised_turn is None else setup.revised_turn
+    first, retract = _rows(run)[[0, -1]]
+    retract[2] = max(retract[2], 1e3 * setup.safe_z)
+    start = setup.approaches[list(KINDS).index(kind)]
+    above = [*(1e3 * start.position), *first[3:]]
     home = [f"DECL E6AXIS {program.home}={{{axis_text(np.degrees(program.home_angles))}}}"]
     return [
         *(home if program.home_angles.size else []),
-        f"DECL E6POS XAPPROACH={{{position_text(above[0], status, turn)}}}",
-        f"DECL FRAME XP1={{{frame_text(rows[0])}}}",
-        f"DECL FRAME XRETRACT={{{frame_text(above[1])}}}",
+        f"DECL E6POS XAPPROACH={{{position_text(above, start.status, start.turn)}}}",
+        f"DECL FRAME XP1={{{frame_text(first)}}}",
+        f"DECL FRAME XRETRACT={{{frame_text(retract)}}}",
     ]
 
 

@@ -11,11 +11,17 @@ __all__ = ["manifest"]
 
 
 def manifest(
-    place: Path, program: Program, files: Mapping[str, Sequence[Path]], findings: Sequence[str], released: bool
+    place: Path,
+    program: Program,
+    files: Mapping[str, Sequence[Path]],
+    findings: Sequence[str],
+    tick_ns: int,
+    released: bool,
 ) -> list[str]:
-    """Lines of text; files: paths by kind, below ``place``."""
+    """Lines of text; files: paths by kind, below ``place``; tick_ns: of the RSI table."""
     lines = [
         "Files for the controller, written by kr270_milling. A simulation result: verify it on the machine.\n",
+        "Names carry method, date and the hash of the corrected trajectory: files of one name belong together.\n",
         "\n",
     ]
     if not released:
@@ -23,10 +29,16 @@ def manifest(
     for kind, paths in files.items():
         if kind.startswith("krl_"):
             lines += _program(place, program, kind, paths)
+    rsi, (first, second), (trajectory,) = files["rsi"][0].name, files["joints"], files["trajectory"]
     lines += [
-        "rsi_offsets.csv: correction at every RSI tick on top of the original program: time_s, mm, deg.\n",
-        "joints_*.csv: joint positions of both trajectories for a joint trajectory controller: time_s, deg.\n",
-        "reference_*.csv: the corrected trajectory for 'simulate --reference' and 'check --reference': s, mm, deg.\n",
+        f"{rsi}: for RSI on top of the original program.\n",
+        f"  time_s: every {tick_ns / 1e6:g} ms from the start of the path, point 1. dX_mm, dY_mm, dZ_mm: correction\n",
+        "  along the axes of $BASE, the whole of it, not the step from the tick before. dA_deg, dB_deg, dC_deg: its\n",
+        "  turn about z, y', x'' of $BASE.\n",
+        f"{first.name}, {second.name}: for a joint trajectory controller, as programmed and corrected.\n",
+        "  time_s: from the start of the path. joint_a1_deg to joint_a6_deg: positions, signs as KUKA counts them.\n",
+        f"{trajectory.name}: the corrected trajectory for 'simulate --reference' and 'check --reference'.\n",
+        "  time_s, then mm, mm/s, deg; qx to qw: orientation of the tool in the workpiece frame.\n",
         "\n",
         "Findings of the check:\n",
         *(f"  {line}\n" for line in findings or ["none were asked for"]),

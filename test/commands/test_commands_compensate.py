@@ -44,11 +44,17 @@ def test_a_tool_path_ends_with_table_report_programs_and_findings(tmp_path, caps
         folder = {p.name for p in next(out.glob(f"krl_{motion}_*")).iterdir()}
         assert folder == {f"MILLING_{kind}.{end}" for kind in ("ORG", "CMP") for end in ("src", "dat")}
     assert "LIN XP" in (next(out.glob("krl_lin_*")) / "MILLING_CMP.src").read_text()
+    (label,) = {p.name.partition("_lin_")[2] for p in out.glob("krl_lin_*")}
+    assert re.fullmatch(r"spline_\d{8}_[0-9a-f]{8}", label)
     assert {p.name for p in out.iterdir() if p.is_file()} == {
-        "MANIFEST.txt", "joints_original.csv", "joints_spline.csv", "part_spline.stl", "reference_spline.csv",
-        "report.html",
-        "rsi_offsets.csv",
+        "MANIFEST.txt", f"joints_original_{label}.csv", f"joints_{label}.csv", "part_spline.stl",
+        "reference_spline.csv", "report.html", f"rsi_offsets_{label}.csv",
     }  # fmt: skip
+    manifest = (out / "MANIFEST.txt").read_text()
+    for path in out.glob("*.csv"):
+        header = path.read_text().splitlines()[0].split(",")
+        assert path.name in manifest and (header[0] in manifest and header[0] == "time_s")
+    assert "every 12 ms" in manifest and "joint_a1_deg to joint_a6_deg" in manifest and "T1, 10 %" in manifest
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
 
 

@@ -60,7 +60,8 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
     run = wavy(target) if kind == "CMP" else target
     write_programs(tmp_path, cell, target, wavy(target), method="wavy", date=DATE, motions=(motion,))
     read = Robot(next(tmp_path.glob(f"krl_{motion.lower()}_*")), f"MILLING_{kind}")
-    table = np.loadtxt(tmp_path / f"joints_{'wavy' if kind == 'CMP' else 'original'}.csv", delimiter=",", skiprows=1)
+    (table,) = tmp_path.glob(f"joints_{'wavy' if kind == 'CMP' else 'original'}_*.csv")
+    table = np.loadtxt(table, delimiter=",", skiprows=1)
     knots = read.numbers - 1
     reached = np.array([flange(cell.arm, np.radians(q)) for q in table[knots, 1:]])
     told = read.matrix("BASE") @ read.transforms @ np.linalg.inv(read.matrix("TOOL"))
@@ -92,8 +93,8 @@ def test_load_centre_is_told_in_the_axes_of_the_controllers_flange(tmp_path):
     assert "$LOAD={M 45.000,CM {X 60.000,Y 0.000,Z 130.000" in text
 
 
-def test_status_and_turn_are_those_of_each_programs_own_first_point(tmp_path):
-    # a part straight ahead: A1 starts at exactly 0, and the correction makes it negative or positive
+def test_an_axis_at_zero_gets_an_approach_beside_it_so_that_its_turn_is_certain(tmp_path):
+    """A part straight ahead: A1, A4 and A6 start at exactly 0, and rounding would decide what T says of them."""
     cell = read_cell(find_file("test_piece.yaml"))
     time_ns, quaternion = np.arange(3) * 12_000_000, cell.target().quaternion[0]
     line = Trajectory(time_ns, np.array([[0.0, 0.0, 0.0], [1e-3, 0.0, 0.0], [2e-3, 0.0, 0.0]]), quaternion)
@@ -101,9 +102,13 @@ def test_status_and_turn_are_those_of_each_programs_own_first_point(tmp_path):
         beside = line.with_position(line.position + [0.0, sign * 1e-5, 0.0])
         folder = tmp_path / f"{sign:g}"
         write_programs(folder, cell, line, beside, method="beside", date=DATE)
-        turns = [Robot(next(folder.glob("krl_spline_*")), f"MILLING_{kind}").turn for kind in ("ORG", "CMP")]
-        # A1 turns about -z: to the left, at y > 0, it is negative; of the last bit the first point has nothing else
-        assert turns[0] & 1 == 0 and turns[1] & 1 == (1 if sign > 0 else 0)
+        for kind, run in (("ORG", line), ("CMP", beside)):
+            robot = Robot(next(folder.glob("krl_spline_*")), f"MILLING_{kind}")
+            above = np.array(robot.approach) / 1e3
+            assert np.linalg.norm(above[:2] - run.position[0, :2]) < 0.5e-3 and above[2] >= 0.05
+            (joints,) = cell.joints_at(above[None], quaternion[None])
+            assert np.degrees(np.abs(joints)).min() > 1e-3
+            assert robot.turn == sum(1 << axis for axis in range(6) if joints[axis] < 0)
 
 
 def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, tmp_path):

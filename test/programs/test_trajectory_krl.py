@@ -12,16 +12,17 @@ from scipy.spatial.transform import Rotation
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.cell.program import Program
-from kr270_milling.programs.krl import Heading, Setup, trajectory_hash, write_krl
+from kr270_milling.programs.krl import Approach, Heading, Setup, trajectory_hash, write_krl
 from kr270_milling.trajectory.gcode import read_gcode
 from kr270_milling.trajectory.timing import Timing, time_path
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
 
-def setup() -> Setup:
+def setup(*runs: Trajectory) -> Setup:
     mount = Pose.from_abc([0.0, 0.0, 0.25], np.radians([0.0, 90.0, 0.0]))
     base = Pose.from_abc([1.0, -1.6, 0.3], np.radians([30.0, 1.0, -2.0]))
-    return Setup(mount, base, 2, 35, 0.05, 12.0, (0.0, 0.01, 0.1))
+    approaches = tuple(Approach(np.array([*run.position[0, :2], 0.05]), 2, 35) for run in runs)
+    return Setup(mount, base, approaches, 0.05, 12.0, (0.0, 0.01, 0.1))
 
 
 def swaying(count: int, seed: int = 3) -> tuple[Trajectory, Trajectory]:
@@ -38,7 +39,9 @@ def swaying(count: int, seed: int = 3) -> tuple[Trajectory, Trajectory]:
 
 
 def write(directory, program: Program, original, revised, **more) -> list[Path]:
-    return write_krl(directory, program, setup(), original, revised, Heading("1.2.3", "2025-06-01", **more))
+    return write_krl(
+        directory, program, setup(original, revised), original, revised, Heading("1.2.3", "2025-06-01", **more)
+    )
 
 
 def assert_recovered(robot: Robot, run: Trajectory) -> None:
