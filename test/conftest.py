@@ -62,6 +62,14 @@ def ros_environment(domain, monkeypatch):
     return dict(os.environ)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def no_lines_of_progress():
+    """On a busy machine a command may take seconds, and say so; the tests look at what else it says."""
+    from kr270_milling.commands import progress
+
+    progress.LINE_PERIOD = 1e6
+
+
 @pytest.fixture(scope="session")
 def short_cell():
     from kr270_milling.base.parameter_file import find_file

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import add_cell, add_common, print_json, progress
+from kr270_milling.commands.console import add_cell, add_common, print_json
+from kr270_milling.commands.progress import progress
 
 
 def add_arguments(parser) -> None:

@@ -14,9 +14,9 @@ from kr270_milling.commands.console import (
     joints_text,
     print_json,
     print_table,
-    progress,
 )  # fmt: skip
 from kr270_milling.commands.plant import add_plant, read_plant
+from kr270_milling.commands.progress import progress
 from kr270_milling.compensation.methods import METHODS
 from kr270_milling.nodes.option_types import bounded
 
@@ -70,10 +70,10 @@ def run(args) -> int:
     motions = args.krl or ["LIN" if method == "linear" else cell.program.motion]
     plant = read_plant(args, cell)
     with staged(args.out) as (draft, final):
-        with progress("original pass") as report:
+        with progress("original") as report:
             original = simulate(cell, progress=report, plant=plant)
         by = compensator(cell, cell.target(), method)
-        with progress(f"{method} pass") as report:
+        with progress(method, by.most_passes) as report:
             revised = compensated(cell, original, method, report, by, plant)
         passes = original, revised
         found = {"method": method, "points": len(revised.reference)}

@@ -1,24 +1,22 @@
-"""What every command shares: arguments, JSON, tables, progress."""
+"""What every command shares: arguments, JSON, tables, how paths are printed."""
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import math
 import shlex
 import sys
-import time
+from collections.abc import Sequence
 from pathlib import Path
 
 __all__ = [
     "EXIT_FAILED", "add_cell", "add_common", "command_line", "fixed", "joints_text", "numbers", "output_directory",
-    "print_json", "print_table", "progress",
+    "print_json", "print_table", "shown_path",
 ]  # fmt: skip
 
 EXIT_FAILED = 1  # what was asked was done, and the answer is no
-
-LINE_PERIOD = 3.0  #: [s] between two lines of progress
+WIDEST = 1000  # characters of a table
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -97,58 +95,31 @@ def _plain(value):
     return value
 
 
-def print_table(title: str, columns: list[str], rows: list[list[str]]) -> None:
-    """First column left, the others right; plain text where the output is not a terminal."""
+def shown_path(path: object) -> str:
+    """A path as it is printed: from the working directory, where it is below it."""
+    here = Path.cwd()
+    place = Path(str(path))
+    return str(place.relative_to(here)) if place.is_relative_to(here) else str(place)
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """First column left, the others right. No word and no number is ever squeezed: a table that is too wide for the
+    terminal comes without borders, and is cut off by nothing."""
+    from rich import box
     from rich.console import Console
+    from rich.measure import measure_renderables
     from rich.table import Table
     from rich.text import Text
 
     table = Table(title=Text(title), title_justify="left")
     for i, name in enumerate(columns):
-        table.add_column(Text(name), justify="left" if i == 0 else "right", no_wrap=i > 0)
+        table.add_column(Text(name), justify="left" if i == 0 else "right", no_wrap=True)
     for row in rows:
         table.add_row(*map(Text, row))
-    console = Console(soft_wrap=not sys.stdout.isatty(), width=None if sys.stdout.isatty() else 100)
+    console = Console(soft_wrap=True)
+    wide = console.width if sys.stdout.isatty() else WIDEST
+    console.width = WIDEST
+    if measure_renderables(console, console.options, [table]).maximum > wide:
+        table.box = box.SIMPLE_HEAD
+        table.padding = (0, 1, 0, 0)
     console.print(table)
-
-
-@contextlib.contextmanager
-def progress(text: str):
-    """Yields ``report(done, total)``: a bar with a time estimate on a terminal, nothing elsewhere."""
-    if not sys.stderr.isatty():
-        yield lambda done, total: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f}%"),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
-@contextlib.contextmanager
-def study_progress(what: str, each: int):
-    """Yields ``report(done, total)`` of chunks with ``each`` rows: rate and time left, a line every few seconds."""
-    start = last = time.monotonic()
-    before = None
-
-    def report(done: int, total: int) -> None:
-        nonlocal last, before
-        before = done - 1 if before is None else before
-        now = time.monotonic()
-        if now - last < LINE_PERIOD and done < total:
-            return
-        last = now
-        rate = (done - before) / (now - start)
-        print(
-            f"{done} of {total} chunks, {rate * each:.3g} {what} a second, {(total - done) / rate:.0f} s left",
-            file=sys.stderr,
-        )
-
-    yield report

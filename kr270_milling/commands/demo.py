@@ -6,8 +6,9 @@ which the paper leaves out and every real arm has.
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_common, command_line, print_json, print_table, progress
+from kr270_milling.commands.console import add_common, command_line, print_json, print_table
 from kr270_milling.commands.plant import add_plant, read_plant
+from kr270_milling.commands.progress import progress
 
 METHODS = ("linear", "spline", "learned")
 INERTIA_METHODS = (*METHODS, "inverse")
@@ -44,7 +45,7 @@ def run(args) -> None:
         return _tell(args, passes, second, {"report": str(report), "out": args.out, "ran_as": how})
     from kr270_milling.commands.run import run_cell, summary
 
-    found = run_cell(cell, METHODS, args.out, quiet=args.json)
+    found = run_cell(cell, METHODS, args.out)
     passes = [ran.scored for ran in found["passes"]]
     second = _plain(moving, INERTIA_METHODS, None)
     how = f"four ROS 2 nodes and a recorder, graph up in {found['graph_up_s']:.2f} s"
@@ -53,13 +54,14 @@ def run(args) -> None:
 
 
 def _plain(cell, methods, plant) -> list:
-    from kr270_milling.cell.jobs import compensated, simulate
+    from kr270_milling.cell.jobs import compensated, compensator, simulate
 
     with progress("original") as report:
         passes = [simulate(cell, progress=report, plant=plant)]
     for method in methods:
-        with progress(method) as report:
-            passes.append(compensated(cell, passes[0], method, report, plant=plant))
+        by = compensator(cell, cell.target(), method)
+        with progress(method, by.most_passes) as report:
+            passes.append(compensated(cell, passes[0], method, report, by, plant))
     return passes
 
 
@@ -73,7 +75,7 @@ def _write(directory, cell, passes, second, source, args):
     date = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
     table = ReportTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
-    with progress("report") as _:
+    with progress("report"):
         report = write_report(
             directory, cell, passes, title="The milling pass of Klimchik et al. (2012)", source=str(source),
             command=command_line(args), date=date, paper=True, tables=(table,),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import sys
 
-from kr270_milling.commands.console import EXIT_FAILED, add_common, print_json, progress
+from kr270_milling.commands.console import EXIT_FAILED, add_common, print_json
+from kr270_milling.commands.progress import progress
 
 
 def add_arguments(parser) -> None:

@@ -5,14 +5,8 @@ from __future__ import annotations
 import argparse
 import math
 
-from kr270_milling.commands.console import (
-    add_cell,
-    add_common,
-    output_directory,
-    print_json,
-    print_table,
-    study_progress,
-)
+from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json, print_table
+from kr270_milling.commands.progress import progress
 
 BEST = 5  #: placements that are written as cells
 AXES = {
@@ -69,7 +63,8 @@ def run(args) -> None:
         raise ParameterError("--chunk", args.chunk, "at least 1, and at most 10 million placements in all")
     plan = {"study": "map", "cell": source.name, "set": args.set, "axes": given, "chunk": args.chunk}
     study = Study(output_directory(args.out), plan)
-    with study_progress("postures", 8 * args.chunk * len(placements.course.position)) as report:
+    postures = 8 * args.chunk * len(placements.course.position)
+    with progress("map", unit="chunks", rate="postures", each=postures) as report:
         seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
     table = read_rows(args.out)
     best = best_rows(table, BEST)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_common, print_json, progress
+from kr270_milling.commands.console import add_common, print_json
+from kr270_milling.commands.progress import progress
 
 
 def add_arguments(parser) -> None:

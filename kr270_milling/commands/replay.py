@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from kr270_milling.base.errors import one_line
-from kr270_milling.commands.console import EXIT_FAILED, add_common, output_directory, print_json, print_table, progress
+from kr270_milling.commands.console import EXIT_FAILED, add_common, output_directory, print_json, print_table
+from kr270_milling.commands.progress import progress
 from kr270_milling.compensation.methods import METHODS
 from kr270_milling.nodes.play_arguments import add_play_arguments, play_options
 

@@ -5,15 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from kr270_milling.commands.console import (
-    add_common,
-    command_line,
-    fixed,
-    output_directory,
-    print_json,
-    print_table,
-    progress,
-)
+from kr270_milling.commands.console import add_common, command_line, fixed, output_directory, print_json, print_table
+from kr270_milling.commands.progress import progress
 
 
 def add_arguments(parser) -> None:

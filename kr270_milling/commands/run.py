@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
-from kr270_milling.commands.console import add_cell, add_common, fixed, print_json, print_table
+from kr270_milling.commands.console import add_cell, add_common, fixed, print_json, print_table, shown_path
 from kr270_milling.commands.plant import add_plant, read_plant
+from kr270_milling.commands.progress import progress
 from kr270_milling.compensation.methods import METHODS
 from kr270_milling.nodes.option_types import bounded
 
@@ -39,16 +41,14 @@ def run(args) -> None:
     cell = read_cell(find_file(args.cell), args.set)
     methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
     plant = read_plant(args, cell)
-    found = run_cell(cell, methods, args.out, args.passes, args.namespace, args.json, not args.processes, plant)
+    found = run_cell(cell, methods, args.out, args.passes, args.namespace, not args.processes, plant)
     if args.json:
         print_json(summary(found))
         return
     print_rows(found)
 
 
-def run_cell(
-    cell, methods, out, passes=None, namespace: str = "", quiet: bool = False, composed: bool = True, plant=None
-) -> dict:
+def run_cell(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:
     """Run a cell's passes, with the arm and the material of ``plant`` if there is one.
 
     Returns graph_up_s, out (the directory used) and passes, a list of RanPass.
@@ -59,15 +59,19 @@ def run_cell(
     from kr270_milling.ros.names import full_namespace
 
     namespace = full_namespace(namespace, "--namespace") if namespace else ""
-    _compile(cell)
-    directory = fresh_directory(out)
-    tell = (lambda name: None) if quiet or not sys.stderr.isatty() else _tell
     cuts = None if plant is None else plant.cell
     if cuts is not None and cuts.clock != cell.clock:
         allowed = f"{1e3 * cell.clock.period:g} in {cell.clock.micro_steps} micro-steps, as the cell that plans has it"
         raise ParameterError("plant: exchange.period_ms", 1e3 * cuts.clock.period, allowed)
-    with Graph(cell, directory, namespace, composed=composed, plant=cuts) as graph:
-        ran = run_plan(graph, methods, passes, tell)
+    directory = fresh_directory(out)
+    if directory != Path(out):
+        print(f"{out} holds recordings already; this run writes to {directory}", file=sys.stderr)
+    with progress("compiling") as report:
+        _compile(cell)
+        report.say("starting the nodes")
+        with Graph(cell, directory, namespace, composed=composed, plant=cuts) as graph:
+            ran = run_plan(graph, methods, passes, report.say)
+            report.say("stopping the nodes")
         return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
 
 
@@ -82,10 +86,6 @@ def _compile(cell) -> None:
     CompliantArm(cell.arm_model(cell.target())).predict()
 
 
-def _tell(name: str) -> None:
-    print(f"pass {name} ...", file=sys.stderr)
-
-
 def summary(found: dict) -> dict:
     """What ``--json`` prints."""
     return {**found, "out": str(found["out"]), "passes": [ran.row() for ran in found["passes"]]}
@@ -95,9 +95,9 @@ def print_rows(found: dict) -> None:
     columns = ["pass", "static [um]", "max [um]", "wall [s]", "x real time", "lost", "recording"]
     rows = [_cells(ran.row()) for ran in found["passes"]]
     print_table("Path deviation, four nodes and a recorder", columns, rows)
-    print(f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {found['out']}")
+    print(f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(found['out'])}")
 
 
 def _cells(row: dict) -> list[str]:
     numbers = [row["static_deviation_mm"] * 1e3, row["max_deviation_mm"] * 1e3, row["wall_s"], row["real_time_factor"]]
-    return [row["name"], *map(fixed, numbers), str(row["messages_lost"]), row["recording"]]
+    return [row["name"], *map(fixed, numbers), str(row["messages_lost"]), shown_path(row["recording"])]

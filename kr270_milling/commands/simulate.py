@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-from kr270_milling.commands.console import add_cell, add_common, joints_text, print_json, print_table, progress
+from kr270_milling.commands.console import add_cell, add_common, joints_text, print_json, print_table
 from kr270_milling.commands.plant import add_plant, read_plant
+from kr270_milling.commands.progress import progress
 
 FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from kr270_milling.commands.console import add_cell, add_common, fixed, print_json, print_table, progress
+from kr270_milling.commands.console import add_cell, add_common, fixed, print_json, print_table
+from kr270_milling.commands.progress import progress
 
 COUNT = 60  #: speeds without --speeds
 SHOWN = 24  #: rows of the printed table

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json, study_progress
+from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json
+from kr270_milling.commands.progress import progress
 
 
 def add_arguments(parser) -> None:
@@ -36,7 +37,7 @@ def run(args) -> None:
     plan = {"study": "sweep", "cell": cell.name, "set": args.set, "vary": args.vary, "samples": args.samples,
             "seed": args.seed, "chunk": args.chunk}  # fmt: skip
     study = Study(output_directory(args.out), plan)
-    with study_progress("passes", args.chunk) as report:
+    with progress("sweep", unit="chunks", rate="passes", each=args.chunk) as report:
         seconds = run_chunks(study, sweep.chunks, sweep, args.scheduler, report)
     table = read_rows(args.out)
     failed = sum(text != "" for text in table["error"].to_pylist())

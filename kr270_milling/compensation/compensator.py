@@ -122,6 +122,11 @@ class Compensator:
         return self.method == "learned" or self.parameters.repeat
 
     @property
+    def most_passes(self) -> int | None:
+        """How many passes it can ask for after the first one, where it repeats."""
+        return self.parameters.max_passes if self.repeats else None
+
+    @property
     def remembers(self) -> bool:
         """Whether the next reference follows from all passes so far, and not from the last one alone."""
         return self.method in LIFTED and self.repeats

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.graph.graph import Graph, PassRun
 from kr270_milling.replay.recorded import pass_from_recording
 
@@ -52,12 +55,20 @@ def fresh_directory(out) -> Path:
 
 
 def run_plan(
-    graph: Graph, methods: Sequence[str], passes: int | None = None, progress: Callable[[str], None] = lambda name: None
+    graph: Graph,
+    methods: Sequence[str],
+    passes: int | None = None,
+    say: Callable[[str], None] = lambda text: None,
 ) -> list[RanPass]:
-    """The original pass, then each method's; passes: how many in all, the original included (default: as needed)."""
+    """The original pass, then each method's; passes: how many in all, the original included (default: as needed).
+
+    say: called with a sentence at the beginning of each pass.
+    """
+    numbers = itertools.count(1)
+    most = _most_passes(graph.cell, methods, passes)
 
     def run(name: str) -> RanPass:
-        progress(name)
+        say(f"{name}, pass {next(numbers)} of at most {most}")
         told = graph.run_pass(name)
         found = pass_from_recording(told.recording, name, graph.driver.namespace)
         return RanPass(told, found.scored, found.lost_to_end)
@@ -74,6 +85,14 @@ def run_plan(
         for number in range(1, passes or 2):
             rows.append(run(method if number == 1 else f"{method}_{number}"))
     return rows
+
+
+def _most_passes(cell: Cell, methods: Sequence[str], passes: int | None) -> int:
+    """How many passes there can be in all."""
+    if passes is not None:
+        return 1 + len(methods) * (passes - 1)
+    asked = (Compensator(cell.compensation, cell.target(), method).most_passes for method in methods)
+    return 1 + sum(1 if most is None else most for most in asked)
 
 
 def _repeated(method: str, run: Callable[[str], RanPass], original: RanPass, most: int | None) -> RanPass:

@@ -1,0 +1,109 @@
+"""How far a command is, on standard error: a spinner and a bar on a terminal, elsewhere a line every few seconds."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+
+__all__ = ["Progress", "progress"]
+
+LINE_PERIOD = 3.0  #: [s] between two lines
+LOOK_PERIOD = 0.2  #: [s] between two looks of the bar
+
+
+class Progress:
+    """Called with (done, total) where that is counted; a count that starts over belongs to the next pass.
+
+    most: passes that there can be; unit, rate, each: the count is of ``unit``, with so many ``rate`` in each.
+    """
+
+    def __init__(self, text: str, most: int | None = None, unit: str = "", rate: str = "", each: int = 1):
+        self.text = text
+        self.done = 0
+        self.total: int | None = None
+        self._most = most
+        self._unit = unit
+        self._rate = rate
+        self._each = each
+        self._number = 1
+        self._begin()
+
+    def _begin(self) -> None:
+        self._start = time.monotonic()
+        self._before = 0
+
+    def __call__(self, done: int, total: int) -> None:
+        if self.total is None:
+            self._before = done - 1 if self._unit else 0  # a study goes on where it stopped
+        elif done < self.done:
+            self._number += 1
+            self._begin()
+        self.done = done
+        self.total = total
+
+    def say(self, text: str) -> None:
+        """What is done now; nothing of it is counted yet."""
+        self.text = text
+        self.done = 0
+        self.total = None
+        self._begin()
+
+    @property
+    def label(self) -> str:
+        """What is done, with the number of the pass where there are several."""
+        if self._most is None:
+            return self.text if self._number == 1 else f"{self.text}, pass {self._number}"
+        return f"{self.text}, pass {self._number} of at most {self._most}"
+
+    @property
+    def state(self) -> str:
+        """How far it is, and how long it will take; the time so far where nothing is counted."""
+        now = time.monotonic() - self._start
+        if not self.total or not self._before < self.done < self.total:
+            return f"{now:.0f} s so far"
+        pace = (self.done - self._before) / max(now, 1e-9)
+        left = f"{(self.total - self.done) / pace:.0f} s left"
+        if not self._unit:
+            return f"{100 * self.done / self.total:.0f} %, {left}"
+        return f"{self.done} of {self.total} {self._unit}, {pace * self._each:.3g} {self._rate} a second, {left}"
+
+
+@contextlib.contextmanager
+def progress(text: str, most: int | None = None, unit: str = "", rate: str = "", each: int = 1) -> Iterator[Progress]:
+    """Yields what a job calls to tell how far it is; see Progress."""
+    told = Progress(text, most, unit, rate, each)
+    on_terminal = sys.stderr.isatty()
+    ended = threading.Event()
+    with _bar(told) if on_terminal else contextlib.nullcontext(lambda: _line(told)) as show:
+
+        def tell() -> None:
+            while not ended.wait(LOOK_PERIOD if on_terminal else LINE_PERIOD):
+                show()
+
+        thread = threading.Thread(target=tell, daemon=True)
+        thread.start()
+        try:
+            yield told
+        finally:
+            ended.set()
+            thread.join()
+
+
+def _line(told: Progress) -> None:
+    print(f"{told.label}: {told.state}", file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def _bar(told: Progress) -> Iterator[Callable[[], None]]:
+    """Yields what brings the bar up to date; a bar of which nothing is counted runs to and fro."""
+    from rich.console import Console
+    from rich.progress import BarColumn, SpinnerColumn, TextColumn
+    from rich.progress import Progress as Bar
+
+    columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=24)
+    with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(told.label, total=None)
+        yield lambda: bar.update(task, completed=told.done, total=told.total, description=f"{told.label}: {told.state}")
