@@ -35,6 +35,7 @@ setup(
         "ros": ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"],
         "completion": ["argcomplete>=3.0"],
         "uff": ["pyuff>=2.4"],
+        "docs": ["sphinx>=7.4"],
         "test": [
             "dask[distributed]>=2024.1",
             "pyarrow>=14",
@@ -46,6 +47,9 @@ setup(
             "playwright>=1.40",
             "argcomplete>=3.0",
             "mcap-ros2-support>=0.5",
+            "sphinx>=7.4",
+            "mypy>=1.13",
+            "types-PyYAML",
             "ruff>=0.6",
             "import-linter>=2.6",
         ],
