@@ -72,13 +72,13 @@ def main(argv: list[str] | None = None) -> int:
     """
     if argv is not None:
         return _main(argv)
+    from kr270_milling.base.process import end_process, exit_code
+
     try:
         code = _main(sys.argv[1:])
     except SystemExit as error:  # argparse, or a run that SIGTERM ends
-        code = error.code
+        code = exit_code(error)
     if "rclpy" in sys.modules or code == EXIT_INTERRUPTED:
-        from kr270_milling.base.process import end_process
-
         end_process(code)
     return code
 

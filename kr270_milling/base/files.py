@@ -15,7 +15,7 @@ __all__ = ["staged", "write_files"]
 
 
 @contextlib.contextmanager
-def staged(directory) -> Iterator[tuple[Path, Callable[[object], Path]]]:
+def staged(directory) -> Iterator[tuple[Path, Callable[[str | Path], Path]]]:
     """A fresh directory to write into; when the block ends well, its files move to ``directory``.
 
     Yields it and the function that tells where one of its files will be. After an error nothing is left behind, and
@@ -87,7 +87,7 @@ def _write(path: Path, pieces: Iterator, newline: str) -> None:
     first = next(pieces, "")
     text = isinstance(first, str)
     # a file name in a text need not be text that UTF-8 can hold
-    about = dict(encoding="utf-8", errors="backslashreplace", newline=newline) if text else {}
-    with open(path, "x" if text else "xb", **about) as stream:
+    how: dict = dict(encoding="utf-8", errors="backslashreplace", newline=newline) if text else {}
+    with open(path, "x" if text else "xb", **how) as stream:
         stream.write(first)
         stream.writelines(pieces)

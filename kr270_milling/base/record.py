@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import functools
 import math
 import numbers
 import typing
@@ -25,18 +24,9 @@ from kr270_milling.base.parameter_file import find_file, merge, override, read_t
 from kr270_milling.base.units import UNITS
 
 __all__ = [
-    "Record",
-    "Spec",
-    "parameter",
-    "specs",
-    "build",
-    "flatten",
-    "tree_of",
-    "read_tree",
-    "merge",
-    "override",
+    "Record", "Spec", "parameter", "specs", "build", "flatten", "tree_of", "read_tree", "merge", "override",
     "find_file",
-]
+]  # fmt: skip
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,9 +93,17 @@ def parameter(
     return dataclasses.field(default=default, metadata=meta)
 
 
-@functools.cache
+_SPECS: dict[type, tuple[Spec, ...]] = {}  # found once for each class
+
+
 def specs(record: type[Record]) -> tuple[Spec, ...]:
     """The parameters of a record class in their order; a field that is itself a Record has ``kind`` that class."""
+    if record not in _SPECS:
+        _SPECS[record] = _specs(record)
+    return _SPECS[record]
+
+
+def _specs(record: type[Record]) -> tuple[Spec, ...]:
     hints = typing.get_type_hints(record)
     found = []
     for field in dataclasses.fields(record):
@@ -119,6 +117,7 @@ def specs(record: type[Record]) -> tuple[Spec, ...]:
     return tuple(found)
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class Record:
     """Base of the parameter dataclasses: checks every value at the door and makes arrays read-only.
 
@@ -267,7 +266,8 @@ def _plain(value):
 
 def tree_of(record: Record) -> dict:
     """The nested dict of a parameter file: the numbers that the record was built from where it was, in file units."""
-    given, tree = _given(record), {}
+    given = _given(record)
+    tree: dict[str, typing.Any] = {}
     for spec in specs(type(record)):
         value = getattr(record, spec.name)
         if issubclass(spec.kind, Record):

@@ -14,6 +14,7 @@ __all__ = [
 ]  # fmt: skip
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
 class Sample:
     """Base of the records: arrays become read-only arrays of their type and shape."""
 
@@ -113,7 +114,7 @@ def same_bits(one, other) -> str:
     """
     if type(one) is not type(other):
         return "type"
-    names = one._fields if isinstance(one, tuple) else [field.name for field in dataclasses.fields(one)]
+    names = one._fields if hasattr(one, "_fields") else [field.name for field in dataclasses.fields(one)]
     for name in names:
         a, b = getattr(one, name), getattr(other, name)
         if isinstance(a, (np.ndarray, float)) and type(a) is type(b):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -94,10 +95,11 @@ def _bound(value: float) -> float | None:
 
 def _default(spec: Spec):
     """In the unit of the file, without the digits of the way to SI and back; None where there is none."""
-    if spec.default is None:
+    default: Any = spec.default
+    if default is None:
         return None
     if spec.kind is np.ndarray:
-        return [float(f"{value / spec.scale:.12g}") for value in np.ravel(spec.default)]
+        return [float(f"{value / spec.scale:.12g}") for value in np.ravel(default)]
     if spec.kind is float:
-        return float(f"{spec.default / spec.scale:.12g}")
-    return list(spec.default) if spec.kind is tuple else spec.default
+        return float(f"{default / spec.scale:.12g}")
+    return list(default) if spec.kind is tuple else default

@@ -9,7 +9,7 @@ import os
 import numpy as np
 
 from kr270_milling.bag.recorded_path import is_recording, read_recorded
-from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.errors import InputError
 from kr270_milling.cell.path_checks import check_feed, check_path
 from kr270_milling.cell.plausibility import MOST_STEPS, check_effort, sinking
 from kr270_milling.cell.records import Parameters, Path
@@ -86,7 +86,9 @@ def _program(file: str, tool: str, feed: float, stamp: tuple) -> Toolpath:
     return read_toolpath(file, tool, feed)
 
 
-def _unreachable(cell: Parameters, timed: TimedPath, error: MillingError) -> InputError:
+def _unreachable(
+    cell: Parameters, timed: TimedPath, error: ReachError | JointLimitError | SingularityError
+) -> InputError:
     """The refusal of the arm with point and line, and a hint where the path is far larger than the stock."""
     point = error.index[0] if error.index else 0
     line = int(timed.toolpath.line[timed.block[point] if point else 0]) or None

@@ -59,7 +59,7 @@ def joints_text(joints: dict) -> str:
     return f"commanded joints at the start (and along the path) [deg]: {', '.join(shown)}"
 
 
-def output_directory(path: str) -> Path:
+def output_directory(path: str | Path) -> Path:
     directory = Path(path)
     directory.mkdir(parents=True, exist_ok=True)
     return directory

@@ -87,8 +87,8 @@ def _write(directory, cell, passes, second, source, args):
 def _tell(args, passes, second, found: dict) -> None:
     """Print tables or JSON."""
     if args.json:
-        rows = {"passes": [p.row() for p in passes], "passes_reference_inertia": [p.row() for p in second]}
-        print_json({**found, **rows})
+        both = {"passes": [p.row() for p in passes], "passes_reference_inertia": [p.row() for p in second]}
+        print_json({**found, **both})
         return
     columns = ["pass", "static", "paper", "max", "paper", "low frequency, model [Hz]"]
     print_table(AS_PRINTED, columns, [_row(p) for p in passes])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 from kr270_milling.commands.console import EXIT_FAILED, add_common, print_json
 from kr270_milling.commands.progress import progress
@@ -24,7 +25,8 @@ def run(args) -> int:
 
     if not args.csv and not args.parquet:
         raise InputError("export", "give --csv DIR or --parquet DIR")
-    files, refused = [], {}
+    files: list[Path] = []
+    refused: dict[str, str] = {}
     with progress("exporting") as report, Recording(args.file, report) as recording:
         for directory, write in ((args.csv, export_csv), (args.parquet, export_parquet)):
             if directory:

@@ -37,7 +37,7 @@ def run(args) -> None:
     from kr270_milling.identification.signals import read_signals
 
     signals = read_signals(args.recording, args.topic).window(args.start, args.stop)
-    modes = find_modes(signals, *args.band, args.modes)
+    modes = find_modes(signals, args.band[0], args.band[1], args.modes)
     result = as_dict(modes, signals)
     shapes = _shapes(args, modes, signals)
     if shapes is not None:

@@ -42,7 +42,7 @@ def _report_plan(args, choice, designs: dict) -> None:
     best = next(iter(designs.values()))
     plan = in_order(choice.take(best.rows))
     blind = blind_spots(best.relative)
-    result = {
+    result: dict = {
         "blind_spots": blind,
         "designs": [{"name": name, "error_um": 1e6 * d.pose_error, "relative": d.relative.tolist(),
                      "determinant": d.determinant} for name, d in designs.items()],
@@ -60,7 +60,7 @@ def _report_plan(args, choice, designs: dict) -> None:
     print_table(f"{args.plan} load tests: what 100 N at the cell's posture are known to (1 sigma)", columns, rows)
     rows = [[t["load"], " ".join(f"{a:7.2f}" for a in t["joints_deg"])] for t in result["tests"]]
     print_table("The tests, in the order of the program", ["load", "A1 to A6 [deg]"], rows)
-    for line in (*blind, *result.get("files", [])):
+    for line in (*blind, *result.get("files", ())):
         print(line)
 
 

@@ -78,6 +78,13 @@ def _recompute(args) -> int:
     return EXIT_FAILED if result.verdict != "identical" else 0
 
 
+TOLD = {
+    True: "identical to what the node published",
+    False: "NOT what the node published",
+    None: "not to be compared with a recorded one",
+}
+
+
 def _shown(value) -> str:
     return one_line(str(value))
 
@@ -97,7 +104,10 @@ def _compensate(args) -> int:
             f"off by up to {revised.remaining_error * 1e6:.2f} um, the largest correction is "
             f"{revised.largest_correction * 1e6:.2f} um"
         )
-        told = {True: "identical to what the node published", False: "NOT what the node published"}
+        told: dict[bool | None, str] = {
+            True: "identical to what the node published",
+            False: "NOT what the node published",
+        }
         print("  " + told.get(revised.published, "not to be compared with a recorded one"))
         print(f"  written to {file}" if file else "  (--out DIR writes it as CSV)")
     return EXIT_FAILED if any(r.published is False for r in found) else 0

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from kr270_milling.commands.console import add_common, command_line, fixed, output_directory, print_json, print_table
 from kr270_milling.commands.progress import progress
+
+if TYPE_CHECKING:
+    from kr270_milling.replay.recorded import RecordedPass
 
 
 def add_arguments(parser) -> None:
@@ -52,7 +56,7 @@ def run(args) -> None:
     print(f"report: {page}")
 
 
-def _read(places: Sequence[Path], namespace: str | None) -> tuple[list, list[str]]:
+def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedPass], list[str]]:
     """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
     import numpy as np
 
@@ -61,7 +65,8 @@ def _read(places: Sequence[Path], namespace: str | None) -> tuple[list, list[str
 
     paths = list(dict.fromkeys(path for place in places for path in recordings(place)))
     names = unique_names(paths)
-    found, copies = [], []
+    found: list[RecordedPass] = []
+    copies: list[str] = []
     with progress("reading") as report:
         for number, (path, name) in enumerate(zip(paths, names, strict=True), 1):
             one = pass_from_recording(path, name, namespace)

@@ -46,7 +46,7 @@ def run(args) -> None:
         found["tolerance"] = tolerance.as_dict()
         if part:
             found |= {key: value for key, value in part.as_dict().items() if key != "name"}
-        if draft:
+        if draft and final:
             found["files"] = [str(final(path)) for path in _write(draft, cell, ran)]
     if args.json:
         print_json(found)

@@ -48,7 +48,7 @@ def run(args) -> None:
     nominal = cell.tool.spindle_speed * 30.0 / np.pi
     low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, COUNT)
     with progress("stability") as report:
-        found = lobes(cell, np.linspace(low, high, count) * np.pi / 30.0, not args.no_arm, progress=report)
+        found = lobes(cell, (np.linspace(low, high, count) * np.pi / 30.0).tolist(), not args.no_arm, progress=report)
     rows = [lobe.as_dict() for lobe in found]
     files = _write(args.out, rows) if args.out else []
     if args.json:

@@ -67,7 +67,7 @@ def write_programs(
     for motion in dict.fromkeys(motions):
         folder = place / f"krl_{motion.lower()}_{label}"
         folder.mkdir(parents=True, exist_ok=True)
-        written = krl.write_krl(folder, program.replace(motion=motion), setup, *shown, heading, origin)
+        written = krl.write_krl(folder, program.replace(motion=motion), setup, shown[0], shown[1], heading, origin)
         files[f"krl_{motion.lower()}"] = written
     tick = cell.compensation.tick_ns
     tick = tick if tick in RSI_TICKS_NS else RSI_TICKS_NS[-1]
@@ -84,7 +84,7 @@ def _tables(place: Path, runs, shown, joints, tick_ns: int, label: str) -> dict[
         "joints": [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"],
         "trajectory": [place / f"reference_{label.rsplit('_', 2)[0]}.csv"],
     }
-    write_rsi_table(files["rsi"][0], *shown, tick_ns)
+    write_rsi_table(files["rsi"][0], shown[0], shown[1], tick_ns)
     for path, run, q in zip(files["joints"], runs, joints, strict=True):
         write_joint_table(path, run, q)
     write_csv(files["trajectory"][0], runs[1], joints[1])

@@ -25,7 +25,7 @@ def frame_row(pose: Pose) -> np.ndarray:
     return np.concatenate([pose.position * 1e3, np.degrees(abc_from_rotation(pose.rotation))])
 
 
-def frame_text(row: Sequence[float]) -> str:
+def frame_text(row: Sequence[float] | np.ndarray) -> str:
     """X, Y, Z [mm] to 0.1 um, A, B, C [deg] to 1e-5."""
     texts = [number(v, 4 if i < 3 else 5) for i, v in enumerate(row)]
     return ",".join(f"{name} {text}" for name, text in zip("XYZABC", texts, strict=True))

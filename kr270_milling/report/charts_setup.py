@@ -62,18 +62,18 @@ def start_position(tool: Tool, stock: Stock, start: np.ndarray, feed: np.ndarray
     angle = np.linspace(0.0, 2 * np.pi, 91)
     circle = centre + r * np.column_stack([np.cos(angle), np.sin(angle)])
     curves = [
-        Curve("stock", *corners.T, 7, "area"),
-        Curve("tool", *circle.T, 2),
+        _through("stock", corners, 7, "area"),
+        _through("tool", circle, 2),
     ]
     for number, (phi, radius) in enumerate(zip(tool.angles, tool.radii * 1e3, strict=True), 1):
         tip = centre + radius * np.array([np.cos(phi), tool.sense * np.sin(phi)])
-        curves.append(Curve(f"tooth {number}", *np.stack([centre, tip]).T, 0, text=str(number), legend=False))
+        curves.append(_through(f"tooth {number}", np.stack([centre, tip]), 0, text=str(number), legend=False))
     left = r * np.array([-way[1], way[0]])
     for side, shown in ((left, True), (-left, False)):
         edge = np.stack([centre + side, centre + side + 4.5 * r * way])
-        curves.append(Curve("walls that the cut should leave", *edge.T, 6, "dash", legend=shown))
+        curves.append(_through("walls that the cut should leave", edge, 6, "dash", legend=shown))
     arrow = np.stack([centre, centre + 2.4 * r * way])
-    curves.append(Curve("feed", *arrow.T, 1, text="feed ▸"))
+    curves.append(_through("feed", arrow, 1, text="feed ▸"))
     span = np.stack([centre - 1.5 * r, centre + 1.5 * r, centre + 3.2 * r * way])
     panel = Panel(
         "x of the workpiece [mm]", "y of the workpiece [mm]", tuple(curves), equal=True,
@@ -83,3 +83,8 @@ def start_position(tool: Tool, stock: Stock, start: np.ndarray, feed: np.ndarray
     turn = "clockwise" if tool.sense < 0 else "counterclockwise"
     caption = f"Seen from above the part. Numbered: the teeth at t = 0; the tool turns {turn}."
     return Chart("start_position", "Tool and workpiece at the start", "Fig. 11", caption, (panel,))
+
+
+def _through(name: str, points: np.ndarray, colour: int, look: str = "", **more) -> Curve:
+    """A curve through points (n, 2)."""
+    return Curve(name, points[:, 0], points[:, 1], colour, look, **more)

@@ -93,7 +93,9 @@ def amplitude_spectrum(values: np.ndarray, step: float) -> tuple[np.ndarray, np.
     return np.fft.rfftfreq(values.size, step)[1:], amplitude[1:]
 
 
-def thinned_spectrum(frequency: np.ndarray, amplitude: np.ndarray, high: float, bins: int = 500) -> tuple:
+def thinned_spectrum(
+    frequency: np.ndarray, amplitude: np.ndarray, high: float, bins: int = 500
+) -> tuple[np.ndarray, np.ndarray]:
     """Up to ``high`` [Hz], the largest amplitude of each bin of a logarithmic axis: no line of the spectrum is lost."""
     inside = frequency <= high
     frequency, amplitude = frequency[inside], amplitude[inside]

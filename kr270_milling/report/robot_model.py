@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
@@ -97,9 +96,12 @@ def _links(root) -> tuple[Link, ...]:
         number = -1
         if joint is not None and joint.get("type") == "revolute":
             number, moving = moving, moving + 1
-        parent = order.index(joint.find("parent").get("link")) if joint is not None else -1
-        rotation, xyz = _origin(joint.find("origin") if joint is not None else None)
-        axis = _numbers(joint.find("axis").get("xyz")) if number >= 0 else np.zeros(3)
+        parent, axis = -1, np.zeros(3)
+        if joint is not None:
+            parent = order.index(joint.find("parent").get("link"))
+            if number >= 0:
+                axis = _numbers(joint.find("axis").get("xyz"))
+        rotation, xyz = _origin(None if joint is None else joint.find("origin"))
         meshes = tuple(_mesh(visual) for visual in links[name].iter("visual"))
         found.append(Link(name, parent, rotation, xyz, axis, number, meshes))
     return tuple(found)
@@ -125,11 +127,11 @@ def _mesh(visual) -> Mesh:
     return Mesh(visual.find("material").get("name"), vertex @ rotation.T + xyz, triangle)
 
 
-def _box(size: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+def _box(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     corner = np.array([[(c >> k) & 1 for k in range(3)] for c in range(8)]) - 0.5
     faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = [t for a, b, c, d in faces for t in ((a, c, b), (a, d, c))]
-    return corner * np.asarray(size), np.array(triangles)
+    return corner * size, np.array(triangles)
 
 
 def _cylinder(radius: float, length: float) -> tuple[np.ndarray, np.ndarray]:

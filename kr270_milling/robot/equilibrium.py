@@ -54,7 +54,7 @@ def equilibrium(arm: Arm, mount: Mount, q, wrench=None, gravity: bool = True) ->
     frames = forward(arm, mount, q + theta)
     doubtful = ~(residual <= RESIDUAL) | ~(np.abs(theta).max(-1) < LARGE)
     doubtful |= ~_stable(arm, load_hessian(frames, wrench, loads))
-    for i in np.flatnonzero(doubtful):
+    for i in np.flatnonzero(doubtful).tolist():
         theta[i], residual[i], steps = _by_load_steps(arm, mount, q[i], wrench[i], loads, _index(i, shape))
         count[i] += steps
     if doubtful.any():

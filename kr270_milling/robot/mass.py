@@ -48,7 +48,7 @@ def beam_mass(mass: float, length: float, rho_i_p: float, rho_i_y: float, rho_i_
 def _link_mass(arm: Arm, j: int) -> np.ndarray:
     """M_j^red of link j = 0..5 in the axes of the link's frame, (12, 12); a thin tube of ``link_section_radius``."""
     vector, mass, radius = arm.link_vectors[j], arm.link_mass[j], arm.link_section_radius[j]
-    length = np.linalg.norm(vector)
+    length = float(np.linalg.norm(vector))
     if length < POINT:
         return np.diag([0.0] * 6 + [mass] * 3 + [0.0] * 3)
     per_length = mass * radius**2 / length  # thin tube: I_p = A r^2, I_y = I_z = A r^2 / 2

@@ -45,8 +45,8 @@ def arm_model(
     reference_inertia: with the term -M r'' of the moving reference; approach: see ``ArmModel``.
     """
     stacked = zip(*(discretise(m, damping_ratio, period) for m in models), strict=True)
-    arrays = [np.ascontiguousarray(s) for s in map(np.stack, stacked)]
-    response = np.zeros((*arrays[0].shape[:2], 0))
+    a, b, p, q = (np.ascontiguousarray(s) for s in map(np.stack, stacked))
+    response = np.zeros((*a.shape[:2], 0))
     if reference_inertia:
         response = np.stack([discretise_reference(m, damping_ratio, period) for m in models])
-    return ArmModel(*arrays, np.ascontiguousarray(response), float(steps_per_knot), approach)
+    return ArmModel(a, b, p, q, np.ascontiguousarray(response), float(steps_per_knot), approach)

@@ -155,7 +155,8 @@ def run_pass(
     n = clock.steps(reference.duration_ns)
     stamps = clock.stamp(np.arange(n + 1))
     course = reference.sample(stamps)
-    out = (np.zeros((n + 1, 3)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6)), *np.zeros((3, n + 1)))
+    each = np.zeros(n + 1)
+    out = (np.zeros((n + 1, 3)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6)), each, each.copy(), each.copy())
     out[0][0] = course[0]
     state, wrench = np.zeros(model.order), np.zeros(6)
     arm = (model.push(reference, stamps), model.arrays)

@@ -16,7 +16,7 @@ from kr270_milling.cutting import Cut, Stock
 from kr270_milling.simulation.admission import WORKPIECE, checked_pose, checked_wrench, in_workpiece_axes
 from kr270_milling.simulation.dynamics import ArmModel
 from kr270_milling.simulation.exchange import Clock
-from kr270_milling.simulation.sides import CuttingSide, RobotSide
+from kr270_milling.simulation.sides import CuttingSide, ExchangeError, RobotSide
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["JOINT_NAMES", "CutProtocol", "NoWorkpiece", "Output", "RobotModels", "RobotProtocol"]
@@ -69,6 +69,8 @@ class RobotProtocol:
     def start(self) -> list[Output]:
         """Begin a pass along ``reference``."""
         models, reference = self.models, self.reference
+        if reference is None:
+            raise ExchangeError(0, "a pass needs a reference trajectory")
         course = models.course(reference, self.passes)
         side = RobotSide(models.arm_model(reference), models.clock, course, models.iterations)
         stamps = side.stamps[:: models.joints_every]  # the encoders stand on the motors' side
@@ -91,8 +93,11 @@ class RobotProtocol:
     @property
     def large_correction(self) -> bool:
         """Whether the pass corrected its predictions by more than the stated share of the feed per tooth."""
-        feed = float(np.max(self.reference.feed(self.reference.time_ns)))
-        return self.side.correction > self.models.warn_correction * feed / self.models.tooth_rate
+        side, reference = self.side, self.reference
+        if side is None or reference is None:
+            return False
+        feed = float(np.max(reference.feed(reference.time_ns)))
+        return side.correction > self.models.warn_correction * feed / self.models.tooth_rate
 
     def repeat(self) -> list[Output]:
         """The last tool_pose once more; only one of the answers to it will be taken."""
@@ -121,8 +126,13 @@ class RobotProtocol:
         outputs = [self._question()]  # first, so that the cut works while the rest is published
         return outputs if deflection is None else outputs + self._state(stamp_ns, deflection)
 
+    def _of_pass(self) -> RobotSide:
+        if self.side is None:
+            raise ExchangeError(0, "no pass has begun")
+        return self.side
+
     def _question(self) -> Output:
-        side = self.side
+        side = self._of_pass()
         self._asked += 1
         return "tool_pose", PoseSample(side.awaited_ns, WORKPIECE, side.tool, side.orientation_now)
 

@@ -84,7 +84,7 @@ class CuttingSide:
     def __init__(self, cut: Cut, clock: Clock):
         self.cut, self.clock = cut, clock
         self.step = -1  #: last step answered
-        self._before = self._tool = None  # tool centre of the step before, and of the last one
+        self._before = self._tool = np.zeros(3)  # tool centre of the step before, and of the last one
         self._wrench = np.zeros(6)
 
     def answer(self, stamp_ns: int, tool: np.ndarray) -> np.ndarray:

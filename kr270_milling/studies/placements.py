@@ -140,7 +140,7 @@ def _within(arm: Arm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         fits = (low + shift >= arm.joint_lower) & (high + shift <= arm.joint_upper) & ~inside
         best = np.where(fits, shift, best)
         inside |= fits
-    return q + best[:, None], inside.all(axis=-1)
+    return q + best[:, None], np.all(inside, axis=-1)
 
 
 def _parquet(chosen: np.ndarray, rows: dict[str, np.ndarray]) -> bytes:

@@ -153,7 +153,7 @@ def _number(value: float) -> str:
 
 def detail_rows(cell: Cell, passes: Sequence[ScoredPass]) -> list[tuple[str, ...]]:
     """Pass, mean force, shift of the reference, volume, correction of a pose, micro-steps, wall time."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for one in passes:
         result = one.result
         shift = np.linalg.norm(result.reference - result.target, axis=1)
