@@ -46,7 +46,9 @@ def compensator_protocol(cell: Cell, plant: Cell | None = None) -> CompensatorPr
         clock=cell.clock,
         iterations=cell.exchange.iterations,
         compensator=lambda target, method: compensator(cell, target, method),
-        pass_record=lambda number, *series: pass_record(cell, *series, plant and plant.imperfections, number),
+        pass_record=lambda number, time_ns, tool, wrench: pass_record(
+            cell, time_ns, tool, wrench, plant and plant.imperfections, number
+        ),
         joints=lambda reference: commanded_joints(cell, reference),
     )
     return CompensatorProtocol(models)
