@@ -13,6 +13,7 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
@@ -48,10 +49,11 @@ class Recorder(ReportingNode):
         attachments = self._texts("attach", "files to keep inside the recording")
         seed = self._text("seed", "seed of the run, kept inside the recording")
         command = self._text("command", "command line to keep inside the recording; empty: that of the node")
-        about = "also write what viewers need and nobody publishes: /tf, /tf_static, /markers"
+        about = "also write, and publish, what viewers need and nobody else publishes: /tf, /tf_static, /markers"
         described = ParameterDescriptor(description=about, read_only=True)
         self._viewers = self.declare_parameter("viewers", True, described).value
         self._scenes: dict[str, Scene] = {}  # of each robot, by its namespace
+        self._live: dict[str, Publisher | None] = {}  # of what follows for viewers; None where its type is missing
         if not directory:
             raise InputError(self._where, "directory is missing")
         about = {"command": command or shlex.join(sys.argv), "seed": seed}
@@ -131,9 +133,21 @@ class Recorder(ReportingNode):
             derived += scene.hear(name, data)
         for found in derived:
             name = namespace + found.topic
-            if name not in self._subscriptions_of and self._is_wanted(name):
+            if name in self._live or (name not in self._subscriptions_of and self._is_wanted(name)):
                 self.writer.add_topic(name, found.type, [DERIVED_QOS])
                 self.writer.write(name, found.data, published)
+                self._show(name, found.type, found.data)
+
+    def _show(self, name: str, type_name: str, data: bytes) -> None:
+        """Publish what follows for viewers of the running graph, where its message type is installed."""
+        if name not in self._live:
+            self._subscriptions_of[name] = None  # our own: written already
+            self._live[name] = None
+            with contextlib.suppress(ImportError, NameRefused):
+                self._live[name] = self.create_publisher(message_class(type_name), name, DERIVED_QOS)
+        publisher = self._live[name]
+        if publisher is not None:
+            publisher.publish(data)
 
     def _subscribe(self, topic: str, types: list[str], publishers) -> None:
         try:

@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
 
 from kr270_milling.bag.reader import Recording
 from kr270_milling.messages.series import series
@@ -26,6 +27,7 @@ from kr270_milling.ros import topics
 
 OK, WARN = 0, 1
 NAME = "/recorder"
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
 @pytest.fixture
@@ -65,6 +67,34 @@ def test_a_message_with_an_impossible_publish_time_is_counted_and_the_recording_
     assert recorder.close() is None
     with Recording(tmp_path / "rec") as recording:
         assert [m.publish_time for m in recording.messages()] == [1, 4]
+
+
+def test_markers_are_published_too_recorded_once_and_at_most_30_a_second_of_the_pass(world, recorder):
+    """Not /tf: the wheels have no tf2_msgs; then it is recorded alone."""
+    partner = world.partner()
+    poses = partner.create_publisher(*topics.TOOL_POSE)
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    heard: list[MarkerArray] = []
+    partner.create_subscription(MarkerArray, "/markers", heard.append, latched)
+    world.until(lambda: poses.get_subscription_count())
+    for i in range(300):  # 0.15 s of the pass
+        poses.publish(pose_msg(i * 500_000, np.array([i * 1e-4, 0.0, 0.0]), UPRIGHT))
+        world.executor.spin_once(timeout_sec=0.0)
+    world.until(lambda: heard and heard[-1].markers[0].header.stamp.nanosec >= 133_000_000)
+    world.step(0.3)  # it hears no message of its own
+    counted = recorder.writer.report()
+    assert counted["/markers"]["count"] == 5 and counted["/tool_pose"]["count"] == 300
+    assert {marker.ns for marker in heard[-1].markers} == {"path", "force"}
+
+
+def test_what_somebody_else_publishes_for_viewers_is_left_to_him(world, recorder):
+    partner = world.partner()
+    markers = partner.create_publisher(MarkerArray, "/markers", 1)
+    poses = partner.create_publisher(*topics.TOOL_POSE)
+    world.until(lambda: poses.get_subscription_count() and markers.get_subscription_count())
+    poses.publish(pose_msg(0, np.zeros(3), UPRIGHT))
+    world.until(lambda: recorder.writer.report().get("/tool_pose", {}).get("count") == 1)
+    assert recorder.writer.report()["/markers"]["count"] == 0
 
 
 def test_latched_message_of_an_earlier_publisher_is_recorded(world, recorder):
