@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +25,7 @@ __all__ = [
     "commanded_joints",
     "compensated",
     "compensator",
+    "expected_deviations",
     "joint_ranges",
     "mean_force",
     "mirrored",
@@ -121,6 +123,13 @@ def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Co
         lambda t: record_of(cell, simulate(cell, t)),
         lambda t, time_ns, shift: strayed(cell, t, time_ns, shift),
     )
+
+
+def expected_deviations(cell: Cell, references: Sequence[Trajectory]) -> list[float]:
+    """Largest deviation across the feed [m] along each reference, by the linear response of the arm to it and to the
+    wrench of the cut on the target: no pass is run, and the cut does not answer the motion of the tool."""
+    learner = compensator(cell, cell.target()).new_learner().expect()
+    return [learner.predicted(reference) for reference in references]
 
 
 def strayed(cell: Cell, target: Trajectory, time_ns: np.ndarray, shift: np.ndarray) -> PassRecord:

@@ -156,7 +156,7 @@ class Compensator:
         if self._forgotten:
             raise EarlierReference("what is learned follows from all passes, and the earlier ones are not known")
         if self.method in LIFTED:
-            self.learner = (self.learner or self._new_learner()).with_pass(ran, self.reference)
+            self.learner = (self.learner or self.new_learner()).with_pass(ran, self.reference)
         self.reference, self.limited = self._revised(ran)
         if self.learner is not None:
             self._refuse_worse()
@@ -189,7 +189,8 @@ class Compensator:
             "no correction is made"
         )
 
-    def _new_learner(self) -> Learner:
+    def new_learner(self) -> Learner:
+        """One that knows the model alone."""
         target, how = self.target, self.parameters
         course = Course(how.interpolation == "spline", target.standing, held(target))
         arm = self._arm(target) if self._arm else ArmResponse.rigid(len(target) - 1)

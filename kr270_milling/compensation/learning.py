@@ -83,9 +83,7 @@ class Learner:
         segments, time_ns = self.segments, ran.time_ns
         deviation = segments.middle(time_ns, ran.position - self.target.sample(time_ns))
         self.passes.append(self._evidence(ran, self.cubic(reference), deviation))
-        scored = segments.mean(time_ns, ran.scored[:, None].astype(float)).ravel() > 0.0
-        scored[:-1] |= scored[1:]  # up to the edge of the first part
-        self.scored = scored.reshape(len(segments), segments.parts)
+        self.scored = self._scored(ran)
         self._noise = ran.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
         weight = np.where(self.scored, 1.0, FREE)
         self.arm, self.identified = fit(
@@ -95,6 +93,21 @@ class Learner:
         if last.wrench is not None and last.on_path is None:
             self.passes[-1] = dataclasses.replace(last, on_path=self._on_path(last))
         self.expected = self._expected()
+
+    def expect(self) -> Learner:
+        """Without any pass: what the model's arm does under the wrench of the model's cut on the path itself."""
+        ran = self._cut(self.segments.middle_ns.ravel(), np.zeros((self.segments.middle_ns.size, 3)))
+        self._ideal, self.scored = self._wrench(ran), self._scored(ran)
+        self.expected = self.arm.swing(self.segments, self.path, self.path[0, 1])
+        if self._ideal is not None:
+            self.expected = self.expected + self.arm.give_way(self.segments, self._ideal)
+        return self
+
+    def _scored(self, ran: PassRecord) -> np.ndarray:
+        """(m, parts) bool: parts in which a sample is scored, and those before them."""
+        scored = self.segments.mean(ran.time_ns, ran.scored[:, None].astype(float)).ravel() > 0.0
+        scored[:-1] |= scored[1:]  # up to the edge of the first part
+        return scored.reshape(len(self.segments), self.segments.parts)
 
     def _evidence(self, ran: PassRecord, cubic: np.ndarray, deviation: np.ndarray) -> Evidence:
         """Where nothing measured the wrench it is that of the first pass, and that of the model's own pass."""

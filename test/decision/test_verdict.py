@@ -7,13 +7,14 @@ import json
 import numpy as np
 import pytest
 from cuttings import SET_ALUMINIUM
-from small_part import assignments, small_part
+from small_part import GCODE, assignments, small_part
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import compensated, simulate
+from kr270_milling.cell.jobs import compensated, compensator, expected_deviations, record_of, simulate
 from kr270_milling.cli import main
+from kr270_milling.compensation.compensator import remaining_error
 from kr270_milling.decision.samples import coarser, deviations, perturbed, run_sample
 from kr270_milling.decision.verdict import (
     HELPS,
@@ -220,6 +221,19 @@ def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cel
     found = monte_carlo(moving, moving.target(), spline.reference, rng, 3, method="spline", others=others)
     assert found.recommended == "inverse" and found.as_dict()["recommended_method"] == "inverse"
     assert np.quantile(found.methods[TRACKED], 0.95) < np.quantile(found.methods["inverse"], 0.95)
+
+
+def test_the_linear_model_ranks_the_methods_of_a_tool_path_as_passes_do(tmp_path):
+    """Pass by pass in the time domain it would take tens of times as long."""
+    moving = ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04", "dynamics.mass_model=rigid")
+    part = small_part(tmp_path, GCODE, *moving)
+    target, original = part.target(), simulate(part)
+    made = {m: compensator(part, target, m).revise(record_of(part, original)) for m in ("linear", "mirror", "inverse")}
+    references = [target, *made.values()]
+    expected = np.array(expected_deviations(part, references))
+    passes = [remaining_error(target, record_of(part, simulate(part, reference))) for reference in references]
+    assert expected[:3] == pytest.approx(passes[:3], rel=0.15) and max(expected[3], passes[3]) < 0.05 * passes[0]
+    assert list(alternatives(part, original, "learned")) == ["inverse"]
 
 
 def samples(*shares: float, before: float = 50 * UM) -> tuple[np.ndarray, np.ndarray]:
