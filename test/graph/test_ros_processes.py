@@ -47,9 +47,10 @@ def port(ros_environment, domain):
 
 
 def make(port: str, *kinds: str) -> list[str]:
+    """Files as Fast DDS makes them; its mutex is a semaphore that is free."""
     files = [port, *(port + kind for kind in kinds), f"/dev/shm/sem.{Path(port).name}_mutex"]
     for file in files:
-        Path(file).touch()
+        Path(file).write_bytes((1).to_bytes(32, "little"))
     return sorted(files)
 
 
@@ -66,12 +67,23 @@ def test_port_of_a_node_that_is_not_seen_from_here_is_left_alone(port, kind):
     assert set(files) <= set(gone) and not any(map(os.path.exists, files))
 
 
-def test_files_without_a_lock_go_when_they_are_too_old_to_be_in_the_making(port):
+@pytest.mark.parametrize("value", [0, 1], ids=["taken", "free"])
+def test_port_without_a_lock_is_left_alone_while_somebody_opens_it(port, value):
     files = make(port)
-    assert not set(files) & set(litter.remove_litter())
-    for file in files:
+    Path(f"/dev/shm/sem.{Path(port).name}_mutex").write_bytes(value.to_bytes(32, "little"))
+    assert set(files) <= set(litter.remove_litter()) if value else not set(files) & set(litter.remove_litter())
+    for file in filter(os.path.exists, files):
         os.utime(file, (0, 0))
-    assert set(files) <= set(litter.remove_litter())
+    litter.remove_litter()  # whoever opened it is dead
+    assert not any(map(os.path.exists, files))
+
+
+def test_segment_without_a_lock_is_left_alone_while_it_may_be_in_the_making():
+    segment = Path("/dev/shm/fastrtps_0123456789abcdef")
+    segment.touch()
+    assert str(segment) not in litter.remove_litter()
+    os.utime(segment, (0, 0))
+    assert str(segment) in litter.remove_litter()
 
 
 def test_lock_whose_file_was_removed_and_made_anew_is_that_of_another(port, monkeypatch):
