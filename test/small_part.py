@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.trajectory.timing import TimedPath
 
 GCODE = """\
 G21 G90 S8000 M3
@@ -36,3 +39,10 @@ def assignments(directory, gcode: str | bytes = GCODE, *more: str) -> list[str]:
     path = Path(directory, "part.nc")
     path.write_bytes(gcode if isinstance(gcode, bytes) else gcode.encode())
     return [f"path.file={path}", *SET, *more]
+
+
+def path_error(timed: TimedPath, time_ns) -> np.ndarray:
+    """Distance [m] of the trajectory from its tool path at times [ns], (m,): what the controller step costs."""
+    on_path, tangent, _ = timed.toolpath.on_path(timed.distance_at(time_ns))
+    error = timed.trajectory.sample(time_ns) - on_path
+    return np.linalg.norm(error - np.sum(error * tangent, axis=-1, keepdims=True) * tangent, axis=-1)

@@ -33,11 +33,6 @@ class Part(Record):
             return own[feature], own[feature]
         return self.wall_tolerance or self.tolerance, self.floor_tolerance or self.tolerance
 
-    @property
-    def asked_for(self) -> bool:
-        """Whether any tolerance is given."""
-        return bool(self.tolerance or self.wall_tolerance or self.floor_tolerance or self.features)
-
 
 def _feature(text: str) -> tuple[str, float]:
     name, equals, number = text.rpartition("=")

@@ -21,7 +21,7 @@ from kr270_milling.trajectory.source_program import ProgramError, ProgramTool, S
 from kr270_milling.trajectory.summary import Observed, source_program
 from kr270_milling.trajectory.toolpath import Toolpath
 
-__all__ = ["read_apt", "survey_apt"]
+__all__ = ["read_apt"]
 
 WORD = re.compile(r"[A-Z][A-Z0-9 _-]*")
 
@@ -33,11 +33,6 @@ def read_apt(path, tool: str = "", feed: float = 0.0) -> Toolpath:
     if program.refused:
         raise ProgramError(path, program)
     return reader.path.build(reader.lines, program)
-
-
-def survey_apt(path, tool: str = "") -> SourceProgram:
-    """What a program says, also of one that cannot be run."""
-    return _Reader(path, tool, 0.0).read()
 
 
 class _Reader:

@@ -1,4 +1,4 @@
-"""The modal state that APT statements change."""
+"""APT statements for the mover of G-code: where the tool stands, its feed, arcs, tools and retracts are kept there."""
 
 from __future__ import annotations
 
@@ -7,21 +7,20 @@ import math
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.trajectory.apt_words import FEEDS, LENGTHS
-from kr270_milling.trajectory.arcs import ArcError, flatten
 from kr270_milling.trajectory.files import short
+from kr270_milling.trajectory.gcode.motion import Motion
 from kr270_milling.trajectory.path_builder import PathBuilder
-from kr270_milling.trajectory.recorder import TOP, Recorder
 from kr270_milling.trajectory.refusals import Refusals
 from kr270_milling.trajectory.source_program import ProgramTool
 from kr270_milling.trajectory.summary import Observed
-from kr270_milling.trajectory.toolpath import REACH
 from kr270_milling.trajectory.trajectory import TOOL_DOWN
 
 __all__ = ["Machine"]
 
-CHORD = 2e-6  #: [m], arcs to chords
-CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
+LARGEST_CUTTER = 0.2  #: [m]
 AXES5 = "the tool stands along z; post a 3-axis path"
+SPINDLE_WORDS = ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO", "RANGE")
+NO_END = "a CIRCLE/ without the GOTO/ of its end"
 
 
 class StatementError(ValueError):
@@ -35,16 +34,13 @@ class Machine:
         self.path = path
         self.refusals = refusals
         self.seen = seen
-        self.recorder = Recorder(path)
+        self.motion = Motion(path, refusals, seen, feed)
+        self.motion.absolute_centre = True
         self.unit = LENGTHS["MM"]
-        self.feed: float | None = feed or None  #: [m/s], or [m/rev]
-        self.per_turn = False
         self.speed = 0.0
         self.rapid = False
         self.ended = False
-        self.tool = ""
         self.numbered = False  #: whether LOADTL names the tools
-        self.position: tuple[float, float, float] | None = None
         self.circle: tuple[list[float], int] | None = None  #: its numbers and line, until the GOTO of its end
         self.system: list[str] | None = None
         self.actions = {"GOTO": self._goto, "FROM": self._from, "GODLTA": self._delta, "CIRCLE": self._circle,
@@ -54,11 +50,21 @@ class Machine:
                         "TLDATA": self._cutter, "MULTAX": self._axes, "CUTCOM": self._compensation,
                         "MSYS": self._system}  # fmt: skip
 
+    @property
+    def tool(self) -> str:
+        """In the spindle."""
+        return self.motion.tool
+
+    @property
+    def started(self) -> bool:
+        """Whether the program has said where the tool stands."""
+        return not math.isnan(self.motion.position[0])
+
     def run(self, word: str, values: list[str], number: int) -> None:
         """One statement."""
         try:
             if self.circle is not None and word in ("CIRCLE", "RAPID", "FROM", "GODLTA", "FINI"):
-                raise StatementError("a CIRCLE/ without the GOTO/ of its end")
+                raise StatementError(NO_END)
             self.actions[word](values, number)
         except StatementError as error:
             self.circle = None
@@ -67,7 +73,7 @@ class Machine:
     def finish(self) -> None:
         """At the end of the file."""
         if self.circle is not None:
-            self.refusals.add(self.circle[1], "CIRCLE", "a CIRCLE/ without the GOTO/ of its end")
+            self.refusals.add(self.circle[1], "CIRCLE", NO_END)
 
     # --- moves ---
 
@@ -78,50 +84,27 @@ class Machine:
             numbers = numbers[-3:]  # Creo lists points of the arc, the last one is its end
         if len(numbers) not in (3, 6):
             raise StatementError(f"GOTO/ needs x, y, z or x, y, z, i, j, k, not {len(numbers)} numbers")
-        point = tuple(v * self.unit for v in numbers[:3])
-        if not max(map(abs, point)) <= REACH:
-            raise StatementError(f"the point lies more than {REACH:g} m away; wrong unit?")
         if len(numbers) == 6:
             self.path.quaternion = _tool_axis(numbers[3:])
-        self._move(point, number)
+        self._move(numbers[:3], number)
 
-    def _move(self, point: tuple, number: int) -> None:
-        start, self.position = self.position, point
-        circle, self.circle = self.circle, None
-        if self.rapid or start is None:
-            self.rapid = False  # RAPID holds for one move
-            self.recorder.rapid(point, number)
-            return
-        feed = self._rate()
-        if not feed:
-            raise StatementError("a cutting move without FEDRAT/" if feed is None else "zero feed on a cutting move")
-        ends, curvature = self._arc(start, point, circle[0]) if circle else ([point], 0.0)
-        self.recorder.cut(start, ends, feed, number, curvature)
-        self.seen.cuts[self.tool] += 1
-        self.seen.offsets.setdefault((self.tool, ""), number)
-
-    def _rate(self) -> float | None:
-        """[m/s]"""
-        if self.feed is None or not self.per_turn:
-            return self.feed
-        return self.feed * abs(self.path.spindle_speed) / (2 * math.pi) or None
-
-    def _arc(self, start, end, circle: list[float]) -> tuple[list, float]:
-        """Ends of the chords of an arc; k = 1 is counterclockwise, by the right-hand rule, and in NX clockwise.
-
-        Seven numbers: PTC Creo help, "CL output for circular interpolation". NX adds tolerance and tool and names the
-        axis "assuming a clockwise direction": NX documentation, CLSF manager; its programs confirm it.
-        """
-        centre = tuple(v * self.unit for v in circle[:2])
-        clockwise = (circle[5] < 0) == (len(circle) == 7)
-        closing = max(CLOSING, min(0.5e-3, 1e-3 * math.dist(start[:2], centre)))
-        try:
-            points, curvature = flatten(start, end, centre, clockwise, closing, CHORD)
-        except ArcError as error:
-            raise StatementError(str(error)) from None
-        return list(map(tuple, points.tolist())), curvature
+    def _move(self, end: list[float], number: int, absolute: bool = True) -> None:
+        """A block of G-code: G0 after RAPID, which holds for one move, and to the first point, else G1, G2 or G3."""
+        axes = dict(zip("XYZ", end, strict=True))
+        mode, self.rapid = (0 if self.rapid or not self.started else 1), False
+        if self.circle is not None and mode:
+            (x, y, _, _, _, k, *more), _ = self.circle
+            mode = 2 if (k < 0) == (len(more) == 1) else 3
+            axes |= {"I": x, "J": y}
+        self.circle = None
+        self.motion.run({"motion": mode}, axes, self.unit, dict.fromkeys("XYZ", absolute), number)
 
     def _circle(self, values: list[str], number: int) -> None:
+        """k = 1 is counterclockwise, by the right-hand rule, and in NX, which adds tolerance and tool, clockwise.
+
+        Seven numbers: PTC Creo help, "CL output for circular interpolation". Eleven: NX documentation, CLSF manager,
+        names the axis "assuming a clockwise direction"; tool paths that NX wrote confirm it.
+        """
         if "TIMES" in values:
             raise StatementError("CIRCLE/ of several turns; let the CAM output each turn, or GOTO moves")
         numbers = [_number(v) for v in values]
@@ -129,7 +112,7 @@ class Machine:
             raise StatementError("CIRCLE/ needs x, y, z, i, j, k, r, and in NX four numbers more")
         if abs(abs(numbers[5]) - 1) > 1e-6:
             raise StatementError("CIRCLE/ about an axis that is not z; let the CAM output GOTO moves")
-        if self.position is None:
+        if not self.started:
             raise StatementError("CIRCLE/ before a first GOTO/")
         self.circle = numbers, number
 
@@ -138,18 +121,16 @@ class Machine:
         self._goto(values, number)
 
     def _delta(self, values: list[str], number: int) -> None:
-        numbers = [_number(v) * self.unit for v in values]
-        if len(numbers) == 1:
-            numbers = [0.0, 0.0, *numbers]
-        if len(numbers) != 3 or self.position is None:
+        numbers = [_number(v) for v in values]
+        numbers = [0.0, 0.0, *numbers] if len(numbers) == 1 else numbers
+        if len(numbers) != 3 or not self.started:
             raise StatementError("GODLTA/ needs dx, dy, dz after a first GOTO/")
-        self._move(tuple(p + d for p, d in zip(self.position, numbers, strict=True)), number)
+        self._move(numbers, number, absolute=False)
 
     def _home(self, values: list[str], number: int) -> None:
         self.seen.silent["GOHOME"] += 1
-        if self.position is not None:
-            self.position = (*self.position[:2], TOP)
-            self.recorder.rapid(self.position, number)
+        if self.started:
+            self.motion.home(["Z"], number)
 
     def _rapid(self, values: list[str], number: int) -> None:
         self.rapid = True
@@ -165,17 +146,16 @@ class Machine:
         if len(rest) != 1 or len(units) > 1:
             raise StatementError("FEDRAT/ needs one number and, if any, MMPM, IPM, MMPR or IPR")
         length, per_turn = FEEDS[units[0]] if units else (None, False)
-        feed = _number(rest[0]) * (length or self.unit) / (1 if per_turn else 60)
-        if not 0 <= feed <= REACH:
-            raise StatementError(f"the feed {short(rest[0])} must lie between 0 and {REACH:g} m/s")
-        self.feed = feed
-        self.per_turn = per_turn
+        self.motion.feed.change(95 if per_turn else 94)
+        wrong = self.motion.feed.give(_number(rest[0]), length or self.unit)
+        if wrong:
+            raise StatementError(wrong)
         self.rapid = False
 
     def _spindle(self, values: list[str], number: int) -> None:
         sense = 1
         for value in values:
-            if value in ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO", "RANGE"):
+            if value in SPINDLE_WORDS:
                 continue
             if value == "OFF":
                 self.path.spindle_speed = 0.0
@@ -206,17 +186,16 @@ class Machine:
         """The tool of the moves that follow."""
         if name == self.tool:
             return
-        if self.tool or len(self.path):
-            self.recorder.away = True
-        self.tool = self.refusals.tool = name
+        self.refusals.tool = name
         self.seen.tools.setdefault(name, number)
-        self.recorder.active = self.seen.selected in ("", name)
+        self.motion.named = True  # statements name the features, not the tools
+        self.motion.change_tool(name, self.seen.selected in ("", name))
 
     def _cutter(self, values: list[str], number: int) -> None:
         """CUTTER/d, r, ... and TLDATA/MILL, d, ... say the diameter."""
         self.seen.silent["CUTTER"] += 1
         sizes = [value for value in values if not value[:1].isalpha()]
-        if sizes and 0 < _number(sizes[0]) * self.unit <= 0.2:
+        if sizes and 0 < _number(sizes[0]) * self.unit <= LARGEST_CUTTER:
             self.seen.known[self.tool] = ProgramTool(self.tool, diameter=_number(sizes[0]) * self.unit)
 
     def _axes(self, values: list[str], number: int) -> None:
@@ -231,7 +210,7 @@ class Machine:
 
     def _system(self, values: list[str], number: int) -> None:
         """MSYS/: the coordinates are counted from one system of the machine, whichever it is."""
-        if values != self.system and (self.system is not None or self.position is not None):
+        if values != self.system and (self.system is not None or self.started):
             raise StatementError("a second MSYS/; let the CAM output coordinates of one system")
         self.system = values
         self.seen.silent["MSYS"] += 1

@@ -64,16 +64,6 @@ class TimedPath:
         """Block of the tool path at times [ns]."""
         return self.toolpath.block_at(self.distance_at(time_ns))
 
-    def feature_at(self, time_ns) -> np.ndarray:
-        """Index into ``toolpath.features`` at times [ns]."""
-        return self.toolpath.feature[self.block_at(time_ns)]
-
-    def path_error(self, time_ns) -> np.ndarray:
-        """Distance [m] of the trajectory from the tool path at times [ns], (m,): what the controller step costs."""
-        on_path, tangent, _ = self.toolpath.on_path(self.distance_at(time_ns))
-        error = self.trajectory.sample(time_ns) - on_path
-        return np.linalg.norm(error - np.sum(error * tangent, axis=-1, keepdims=True) * tangent, axis=-1)
-
 
 def time_path(toolpath: Toolpath, timing: Timing) -> TimedPath:
     """Run a tool path under the limits; the trajectory starts and ends at rest and has velocities at its knots."""

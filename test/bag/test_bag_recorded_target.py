@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from small_part import path_error
 from test_bag_recorded_path import CELL, FEED, NAV, SIDE, line, nav, record, refusal, stamped
 from test_recording_samples import PATH, POSE, path, pose
 
@@ -60,7 +61,7 @@ def test_an_arc_of_knots_is_an_arc_of_the_tool_path(tmp_path):
     angle = between * 1e-9 * 0.05 / 0.02
     np.testing.assert_allclose(tangent[:, 0], -np.sin(angle), atol=1e-6)
     np.testing.assert_allclose(np.hypot(at[:, 0], at[:, 1]), 0.02, atol=1e-9)
-    assert found.path_error(between).max() < 1e-6
+    assert path_error(found, between).max() < 1e-6
 
 
 def test_the_tool_may_rest_on_its_way(tmp_path):
@@ -71,7 +72,7 @@ def test_the_tool_may_rest_on_its_way(tmp_path):
     np.testing.assert_allclose(found.distance, 0.0035 * np.array([0, 1, 1, 1, 2, 3, 3, 4]), atol=1e-15)
     np.testing.assert_allclose(found.distance_at(250_000_000), 0.0035, atol=1e-15)
     np.testing.assert_allclose(found.distance_at(350_000_000), 0.0035 * 1.5, atol=1e-15)
-    assert found.path_error(np.linspace(0, run.duration_ns, 99).astype(np.int64)).max() < 1e-15
+    assert path_error(found, np.linspace(0, run.duration_ns, 99).astype(np.int64)).max() < 1e-15
 
 
 def test_a_pass_along_the_recorded_target_is_the_pass_of_the_straight_cut(tmp_path):

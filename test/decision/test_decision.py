@@ -78,7 +78,7 @@ def test_a_refused_path_gets_no_program_or_a_marked_one(tmp_path, capsys):
 
 
 def test_the_decision_of_a_tool_path_has_walls_and_floors(tmp_path, capsys):
-    assert small_part(tmp_path).part.asked_for is False
+    assert small_part(tmp_path).part.of() == (0.0, 0.0)
     assert main(words(tmp_path, "--json", sets=["part.wall_tolerance_um=1"])) == 0
     found = json.loads(capsys.readouterr().out)["decision"]
     before = found["as_programmed"]

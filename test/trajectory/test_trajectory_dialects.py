@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kr270_milling.trajectory.gcode import read_gcode, survey_gcode
+from kr270_milling.trajectory.gcode import read_gcode
 from kr270_milling.trajectory.source_program import ProgramError
 
 PROGRAMS = Path(__file__).parent / "programs"
@@ -103,7 +103,9 @@ def test_the_holes_of_the_other_tool_are_drilled_at_their_places():
     assert 1e3 * between[-1, 2] == pytest.approx(15)  # G98: back to where the cycle was called
 
 
-def test_a_survey_lists_tools_of_a_program_that_cannot_be_run():
-    program = survey_gcode(PROGRAMS / "haas.nc")
+def test_a_refusal_carries_the_tools_of_a_program_that_cannot_be_run():
+    with pytest.raises(ProgramError) as caught:
+        read_gcode(PROGRAMS / "haas.nc")
+    program = caught.value.program
     assert [(tool.name, tool.teeth) for tool in program.tools] == [("T1", 4), ("T2", 0)]
     assert program.title == "POCKET PLATE" and [r.word for r in program.refused] == ["T2"]

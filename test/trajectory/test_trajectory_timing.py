@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from small_part import path_error
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.trajectory.gcode import read_gcode
@@ -127,7 +128,7 @@ def test_between_the_knots_a_circle_is_met_with_the_fourth_order_of_the_step(rea
     for step in (0.1, 0.05, 0.025):
         timed = time_path(path, Timing(controller_step=step))
         time = np.arange(10**9, timed.trajectory.duration_ns - 10**9, 10**6)
-        errors.append(timed.path_error(time).max())
+        errors.append(path_error(timed, time).max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert np.all(np.abs(orders - 4) < 0.2), errors
     steady = (FEED * 0.05) ** 4 / (384 * 0.037**3)  # error of a Hermite cubic on a circle
@@ -137,7 +138,7 @@ def test_between_the_knots_a_circle_is_met_with_the_fourth_order_of_the_step(rea
 def test_where_the_curvature_jumps_the_error_is_of_second_order(read):
     path = read("G1 X50\nG3 X50 Y40 R20\nG1 X0\n")
     errors = [time_path(path, Timing(controller_step=s)) for s in (0.016, 0.008, 0.004)]
-    largest = [timed.path_error(fine(timed)).max() for timed in errors]
+    largest = [path_error(timed, fine(timed)).max() for timed in errors]
     assert 2 < np.log2(largest[0] / largest[2]) < 6 and largest[2] < 0.2e-6
 
 
@@ -150,13 +151,13 @@ def test_a_polygon_of_short_chords_is_run_through_within_the_corner_tolerance(re
     timed = time_path(read(polygon(360)), Timing(corner_tolerance=20e-6))
     speed = np.linalg.norm(timed.trajectory.velocity, axis=1)
     assert speed[20:-20].min() > 0.9 * FEED
-    assert timed.path_error(fine(timed)).max() < 20e-6
+    assert path_error(timed, fine(timed)).max() < 20e-6
 
 
 def test_a_coarse_polygon_slows_down_for_the_tolerance_and_stops_without_one(read):
     path = read(polygon(60))
     slow = time_path(path, Timing(corner_tolerance=20e-6))
-    assert slow.path_error(fine(slow)).max() < 20e-6
+    assert path_error(slow, fine(slow)).max() < 20e-6
     stopping = time_path(path, Timing(corner_tolerance=0.0))
     assert np.sum(np.linalg.norm(stopping.trajectory.velocity, axis=1) == 0) == 61
     assert stopping.trajectory.duration_ns > slow.trajectory.duration_ns
@@ -190,7 +191,7 @@ def test_each_time_belongs_to_the_feature_of_its_block(read):
     timed = time_path(read("(one)\nG1 X50\n(two)\nY50\n"), Timing())
     half = timed.trajectory.duration_ns // 2
     assert timed.toolpath.features == ("", "one", "two")
-    assert timed.feature_at(np.array([0, half - 10**8, half + 10**8])).tolist() == [1, 1, 2]
+    assert timed.toolpath.feature[timed.block_at(np.array([0, half - 10**8, half + 10**8]))].tolist() == [1, 1, 2]
 
 
 def test_the_tool_turns_evenly_along_a_block():

@@ -1,5 +1,5 @@
 """G-code as Fanuc-, Haas-, LinuxCNC-, GRBL- and Sinumerik-flavoured posts write it."""
 
-from kr270_milling.trajectory.gcode.reader import read_gcode, survey_gcode
+from kr270_milling.trajectory.gcode.reader import read_gcode
 
-__all__ = ["read_gcode", "survey_gcode"]
+__all__ = ["read_gcode"]

@@ -18,12 +18,14 @@ from kr270_milling.trajectory.refusals import Refusals
 from kr270_milling.trajectory.summary import Observed
 from kr270_milling.trajectory.toolpath import REACH
 
-__all__ = ["Motion"]
+__all__ = ["CHORD", "Motion"]
 
 AXES = {"X": 0, "Y": 1, "Z": 2}
 CENTRES = ("I", "J", "K")
 #: plane -> its two axes, so that a positive turn leads from the first to the second, and the axis across it
 PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
+CHORD = 2e-6  #: [m], arcs to chords
+CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
 REPEATS = 1000  #: holes that one block drills in a row
 START = "start with G0 X Y Z"
@@ -32,15 +34,12 @@ START = "start with G0 X Y Z"
 class Motion:
     """The modal state of moving; lengths inside are in [m], NaN where the program has not said where an axis is."""
 
-    def __init__(
-        self, path: PathBuilder, refusals: Refusals, seen: Observed, chord: float, closing: float, feed: float
-    ):
+    def __init__(self, path: PathBuilder, refusals: Refusals, seen: Observed, feed: float, chord: float = CHORD):
         self.path = path
         self.refusals = refusals
         self.seen = seen
         self.recorder = Recorder(path)
         self.chord = chord
-        self.closing = closing
         self.feed = Feed(feed)
         self.position: list[float] = [math.nan] * 3
         self.mode: int | None = None  #: 0 to 3
@@ -170,7 +169,7 @@ class Motion:
         feed = self.feed.rate(length if math.isfinite(length) else 0.0, self.path.spindle_speed)
         if not feed:
             if length:
-                reason = "zero feed on a cutting move" if feed == 0 else "a cutting move without a feed F"
+                reason = "zero feed on a cutting move" if feed == 0 else "a cutting move without a feed"
                 advice = "" if feed == 0 else "give path.feed_rate_m_per_min in the cell"
                 self.refusals.add_derived(line, "F", reason, advice)
             return
@@ -194,7 +193,7 @@ class Motion:
             raise ArcError(f"an arc is given by {' and '.join(centres)} or by R, not by both")
         clockwise = self.mode == 2
         if radius is not None:
-            centre = centre_from_radius(from_point, to_point, radius * unit, clockwise, self.closing)
+            centre = centre_from_radius(from_point, to_point, radius * unit, clockwise, CLOSING)
         elif centres:
             centre = tuple(
                 self._centre(letter, start, arc, unit, absolute) for letter in (CENTRES[first], CENTRES[second])
@@ -202,7 +201,7 @@ class Motion:
         else:
             raise ArcError(f"G{self.mode} without {CENTRES[first]}, {CENTRES[second]} or R")
         turns = int(arc.get("TURN", axes.pop("P", 1) - 1))
-        closing = max(self.closing, min(0.5e-3, 1e-3 * math.dist(from_point[:2], centre)))
+        closing = max(CLOSING, min(0.5e-3, 1e-3 * math.dist(from_point[:2], centre)))
         if radius is None:
             given = [arc.get(letter, 0.0) * unit for letter in (CENTRES[first], CENTRES[second])]
             _check_centre(from_point, to_point, centre, given, closing)

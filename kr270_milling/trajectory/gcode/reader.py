@@ -15,7 +15,7 @@ from kr270_milling.trajectory.comments import operation_name
 from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.gcode.blocks import SIMPLE, WORD, CommentError, split_comments, tokens
 from kr270_milling.trajectory.gcode.machine import Machine
-from kr270_milling.trajectory.gcode.motion import Motion
+from kr270_milling.trajectory.gcode.motion import CHORD, Motion
 from kr270_milling.trajectory.gcode.names import NAMES_ADVICE, NAMES_SILENT
 from kr270_milling.trajectory.gcode.words import MACROS, UNKNOWN
 from kr270_milling.trajectory.path_builder import PathBuilder
@@ -24,7 +24,7 @@ from kr270_milling.trajectory.source_program import ProgramError, SourceProgram
 from kr270_milling.trajectory.summary import Observed, source_program
 from kr270_milling.trajectory.toolpath import Toolpath
 
-__all__ = ["read_gcode", "survey_gcode"]
+__all__ = ["read_gcode"]
 
 CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
 TITLE = re.compile(r"\s*[O:]\s*[0-9]+\s*", re.I)
@@ -34,37 +34,30 @@ ROUND = ", or put a remark in brackets"
 MOST_COMMENTS = 2000
 
 
-def read_gcode(
-    path, chord_tolerance: float = 2e-6, closing_tolerance: float = 10e-6, tool: str = "", feed: float = 0.0
-) -> Toolpath:
+def read_gcode(path, chord_tolerance: float = CHORD, tool: str = "", feed: float = 0.0) -> Toolpath:
     """Read the path of one tool; raises ProgramError with all words that cannot be run.
 
-    chord_tolerance [m]: arcs to chords; closing_tolerance [m]: centre of an arc to both ends, or 0.1 % of the radius;
-    tool: "T1", needed where the program cuts with several; feed [m/s]: for a program without F, 0 for none.
+    chord_tolerance [m]: arcs to chords; tool: "T1", needed where the program cuts with several; feed [m/s]: for a
+    program without F, 0 for none.
     """
-    reader = _Reader(path, chord_tolerance, closing_tolerance, tool, feed)
+    reader = _Reader(path, chord_tolerance, tool, feed)
     program = reader.read()
     if program.refused:
         raise ProgramError(path, program)
     return reader.path.build(reader.lines, program)
 
 
-def survey_gcode(path, tool: str = "") -> SourceProgram:
-    """What a program says, also of one that cannot be run: tools, speeds, offset, what is read over and refused."""
-    return _Reader(path, 2e-6, 10e-6, tool, 0.0).read()
-
-
 class _Reader:
     """Lines to blocks, comments to names."""
 
-    def __init__(self, source, chord: float, closing: float, tool: str, feed: float):
+    def __init__(self, source, chord: float, tool: str, feed: float):
         self.source = source
         self.text = read_lines(source)
         self.lines = len(self.text)
         self.path = PathBuilder(source)
         self.refusals = Refusals()
         self.seen = Observed(_tool_name(tool))
-        self.motion = Motion(self.path, self.refusals, self.seen, chord, closing, feed)
+        self.motion = Motion(self.path, self.refusals, self.seen, feed, chord)
         changes = any(CHANGE.search(_code(line)) for line in self.text if "6" in line and CHANGE.search(line))
         self.machine = Machine(self.path, self.refusals, self.motion, self.seen, changes)
         self.announced = ""  #: operation that a post announced by word
