@@ -6,15 +6,13 @@ import csv
 import difflib
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.text import ends_in_mid_line, read_lines
 
 __all__ = ["Table", "read_table", "write_table"]
-
-MOST_BYTES = 64 * 1024 * 1024  # some 500,000 rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +53,7 @@ class Table:
                 raise InputError(self.path, f"has no value in the column {name}", line)
             return default
         try:
-            value = float(text)
+            value = float(text.replace("_", "?"))  # Python reads 1_0 as ten
         except ValueError:
             raise InputError(self.path, f"{text[:20]!r} in the column {name} is no number", line) from None
         if not math.isfinite(value):
@@ -63,12 +61,15 @@ class Table:
         return value
 
 
-def read_table(path, known, required=()) -> Table:
+def read_table(path, known, required=(), whole: bool = False) -> Table:
     """A CSV file with a header line; lines that begin with # are notes. Raises InputError.
 
-    known: names that a column may have; required: those that must be there.
+    known: names that a column may have; required: those that must be there; whole: the last line must have an end.
     """
-    rows = _cells(path)
+    lines = read_lines(path)
+    if whole:
+        ends_in_mid_line(path, lines)
+    rows = _cells(lines, path)
     if not rows:
         raise InputError(path, "holds no table: the first line names the columns", 1)
     line, names = rows[0]
@@ -90,26 +91,14 @@ def read_table(path, known, required=()) -> Table:
     return Table(str(path), names, tuple(row for _, row in rows[1:]), tuple(number for number, _ in rows[1:]))
 
 
-def _cells(path) -> list[tuple[int, tuple[str, ...]]]:
+def _cells(lines: list[str], path) -> list[tuple[int, tuple[str, ...]]]:
+    """Rows with any value and their lines."""
+    reader = csv.reader(lines)
     try:
-        if not Path(path).is_file():  # a directory, a pipe, a device
-            raise InputError(path, "is no file" if Path(path).exists() else "is no such file")
-        if Path(path).stat().st_size > MOST_BYTES:
-            raise InputError(path, f"has more than {MOST_BYTES} bytes, so it is no table of measurements")
-        text = Path(path).read_text(encoding="utf-8-sig")
-    except (OSError, ValueError) as error:
-        if isinstance(error, UnicodeDecodeError):
-            raise InputError(path, "is not UTF-8 text") from None
-        raise InputError(path, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    found = []
-    try:
-        for number, row in enumerate(csv.reader(text.splitlines()), 1):
-            cells = tuple(cell.strip() for cell in row)
-            if any(cells) and not cells[0].startswith("#"):
-                found.append((number, cells))
+        rows = [(number, tuple(map(str.strip, row))) for number, row in enumerate(reader, 1)]
     except csv.Error as error:
-        raise InputError(path, f"is no CSV text ({error})") from None
-    return found
+        raise InputError(path, f"is no CSV text ({error})", reader.line_num or 1) from None
+    return [(number, row) for number, row in rows if any(row) and not row[0].startswith("#")]
 
 
 def write_table(path, names, rows, notes=()) -> None:

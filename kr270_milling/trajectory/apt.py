@@ -11,10 +11,10 @@ from __future__ import annotations
 import re
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.text import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.apt_machine import Machine
 from kr270_milling.trajectory.apt_words import ADVICE, SILENT
 from kr270_milling.trajectory.comments import operation_name
-from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.path_builder import PathBuilder
 from kr270_milling.trajectory.refusals import Refusals
 from kr270_milling.trajectory.source_program import ProgramError, ProgramTool, SourceProgram

@@ -6,8 +6,8 @@ import math
 
 from scipy.spatial.transform import Rotation
 
+from kr270_milling.base.text import short
 from kr270_milling.trajectory.apt_words import FEEDS, LENGTHS
-from kr270_milling.trajectory.files import short
 from kr270_milling.trajectory.gcode.motion import Motion
 from kr270_milling.trajectory.path_builder import PathBuilder
 from kr270_milling.trajectory.refusals import Refusals

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kr270_milling.base.errors import one_line
-from kr270_milling.trajectory.files import short
+from kr270_milling.base.text import short
 from kr270_milling.trajectory.source_program import Refusal
 
 __all__ = ["Refusals"]

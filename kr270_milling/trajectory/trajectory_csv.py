@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from decimal import Decimal
 
 import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
+from kr270_milling.base.table import Table, read_table
 from kr270_milling.base.units import seconds
-from kr270_milling.trajectory.files import ends_in_mid_line, read_lines
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
 __all__ = ["write_csv", "read_csv"]
 
 KNOT = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
 VELOCITY = ("vx_mm_per_s", "vy_mm_per_s", "vz_mm_per_s")
+LATEST = 9e9  #: [s], what nanoseconds in 64 bits hold
 JOINTS = ("a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg")
 
 
@@ -49,39 +49,26 @@ def _in_mm(values: np.ndarray) -> list[list[str]]:
 
 def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | None]:
     """Read what ``write_csv`` wrote: the trajectory and the joint angles [rad], (n, 6), or None."""
-    lines = read_lines(path)
-    ends_in_mid_line(path, lines)
-    header = tuple(name.strip() for name in lines[0].split(","))
-    allowed = [KNOT + velocity + joints for velocity in ((), VELOCITY) for joints in ((), JOINTS)]
-    if header not in allowed:
+    table = read_table(path, KNOT + VELOCITY + JOINTS, KNOT, whole=True)
+    rows = table.numbers(table.names)
+    column = {name: _in_m(table, name) if "_mm" in name else rows[:, k] for k, name in enumerate(table.names)}
+    several = {part[0]: [name in column for name in part] for part in (VELOCITY, JOINTS)}
+    if any(any(there) != all(there) for there in several.values()):
         raise InputError(path, f"the header must be {','.join(KNOT)}, then velocities and joint angles if any", 1)
-    rows, numbers = [], []
-    for number, line in enumerate(lines[1:], 2):
-        if line.strip():
-            rows.append(_row(path, number, line, header))
-            numbers.append(number)
-    table = np.array(rows).reshape(-1, len(header))
-    velocity = table[:, 8:11] if "vx_mm_per_s" in header else None
-    joints = np.radians(table[:, -6:]) if "a1_deg" in header else None
+    if np.abs(column["time_s"]).max() > LATEST:
+        raise InputError(path, "a time is too large", table.lines[int(np.abs(column["time_s"]).argmax())])
+
+    def columns(names) -> np.ndarray | None:
+        return np.stack([column[name] for name in names], -1) if names[0] in column else None
+
+    time_ns, joints = np.rint(column["time_s"] * 1e9).astype(np.int64), columns(JOINTS)
     try:
-        run = Trajectory(np.rint(table[:, 0] * 1e9).astype(np.int64), table[:, 1:4], table[:, 4:8], velocity, frame)
+        run = Trajectory(time_ns, columns(KNOT[1:4]), columns(KNOT[4:]), columns(VELOCITY), frame)
     except TrajectoryError as error:
-        raise InputError(path, error.reason, None if error.index is None else numbers[error.index]) from None
-    return run, joints
+        raise InputError(path, error.reason, None if error.index is None else table.lines[error.index]) from None
+    return run, None if joints is None else np.radians(joints)
 
 
-def _row(path, number: int, line: str, header: tuple[str, ...]) -> list[float]:
-    """The values of one line, lengths and speeds in m and m/s."""
-    fields = line.split(",")
-    if len(fields) != len(header):
-        raise InputError(path, f"has {len(fields)} values where the header has {len(header)}", number)
-    try:
-        values = [float(field) for field in fields]
-        shifted = [i for i, name in enumerate(header) if "_mm" in name and math.isfinite(values[i])]
-        for i in shifted:
-            values[i] = float(Decimal(fields[i].strip()).scaleb(-3))
-    except (ValueError, ArithmeticError):
-        raise InputError(path, "a value is no number", number) from None
-    if not all(map(math.isfinite, values)) or abs(values[0]) > 9e9:
-        raise InputError(path, "a value is not finite or too large", number)
-    return values
+def _in_m(table: Table, name: str) -> np.ndarray:
+    """A column in mm or mm/s as m or m/s, without losing a bit."""
+    return np.array([float(Decimal(text).scaleb(-3)) for text in table.texts(name)])

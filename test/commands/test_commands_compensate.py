@@ -158,7 +158,7 @@ def test_unusable_input_is_one_sentence_with_its_line_and_leaves_nothing(tmp_pat
 def test_a_csv_of_points_with_nan_is_told_with_its_line(tmp_path, capsys):
     (tmp_path / "part.csv").write_text("x_mm,y_mm,z_mm,feed_mm_per_min\n-14,0,-0.5,4000\n12,nan,-0.5,4000\n")
     words = command(tmp_path, sets=[f"path.file={tmp_path / 'part.csv'}"])
-    assert main(words) == 2 and "part.csv, line 3: 'nan'" in capsys.readouterr().err
+    assert main(words) == 2 and "part.csv, line 3: the column y_mm is not finite" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 

@@ -40,20 +40,20 @@ def test_kuka_angles_turn_the_tool(read):
 @pytest.mark.parametrize(
     ("text", "line", "word"),
     [
-        ("x,y,z,feed\n0,0,0,1\n", 1, "units"),
-        ("0,0,0,600\n1,0,0,600\n", 1, "header"),
-        ("x_mm;y_mm;z_mm;feed_mm_per_min\n0;0;0;1\n", 1, "header"),
+        ("x,y,z,feed\n0,0,0,1\n", 1, "x_mm"),
+        ("0,0,0,600\n1,0,0,600\n", 1, "not a known column"),
+        ("x_mm;y_mm;z_mm;feed_mm_per_min\n0;0;0;1\n", 1, "not a known column"),
         ("x_mm,y_mm,z_mm\n0,0,0\n", 1, "header must be"),
         ("x_mm,x_mm,y_mm,z_mm,feed_mm_per_min\n", 1, "x_mm"),
         (HEADER + "0,0,0,600\n1,0,0\n", 3, "3 values"),
-        (HEADER + "0,0,0,600\n1,0,nan,600\n", 3, "nan"),
+        (HEADER + "0,0,0,600\n1,0,nan,600\n", 3, "z_mm is not finite"),
         (HEADER + "0,0,0,600\n1,0,1_0,600\n", 3, "1_0"),
         (HEADER + "0,0,0,600\n1,0,0,0\n", 3, "zero feed"),
         (HEADER + "0,0,0,600\n1,0,0,-1\n", 3, "out of range"),
         (HEADER + "0,0,0,600\n1e9,0,0,600\n", 3, "wrong unit"),
         (HEADER + "0,0,0,600\n1,0,0,600", 3, "cut off"),
         (HEADER + "1,0,0,600\n1,0,0,600\n", 2, "never moves"),
-        (HEADER, 2, "never moves"),
+        (HEADER, 1, "no row"),
     ],
 )
 def test_what_cannot_be_run_is_refused_with_line_and_word(read, text, line, word):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from kr270_milling.trajectory.files import short
+from kr270_milling.base.text import short
 from kr270_milling.trajectory.gcode.blocks import Block
 from kr270_milling.trajectory.gcode.motion import Motion
 from kr270_milling.trajectory.gcode.words import (

@@ -11,8 +11,8 @@ from __future__ import annotations
 import re
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.base.text import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.comments import operation_name
-from kr270_milling.trajectory.files import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.gcode.blocks import SIMPLE, WORD, CommentError, split_comments, tokens
 from kr270_milling.trajectory.gcode.machine import Machine
 from kr270_milling.trajectory.gcode.motion import CHORD, Motion

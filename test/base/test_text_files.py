@@ -8,7 +8,7 @@ import pytest
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
-from kr270_milling.trajectory.files import ends_in_mid_line, read_lines
+from kr270_milling.base.text import ends_in_mid_line, read_lines
 
 
 @pytest.mark.parametrize(
