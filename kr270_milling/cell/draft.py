@@ -22,7 +22,7 @@ PERIOD = 0.25e-3  #: [s], exchange period of the test piece
 LONGEST_PERIOD = 2e-3  #: [s]
 STEPS = 2e6  #: exchange periods that a pass should take at most
 NODES = 2.5e7  #: of the grid, 25 MB
-FINEST, COARSEST = 10.0, 100.0  #: [um], grid steps
+FINEST, FINE, COARSEST = 5.0, 20.0, 100.0  #: [um], grid steps
 STRAIGHT = """      start_mm: [-8.0, 0.0]              # yours: a straight cut along +x; or give file: part.nc
       depth_of_cut_mm: 1.0               # yours
       length_mm: 40.0                    # yours
@@ -158,10 +158,11 @@ def _period(path: Toolpath, speed: float) -> tuple[float, int]:
 
 
 def _grid(stock: Box, path: Toolpath, speed: float, teeth: int) -> float:
-    """Grid step [um]: a fifth of the feed per tooth, as coarse as the stock needs."""
-    per_tooth = float(path.feed[~path.rapid].max(initial=0.0)) / (speed / 60.0 * teeth)
+    """Grid step [um]: a fifth of the feed per tooth, up to a half where that is very fine, or what the stock needs."""
+    per_tooth = 1e6 * float(path.feed[~path.rapid].max(initial=0.0)) / (speed / 60.0 * teeth)
     least = 1e6 * math.sqrt(stock.area / NODES)
-    return float(math.ceil(max(least, min(max(2e5 * per_tooth, FINEST), COARSEST))))
+    wanted = max(0.2 * per_tooth, min(FINE, 0.5 * per_tooth), FINEST)
+    return float(math.ceil(max(least, min(wanted, COARSEST))))
 
 
 def _place(stock: Box) -> list[float]:

@@ -39,7 +39,7 @@ TEMPLATE = """\
     stock:                               # in the frame of the program
       min_mm: {low}        # yours: here the box of the path, the cutter and 5 mm
       max_mm: {high}
-      grid_step_um: {grid}               # a fifth of the feed per tooth, or what a large stock needs
+      grid_step_um: {grid}               # up to half the feed per tooth, or what a large stock needs
       floor_tolerance_um: 1.0
 
     path:

@@ -155,6 +155,24 @@ def test_a_budget_of_time_lessens_the_samples_but_not_below_eight(cell, pair):
     assert len(found.original) == 8 and seen[-1] == (8, 8) and [done for done, _ in seen] == list(range(1, 9))
 
 
+def test_the_numbers_do_not_depend_on_how_many_cores_there_are(cell, pair, monkeypatch):
+    found = []
+    for cores in ({0}, {0, 1, 2}):
+        monkeypatch.setattr("os.sched_getaffinity", lambda _, cores=cores: cores)
+        found.append(monte_carlo(cell, cell.target(), pair[1].reference, np.random.default_rng(1), 5))
+    assert np.array_equal(found[0].original, found[1].original)
+    assert np.array_equal(found[0].compensated, found[1].compensated)
+
+
+def test_where_eight_plants_take_too_long_nothing_is_said(cell, pair):
+    told = []
+    found = monte_carlo(
+        cell, cell.target(), pair[1].reference, np.random.default_rng(1), 20, budget=1e-3, give_up=True,
+        estimate=lambda plants, seconds: told.append(plants),
+    )  # fmt: skip
+    assert found is None and told == []
+
+
 def test_no_samples_are_refused(cell):
     with pytest.raises(ParameterError, match="samples"):
         monte_carlo(cell, cell.target(), cell.target(), np.random.default_rng(1), 0)
@@ -271,6 +289,37 @@ def test_the_command_prints_the_verdict_with_its_seed(tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)["verdict"]
     assert found["verdict"] == "helps" and found["samples"] == 2 and found["seed"] == 7
     assert len(found["compensated"]["static_deviation_mm"]) == 3
+
+
+@pytest.fixture
+def compensate(tmp_path, capsys):
+    """The command on a short cut: what it prints as JSON, and what it says beside it."""
+    sets = [part for pair in SHORT for part in ("--set", pair)]
+
+    def run(*words: str) -> tuple[dict, str]:
+        assert main(["compensate", "paper.yaml", "--out", str(tmp_path / "o"), "--json", *sets, *words]) == 0
+        told = capsys.readouterr()
+        return json.loads(told.out), told.err
+
+    return run
+
+
+def test_the_verdict_is_part_of_the_decision_unless_nobody_wants_it(compensate, monkeypatch):
+    monkeypatch.setattr("kr270_milling.commands.compensate.SAMPLES", 2)
+    found, _ = compensate("--method", "spline")
+    assert found["verdict"]["samples"] == 2 and "inverse" in found["verdict"]["methods"]
+    assert found["decision"]["verdict"] == found["verdict"]["verdict"]
+    assert found["decision"]["recommended_method"] == found["verdict"]["recommended_method"]
+    quick, _ = compensate("--quick", "--method", "spline")
+    assert quick["verdict"]["samples"] == 8 and set(quick["verdict"]["methods"]) == {"none", "spline"}
+    none, told = compensate("--no-verdict")
+    assert none["verdict"] is None and none["decision"]["verdict"] is None and told == ""
+
+
+def test_a_verdict_that_would_take_long_is_left_out_and_that_is_said(compensate, monkeypatch):
+    monkeypatch.setattr("kr270_milling.commands.compensate.USUAL_BUDGET", 1e-3)
+    found, told = compensate("--method", "spline")
+    assert found["verdict"] is None and "--verdict runs them" in told
 
 
 def test_uncertainty_is_read_and_checked_like_every_other_group(tmp_path):
