@@ -156,7 +156,7 @@ MUTATIONS = [
     ("lifted cost to go", LIFTED, "gradient[:size] <<+|->> total[:size, size:] @ push[k]"),
     ("lifted policy", LIFTED, "later = total[:size, :size] <<+|->> total[:size, size:] @ policy[k]"),
     ("repeatability", PLAY, "np.sqrt(8.0 / np.pi) <<+|->> 3.0 * np.sqrt"),
-    ("play", PLAY, "np.clip(stands[k - 1], angle[k] <<-|+>> 0.5 * width"),
+    ("play", PLAY, "min(max(stands[k - 1, axis], motor <<-|+>> half[axis])"),
 ]
 
 

@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from scipy.interpolate import make_lsq_spline
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.compensation.arm_fit import Identified
@@ -17,7 +18,6 @@ from kr270_milling.compensation.methods import LIFTED
 from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.compensation.response import ArmResponse
 from kr270_milling.compensation.revision import PassRecord, corrected, held, revise
-from kr270_milling.compensation.spline_fit import spline_fit
 from kr270_milling.compensation.stages import Course
 from kr270_milling.trajectory.trajectory import Trajectory
 
@@ -42,13 +42,20 @@ def remaining_error(target: Trajectory, ran: PassRecord) -> float:
     """
     error = ran.position - target.sample(ran.time_ns)
     if ran.noise:
-        knots = spline_fit(target.time_ns, ran.time_ns, error, ran.scored, "least_squares", target.standing, 1.0)
-        error = Trajectory.spline(target.time_ns, knots, ends="not-a-knot").sample(ran.time_ns)
+        error = _smoothed(target.time, ran.time_ns * 1e-9, error)
     time, error = ran.time_ns[ran.scored], error[ran.scored]
     feed = target.sample_velocity(time)
     unit = feed / np.maximum(np.linalg.norm(feed, axis=1, keepdims=True), 1e-300)
     across = error - np.sum(error * unit, axis=1, keepdims=True) * unit
     return float(np.max(np.linalg.norm(across, axis=1)))
+
+
+def _smoothed(knots: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The cubic spline on knots (k,) [s] that is nearest to the values (n, 3) at times (n,) [s], at these times."""
+    place = np.searchsorted(time, knots[2:-2])
+    inner = knots[2:-2][np.diff(place, prepend=1) > 0]  # one sample at least between two of them
+    breaks = np.concatenate([np.repeat(time[0], 4), inner[inner < time[-1]], np.repeat(time[-1], 4)])
+    return make_lsq_spline(time, values, breaks)(time)
 
 
 def noise_floor(target: Trajectory, ran: PassRecord) -> float:

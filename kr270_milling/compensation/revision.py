@@ -9,13 +9,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.linalg import solve_banded
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.compensation.limiting import Limited, describe, limit_change, limit_size
-from kr270_milling.compensation.spline_fit import knot_rates
 from kr270_milling.trajectory.trajectory import Trajectory, slerp
 
-__all__ = ["PassRecord", "RevisionError", "chord_error", "corrected", "held", "revise"]
+__all__ = ["PassRecord", "RevisionError", "chord_error", "corrected", "held", "knot_rates", "revise"]
 
 SAME_PLACE = 1e-8  #: [m], between two knots at rest: what rounding in a file moves
 ROUNDS = 30  #: of tightening the limits at the knots until the spline between them keeps them too
@@ -200,6 +201,27 @@ def _slower(target: Trajectory, given: np.ndarray, slopes, max_change: float, ti
             np.multiply.at(most, segment[over], 0.999 * max_change / change[over])
         knots = limit_change(given, most)
     return knots * (max_change / change.max())  # a spline of the same shape is as steep as it is high
+
+
+def knot_rates(time: np.ndarray, values: np.ndarray, resting: np.ndarray | None) -> np.ndarray:
+    """Slopes (n, 3) at times (n,) of the cubic spline through ``values`` (n, 3): C2, and 0 where ``resting`` (n,).
+
+    At a resting knot the spline is C1; the ends are natural where they do not rest.
+    """
+    if resting is None or not resting.any():
+        return CubicSpline(time, values, bc_type="natural")(time, 1)
+    step = np.diff(time)
+    slope = np.diff(values, axis=0) / step[:, None]
+    below, middle, above = np.zeros(time.size), np.full(time.size, 2.0), np.zeros(time.size)
+    right = np.zeros_like(values)
+    below[1:-1], above[1:-1] = step[1:], step[:-1]  # C2 at the inner knots
+    middle[1:-1] = 2.0 * (step[1:] + step[:-1])
+    right[1:-1] = 3.0 * (step[1:, None] * slope[:-1] + step[:-1, None] * slope[1:])
+    above[0] = below[-1] = 1.0  # natural ends
+    right[0], right[-1] = 3.0 * slope[0], 3.0 * slope[-1]
+    below[resting], above[resting], middle[resting], right[resting] = 0.0, 0.0, 1.0, 0.0
+    bands = np.stack([np.append(0.0, above[:-1]), middle, np.append(below[1:], 0.0)])
+    return solve_banded((1, 1), bands, right)
 
 
 def chord_error(target: Trajectory) -> float:

@@ -8,9 +8,9 @@ import numpy as np
 from book import check
 from cuttings import LAWS, PAPER_LAW
 from scipy.integrate import quad
+from slot import convergence
 
 from kr270_milling.cutting import AL7075_T6, Cut, Cutting, Stock, Tool
-from kr270_milling.cutting.convergence import convergence
 
 FEED, DEPTH = 0.125e-3, 1e-3  # [m] a tooth, [m]
 

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.parameters import Compensation
-from kr270_milling.compensation.revision import PassRecord, RevisionError, revise
+from kr270_milling.compensation.revision import PassRecord, RevisionError, knot_rates, revise
 from kr270_milling.trajectory.trajectory import Trajectory
 
 SAMPLE_NS = 500_000
@@ -235,3 +235,16 @@ def test_the_sampled_displacement_is_free_of_what_repeats_every_revolution():
     inner = target.time_ns[(target.time_ns > revolution) & (target.time_ns < 10**9 - revolution)]
     found = record.sampled_displacement(target, inner)[:, 1]
     assert np.abs(found - (50e-6 + 20e-6 * inner * 1e-9)).max() < 1e-8  # the ripple alone is 15e-6
+
+
+def test_without_a_rest_the_slopes_are_scipys_and_with_one_the_spline_is_c2_everywhere_else():
+    values, t = np.random.default_rng(3).normal(0, 1, (25, 3)), 0.05 * np.arange(25)
+    np.testing.assert_array_equal(knot_rates(t, values, None), CubicSpline(t, values, bc_type="natural")(t, 1))
+    still = np.arange(25) == 9
+    rates, h = knot_rates(t, values, still), 0.05
+    move = np.diff(values, axis=0)
+    left = (-6 * move + 2 * h * rates[:-1] + 4 * h * rates[1:]) / h**2  # second derivative at each segment's end
+    right = (6 * move - 4 * h * rates[:-1] - 2 * h * rates[1:]) / h**2  # and at its start
+    same = np.isclose(left[:-1], right[1:], rtol=1e-8, atol=1e-6).all(axis=1)
+    assert np.flatnonzero(~same).tolist() == [8]  # the knot that rests
+    np.testing.assert_allclose([right[0], left[-1]], 0.0, atol=1e-6)  # natural ends

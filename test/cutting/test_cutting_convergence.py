@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from cuttings import ALUMINIUM, PAPER_LAW
+from slot import convergence, fitted_order, slot_chip, slot_errors, slot_force
 
 from kr270_milling.cutting import Tool
-from kr270_milling.cutting.convergence import convergence, fitted_order, slot_chip, slot_errors, slot_force
 
 TOOL = Tool(diameter=20e-3, teeth=4, spindle_speed=837.0)
 FEED = 0.125e-3

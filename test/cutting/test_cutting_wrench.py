@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 from cuttings import ALUMINIUM, PAPER_LAW
+from slot import slot_chip
 
 from kr270_milling.cutting import AL7075_T6, Cut, Cutting, Stock, Tool
-from kr270_milling.cutting.convergence import slot_chip
 
 TEETH, RADIUS, FEED, DEPTH = 4, 10e-3, 0.05e-3, 8e-3  # [m]; feed per tooth
 LAW = AL7075_T6.replace(axial_cutting=220e6, axial_edge=5e3)
