@@ -42,7 +42,7 @@ class Spec:
     above: float  # exclusive lower bound
     choices: tuple[str, ...]
     size: int | None  # of an array; None: any
-    default: object
+    default: typing.Any
 
     @property
     def key(self) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -95,7 +94,7 @@ def _bound(value: float) -> float | None:
 
 def _default(spec: Spec):
     """In the unit of the file, without the digits of the way to SI and back; None where there is none."""
-    default: Any = spec.default
+    default = spec.default
     if default is None:
         return None
     if spec.kind is np.ndarray:

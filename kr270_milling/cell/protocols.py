@@ -47,7 +47,7 @@ def compensator_protocol(cell: Cell, plant: Cell | None = None) -> CompensatorPr
         iterations=cell.exchange.iterations,
         compensator=lambda target, method: compensator(cell, target, method),
         pass_record=lambda number, time_ns, tool, wrench: pass_record(
-            cell, time_ns, tool, wrench, plant and plant.imperfections, number
+            cell, time_ns, tool, wrench, None if plant is None else plant.imperfections, number
         ),
         joints=lambda reference: commanded_joints(cell, reference),
     )

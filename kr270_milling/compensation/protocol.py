@@ -11,7 +11,7 @@ import numpy as np
 from kr270_milling.base.samples import JointProgram, PoseSample, WrenchSample
 from kr270_milling.compensation.compensator import Compensator, PassListener
 from kr270_milling.compensation.revision import PassRecord
-from kr270_milling.simulation.admission import checked_pose, checked_wrench, in_workpiece_axes
+from kr270_milling.simulation.admission import MessageError, checked_pose, checked_wrench, in_workpiece_axes
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.simulation.protocol import JOINT_NAMES, Output
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -45,7 +45,15 @@ class CompensatorProtocol:
         self.passes = 0  #: that were complete
         self.missing = 0  #: poses that the last complete pass lacks
         self.missing_wrenches = 0  #: the same of its wrenches
+        self._early: dict[int, WrenchSample] = {}
         self._await_pass(0)
+
+    @property
+    def begun(self) -> Compensator:
+        """The compensator; raises MessageError before there is a target."""
+        if self.compensator is None:
+            raise MessageError("there is no target trajectory yet")
+        return self.compensator
 
     def begin(self, target: Trajectory) -> list[Output]:
         """Go on along another target; raises MillingError where it is refused."""
@@ -53,13 +61,13 @@ class CompensatorProtocol:
 
     def choose(self, method: str) -> list[Output]:
         """Another method, from the pass along the target if there was one."""
-        made = _twin(self.compensator)
+        made = _twin(self.begun)
         made.choose(method)
         return self._go_on(made)
 
     def reset(self) -> list[Output]:
         """Back to the target itself."""
-        made = _twin(self.compensator)
+        made = _twin(self.begun)
         made.reset()
         return self._go_on(made)
 
@@ -154,7 +162,7 @@ class CompensatorProtocol:
         """Nothing of a pass was heard yet; each exchange brings as many poses and wrenches as it has iterations."""
         self._listener = PassListener(end_ns)
         self._wrenches = dict(wrenches or {})
-        self._early: dict[int, WrenchSample] = {}
+        self._early = {}
         self._last_poses = self.models.iterations
         self._last_wrenches = self.models.iterations
 
@@ -168,7 +176,7 @@ class CompensatorProtocol:
         self.missing = _holes(stamps)
         self.missing_wrenches = _holes(np.array(sorted(self._wrenches)))
         self._await_pass(self._listener.end_ns)  # this one is over, also if nothing can be made of it
-        made = _twin(self.compensator)
+        made = _twin(self.begun)
         made.revise(self.ran)
         return self._go_on(made)
 

@@ -12,6 +12,7 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
+from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -72,7 +73,7 @@ class Driver:
         self._executor.add_node(self.node)
         topic = topics.DIAGNOSTICS
         self.node.create_subscription(topic.type, topic.name, self._on_diagnostics, topic.qos)
-        self._clients: dict[str, object] = {}
+        self._clients: dict[str, Client] = {}
         self.namespace = self.node.get_namespace()
 
     def name_of(self, node: str) -> str:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import signal
 import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from kr270_milling.base.process import exit_code
 from kr270_milling.cell.cell import Cell
@@ -66,7 +68,7 @@ class Graph:
         self.plant = plant
         self.out = Path(out).resolve()
         self.extra = extra
-        self.driver: Driver | None = None
+        self._driver: Driver | None = None
         self.children: dict[str, Child] = {}
         self.ended: list[Child] = []  #: recorders of the passes that are done
         self.spawned: dict[str, tuple] = {}  #: node -> its parameter file and further arguments
@@ -76,7 +78,7 @@ class Graph:
         self._hooks = hooks or Hooks()
         self._watchdog = Watchdog({ROBOT, CUT, COMPENSATOR, RECORDER}, self._hooks.tell)
         self._signals: list[int] = []
-        self._handlers: dict[int, object] = {}
+        self._handlers: dict[int, Any] = {}
 
     def __enter__(self) -> Graph:
         started = time.monotonic()
@@ -90,12 +92,19 @@ class Graph:
             for number in (signal.SIGINT, signal.SIGTERM):
                 self._handlers[number] = signal.signal(number, lambda caught, _: self._signals.append(caught))
         try:
-            self.driver = Driver(self._namespace, self.check)
+            self._driver = Driver(self._namespace, self.check)
             self._start(started)
         except BaseException as error:
             self.close(exit_code(error))
             raise
         return self
+
+    @property
+    def driver(self) -> Driver:
+        """The runner's own node, as long as the graph is up."""
+        if self._driver is None:
+            raise RunError("graph", "is not up")
+        return self._driver
 
     def _start(self, started: float) -> None:
         cuts = self.out / ("cell.yaml" if self.plant is None else "plant.yaml")
@@ -135,7 +144,7 @@ class Graph:
             if self._signals[0] == signal.SIGTERM:
                 raise SystemExit(128 + signal.SIGTERM)
             raise KeyboardInterrupt
-        if self.driver is not None:
+        if self._driver is not None:
             self._hooks.looked()
             self._watchdog.look(self.driver, self.children)
 
@@ -146,7 +155,7 @@ class Graph:
         yield
         self.driver.spin()
         for name in names:
-            self.driver.until(lambda n=name: self._is_fresh(n), "reporting again", UP, name)
+            self.driver.until(functools.partial(self._is_fresh, name), "reporting again", UP, name)
         self._watchdog.excused -= set(names)
 
     def _is_fresh(self, name: str) -> bool:
@@ -199,7 +208,7 @@ class Graph:
 
     def _pass_complete(self) -> bool:
         status = self.driver.status(ROBOT)
-        return status.message.startswith("pass complete")
+        return status is not None and status.message.startswith("pass complete")
 
     def _same_reference(self) -> bool:
         return bool(self._says("reference")) and self._says("reference") == self._says("reference", ROBOT)
@@ -241,7 +250,10 @@ class Graph:
 
     def _all_recorded(self) -> bool:
         """The recorder has the last pose and wrench."""
-        latest = self.driver.status(RECORDER).counts("latest_ns")
+        status = self.driver.status(RECORDER)
+        if status is None:
+            return False
+        latest = status.counts("latest_ns")
         last = float(self._says("pass_time_s", ROBOT)) * 1e9 - 1000  # told in microseconds
         return all(latest.get(self.driver.name_of(t), -1) >= last for t in ("tool_pose", "wrench"))
 
@@ -252,7 +264,7 @@ class Graph:
         """
         recorders = [*self.ended, *filter(None, [self.children.pop(RECORDER, None)])]  # one may be closing its file
         try:
-            if self.driver is not None:
+            if self._driver is not None:
                 self.driver.close(code)  # before the others leave
         finally:
             stop(set(self.children.values()))

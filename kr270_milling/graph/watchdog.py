@@ -35,7 +35,9 @@ class Watchdog:
         self.coming_up = True  #: another graph with these names is an error; later on its reports are ignored
         self.of_pass: dict[str, str] = {}  #: process id of each node when the pass began
         self._tell = tell
-        self._looked, self._hear_until, self._quiet = time.monotonic(), 0.0, set()
+        self._looked = time.monotonic()
+        self._hear_until = 0.0
+        self._quiet: set[str] = set()
 
     def look(self, driver: Driver, children: Mapping[str, Child]) -> None:
         """Raises AlreadyRunning or RunError when the graph cannot go on."""

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.timer import Timer
 
 from kr270_milling.base.samples import WrenchSample
 from kr270_milling.cell.protocols import robot_protocol
@@ -36,7 +37,7 @@ class CompliantRobot(ManagedNode):
         limits = [FloatingPointRange(from_value=0.0, to_value=1e6)]
         described = ParameterDescriptor(description=about, floating_point_range=limits, read_only=True)
         self.pace = self.declare_parameter("pace", 0.0, described).value
-        self._pace_timer = None
+        self._pace_timer: Timer | None = None
         self._given_up = False
         self._listeners: tuple[int, ...] = ()
         self._changed = time.monotonic()  # when a listener came or went
@@ -133,7 +134,7 @@ class CompliantRobot(ManagedNode):
         """Publish; the next question not ahead of the wall clock where a pace is asked for."""
         self._answered = time.monotonic()
         if self.pace > 0.0 and not self.protocol.done:
-            ahead = self._started + self.protocol.side.awaited_ns * 1e-9 / self.pace - self._answered
+            ahead = self._started + self.protocol.of_pass().awaited_ns * 1e-9 / self.pace - self._answered
             if ahead > AHEAD:
                 self._answered += ahead
                 self._late = outputs[:1]
@@ -143,13 +144,14 @@ class CompliantRobot(ManagedNode):
 
     @guarded
     def _ask_late(self) -> None:
-        self.destroy_timer(self._pace_timer)
+        if self._pace_timer is not None:
+            self.destroy_timer(self._pace_timer)
         if self.protocol.side is not None:
             self.send(self._late)
 
     def _finish(self) -> None:
         wall = time.monotonic() - self._started
-        told = {"largest_correction_um": f"{self.protocol.side.correction * 1e6:.6f}", "wall_s": repr(wall)}
+        told = {"largest_correction_um": f"{self.protocol.of_pass().correction * 1e6:.6f}", "wall_s": repr(wall)}
         if self.protocol.large_correction:
             self.report(WARN, "pass complete, but the corrections are large: shorten exchange.period_ms", **told)
         else:

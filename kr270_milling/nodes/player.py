@@ -23,7 +23,7 @@ from kr270_milling.bag.playback import (
     passage,
     span,
 )
-from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.reader import RawMessage, Recording
 from kr270_milling.base.errors import one_line
 from kr270_milling.base.process import end_process
 from kr270_milling.nodes.play_arguments import add_play_arguments, play_options
@@ -98,7 +98,7 @@ class Player(ReportingNode):
         topics = set(self._outlets)
         first = opening(self.recording, start, topics)
         self._opening, self._passage = first, passage(self.recording, start, end, topics)
-        self._next = None
+        self._next: RawMessage | None = None
         self._clock_due = start  # log time [ns] of the next /clock
 
     @guarded
@@ -137,7 +137,7 @@ class Player(ReportingNode):
             self._progress(max(message.log_time - start, 0), max(end - start, 1))
 
     def _tell_time(self, position: int) -> None:
-        if self._clock_publisher is not None and position >= self._clock_due:
+        if self._clock_publisher is not None and self.options.clock and position >= self._clock_due:
             self._clock_publisher.publish(Clock(clock=stamp_from_ns(position)))
             period = max(1, int(1e9 * self.options.rate / self.options.clock))
             self._clock_due += period * ((position - self._clock_due) // period + 1)

@@ -16,11 +16,12 @@ from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 
 from kr270_milling.bag.errors import MessageRefused, RecordingError
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.report.scene import INPUTS, Scene
+from kr270_milling.report.scene import INPUTS, Derived, Scene
 from kr270_milling.ros.drain import DEPTH, DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.names import NameRefused, message_class, resolved_topic
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence
@@ -56,9 +57,9 @@ class Recorder(ReportingNode):
         self._live: dict[str, Publisher | None] = {}  # of what follows for viewers; None where its type is missing
         if not directory:
             raise InputError(self._where, "directory is missing")
-        about = {"command": command or shlex.join(sys.argv), "seed": seed}
-        self.writer = BagWriter(directory, attachments=self._read(attachments), metadata=about)
-        self._subscriptions_of: dict[str, object] = {}
+        metadata = {"command": command or shlex.join(sys.argv), "seed": seed}
+        self.writer = BagWriter(directory, attachments=self._read(attachments), metadata=metadata)
+        self._subscriptions_of: dict[str, Subscription | None] = {}
         self._stopped, self._before = False, -1
         self._refused = 0  # messages
         self._there: set[str] = set()  # topics with a publisher
@@ -128,7 +129,7 @@ class Recorder(ReportingNode):
         self.writer.write(topic, data, published)
         namespace, _, name = topic.rpartition("/")
         scene = self._scenes.setdefault(namespace, Scene())
-        derived = []
+        derived: list[Derived] = []
         with contextlib.suppress(MillingError, ValueError):  # recorded as it came; there is nothing to show
             derived += scene.hear(name, data)
         for found in derived:

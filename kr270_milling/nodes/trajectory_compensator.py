@@ -69,7 +69,7 @@ class TrajectoryCompensator(ReportingNode):
     def _publish(self, outputs, what: str, missing: int = 0) -> None:
         self.send(outputs)
         self._revision += 1
-        state = self.protocol.compensator
+        state = self.protocol.begun
         for name, run in (("reference_path", state.reference), ("target_path", state.target)):
             self.outlets[name].publish(path_bytes(run))
         told = {
@@ -117,7 +117,7 @@ class TrajectoryCompensator(ReportingNode):
 
     def _revised(self, outputs) -> None:
         if outputs:
-            self._publish(outputs, f"revised after pass {len(self.protocol.compensator.errors)}", self.protocol.missing)
+            self._publish(outputs, f"revised after pass {len(self.protocol.begun.errors)}", self.protocol.missing)
 
     @guarded
     def _watch_pass(self) -> None:
@@ -126,7 +126,8 @@ class TrajectoryCompensator(ReportingNode):
         if not self.protocol.under_way:
             return
         if self.protocol.at_end:
-            if time.monotonic() - self._ended > LAST_WRENCH or not self._wrench.get_publisher_count():
+            ended = time.monotonic() if self._ended is None else self._ended
+            if time.monotonic() - ended > LAST_WRENCH or not self._wrench.get_publisher_count():
                 self._revised(self.protocol.finish())
             return
         for what in (self._pose, self._wrench):

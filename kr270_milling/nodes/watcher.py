@@ -32,7 +32,7 @@ class Watcher(Node):
         self.done = False  #: the graph was there and is gone
         self._events = events
         self._feed = Feed()
-        self._seen = None
+        self._seen: float | None = None
         self._subscriptions_of = [self._listen(topic) for topic in (*LATCHED, *LOOP)]
         self.create_timer(DRAIN_PERIOD, self._drain)
         self.create_timer(0.2, self._look)

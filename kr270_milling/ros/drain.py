@@ -59,10 +59,13 @@ def drain(subscriptions: Iterable[Subscription]) -> list[Taken]:
 
 def _in_order(series: list[list[Taken]]) -> list[Taken]:
     """Those of several readers by arrival. Each reader has its own in order, whatever the wall clock did meanwhile."""
-    back = [(new[0], old[0]) for one in series for old, new in itertools.pairwise(one) if new[0] < old[0]]
+    back: list[tuple[int, int]] = [
+        (new[0], old[0]) for one in series for old, new in itertools.pairwise(one) if new[0] < old[0]
+    ]
     if not back:
         return sorted((item for one in series for item in one), key=lambda item: item[0])
-    middle = sum(min(back, key=lambda step: step[0] - step[1])) // 2  # the clock was set back: from above to below this
+    _, below, above = min((new - old, new, old) for new, old in back)
+    middle = (below + above) // 2  # the clock was set back: from above to below this
     keyed = []
     for one in series:
         latest = (False, 0)

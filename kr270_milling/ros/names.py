@@ -37,7 +37,7 @@ def message_class(type_name: str) -> type:
     if not any(Path(place, "msg", "__init__.py").is_file() for place in places):
         raise NameRefused(f"the message package {package} is not installed")
     kind = getattr(importlib.import_module(f"{package}.msg"), name, None)
-    if not hasattr(kind, "SLOT_TYPES"):
+    if kind is None or not hasattr(kind, "SLOT_TYPES"):
         raise NameRefused(f"the message package {package} has no {name}")
     return kind
 

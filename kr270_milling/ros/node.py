@@ -66,7 +66,7 @@ class Silence:
         return now - self._last
 
 
-class Reporting:
+class Reporting(Node):
     """Mixin: one diagnostic status of the node, published five times a second and at once when it changes."""
 
     failure: str | None = None  #: set when the node must end with exit code 1
@@ -79,9 +79,10 @@ class Reporting:
         self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
         self._report_timer = self.create_timer(REPORT_PERIOD, self.publish_report)
 
-    def create_timer(self, period: float, callback, **kwargs):
+    def create_timer(self, timer_period_sec: float, callback, *args, **kwargs):
         """On the monotonic clock: one on the node's own would stand still when the wall clock is set back."""
-        return super().create_timer(period, callback, **{"clock": Clock(clock_type=ClockType.STEADY_TIME), **kwargs})
+        kwargs = {"clock": Clock(clock_type=ClockType.STEADY_TIME), **kwargs}
+        return super().create_timer(timer_period_sec, callback, *args, **kwargs)
 
     def open_outlets(self, *names: str) -> None:
         """Publishers for outputs of a protocol, by the names that it has for them."""
@@ -166,7 +167,8 @@ class ManagedNode(Reporting, LifecycleNode):
         self._start_timer = self.create_timer(0.01, self._start_alone) if self._autostart else None
 
     def _start_alone(self) -> None:
-        self._start_timer.cancel()
+        if self._start_timer is not None:
+            self._start_timer.cancel()
         if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
 
@@ -223,7 +225,8 @@ class ManagedNode(Reporting, LifecycleNode):
     def _LifecycleNodeMixin__on_change_state(self, request, response):
         """An invalid transition raises in rclpy and would kill the node: refuse it instead."""
         try:
-            return LifecycleNode._LifecycleNodeMixin__on_change_state(self, request, response)  # noqa: SLF001
+            change = LifecycleNode._LifecycleNodeMixin__on_change_state  # type: ignore[attr-defined]  # noqa: SLF001
+            return change(self, request, response)
         except rclpy_implementation.RCLError:
             wanted = request.transition.label or request.transition.id
             self.get_logger().warning(f"transition {wanted} is not possible in state {self.state}")

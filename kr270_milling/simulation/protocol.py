@@ -126,13 +126,14 @@ class RobotProtocol:
         outputs = [self._question()]  # first, so that the cut works while the rest is published
         return outputs if deflection is None else outputs + self._state(stamp_ns, deflection)
 
-    def _of_pass(self) -> RobotSide:
+    def of_pass(self) -> RobotSide:
+        """The robot of the pass under way, or of the last one. Raises ExchangeError before the first."""
         if self.side is None:
             raise ExchangeError(0, "no pass has begun")
         return self.side
 
     def _question(self) -> Output:
-        side = self._of_pass()
+        side = self.of_pass()
         self._asked += 1
         return "tool_pose", PoseSample(side.awaited_ns, WORKPIECE, side.tool, side.orientation_now)
 
