@@ -22,6 +22,7 @@ MOTION, MIRROR, REVISION = "simulation/dynamics.py", "compensation/mirror.py", "
 REFERENCE, MEASURED = "simulation/reference_motion.py", "simulation/measured_modes.py"
 RIGID = "robot/rigid_mass.py"
 RESPONSE, STAGES, LIFTED = "compensation/response.py", "compensation/stages.py", "compensation/lifted.py"
+LEARNING = "compensation/learning.py"
 PLAY = "simulation/imperfections.py"
 TESTS = {
     LOADS: ["robot_loads", "robot_equilibrium", "robot_elastostatics"],
@@ -40,6 +41,7 @@ TESTS = {
     RESPONSE: ["compensation_response"],
     STAGES: ["compensation_lifted"],
     LIFTED: ["compensation_lifted"],
+    LEARNING: ["compensation_learning"],
     PLAY: ["simulation_imperfections"],
 }
 
@@ -155,6 +157,7 @@ MUTATIONS = [
     ("lifted corner", STAGES, "free[k, rate, :3] = <<|->>jump[k]"),
     ("lifted cost to go", LIFTED, "gradient[:size] <<+|->> total[:size, size:] @ push[k]"),
     ("lifted policy", LIFTED, "later = total[:size, :size] <<+|->> total[:size, size:] @ policy[k]"),
+    ("wrench on the path", LEARNING, "factor * (self._ideal <<-|+>> strayed)"),
     ("repeatability", PLAY, "np.sqrt(8.0 / np.pi) <<+|->> 3.0 * np.sqrt"),
     ("play", PLAY, "min(max(stands[k - 1, axis], motor <<-|+>> half[axis])"),
 ]

@@ -9,9 +9,9 @@ import pytest
 from milled_part import CONFIG
 
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cli import main
-from kr270_milling.decision.part import assess
+from kr270_milling.decision.part import assess, assess_all
 
 COARSE = ("stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0")
 
@@ -21,18 +21,22 @@ def cell():
     return read_cell(CONFIG / "test_piece.yaml", COARSE)
 
 
-@pytest.fixture(scope="module")
-def short(tmp_path_factory):
-    """The square and the inclined side only."""
+def with_features(path, *names: str):
+    """The programme of the test piece with some of its features only."""
     keep, copied = True, []
     for line in (CONFIG / "test_piece.nc").read_text().splitlines():
         if line.startswith("("):
-            keep = line in ("(square)", "(inclined_side)")
+            keep = line.strip("()") in names
         if keep or line.startswith(("N540", "N550")):
-            copied.append(line)
-    path = tmp_path_factory.mktemp("short") / "short.nc"
+            copied.append(line.replace("M3", "M3 F4000"))
     path.write_text("\n".join(copied) + "\n")
     return path
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """The square and the inclined side only."""
+    return with_features(tmp_path_factory.mktemp("short") / "short.nc", "square", "inclined_side")
 
 
 def test_the_posture_is_as_its_comment_says(cell):
@@ -76,3 +80,15 @@ def test_simulate_prints_each_feature_and_writes_the_part(short, tmp_path, capsy
     assert main(words) == 0
     text = capsys.readouterr().out
     assert "inclined_side" in text and "whole part" in text and "nan" not in text
+
+
+def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_corner(tmp_path):
+    """Sharp corners, helix, axial force and inertia of the arm. A fifth was asked for; a coarser cut is simulated."""
+    path = with_features(tmp_path / "diamond.nc", "diamond")
+    cell = read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={path}"])
+    assert cell.tool.helix > 0.0 and cell.cutting.axial and cell.dynamics.reference_inertia
+    original = simulate(cell)
+    before, after = assess_all(cell, (original, compensated(cell, original, "inverse")))
+    assert before.whole.max_wall > 50e-6 and before.whole.max_floor > 50e-6
+    assert after.whole.max_wall < before.whole.max_wall / 20 and after.whole.max_floor < before.whole.max_floor / 20
+    assert after.whole.max_normal < before.whole.max_normal / 20  # while it cuts, also where the wall goes later
