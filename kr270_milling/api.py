@@ -15,8 +15,7 @@ from kr270_milling.cell import cell as cells
 from kr270_milling.cell import jobs
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decision import check as checks
-from kr270_milling.decision import decision, tolerance, verdict
-from kr270_milling.decision.part.assessment import assess_all
+from kr270_milling.decision import compensation, decision, tolerance, verdict
 from kr270_milling.report.series import COLUMNS, series_lines, series_rows
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.simulation.scores import Scores
@@ -121,13 +120,8 @@ def simulate(cell: Cell, reference: Trajectory | None = None) -> Pass:
 
 def compensate(cell: Cell, method: str | None = None) -> Compensation:
     """Revise the trajectory by a method (default: that of the cell) and judge it."""
-    method = method or cell.compensation.method
-    original = jobs.simulate(cell)
-    revised = jobs.compensated(cell, original, method)
-    parts = assess_all(cell, (original, revised)) if cell.path.file else ()
-    checked = checks.check(cell, revised.reference, ran=revised)
-    decided = decision.decide(cell, original, revised, parts, checked)
-    return Compensation(Pass(cell, original), Pass(cell, revised), checked, decided)
+    done = compensation.compensate(cell, method)
+    return Compensation(Pass(cell, done.original), Pass(cell, done.revised), done.checked, done.decision)
 
 
 def check(cell: Cell, reference: Trajectory | None = None) -> checks.Checked:

@@ -101,7 +101,7 @@ def test_the_readme_is_short():
 
 def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("kr270_milling.commands.compensate.LONGEST_PASS", 0.0)  # the verdict has tests of its own
+    monkeypatch.setattr("kr270_milling.decision.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
     page = (ROOT / "kr270_milling/guide/tutorial.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"<!-- pocket.nc -->\n```\n(.*?)```", page, re.DOTALL)
     Path("pocket.nc").write_text(program)

@@ -11,6 +11,7 @@ from kr270_milling.commands.console import (
     add_cell,
     add_common,
     command_line,
+    fixed,
     joints_text,
     print_json,
     print_table,
@@ -21,9 +22,6 @@ from kr270_milling.compensation.methods import METHODS
 from kr270_milling.nodes.option_types import bounded
 
 SAMPLES, FEWEST = 32, 8  #: plants of the verdict
-BUDGET = 300.0  #: [s], of a verdict that is asked for; beyond it fewer plants are run
-USUAL_BUDGET = 50.0  #: [s], of one that nobody asks for; where 8 plants take longer it is left out
-LONGEST_PASS = USUAL_BUDGET / 2  #: [s]; after a longer one not even a first plant is tried
 
 
 def add_arguments(parser) -> None:
@@ -40,8 +38,8 @@ def add_arguments(parser) -> None:
     verdict.add_argument(
         "--verdict", metavar="N", type=bounded(1, 999_999, int), nargs="?", const=SAMPLES,
         help=f"judge the compensation by N plants (default {SAMPLES}) drawn from the cell's uncertainty; by fewer, but "
-        f"at least {FEWEST}, where they take more than {BUDGET:.0f} s. Without this option: as many as take "
-        f"{USUAL_BUDGET:.0f} s, and none where {FEWEST} take longer",
+        f"at least {FEWEST}, where they take more than 5 minutes. Without this option: as many as take less than a "
+        f"minute, and none where {FEWEST} take longer",
     )  # fmt: skip
     verdict.add_argument(
         "--quick", action="store_true", help=f"a verdict of {FEWEST} plants, without a look at other methods"
@@ -61,8 +59,7 @@ def run(args) -> int:
     from kr270_milling.base.files import staged
     from kr270_milling.base.record import find_file
     from kr270_milling.cell.cell import read_cell
-    from kr270_milling.cell.jobs import compensated, compensator, joint_ranges, simulate
-    from kr270_milling.decision.decision import decide
+    from kr270_milling.decision.compensation import compensate
 
     source = find_file(args.cell)
     cell = read_cell(source, args.set)
@@ -70,44 +67,61 @@ def run(args) -> int:
     motions = args.krl or ["LIN" if method == "linear" else cell.program.motion]
     plant = read_plant(args, cell)
     with staged(args.out) as (draft, final):
-        with progress("original") as report:
-            original = simulate(cell, progress=report, plant=plant)
-        by = compensator(cell, cell.target(), method)
-        with progress(method, by.most_passes) as report:
-            revised = compensated(cell, original, method, report, by, plant)
-        passes = original, revised
-        found = {"method": method, "points": len(revised.reference)}
-        found |= {k: v for k, v in revised.row().items() if k != "name"}
-        found["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
-        found["original"] = {k: v for k, v in original.row().items() if k != "name"}
-        found["passes"] = [ran.row() for ran in passes]
-        found |= _correction(cell, revised, by)
-        parts = _parts(cell, passes)
-        found["features"] = {part.name: part.table() for part in parts}
-        checked = _check(cell, revised, by, motions)
-        found["check"] = checked.as_dict()
-        verdict = _verdict(cell, original, revised, args)
-        found["verdict"] = verdict and verdict.as_dict()
-        decision = decide(cell, original, revised, parts, checked, verdict)
-        found["decision"] = decision.as_dict()
-        found |= _write(draft, final, cell, passes, parts, motions, args, source, checked, decision)
+        motion = "LIN" if "LIN" in motions else motions[0]  # these are blended
+        done = compensate(cell, method, plant=plant, motion=motion, verdict=_order(args), progress=progress)
+        if not (done.verdict or args.no_verdict):
+            print(f"no verdict: {FEWEST} plants would take too long; --verdict runs them", file=sys.stderr)
+        found = _found(cell, done)
+        found |= _write(draft, final, cell, done, motions, args, source)
     if args.json:
         print_json(found)
     else:
-        print(_first_line(decision, original, revised))
-        _print(cell, passes, found, checked, args)
-    return 0 if checked.may_be_run else 1
+        print(_first_line(done))
+        _print(cell, done, found, args)
+    return 0 if done.checked.may_be_run else 1
 
 
-def _first_line(decision, original, revised) -> str:
+def _order(args):
+    """The verdict that is wanted; None for none."""
+    from kr270_milling.decision.compensation import VerdictOrder
+
+    if args.no_verdict:
+        return None
+    samples = args.verdict or (FEWEST if args.quick else SAMPLES)
+    return VerdictOrder(samples, args.verdict is not None, not args.quick, args.seed, _estimate)
+
+
+def _estimate(plants: int, seconds: float) -> None:
+    """What is to come, where it takes a while."""
+    if seconds > 5.0:
+        print(f"verdict: {plants} plants, about {seconds:.0f} s", file=sys.stderr)
+
+
+def _found(cell, done) -> dict:
+    """What ``--json`` prints, but for the files."""
+    from kr270_milling.cell.jobs import joint_ranges
+
+    original, revised = done.original, done.revised
+    found = {"method": revised.name, "points": len(revised.reference)}
+    found |= {k: v for k, v in revised.row().items() if k != "name"}
+    found["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
+    found["original"] = {k: v for k, v in original.row().items() if k != "name"}
+    found["passes"] = [ran.row() for ran in (original, revised)]
+    found |= _correction(cell, revised, done.by)
+    found["features"] = {part.name: part.table() for part in done.parts}
+    found["check"] = done.checked.as_dict()
+    found["verdict"] = done.verdict and done.verdict.as_dict()
+    found["decision"] = done.decision.as_dict()
+    return found
+
+
+def _first_line(done) -> str:
     """The decision; ahead of it, where the method makes the part worse, that it does."""
-    before, after = decision.as_programmed.error, decision.compensated.error
+    before, after = done.decision.as_programmed.error, done.decision.compensated.error
     if after <= before:
-        return decision.headline
-    worse = (
-        f"{revised.name} makes the part worse than no compensation ({1e6 * after:.3g} um against {1e6 * before:.3g})"
-    )
-    return f"{worse}: {decision.headline}"
+        return done.decision.headline
+    errors = f"({1e6 * after:.3g} um against {1e6 * before:.3g})"
+    return f"{done.revised.name} makes the part worse than no compensation {errors}: {done.decision.headline}"
 
 
 def _correction(cell, revised, by) -> dict:
@@ -117,9 +131,10 @@ def _correction(cell, revised, by) -> dict:
     import numpy as np
 
     from kr270_milling.compensation.revision import chord_error
+    from kr270_milling.decision.compensation import limit_sentence
 
     size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
-    limited = [dataclasses.asdict(part) | {"sentence": _limit(part, by.learner)} for part in by.limited]
+    limited = [dataclasses.asdict(part) | {"sentence": limit_sentence(part, by)} for part in by.limited]
     found = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
     if by.errors[1:]:
         found["remaining_errors_mm"] = [1e3 * error for error in by.errors]
@@ -130,107 +145,66 @@ def _correction(cell, revised, by) -> dict:
     return found
 
 
-def _limit(part, learner) -> str:
-    """What was not let through and, where most of it is for the arm's own inertia, at which feed it would be."""
-    if learner is None or learner.inertia(part.time) < 0.5 * part.wanted:
-        return part.sentence
-    return f"{part.sentence}; in reach at about {100 * part.feed_share:.0f} % of the programmed feed there"
-
-
-def _parts(cell, passes) -> tuple:
-    """Assessments feature by feature, of a tool path."""
-    if not cell.path.file:
-        return ()
-    from kr270_milling.decision.part import assess_all
-
-    with progress("surfaces"):
-        return assess_all(cell, passes)
-
-
-def _check(cell, revised, by, motions):
-    """What ``kr270_milling check`` finds, for LIN motions if there are any: these are blended; and what was limited."""
-    from kr270_milling.decision.check import check
-    from kr270_milling.decision.path_limits import Violation
-
-    limited = [
-        Violation("correction limited", p.worst, p.wanted, p.wanted - p.missing, "warning", _limit(p, by.learner))
-        for p in by.limited
-    ]
-    return check(cell, revised.reference, "LIN" if "LIN" in motions else motions[0], ran=revised, more=limited)
-
-
-def _verdict(cell, original, revised, args):
-    """What plants drawn from the uncertainties say; None where nobody wants it or it would take too long."""
-    import numpy as np
-
-    from kr270_milling.decision.verdict import alternatives, monte_carlo
-
-    if args.no_verdict:
-        return None
-    found = None
-    if args.verdict or original.result.wall_time < LONGEST_PASS:
-        others = {} if args.quick else alternatives(cell, original, revised.name)
-        with progress("verdict") as report:
-            found = monte_carlo(
-                cell, cell.target(), revised.reference, np.random.default_rng(args.seed),
-                args.verdict or (FEWEST if args.quick else SAMPLES), budget=BUDGET if args.verdict else USUAL_BUDGET,
-                give_up=not args.verdict, seed=args.seed, progress=report, estimate=_estimate, method=revised.name,
-                others=others,
-            )  # fmt: skip
-    if found is None:
-        print(f"no verdict: {FEWEST} plants take more than {USUAL_BUDGET:.0f} s; --verdict runs them", file=sys.stderr)
-    return found
-
-
-def _estimate(plants: int, seconds: float) -> None:
-    """What is to come, where it takes a while."""
-    if seconds > 5.0:
-        print(f"verdict: {plants} plants, about {seconds:.0f} s", file=sys.stderr)
-
-
-def _write(draft, final, cell, passes, parts, motions, args, source, checked, decision) -> dict:
+def _write(draft, final, cell, done, motions, args, source) -> dict:
     """All files; their final paths by kind."""
     import datetime
 
     from kr270_milling.programs.files import source_hash, write_programs
 
     date = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
-    original, revised = passes
+    checked, revised = done.checked, done.revised
     with progress("files"):
         files = write_programs(
-            draft, cell, original.reference, revised.reference, method=revised.name, date=date,
+            draft, cell, done.original.reference, revised.reference, method=revised.name, date=date,
             motions=motions if checked.may_be_run or args.force else None, source=source_hash(cell),
             findings=checked.lines(), released=checked.may_be_run,
         )  # fmt: skip
         placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
         placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
-        if parts:
-            placed |= _write_part(draft, final, cell, passes, parts, args, source, date, checked, decision)
+        if done.parts:
+            placed |= _write_part(draft, final, cell, done, args, source, date)
     return placed
 
 
-def _write_part(draft, final, cell, passes, parts, args, source, date: str, checked, decision) -> dict:
+def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
     """Report with the error maps, and the part as it is predicted."""
     from kr270_milling.decision.part import machined, write_stl
     from kr270_milling.report import decision_block, write_report
 
-    title = f"{cell.path.file.rsplit('/', 1)[-1]}: before and after compensation ({passes[1].name})"
+    revised = done.revised
+    title = f"{cell.path.file.rsplit('/', 1)[-1]}: before and after compensation ({revised.name})"
     report = write_report(
-        draft, cell, passes, title=title, source=str(source), command=command_line(args), date=date,
-        parts=parts, decision=decision_block(decision, checked),
+        draft, cell, (done.original, revised), title=title, source=str(source), command=command_line(args), date=date,
+        parts=done.parts, decision=decision_block(done.decision, done.checked), tables=[_joints_table(cell, revised)],
     )  # fmt: skip
-    stl = draft / f"part_{passes[1].name}.stl"
-    write_stl(stl, machined(cell, passes[1].result.actual))
+    stl = draft / f"part_{revised.name}.stl"
+    write_stl(stl, machined(cell, revised.result.actual))
     return {"report": str(final(report)), "part": str(final(stl))}
 
 
-def _print(cell, passes, found: dict, checked, args) -> None:
+def _joints_table(cell, revised):
+    """The posture that is commanded, for the report."""
+    import numpy as np
+
+    from kr270_milling.cell.jobs import joint_ranges
+    from kr270_milling.report import ReportTable
+
+    columns = [
+        *joint_ranges(cell, revised.reference).values(),
+        *np.degrees([cell.arm.joint_lower, cell.arm.joint_upper]),
+    ]
+    rows = [(f"A{k}", *(fixed(value) for value in row)) for k, row in enumerate(np.transpose(columns), 1)]
+    head = ("axis", "start", "end", "least", "largest", "lower limit", "upper limit")
+    return ReportTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
+
+
+def _print(cell, done, found: dict, args) -> None:
+    checked = done.checked
     if cell.path.file:
         _print_features(found["features"], found["method"])
     else:
-        rows = [
-            [p.name, f"{p.scores.static_deviation * 1e6:.2f}", f"{p.scores.max_deviation * 1e6:.2f}"] for p in passes
-        ]
+        scores = [(ran.name, ran.scores) for ran in (done.original, done.revised)]
+        rows = [[name, fixed(1e6 * s.static_deviation), fixed(1e6 * s.max_deviation)] for name, s in scores]
         print_table("Predicted path deviation [um]", ["pass", "static", "max"], rows)
     if found["note"]:
         print(found["note"])

@@ -37,7 +37,16 @@ def command(tmp_path, *words: str, gcode: str | bytes = GCODE, sets=()) -> list[
 def test_a_tool_path_ends_with_table_report_programs_and_findings(tmp_path, capsys):
     assert main(command(tmp_path, "--method", "spline", "--krl", "SPLINE", "--krl", "LIN")) == 0
     text = capsys.readouterr().out
-    for word in ("leg", "arc", "whole part", "largest correction", "may be run, after a test in T1", "report.html"):
+    assert "Commanded joints [deg]" in (tmp_path / "out" / "report.html").read_text()
+    for word in (
+        "commanded joints at the start",
+        "leg",
+        "arc",
+        "whole part",
+        "largest correction",
+        "may be run, after a test in T1",
+        "report.html",
+    ):
         assert word in text
     out = tmp_path / "out"
     for motion in ("lin", "spline"):

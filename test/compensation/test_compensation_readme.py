@@ -22,7 +22,7 @@ QUICK = ["--set", "path.length_mm=30", "--set", "stock.grid_step_um=40", "--set"
 def folder(tmp_path, monkeypatch):
     (tmp_path / "plant.yaml").write_text(re.search(r"```yaml\n(.*?)```", TEXT, re.DOTALL)[1], encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("kr270_milling.commands.compensate.LONGEST_PASS", 0.0)  # the verdict has tests of its own
+    monkeypatch.setattr("kr270_milling.decision.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
 
 
 @pytest.mark.parametrize("words", COMMANDS)

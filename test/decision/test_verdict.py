@@ -317,7 +317,7 @@ def test_the_verdict_is_part_of_the_decision_unless_nobody_wants_it(compensate, 
 
 
 def test_a_verdict_that_would_take_long_is_left_out_and_that_is_said(compensate, monkeypatch):
-    monkeypatch.setattr("kr270_milling.commands.compensate.USUAL_BUDGET", 1e-3)
+    monkeypatch.setattr("kr270_milling.decision.compensation.USUAL_BUDGET", 1e-3)
     found, told = compensate("--method", "spline")
     assert found["verdict"] is None and "--verdict runs them" in told
 

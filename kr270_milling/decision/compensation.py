@@ -1,0 +1,103 @@
+"""A compensation from the pass as programmed to the decision: what the command and the front door share."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simulate
+from kr270_milling.cell.plant import Plant
+from kr270_milling.compensation.compensator import Compensator
+from kr270_milling.compensation.limiting import Limited
+from kr270_milling.decision.check import Checked, check
+from kr270_milling.decision.decision import Decision, decide
+from kr270_milling.decision.part.assessment import PartAssessment, assess_all
+from kr270_milling.decision.path_limits import Violation
+from kr270_milling.decision.verdict import SAMPLES, Verdict, alternatives, monte_carlo
+
+__all__ = ["BUDGET", "USUAL_BUDGET", "Compensation", "VerdictOrder", "compensate", "limit_sentence"]
+
+BUDGET = 300.0  #: [s], of a verdict that is asked for; beyond it fewer plants are run
+USUAL_BUDGET = 50.0  #: [s], of one that nobody asks for; where 8 plants take longer it is left out
+LONGEST_PASS = USUAL_BUDGET / 2  #: [s]; after a longer one not even a first plant is tried
+
+
+@dataclass(frozen=True)
+class VerdictOrder:
+    """How a verdict is wanted."""
+
+    samples: int = SAMPLES  #: plants
+    asked_for: bool = False  #: whether it may take BUDGET, else USUAL_BUDGET or nothing
+    compare: bool = True  #: whether other methods are looked at
+    seed: int = 1
+    estimate: Callable[[int, float], None] | None = None  #: is told how many plants in how many seconds are to come
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation:
+    """Both passes and what is to be thought of them."""
+
+    original: ScoredPass
+    revised: ScoredPass
+    by: Compensator
+    parts: tuple[PartAssessment, ...]  #: of both passes along a tool path
+    checked: Checked  #: of the revised path
+    verdict: Verdict | None
+    decision: Decision
+
+
+def compensate(
+    cell: Cell,
+    method: str | None = None,
+    *,
+    plant: Plant | None = None,
+    motion: str | None = None,
+    verdict: VerdictOrder | None = None,
+    progress: Callable = lambda *_: contextlib.nullcontext(),
+) -> Compensation:
+    """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
+
+    plant: what runs the passes; motion: of the programs, LIN or SPLINE; progress(text, passes at most): a context that
+    yields what a job calls to tell how far it is.
+    """
+    method = method or cell.compensation.method
+    with progress("original") as report:
+        original = simulate(cell, progress=report, plant=plant)
+    by = compensator(cell, cell.target(), method)
+    with progress(method, by.most_passes) as report:
+        revised = compensated(cell, original, method, report, by, plant)
+    with progress("surfaces"):
+        parts = assess_all(cell, (original, revised)) if cell.path.file else ()
+    checked = check(cell, revised.reference, motion, ran=revised, more=(_limited(part, by) for part in by.limited))
+    with progress("verdict") as report:
+        judged = _verdict(cell, original, revised, verdict, report) if verdict else None
+    decision = decide(cell, original, revised, parts, checked, judged)
+    return Compensation(original, revised, by, parts, checked, judged, decision)
+
+
+def _verdict(cell: Cell, original: ScoredPass, revised: ScoredPass, order: VerdictOrder, report) -> Verdict | None:
+    """What plants drawn from the uncertainties say; None where nobody asked for it and it would take too long."""
+    if not order.asked_for and original.result.wall_time > LONGEST_PASS:
+        return None
+    others = alternatives(cell, original, revised.name) if order.compare else {}
+    rng, budget = np.random.default_rng(order.seed), BUDGET if order.asked_for else USUAL_BUDGET
+    return monte_carlo(
+        cell, cell.target(), revised.reference, rng, order.samples, budget=budget, give_up=not order.asked_for,
+        seed=order.seed, progress=report, estimate=order.estimate, method=revised.name, others=others,
+    )  # fmt: skip
+
+
+def _limited(part: Limited, by: Compensator) -> Violation:
+    allowed = part.wanted - part.missing
+    return Violation("correction limited", part.worst, part.wanted, allowed, "warning", limit_sentence(part, by))
+
+
+def limit_sentence(part: Limited, by: Compensator) -> str:
+    """What was not let through and, where most of it is for the arm's own inertia, at which feed it would be."""
+    if by.learner is None or by.learner.inertia(part.time) < 0.5 * part.wanted:
+        return part.sentence
+    return f"{part.sentence}; in reach at about {100 * part.feed_share:.0f} % of the programmed feed there"
