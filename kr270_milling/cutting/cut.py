@@ -15,6 +15,8 @@ from kr270_milling.cutting.tool import Tool
 
 __all__ = ["Cut", "SweepError", "UndoError"]
 
+MOST_NODES = 400  #: of a map along the longer side of the stock
+
 
 class UndoError(MillingError):
     """The last sweep cannot be taken back."""
@@ -137,6 +139,15 @@ class Cut:
         (ix, x), (iy, y) = axes
         levels = levels_in_window(self.state.pool, self.state.table, ix, iy)
         return x, y, self.stock.max[2] - levels * self.params.level_step
+
+    @property
+    def map_thinning(self) -> int:
+        """One node in so many each way is in ``map_heights``."""
+        return max(1, round(max(self.stock.nodes) / MOST_NODES))
+
+    def map_heights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """``heights`` of the whole stock, thinned to some 400 nodes along its longer side."""
+        return self.heights(thinning=self.map_thinning)
 
     def profile(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The machined profile: x of each column that was cut (m,), its lowest and its highest cleared y (m,) [m]."""

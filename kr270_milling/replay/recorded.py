@@ -143,19 +143,20 @@ def _wall_time(recording: Recording) -> float:
 
 def _result(cell: Cell, plant: Cell, run: Trajectory, stamps: np.ndarray, rows: dict, wall: float) -> PassResult:
     course, tool = run.sample(stamps), rows["tool_pose"][:, :3]
+    *volumes, heights = _cut_again(plant, stamps, tool)
     shift = course + rows["deflection"][:, :3] - tool
     return PassResult(
         stamps, cell.target().sample(stamps), course, tool, rows["deflection"], rows["wrench"],
-        np.sqrt(np.sum(shift**2, axis=1)), *_cut_again(plant, stamps, tool), wall,
+        np.sqrt(np.sum(shift**2, axis=1)), *volumes, wall, heights,
     )  # fmt: skip
 
 
 def _cut_again(cell: Cell, stamps: np.ndarray, tool: np.ndarray) -> tuple:
-    """What no message carries: torque (n + 1,), volume (n + 1,), micro-steps, area and volume in all.
+    """What no message carries: torque (n + 1,), volume (n + 1,), micro-steps, area and volume in all, heights.
 
     From the recorded tool centres on a fresh workpiece; across a hole in the recording the tool goes straight.
     """
     cut, clock = cell.cut(), cell.clock
     steps = np.array([clock.step(stamp) for stamp in stamps.tolist()]) * clock.micro_steps
     _, torque, volume = cut.along(tool, steps)
-    return torque, volume, int(steps[-1]), cut.removed_area, cut.removed_volume
+    return torque, volume, int(steps[-1]), cut.removed_area, cut.removed_volume, cut.map_heights()[2]

@@ -54,6 +54,7 @@ class PassResult:
     removed_area: float  #: [m^2]
     removed_volume: float  #: [m^3]
     wall_time: float  #: [s], of the pass alone
+    heights: np.ndarray | None = None  #: ``Cut.map_heights`` of the finished workpiece [m], (a, b); None: not kept
 
     @property
     def time(self) -> np.ndarray:

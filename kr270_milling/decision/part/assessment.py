@@ -98,7 +98,7 @@ def assess(cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None) -> PartA
     deviation = deviations(path, result.actual - result.target)
     force = np.linalg.norm(result.wrench[:, :3], axis=1)
     power = result.torque * cell.tool.spindle_speed
-    left = surface(cell, path, result.target, result.actual, ideal)
+    left = surface(cell, path, result.target, result.actual, ideal, result.heights)
     series = (path, deviation, result.volume > 0.0, force, result.torque, power, left)
     features = range(len(path.features))
     rows = [_row(name, series, k) for k, name in zip(features, path.features, strict=True)]

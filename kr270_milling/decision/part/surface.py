@@ -21,7 +21,6 @@ from kr270_milling.decision.part.walls import IdealWalls, Walls, ideal_walls, ma
 
 __all__ = ["Floors", "IdealPart", "Surface", "Walls", "ideal_part", "surface"]
 
-MOST_NODES = 400  #: of the map of floors along the longer side of the stock
 SLOPE = 0.02  #: a steeper floor is a wall
 
 
@@ -66,25 +65,28 @@ class IdealPart:
 def ideal_part(cell: Cell, path: Course, target: np.ndarray) -> IdealPart:
     """The part after a rigid arm moved the tool tip through ``target`` (n + 1, 3) [m]."""
     cut = machined(cell, target)
-    thinning, level = max(1, round(max(cell.stock.nodes) / MOST_NODES)), cut.params.level_step
-    x, y, height = cut.heights(thinning=thinning)
+    level = cut.params.level_step
+    x, y, height = cut.map_heights()
     owner = _owners(x, y, height, path, target, cell.tool.radius, level)
     walls = ideal_walls(cut, marks(cell.tool, path, cell.clock.period, target))
-    return IdealPart(x, y, height, owner, walls, level, thinning)
+    return IdealPart(x, y, height, owner, walls, level, cut.map_thinning)
 
 
 def surface(
-    cell: Cell, path: Course, target: np.ndarray, actual: np.ndarray, ideal: IdealPart | None = None
-) -> Surface:
+    cell: Cell, path: Course, target: np.ndarray, actual: np.ndarray, ideal: IdealPart | None = None,
+    heights: np.ndarray | None = None,
+) -> Surface:  # fmt: skip
     """Surface errors of a pass with tool centres ``actual`` where ``target`` was wanted, (n + 1, 3) [m].
 
-    ideal: the part that the target itself leaves, if it is known already.
+    ideal: the part that the target itself leaves; heights (a, b) [m]: of the pass's own finished workpiece. Each is
+    made by a sweep where it is not known already.
     """
     ideal = ideal_part(cell, path, target) if ideal is None else ideal
     walls = remaining_walls(ideal.walls, path, actual - target, ideal.level)
-    machined_height = machined(cell, actual).heights(thinning=ideal.thinning)[2]
+    if heights is None or heights.shape != ideal.height.shape:
+        heights = machined(cell, actual).map_heights()[2]
     largest = float(np.abs(actual - target)[:, :2].max(initial=0.0))
-    floors = _floors(cell.stock, ideal, machined_height, largest)
+    floors = _floors(cell.stock, ideal, heights, largest)
     return Surface(floors, walls, 2.0 * ideal.level + cell.stock.floor_tolerance)
 
 
