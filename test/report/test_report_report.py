@@ -139,7 +139,8 @@ def test_texts_from_files_are_escaped(tmp_path, cell, passes):
     hostile_cell = cell.replace(arm=cell.arm.replace(name=bad))
     first = passes[0]
     hostile = [ScoredPass(bad, first.reference, first.result, first.scores), passes[1]]
-    decision = DecisionBlock(Answer(False, bad), None, False, bad, bad, (FindingRow("stop", bad, bad, point=3),))
+    row = FindingRow("stop", bad, bad, point=3)
+    decision = DecisionBlock(Answer(False, bad), None, False, bad, bad, bad, (row,))
     words = dict(title=bad, source=bad, command=bad, date=bad, decision=decision)
     text = text_of(write_report(tmp_path, hostile_cell, hostile, paper=True, **words))
     page = Page(text)
@@ -153,13 +154,14 @@ def test_the_decision_leads_the_page(tmp_path, cell, passes):
         "warning", "correction per tick", Place(12, 7, "ring"), 31.0, 30.0, "um", "Feed slower.", "it is 31 um", 3
     )
     decision = DecisionBlock(
-        Answer(False, "40 µm, 30 allowed"), Answer(True, "2 µm"), True, "spline", "stable", (finding_row(finding),)
-    )
+        as_programmed=Answer(False, "40 µm, 30 allowed"), compensated=Answer(True, "2 µm"), may_be_run=True,
+        recommended_method="spline", verdict="helps (1 to 3 um)", stability="stable", findings=(finding_row(finding),),
+    )  # fmt: skip
     table = ReportTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00")))
     text = text_of(write_report(tmp_path, cell, passes, decision=decision, tables=[table], **WORDS))
     page = Page(text)
-    order = ["fails", "40 µm, 30 allowed", "passes", "yes", "spline", "stable", "Another table", "warning"]
-    order += ["Feed slower.", "ring, line 7, XP12"]
+    order = ["fails", "40 µm, 30 allowed", "passes", "yes", "spline", "helps", "1 to 3 µm", "stable"]
+    order += ["Another table", "warning", "Feed slower.", "ring, line 7, XP12"]
     places = [page.texts.index(word) for word in order]
     assert places == sorted(places)
     assert "\u22121.5" in page.texts and "0.00" in page.texts and "other-2" in page.texts
