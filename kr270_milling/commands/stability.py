@@ -18,6 +18,9 @@ def add_arguments(parser) -> None:
         help=f"spindle speeds [rpm] (default: {COUNT} from half to one and a half times that of the cell)",
     )  # fmt: skip
     parser.add_argument("--no-arm", action="store_true", help="leave out the arm: the modes of tool.modes alone")
+    parser.add_argument(
+        "--along", action="store_true", help="instead of lobes: the limit depth of each feature of the path"
+    )
     parser.add_argument("--out", metavar="DIR", help="write lobes.csv and the picture lobes.html here")
     parser.epilog += (
         "\nkeys: path.radial_immersion (share of the diameter) and path.mode (slot, up, down) say how the tool is "
@@ -45,6 +48,9 @@ def run(args) -> None:
     from kr270_milling.studies.lobes import lobes
 
     cell = read_cell(find_file(args.cell), args.set)
+    if args.along:
+        _along(args, cell)
+        return
     nominal = cell.tool.spindle_speed * 30.0 / np.pi
     low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, COUNT)
     with progress("stability") as report:
@@ -62,6 +68,19 @@ def run(args) -> None:
     print(f"deepest stable cut: {_depth(best['depth_limit_mm'])} mm at {best['spindle_speed_rpm']:.0f} rpm")
     for name in files:
         print(name)
+
+
+def _along(args, cell) -> None:
+    from kr270_milling.studies.feature_limits import feature_limits
+
+    rows = [one.as_dict() for one in feature_limits(cell, not args.no_arm)]
+    if args.json:
+        print_json({"cell": args.cell, "arm": not args.no_arm, "features": rows})
+        return
+    columns = ["feature", "deepest cut [mm]", "limit [mm]", "chatter [Hz]", "stable"]
+    shown = [[r["feature"], fixed(r["depth_mm"], 3), _depth(r["depth_limit_mm"]), fixed(r["chatter_hz"], 1),
+              "yes" if r["stable"] else "no"] for r in rows]  # fmt: skip
+    print_table(f"Limit depth along the path at {rows[0]['spindle_speed_rpm']:.0f} rpm", columns, shown)
 
 
 def _depth(value: float) -> str:

@@ -12,9 +12,10 @@ import numpy as np
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cutting.laws import axial_per_depth, force_per_depth
+from kr270_milling.simulation.dynamics import ModalModel
 from kr270_milling.studies.monodromy import Modes, directional_matrices, multipliers
 
-__all__ = ["Lobe", "engagement_angles", "limit_depth", "lobes", "modes_of"]
+__all__ = ["Lobe", "engagement_angles", "limit_depth", "lobe_at", "lobes", "modes_of"]
 
 DEPTHS = np.geomspace(1e-6, 0.1, 26)  #: [m], between which the first loss of stability is looked for
 HALVINGS = 12  #: of such an interval, a factor of 1.6: to 0.01 % of the depth
@@ -40,16 +41,16 @@ class Lobe:
         }
 
 
-def modes_of(cell: Cell, arm: bool = True) -> Modes:
-    """The modes of the arm where the path starts, and those of ``tool.modes``; arm: False leaves out the former.
+def modes_of(cell: Cell, arm: bool = True, model: ModalModel | None = None) -> Modes:
+    """The modes of the arm, and those of ``tool.modes``; arm: False leaves out the former.
 
-    Raises ParameterError where that leaves no mode.
+    model: of the arm in another posture than where the path starts. Raises ParameterError where that leaves no mode.
     """
     tool = cell.tool.modes
     frequency = [2.0 * np.pi * tool.frequency] if tool.frequency.size else []
     ratio, shape = [tool.damping_ratio], [tool.shapes.reshape(-1, 3)]
     if arm:
-        model = cell.modal_model
+        model = model or cell.modal_model
         own = np.full(model.frequency.size, cell.dynamics.damping_ratio) if model.damping is None else model.damping
         frequency.append(model.frequency)
         ratio.append(own)
@@ -75,17 +76,11 @@ def lobes(
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Lobe]:
     """Limit depth at each spindle speed [rad/s], for the immersion of ``path`` and the feed per tooth of the cell."""
-    tool, modes = cell.tool, modes_of(cell, arm)
-    if tool.pitch.size and np.ptp(tool.pitch) > 1e-9:
-        raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: its lobes are those of tau")
-    angles = engagement_angles(cell.path.radial_immersion, cell.path.mode)
+    modes = modes_of(cell, arm)
     gradients = _gradients(cell)
 
     def one(speed: float) -> Lobe:
-        delay = 2.0 * math.pi / (speed * tool.teeth)
-        nodes = int(np.clip(PER_PERIOD * delay * modes.frequency.max() / (2.0 * math.pi), *NODES))
-        matrices = directional_matrices(gradients, tool.sense, tool.teeth, *angles, nodes)
-        return Lobe(speed, *limit_depth(modes, matrices, delay))
+        return lobe_at(cell, modes, speed, gradients)
 
     found = []
     with ThreadPoolExecutor(threads) as pool:
@@ -94,6 +89,18 @@ def lobes(
             if progress is not None:
                 progress(len(found), len(speeds))
     return found
+
+
+def lobe_at(cell: Cell, modes: Modes, speed: float, gradients=None) -> Lobe:
+    """The limit depth at one spindle speed [rad/s]; modes: in axes with x along the feed."""
+    tool = cell.tool
+    if tool.pitch.size and np.ptp(tool.pitch) > 1e-9:
+        raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: its lobes are those of tau")
+    angles = engagement_angles(cell.path.radial_immersion, cell.path.mode)
+    delay = 2.0 * math.pi / (speed * tool.teeth)
+    nodes = int(np.clip(PER_PERIOD * delay * modes.frequency.max() / (2.0 * math.pi), *NODES))
+    matrices = directional_matrices(gradients or _gradients(cell), tool.sense, tool.teeth, *angles, nodes)
+    return Lobe(speed, *limit_depth(modes, matrices, delay))
 
 
 def limit_depth(modes: Modes, matrices: np.ndarray, delay: float) -> tuple[float, float]:

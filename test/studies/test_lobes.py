@@ -12,6 +12,7 @@ from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cli import main
+from kr270_milling.studies.feature_limits import _limit, feature_limits
 from kr270_milling.studies.lobes import engagement_angles, limit_depth, lobes, modes_of
 from kr270_milling.studies.monodromy import Modes, directional_matrices, multipliers
 
@@ -51,6 +52,34 @@ def test_the_limit_converges_with_the_square_of_the_step():
         limits.append(limit_depth(modes, matrices, delay)[0])
     errors = np.abs(np.array(limits[:3]) / limits[3] - 1.0)
     assert np.polyfit(np.log([40, 80, 160]), np.log(errors), 1)[0] < -1.6
+
+
+def test_the_largest_multiplier_of_many_states_is_that_of_the_whole_map(monkeypatch):
+    """Arnoldi's method against all eigenvalues, where 200 nodes make 402 states."""
+    cell, delay = benchmark(0.5, "down"), 60.0 / 3000 / TEETH
+    matrices = directional_matrices(lambda s: (6e8 + 0 * s, 2e8 + 0 * s, 0 * s), -1.0, TEETH, 0.5 * np.pi, np.pi, 200)
+    for depth in (1e-4, 1e-3, 5e-3):
+        few = multipliers(modes_of(cell, arm=False), matrices, depth, delay)
+        with monkeypatch.context() as patch:
+            patch.setattr("kr270_milling.studies.monodromy.KRYLOV", 1000)
+            whole = multipliers(modes_of(cell, arm=False), matrices, depth, delay)
+        assert len(few) < len(whole) and np.abs(few).max() == pytest.approx(np.abs(whole).max(), rel=1e-9)
+
+
+def test_a_feature_is_cut_in_its_own_direction():
+    """A feed along y meets a mode along y as one along x meets that along x, and another one where modes differ."""
+    cell = ("path.radial_immersion=0.5", "path.mode=up", "path.length_mm=10", "cutting.law=linear_edge")
+    mode = "tool.modes=[{{direction: [{}, {}, 0], frequency_hz: 922, damping_ratio: 0.011, mass_kg: 0.03993}}]"
+    straight = ("path.file=''", "path.start_mm=[-12,0]", "path.depth_of_cut_mm=1", "path.feed_rate_m_per_min=4")
+    with_x, with_y = (
+        read_cell(find_file("test_piece.yaml"), [*cell, *straight, mode.format(*one)]) for one in ((1, 0), (0, 1))
+    )
+    (along,), (across,) = (feature_limits(one, arm=False) for one in (with_x, with_y))
+    assert along.depth == pytest.approx(1e-3) and along.name == "straight cut"
+    assert along.limit == lobes(with_x, [with_x.tool.spindle_speed], arm=False)[0]
+    assert across.limit.depth_limit != pytest.approx(along.limit.depth_limit, rel=0.05)
+    turned = _limit(with_y, False, 0, 0.5 * np.pi)
+    assert turned.depth_limit == pytest.approx(along.limit.depth_limit, rel=1e-9)
 
 
 def test_without_a_cut_the_multipliers_are_those_of_the_free_modes():
