@@ -114,8 +114,8 @@ def _rows(found) -> tuple[list[str], list[list[str]]]:
 def _write(args, found, result: dict, said: list[str]) -> list[Path]:
     from kr270_milling import __version__
     from kr270_milling.base.files import staged
+    from kr270_milling.base.include import write_include
     from kr270_milling.identification.figures import compliance_figures, write_page
-    from kr270_milling.identification.include import write_include
     from kr270_milling.identification.result import include_sections
 
     title = f"Joint compliances of {found.problem.arm.name}"

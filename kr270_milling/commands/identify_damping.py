@@ -83,8 +83,8 @@ def _rows(result: dict) -> tuple[list[str], list[list[str]]]:
 def _write(args, modes, signals, shapes, result: dict) -> list[Path]:
     from kr270_milling import __version__
     from kr270_milling.base.files import staged
+    from kr270_milling.base.include import write_include
     from kr270_milling.identification.figures import write_page
-    from kr270_milling.identification.include import write_include
     from kr270_milling.identification.mode_result import figures, include_sections
 
     title = f"Modes from {Path(args.recording).name}"

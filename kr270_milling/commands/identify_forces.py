@@ -112,9 +112,9 @@ def _rows(result: dict) -> tuple[list[str], list[list[str]]]:
 def _write(args, found, bent, said: list[str]) -> list[Path]:
     from kr270_milling import __version__
     from kr270_milling.base.files import staged
+    from kr270_milling.base.include import write_include
     from kr270_milling.identification.figures import write_page
     from kr270_milling.identification.force_result import as_dict, figures, fractional_sections, linear_edge_sections
-    from kr270_milling.identification.include import write_include
 
     title = f"Force coefficients from {Path(args.cuts).name}"
     notes = [f"{title}, identified by kr270_milling {__version__} from {len(found.cuts)} cuts", *said,

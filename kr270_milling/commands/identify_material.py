@@ -47,8 +47,8 @@ def _write(args, material) -> Path:
     import numpy as np
 
     from kr270_milling.base.files import staged
+    from kr270_milling.base.include import write_include
     from kr270_milling.identification.force_result import linear_edge_sections
-    from kr270_milling.identification.include import write_include
 
     sections = linear_edge_sections(material.values, np.full(6, np.nan))
     notes = [f"{material.name}, {material.cutter}, {material.lubrication}", f"[source: {material.source}]"]

@@ -7,7 +7,9 @@ import math
 
 from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json, print_table
 from kr270_milling.commands.progress import progress
+from kr270_milling.nodes.option_types import bounded
 
+MOST = 10_000_000
 BEST = 5  #: placements that are written as cells
 AXES = {
     "x": ("mm", "of the workpiece's origin on base_link"),
@@ -24,7 +26,21 @@ def add_arguments(parser) -> None:
         parser.add_argument(f"--{name}", metavar="LOW:HIGH:COUNT", type=_axis, help=f"[{unit}] {text}")
     parser.add_argument("--out", metavar="DIR", default="map", help="where rows, cells and picture go (default: map)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, tcp://host:port")
-    parser.add_argument("--chunk", metavar="N", type=int, default=500, help="placements a file (default: 500)")
+    parser.add_argument(
+        "--chunk", metavar="N", type=bounded(1, 1_000_000, int), default=500, help="placements a file (default: 500)"
+    )
+    along = parser.add_argument_group("along a path")
+    along.add_argument(
+        "--along", metavar="PATH", nargs="?", const="",
+        help="turn the tool about its axis along this tool path (default: that of the cell), where the workpiece is",
+    )  # fmt: skip
+    along.add_argument(
+        "--smooth", metavar="UM", type=bounded(0.001, 1e6), default=1.0,
+        help="how much error [um] a turn of 1 deg/s is worth (default: 1)",
+    )  # fmt: skip
+    along.add_argument(
+        "--places", metavar="N", type=bounded(3, 5000, int), default=200, help="along the path (default: 200)"
+    )
     add_common(parser)
 
 
@@ -40,13 +56,18 @@ def _axis(text: str) -> tuple[float, float, int]:
 
 
 def run(args) -> None:
+    if args.along is not None:
+        from kr270_milling.commands.map_along import run_along
+
+        run_along(args)
+        return
     import numpy as np
 
     from kr270_milling.base.errors import ParameterError
     from kr270_milling.base.record import find_file
     from kr270_milling.cell.cell import read_cell
-    from kr270_milling.studies.best import best_rows, write_cells, write_picture
-    from kr270_milling.studies.engine import Study, read_rows, run_chunks
+    from kr270_milling.studies.best import Summary, write_cells, write_picture
+    from kr270_milling.studies.engine import Study, content, run_chunks
     from kr270_milling.studies.placements import Placements, course_of
 
     source = find_file(args.cell).resolve()
@@ -59,23 +80,24 @@ def run(args) -> None:
         for axis, value, scale in zip(given, here, scales, strict=True)
     )
     placements = Placements(cell, course_of(cell), axes, args.chunk)
-    if not 1 <= args.chunk <= 1_000_000 or len(placements) > 10_000_000:
-        raise ParameterError("--chunk", args.chunk, "at least 1, and at most 10 million placements in all")
-    plan = {"study": "map", "cell": source.name, "set": args.set, "axes": given, "chunk": args.chunk}
+    if len(placements) > MOST:
+        raise ParameterError("map", len(placements), f"at most {MOST} placements in all")
+    plan = {"study": "map", "cell": content(source, cell), "set": args.set, "axes": given, "chunk": args.chunk}
     study = Study(output_directory(args.out), plan)
     postures = 8 * args.chunk * len(placements.course.position)
     with progress("map", unit="chunks", rate="postures", each=postures) as report:
         seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
-    table = read_rows(args.out)
-    best = best_rows(table, BEST)
-    cells = write_cells(args.out, source, cell, placements.course, best)
+    summary = Summary(axes[0], axes[1], BEST)
+    for table in study.tables(placements.chunks):
+        summary.add(table)
+    cells = write_cells(args.out, source, args.set, cell, placements.course, summary.best)
     found = {
-        "rows": table.num_rows,
-        "rows_per_s": table.num_rows / seconds if seconds else None,
-        "postures_per_s": table.num_rows * len(placements.course.position) / seconds if seconds else None,
-        "feasible": int(np.sum(table["feasible"].to_numpy())),
-        "best": [row | {"cell": str(path)} for row, path in zip(best, cells, strict=True)],
-        "picture": str(write_picture(args.out, table)),
+        "rows": summary.rows,
+        "rows_per_s": summary.rows / seconds if seconds else None,
+        "postures_per_s": summary.rows * len(placements.course.position) / seconds if seconds else None,
+        "feasible": summary.feasible,
+        "best": [row | {"cell": str(path)} for row, path in zip(summary.best, cells, strict=True)],
+        "picture": str(write_picture(args.out, summary)),
         "out": args.out,
     }
     if args.json:

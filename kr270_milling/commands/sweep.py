@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json
 from kr270_milling.commands.progress import progress
+from kr270_milling.nodes.option_types import bounded
 
 
 def add_arguments(parser) -> None:
@@ -17,7 +18,9 @@ def add_arguments(parser) -> None:
     parser.add_argument("--seed", metavar="N", type=int, default=1, help="of --latin (default: 1)")
     parser.add_argument("--out", metavar="DIR", default="sweep", help="where the rows go (default: sweep)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, tcp://host:port")
-    parser.add_argument("--chunk", metavar="N", type=int, default=8, help="rows a file (default: 8)")
+    parser.add_argument(
+        "--chunk", metavar="N", type=bounded(1, 100_000, int), default=0, help="rows a file (default: 1 to 8)"
+    )
     add_common(parser)
 
 
@@ -25,24 +28,23 @@ def run(args) -> None:
     from kr270_milling.base.errors import ParameterError
     from kr270_milling.base.record import find_file
     from kr270_milling.cell.cell import read_cell
-    from kr270_milling.studies.engine import Study, read_rows, run_chunks
+    from kr270_milling.studies.engine import Study, content, run_chunks
     from kr270_milling.studies.sweep import Sweep, parse_axis
 
     if args.latin != (args.samples is not None):
         raise ParameterError("--samples", args.samples, "given together with --latin")
     cell = find_file(args.cell).resolve()
-    read_cell(cell, args.set)  # what no row could run is refused before anything is started
+    hashed = content(cell, read_cell(cell, args.set))  # what no row could run is refused before anything is started
     axes = tuple(parse_axis(text) for text in args.vary)
     sweep = Sweep(str(cell), tuple(args.set), axes, args.samples, args.seed, args.chunk)
-    plan = {"study": "sweep", "cell": cell.name, "set": args.set, "vary": args.vary, "samples": args.samples,
+    plan = {"study": "sweep", "cell": hashed, "set": args.set, "vary": args.vary, "samples": args.samples,
             "seed": args.seed, "chunk": args.chunk}  # fmt: skip
     study = Study(output_directory(args.out), plan)
-    with progress("sweep", unit="chunks", rate="passes", each=args.chunk) as report:
+    with progress("sweep", unit="chunks", rate="passes", each=sweep.chunk) as report:
         seconds = run_chunks(study, sweep.chunks, sweep, args.scheduler, report)
-    table = read_rows(args.out)
-    failed = sum(text != "" for text in table["error"].to_pylist())
-    found = {"rows": table.num_rows, "failed": failed, "out": args.out, "wall_s": seconds}
+    sentences = [text for table in study.tables(sweep.chunks, ["error"]) for text in table["error"].to_pylist()]
+    found = {"rows": len(sentences), "failed": sum(map(bool, sentences)), "out": args.out, "wall_s": seconds}
     if args.json:
         print_json(found)
     else:
-        print(f"{table.num_rows} rows, {failed} failed (column error), in {seconds:.1f} s: {args.out}")
+        print(f"{found['rows']} rows, {found['failed']} failed (column error), in {seconds:.1f} s: {args.out}")

@@ -25,7 +25,7 @@ import numpy as np
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import Record, parameter
 
-__all__ = ["Compensator", "NO_COMPENSATOR"]
+__all__ = ["Compensator", "NO_COMPENSATOR", "moment_slope"]
 
 UPRIGHT = -np.pi / 2  #: q2 at which the preload is stated
 
@@ -75,10 +75,17 @@ class Compensator(Record):
         """dM_c/dq2 [N m/rad]."""
         if not self.present:
             return np.zeros_like(cosine)
-        s = self.length(cosine, sine)
-        slope = self.arm_length * (self.base_x * sine + self.base_z * cosine) / s
-        bend = (self.arm_length * (self.base_x * cosine - self.base_z * sine) - slope**2) / s
-        return -self.stiffness * (slope**2 + (s - self.free_length) * bend)
+        spring = (self.stiffness, self.free_length, self.base_x, self.base_z, self.arm_length)
+        return moment_slope(spring, cosine, sine)
+
+
+def moment_slope(spring, cosine, sine):
+    """dM_c/dq2 [N m/rad]; spring: k, s_0, a_x, a_z, L. Plain arithmetic, so that batches of postures compile it."""
+    k, s_0, a_x, a_z, length = spring
+    s = np.sqrt(a_x**2 + a_z**2 + length**2 - 2 * length * (a_x * cosine - a_z * sine))
+    slope = length * (a_x * sine + a_z * cosine) / s
+    bend = (length * (a_x * cosine - a_z * sine) - slope**2) / s
+    return -k * (slope**2 + (s - s_0) * bend)
 
 
 #: an arm without one

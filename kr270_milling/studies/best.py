@@ -7,53 +7,71 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.files import write_files
-from kr270_milling.base.parameter_file import shipped_directories
+from kr270_milling.base.include import write_include
+from kr270_milling.base.parameter_file import merge, override, shipped_directories
 from kr270_milling.cell.cell import Cell
 from kr270_milling.studies.placements import Course, moved_cell
 
-__all__ = ["best_rows", "write_cells", "write_picture"]
+__all__ = ["Summary", "write_cell", "write_cells", "write_picture"]
+
+SHOWN = {"error_max_um": "before compensation [um]", "compensated_max_um": "after, one sigma [um]",
+         "lowest_mode_hz": "lowest mode [Hz]"}  # fmt: skip
 
 
-def best_rows(table, count: int) -> list[dict]:
-    """The feasible rows of the smallest largest error, one for each placement of the workpiece."""
-    feasible = np.flatnonzero(table["feasible"].to_numpy())
-    order = feasible[np.argsort(table["error_max_um"].to_numpy()[feasible], kind="stable")]
-    found, seen = [], set()
-    for index in order.tolist():
-        row = {name: table[name][index].as_py() for name in table.column_names}
-        place = tuple(row[name] for name in ("x_mm", "y_mm", "z_mm", "turn_deg"))
-        if place not in seen:
-            seen.add(place)
-            found.append(row)
-        if len(found) == count:
-            break
-    return found
+class Summary:
+    """What is told of all rows, gathered chunk by chunk so that memory does not grow with them."""
+
+    def __init__(self, x: np.ndarray, y: np.ndarray, count: int):
+        self.x, self.y, self.count = np.unique(1e3 * x), np.unique(1e3 * y), count
+        self.rows = self.feasible = 0
+        self.best: list[dict] = []  #: the placements of the smallest largest error, the best branch of each
+        self.maps = {name: np.full((len(self.y), len(self.x)), np.nan) for name in SHOWN}
+
+    def add(self, table) -> None:
+        """One chunk."""
+        usable = np.flatnonzero(table["feasible"].to_numpy())
+        error = table["error_max_um"].to_numpy()[usable]
+        self.rows, self.feasible = self.rows + table.num_rows, self.feasible + len(usable)
+        order = usable[np.argsort(error, kind="stable")]
+        for index in order[: 8 * self.count].tolist():
+            self._enter({name: table[name][index].as_py() for name in table.column_names})
+        place = tuple(np.searchsorted(axis, table[name].to_numpy()[usable])
+                      for axis, name in ((self.y, "y_mm"), (self.x, "x_mm")))  # fmt: skip
+        for name, least in self.maps.items():
+            np.fmin.at(least, place, table[name].to_numpy()[usable])
+
+    def _enter(self, row: dict) -> None:
+        def place(one: dict) -> tuple:
+            return tuple(one[name] for name in ("x_mm", "y_mm", "z_mm", "turn_deg"))
+
+        rivals = [one for one in self.best if place(one) == place(row)]
+        if rivals and rivals[0]["error_max_um"] <= row["error_max_um"]:
+            return
+        others = [one for one in self.best if place(one) != place(row)]
+        self.best = sorted([*others, row], key=lambda one: one["error_max_um"])[: self.count]
 
 
-def write_cells(folder, source: Path, cell: Cell, course: Course, rows: list[dict]) -> list[Path]:
+def write_cells(folder, source: Path, settings, cell: Cell, course: Course, rows: list[dict]) -> list[Path]:
     """A parameter file for each row, which includes ``source`` and moves workpiece, mount and posture."""
-    posture = "start_joints_deg" if cell.start_joints.size else "posture_hint_deg"
     written = []
     for number, row in enumerate(rows, 1):
-        moved = moved_cell(cell, course, row)
-        error = f"{row['error_max_um']:.1f} um before, {row['compensated_max_um']:.1f} um after compensation"
-        lines = [
-            f"# Placement {number} of the map: largest static error across the feed {error} (predicted, one sigma)",
-            "/**:",
-            "  ros__parameters:",
-            f"    includes: [{_included(source, Path(folder))!r}]",
-            f"    {posture}: {moved['posture_hint_deg']}",
-            "    workpiece:",
-            f"      xyz_mm: {moved['workpiece']['xyz_mm']}",
-            f"      abc_deg: {moved['workpiece']['abc_deg']}",
-            *(["      at_start_joints: false"] if cell.workpiece.at_start_joints else []),
-            "    mount:",
-            f"      abc_deg: {moved['mount']['abc_deg']}",
-        ]
+        note = (f"Placement {number} of the map: largest static error across the feed {row['error_max_um']:.1f} um "
+                f"before, {row['compensated_max_um']:.1f} um after compensation (predicted, one sigma)")  # fmt: skip
         written.append(Path(folder) / f"best_{number}.yaml")
-        write_files({written[-1]: (line + "\n" for line in lines)})
+        write_cell(written[-1], source, settings, cell, moved_cell(cell, course, row), note)
     return written
+
+
+def write_cell(path: Path, source: Path, settings, cell: Cell, changes: dict, note: str) -> None:
+    """A parameter file that includes ``source``, with the ``key=value`` texts of the command line and the changes.
+
+    changes: as of ``moved_cell``, its posture as ``posture_deg``.
+    """
+    sections = merge(override({}, settings)[0], {key: value for key, value in changes.items() if key != "posture_deg"})
+    sections["start_joints_deg" if cell.start_joints.size else "posture_hint_deg"] = changes["posture_deg"]
+    if not cell.workpiece.at_start_joints:
+        sections["workpiece"].pop("at_start_joints", None)
+    write_include(path, {"includes": [_included(source, path.parent)], **sections}, [note], digits=12)
 
 
 def _included(source: Path, folder: Path) -> str:
@@ -63,24 +81,21 @@ def _included(source: Path, folder: Path) -> str:
     return os.path.relpath(source, folder.resolve())
 
 
-def write_picture(folder, table) -> Path:
-    """Heat maps over x and y: the least of the largest errors there, before and after compensation."""
+def write_picture(folder, summary: Summary) -> Path:
+    """Heat maps over x and y: the least of each column there."""
     from plotly.subplots import make_subplots
 
-    feasible = table["feasible"].to_numpy()
-    x, y = (table[name].to_numpy()[feasible] for name in ("x_mm", "y_mm"))
-    figure = make_subplots(cols=2, subplot_titles=["before compensation [um]", "after, one sigma [um]"])
-    columns, rows = np.unique(x), np.unique(y)
-    for number, name in enumerate(("error_max_um", "compensated_max_um"), 1):
-        least = np.full((len(rows), len(columns)), np.nan)
-        values = table[name].to_numpy()[feasible]
-        places = np.searchsorted(rows, y), np.searchsorted(columns, x)
-        np.fmin.at(least, places, values)
-        figure.add_heatmap(x=columns, y=rows, z=least, colorscale="Viridis", col=number, row=1,
-                           colorbar={"x": 0.45 if number == 1 else 1.0})  # fmt: skip
+    figure = make_subplots(cols=3, subplot_titles=list(SHOWN.values()), shared_yaxes=True, horizontal_spacing=0.1)
+    for number, least in enumerate(summary.maps.values(), 1):
+        middle = figure.get_subplot(1, number).xaxis.domain
+        figure.add_heatmap(x=summary.x, y=summary.y, z=least, colorscale="Viridis", col=number, row=1,
+                           colorbar={"x": middle[1], "xpad": 2, "thickness": 12})  # fmt: skip
         figure.update_xaxes(title="x [mm]", row=1, col=number)
-        figure.update_yaxes(title="y [mm]", row=1, col=number)
-    figure.update_layout(title="Where to clamp the part: least largest error; white: out of reach or limits")
+    figure.update_yaxes(title="y [mm]", row=1, col=1)
+    figure.update_layout(
+        title="Where to clamp the part: the least value over z, turns and branches; white: out of reach or limits",
+        template="plotly_white",
+    )
     path = Path(folder) / "map.html"
     figure.write_html(path, include_plotlyjs=True)
     return path

@@ -7,17 +7,29 @@ A chunk depends on nothing but its number, so the rows are the same bit for bit 
 from __future__ import annotations
 
 import contextlib
+import functools
+import hashlib
+import itertools
 import json
+import math
 import os
 import time
+import uuid
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from pathlib import Path
 
 from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.record import read_tree
+from kr270_milling.cell.cell import Cell
+from kr270_milling.programs.files import source_hash
 
-__all__ = ["EngineError", "Study", "read_rows", "run_chunks"]
+__all__ = ["EngineError", "Study", "content", "run_chunks"]
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
+ANSWER = 10.0  #: [s] for a scheduler to answer
+PATIENCE = 30.0  #: [s] for a first worker
+LOOK = 1.0  #: [s] between two looks at the number of workers
 PLAN = "study.json"
 
 
@@ -47,6 +59,19 @@ class Study:
         """Numbers of the chunks that are not there yet."""
         return [number for number in range(count) if not self.chunk(number).exists()]
 
+    def tables(self, count: int, columns=None) -> Iterator:
+        """The chunks as Arrow tables, one after the other, so that memory holds one."""
+        from pyarrow import parquet
+
+        for number in range(count):
+            yield parquet.read_table(self.chunk(number), columns=columns)
+
+
+def content(path, cell: Cell) -> str:
+    """A hash of what a parameter file and its tool path say, so that rows of another cell are not taken for these."""
+    tree = json.dumps(read_tree(path), sort_keys=True, default=str)
+    return hashlib.sha256(f"{tree}{source_hash(cell)}".encode()).hexdigest()
+
 
 def _write_whole(path: Path, data: bytes) -> None:
     draft = path.with_suffix(".part")
@@ -64,38 +89,58 @@ def run_chunks(
     """Make the missing ones of ``count`` chunks; rows_of(number): the bytes of a Parquet file. Returns seconds.
 
     A killed worker's chunk is made again by another one; a killed driver loses the chunks under way. Raises
-    EngineError where Dask is missing or the scheduler cannot be reached.
+    EngineError where Dask is missing, or the scheduler cannot be reached, has no worker or goes away.
     """
     missing, start = study.missing(count), time.monotonic()
     if not missing:
         return 0.0
+    if scheduler is None and len(missing) == 1:  # one chunk is made here before workers are up
+        _write_whole(study.chunk(missing[0]), rows_of(missing[0]))
+        return time.monotonic() - start
     with _client(scheduler) as client:
-        from dask.distributed import as_completed
-
-        workers = max(1, sum(client.nthreads().values()))
-        waiting = iter(missing)
-        numbers = {}
-
-        def submit() -> list:
-            number = next(waiting, None)
-            if number is None:
-                return []
-            future = client.submit(rows_of, number, key=f"{study.folder.name}-{number}-{os.getpid()}", pure=False)
-            numbers[future.key] = number
-            return [future]
-
-        first = [future for _ in range(AHEAD * workers) for future in submit()]
-        running = as_completed(first)
         done = count - len(missing)
-        for future in running:
-            _write_whole(study.chunk(numbers.pop(future.key)), future.result())
-            future.release()
-            done += 1
-            if progress is not None:
-                progress(done, count)
-            for new in submit():
-                running.add(new)
+        try:
+            for number, data in _made(client, f"{study.folder.name}-{uuid.uuid4().hex}", missing, rows_of):
+                _write_whole(study.chunk(number), data)
+                done += 1
+                if progress is not None:
+                    progress(done, count)
+        except (CancelledError, OSError, TimeoutError) as error:
+            text = f"the workers are gone, or lack this package ({error}); the same command goes on where it stopped"
+            raise EngineError(text) from None
     return time.monotonic() - start
+
+
+def _made(client, name: str, missing: list[int], rows_of: Callable[[int], bytes]) -> Iterator[tuple[int, bytes]]:
+    """Number and bytes of each chunk as it is ready; no more than AHEAD a thread of the workers are out at a time."""
+    from dask.distributed import as_completed
+
+    client.wait_for_workers(1, timeout=PATIENCE)
+    # a task of its own: workers hand it to each other, and it is made again where all that had it were killed
+    source = client.submit(functools.partial(_same, rows_of), key=f"{name}-rows", pure=False)
+    waiting, numbers = iter(missing), {}
+    running = as_completed()
+    looked = -math.inf
+    while True:
+        if time.monotonic() - looked > LOOK:  # workers come and go
+            most, looked = AHEAD * max(1, sum(client.nthreads().values())), time.monotonic()
+        for number in itertools.islice(waiting, max(0, most - len(numbers))):
+            future = client.submit(_rows, source, number, key=f"{name}-{number}", pure=False)
+            numbers[future.key] = number
+            running.add(future)
+        if not numbers:
+            return
+        future = next(running)
+        yield numbers.pop(future.key), future.result()
+        future.release()
+
+
+def _same(rows_of: Callable[[int], bytes]) -> Callable[[int], bytes]:
+    return rows_of
+
+
+def _rows(rows_of: Callable[[int], bytes], number: int) -> bytes:
+    return rows_of(number)
 
 
 @contextlib.contextmanager
@@ -109,7 +154,7 @@ def _client(scheduler: str | None) -> Iterator:
     with dask.config.set({**quiet, "distributed.scheduler.allowed-failures": 3}):
         if scheduler:
             try:
-                client = Client(scheduler, timeout="10s")
+                client = Client(scheduler, timeout=ANSWER)
             except (OSError, ValueError) as error:
                 raise EngineError(f"the scheduler {scheduler} does not answer: {error}") from None
             with client:
@@ -121,11 +166,3 @@ def _client(scheduler: str | None) -> Iterator:
         )  # fmt: skip
         with cluster, Client(cluster) as client:
             yield client
-
-
-def read_rows(folder):
-    """All rows of a study as one Arrow table, in the order of their numbers."""
-    import pyarrow
-    import pyarrow.parquet as parquet
-
-    return pyarrow.concat_tables([parquet.read_table(path) for path in sorted(Path(folder).glob("rows-*.parquet"))])

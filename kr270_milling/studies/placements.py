@@ -1,9 +1,10 @@
 """Placements of the part in front of the arm: reach, limits, singularities and predicted static error along a path.
 
 A row is one placement of the workpiece (x, y, z, turn about z), one turn of the tool about its axis and one branch of
-the arm. With J(q) the Jacobian of the tool point and k the joint compliances, the point gives way by
-C F = J diag(k) J^T F under the cutting force F of each place on the path; the error is the part of it across the feed.
-The compensation takes that away as far as compliances and force coefficients are known: what is left is the error
+the arm. With J(q) the Jacobian of the tool point and c the joint compliances (that of joint 2 with the gravity
+compensator's share), the point gives way by C F = J diag(c) J^T F under the cutting force F of each place on the path;
+the error is the part of it across the feed. Link weights, which change C by less than 1 %, are left out. The
+compensation takes the error away as far as compliances and force coefficients are known: what is left is the error
 times sqrt(s_k^2 + s_F^2), one standard deviation of ``uncertainty``.
 """
 
@@ -18,16 +19,19 @@ import numpy as np
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.robot import jacobian, singularity_measures
-from kr270_milling.robot.arm import Arm
+from kr270_milling.robot import cartesian_mass, jacobian
 from kr270_milling.robot.inverse import branches
+from kr270_milling.robot.mass import mode_frequencies
+from kr270_milling.simulation.milling_pass import PassResult
+from kr270_milling.studies.postures import along_path, postures, whole_turns
 
-__all__ = ["COLUMNS", "Course", "Placements", "course_of", "moved_cell"]
+__all__ = ["COLUMNS", "Course", "Placements", "about_z", "course_at", "course_of", "moved_cell", "place_of"]
 
+SINGULAR = 1e-6  #: measure of a posture below which no Jacobian is inverted
 PLACES = 24  #: along the path at which each placement is looked at
 COLUMNS = (
     "x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", "feasible", "reachable", "within_limits",
-    "singularity", "compliance_um_per_n", "error_max_um", "error_mean_um", "compensated_max_um",
+    "singularity", "lowest_mode_hz", "compliance_um_per_n", "error_max_um", "error_mean_um", "compensated_max_um",
     "compensated_mean_um",
 )  # fmt: skip
 
@@ -43,16 +47,21 @@ class Course:
 
 
 def course_of(cell: Cell, places: int = PLACES) -> Course:
-    """Places where the tool cuts in one pass of the cell, with the mean force of the period there."""
-    ran = simulate(cell)
-    cutting = np.flatnonzero(ran.result.volume > 0.0)
-    chosen = cutting[np.linspace(0, len(cutting) - 1, places).astype(int)]
-    time_ns = ran.result.time_ns[chosen]
-    target = cell.target()
+    """Places where the tool cuts in one pass of the cell, with the mean force of the revolution there."""
+    result = simulate(cell).result
+    cutting = np.flatnonzero(result.volume > 0.0)
+    return course_at(cell, result, cutting[np.linspace(0, len(cutting) - 1, places).astype(int)])
+
+
+def course_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> Course:
+    """The exchange periods ``chosen`` (m,) of a pass; where the tool stands still, its feed is 0."""
+    time_ns, target = result.time_ns[chosen], cell.target()
     feed = target.sample_velocity(time_ns)
     feed = feed / np.maximum(np.linalg.norm(feed, axis=1, keepdims=True), 1e-12)
     window = max(1, round(2.0 * math.pi / cell.tool.spindle_speed / cell.exchange.period))  # a revolution
-    mean = np.array([ran.result.wrench[max(0, k - window + 1) : k + 1, :3].mean(axis=0) for k in chosen])
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(result.wrench[:, :3], axis=0)])
+    first = np.maximum(chosen + 1 - window, 0)
+    mean = (total[chosen + 1] - total[first]) / (chosen + 1 - first)[:, None]
     return Course(target.sample(time_ns), rotation_from_quaternion(target.sample_orientation(time_ns)), feed, mean)
 
 
@@ -90,57 +99,65 @@ class Placements:
 
     def rows(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
         """The measures of placements (n, 5), each (n, 8): one a branch."""
-        arm, course = self.cell.arm, self.course
-        turn, tool_turn = _about_z(chosen[:, 3]), _about_z(chosen[:, 4])
+        cell, course = self.cell, self.course
+        turn, tool_turn = about_z(chosen[:, 3]), about_z(chosen[:, 4])
         frame = turn @ self.base.rotation  # workpiece axes in base axes, (n, 3, 3)
-        position = chosen[:, None, :3] + np.einsum("nij,mj->nmi", frame, course.position)
-        rotation = np.einsum("nij,mjk,nkl->nmil", frame, course.rotation, tool_turn)
-        middle = np.broadcast_to((arm.joint_lower + arm.joint_upper) / 2, (*position.shape[:2], 6))
-        q, _ = branches(arm, self.cell.mount, Pose(position, rotation), middle)  # (n, m, 8, 6)
-        reachable = np.isfinite(q).all(axis=(1, 3))
-        q, within = _within(arm, np.nan_to_num(q))
-        singular = singularity_measures(arm, q).min(axis=(1, 3))
-        turned = jacobian(arm, self.cell.mount, q)[..., :3, :]  # (n, m, 8, 3, 6)
-        force = np.einsum("nij,mj->nmi", frame, course.force)[:, :, None]
-        torque = np.einsum("nmbij,nmbi->nmbj", turned, np.broadcast_to(force, turned.shape[:-1]))
-        way = np.einsum("nmbij,j,nmbj->nmbi", turned, arm.joint_compliance, torque)
-        feed = np.einsum("nij,mj->nmi", frame, course.feed)[:, :, None]
-        across = np.linalg.norm(way - np.sum(way * feed, -1, keepdims=True) * feed, axis=-1)
+        back = np.swapaxes(frame, -1, -2)
+        position = chosen[:, None, :3] + course.position @ back
+        rotation = frame[:, None] @ course.rotation @ tool_turn[:, None]
+        force, feed = course.force @ back, course.feed @ back
+        n, m = position.shape[:2]
+        place = Pose(position.reshape(-1, 3), rotation.reshape(-1, 3, 3))
+        q, way = postures(cell.arm, cell.mount, place, force.reshape(-1, 3), cell.dynamics.gravity)
+        q, way = q.reshape(n, m, 8, 6), way.reshape(n, m, 8, 3)
         size = np.maximum(np.linalg.norm(force, axis=-1), 1e-12)
-        left = math.hypot(self.cell.uncertainty.joint_compliance, self.cell.uncertainty.force_coefficient)
-        feasible = reachable & within & (singular > 0.0)
-        measures = {
+        within, measures = along_path(cell.arm, q, way, feed, size)
+        singular, soft, largest, mean = np.moveaxis(measures, -1, 0)
+        reachable, feasible = np.isfinite(singular), within & (singular > SINGULAR)
+        left = math.hypot(cell.uncertainty.joint_compliance, cell.uncertainty.force_coefficient)
+        return {
+            "feasible": feasible,
+            "reachable": reachable,
+            "within_limits": within,
             "singularity": singular,
-            "compliance_um_per_n": 1e6 * (np.linalg.norm(way, axis=-1) / size).max(axis=1),
-            "error_max_um": 1e6 * across.max(axis=1),
-            "error_mean_um": 1e6 * across.mean(axis=1),
-            "compensated_max_um": 1e6 * left * across.max(axis=1),
-            "compensated_mean_um": 1e6 * left * across.mean(axis=1),
+            "lowest_mode_hz": self.lowest_mode(q[:, m // 2], feasible),
+            "compliance_um_per_n": 1e6 * soft,
+            "error_max_um": 1e6 * largest,
+            "error_mean_um": 1e6 * mean,
+            "compensated_max_um": 1e6 * left * largest,
+            "compensated_mean_um": 1e6 * left * mean,
         }
-        shown = {name: np.where(reachable, value, np.nan) for name, value in measures.items()}
-        return {"feasible": feasible, "reachable": reachable, "within_limits": within, **shown}
+
+    def lowest_mode(self, q: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+        """[Hz], (n, 8), of the chosen ones of the postures q (n, 8, 6), NaN elsewhere; A5 may have either sign."""
+        cell, found = self.cell, np.full(q.shape[:2], np.nan)
+        measured = cell.dynamics.modes.frequency
+        if measured.size:
+            found[chosen] = measured.min()
+            return found
+        some = chosen[:, ::2] | chosen[:, 1::2]
+        if not some.any():
+            return found
+        posture = q[:, ::2][some]  # chosen or not, it is regular: the measures do not see the sign of A5
+        turned = jacobian(cell.arm, cell.mount, posture)
+        soft = np.tile(cell.arm.joint_compliance, (len(posture), 1))
+        if cell.dynamics.gravity:
+            soft[:, 1] /= 1.0 - soft[:, 1] * cell.arm.compensator.moment_slope(*_circle(posture[:, 1]))
+        mass = cartesian_mass(cell.arm, cell.mount, posture, cell.dynamics.mass_model)
+        lowest = mode_frequencies((turned * soft[:, None]) @ np.swapaxes(turned, -1, -2), mass)[..., 0]
+        found[:, ::2][some] = lowest
+        found[:, 1::2][some] = lowest
+        return np.where(chosen, found, np.nan)
 
 
-def _about_z(angle: np.ndarray) -> np.ndarray:
+def _circle(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return np.cos(angle), np.sin(angle)
+
+
+def about_z(angle: np.ndarray) -> np.ndarray:
     """Turns about z by angles (n,) [rad], (n, 3, 3)."""
     c, s, zero = np.cos(angle), np.sin(angle), np.zeros(len(angle))
     return np.stack([np.stack([c, -s, zero], -1), np.stack([s, c, zero], -1), np.stack([zero, zero, zero + 1], -1)], 1)
-
-
-def _within(arm: Arm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (n, m, 8, 6) unwrapped along the path and shifted by whole turns, and whether all lie in the limits."""
-    q = np.unwrap(q, axis=1)
-    low, high = q.min(axis=1), q.max(axis=1)
-    turns = np.ceil((arm.joint_lower - low) / (2 * np.pi))
-    turns = np.where(arm.joint_lower <= low, -np.floor((low - arm.joint_lower) / (2 * np.pi)), turns)
-    inside = np.zeros(low.shape, bool)
-    best = np.zeros(low.shape)
-    for more in range(3):  # the lowest turn that is above the lower limit, and the next ones
-        shift = 2 * np.pi * (turns + more)
-        fits = (low + shift >= arm.joint_lower) & (high + shift <= arm.joint_upper) & ~inside
-        best = np.where(fits, shift, best)
-        inside |= fits
-    return q + best[:, None], np.all(inside, axis=-1)
 
 
 def _parquet(chosen: np.ndarray, rows: dict[str, np.ndarray]) -> bytes:
@@ -158,19 +175,25 @@ def _parquet(chosen: np.ndarray, rows: dict[str, np.ndarray]) -> bytes:
 
 def moved_cell(cell: Cell, course: Course, row: dict) -> dict:
     """What a parameter file must say for a placement: workpiece, mount, posture hint; lengths in mm, angles in deg."""
-    turn = _about_z(np.radians([row["turn_deg"]]))[0]
+    turn = about_z(np.radians([row["turn_deg"]]))[0]
     frame = Pose(np.array([row["x_mm"], row["y_mm"], row["z_mm"]]) * 1e-3, turn @ cell.workpiece.pose.rotation)
-    tool_turn = _about_z(np.radians([row["tool_turn_deg"]]))[0]
+    tool_turn = about_z(np.radians([row["tool_turn_deg"]]))[0]
     mount = Pose(cell.mount.pose.position, cell.mount.pose.rotation @ tool_turn.T)
     middle = len(course.position) // 2
     place = frame @ Pose(course.position[middle], course.rotation[middle] @ tool_turn)
     q, _ = branches(cell.arm, cell.mount, place, (cell.arm.joint_lower + cell.arm.joint_upper) / 2)
-    hint, _ = _within(cell.arm, q[None, None, int(row["branch"])][:, :, None])
+    hint = q[int(row["branch"])][None]
+    whole_turns(hint, cell.arm.joint_lower, cell.arm.joint_upper)
     return {
-        "workpiece": {"xyz_mm": _listed(1e3 * frame.position), "abc_deg": _abc(frame), "at_start_joints": False},
+        "workpiece": place_of(frame),
         "mount": {"abc_deg": _abc(mount)},
-        "posture_hint_deg": _listed(np.degrees(hint[0, 0, 0])),
+        "posture_deg": _listed(np.degrees(hint[0])),
     }
+
+
+def place_of(frame: Pose) -> dict:
+    """The section ``workpiece`` for a workpiece frame on base_link."""
+    return {"xyz_mm": _listed(1e3 * frame.position), "abc_deg": _abc(frame), "at_start_joints": False}
 
 
 def _abc(pose: Pose) -> list[float]:

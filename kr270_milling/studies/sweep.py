@@ -66,9 +66,11 @@ class Sweep:
     axes: tuple[Axis, ...]
     samples: int | None = None  #: of a Latin hypercube; None: the grid, the last axis fastest
     seed: int = 1
-    chunk: int = 8  #: rows a file
+    chunk: int = 0  #: rows a file; 0: as many as make some 64 files, 8 at most
 
     def __post_init__(self):
+        if self.chunk == 0:
+            object.__setattr__(self, "chunk", min(8, max(1, len(self) // 64)))
         if not 1 <= self.chunk <= 100_000:
             raise ParameterError("--chunk", self.chunk, "from 1 to 100000")
         if self.samples is not None and not 1 <= self.samples <= MOST_ROWS:

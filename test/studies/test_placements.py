@@ -41,7 +41,7 @@ def test_a_feasible_row_is_what_finite_differences_of_the_arm_give(placements):
     moved = moved_cell(placements.cell, placements.course, row)
     place = moved["workpiece"]
     settings = [f"workpiece.xyz_mm={place['xyz_mm']}", f"workpiece.abc_deg={place['abc_deg']}"]
-    settings += [f"mount.abc_deg={moved['mount']['abc_deg']}", f"posture_hint_deg={moved['posture_hint_deg']}"]
+    settings += [f"mount.abc_deg={moved['mount']['abc_deg']}", f"posture_hint_deg={moved['posture_deg']}"]
     cell = read_cell(find_file("test_piece.yaml"), settings)
     quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))  # the tool down
     q = cell.joints_at(placements.course.position, quaternion)  # independent: the path of the cell itself

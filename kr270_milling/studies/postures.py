@@ -1,0 +1,177 @@
+"""Many postures at once, compiled: all branches of the inverse kinematics, how far the tool gives way, path measures.
+
+The equations are those of ``robot.inverse`` and ``robot.kinematics``, one pose after the other instead of array by
+array. Both signs of A5 are one configuration of the links with axis 5 turned round, so they give way alike.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from kr270_milling.base.frames import Pose
+from kr270_milling.robot.arm import Arm, Mount
+from kr270_milling.robot.compensator import moment_slope
+from kr270_milling.robot.inverse import STRAIGHT
+
+__all__ = ["along_path", "postures", "whole_turns"]
+
+TWO_PI = 2.0 * np.pi
+_slope = njit(cache=True, nogil=True)(moment_slope)
+
+
+def postures(arm: Arm, mount: Mount, place: Pose, force: np.ndarray, gravity: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles [rad], (k, 8, 6), in the order of ``robot.inverse.BRANCHES``, and how far the tool gives way.
+
+    place: of tool0 on base_link, (k,); force: on the tool, base axes [N], (k, 3). The second is C F [m], (k, 8, 3),
+    with C = J diag(c) J^T of the translations; where gravity is on, c of joint 2 has the gravity compensator's share,
+    c_2 / (1 - c_2 dM_c/dq_2). NaN where out of reach.
+    """
+    lengths = tuple(map(float, (arm.d1, arm.a1, arm.a2, arm.forearm, arm.elbow_offset, arm.d6)))
+    c = arm.compensator
+    spring = (0.0,) * 5
+    if gravity and c.present:
+        spring = tuple(map(float, (c.stiffness, c.free_length, c.base_x, c.base_z, c.arm_length)))
+    middle = 0.5 * float(arm.joint_lower[3] + arm.joint_upper[3])
+    count = len(place.position)
+    q, way = np.full((count, 8, 6), np.nan), np.full((count, 8, 3), np.nan)
+    arrays = mount.xyz, mount.pose.rotation.T, arm.joint_compliance, place.position, place.rotation, force
+    _fill(lengths, spring, middle, *(np.ascontiguousarray(a, float) for a in arrays), q, way)
+    return q, way
+
+
+@njit(cache=True, nogil=True)
+def _wrapped(angle):
+    return angle - TWO_PI * np.round(angle / TWO_PI)
+
+
+@njit(cache=True, nogil=True)
+def _fill(lengths, spring, middle, tool, unmount, soft, position, rotation, force, q, way):
+    d1, a1, a2, forearm, elbow_offset, d6 = lengths
+    flange, wrist = np.empty((3, 3)), np.empty((3, 3))
+    for k in range(position.shape[0]):
+        for i in range(3):
+            for j in range(3):
+                flange[i, j] = 0.0
+                for h in range(3):
+                    flange[i, j] += rotation[k, i, h] * unmount[h, j]
+        p = position[k]
+        x = p[0] - flange[0, 0] * (tool[0] + d6) - flange[0, 1] * tool[1] - flange[0, 2] * tool[2]
+        y = p[1] - flange[1, 0] * (tool[0] + d6) - flange[1, 1] * tool[1] - flange[1, 2] * tool[2]
+        z = p[2] - flange[2, 0] * (tool[0] + d6) - flange[2, 1] * tool[1] - flange[2, 2] * tool[2]
+        height, far = z - d1, np.hypot(x, y)
+        for shoulder in range(2):
+            side = 1.0 - 2.0 * shoulder
+            radius = side * far - a1
+            cosine = (radius**2 + height**2 - a2**2 - forearm**2) / (2 * a2 * forearm)
+            if not abs(cosine) < 1.0 + 1e-12:
+                continue
+            q1 = _wrapped(-np.arctan2(side * y, side * x))
+            bend = np.arccos(min(1.0, max(-1.0, cosine)))
+            for elbow in range(2):
+                beta = -bend if elbow == 0 else bend
+                lead = np.arctan2(forearm * np.sin(beta), a2 + forearm * np.cos(beta))
+                q2, q3 = _wrapped(lead - np.arctan2(height, radius)), _wrapped(elbow_offset - beta)
+                both = 4 * shoulder + 2 * elbow
+                s1, c1, s, c = np.sin(q1), np.cos(q1), np.sin(q2 + q3), np.cos(q2 + q3)
+                for j in range(3):  # the columns of the forearm's rotation, (Rz(-A1) Ry(A2 + A3))^T R
+                    wrist[0, j] = c1 * c * flange[0, j] - s1 * c * flange[1, j] - s * flange[2, j]
+                    wrist[1, j] = s1 * flange[0, j] + c1 * flange[1, j]
+                    wrist[2, j] = c1 * s * flange[0, j] - s1 * s * flange[1, j] + c * flange[2, j]
+                q4 = middle
+                if np.hypot(wrist[1, 0], wrist[2, 0]) >= STRAIGHT:
+                    q4 = np.arctan2(-wrist[1, 0], -wrist[2, 0])
+                s4, c4 = np.sin(q4), np.cos(q4)
+                q5 = np.arctan2(-(s4 * wrist[1, 0] + c4 * wrist[2, 0]), wrist[0, 0])
+                q6 = np.arctan2(c4 * wrist[1, 2] - s4 * wrist[2, 2], c4 * wrist[1, 1] - s4 * wrist[2, 1])
+                _set(q[k, both], q1, q2, q3, q4, q5, q6)
+                _set(q[k, both + 1], q1, q2, q3, _wrapped(q4 + np.pi), -q5, _wrapped(q6 + np.pi))
+                c2 = soft[1]
+                if spring[0] > 0.0:
+                    c2 /= 1.0 - c2 * _slope(spring, np.cos(q2), np.sin(q2))
+                high = a2 * np.cos(q2) + a1
+                gives = way[k, both]
+                gives[:] = 0.0
+                _add(gives, soft[0], 0.0, 0.0, -1.0, p[0], p[1], p[2], force[k])
+                _add(gives, c2, s1, c1, 0.0, p[0] - a1 * c1, p[1] + a1 * s1, p[2] - d1, force[k])
+                _add(gives, soft[2], s1, c1, 0.0, p[0] - high * c1, p[1] + high * s1, p[2] - d1 + a2 * np.sin(q2),
+                     force[k])  # fmt: skip
+                u, v, w = p[0] - x, p[1] - y, p[2] - z
+                _add(gives, soft[3], -c1 * c, s1 * c, s, u, v, w, force[k])
+                _add(gives, soft[4], s1 * c4 - c1 * s * s4, c1 * c4 + s1 * s * s4, -c * s4, u, v, w, force[k])
+                _add(gives, soft[5], -flange[0, 0], -flange[1, 0], -flange[2, 0], u, v, w, force[k])
+                way[k, both + 1] = gives
+
+
+@njit(cache=True, nogil=True)
+def _set(row, q1, q2, q3, q4, q5, q6):
+    row[0], row[1], row[2], row[3], row[4], row[5] = q1, q2, q3, q4, q5, q6
+
+
+@njit(cache=True, nogil=True)
+def _add(gives, soft, ax, ay, az, rx, ry, rz, force):
+    """One joint with axis a, the tool at r from it: column j = a x r of the Jacobian, gives += c j (j . F)."""
+    jx, jy, jz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    turned = soft * (jx * force[0] + jy * force[1] + jz * force[2])
+    gives[0] += jx * turned
+    gives[1] += jy * turned
+    gives[2] += jz * turned
+
+
+@njit(cache=True, nogil=True)
+def whole_turns(q, lower, upper):
+    """Make the angles q (m, 6) run without jumps, within the limits where whole turns do that, in place.
+
+    Returns whether they are within the limits.
+    """
+    within = True
+    for j in range(6):
+        low = high = q[0, j]
+        for k in range(1, len(q)):
+            q[k, j] = q[k - 1, j] + _wrapped(q[k, j] - q[k - 1, j])
+            low, high = min(low, q[k, j]), max(high, q[k, j])
+        shift = TWO_PI * np.ceil((lower[j] - low) / TWO_PI)
+        within &= high + shift <= upper[j]
+        for k in range(len(q)):
+            q[k, j] += shift
+    return within
+
+
+def along_path(arm: Arm, q: np.ndarray, way: np.ndarray, feed: np.ndarray, size: np.ndarray):
+    """Measures of paths of m places, each (n, 8): within the limits, and (n, 8, 4): see below; q is unwrapped in place.
+
+    q, way: (n, m, 8, 6) and (n, m, 8, 3) of ``postures``; feed: unit vectors (n, m, 3); size: of the force [N], (n, m).
+    The four are the least of ``robot.singularity_measures``, the largest compliance in the direction of the force
+    [m/N], the largest and the mean part of ``way`` across the feed [m]. NaN where a place is out of reach.
+    """
+    within, measures = np.zeros(q.shape[::2][:2], np.bool_), np.full((*q.shape[::2][:2], 4), np.nan)
+    lengths = tuple(map(float, (arm.a1, arm.a2, arm.forearm, arm.elbow_offset)))
+    arrays = (np.ascontiguousarray(a) for a in (way, feed, size))
+    _reduce(lengths, arm.joint_lower, arm.joint_upper, q, *arrays, within, measures)
+    return within, measures
+
+
+@njit(cache=True, nogil=True)
+def _reduce(lengths, lower, upper, q, way, feed, size, within, measures):
+    a1, a2, forearm, elbow_offset = lengths
+    n, m = q.shape[:2]
+    for i in range(n):
+        for b in range(8):
+            singular, soft, largest, total, reached = np.inf, 0.0, 0.0, 0.0, True
+            for k in range(m):
+                u, f, angles = way[i, k, b], feed[i, k], q[i, k, b]
+                if not np.isfinite(u[0]):
+                    reached = False
+                    break
+                length = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+                along = u[0] * f[0] + u[1] * f[1] + u[2] * f[2]
+                across = np.sqrt(max(length**2 - along**2, 0.0))
+                largest, total = max(largest, across), total + across
+                soft = max(soft, length / size[i, k])
+                beta = elbow_offset - angles[2]
+                shoulder = abs(a1 + a2 * np.cos(angles[1]) + forearm * np.cos(beta - angles[1])) / (a2 + forearm)
+                singular = min(singular, shoulder, abs(np.sin(beta)), abs(np.sin(angles[4])))
+            if reached:
+                within[i, b] = whole_turns(q[i, :, b], lower, upper)
+                row = measures[i, b]
+                row[0], row[1], row[2], row[3] = singular, soft, largest, total / m

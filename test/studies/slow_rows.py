@@ -1,0 +1,11 @@
+"""Rows for the tests of the engine, in a file that workers can import."""
+
+from __future__ import annotations
+
+import time
+
+
+def slow_rows(seconds: float, number: int) -> bytes:
+    """What a chunk might hold, after some time."""
+    time.sleep(seconds)
+    return f"rows of chunk {number}".encode()

@@ -1,0 +1,175 @@
+"""The engine with the real thing: a scheduler and workers as processes, some of them killed."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from slow_rows import slow_rows
+
+from kr270_milling.base.record import find_file
+from kr270_milling.cli import main
+from kr270_milling.studies.engine import AHEAD, EngineError, Study, _client, run_chunks
+
+pytest.importorskip("pyarrow")
+distributed = pytest.importorskip("dask.distributed")
+PATIENCE = 60.0
+SHORT = ("path.length_mm=2", "stock.grid_step_um=50", "stock.max_mm=[2,12,0]")
+
+
+def until(true, what: str) -> None:
+    end = time.monotonic() + PATIENCE
+    while not true():
+        assert time.monotonic() < end, what
+        time.sleep(0.02)
+
+
+class Cluster:
+    """``dask scheduler`` and ``dask worker`` as anybody starts them."""
+
+    def __init__(self, place: Path):
+        self.place, self.workers, self.file = place, [], place / "scheduler.json"
+        self.scheduler = self.start("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", self.file)
+        until(self.file.exists, "no scheduler")
+        self.address = json.loads(self.file.read_text())["address"]
+
+    def start(self, *words):
+        line = [sys.executable, "-m", "dask", *map(str, words), "--host", "127.0.0.1"]
+        path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+        with (self.place / "log").open("ab") as log:
+            return subprocess.Popen(line, stdout=log, stderr=log, cwd=self.place, start_new_session=True,
+                                    env=os.environ | {"PYTHONPATH": path})  # fmt: skip
+
+    def add_worker(self) -> subprocess.Popen:
+        words = ("worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory")
+        self.workers.append(self.start(*words, self.place))
+        return self.workers[-1]
+
+    def stop(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    made = Cluster(tmp_path_factory.mktemp("dask"))
+    try:
+        made.add_worker(), made.add_worker()
+        yield made
+    finally:
+        made.stop()
+
+
+def rows_of(seconds: float = 0.0):
+    return functools.partial(slow_rows, seconds)
+
+
+def chunks(study: Study, count: int) -> list[bytes]:
+    return [study.chunk(number).read_bytes() for number in range(count)]
+
+
+def test_rows_are_the_same_with_one_worker_two_and_a_scheduler_of_others(cluster, tmp_path, capsys):
+    """One chunk at a time in this process, a local cluster, and processes that know nothing of this one."""
+    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.2:0.8:0.2", "--json"]
+    words += [part for pair in SHORT for part in ("--set", pair)]
+    made = {}
+    for name, more in {"local": (), "scheduler": ("--scheduler", cluster.address)}.items():
+        assert main([*words, "--out", str(tmp_path / name), *more]) == 0
+        made[name] = [path.read_bytes() for path in sorted((tmp_path / name).glob("*.parquet"))]
+        assert json.loads(capsys.readouterr().out)["failed"] == 0
+    from kr270_milling.studies.sweep import Sweep, parse_axis
+
+    plain = Sweep(str(find_file("paper.yaml").resolve()), SHORT, (parse_axis("path.depth_of_cut_mm=0.2:0.8:0.2"),))
+    assert made["local"] == made["scheduler"] == [plain(number) for number in range(4)]
+
+
+def test_no_more_chunks_are_out_than_a_few_a_worker(cluster, tmp_path, monkeypatch):
+    """What is submitted and not yet written is what the driver and the workers hold: the bound of their memory."""
+    study, out, most = Study(tmp_path / "study", {}), set(), []
+    submit, whole = distributed.Client.submit, Study.chunk
+
+    def counted(client, function, *args, key, **more):
+        if key[-1].isdigit():
+            out.add(int(key.rpartition("-")[2]))
+            most.append(len(out))
+        return submit(client, function, *args, key=key, **more)
+
+    def written(self, number):
+        out.discard(number)
+        return whole(self, number)
+
+    monkeypatch.setattr(distributed.Client, "submit", counted)
+    missing = study.missing(200)
+    monkeypatch.setattr(Study, "missing", lambda self, count: missing)
+    monkeypatch.setattr(Study, "chunk", written)
+    run_chunks(study, 200, rows_of(), cluster.address)
+    assert len(most) == 200 and max(most) <= 2 * AHEAD
+
+
+def test_a_killed_worker_loses_no_row(cluster, tmp_path):
+    study, count = Study(tmp_path / "study", {}), 12
+    victim = cluster.add_worker()
+    until(lambda: len(_workers(cluster)) == 3, "the third worker did not come")
+
+    def kill(done, total):
+        if done >= 2 and victim.poll() is None:
+            os.killpg(victim.pid, signal.SIGKILL)
+            victim.wait()
+
+    run_chunks(study, count, rows_of(0.05), cluster.address, kill)
+    assert victim.poll() == -signal.SIGKILL
+    assert chunks(study, count) == [f"rows of chunk {n}".encode() for n in range(count)]
+
+
+def _workers(cluster) -> dict:
+    with distributed.Client(cluster.address) as client:
+        return client.nthreads()
+
+
+def test_a_killed_driver_loses_what_was_out_and_the_same_command_goes_on(cluster, tmp_path):
+    """SIGKILL, as the kernel does it where memory ends."""
+    words = [sys.executable, "-m", "kr270_milling.cli", "sweep", "paper.yaml", "--out", tmp_path / "out",
+             "--chunk", "1", "--vary", "path.depth_of_cut_mm=0.1:1:0.05", "--json",
+             "--scheduler", cluster.address]  # fmt: skip
+    words = [*map(str, words), *(part for pair in SHORT for part in ("--set", pair))]
+    driver = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    until(lambda: len(list((tmp_path / "out").glob("rows-*.parquet"))) >= 3, "no rows")
+    driver.kill()
+    driver.wait()
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").glob("rows-*.parquet")}
+    assert 3 <= len(before) < 19
+    done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE)
+    assert json.loads(done.stdout)["rows"] == 19, done.stderr
+    assert {path: path.stat().st_mtime_ns for path in before} == before  # none was made again
+
+
+def test_the_workers_of_a_killed_driver_end_too(tmp_path):
+    import psutil
+
+    words = ["sweep", "paper.yaml", "--out", str(tmp_path / "out"), "--chunk", "1"]
+    words += ["--vary", "path.depth_of_cut_mm=0.1:1:0.001", *(part for pair in SHORT for part in ("--set", pair))]
+    driver = subprocess.Popen([sys.executable, "-m", "kr270_milling.cli", *words], stderr=subprocess.DEVNULL)
+    until(lambda: len(list((tmp_path / "out").glob("rows-*.parquet"))) >= 3, "no rows")
+    children = psutil.Process(driver.pid).children(recursive=True)
+    listening = [c.laddr.ip for p in (psutil.Process(driver.pid), *children) for c in p.net_connections()
+                 if c.status == psutil.CONN_LISTEN]  # fmt: skip
+    driver.kill()
+    driver.wait()
+    assert listening and set(listening) == {"127.0.0.1"}
+    assert not psutil.wait_procs(children, timeout=PATIENCE)[1]
+
+
+def test_a_scheduler_that_is_not_there_is_refused_in_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr("kr270_milling.studies.engine.ANSWER", 0.3)
+    with pytest.raises(EngineError, match="does not answer"), _client("tcp://127.0.0.1:9"):
+        pass
