@@ -1,0 +1,209 @@
+"""The turn of the tool about its own axis along a path: a free number of each pose, chosen for the least error.
+
+Sought is psi(t) in q(t) = IK(target(t) Rz(psi(t))), which makes the least of
+
+    J^2 = 1/T int e(t, psi)^2 + (w dpsi/dt)^2 dt,
+
+e the static error across the feed under the mean cutting force (0 where nothing is cut), under the limits of the
+joints and of their speeds. Dynamic programming [Bellman1957] finds the best way through a grid of turns at even
+times, for each branch of the arm; then the same over five turns about that way, with half the step each time, until
+the steps are small: J falls each time, and the limits hold throughout.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.interpolate import PchipInterpolator
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.frames import Pose, quaternion_from_rotation, rotation_from_quaternion
+from kr270_milling.cell.cell import Cell
+from kr270_milling.robot import inverse_near
+from kr270_milling.studies.placements import Course, about_z
+from kr270_milling.studies.postures import postures
+from kr270_milling.trajectory.joint_limits import limit_by_joints
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["NoWayError", "Turns", "Way", "best_way", "constant_way", "find_way", "refined", "turned"]
+
+FINEST = 1e-4  #: [rad] of the last grid
+NEAR = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  #: steps about a way
+ROUNDS = 60
+SPEED_SHARE = 0.95  #: of the speed limits: between two places a joint runs a little faster than its mean
+
+
+class NoWayError(MillingError):
+    """No turns keep the joints within their limits."""
+
+    def __init__(self, places: int):
+        super().__init__(
+            f"no turns of the tool at {places} places keep every joint within its range and its speed: "
+            "lower the feed, or move the workpiece"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """A way through the turns at n evenly spaced times."""
+
+    branch: int
+    turn: np.ndarray  #: psi [rad], (n,), without jumps
+    q: np.ndarray  #: [rad], (n, 6)
+    error: np.ndarray  #: e [m], (n,)
+    value: float  #: J [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """What a turn costs at each of n times ``step`` [s] apart, and where it takes the joints."""
+
+    cell: Cell
+    course: Course  #: n places, in the order of time
+    step: float  #: [s]
+    weight: float  #: w [m s/rad]
+
+    def at(self, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Joint angles [rad], (n, s, 8, 6), and errors [m], (n, s, 8), of turns (n, s) [rad]; NaN out of reach."""
+        cell, course = self.cell, self.course
+        n, s = turn.shape
+        tool = cell.workpiece.pose @ Pose(course.position, course.rotation)
+        rotation = tool.rotation[:, None] @ about_z(turn.ravel()).reshape(n, s, 3, 3)
+        place = Pose(np.repeat(tool.position, s, axis=0), rotation.reshape(-1, 3, 3))
+        force, feed = (vectors @ cell.workpiece.pose.rotation.T for vectors in (course.force, course.feed))
+        q, way = postures(cell.arm, cell.mount, place, np.repeat(force, s, axis=0), cell.dynamics.gravity)
+        q, way = q.reshape(n, s, 8, 6), way.reshape(n, s, 8, 3)
+        along = np.einsum("nsbi,ni->nsb", way, feed)[..., None] * feed[:, None, None]
+        return q, np.linalg.norm(way - along, axis=-1)
+
+    @property
+    def room(self) -> np.ndarray:
+        """How far each joint may go between two places [rad], (6,)."""
+        return SPEED_SHARE * self.cell.arm.joint_speed_limit * self.step
+
+    def searched(self, branch: int, turn, q, error, period: float) -> Way | None:
+        """The best way through states (n, s) of turn, (n, s, 6) of joints, (n, s) of errors; None: there is none."""
+        arm = self.cell.arm
+        inside = ((q >= arm.joint_lower) & (q <= arm.joint_upper)).all(-1) & np.isfinite(error)
+        n = len(turn)
+        cost = np.where(inside, error**2 / n, np.inf)
+        slope = self.weight**2 / (self.step**2 * n)
+        value, chosen = best_way(cost, np.nan_to_num(q), turn, self.room, slope, period)
+        if not np.isfinite(value):
+            return None
+        rows = np.arange(n)
+        found = turn[rows, chosen]
+        found = np.unwrap(found, period=period) if np.isfinite(period) else found
+        return Way(branch, found, q[rows, chosen], error[rows, chosen], float(np.sqrt(value)))
+
+
+def constant_way(turns: Turns, grid: np.ndarray) -> Way | None:
+    """The best turn of the grid that is the same everywhere, within the same limits; None: there is none."""
+    found = [way for turn in grid if (way := _least(turns, np.array([turn])))]
+    return min(found, key=lambda way: way.value) if found else None
+
+
+def find_way(turns: Turns, grid: np.ndarray) -> Way:
+    """The best of all branches over a grid of turns (s,) [rad], then refined. Raises NoWayError.
+
+    A grid of a whole turn has no ends: the way may pass from the last to the first.
+    """
+    step = float(grid[1] - grid[0]) if len(grid) > 1 else 0.0
+    period = 2 * np.pi if np.ptp(grid) + 1.5 * step > 2 * np.pi else np.inf
+    best = _least(turns, grid, period)
+    if best is None:
+        raise NoWayError(len(turns.course.position))
+    return refined(turns, best, step, (-np.inf, np.inf) if np.isfinite(period) else (grid[0], grid[-1]))
+
+
+def _least(turns: Turns, grid: np.ndarray, period: float = np.inf) -> Way | None:
+    """The best way of all branches over a grid."""
+    q, error = turns.at(np.tile(grid, (len(turns.course.position), 1)))
+    ways = [way for b in range(8) if (way := _of_branch(turns, b, grid, q[:, :, b], error[:, :, b], period))]
+    return min(ways, key=lambda way: way.value) if ways else None
+
+
+def _of_branch(turns: Turns, branch: int, grid, q, error, period) -> Way | None:
+    """States: every turn of the grid with every whole turn of the joints that its limits leave room for."""
+    arm = turns.cell.arm
+    shifts = [2 * np.pi * np.arange(np.ceil((low - np.pi) / (2 * np.pi)), np.floor((high + np.pi) / (2 * np.pi)) + 1)
+              for low, high in zip(arm.joint_lower, arm.joint_upper, strict=True)]  # fmt: skip
+    states = [q + np.array(shift) for shift in itertools.product(*shifts)]
+    states = [one for one in states if ((one >= arm.joint_lower) & (one <= arm.joint_upper)).all(-1).any()]
+    if not states:
+        return None
+    turn, count = np.tile(grid, (len(q), len(states))), len(states)
+    return turns.searched(branch, turn, np.concatenate(states, 1), np.tile(error, (1, count)), period)
+
+
+def refined(turns: Turns, way: Way, step: float, ends: tuple[float, float]) -> Way:
+    """The same way with ever smaller steps [rad] about it, within ``ends``."""
+    for _ in range(ROUNDS):
+        if step < FINEST:
+            break
+        turn = np.clip(way.turn[:, None] + step * NEAR, *ends)
+        q, error = turns.at(turn)
+        q = q[:, :, way.branch]
+        q = way.q[:, None] + (q - way.q[:, None] + np.pi) % (2 * np.pi) - np.pi
+        better = turns.searched(way.branch, turn, q, error[:, :, way.branch], np.inf)
+        if better is None or not better.value < way.value * (1 - 1e-6):
+            step /= 2
+        way = way if better is None or better.value > way.value else better
+    return way
+
+
+def turned(cell: Cell, time_ns: np.ndarray, way: Way) -> tuple[Trajectory, np.ndarray]:
+    """The target of the cell with the turns of a way at times [ns], (n,), and its joint angles [rad] at the knots.
+
+    Between two places the turn is a monotone cubic, without overshoot. Knots come later where a joint would run too
+    fast or accelerate too hard. Raises ReachError, JointLimitError.
+    """
+    run = cell.target()
+    turn = PchipInterpolator(time_ns, way.turn)(run.time_ns)
+    rotation = rotation_from_quaternion(run.quaternion) @ about_z(turn)
+    q = inverse_near(cell.arm, cell.mount, cell.workpiece.pose @ Pose(run.position, rotation), way.q[0])
+    run = Trajectory(run.time_ns, run.position, quaternion_from_rotation(rotation), run.velocity)
+    return limit_by_joints(run, q, cell.arm.joint_speed_limit, cell.arm.joint_acceleration_limit), q
+
+
+@njit(cache=True)
+def best_way(cost, q, turn, room, slope, period):
+    """The least sum of cost (n, s) and slope (psi' - psi)^2 along n places, and the chosen states (n,).
+
+    No joint of q (n, s, 6) may go farther than ``room`` (6,) from a place to the next. psi is ``turn`` (n, s), its
+    differences are taken modulo ``period``.
+    """
+    n, s = cost.shape
+    value, before = cost[0].copy(), np.zeros((n, s), np.int32)
+    for k in range(1, n):
+        new = np.full(s, np.inf)
+        order = np.argsort(value)  # none behind one that is too dear by itself can be the best
+        for j in range(s):
+            if not np.isfinite(cost[k, j]):
+                continue
+            for i in order:
+                if not value[i] < new[j]:
+                    break
+                away = turn[k, j] - turn[k - 1, i]
+                if np.isfinite(period):
+                    away -= period * np.round(away / period)
+                total = value[i] + slope * away * away
+                if not total < new[j]:
+                    continue
+                fits = True
+                for h in range(6):
+                    if abs(q[k, j, h] - q[k - 1, i, h]) > room[h]:
+                        fits = False
+                        break
+                if fits:
+                    new[j], before[k, j] = total, i
+            new[j] += cost[k, j]
+        value = new
+    chosen = np.zeros(n, np.int64)
+    chosen[n - 1] = np.argmin(value)
+    for k in range(n - 1, 0, -1):
+        chosen[k - 1] = before[k, chosen[k]]
+    return value[chosen[n - 1]], chosen
