@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import add_common, numbers, print_json, print_table
+from kr270_milling.commands.console import add_common, numbers
+from kr270_milling.commands.identified import Outcome, Table, report
 from kr270_milling.commands.progress import progress
 
 
@@ -31,16 +32,11 @@ def run(args) -> None:
     cell = read_cell(find_file(args.cell), args.set)
     found = _compared(args, cell)
     result = _as_dict(found)
-    if args.out:
-        result["files"] = [str(_write(args, found, result))]
-    if args.json:
-        print_json(result)
-        return
-    print_table("Measured against simulated", *_rows(result))
-    for name, lag in result["lag_s"].items():
-        print(f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation")
-    for line in (*result["advice"], *result.get("files", [])):
-        print(line)
+    lags = [f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation"
+            for name, lag in result["lag_s"].items()]  # fmt: skip
+    title = f"Measured against simulated: {Path(args.recording).name} and {Path(args.cell).name}"
+    table = Table("Measured against simulated", *_rows(result))
+    report(args, Outcome("compare", title, result, [table], [*lags, *result["advice"]]), lambda: _figures(found))
 
 
 def _compared(args, cell):
@@ -104,9 +100,8 @@ def _rows(result: dict) -> tuple[list[str], list[list[str]]]:
     return ["quantity", "measured / simulated", "95 % +-", "offset", "difference RMS"], rows
 
 
-def _write(args, found, result: dict) -> Path:
-    from kr270_milling.base.files import staged
-    from kr270_milling.identification.figures import points, write_page
+def _figures(found) -> list:
+    from kr270_milling.identification.figures import points
 
     figures = []
     for channel in found.channels:
@@ -114,7 +109,4 @@ def _write(args, found, result: dict) -> Path:
         series = {"measured": (channel.time[thin], channel.measured[thin]),
                   "simulated": (channel.time[thin], channel.simulated[thin])}  # fmt: skip
         figures.append(points(channel.name, "time [s]", f"[{channel.unit}]", series, tuple(series)))
-    title = f"{Path(args.recording).name} against {Path(args.cell).name}"
-    with staged(args.out) as (draft, final):
-        page = write_page(draft / "compare.html", title, found.advice, [("Differences", *_rows(result))], figures)
-        return final(page)
+    return figures

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import add_common, numbers, print_json, print_table
+from kr270_milling.commands.console import add_common, numbers
+from kr270_milling.commands.identified import Outcome, Table, report
 from kr270_milling.nodes.option_types import bounded
 
 
@@ -66,66 +67,38 @@ def _pose(args, mount):
     import numpy as np
 
     from kr270_milling.base.record import find_file
-    from kr270_milling.identification.prediction import read_test_pose, test_pose
+    from kr270_milling.identification.prediction import at_posture, read_test_pose
 
     if args.at:
-        return test_pose(mount, np.radians(args.at))
+        return at_posture(mount, np.radians(args.at))
     return read_test_pose(find_file(args.cell or args.arm), mount)
 
 
 def _identify(args, arm, mount, pose) -> None:
     from kr270_milling.base.record import find_file
     from kr270_milling.identification.compliance import fit
+    from kr270_milling.identification.figures import compliance_figures
     from kr270_milling.identification.measurements import read_measurements
     from kr270_milling.identification.problem import Problem
-    from kr270_milling.identification.result import as_dict, sentences
+    from kr270_milling.identification.result import as_dict, include_sections, sentences
 
     measured = read_measurements(find_file(args.measurements), arm, mount)
     sought = tuple(name.strip() for name in args.compensator.split(",") if name.strip())
     found = fit(Problem(arm, mount, measured, not args.no_gravity, sought), args.robust)
-    result, said = as_dict(found, pose), sentences(found, pose)
-    if args.out:
-        result["files"] = [str(path) for path in _write(args, found, result, said)]
-    if args.json:
-        print_json(result)
-        return
-    columns, rows = _rows(found)
-    print_table(f"Joint compliances of {arm.name} from {len(measured)} load tests", columns, rows)
-    print(f"residual {result['residual_rms_um']:.2f} um RMS, normal with p = {result['normality_p']:.2g}")
-    for sentence in said:
-        print(sentence)
-    for name in result.get("files", []):
-        print(name)
+    result = as_dict(found, pose)
+    title = f"Joint compliances of {arm.name} from {len(measured)} load tests"
+    residual = f"residual {result['residual_rms_um']:.2f} um RMS, normal with p = {result['normality_p']:.2g}"
+    outcome = Outcome("compliance", title, result, [_table(title, found)], [residual, *sentences(found, pose)])
+    report(args, outcome, lambda: compliance_figures(found), include_sections(found),
+           f" from {Path(args.measurements).name}", "name this file in `includes` behind that of the arm")  # fmt: skip
 
 
-def _rows(found) -> tuple[list[str], list[list[str]]]:
-    import numpy as np
-
+def _table(title: str, found) -> Table:
     rows = []
     for name, value, width, start, free in zip(
         found.problem.names, found.values, found.half_widths, found.problem.scale, found.free, strict=True
     ):
-        scale = 1e6 if name.startswith("joint") else 1.0
-        shown = f"{scale * width:.4g}" if np.isfinite(width) else "-"
-        rows.append([name, f"{scale * start:.4g}", f"{scale * value:.4g}", shown, "yes" if free else "no"])
-    return ["number", "arm file", "identified", "95 % +-", "told by the data"], rows
-
-
-def _write(args, found, result: dict, said: list[str]) -> list[Path]:
-    from kr270_milling import __version__
-    from kr270_milling.base.files import staged
-    from kr270_milling.base.include import write_include
-    from kr270_milling.identification.figures import compliance_figures, write_page
-    from kr270_milling.identification.result import include_sections
-
-    title = f"Joint compliances of {found.problem.arm.name}"
-    notes = [f"{title}, identified by kr270_milling {__version__} from {Path(args.measurements).name}",
-             f"{result['tests']} load tests, residual {result['residual_rms_um']:.2f} um RMS", *said,
-             "name this file in `includes` behind that of the arm"]  # fmt: skip
-    with staged(args.out) as (draft, final):
-        table = ("Identified", *_rows(found))
-        files = [
-            write_include(draft / "compliance.yaml", include_sections(found), notes),
-            write_page(draft / "compliance.html", title, notes[1:-1], [table], compliance_figures(found)),
-        ]
-        return [final(path) for path in files]
+        unit = 1e6 if name.startswith("joint") else 1.0
+        numbers_ = ["-" if number == float("inf") else f"{unit * number:.4g}" for number in (start, value, width)]
+        rows.append([name, *numbers_, "yes" if free else "no"])
+    return Table(title, ["number", "arm file", "identified", "95 % +-", "told by the data"], rows)

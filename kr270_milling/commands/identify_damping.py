@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import add_common, print_json, print_table
+from kr270_milling.commands.console import add_common
+from kr270_milling.commands.identified import Outcome, Table, report
 from kr270_milling.nodes.option_types import bounded, stretch
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -32,31 +33,27 @@ def add_arguments(parser) -> None:
 
 
 def run(args) -> None:
-    from kr270_milling.identification.mode_result import as_dict
+    from kr270_milling.identification.mode_result import as_dict, figures, include_sections
     from kr270_milling.identification.modes import find_modes
     from kr270_milling.identification.signals import read_signals
 
     signals = read_signals(args.recording, args.topic).window(args.start, args.stop)
     modes = find_modes(signals, args.band[0], args.band[1], args.modes)
-    result = as_dict(modes, signals)
     shapes = _shapes(args, modes, signals)
-    if shapes is not None:
-        for mode, shape in zip(result["modes"], shapes.tolist(), strict=True):
-            mode["mass_normalised_shape"] = shape
-    if args.out:
-        result["files"] = [str(path) for path in _write(args, modes, signals, shapes, result)]
-    if args.json:
-        print_json(result)
-        return
-    columns, rows = _rows(result)
-    print_table(f"Modes between {args.band[0]:g} and {args.band[1]:g} Hz", columns, rows)
-    print(f"{result['duration_s']:.3g} s at {result['samples_per_s']:.4g} samples a second")
+    result = as_dict(modes, signals, shapes)
+    title = f"Modes between {args.band[0]:g} and {args.band[1]:g} Hz from {Path(args.recording).name}"
+    outcome = Outcome("modes", title, result, [_table(title, result)], _sentences(result, shapes))
+    report(args, outcome, lambda: figures(signals), include_sections(modes, shapes),
+           use="name this file in `includes`, or copy what you need")  # fmt: skip
+
+
+def _sentences(result: dict, shapes) -> list[str]:
+    said = [f"{result['duration_s']:.3g} s at {result['samples_per_s']:.4g} samples a second"]
     if not all(mode["confirmed"] for mode in result["modes"]):
-        print("the decrement does not confirm each damping ratio: modes are near each other, or ring too briefly")
+        said.append("the decrement does not confirm each damping ratio: modes are near each other, or ring too briefly")
     if shapes is None:
-        print("the shapes are not scaled: a hammer (--hammer) or the compliance of a cell (--cell) does it")
-    for name in result.get("files", []):
-        print(name)
+        said.append("the shapes are not scaled: a hammer (--hammer) or the compliance of a cell (--cell) does it")
+    return said
 
 
 def _shapes(args, modes, signals):
@@ -70,31 +67,11 @@ def _shapes(args, modes, signals):
     return by_compliance(modes, signals, tool_compliance(read_cell(find_file(args.cell)))) if args.cell else None
 
 
-def _rows(result: dict) -> tuple[list[str], list[list[str]]]:
+def _table(title: str, result: dict) -> Table:
     rows = []
     for i, mode in enumerate(result["modes"], 1):
-        decrement = mode["damping_ratio_log_decrement"]
         shape = " ".join(f"{v:.2f}" for v in mode["shape"])
-        numbers = [f"{mode['frequency_hz']:.3f}", f"{100 * mode['damping_ratio']:.2f}", f"{100 * decrement:.2f}"]
-        rows.append([str(i), *numbers, f"{100 * mode['share_of_energy']:.0f}", shape])
-    return ["mode", "[Hz]", "damping [%]", "by decrement", "energy [%]", "shape x y z rx ry rz"], rows
-
-
-def _write(args, modes, signals, shapes, result: dict) -> list[Path]:
-    from kr270_milling import __version__
-    from kr270_milling.base.files import staged
-    from kr270_milling.base.include import write_include
-    from kr270_milling.identification.figures import write_page
-    from kr270_milling.identification.mode_result import figures, include_sections
-
-    title = f"Modes from {Path(args.recording).name}"
-    notes = [
-        f"{title}, identified by kr270_milling {__version__}",
-        "name this file in `includes`, or copy what you need",
-    ]
-    with staged(args.out) as (draft, final):
-        files = [
-            write_include(draft / "modes.yaml", include_sections(modes, shapes), notes),
-            write_page(draft / "modes.html", title, [], [("Modes", *_rows(result))], figures(signals)),
-        ]
-        return [final(path) for path in files]
+        damping = [mode["damping_ratio"], mode["damping_ratio_log_decrement"], mode["share_of_energy"]]
+        shown = [f"{100 * v:.{d}f}" for v, d in zip(damping, (2, 2, 0), strict=True)]
+        rows.append([str(i), f"{mode['frequency_hz']:.3f}", *shown, shape])
+    return Table(title, ["mode", "[Hz]", "damping [%]", "by decrement", "energy [%]", "shape x y z rx ry rz"], rows)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import add_common, numbers, print_json, print_table
+from kr270_milling.commands.console import add_common, numbers
+from kr270_milling.commands.identified import Outcome, Table, report
 from kr270_milling.nodes.option_types import bounded, stretch
 
 
@@ -33,7 +34,13 @@ def add_arguments(parser) -> None:
 def run(args) -> None:
     from kr270_milling.base.record import find_file
     from kr270_milling.identification.cuts import read_cuts
-    from kr270_milling.identification.force_result import as_dict, sentences
+    from kr270_milling.identification.force_result import (
+        as_dict,
+        figures,
+        fractional_sections,
+        linear_edge_sections,
+        sentences,
+    )
     from kr270_milling.identification.forces import OneFeedError, fit_linear_edge
     from kr270_milling.identification.fractional import fit_fractional
 
@@ -46,20 +53,18 @@ def run(args) -> None:
         if args.law == "fractional":
             raise
         bent = None
-    result, said = as_dict(found, bent), sentences(found, bent)
-    if args.out:
-        result["files"] = [str(path) for path in _write(args, found, bent, said)]
-    if args.json:
-        print_json(result)
-        return
-    columns, rows = _rows(result)
-    print_table(f"Linear-edge law from {len(cuts)} cuts, residual {found.residual_rms:.3g} N RMS", columns, rows)
+    result = as_dict(found, bent)
+    if args.law == "fractional":
+        sections = fractional_sections(bent)
+    else:
+        sections = linear_edge_sections(found.values, found.half_widths, found.axial)
+    tables = [_table(f"Linear-edge law, residual {found.residual_rms:.3g} N RMS", result)]
     if bent is not None:
-        own = result["fractional"]
-        rows = [[key, f"{own[key]:.5g}", f"{width:.3g}"] for key, width in own["ci95"].items()]
-        print_table(f"Fractional law, residual {bent.residual_rms:.3g} N RMS", columns, rows)
-    for line in (*said, *result.get("files", [])):
-        print(line)
+        tables.append(_table(f"Fractional law, residual {bent.residual_rms:.3g} N RMS", result["fractional"]))
+    title = f"Force coefficients from {len(cuts)} cuts, {Path(args.cuts).name}"
+    outcome = Outcome("forces", title, result, tables, sentences(found, bent))
+    use = "name this file in `includes`, and take `cutting` out of the cell"
+    report(args, outcome, lambda: figures(found, bent), sections, use=use)
 
 
 def _tool(args):
@@ -98,35 +103,7 @@ def _sensor(args, down):
     return Sensor(args.topic, turn, args.sensor_on == "part", args.tare, args.sensor_mass_kg, down)
 
 
-def _rows(result: dict) -> tuple[list[str], list[list[str]]]:
-    import numpy as np
-
-    rows = []
-    for key, width in result["ci95"].items():
-        value = result[key]
-        shown = [f"{value:.5g}", f"{width:.3g}"] if np.isfinite(value) else ["-", "-"]
-        rows.append([key, *shown])
-    return ["coefficient", "value", "95 % +-"], rows
-
-
-def _write(args, found, bent, said: list[str]) -> list[Path]:
-    from kr270_milling import __version__
-    from kr270_milling.base.files import staged
-    from kr270_milling.base.include import write_include
-    from kr270_milling.identification.figures import write_page
-    from kr270_milling.identification.force_result import as_dict, figures, fractional_sections, linear_edge_sections
-
-    title = f"Force coefficients from {Path(args.cuts).name}"
-    notes = [f"{title}, identified by kr270_milling {__version__} from {len(found.cuts)} cuts", *said,
-             "name this file in `includes`, and take `cutting` out of the cell"]  # fmt: skip
-    if args.law == "fractional":
-        sections = fractional_sections(bent)
-    else:
-        sections = linear_edge_sections(found.values, found.half_widths, found.axial)
-    table = ("Linear-edge law", *_rows(as_dict(found)))
-    with staged(args.out) as (draft, final):
-        files = [
-            write_include(draft / "forces.yaml", sections, notes),
-            write_page(draft / "forces.html", title, said, [table], figures(found, bent)),
-        ]
-        return [final(path) for path in files]
+def _table(title: str, result: dict) -> Table:
+    rows = [[key, *("-" if v != v else f"{v:.{d}g}" for v, d in ((result[key], 5), (width, 3)))]
+            for key, width in result["ci95"].items()]  # fmt: skip
+    return Table(title, ["coefficient", "value", "95 % +-"], rows)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from kr270_milling.commands.console import add_common, print_json, print_table
+from kr270_milling.commands.console import add_common
+from kr270_milling.commands.identified import Outcome, Table, report
 
 
 def add_arguments(parser) -> None:
@@ -18,6 +17,7 @@ def run(args) -> None:
     import numpy as np
 
     from kr270_milling.base.errors import InputError
+    from kr270_milling.identification.force_result import linear_edge_sections
     from kr270_milling.identification.forces import NAMES, SCALE
     from kr270_milling.identification.materials import find_material, materials
 
@@ -27,31 +27,15 @@ def run(args) -> None:
         | dict(zip(NAMES, (m.values / SCALE).tolist(), strict=True))
         for m in rows
     ]
+    sections = None
     if args.out:
         if not args.name or not 1 <= args.row <= len(rows):
             raise InputError("--out", f"needs one material, and a --row from 1 to {len(rows)}")
-        entries[args.row - 1]["files"] = [str(_write(args, rows[args.row - 1]))]
-    if args.json:
-        print_json({"materials": entries})
-        return
+        sections = linear_edge_sections(rows[args.row - 1].values, np.full(6, np.nan))
     columns = ["material", "cutter", *(name.split("_n_")[0] for name in NAMES)]
     shown = [[m.name, m.cutter, *("-" if np.isnan(v) else f"{v:g}" for v in m.values / SCALE)] for m in rows]
-    print_table("Linear-edge law [N/mm2, N/mm]", columns, shown)
-    for entry in entries if args.name else []:
-        print(entry["source"])
-        for name in entry.get("files", []):
-            print(name)
-
-
-def _write(args, material) -> Path:
-    import numpy as np
-
-    from kr270_milling.base.files import staged
-    from kr270_milling.base.include import write_include
-    from kr270_milling.identification.force_result import linear_edge_sections
-
-    sections = linear_edge_sections(material.values, np.full(6, np.nan))
-    notes = [f"{material.name}, {material.cutter}, {material.lubrication}", f"[source: {material.source}]"]
-    with staged(args.out) as (draft, final):
-        name = material.name.lower().replace(".", "_") + ".yaml"
-        return final(write_include(draft / name, sections, notes))
+    sources = [f"{m.name}, {m.cutter}, {m.lubrication} [source: {m.source}]" for m in rows] if args.name else []
+    name = (args.name or "").lower().replace(".", "_")
+    outcome = Outcome(name, "Linear-edge law [N/mm2, N/mm]", {"materials": entries},
+                      [Table("Linear-edge law [N/mm2, N/mm]", columns, shown)], sources)  # fmt: skip
+    report(args, outcome, sections=sections)

@@ -2,9 +2,8 @@
 
 minimise sum w_i r_i(x)^2,  r = (model(x) - measurement) / sigma,  cov(x) = s^2 (A^T W A)^-1,  A = dr/dx.
 
-Stated standard deviations are believed (s = 1) unless the residuals contradict them: where chi^2 is larger than in 1 of
-100 cases, s^2 = chi^2 / (m - p), the Birge ratio. Without them s^2 is estimated from the residuals, of translations
-and rotations each for itself, and the interval is Student's.
+s^2 and the interval are those of ``linear``; where no standard deviations are stated, they are estimated from the
+residuals, of translations and rotations each for itself.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ from scipy.optimize import least_squares
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.identification.identifiability import held_numbers, hidden, why_held
+from kr270_milling.identification.linear import half_interval, scatter
 from kr270_milling.identification.problem import Problem
 from kr270_milling.identification.robust import robust_variance, robust_weights
 
@@ -175,8 +175,8 @@ def _with_estimated_sigma(problem: Problem, left: np.ndarray, weights: np.ndarra
         used = np.isfinite(left[:, part]) & (weights[:, None] > 0.0)
         if used.any():
             heavy = np.broadcast_to(weights[:, None], used.shape)[used]
-            scatter = np.sum(heavy * left[:, part][used] ** 2) / np.sum(heavy) / share
-            sigma[:, part] *= np.sqrt(max(scatter, 1e-24))
+            square = np.sum(heavy * left[:, part][used] ** 2) / np.sum(heavy) / share
+            sigma[:, part] *= np.sqrt(max(square, 1e-24))
     measured = dataclasses.replace(problem.measured, sigma=sigma)
     return dataclasses.replace(problem, measured=measured)
 
@@ -187,16 +187,12 @@ def _with_covariance(problem: Problem, x, free, weights, robust: bool) -> Fit:
     left, a = problem.linearised(x)
     freedom = max(1, int((each > 0.0).sum() - free.sum()))
     chi2 = float(np.sum(each * left**2))
-    if robust:
-        inverse = np.linalg.inv(a[:, free].T @ a[:, free]) * robust_variance(_by_test(problem, left), int(free.sum()))
-    else:
-        inverse = np.linalg.inv(a[:, free].T @ a[:, free])
-        if problem.measured.sigma_known and chi2 > stats.chi2.ppf(0.99, freedom):
-            inverse = inverse * chi2 / freedom
     known = problem.measured.sigma_known and not robust
-    quantile = stats.norm.ppf(0.975) if known else stats.t.ppf(0.975, freedom)
+    square = robust_variance(_by_test(problem, left), int(free.sum())) if robust else scatter(chi2, freedom, True)
+    inverse = np.linalg.inv(a[:, free].T @ a[:, free]) * square
+    quantile = half_interval(freedom, known)
     covariance = _with_prior(inverse, a * np.sqrt(each)[:, None], free)
-    return Fit(problem, x, free, {}, covariance, float(quantile), weights, chi2 / freedom)
+    return Fit(problem, x, free, {}, covariance, quantile, weights, chi2 / freedom)
 
 
 def _with_prior(inverse: np.ndarray, a: np.ndarray, free: np.ndarray) -> np.ndarray:

@@ -37,6 +37,11 @@ class Cuts:
     def __len__(self) -> int:
         return len(self.depth)
 
+    @property
+    def feeds(self) -> int:
+        """How many different feeds per tooth there are."""
+        return len(np.unique(np.round(self.feed_per_tooth, 9)))
+
 
 def engagement(mode: str, width: float, diameter: float) -> tuple[float, float]:
     """Entry and exit angle [rad] of a tooth, from the feed direction in the sense of rotation.

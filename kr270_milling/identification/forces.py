@@ -18,10 +18,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.identification.cuts import Cuts
+from kr270_milling.identification.linear import MixedUpError, solve
 
 __all__ = ["Coefficients", "NAMES", "OneFeedError", "TOWARD_PART", "fit_linear_edge", "mean_forces"]
 
@@ -29,7 +29,6 @@ __all__ = ["Coefficients", "NAMES", "OneFeedError", "TOWARD_PART", "fit_linear_e
 NAMES = ("k_tc_n_per_mm2", "k_te_n_per_mm", "k_rc_n_per_mm2", "k_re_n_per_mm", "k_ac_n_per_mm2", "k_ae_n_per_mm")
 SCALE = np.array([1e6, 1e3, 1e6, 1e3, 1e6, 1e3])
 TOWARD_PART, INTO_HOLDER = -1.0, 1.0  #: s of F_z
-WORST = 1e-6  #: share of the largest singular value below which coefficients are mixed up
 
 
 class OneFeedError(MillingError):
@@ -96,26 +95,10 @@ def fit_linear_edge(cuts: Cuts) -> Coefficients:
             continue
         weight = np.broadcast_to(cuts.sigma[:, None], used.shape)[used]
         a = design[:, axes, columns][used] / weight[:, None]
-        found, covered, factor = _least_squares(a, cuts.force[:, axes][used] / weight, cuts)
-        values[columns], covariance[columns, columns] = found, covered
-        widths[columns] = factor * np.sqrt(np.diag(covered))
+        try:
+            solved = solve(a, cuts.force[:, axes][used] / weight, cuts.sigma_known)
+        except MixedUpError:
+            raise OneFeedError(cuts.feeds, len(cuts)) from None
+        values[columns], covariance[columns, columns], widths[columns] = solved
     residuals = cuts.force - mean_forces(cuts, values, axial)
     return Coefficients(cuts, values, widths, covariance, residuals, axial)
-
-
-def _least_squares(a: np.ndarray, b: np.ndarray, cuts: Cuts):
-    """Solution, covariance, and the standard deviations in half a 95 % interval."""
-    lengths = np.linalg.norm(a, axis=0)
-    singular = np.linalg.svd(a / lengths, compute_uv=False)
-    freedom = len(b) - a.shape[1]
-    if freedom < 0 or singular[-1] < WORST * singular[0]:
-        raise OneFeedError(len(np.unique(np.round(cuts.feed_per_tooth, 9))), len(cuts))
-    found = np.linalg.lstsq(a / lengths, b, rcond=None)[0] / lengths
-    inverse = np.linalg.inv((a / lengths).T @ (a / lengths)) / np.outer(lengths, lengths)
-    chi2 = float(np.sum((b - a @ found) ** 2))
-    if cuts.sigma_known:
-        contradicted = freedom > 0 and chi2 > stats.chi2.ppf(0.99, freedom)
-        return found, inverse * (chi2 / freedom if contradicted else 1.0), float(stats.norm.ppf(0.975))
-    if freedom == 0:
-        return found, np.full_like(inverse, np.inf), 1.0
-    return found, inverse * chi2 / freedom, float(stats.t.ppf(0.975, freedom))

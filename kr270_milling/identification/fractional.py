@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 from scipy.optimize import least_squares
 
 from kr270_milling.base.record import specs
 from kr270_milling.cutting.laws import KLIMCHIK2012, FractionalLaw, fractional
 from kr270_milling.identification.cuts import Cuts
 from kr270_milling.identification.forces import OneFeedError
+from kr270_milling.identification.linear import half_interval, scatter, solve
 
 __all__ = ["FractionalFit", "fit_fractional", "fractional_mean_forces"]
 
@@ -62,9 +62,8 @@ def fractional_mean_forces(cuts: Cuts, values) -> np.ndarray:
 
 def fit_fractional(cuts: Cuts, start: FractionalLaw | None = None) -> FractionalFit:
     """Non-linear least squares from the coefficients of ``start``. Raises OneFeedError for fewer than 3 feeds."""
-    feeds = len(np.unique(np.round(cuts.feed_per_tooth, 9)))
-    if feeds < 3 or 2 * len(cuts) <= 4:
-        raise OneFeedError(feeds, len(cuts))
+    if cuts.feeds < 3 or 2 * len(cuts) <= 4:
+        raise OneFeedError(cuts.feeds, len(cuts))
     law = start or KLIMCHIK2012
     scale = np.array([law.stiffness, law.specific_chip_thickness, max(law.ratio, 0.1), max(law.radial_ratio, 0.1)])
     first = np.array([law.stiffness, law.specific_chip_thickness, law.ratio, law.radial_ratio]) / scale
@@ -75,8 +74,8 @@ def fit_fractional(cuts: Cuts, start: FractionalLaw | None = None) -> Fractional
     first = np.clip(first, LOWEST / scale + 1e-9, HIGHEST / scale - 1e-9)
     solved = least_squares(left, first, bounds=(LOWEST / scale, HIGHEST / scale), x_scale="jac", xtol=1e-12, ftol=1e-12)
     freedom = 2 * len(cuts) - 4
-    variance = 1.0 if cuts.sigma_known else 2 * solved.cost / freedom
-    quantile = stats.norm.ppf(0.975) if cuts.sigma_known else stats.t.ppf(0.975, freedom)
+    variance = scatter(2 * solved.cost, freedom, cuts.sigma_known)
+    quantile = half_interval(freedom, cuts.sigma_known)
     _, singular, turned = np.linalg.svd(solved.jac, full_matrices=False)
     with np.errstate(divide="ignore"):
         inverse = (turned.T / np.where(singular > 1e-9 * singular[0], singular, 0.0) ** 2) @ turned
@@ -92,11 +91,6 @@ def _axial(cuts: Cuts, values: np.ndarray) -> tuple[float, float]:
     seen = np.isfinite(cuts.force[:, 2])
     if seen.sum() < 2:
         return np.nan, np.nan
-    unit = fractional_mean_forces(cuts, [*values, 1.0])[seen, 2]
-    weight = 1.0 / cuts.sigma[seen] ** 2
-    power = float(np.sum(weight * unit**2))
-    ratio = float(np.sum(weight * unit * cuts.force[seen, 2]) / power)
-    left = float(np.sum(weight * (cuts.force[seen, 2] - ratio * unit) ** 2))
-    variance = 1.0 if cuts.sigma_known else left / (seen.sum() - 1)
-    quantile = stats.norm.ppf(0.975) if cuts.sigma_known else stats.t.ppf(0.975, seen.sum() - 1)
-    return ratio, float(quantile * np.sqrt(variance / power))
+    unit = fractional_mean_forces(cuts, [*values, 1.0])[seen, 2] / cuts.sigma[seen]
+    ratio, _, width = solve(unit[:, None], cuts.force[seen, 2] / cuts.sigma[seen], cuts.sigma_known)
+    return float(ratio[0]), float(width[0])

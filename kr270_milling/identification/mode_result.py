@@ -22,8 +22,8 @@ def six(mode: Mode, names: tuple[str, ...]) -> np.ndarray:
     return shape
 
 
-def as_dict(modes: list[Mode], signals: Signals) -> dict:
-    """For JSON."""
+def as_dict(modes: list[Mode], signals: Signals, shapes: np.ndarray | None = None) -> dict:
+    """For JSON; shapes: mass-normalised ones, (n, 6)."""
     rows = [
         {
             "frequency_hz": mode.frequency,
@@ -35,6 +35,8 @@ def as_dict(modes: list[Mode], signals: Signals) -> dict:
         }
         for mode in modes
     ]
+    for row, shape in zip(rows, () if shapes is None else shapes.tolist(), strict=False):
+        row["mass_normalised_shape"] = shape
     duration = len(signals.values) * signals.step
     return {"modes": rows, "duration_s": duration, "samples_per_s": 1 / signals.step, "channels": list(signals.names)}
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.identification.candidates import Candidates
-from kr270_milling.identification.prediction import TestPose, pose_derivatives
+from kr270_milling.identification.measurements import Measurements
+from kr270_milling.identification.prediction import pose_derivatives
 from kr270_milling.identification.problem import Problem
 from kr270_milling.robot.arm import Arm, Mount
 
@@ -37,7 +38,7 @@ class Design:
 class Planner:
     """Chooses among candidates for one arm and one test pose."""
 
-    def __init__(self, arm: Arm, mount: Mount, choice: Candidates, pose: TestPose, gravity: bool = True):
+    def __init__(self, arm: Arm, mount: Mount, choice: Candidates, pose: Measurements, gravity: bool = True):
         tests = dataclasses.replace(choice.tests, displacement=np.zeros_like(choice.tests.displacement))
         problem = Problem(arm, mount, tests, gravity)
         columns = problem.derivatives(problem.start).reshape(len(tests), 6, -1)

@@ -7,7 +7,8 @@ import numpy as np
 from kr270_milling.base.record import specs
 from kr270_milling.identification.compliance import Fit
 from kr270_milling.identification.identifiability import singular_values
-from kr270_milling.identification.prediction import TestPose, predicted_errors
+from kr270_milling.identification.measurements import Measurements
+from kr270_milling.identification.prediction import predicted_errors
 from kr270_milling.robot.compensator import Compensator
 
 __all__ = ["as_dict", "include_sections", "sentences"]
@@ -15,7 +16,7 @@ __all__ = ["as_dict", "include_sections", "sentences"]
 HARDLY_NORMAL = 0.05
 
 
-def as_dict(found: Fit, pose: TestPose | None = None) -> dict:
+def as_dict(found: Fit, pose: Measurements | None = None) -> dict:
     """For JSON; half widths that are infinite become null there."""
     values, widths = found.values, found.half_widths
     residuals = found.residuals
@@ -52,18 +53,18 @@ def _compensator(found: Fit) -> dict:
     return report
 
 
-def _test_pose(found: Fit, pose: TestPose) -> dict:
+def _test_pose(found: Fit, pose: Measurements) -> dict:
     moved, error = predicted_errors(found, pose)
     return {
-        "joints_deg": np.degrees(pose.q).tolist(),
-        "forces_n": pose.loads.wrench[:, :3].tolist(),
+        "joints_deg": np.degrees(pose.q[0]).tolist(),
+        "forces_n": pose.wrench[:, :3].tolist(),
         "displacement_um": (1e6 * moved).tolist(),
         "error_um": (1e6 * error).tolist(),
         "share": float(np.sqrt(np.sum(error**2) / np.sum(moved**2))),
     }
 
 
-def sentences(found: Fit, pose: TestPose | None = None) -> list[str]:
+def sentences(found: Fit, pose: Measurements | None = None) -> list[str]:
     """What the numbers mean."""
     said = [f"not identified: {reason}; it stays as in the arm file" for reason in found.reasons.values()]
     if found.free.all():

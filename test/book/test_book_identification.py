@@ -63,11 +63,11 @@ def test_plan():
     choice = candidates(ARM, MOUNT, Bench(MOUNT.xyz), 1000, 2)
     planned = Planner(ARM, MOUNT, choice, pose).best(12).rows
     kinds = [np.flatnonzero(choice.kind == kind) for kind in choice.kind[planned]]
-    true = displacements(TRUE, MOUNT, pose.loads)[:, :3]
+    true = displacements(TRUE, MOUNT, pose)[:, :3]
 
     def error(rows) -> float:
         found = fit(_campaign(choice, rows, rng))
-        return float(np.sum((displacements(found.arm, MOUNT, pose.loads)[:, :3] - true) ** 2))
+        return float(np.sum((displacements(found.arm, MOUNT, pose)[:, :3] - true) ** 2))
 
     ours = np.mean([error(planned) for _ in range(60)])
     blind = np.mean([error(np.array([rng.choice(rows) for rows in kinds])) for _ in range(60)])

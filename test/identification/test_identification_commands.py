@@ -138,7 +138,7 @@ def test_what_is_missing_is_said_in_one_sentence(capsys, tmp_path):
 def test_a_material_is_listed_and_written_to_be_included(capsys, tmp_path):
     assert len(answer(capsys, "identify", "material")["materials"]) >= 6
     words = ("identify", "material", "al7075-t6", "--row", 2, "--out", tmp_path)
-    (file,) = [f for row in answer(capsys, *words)["materials"] for f in row.get("files", [])]
+    (file,) = answer(capsys, *words)["files"]
     cell = tmp_path / "cell.yaml"
     cell.write_text(f'/**:\n  ros__parameters:\n    includes: ["test_piece.yaml", "{file}"]\n')
     from kr270_milling.cell.cell import read_cell
