@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 
 from kr270_milling.commands.console import add_cell, add_common, fixed, print_json, print_table
 from kr270_milling.commands.progress import progress
@@ -56,7 +57,9 @@ def run(args) -> None:
     with progress("stability") as report:
         found = lobes(cell, (np.linspace(low, high, count) * np.pi / 30.0).tolist(), not args.no_arm, progress=report)
     rows = [lobe.as_dict() for lobe in found]
-    files = _write(args.out, rows) if args.out else []
+    best = max(rows, key=lambda r: r["depth_limit_mm"])
+    said = f"deepest stable cut: {_depth(best['depth_limit_mm'])} mm at {best['spindle_speed_rpm']:.0f} rpm"
+    files = _write(args, cell, rows, said) if args.out else []
     if args.json:
         engaged = {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode}
         print_json({"cell": args.cell, "arm": not args.no_arm, **engaged, "lobes": rows, "files": files})
@@ -64,8 +67,7 @@ def run(args) -> None:
     every = max(1, -(-len(rows) // SHOWN))
     shown = [[f"{r['spindle_speed_rpm']:.0f}", _depth(r["depth_limit_mm"]), fixed(r["chatter_hz"], 1)] for r in rows]
     print_table("Stability lobes", ["spindle speed [rpm]", "limit depth [mm]", "chatter [Hz]"], shown[::every])
-    best = max(rows, key=lambda r: r["depth_limit_mm"])
-    print(f"deepest stable cut: {_depth(best['depth_limit_mm'])} mm at {best['spindle_speed_rpm']:.0f} rpm")
+    print(said)
     for name in files:
         print(name)
 
@@ -87,23 +89,23 @@ def _depth(value: float) -> str:
     return "above 100" if value == float("inf") else f"{value:.3f}"
 
 
-def _write(out: str, rows: list[dict]) -> list[str]:
+def _write(args, cell, rows: list[dict], said: str) -> list[str]:
     """Table and picture."""
-    import plotly.graph_objects as go
-
     from kr270_milling.base.files import staged
+    from kr270_milling.identification.figures import points, write_page
 
-    columns = list(rows[0])
-    with staged(out) as (draft, final):
-        table, page = draft / "lobes.csv", draft / "lobes.html"
-        lines = [",".join(repr(row[name]) for name in columns) for row in rows]
-        table.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
-        figure = go.Figure()
-        speeds = [row["spindle_speed_rpm"] for row in rows]
-        chatter = [f"{row['chatter_hz']:.1f} Hz" for row in rows]
-        figure.add_scatter(x=speeds, y=[row["depth_limit_mm"] for row in rows], text=chatter, name="limit depth")
-        figure.update_layout(title="Stability lobes: below the line the cut is stable", template="plotly_white")
-        figure.update_xaxes(title="spindle speed [rpm]")
-        figure.update_yaxes(title="depth of cut [mm]", rangemode="tozero")
-        figure.write_html(page, include_plotlyjs=True)
+    speeds = [row["spindle_speed_rpm"] for row in rows]
+    limit, chatter = ([row[name] for row in rows] for name in ("depth_limit_mm", "chatter_hz"))
+    own = [cell.tool.spindle_speed * 30.0 / math.pi], [1e3 * cell.path.depth_of_cut]
+    lines = {"limit depth": (speeds, limit), **({"the cell": own} if cell.path.depth_of_cut else {})}
+    figures = [
+        points("Below the line the cut is stable", "spindle speed [rpm]", "depth of cut [mm]", lines, ("limit depth",)),
+        points("Chatter at the limit", "spindle speed [rpm]", "frequency [Hz]", {"chatter": (speeds, chatter)}),
+    ]
+    figures[0].update_yaxes(rangemode="tozero")
+    with staged(args.out) as (draft, final):
+        table = draft / "lobes.csv"
+        text = [",".join(repr(float(value)) for value in row.values()) for row in rows]
+        table.write_text("\n".join([",".join(rows[0]), *text]) + "\n", encoding="utf-8")
+        page = write_page(draft / "lobes.html", f"Stability lobes of {args.cell}", [said], [], figures)
         return [str(final(table)), str(final(page))]

@@ -1,4 +1,4 @@
-"""Pictures of what was identified, as one page that needs no network."""
+"""Pictures of what was identified or mapped, as one page that needs no network."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["bars_with_intervals", "compliance_figures", "heat", "points", "write
 STYLE = """body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a}
 table{border-collapse:collapse;margin:1rem 0}td,th{padding:.2rem .8rem;text-align:right;border-bottom:1px solid #ccc}
 td:first-child,th:first-child{text-align:left}.wide{overflow-x:auto}
-@media(prefers-color-scheme:dark){body{background:#14171a;color:#e6e6e6}}"""
+@media(prefers-color-scheme:dark){body{background:#14171a;color:#e6e6e6}.plot{filter:invert(.9) hue-rotate(180deg)}}"""
 
 
 def _figure(title: str, x: str, y: str):
@@ -88,7 +88,7 @@ def write_page(
     """One HTML file with everything in it."""
     from plotly.io import to_html
 
-    parts = [f"<h1>{html.escape(title)}</h1>", *(f"<p>{html.escape(s)}.</p>" for s in sentences)]
+    parts = [f"<h1>{html.escape(title)}</h1>", *(f"<p>{html.escape(s[:1].upper() + s[1:])}.</p>" for s in sentences)]
     for heading, columns, rows in tables:
         head = "".join(f"<th>{html.escape(c)}</th>" for c in columns)
         body = "".join("<tr>" + "".join(f"<td>{html.escape(str(c))}</td>" for c in row) + "</tr>" for row in rows)
@@ -97,7 +97,7 @@ def write_page(
         part = to_html(
             figure, full_html=False, include_plotlyjs=i == 0, config={"displaylogo": False, "responsive": True}
         )
-        parts.append(f"<div class=wide>{part}</div>")
+        parts.append(f"<div class='wide plot'>{part}</div>")
     page = (
         f"<!doctype html><html lang=en><head><meta charset=utf-8><meta name=viewport content='width=device-width'>"
         f"<title>{html.escape(title)}</title><style>{STYLE}</style></head><body>{''.join(parts)}</body></html>"

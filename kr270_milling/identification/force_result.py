@@ -18,7 +18,7 @@ FIELDS = ("tangential_cutting", "tangential_edge", "radial_cutting", "radial_edg
 
 
 COLOURS = {"x": "#1f77b4", "y": "#d62728", "z": "#2ca02c"}
-SYMBOLS = {"measured": "circle", "linear edge": "line-ew-open", "fractional": "x-thin-open"}
+SYMBOLS = {"measured": "circle-open", "linear edge": "line-ew-open", "fractional": "x-thin-open"}
 
 
 def as_dict(found: Coefficients, bent: FractionalFit | None = None) -> dict:

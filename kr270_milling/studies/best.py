@@ -10,12 +10,13 @@ import numpy as np
 from kr270_milling.base.include import write_include
 from kr270_milling.base.parameter_file import merge, override, shipped_directories
 from kr270_milling.cell.cell import Cell
+from kr270_milling.identification.figures import write_page
 from kr270_milling.studies.placements import Course, moved_cell
 
 __all__ = ["Summary", "write_cell", "write_cells", "write_picture"]
 
-SHOWN = {"error_max_um": "before compensation [um]", "compensated_max_um": "after, one sigma [um]",
-         "lowest_mode_hz": "lowest mode [Hz]"}  # fmt: skip
+SHOWN = {"error_max_um": "error before compensation [um]", "compensated_max_um": "after it, one sigma [um]",
+         "lowest_mode_hz": "lowest mode [Hz]", "singularity": "distance to a singularity"}  # fmt: skip
 
 
 class Summary:
@@ -25,6 +26,7 @@ class Summary:
         self.x, self.y, self.count = np.unique(1e3 * x), np.unique(1e3 * y), count
         self.rows = self.feasible = 0
         self.best: list[dict] = []  #: the placements of the smallest largest error, the best branch of each
+        #: of the row with the least error at each x and y, (y, x)
         self.maps = {name: np.full((len(self.y), len(self.x)), np.nan) for name in SHOWN}
 
     def add(self, table) -> None:
@@ -35,10 +37,13 @@ class Summary:
         order = usable[np.argsort(error, kind="stable")]
         for index in order[: 8 * self.count].tolist():
             self._enter({name: table[name][index].as_py() for name in table.column_names})
-        place = tuple(np.searchsorted(axis, table[name].to_numpy()[usable])
-                      for axis, name in ((self.y, "y_mm"), (self.x, "x_mm")))  # fmt: skip
-        for name, least in self.maps.items():
-            np.fmin.at(least, place, table[name].to_numpy()[usable])
+        order = order[::-1]  # the least error of a place is entered last, and stays
+        x, y = (np.searchsorted(axis, table[name].to_numpy()[order])
+                for axis, name in ((self.x, "x_mm"), (self.y, "y_mm")))  # fmt: skip
+        error = table["error_max_um"].to_numpy()[order]
+        lower = ~(self.maps["error_max_um"][y, x] <= error)
+        for name, shown in self.maps.items():
+            shown[y[lower], x[lower]] = table[name].to_numpy()[order][lower]
 
     def _enter(self, row: dict) -> None:
         def place(one: dict) -> tuple:
@@ -82,20 +87,24 @@ def _included(source: Path, folder: Path) -> str:
 
 
 def write_picture(folder, summary: Summary) -> Path:
-    """Heat maps over x and y: the least of each column there."""
+    """Heat maps over x and y, with the best placements."""
     from plotly.subplots import make_subplots
 
-    figure = make_subplots(cols=3, subplot_titles=list(SHOWN.values()), shared_yaxes=True, horizontal_spacing=0.1)
-    for number, least in enumerate(summary.maps.values(), 1):
-        middle = figure.get_subplot(1, number).xaxis.domain
-        figure.add_heatmap(x=summary.x, y=summary.y, z=least, colorscale="Viridis", col=number, row=1,
-                           colorbar={"x": middle[1], "xpad": 2, "thickness": 12})  # fmt: skip
-        figure.update_xaxes(title="x [mm]", row=1, col=number)
-    figure.update_yaxes(title="y [mm]", row=1, col=1)
-    figure.update_layout(
-        title="Where to clamp the part: the least value over z, turns and branches; white: out of reach or limits",
-        template="plotly_white",
-    )
-    path = Path(folder) / "map.html"
-    figure.write_html(path, include_plotlyjs=True)
-    return path
+    figure = make_subplots(rows=2, cols=2, subplot_titles=list(SHOWN.values()), shared_xaxes=True, shared_yaxes=True,
+                           horizontal_spacing=0.12, vertical_spacing=0.08)  # fmt: skip
+    best = [[row[name] for row in summary.best] for name in ("x_mm", "y_mm")]
+    for number, shown in enumerate(summary.maps.values()):
+        at = {"row": 1 + number // 2, "col": 1 + number % 2}
+        across, up = (axis.domain for axis in figure.get_subplot(*at.values()))
+        bar = {"x": across[1], "y": sum(up) / 2, "len": up[1] - up[0], "xpad": 2, "thickness": 12}
+        figure.add_heatmap(x=summary.x, y=summary.y, z=shown, colorscale="Viridis", colorbar=bar, **at)
+        figure.add_scatter(x=best[0], y=best[1], mode="markers", showlegend=False, name="best placements",
+                           marker={"symbol": "star", "size": 11, "color": "red"}, **at)  # fmt: skip
+        figure.update_xaxes(title="x [mm]" if number > 1 else "", **at)
+        figure.update_yaxes(title="" if number % 2 else "y [mm]", **at)
+    figure.update_layout(template="plotly_white", height=800, margin={"l": 70, "r": 20, "t": 40, "b": 60})
+    said = ["each field shows the z, the turns and the branch with the least error there; the stars are the best "
+            "placements, and nothing is drawn where the path is out of reach or of the joints' limits"]  # fmt: skip
+    names = ["x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", *SHOWN]
+    rows = [[f"{row[name]:.4g}" for name in names] for row in summary.best]
+    return write_page(Path(folder) / "map.html", "Where to clamp the part", said, [("Best", names, rows)], [figure])
