@@ -10,7 +10,8 @@ import pytest
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cli import main
-from kr270_milling.robot import pose
+from kr270_milling.robot import compliance, equilibrium, pose
+from kr270_milling.simulation.arm_model import modal_models
 from kr270_milling.studies.placements import Course, Placements, moved_cell
 
 pytest.importorskip("pyarrow")
@@ -64,6 +65,28 @@ def test_a_place_out_of_reach_is_infeasible_and_says_nothing_of_errors(placement
     assert not rows["feasible"].any() and not rows["reachable"].any() and np.isnan(rows["error_max_um"]).all()
 
 
+def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placements):
+    """Against the equilibrium with weights and compensator, and the modal model of the cell: weights change 1 %."""
+    spring = ("arm.compensator.stiffness_n_per_mm=20000", "arm.compensator.preload_n=20000",
+              "arm.compensator.base_x_mm=-690", "arm.compensator.base_z_mm=120",
+              "arm.compensator.arm_length_mm=400")  # fmt: skip
+    whole, names = placements.course, ("x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg")
+    course = Course(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
+    softness = []
+    for settings in ((), spring):
+        cell = read_cell(find_file("test_piece.yaml"), settings)
+        rows = Placements(cell, course, placements.axes).rows(np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]))
+        branch = int(np.flatnonzero(rows["feasible"][0])[0])
+        place = dict(zip(names, (1500.0, 0.0, 800.0, 0.0, 0.0), strict=True))
+        q = np.radians(moved_cell(cell, course, place | {"branch": branch})["posture_deg"])
+        way = compliance(equilibrium(cell.arm, cell.mount, q), cell.arm)[:3, :3] @ course.force[0]
+        softness.append(rows["compliance_um_per_n"][0, branch])
+        assert softness[-1] == pytest.approx(1e6 * np.linalg.norm(way) / np.linalg.norm(course.force[0]), rel=0.01)
+        model = modal_models(cell.arm, cell.mount, cell.dynamics, cell.workpiece.pose, q[None])[0]
+        assert rows["lowest_mode_hz"][0, branch] == pytest.approx(model.frequency[0] / (2 * np.pi), rel=0.01)
+    assert abs(softness[1] / softness[0] - 1.0) > 0.03  # the spring matters here
+
+
 def test_a_quarter_turn_of_everything_changes_nothing_but_joint_1(placements):
     """Turning the place about axis 1 turns axis 1: errors and singularities stay."""
     one = placements.rows(np.array([[1.4, 0.1, 0.8, 0.3, 0.2]]))
@@ -74,9 +97,8 @@ def test_a_quarter_turn_of_everything_changes_nothing_but_joint_1(placements):
 
 
 def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path, capsys):
-    pytest.importorskip("dask.distributed")
     words = ["map", "paper.yaml", "--x=-100:100:2", "--y=-1700:-1500:2", "--out", str(tmp_path / "map"), "--json"]
-    words += ["--set", "path.length_mm=6", "--set", "stock.grid_step_um=40", "--chunk", "3"]
+    words += ["--set", "path.length_mm=6", "--set", "stock.grid_step_um=40"]
     assert main(words) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["rows"] == 4 * 8 and found["rows_per_s"] > 0 and found["best"] and len(found["best"]) <= 5

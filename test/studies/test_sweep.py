@@ -1,8 +1,6 @@
-"""Sweeps on real Dask workers: rows that do not depend on them, failures as rows, studies that go on."""
+"""Sweeps: axes, samples, rows that do not depend on the chunk. Workers are in ``test_engine``."""
 
 from __future__ import annotations
-
-import json
 
 import numpy as np
 import pytest
@@ -11,12 +9,10 @@ from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cli import main
 from kr270_milling.studies.engine import Study
 from kr270_milling.studies.sweep import Axis, Sweep, parse_axis
 
 pytest.importorskip("pyarrow")
-pytest.importorskip("dask.distributed")
 SHORT = ("path.length_mm=4", "stock.grid_step_um=40", "stock.max_mm=[4,12,0]")
 
 
@@ -56,23 +52,6 @@ def test_the_rows_are_plain_passes_whatever_the_chunk():
     assert one == all_at_once and [row["index"] for row in one] == [0, 1, 2, 3]
     cell = read_cell(find_file("paper.yaml"), [*SHORT, "path.depth_of_cut_mm=0.4", "tool.teeth=2"])
     assert one[2]["max_deviation_um"] == 1e6 * simulate(cell).scores.max_deviation
-
-
-def test_the_command_runs_on_workers_goes_on_and_has_failures_as_rows(tmp_path, capsys):
-    import pyarrow.parquet as parquet
-
-    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.5,-1,0.8", "--chunk", "1", "--json"]
-    words += ["--out", str(tmp_path / "out"), *(part for pair in SHORT for part in ("--set", pair))]
-    assert main(words) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["rows"] == 3 and found["failed"] == 1
-    files = sorted((tmp_path / "out").glob("*.parquet"))
-    (refused,) = [row for f in files for row in parquet.read_table(f).to_pylist() if row["error"]]
-    assert "path.depth_of_cut_mm" in refused["error"] and refused["path.depth_of_cut_mm"] == -1.0
-    whole = [f.read_bytes() for f in files]
-    files[1].unlink()  # as if the driver had been killed
-    assert main(words) == 0
-    assert [f.read_bytes() for f in files] == whole
 
 
 def test_a_folder_of_another_study_is_refused(tmp_path):
