@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import print_json, progress
+from kr270_milling.commands.console import print_json
+from kr270_milling.commands.progress import progress
 
 __all__ = ["run_along"]
 
