@@ -49,6 +49,7 @@ class Cut:
         self.params = make_params(tool, cutting, stock, micro_step)
         self.state = make_state(self.params, stock, log_size or 1 << 22)
         self._log_grows = log_size is None
+        self._room = (0, 0.0)  # micro-steps and distance [m] of a sweep that the log has room for
         self.torque = 0.0  #: mean spindle torque of the last sweep [N m]
 
     def sweep(self, pose_from, pose_to, first: int, n: int, forces: np.ndarray = NO_FORCES) -> np.ndarray:
@@ -62,9 +63,7 @@ class Cut:
         if not sound or first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):
             raise SweepError(pose_from, pose_to, first, n)
         if self._log_grows and n <= self.params.steps:
-            size = log_size(self.params, n, math.dist(start[:2], end[:2]))
-            if size > self.state.log_level.size:
-                self.state = self.state._replace(**make_log(size))
+            self._make_room(n, math.dist(start.tolist(), end.tolist()))
         wrench = np.empty(6)
         self.torque = sweep(self.state, self.params, start, end, int(first), int(n), forces, wrench)
         if self.state.ints[FAILED]:
@@ -83,6 +82,19 @@ class Cut:
         if self.state.ints[FAILED]:
             raise GridError(self.state.pool.size // TILE**2)
         return wrench, torque, volume
+
+    def _make_room(self, n: int, distance: float) -> None:
+        """For the undo log of n micro-steps over a distance [m]; for twice of it, so that this is seldom needed."""
+        if n > self._room[0] or distance > self._room[1]:
+            self._room = max(n, self._room[0]), max(2.0 * distance, self._room[1])
+            size = log_size(self.params, *self._room)
+            if size > self.state.log_level.size:
+                self.state = self.state._replace(**make_log(size))
+
+    def touch(self, most: int = 1 << 26) -> None:
+        """Have the memory of the stock, up to so many bytes, so that no sweep waits for the system to clear a page."""
+        used = self.state.ints[TILES] * TILE**2
+        self.state.pool[used : most // self.state.pool.itemsize].fill(0)
 
     def restore(self) -> None:
         """Take the last sweep back, once. Raises UndoError."""

@@ -40,6 +40,7 @@ class CuttingProcess(ManagedNode):
     def configure(self) -> None:
         self._compile()
         self.send(self.protocol.configure())
+        self.protocol.side.cut.touch()
         self._mapped = True
         self.stamp_ns = 0
         self.report(OK, "configured: fresh workpiece")
