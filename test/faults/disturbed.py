@@ -33,8 +33,8 @@ class Told(NamedTuple):
 class Disturbed(Hooks):
     """Context manager: a graph. ``disturb`` takes a script that begins some seconds after the next pass has begun."""
 
-    def __init__(self, cell: Cell, out: Path, clock: SteppedClock | None = None):
-        self.graph = Graph(cell, out, hooks=self)
+    def __init__(self, cell: Cell, out: Path, clock: SteppedClock | None = None, composed: bool = False):
+        self.graph = Graph(cell, out, hooks=self, composed=composed)
         self.clock = clock
         self.told: list[Told] = []
         self.beside: list[subprocess.Popen] = []  #: processes that are no nodes
@@ -46,7 +46,12 @@ class Disturbed(Hooks):
 
     @property
     def children(self) -> dict[str, Child]:
+        """By node."""
         return self.graph.children
+
+    def child(self, name: str) -> Child:
+        """By its own name: that of a node, or of a process that holds several."""
+        return next(child for child in self.children.values() if child.name == name)
 
     def disturb(self, script: Iterator[float], after: float) -> None:
         self.told, self.struck_at = [], None
@@ -88,21 +93,23 @@ class Disturbed(Hooks):
 
     def strike(self, node: str, number: int) -> None:
         self.struck()
-        self.children[node].signal(number)
+        self.child(node).signal(number)
 
     def restart(self, node: str, *more: str) -> None:
         """As a supervisor does: kill, and start again with the same arguments; the graph does not notice by itself."""
-        graph, driver = self.graph, self.graph.driver
+        graph, driver, killed = self.graph, self.graph.driver, self.child(node)
         self.strike(node, signal.SIGKILL)
-        self.children[node].process.wait()
+        killed.process.wait()
         for _ in range(5):
             driver.spin()  # its last words
-        graph.ended.append(self.children[node])
-        name, before = driver.name_of(node), driver.status(node)
+        graph.ended.append(killed)
+        held = tuple(name for name, child in self.children.items() if child is killed)
+        before = {driver.name_of(name): driver.status(name) for name in held}
         parameters, arguments = graph.spawned[node]
-        graph.spawn(node, parameters, *arguments, *more)
-        values = {key: value for key, value in before.values.items() if key != "pid"}
-        driver.statuses[name] = dataclasses.replace(before, values=values, at=time.monotonic())
+        graph.spawn(node, parameters, *arguments, *more, holds=held)
+        for name, status in before.items():
+            values = {key: value for key, value in status.values.items() if key != "pid"}
+            driver.statuses[name] = dataclasses.replace(status, values=values, at=time.monotonic())
 
     def end_beside(self) -> None:
         for process in self.beside:

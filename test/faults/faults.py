@@ -8,10 +8,11 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from faults.disturbed import Disturbed
 from kr270_milling.bag.reader import find_file
+from kr270_milling.graph.graph import TOGETHER
 from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT
 
 __all__ = ["ENDS", "FAULTS", "GOES_ON", "Fault"]
@@ -21,6 +22,7 @@ ENDS, GOES_ON = "run ends", "pass goes on"
 #: in how many words a sentence may name a node
 NAMES = {
     ROBOT: (ROBOT, "robot"),
+    TOGETHER: (ROBOT, CUT, TOGETHER, "robot", "cutting process"),
     CUT: (CUT, "cutting process"),
     COMPENSATOR: (COMPENSATOR, "compensator"),
     RECORDER: (RECORDER,),
@@ -39,6 +41,7 @@ class Fault:
     design: str  #: the reaction in a sentence
     told: bool = True  #: it must be said within 3 s
     clock: bool = False  #: the nodes run on a wall clock that can be set
+    composed: bool = False  #: robot and cut run in one process
 
     def names_it(self, sentence: str) -> bool:
         return any(name in sentence for name in NAMES[self.node]) if self.node else True
@@ -54,7 +57,7 @@ def _kill(node: str):
 
 def _hold(node: str):
     def strike(graph: Disturbed) -> Script:
-        held = graph.children[node]
+        held = graph.child(node)
         graph.strike(node, signal.SIGSTOP)
         yield HELD
         held.signal(signal.SIGCONT)
@@ -64,7 +67,7 @@ def _hold(node: str):
 
 def _restart(node: str):
     def strike(graph: Disturbed) -> Script:
-        graph.restart(node, *(("-p", "autostart:=true") if node in (ROBOT, CUT) else ()))
+        graph.restart(node, *(("-p", "autostart:=true") if node in (ROBOT, CUT, TOGETHER) else ()))
         yield 0.0
 
     return strike
@@ -118,13 +121,7 @@ def _of_node(node: str, kill: str, hold: str, restart: str) -> list[Fault]:
 CLOSED = "run ends with a sentence, recording is closed whole"
 WAITED = "told as a warning, waited for, same result"
 
-FAULTS = (
-    *_of_node(
-        ROBOT, CLOSED, WAITED, "cutting process says that another robot came, or told that it was restarted; run ends"
-    ),
-    *_of_node(
-        CUT, CLOSED, WAITED, "new cut has not seen the start and refuses, or told that it was restarted; run ends"
-    ),
+_OTHERS = (
     *_of_node(COMPENSATOR, CLOSED, WAITED, "told that it was restarted, or that it has not heard the start; run ends"),
     *_of_node(
         RECORDER,
@@ -136,4 +133,16 @@ FAULTS = (
     Fault("slow disk", "", _slow_disk, GOES_ON, "queues keep what comes, what they cannot is counted", told=False),
     Fault("2x load", "", _load, GOES_ON, "slower, same result", told=False),
     Fault("clock set", "", _set_clock, GOES_ON, "no effect: time is the stamp", told=False, clock=True),
+)
+_CELL = _of_node(TOGETHER, CLOSED, WAITED, "told that it was restarted, or that another robot came; run ends")
+#: one process a node, then robot and cut in one
+FAULTS = (
+    *_of_node(
+        ROBOT, CLOSED, WAITED, "cutting process says that another robot came, or told that it was restarted; run ends"
+    ),
+    *_of_node(
+        CUT, CLOSED, WAITED, "new cut has not seen the start and refuses, or told that it was restarted; run ends"
+    ),
+    *_OTHERS,
+    *(replace(fault, name=f"composed: {fault.name}", composed=True) for fault in (*_CELL, *_OTHERS)),
 )

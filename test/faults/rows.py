@@ -23,6 +23,7 @@ __all__ = ["Row", "expected_seconds", "fault_cell", "run_faults"]
 
 #: a pass of 4,800 exchanges, some two seconds at full speed
 CELL = ("path.length_mm=40", "stock.grid_step_um=50", "exchange.period_ms=0.125")
+COMPOSED = (*CELL[:2], "exchange.period_ms=0.0625")  # twice as many, for a graph that is quicker
 AFTER = (0.05, 0.8)  # [s] from the start of the pass to the fault
 TRIES = 6  #: a busy machine may look so late that the pass is over before the fault
 SECONDS = {True: 9.0, False: 6.0}  # [s] that a trial takes, with and without a graph of its own
@@ -93,8 +94,8 @@ class Undisturbed:
         return self._passes[number]
 
 
-def fault_cell() -> Cell:
-    return read_cell(find_file("paper.yaml"), list(CELL))
+def fault_cell(composed: bool = False) -> Cell:
+    return read_cell(find_file("paper.yaml"), list(COMPOSED if composed else CELL))
 
 
 def expected_seconds(faults: Sequence[Fault], repeats: int) -> float:
@@ -105,8 +106,8 @@ def run_faults(
     faults: Sequence[Fault], repeats: int, seed: int, out: Path, progress: Callable[[int, int], None]
 ) -> list[Row]:
     """Rows in the order of the faults; recordings and logs go to directories below ``out``."""
-    cell, chance = fault_cell(), random.Random(seed)
-    plain, rows = Undisturbed(cell), []
+    chance, rows = random.Random(seed), []
+    plains = {composed: Undisturbed(fault_cell(composed)) for composed in {fault.composed for fault in faults}}
     for number, fault in enumerate(faults):
         times = [chance.uniform(*AFTER) for _ in range(repeats)]
         directory = out / f"fault_{number + 1:02d}"
@@ -115,7 +116,7 @@ def run_faults(
             rows.append(Row(fault, (), "no C compiler to make a clock that can be set"))
             continue
         with SteppedClock(directory) if fault.clock else contextlib.nullcontext() as clock:
-            done = _Trials(cell, fault, directory, plain, clock)
+            done = _Trials(fault, directory, plains[fault.composed], clock)
             for repeat, after in enumerate(times):
                 done.run(repeat, after)
                 progress(number * repeats + repeat + 1, len(faults) * repeats)
@@ -127,8 +128,8 @@ def run_faults(
 class _Trials:
     """All trials of a fault: in one graph as long as it lives."""
 
-    def __init__(self, cell: Cell, fault: Fault, out: Path, plain, clock):
-        self.cell, self.fault, self.out, self.plain, self.clock = cell, fault, out, plain, clock
+    def __init__(self, fault: Fault, out: Path, plain: Undisturbed, clock: SteppedClock | None):
+        self.fault, self.out, self.plain, self.clock = fault, out, plain, clock
         self.trials: list[Trial] = []
         self._graph: Disturbed | None = None
         self._passes = 0  # of this graph
@@ -165,7 +166,7 @@ class _Trials:
         directory = self.out / f"graph_{repeat + 1}"
         directory.mkdir()
         self._passes = 0
-        self._graph = Disturbed(self.cell, directory, self.clock)
+        self._graph = Disturbed(self.plain.cell, directory, self.clock, self.fault.composed)
         return self._graph.__enter__()
 
     def end(self) -> None:
