@@ -16,6 +16,7 @@ MOST_DEFINED = 32 * 1024 * 1024  # [bytes] of names, definitions and metadata th
 ENTRY = 150  # [bytes] that Python takes for an entry of a small record or mapping
 MOST_CHUNKS = 250_000  # some 40 MB of places; 70 hours of a recorder that closes one every second
 NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
+SMALL_RECORDS = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.STATISTICS, Opcode.DATA_END)
 
 
 class Contents:
@@ -28,7 +29,7 @@ class Contents:
         self.channels: dict[int, Channel] = {}
         self.chunks: list[Chunk] = []
         self.attachments: list[Attachment] = []
-        self.metadata: list[tuple[str, dict[str, str]]] = []
+        self.metadata: dict[str, dict[str, str]] = {}  #: of several records with one name the last
         self.counts: Counter[int] | None = None  #: channel -> messages, where the file says it
         self.data_crc = 0
         self._defined = 0
@@ -36,33 +37,31 @@ class Contents:
     def take(self, part: Part):
         """Take one record of the top level; returns a chunk's or an attachment's place, or mcap's record."""
         if part.type in (Opcode.CHUNK, Opcode.MESSAGE):
-            return self._take_chunk(chunk(self.stream, part))
+            found = chunk(self.stream, part)
+            if len(self.chunks) == MOST_CHUNKS:
+                raise Damage(f"the file has more than {MOST_CHUNKS} chunks", part.offset)
+            self.chunks.append(found)
+            return found
         if part.type == Opcode.ATTACHMENT:
-            self.attachments.append(attachment(self.stream, part))
-            self._bear(ENTRY + len(self.attachments[-1].name), part.offset)
-            return self.attachments[-1]
-        if part.type in (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.STATISTICS,
-                         Opcode.DATA_END):  # fmt: skip
-            record = parsed(part.type, content(self.stream, part), part.offset)
-            self._take_record(part.type, record, part)
-            return record
+            found = attachment(self.stream, part)
+            self._bear(ENTRY + len(found.name), part.offset)
+            self.attachments.append(found)
+            return found
+        if part.type in SMALL_RECORDS:
+            found = parsed(part.type, content(self.stream, part), part.offset)
+            self._take_record(found, part)
+            return found
         return None
 
-    def _take_chunk(self, found: Chunk) -> Chunk:
-        if len(self.chunks) == MOST_CHUNKS:
-            raise Damage(f"the file has more than {MOST_CHUNKS} chunks", found.offset)
-        self.chunks.append(found)
-        return found
-
-    def _take_record(self, kind: int, record, part: Part) -> None:
-        if kind == Opcode.HEADER:
+    def _take_record(self, record, part: Part) -> None:
+        if part.type == Opcode.HEADER:
             self.profile, self.library = record.profile, record.library
-        elif kind == Opcode.METADATA:
+        elif part.type == Opcode.METADATA:
             self._bear(part.size + ENTRY * len(record.metadata), part.offset)
-            self.metadata.append((record.name, record.metadata))
-        elif kind == Opcode.STATISTICS:
+            self.metadata[record.name] = record.metadata
+        elif part.type == Opcode.STATISTICS:
             self.counts = Counter(record.channel_message_counts)
-        elif kind == Opcode.DATA_END:
+        elif part.type == Opcode.DATA_END:
             self.data_crc = record.data_section_crc
         else:
             self.define(record, part.offset)
@@ -70,9 +69,14 @@ class Contents:
     def define(self, record, offset: int) -> None:
         """Take a Schema or a Channel; one that was there already is replaced."""
         known = self.schemas if isinstance(record, Schema) else self.channels
-        if known.get(record.id) != record:
-            self._bear(ENTRY + _size(record), offset)
-            known[record.id] = record
+        if known.get(record.id) == record:
+            return
+        if isinstance(record, Schema):
+            size = len(record.data) + len(record.name)
+        else:
+            size = len(record.topic) + sum(ENTRY + len(key) + len(value) for key, value in record.metadata.items())
+        self._bear(ENTRY + size, offset)
+        known[record.id] = record
 
     def _bear(self, size: int, offset: int) -> None:
         self._defined += size
@@ -86,17 +90,11 @@ class Contents:
         """Topic name -> what it carries, in the order of first appearance. Channels of one topic are one topic."""
         found: dict[str, Topic] = {}
         counts = self.counts or Counter()
+        texts = {number: schema.data.decode("utf-8", "replace") for number, schema in self.schemas.items()}
         for number, channel in self.channels.items():
             schema = self.schema_of(channel)
             count = counts[number] + (found[channel.topic].count if channel.topic in found else 0)
-            text = schema.data.decode("utf-8", "replace")
+            text = texts.get(channel.schema_id, "")
             about = Topic(schema.name, count, channel.message_encoding, text, schema.encoding, channel.metadata)
             found[channel.topic] = about
         return found
-
-
-def _size(record) -> int:
-    if isinstance(record, Schema):
-        return len(record.data) + len(record.name)
-    pairs = record.metadata.items()
-    return len(record.topic) + sum(ENTRY + len(key) + len(value) for key, value in pairs)

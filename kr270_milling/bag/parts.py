@@ -48,11 +48,14 @@ def _beginnings(recording: Recording) -> Iterator[tuple[Place, int, int]]:
     """Place, smallest and largest log time of every pass: one begins with the first topic whose time goes back to 0."""
     types = {name: about.type for name, about in recording.topics().items()}
     passes = {name: Passes() for name, kind in types.items() if kind not in SHARED}
+    topics = {number: channel.topic for number, channel in recording.contents.channels.items()}
     begin, first, last, number = BEGIN, None, 0, 0
-    for place, topic, log_time in recording.places():
-        if topic in passes and passes[topic].begins(log_time) and passes[topic].number > number:
-            yield begin, first or 0, last
-            begin, first, last, number = place, None, 0, number + 1
-        first, last = log_time if first is None else min(first, log_time), max(last, log_time)
+    with recording.sentences():
+        for entry, _ in recording.entries(recording.chunks, True):
+            topic, log_time = topics[entry.channel], entry.log_time
+            if topic in passes and passes[topic].begins(log_time) and passes[topic].number > number:
+                yield begin, first or 0, last
+                begin, first, last, number = (entry.chunk, entry.begin), None, 0, number + 1
+            first, last = log_time if first is None else min(first, log_time), max(last, log_time)
     if first is not None:
         yield begin, first, last

@@ -6,6 +6,7 @@ beside the one that is being read.
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import os
 import stat
@@ -17,9 +18,9 @@ from typing import NamedTuple
 
 from mcap.opcode import Opcode
 
-from kr270_milling.bag.chunks import CACHE, Entry, Messages, Unpacker
+from kr270_milling.bag.chunks import CACHE, READ, Entry, Messages, Unpacker
 from kr270_milling.bag.contents import Contents
-from kr270_milling.bag.structure import MAGIC, SMALL, Attachment, Chunk, Damage, attached, checksum, parsed, parts
+from kr270_milling.bag.structure import MAGIC, SMALL, Chunk, Damage, attached, checksum, exactly, parsed, parts
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.decode import Topic, make_decoder
 
@@ -73,61 +74,65 @@ class Recording:
         self.path = find_file(path)
         self.stream = open_file(self.path)
         self.size = os.fstat(self.stream.fileno()).st_size
-        self.unpack = Unpacker(self.stream)
+        self.unpack = Unpacker(self.stream, self.size)
         self.contents = Contents(self.stream)
+        self.chunks = self.contents.chunks
+        self.attachments = self.contents.attachments
         self.cut_off = True
         self.data_end = len(MAGIC)  #: offset behind the last whole record of the data section
         try:
-            self._read(progress)
-        except Damage as damage:
+            with self.sentences():
+                self._read(progress)
+        except RecordingError:
             self.close()
-            raise self.error(damage) from damage
-        self.profile = self.contents.profile
-        self.library = self.contents.library
+            raise
+        self.profile, self.library = self.contents.profile, self.contents.library
+        self._topics = self.contents.topics()
+
+    @contextlib.contextmanager
+    def sentences(self) -> Iterator[None]:
+        """Turns Damage into a RecordingError of this file."""
+        try:
+            yield
+        except Damage as damage:
+            hint = "; recover may save the rest" if damage.offset else ""
+            raise RecordingError(self.path, damage.reason + hint, damage.offset) from damage
+
+    def spend(self, work: float) -> None:
+        """Count work [us] on what the file holds; raises RecordingError where it is more than the size explains."""
+        with self.sentences():
+            self.unpack.spend(work, 0)
 
     def _read(self, progress) -> None:
-        self._check_magic()
-        summary = self._read_summary()
-        self._read_data(summary or self.size)
-        self._check_loose()
-        if self.contents.counts is None:
-            self._survey(progress)
-        if self.cut_off and self.is_finished():
-            raise Damage("a record claims more bytes than the file has", self.data_end)
-
-    def _check_loose(self) -> None:
-        """Messages beside chunks are rare: in most files they are another record, with a flipped bit in its type."""
-        loose = {chunk.compression == "run" for chunk in self.chunks}
-        crc = self.contents.data_crc
-        if len(loose) == 2 and not self.cut_off and crc and checksum(self.stream, self.data_end) != crc:
-            raise Damage("the data do not fit the checksum at their end", self.data_end)
-
-    def _check_magic(self) -> None:
         begin = self.stream.read(len(MAGIC))
         if begin != MAGIC:
             cut = begin and MAGIC.startswith(begin)
             raise Damage("the file ends in its first bytes" if cut else "this is not an MCAP file", 0)
+        finished = self._is_finished()
+        summary = self._read_summary() if finished else None
+        self._read_data(summary or self.size, finished)
+        if self.contents.counts is None or not set(self.contents.counts) <= set(self.contents.channels):
+            self._survey(progress)
+        if self.cut_off and finished:
+            raise Damage("a record claims more bytes than the file has", self.data_end)
 
-    def is_finished(self) -> bool:
+    def _is_finished(self) -> bool:
         """Whether the file ends as a writer ends it: with a footer."""
-        self.stream.seek(max(self.size - FOOTER_SIZE, 0))
-        end = self.stream.read(FOOTER_SIZE)
+        if self.size < len(MAGIC) + FOOTER_SIZE:
+            return False
+        end = exactly(self.stream, self.size - FOOTER_SIZE, FOOTER_SIZE)
         return end.endswith(MAGIC) and end[:9] == bytes([Opcode.FOOTER, 20]) + bytes(7)
 
     def _read_summary(self) -> int | None:
         """Schemas, channels and counts from the end of the file; returns where the summary begins."""
-        if self.size < len(MAGIC) + FOOTER_SIZE or not self.is_finished():
-            return None
         at = self.size - FOOTER_SIZE
-        self.stream.seek(at + 9)
-        footer = parsed(Opcode.FOOTER, self.stream.read(20), at)
+        footer = parsed(Opcode.FOOTER, exactly(self.stream, at + 9, 20), at)
         start = footer.summary_start
         if not start:
             return None
         if not len(MAGIC) <= start <= at or at - start > SMALL:
             raise Damage("the footer points to an impossible place", at)
-        self.stream.seek(start)
-        summary = self.stream.read(at + 25 - start)  # the checksum includes the footer up to itself
+        summary = exactly(self.stream, start, at + 25 - start)  # the checksum includes the footer up to itself
         if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
             raise Damage("the summary at the end does not fit its checksum", start)
         for part in parts(self.stream, start, at):
@@ -135,21 +140,26 @@ class Recording:
                 self.contents.take(part)
         return start
 
-    def _read_data(self, end: int) -> None:
+    def _read_data(self, end: int, finished: bool) -> None:
         """Where everything is; the messages themselves are not read."""
         for part in parts(self.stream, len(MAGIC), end):
             self.contents.take(part)
             if part.type == Opcode.DATA_END:
-                self.cut_off = not self.is_finished()
+                self.cut_off = not finished
                 break
             self.data_end = part.end
         if self.data_end == len(MAGIC):
             raise Damage("the file ends before its header", self.data_end)
+        # messages beside chunks are rare: in most files they are another record, with a flipped bit in its type
+        mixed = len({chunk.compression == "run" for chunk in self.chunks}) == 2
+        crc = self.contents.data_crc
+        if mixed and not self.cut_off and crc and checksum(self.stream, self.data_end) != crc:
+            raise Damage("the data do not fit the checksum at their end", self.data_end)
 
     def _survey(self, progress) -> None:
         """Look through all chunks of a file without a summary: channels and counts."""
         counts: Counter[int] = Counter()
-        for chunk in self.contents.chunks:
+        for chunk in self.chunks:
             found = self.unpack(chunk)
             for record in found.definitions:
                 self.contents.define(record, chunk.offset)
@@ -158,21 +168,9 @@ class Recording:
                 progress(chunk.start + chunk.size, self.size)
         self.contents.counts = counts
 
-    def error(self, damage: Damage) -> RecordingError:
-        hint = "; recover may save the rest" if damage.offset else ""
-        return RecordingError(self.path, damage.reason + hint, damage.offset)
-
-    @property
-    def attachments(self) -> list[Attachment]:
-        return self.contents.attachments
-
-    @property
-    def chunks(self) -> list[Chunk]:
-        return self.contents.chunks
-
     @property
     def count(self) -> int:
-        return sum(self.contents.counts.values())
+        return self.contents.counts.total()
 
     @property
     def first_log_time(self) -> int | None:
@@ -184,7 +182,7 @@ class Recording:
 
     def topics(self) -> dict[str, Topic]:
         """Topic name -> what it carries, in the order of first appearance. Channels of one topic are one topic."""
-        return self.contents.topics()
+        return self._topics
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Record name -> entries; of several records with one name the last."""
@@ -193,10 +191,8 @@ class Recording:
     def attachment(self, name: str) -> bytes:
         for about in self.attachments:
             if about.name == name:
-                try:
+                with self.sentences():
                     return attached(self.stream, about)
-                except Damage as damage:
-                    raise self.error(damage) from damage
         raise RecordingError(self.path, f"nothing named {name!r} is attached")
 
     def messages(
@@ -211,67 +207,52 @@ class Recording:
         names = {n: c.topic for n, c in self.contents.channels.items() if topics is None or c.topic in topics}
         chunks = [c for c in self.chunks if c.last_time >= low and c.first_time < high
                   and first[0] <= c.offset <= behind[0]]  # fmt: skip
-        try:
-            for entry, found in self._entries(chunks, as_written):
+        with self.sentences():
+            for entry, found in self.entries(chunks, as_written):
                 if not low <= entry.log_time < high or not first <= (entry.chunk, entry.begin) < behind:
                     continue
                 if entry.channel in names:
-                    data = bytes(found.data[entry.begin : entry.end])
+                    data = found.data[entry.begin : entry.end]
                     yield RawMessage(names[entry.channel], entry.log_time, entry.publish_time, data)
-                elif entry.channel not in self.contents.channels:
-                    raise Damage(f"a message belongs to channel {entry.channel}, which is not defined", entry.chunk)
-        except Damage as damage:
-            raise self.error(damage) from damage
 
-    def places(self) -> Iterator[tuple[Place, str, int]]:
-        """Place, topic and log time of every message as written."""
-        channels = self.contents.channels
-        try:
-            for entry, _ in self._entries(self.chunks, True):
-                if entry.channel in channels:
-                    yield (entry.chunk, entry.begin), channels[entry.channel].topic, entry.log_time
-        except Damage as damage:
-            raise self.error(damage) from damage
+    def entries(self, chunks: list[Chunk], as_written: bool) -> Iterator[tuple[Entry, Messages]]:
+        """Every message of some chunks and the chunk that it is in. Raises Damage."""
+        merged = not self.cut_off and not as_written
+        for found, k in self._by_time(chunks) if merged else self._by_place(chunks):
+            entry = found.entry(k)
+            if entry.channel not in self.contents.channels:
+                raise Damage(f"a message belongs to channel {entry.channel}, which is not defined", entry.chunk)
+            yield entry, found
 
-    def _entries(self, chunks: list[Chunk], as_written: bool) -> Iterator[tuple[Entry, Messages]]:
-        if not self.cut_off and not as_written:
-            yield from self._merged(chunks)
-            return
+    def _by_place(self, chunks: list[Chunk]) -> Iterator[tuple[Messages, int]]:
         for chunk in chunks:
             found = self.unpack(chunk)
-            for entry in found.entries():
-                yield entry, found
+            self.unpack.spend(READ * len(found), chunk.offset)
+            for k in range(len(found)):
+                yield found, k
 
-    def _merged(self, chunks: list[Chunk]) -> Iterator[tuple[Entry, Messages]]:
+    def _by_time(self, chunks: list[Chunk]) -> Iterator[tuple[Messages, int]]:
         """By log times. A chunk is opened when its first time has come; of one that waits for its next message only
         the order is held, and it is unpacked again where it was forgotten meanwhile."""
-        waiting = sorted(chunks, key=lambda c: (c.first_time, c.offset), reverse=True)
-        lanes: list[tuple[int, int, int, Chunk, Iterator]] = []
-        held, begun = 0, self.unpack.work
-        bearable, work = CACHE + 2 * self.size, 20 * (CACHE + sum(chunk.unpacked for chunk in chunks))
-        while waiting or lanes:
-            while waiting and (not lanes or waiting[-1].first_time <= lanes[0][0]):
-                chunk = waiting.pop()
-                times, order = self.unpack(chunk).by_time()
-                held += times.nbytes + order.nbytes
-                self._advance(lanes, chunk, zip(times, order, strict=True))
-            if held > bearable or self.unpack.work - begun > work:
-                raise Damage("its chunks overlap in time so much that their messages cannot be sorted", len(MAGIC))
-            if not lanes:
-                return
-            _, _, k, chunk, rest = heapq.heappop(lanes)
+        lanes = [(chunk.first_time, chunk.offset, -1, chunk, iter(())) for chunk in chunks]  # next message of each
+        heapq.heapify(lanes)
+        held, bearable = 0, CACHE + 2 * self.size
+        while lanes:
+            _, offset, k, chunk, rest = lanes[0]
             found = self.unpack(chunk)
-            yield found.entry(k), found
-            if not self._advance(lanes, chunk, rest):
+            if k < 0:
+                rest, held = found.by_time(), held + 12 * len(found)
+                self.unpack.spend(READ * len(found), offset)
+                if held > bearable:
+                    raise Damage("its chunks overlap in time so much that their messages cannot be sorted", offset)
+            else:
+                yield found, k
+            following = next(rest, None)
+            if following is None:
+                heapq.heappop(lanes)
                 held -= 12 * len(found)
-
-    @staticmethod
-    def _advance(lanes: list, chunk: Chunk, rest: Iterator) -> bool:
-        """Put the next message of a chunk among the next ones of all; False where there is no more."""
-        following = next(rest, None)
-        if following is not None:
-            heapq.heappush(lanes, (int(following[0]), chunk.offset, int(following[1]), chunk, rest))
-        return following is not None
+            else:
+                heapq.heapreplace(lanes, (following[0], offset, following[1], chunk, rest))
 
     def decoded(self, topics: Collection[str] | None = None, **limits) -> Iterator[tuple[RawMessage, object]]:
         """Messages with their fields as attributes; the slow way for any type of the "ros2msg" kind."""
@@ -283,7 +264,7 @@ class Recording:
 
     def decoder(self, topic: str) -> Callable[[bytes], object]:
         """A function from the bytes of a topic's messages to an object; raises RecordingError where it cannot."""
-        return make_decoder(self.path, topic, self.topics()[topic])
+        return make_decoder(self, topic)
 
     def close(self) -> None:
         self.stream.close()

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from kr270_milling.bag.chunks import unpacked
+from kr270_milling.bag.chunks import Unpacker
 from kr270_milling.bag.contents import Contents
 from kr270_milling.bag.reader import FOOTER_SIZE, Recording, find_file, open_file
 from kr270_milling.bag.structure import MAGIC, Attachment, Chunk, Damage, Part, attached, content, next_chunk, parts
@@ -23,6 +23,7 @@ __all__ = ["Recovered", "recover"]
 
 KNOWN = frozenset(range(0x01, 0x10))  # the record types of the format
 PRIVATE = 0x80  # types from here on belong to applications
+HOLDING = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.MESSAGE_INDEX)  # they hold lengths of their own
 
 
 @dataclass
@@ -96,8 +97,6 @@ def _written(file: Path, directory: Path, name: str, progress) -> Recovered:
     with open_file(file) as stream, BagWriter(directory, name) as writer:
         rescue = _Rescue(stream, writer, Recovered(str(file)))
         rescue.run(progress)
-        if not rescue.found_anything:
-            raise RecordingError(file, "nothing in it can be recovered")
         dropped = "\n".join(rescue.result.dropped) or "nothing"
         writer.add_metadata("recovered", {"source": file.name, "dropped": dropped})
         return rescue.finish()
@@ -109,78 +108,80 @@ class _Rescue:
     def __init__(self, stream, writer: BagWriter, result: Recovered):
         self.stream, self.writer, self.result = stream, writer, result
         self.size = os.fstat(stream.fileno()).st_size
-        self.contents = Contents(stream)
+        self.unpack, self.contents = Unpacker(stream, self.size), Contents(stream)
         self.numbers: dict[int, int] = {}  # channel in the source -> channel in the copy
         self.lost: Counter[str] = Counter()  # reason -> messages
-        self.ended = self.found_anything = False
+        self.ended = False
 
     def run(self, progress) -> None:
         self._read_summary()
-        for part in self._parts():
+        empty = True
+        for part, found in self._records():
             try:
-                self._take(part)
+                self._copy(part, found)
+                empty = empty and part.type not in (Opcode.HEADER, Opcode.MESSAGE, *HOLDING[:3])
             except Damage as damage:
-                self._drop(part.offset, part.end - part.offset, damage.reason)
+                self._drop(part.offset, part.end, damage.reason)
             if progress:
                 progress(part.end, self.size)
+        if empty:
+            raise RecordingError(self.result.source, "nothing in it can be recovered")
         self.result.dropped += [f"{count} messages {reason}" for reason, count in self.lost.items()]
 
     def _read_summary(self) -> None:
         """Channels and counts from the end of the file, if it is there: they help where a chunk is lost."""
-        if self.size < FOOTER_SIZE + len(MAGIC):
-            return
-        self.stream.seek(self.size - FOOTER_SIZE)
+        at = max(self.size - FOOTER_SIZE, 0)
+        self.stream.seek(at)
         footer = self.stream.read(FOOTER_SIZE)
         start = int.from_bytes(footer[9:17], "little")
-        whole = footer.endswith(MAGIC) and footer[0] == Opcode.FOOTER
-        if not whole or not len(MAGIC) <= start <= self.size - FOOTER_SIZE:
+        if not footer.endswith(MAGIC) or footer[0] != Opcode.FOOTER or start < len(MAGIC):
             return
         try:
-            for part in parts(self.stream, start, self.size - FOOTER_SIZE):
+            for part in parts(self.stream, start, at):
                 if part.type in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
                     self.contents.take(part)
         except Damage as damage:
             self.result.dropped.append(f"the summary: {damage.reason}")
 
-    def _parts(self) -> Iterator[Part]:
+    def _records(self) -> Iterator[tuple[Part, object]]:
         """The records of the data section; behind a place that makes no sense from the next chunk on."""
         self.stream.seek(0)
-        begin = len(MAGIC) if self.stream.read(len(MAGIC)) == MAGIC else 0
-        if begin == 0:
+        begin = len(MAGIC)
+        if self.stream.read(begin) != MAGIC:
             self.result.dropped.append("the first bytes are not those of an MCAP file")
-            begin = next_chunk(self.stream, 0, self.size) or self.size
+            begin = next_chunk(self.stream, 0, self.size)
         while begin < self.size:
             end = begin
             for part in parts(self.stream, begin, self.size):
-                if not self._plausible(part):
-                    break
+                try:
+                    found = self._taken(part)
+                except Damage as damage:
+                    if part.type not in KNOWN or part.type in HOLDING:
+                        break  # its length may be wrong too, so that nobody knows where the next one begins
+                    self._drop(part.offset, part.end, damage.reason)
+                else:
+                    yield part, found
                 end = part.end
                 if part.type == Opcode.DATA_END:
                     self.ended = True
                     return
-                yield part
-            begin = next_chunk(self.stream, end + 1, self.size) or self.size
+            begin = next_chunk(self.stream, end + 1, self.size)
             if end < self.size:
-                here = "the end of the file" if begin == self.size else f"byte {begin}"
-                self._drop(end, begin - end, f"no whole record up to {here}")
+                self._drop(end, begin, f"no whole record up to byte {begin}")
 
-    def _plausible(self, part: Part) -> bool:
-        """Whether the lengths in a record agree: if not, where the next one begins is not known."""
-        try:
-            if part.type in (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA):
-                Contents(self.stream).take(part)
-            elif part.type == Opcode.MESSAGE_INDEX:
-                return int.from_bytes(content(self.stream, part)[2:6], "little") + 6 == part.size
-        except Damage:
-            return False
-        return part.type in KNOWN or part.type >= PRIVATE
+    def _taken(self, part: Part):
+        if part.type not in KNOWN and part.type < PRIVATE:
+            raise Damage("a record is of no known type", part.offset)
+        index = part.type == Opcode.MESSAGE_INDEX
+        if index and int.from_bytes(content(self.stream, part)[2:6], "little") + 6 != part.size:
+            raise Damage("an index of messages has an impossible length", part.offset)
+        return self.contents.take(part)
 
-    def _drop(self, offset: int, size: int, reason: str) -> None:
-        self.result.lost_bytes += size
-        self.result.dropped.append(f"{size} bytes at byte {offset}: {reason}")
+    def _drop(self, begin: int, end: int, reason: str) -> None:
+        self.result.lost_bytes += end - begin
+        self.result.dropped.append(f"{end - begin} bytes at byte {begin}: {reason}")
 
-    def _take(self, part: Part) -> None:
-        found = self.contents.take(part)
+    def _copy(self, part: Part, found) -> None:
         if isinstance(found, Chunk):
             self._messages(found)
         elif isinstance(found, Attachment):
@@ -188,20 +189,17 @@ class _Rescue:
             self.result.attachments.append(found.name)
         elif part.type == Opcode.METADATA and found.name != "rosbag2":  # the copy gets its own
             self.writer.add_metadata(found.name, found.metadata)
-        self.found_anything |= part.type in (
-            Opcode.HEADER, Opcode.CHUNK, Opcode.MESSAGE, Opcode.METADATA, Opcode.ATTACHMENT,
-        )  # fmt: skip
 
     def _messages(self, chunk: Chunk) -> None:
-        found = unpacked(self.stream, chunk)
+        found = self.unpack(chunk)
         for record in found.definitions:
             self.contents.define(record, chunk.offset)
-        for entry in found.entries():
+        for entry in map(found.entry, range(len(found))):
             if entry.channel not in self.contents.channels:
                 self.lost[f"of channel {entry.channel}, whose definition is lost"] += 1
                 continue
             try:
-                self.writer.write_raw(self._number(entry.channel), bytes(found.data[entry.begin : entry.end]),
+                self.writer.write_raw(self._number(entry.channel), found.data[entry.begin : entry.end],
                                       entry.publish_time, entry.log_time, entry.sequence)  # fmt: skip
             except MessageRefused as refused:
                 self.lost[f"that {refused.reason}"] += 1

@@ -11,7 +11,7 @@ import yaml
 from mcap.opcode import Opcode
 
 from kr270_milling.bag.reader import FOOTER_SIZE, Recording
-from kr270_milling.bag.structure import HEAD, MAGIC, SMALL, Damage, Part, attached, checksum, content, parsed, parts
+from kr270_milling.bag.structure import HEAD, MAGIC, Damage, Part, attached, checksum, content, parsed, parts
 
 __all__ = ["findings"]
 
@@ -25,17 +25,11 @@ def findings(recording: Recording, progress: Callable[[int, int], None] | None =
 
     A file whose writer left out a checksum or an index is whole without it. Nothing is raised for damage.
     """
-    found = ["it is cut off: its writer did not finish it"] if recording.cut_off else []
     walk = _Walk(recording)
-    try:
-        found += walk.run(progress)
-    except Damage as damage:
-        found.append(_sentence(damage))
-    return (found + _metadata_file(recording))[:MOST]
-
-
-def _sentence(damage: Damage) -> str:
-    return f"{damage.reason} (at byte {damage.offset})"
+    if recording.cut_off:
+        walk.found.append("it is cut off: its writer did not finish it")
+    walk.guard(walk.run, progress)
+    return (walk.found + _metadata_file(recording))[:MOST]
 
 
 class _Walk:
@@ -49,34 +43,36 @@ class _Walk:
         self.indexes: dict[int, dict[int, int]] = {}  # chunk -> channel -> place of its message index
         self.lengths: dict[int, int] = {}  # chunk -> bytes of its record
 
-    def run(self, progress) -> list[str]:
-        end = self.recording.data_end
-        chunk, expected = None, {}
-        for part in parts(self.stream, len(MAGIC), end):
-            if part.type == Opcode.MESSAGE_INDEX:
-                self._guard(self._check_index, part, chunk, expected)
-                continue
-            self._left_out(chunk, expected)
-            chunk, expected = (part.offset, {}) if part.type in (Opcode.CHUNK, Opcode.MESSAGE) else (None, {})
-            if chunk is not None:
-                self.lengths[chunk] = part.end - part.offset
-                expected = self._guard(self._messages, chunk) or {}
-            if progress:
-                progress(part.end, self.recording.size)
-        self._left_out(chunk, expected)
-        for about in self.recording.attachments:
-            self._guard(attached, self.stream, about)
-        self._check_checksum(end)
-        if not self.recording.cut_off:
-            self._check_summary(end)
-        return self.found
-
-    def _guard(self, call, *args):
+    def guard(self, call, *args):
+        """The result of a call, or None and one more sentence."""
         try:
             return call(*args)
         except Damage as damage:
-            self.found.append(_sentence(damage))
+            self.found.append(f"{damage.reason} (at byte {damage.offset})")
             return None
+
+    def run(self, progress) -> None:
+        recording, end = self.recording, self.recording.data_end
+        chunk, expected = None, {}
+        for part in parts(self.stream, len(MAGIC), end):
+            if part.type == Opcode.MESSAGE_INDEX:
+                self.guard(self._check_index, part, chunk, expected)
+                continue
+            self.guard(self._check_left_out, chunk, expected)
+            chunk, expected = (part.offset, {}) if part.type in (Opcode.CHUNK, Opcode.MESSAGE) else (None, {})
+            if chunk is not None:
+                self.lengths[chunk] = part.end - part.offset
+                expected = self.guard(self._messages, chunk) or {}
+            if progress:
+                progress(part.end, recording.size)
+        self.guard(self._check_left_out, chunk, expected)
+        for about in recording.attachments:
+            self.guard(attached, self.stream, about)
+        crc = recording.contents.data_crc
+        if crc and not recording.cut_off and checksum(self.stream, end) != crc:
+            self.found.append("the data do not fit the checksum at their end")
+        if not recording.cut_off:
+            self._check_summary(end)
 
     def _messages(self, chunk: int) -> dict[int, np.ndarray]:
         """Channel -> (log time, offset) of its messages in a chunk."""
@@ -85,8 +81,7 @@ class _Walk:
         unknown = set(found.counts) - set(self.recording.contents.channels)
         if unknown:
             raise Damage(f"messages belong to channel {min(unknown)}, which is not defined", chunk)
-        channel, log_time, offset = found.table()
-        rows = np.stack([log_time, offset], axis=1)
+        channel, rows = found.table()
         return {number: rows[channel == number] for number in found.counts}
 
     def _check_index(self, part: Part, chunk: int | None, expected: dict[int, np.ndarray]) -> None:
@@ -103,29 +98,22 @@ class _Walk:
         if messages is None or not np.array_equal(_sorted(rows), _sorted(messages)):
             raise Damage("an index points to other messages than its chunk holds", part.offset)
 
-    def _left_out(self, chunk: int | None, expected: dict) -> None:
+    def _check_left_out(self, chunk: int | None, expected: dict) -> None:
         if chunk in self.indexes and expected:
-            self.found.append(f"a chunk has no index for channel {min(expected)} (at byte {chunk})")
-
-    def _check_checksum(self, end: int) -> None:
-        if not self.recording.contents.data_crc or self.recording.cut_off:
-            return
-        if checksum(self.stream, end) != self.recording.contents.data_crc:
-            self.found.append("the data do not fit the checksum at their end")
+            raise Damage(f"a chunk has no index for channel {min(expected)}", chunk)
 
     def _check_summary(self, end: int) -> None:
         """The index of chunks and the counts, against what is there."""
         at = self.recording.size - FOOTER_SIZE
-        self.stream.seek(at + 9)
-        footer = parsed(Opcode.FOOTER, self.stream.read(20), at)
+        footer = parsed(Opcode.FOOTER, content(self.stream, Part(Opcode.FOOTER, at, at + HEAD.size, 20)), at)
         behind = end + HEAD.size + 4  # of the record that ends the data
         if footer.summary_start not in (0, behind) or (not footer.summary_start and behind != at):
             self.found.append(f"the footer does not point to the end of the data (at byte {at})")
         if +self.counts != +self.recording.contents.counts:
             self.found.append("the counts of messages at the end are not those of the messages")
         for part in parts(self.stream, behind, at):
-            if part.type == Opcode.CHUNK_INDEX and part.size <= SMALL:
-                self._guard(self._check_chunk_index, part)
+            if part.type == Opcode.CHUNK_INDEX:
+                self.guard(self._check_chunk_index, part)
 
     def _check_chunk_index(self, part: Part) -> None:
         index = parsed(part.type, content(self.stream, part), part.offset)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -12,6 +11,10 @@ from kr270_milling.messages.codec import read_message
 from kr270_milling.messages.definitions import DEFINITION_ERRORS, has_lists, store_for
 
 __all__ = ["Topic", "make_decoder", "plain"]
+
+PARSE, DECODE = 300.0, 0.15  # [us] of work a line of a definition, a byte of a message with lists in it
+#: [bytes] of a message with lists of messages or texts in it: as Python's objects they take some twenty times as much
+MOST_OBJECTS = 4 * 1024 * 1024
 
 
 class Topic(NamedTuple):
@@ -25,26 +28,28 @@ class Topic(NamedTuple):
     metadata: dict[str, str]
 
 
-#: [bytes] of a message with lists of messages or texts in it: as Python's objects they take some twenty times as much
-MOST_OBJECTS = 4 * 1024 * 1024
+def make_decoder(recording, topic: str) -> Callable[[bytes], object]:
+    """A function from the bytes of a topic's messages to an object with the fields as attributes.
 
-
-def make_decoder(path, topic: str, about: Topic) -> Callable[[bytes], object]:
-    """A function from a message's bytes to an object with the fields as attributes; ``path`` is for the errors."""
+    It and this raise RecordingError where they cannot. The work of both is counted by ``recording.spend``.
+    """
+    path, about = recording.path, recording.topics()[topic]
     if about.encoding != "cdr" or about.schema_encoding != "ros2msg":
         what = f"{about.encoding or 'an unnamed encoding'} with a {about.schema_encoding or 'missing'} schema"
         raise RecordingError(path, f"{topic} holds {what}, but only cdr with ros2msg can be decoded")
+    recording.spend(PARSE * (about.schema.count("\n") + len(about.schema) / 100))
     try:
         store = store_for(about.type, about.schema)
         store.get_msgdef(about.type)
     except DEFINITION_ERRORS as error:
         raise RecordingError(path, f"the definition of {about.type} cannot be used") from error
-
-    limit = MOST_OBJECTS if has_lists(store, about.type) else math.inf
+    listing = has_lists(store, about.type)
 
     def decode(data: bytes):
-        if len(data) > limit:
-            raise RecordingError(path, f"a message on {topic} has {len(data)} bytes, more than {limit} to be decoded")
+        if listing and len(data) > MOST_OBJECTS:
+            reason = f"a message on {topic} has {len(data)} bytes, more than {MOST_OBJECTS} to be decoded"
+            raise RecordingError(path, reason)
+        recording.spend(DECODE * len(data) * listing)
         try:
             return read_message(store, about.type, data)
         except (ValueError, MemoryError, RecursionError) as error:

@@ -19,6 +19,7 @@ __all__ = ["FIXED", "JOINTS", "JointSeries", "Series", "batches", "joint_series"
 
 BATCH, BATCH_BYTES = 4096, 4 * 1024 * 1024
 BEARABLE, MOST_UNFOLDED = 64 * 1024 * 1024, 50  # [bytes] of a series, and what it may take beside, in sizes of the file
+LAYOUT = 30.0  # [us] of work on messages of one layout in a row
 MOST_FRAMES = 1024 * 1024  # [characters] of the names of all frames on one topic
 JOINTS = "sensor_msgs/msg/JointState"
 #: type -> (column, unit) of the numbers behind its header
@@ -143,6 +144,7 @@ def _tables(recording, topic: str, messages: list, layout_of) -> Iterator[Rows]:
     times = np.array([m.log_time for m in messages], np.uint64).astype(np.int64)
     begin = 0
     while begin < len(messages):
+        recording.spend(LAYOUT)
         try:
             layout = layout_of(messages[begin].data)
         except ValueError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from mcap_ros2._dynamic import generate_dynamic
@@ -17,6 +18,12 @@ from kr270_milling.messages.decode import Topic, make_decoder, plain
 from kr270_milling.messages.definitions import definition, starts_with_stamp, store_for, store_of, type_hash
 
 KINDS = sorted(set(TOPICS.values()))
+
+
+def decoder(about: Topic):
+    """Of a recording with one topic."""
+    recording = SimpleNamespace(path="f", topics=lambda: {"/t": about}, spend=lambda work: None)
+    return make_decoder(recording, "/t")
 
 
 def installed(name: str, ending: str) -> Path:
@@ -70,7 +77,7 @@ def test_a_type_that_the_store_lacks_is_read_from_the_files_of_its_package(tmp_p
     assert type_hash("shop_msgs/msg/Order").startswith("RIHS01_") and starts_with_stamp(text)
     about = Topic("shop_msgs/msg/Order", 1, "cdr", text, "ros2msg", {})
     data = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0\1\0\0\0\2\0\0\0a\0" + bytes(6 + 24)
-    assert plain(make_decoder("f", "/t", about)(data))["items"] == [{"name": "a", "size": [0.0, 0.0, 0.0]}]
+    assert plain(decoder(about)(data))["items"] == [{"name": "a", "size": [0.0, 0.0, 0.0]}]
     definitions.definition.cache_clear()
 
 
@@ -105,7 +112,7 @@ def test_a_stamp_is_the_first_field_alone(text, stamped):
 ])  # fmt: skip
 def test_a_definition_that_cannot_be_used_is_one_sentence(name, text):
     with pytest.raises(RecordingError, match="cannot be used|is not a"):
-        make_decoder("f", "/t", Topic(name, 1, "cdr", text, "ros2msg", {}))(b"\0\1\0\0" + bytes(64))
+        decoder(Topic(name, 1, "cdr", text, "ros2msg", {}))(b"\0\1\0\0" + bytes(64))
 
 
 def test_a_known_definition_is_that_of_the_store_and_another_one_its_own():
