@@ -15,7 +15,7 @@ from kr270_milling.base.errors import ConfigError, one_line
 from kr270_milling.base.parameter_file import read_tree
 from kr270_milling.cell.cell import Cell, read_cell
 
-__all__ = ["CELL", "cell_of", "in_file_order", "plant_of"]
+__all__ = ["CELL", "cell_of", "in_file_order", "is_first_version", "plant_of"]
 
 CELL, PLANT = "cell.yaml", "plant.yaml"
 LONGEST_NAME = 200  # [bytes], of an attached file
@@ -64,12 +64,17 @@ def _read(recording: Recording, main: str, names: list[str]) -> Cell:
     return cell
 
 
+def is_first_version(recording: Recording) -> bool:
+    """Whether version 0.1.0 wrote it."""
+    return recording.library.startswith("kr270_milling/0.1.")
+
+
 def _as_written(recording: Recording, file: Path) -> tuple[str, ...]:
     """Assignments for keys that the attached cell does not have because its writer did not know them.
 
     Version 0.1.0 had eq. (1) as printed, forces only, and chips over the nominal angle.
     """
-    if not recording.library.startswith("kr270_milling/0.1."):
+    if not is_first_version(recording):
         return ()
     tree, found = read_tree(file), []
     for group, key, value in FIRST_VERSION:

@@ -33,7 +33,11 @@ def incomplete(robot: Robot, cut_off: bool) -> list[Stop]:
         return [
             Lack(robot.namespace, 0, "no pass is in the recording, so that no tool_pose and no wrench was compared")
         ]
-    return list(_left_over(robot, cut_off)) + ([] if cut_off else list(_lacking(robot)))
+    found = list(_left_over(robot, cut_off)) + ([] if cut_off else list(_lacking(robot)))
+    if not robot.revises:
+        reason = "learned was another algorithm in version 0.1.0: its references are taken as they were recorded"
+        found.append(Lack(robot.namespace, 0, reason))
+    return found
 
 
 def _left_over(robot, cut_off: bool) -> Iterator[Stop]:

@@ -17,7 +17,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.exchange import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
-from kr270_milling.replay.attached import CELL, cell_of, in_file_order, plant_of
+from kr270_milling.replay.attached import CELL, cell_of, in_file_order, is_first_version, plant_of
 from kr270_milling.replay.compare import Channel
 from kr270_milling.replay.feeds import CutFeed, RobotFeed
 from kr270_milling.replay.revisions import CompensatorFeed, Report, read_report
@@ -63,6 +63,7 @@ class Robot:
         self.channels = channels
         self.stops: list[Stop] = []
         self.foreign = False  #: recorded by another version, whose picture of the arm for viewers may be another
+        self.revises = True  #: False: this version does not know how, and takes the references as they are recorded
         self.robot = RobotFeed(plant, channels, self._stop)
         self.cut = CutFeed(plant, channels, self._stop)
         self.compensator: CompensatorFeed | None = None
@@ -110,7 +111,7 @@ class Robot:
         """Whether the nodes can have used it; what they refused live is refused here, and all goes on."""
         try:
             sample = checked_pose(pose_from_bytes(data))
-            if self.compensator is not None:
+            if self.compensator is not None and self.revises:
                 self.compensator.pose(sample)
             self.cut.pose(sample)
         except MillingError:
@@ -123,7 +124,7 @@ class Robot:
         except MillingError:
             return False
         self.robot.wrench(sample)
-        if self.compensator is not None:
+        if self.compensator is not None and self.revises:
             self.compensator.wrench(sample)
         return True
 
@@ -173,7 +174,9 @@ class Robots:
                 channels = self._channels(namespace)
                 first = firsts.get(namespace)
                 robot = Robot((self.cell, plant), namespace, channels, first, openings.get(namespace))
-                if first is not None and robot.compensator.lacks_passes:
+                if first is not None and robot.compensator.method == "learned" and is_first_version(recording):
+                    robot.revises = False  # that version fitted a spline to the deviation of the last pass
+                elif first is not None and robot.compensator.lacks_passes:
                     _look_back(recording, namespace, first, robot.compensator, later)
                 robot.foreign = recording.library != f"kr270_milling/{__version__}"
                 self.robots[namespace] = robot

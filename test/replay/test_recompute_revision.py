@@ -92,6 +92,16 @@ def test_learned_keeps_its_reference_when_it_has_finished(tmp_path):
     assert found.verdict == "identical" and found.channels["/reference_trajectory"].compared == 1
 
 
+@pytest.mark.parametrize(("version", "verdict"), [("0.1.0", "incomplete"), ("0.2.0", "different")])
+def test_what_another_algorithm_of_the_same_name_revised_is_taken_as_it_is(tmp_path, monkeypatch, version, verdict):
+    """What "linear" revised stands for what "learned" of version 0.1.0 did: today's makes something else of it."""
+    monkeypatch.setattr("kr270_milling.bag.writer.__version__", version)
+    found = recompute(made.write(tmp_path / "r", made.one_pass("linear"), cell=made.cell_text("learned")))
+    assert found.verdict == verdict and found.channels["/joint_trajectory"].compared == 2
+    taken = [stop.reason for stop in found.stops if "another algorithm in version 0.1.0" in stop.reason]
+    assert len(taken) == found.channels["/reference_trajectory"].given == (version == "0.1.0")
+
+
 @pytest.mark.parametrize("method", ["linear", "spline", "mirror"])
 def test_the_compensator_makes_of_a_recording_what_was_published(tmp_path, method):
     messages = made.one_pass(method)
