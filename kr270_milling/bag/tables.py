@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import RecordingError
+from kr270_milling.base.units import SECOND
 from kr270_milling.messages.decode import plain
-from kr270_milling.messages.series import FIXED, JOINTS, batches, joint_parts
+from kr270_milling.messages.series import FIXED, batches
 from kr270_milling.messages.trajectory import TRAJECTORY, trajectories
 
 __all__ = ["Table", "tables", "word"]
@@ -21,31 +24,24 @@ POINT = ([f"position_{a}_m" for a in "xyz"] + [f"orientation_{a}" for a in "xyzw
          [f"velocity_{a}_m_per_s" for a in "xyz"] + [f"angular_velocity_{a}_rad_per_s" for a in "xyz"],
          [f"acceleration_{a}_m_per_s2" for a in "xyz"] + [f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"],
 )  # fmt: skip
+JOINTS = "sensor_msgs/msg/JointState"
 TWIST = "geometry_msgs/msg/TwistStamped"
 ROWS, ROW_BYTES = 1024, 1024 * 1024  # of messages in one table; as Python's numbers and texts they take far more
 
 
 def tables(recording: Recording, topic: str, type_name: str) -> Iterator[Table]:
     """The messages of a topic as tables; a new one may have other columns. Raises RecordingError."""
-    if type_name in FIXED or type_name == JOINTS:
+    if type_name in FIXED:
         return _series_tables(recording, topic, type_name)
     if type_name == TRAJECTORY:
         return _trajectory_tables(recording, topic)
-    return _any_tables(recording, topic)
+    return _any_tables(recording, topic, _joint_cells if type_name == JOINTS else _any_cells)
 
 
 def _series_tables(recording: Recording, topic: str, type_name: str) -> Iterator[Table]:
+    columns = [f"{name}_{unit}" if unit else name for name, unit in _units(type_name, topic)]
     for rows in batches(recording, topic):
-        times = [rows.log_time, rows.stamp, rows.frame_ids]
-        if type_name == JOINTS:
-            names = [word(name) for name in rows.layout.names]
-            kinds = [("position", "rad"), ("velocity", "rad_per_s"), ("effort", "n_m")]
-            columns = [f"{kind}_{name}_{unit}" for kind, unit in kinds for name in names]
-            values = np.hstack(joint_parts(rows))
-        else:
-            columns = [f"{name}_{unit}" if unit else name for name, unit in _units(type_name, topic)]
-            values = rows.values
-        yield TIMES + columns, times + list(values.T)
+        yield TIMES + columns, [rows.log_time, rows.stamp, rows.frame_ids, *rows.values.T]
 
 
 def _units(type_name: str, topic: str) -> list[tuple[str, str]]:
@@ -71,11 +67,14 @@ def _trajectory_tables(recording: Recording, topic: str) -> Iterator[Table]:
         yield columns, values
 
 
-def _any_tables(recording: Recording, topic: str) -> Iterator[Table]:
-    """Any other type: a column per number or text, sequences as JSON in one cell."""
+def _any_tables(recording: Recording, topic: str, cells_of: Callable[[object], dict]) -> Iterator[Table]:
+    """Any other type, row by row."""
     rows, columns, size = [], None, 0
     for message, decoded in recording.decoded([topic], as_written=True):
-        cells = {"log_time_ns": message.log_time, **_flat(plain(decoded))}
+        try:
+            cells = {"log_time_ns": message.log_time, **cells_of(decoded)}
+        except ValueError as error:
+            raise RecordingError(recording.path, f"a message on {topic} {error}") from error
         if rows and (columns != list(cells) or len(rows) == ROWS or size + len(message.data) > ROW_BYTES):
             yield columns, list(zip(*rows, strict=True))
             rows, size = [], 0
@@ -83,6 +82,23 @@ def _any_tables(recording: Recording, topic: str) -> Iterator[Table]:
         rows.append(list(cells.values()))
     if rows:
         yield columns, list(zip(*rows, strict=True))
+
+
+def _joint_cells(state) -> dict:
+    """A column per joint and quantity; what a message leaves out is NaN."""
+    stamp = state.header.stamp
+    cells = {"stamp_ns": stamp.sec * SECOND + stamp.nanosec, "frame_id": state.header.frame_id}
+    for kind, unit in (("position", "rad"), ("velocity", "rad_per_s"), ("effort", "n_m")):
+        values = getattr(state, kind).tolist() or [math.nan] * len(state.name)
+        if len(values) != len(state.name):
+            raise ValueError(f"names {len(state.name)} joints and gives {len(values)} values of {kind}")
+        cells.update({f"{kind}_{word(name)}_{unit}": value for name, value in zip(state.name, values, strict=True)})
+    return cells
+
+
+def _any_cells(message) -> dict:
+    """A column per number or text, sequences as JSON in one cell."""
+    return _flat(plain(message))
 
 
 def _flat(value: dict, prefix: str = "") -> dict:

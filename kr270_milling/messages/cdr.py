@@ -59,14 +59,6 @@ class Cursor:
             raise ValueError("the message ends too early")
         return tuple(self.string() for _ in range(count))
 
-    def doubles(self) -> tuple[int, int]:
-        """Where a sequence of doubles begins and how many there are."""
-        count = self.number("I")
-        if not count:
-            return self.offset, 0  # nothing follows, so nothing is aligned
-        self.align(8)
-        return self.skip(8 * count), count
-
     def finish(self) -> None:
         """Refuse a message that goes on behind its last field, but for padding: it is of another type."""
         if len(self.data) - self.offset >= 8:

@@ -27,7 +27,9 @@ from kr270_milling.messages.definitions import store_of
 from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["TOOL", "deserialise", "from_bytes", "read_message", "serialise", "to_bytes", "type_of"]
+__all__ = [
+    "TOOL", "deserialise", "from_bytes", "named", "read_message", "serialise", "time_fields", "to_bytes", "type_of",
+]  # fmt: skip
 
 TOOL = "tool0"
 
@@ -83,7 +85,16 @@ def _value(store, kind, value):
     return [_value(store, (inner, about), item) for item in ([None] * count if value is None else value)]
 
 
-def _time(ns: int) -> dict:
+class Kind(NamedTuple):
+    """A record's message: its type, record -> fields, message -> record."""
+
+    type: str
+    write: Callable
+    read: Callable | None
+
+
+def time_fields(ns: int) -> dict:
+    """Of a builtin_interfaces Time or Duration."""
     return {"sec": int(ns) // SECOND, "nanosec": int(ns) % SECOND}
 
 
@@ -92,23 +103,16 @@ def _ns(time) -> int:
 
 
 def _header(stamp: int, frame: str) -> dict:
-    return {"stamp": _time(stamp), "frame_id": frame}
+    return {"stamp": time_fields(stamp), "frame_id": frame}
 
 
-def _named(axes: str, values) -> dict:
-    return dict(zip(axes, (float(v) for v in values), strict=True))
-
-
-def _pair(translation: str, rotation: str, values) -> dict:
-    return {translation: _named("xyz", values[:3]), rotation: _named("xyz", values[3:])}
-
-
-def _six(one, other) -> np.ndarray:
-    return np.array([one.x, one.y, one.z, other.x, other.y, other.z])
+def named(axes: str, values) -> dict:
+    """Of a message with a number per axis, such as a Point or a Quaternion."""
+    return dict(zip(axes, map(float, values), strict=True))
 
 
 def _pose(record: PoseSample) -> dict:
-    pose = {"position": _named("xyz", record.position), "orientation": _named("xyzw", record.quaternion)}
+    pose = {"position": named("xyz", record.position), "orientation": named("xyzw", record.quaternion)}
     return {"header": _header(record.stamp, record.frame), "pose": pose}
 
 
@@ -118,20 +122,19 @@ def _read_pose(msg) -> PoseSample:
     return PoseSample(_ns(msg.header.stamp), msg.header.frame_id, position, quaternion)
 
 
-def _wrench(record: WrenchSample) -> dict:
-    return {"header": _header(record.stamp, record.frame), "wrench": _pair("force", "torque", record.wrench)}
+def _six(record: type, type_name: str, field: str, one: str, other: str) -> Kind:
+    """A stamped message with two vectors."""
 
+    def write(sample) -> dict:
+        values = getattr(sample, field)
+        pair = {one: named("xyz", values[:3]), other: named("xyz", values[3:])}
+        return {"header": _header(sample.stamp, sample.frame), field: pair}
 
-def _read_wrench(msg) -> WrenchSample:
-    return WrenchSample(_ns(msg.header.stamp), msg.header.frame_id, _six(msg.wrench.force, msg.wrench.torque))
+    def read(msg):
+        a, b = getattr(getattr(msg, field), one), getattr(getattr(msg, field), other)
+        return record(_ns(msg.header.stamp), msg.header.frame_id, np.array([a.x, a.y, a.z, b.x, b.y, b.z]))
 
-
-def _twist(record: TwistSample) -> dict:
-    return {"header": _header(record.stamp, record.frame), "twist": _pair("linear", "angular", record.twist)}
-
-
-def _read_twist(msg) -> TwistSample:
-    return TwistSample(_ns(msg.header.stamp), msg.header.frame_id, _six(msg.twist.linear, msg.twist.angular))
+    return Kind(type_name, write, read)
 
 
 def _joints(record: JointSample) -> dict:
@@ -143,12 +146,12 @@ def _read_joints(msg) -> JointSample:
 
 
 def _clock(record: ClockSample) -> dict:
-    return {"clock": _time(record.stamp)}
+    return {"clock": time_fields(record.stamp)}
 
 
 def _program(record: JointProgram) -> dict:
     points = [
-        {"positions": row, "time_from_start": _time(ns)}
+        {"positions": row, "time_from_start": time_fields(ns)}
         for ns, row in zip(record.time.tolist(), record.position, strict=True)
     ]
     return {"header": _header(0, record.frame), "joint_names": list(record.names), "points": points}
@@ -162,7 +165,7 @@ def _read_program(msg) -> JointProgram:
 
 def _map(record: StockMap) -> dict:
     info = {"resolution": record.resolution, "width": record.cells.shape[0], "height": record.cells.shape[1]}
-    info["origin"] = {"position": _named("xyz", record.corner), "orientation": {"w": 1.0}}
+    info["origin"] = {"position": named("xyz", record.corner), "orientation": {"w": 1.0}}
     return {"header": _header(record.stamp, record.frame), "info": info, "data": record.cells.T.ravel()}
 
 
@@ -178,26 +181,18 @@ def _trajectory(record: Trajectory) -> dict:
     """One body, the tool; a velocity a point where the trajectory has velocities."""
     points = []
     for i, ns in enumerate(record.time_ns.tolist()):
-        turn = _named("xyzw", record.quaternion[i])
-        point = {"transforms": [{"translation": _named("xyz", record.position[i]), "rotation": turn}]}
+        turn = named("xyzw", record.quaternion[i])
+        point = {"transforms": [{"translation": named("xyz", record.position[i]), "rotation": turn}]}
         if record.velocity is not None:
-            point["velocities"] = [{"linear": _named("xyz", record.velocity[i])}]
-        points.append({**point, "time_from_start": _time(ns)})
+            point["velocities"] = [{"linear": named("xyz", record.velocity[i])}]
+        points.append({**point, "time_from_start": time_fields(ns)})
     return {"header": _header(0, record.frame), "joint_names": [TOOL], "points": points}
-
-
-class Kind(NamedTuple):
-    """A record's message: its type, record -> fields, message -> record."""
-
-    type: str
-    write: Callable
-    read: Callable
 
 
 KINDS = {
     PoseSample: Kind("geometry_msgs/msg/PoseStamped", _pose, _read_pose),
-    WrenchSample: Kind("geometry_msgs/msg/WrenchStamped", _wrench, _read_wrench),
-    TwistSample: Kind("geometry_msgs/msg/TwistStamped", _twist, _read_twist),
+    WrenchSample: _six(WrenchSample, "geometry_msgs/msg/WrenchStamped", "wrench", "force", "torque"),
+    TwistSample: _six(TwistSample, "geometry_msgs/msg/TwistStamped", "twist", "linear", "angular"),
     JointSample: Kind("sensor_msgs/msg/JointState", _joints, _read_joints),
     ClockSample: Kind("rosgraph_msgs/msg/Clock", _clock, lambda msg: ClockSample(_ns(msg.clock))),
     Text: Kind("std_msgs/msg/String", lambda record: {"data": record.text}, lambda msg: Text(msg.data)),

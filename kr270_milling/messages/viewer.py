@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.units import SECOND
-from kr270_milling.messages.codec import serialise
+from kr270_milling.messages.codec import named, serialise, time_fields
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = [
@@ -45,18 +44,12 @@ class Marker:
     colours: np.ndarray  #: red, green, blue, alpha from 0 to 1, (n, 4) or (4,) for the whole
 
 
-def _stamp(ns: int) -> dict:
-    return {"sec": int(ns) // SECOND, "nanosec": int(ns) % SECOND}
-
-
 def transforms_bytes(stamp_ns: int, placed: Sequence[Placed]) -> bytes:
     """A TFMessage in which every frame has the same stamp."""
     rows = []
     for one in placed:
-        translation = dict(zip("xyz", map(float, one.position), strict=True))
-        rotation = dict(zip("xyzw", map(float, one.quaternion), strict=True))
-        header = {"stamp": _stamp(stamp_ns), "frame_id": one.parent}
-        transform = {"translation": translation, "rotation": rotation}
+        header = {"stamp": time_fields(stamp_ns), "frame_id": one.parent}
+        transform = {"translation": named("xyz", one.position), "rotation": named("xyzw", one.quaternion)}
         rows.append({"header": header, "child_frame_id": one.child, "transform": transform})
     return serialise(TRANSFORMS, {"transforms": rows})
 
@@ -68,13 +61,10 @@ def path_bytes(run: Trajectory) -> bytes:
     turns = run.quaternion[np.searchsorted(run.time_ns, times, side="right") - 1]  # of the knot before
     poses = [
         {
-            "header": {"stamp": _stamp(ns), "frame_id": run.frame},
-            "pose": {
-                "position": dict(zip("xyz", place, strict=True)),
-                "orientation": dict(zip("xyzw", turn, strict=True)),
-            },
+            "header": {"stamp": time_fields(ns), "frame_id": run.frame},
+            "pose": {"position": named("xyz", place), "orientation": named("xyzw", turn)},
         }
-        for ns, place, turn in zip(times.tolist(), run.sample(times).tolist(), turns.tolist(), strict=True)
+        for ns, place, turn in zip(times.tolist(), run.sample(times), turns, strict=True)
     ]
     return serialise(PATH, {"header": {"frame_id": run.frame}, "poses": poses})
 
@@ -87,14 +77,14 @@ def markers_bytes(stamp_ns: int, markers: Sequence[Marker]) -> bytes:
 def _marker(stamp_ns: int, marker: Marker) -> dict:
     single = marker.colours.ndim == 1
     fields = {
-        "header": {"stamp": _stamp(stamp_ns), "frame_id": marker.frame},
+        "header": {"stamp": time_fields(stamp_ns), "frame_id": marker.frame},
         "ns": marker.name,
         "type": marker.kind,
         "pose": {"orientation": {"w": 1.0}},
         "scale": {"x": marker.width, "y": 2 * marker.width * (marker.kind == ARROW), "z": 0.0},
-        "points": [dict(zip("xyz", row, strict=True)) for row in marker.points.tolist()],
-        "color": dict(zip("rgba", (marker.colours if single else np.ones(4)).tolist(), strict=True)),
+        "points": [named("xyz", row) for row in marker.points],
+        "color": named("rgba", marker.colours if single else np.ones(4)),
     }
     if not single:
-        fields["colors"] = [dict(zip("rgba", row, strict=True)) for row in marker.colours.tolist()]
+        fields["colors"] = [named("rgba", row) for row in marker.colours]
     return fields
