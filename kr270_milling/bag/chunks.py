@@ -13,9 +13,9 @@ import numpy as np
 import zstandard
 from mcap.opcode import Opcode
 
-from kr270_milling.bag.structure import HEAD, LIMIT, MESSAGE, Chunk, Damage, exactly, inner, parsed
+from kr270_milling.bag.structure import HEAD, LIMIT, MESSAGE, Damage, Part, exactly, inner
 
-__all__ = ["CACHE", "Entry", "Messages", "Unpacker"]
+__all__ = ["CACHE", "READ", "Chunk", "Entry", "Messages", "Unpacker"]
 
 CACHE = 32 * 1024 * 1024  # [bytes] of unpacked chunks that are remembered, and as many that are sorted by time
 MOST = 1_000_000  # messages in a chunk
@@ -23,6 +23,30 @@ MOST = 1_000_000  # messages in a chunk
 # this package costs 0.05 us a byte, and 27 kB can be made to unfold into 9,000,000 messages.
 FREE, PER_BYTE = 5e6, 20.0  # [us], [us/byte]
 UNPACK, READ = 2e-3, 1.0  # [us] a byte that is unpacked, a message that is read
+
+
+class Chunk(NamedTuple):
+    """Where messages are: a chunk, or a run of messages outside of chunks (``type`` MESSAGE)."""
+
+    type: int
+    offset: int
+    size: int  # [bytes] of the record, or of all records of the run
+    first_time: int  # [ns], smallest and largest log time
+    last_time: int
+    unpacked: int  # [bytes]
+
+    @classmethod
+    def of(cls, part: Part) -> Chunk:
+        """What a chunk says of itself, without its messages. Raises Damage."""
+        size = len(part.data)
+        if part.type == Opcode.MESSAGE:
+            times = [MESSAGE.unpack_from(part.data, at)[4] for _, at, _ in inner(part.data, part.offset)]
+            return cls(part.type, part.offset, size, min(times), max(times), size)
+        record = part.record()
+        if record.uncompressed_size > LIMIT:
+            raise Damage(f"a chunk claims {record.uncompressed_size} bytes, more than {LIMIT}", part.offset)
+        return cls(part.type, part.offset, size, record.message_start_time, record.message_end_time,
+                   record.uncompressed_size)  # fmt: skip
 
 
 class Entry(NamedTuple):
@@ -45,16 +69,16 @@ class Messages:
         self.places, self.times = array("I"), array("Q")  #: of each message: offset in the bytes, log time [ns]
         self.counts: Counter[int] = Counter()  #: channel -> messages
         self.definitions: list = []  #: mcap's Schema and Channel records
-        for kind, at, size in inner(data, chunk.offset):
+        for kind, at, end in inner(data, chunk.offset):
             if kind == Opcode.MESSAGE:
-                _, _, channel, _, log_time, _ = MESSAGE.unpack_from(data, at - HEAD.size)
-                self.places.append(at - HEAD.size)
+                _, _, channel, _, log_time, _ = MESSAGE.unpack_from(data, at)
+                self.places.append(at)
                 self.times.append(log_time)
                 self.counts[channel] += 1
                 if len(self.times) > MOST:
                     raise Damage(f"a chunk holds more than {MOST} messages", chunk.offset)
             elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self.definitions.append(parsed(kind, data[at : at + size], chunk.offset))
+                self.definitions.append(Part(kind, chunk.offset, data[at:end]).record())
 
     def __len__(self) -> int:
         return len(self.times)
@@ -114,29 +138,33 @@ class Unpacker:
 
 def _messages(stream, chunk: Chunk) -> Messages:
     """Unpack one chunk and check it: size, checksum, the lengths in it, and that its times are those it announced."""
-    data = _unpack(exactly(stream, chunk.start, chunk.size), chunk)
-    if len(data) != chunk.unpacked:
-        raise Damage(f"a chunk does not unpack to the {chunk.unpacked} bytes that it announces", chunk.offset)
-    if chunk.crc and zlib.crc32(data) != chunk.crc:
-        raise Damage("a chunk does not fit its checksum", chunk.offset)
+    data, at = exactly(stream, chunk.offset, chunk.size), chunk.offset
+    if chunk.type == Opcode.CHUNK:
+        record = Part(chunk.type, at, data).record()
+        data = _unpack(record, at)
+        if len(data) != record.uncompressed_size:
+            raise Damage(f"a chunk does not unpack to the {record.uncompressed_size} bytes that it announces", at)
+        if record.uncompressed_crc and zlib.crc32(data) != record.uncompressed_crc:
+            raise Damage("a chunk does not fit its checksum", at)
     found = Messages(data, chunk)
     if len(found) and (min(found.times), max(found.times)) != (chunk.first_time, chunk.last_time):
-        raise Damage("a chunk holds other times than it says", chunk.offset)
+        raise Damage("a chunk holds other times than it says", at)
     if len(found) and chunk.last_time >= 2**63:
-        raise Damage(f"a log time of {chunk.last_time} ns is beyond the year 2262", chunk.offset)
+        raise Damage(f"a log time of {chunk.last_time} ns is beyond the year 2262", at)
     return found
 
 
-def _unpack(packed: bytes, chunk: Chunk) -> bytes:
-    """The bytes of a chunk; at most one more than it announces, which mcap's breakup_chunk does not see to."""
+def _unpack(record, offset: int) -> bytes:
+    """The bytes of mcap's Chunk; at most one more than it announces, which mcap's breakup_chunk does not see to."""
+    most = record.uncompressed_size + 1
     try:
-        if chunk.compression == "zstd":
-            with zstandard.ZstdDecompressor(max_window_size=LIMIT).stream_reader(packed) as reader:
-                return reader.read(chunk.unpacked + 1)
-        if chunk.compression == "lz4":
-            return lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.unpacked + 1)
+        if record.compression == "zstd":
+            with zstandard.ZstdDecompressor(max_window_size=LIMIT).stream_reader(record.data) as reader:
+                return reader.read(most)
+        if record.compression == "lz4":
+            return lz4.frame.LZ4FrameDecompressor().decompress(record.data, max_length=most)
     except (zstandard.ZstdError, RuntimeError, EOFError) as error:
-        raise Damage("a chunk cannot be unpacked", chunk.offset) from error
-    if chunk.compression not in ("", "run"):
-        raise Damage(f"a chunk is packed with {chunk.compression!r}, which is not known here", chunk.offset)
-    return packed
+        raise Damage("a chunk cannot be unpacked", offset) from error
+    if record.compression:
+        raise Damage(f"a chunk is packed with {record.compression[:16]!r}, which is not known here", offset)
+    return record.data

@@ -3,27 +3,39 @@
 from __future__ import annotations
 
 from collections import Counter
+from typing import NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
-from kr270_milling.bag.structure import Attachment, Chunk, Damage, Part, attachment, chunk, content, parsed
+from kr270_milling.bag.chunks import Chunk
+from kr270_milling.bag.structure import Damage, Part
 from kr270_milling.messages.decode import Topic
 
-__all__ = ["Contents"]
+__all__ = ["Attachment", "Contents"]
 
 MOST_DEFINED = 32 * 1024 * 1024  # [bytes] of names, definitions and metadata that are held
 ENTRY = 150  # [bytes] that Python takes for an entry of a small record or mapping
 MOST_CHUNKS = 250_000  # some 40 MB of places; 70 hours of a recorder that closes one every second
 NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
-SMALL_RECORDS = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA, Opcode.STATISTICS, Opcode.DATA_END)
+TAKEN = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.STATISTICS,
+         Opcode.DATA_END)  # fmt: skip
+
+
+class Attachment(NamedTuple):
+    """What is attached, how many bytes it has, and where its record is."""
+
+    name: str
+    media_type: str
+    size: int
+    offset: int
+    end: int
 
 
 class Contents:
     """Filled record by record by ``take``. Raises Damage where a file defines more than is bearable."""
 
-    def __init__(self, stream):
-        self.stream = stream
+    def __init__(self):
         self.profile = self.library = ""
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
@@ -35,36 +47,31 @@ class Contents:
         self._defined = 0
 
     def take(self, part: Part):
-        """Take one record of the top level; returns a chunk's or an attachment's place, or mcap's record."""
-        if part.type in (Opcode.CHUNK, Opcode.MESSAGE):
-            found = chunk(self.stream, part)
+        """Take one record of the top level; returns a Chunk, an Attachment or mcap's record."""
+        kind, found = part.type, None
+        if kind in (Opcode.CHUNK, Opcode.MESSAGE):
+            found = Chunk.of(part)
             if len(self.chunks) == MOST_CHUNKS:
                 raise Damage(f"the file has more than {MOST_CHUNKS} chunks", part.offset)
             self.chunks.append(found)
-            return found
-        if part.type == Opcode.ATTACHMENT:
-            found = attachment(self.stream, part)
+        elif kind in TAKEN:
+            found = part.record()
+        if kind == Opcode.ATTACHMENT:
+            found = Attachment(found.name, found.media_type, len(found.data), part.offset, part.end)
             self._bear(ENTRY + len(found.name), part.offset)
             self.attachments.append(found)
-            return found
-        if part.type in SMALL_RECORDS:
-            found = parsed(part.type, content(self.stream, part), part.offset)
-            self._take_record(found, part)
-            return found
-        return None
-
-    def _take_record(self, record, part: Part) -> None:
-        if part.type == Opcode.HEADER:
-            self.profile, self.library = record.profile, record.library
-        elif part.type == Opcode.METADATA:
-            self._bear(part.size + ENTRY * len(record.metadata), part.offset)
-            self.metadata[record.name] = record.metadata
-        elif part.type == Opcode.STATISTICS:
-            self.counts = Counter(record.channel_message_counts)
-        elif part.type == Opcode.DATA_END:
-            self.data_crc = record.data_section_crc
-        else:
-            self.define(record, part.offset)
+        elif kind == Opcode.METADATA:
+            self._bear(len(part.data) + ENTRY * len(found.metadata), part.offset)
+            self.metadata[found.name] = found.metadata
+        elif kind == Opcode.HEADER:
+            self.profile, self.library = found.profile, found.library
+        elif kind == Opcode.STATISTICS:
+            self.counts = Counter(found.channel_message_counts)
+        elif kind == Opcode.DATA_END:
+            self.data_crc = found.data_section_crc
+        elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self.define(found, part.offset)
+        return found
 
     def define(self, record, offset: int) -> None:
         """Take a Schema or a Channel; one that was there already is replaced."""

@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 from mcap.opcode import Opcode
 
-from kr270_milling.bag.chunks import CACHE, READ, Entry, Messages, Unpacker
+from kr270_milling.bag.chunks import CACHE, READ, Chunk, Entry, Messages, Unpacker
 from kr270_milling.bag.contents import Contents
-from kr270_milling.bag.structure import MAGIC, SMALL, Chunk, Damage, attached, checksum, exactly, parsed, parts
+from kr270_milling.bag.structure import MAGIC, SMALL, Damage, checksum, exactly, parts
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.decode import Topic, make_decoder
 
@@ -75,7 +75,7 @@ class Recording:
         self.stream = open_file(self.path)
         self.size = os.fstat(self.stream.fileno()).st_size
         self.unpack = Unpacker(self.stream, self.size)
-        self.contents = Contents(self.stream)
+        self.contents = Contents()
         self.chunks = self.contents.chunks
         self.attachments = self.contents.attachments
         self.cut_off = True
@@ -126,7 +126,8 @@ class Recording:
     def _read_summary(self) -> int | None:
         """Schemas, channels and counts from the end of the file; returns where the summary begins."""
         at = self.size - FOOTER_SIZE
-        footer = parsed(Opcode.FOOTER, exactly(self.stream, at + 9, 20), at)
+        (part,) = parts(self.stream, at, at + FOOTER_SIZE)
+        footer = part.record()
         start = footer.summary_start
         if not start:
             return None
@@ -151,7 +152,7 @@ class Recording:
         if self.data_end == len(MAGIC):
             raise Damage("the file ends before its header", self.data_end)
         # messages beside chunks are rare: in most files they are another record, with a flipped bit in its type
-        mixed = len({chunk.compression == "run" for chunk in self.chunks}) == 2
+        mixed = len({chunk.type for chunk in self.chunks}) == 2
         crc = self.contents.data_crc
         if mixed and not self.cut_off and crc and checksum(self.stream, self.data_end) != crc:
             raise Damage("the data do not fit the checksum at their end", self.data_end)
@@ -165,7 +166,7 @@ class Recording:
                 self.contents.define(record, chunk.offset)
             counts.update(found.counts)
             if progress:
-                progress(chunk.start + chunk.size, self.size)
+                progress(chunk.offset + chunk.size, self.size)
         self.contents.counts = counts
 
     @property
@@ -192,7 +193,8 @@ class Recording:
         for about in self.attachments:
             if about.name == name:
                 with self.sentences():
-                    return attached(self.stream, about)
+                    (part,) = parts(self.stream, about.offset, about.end)
+                    return part.attached()
         raise RecordingError(self.path, f"nothing named {name!r} is attached")
 
     def messages(

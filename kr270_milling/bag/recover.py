@@ -11,10 +11,10 @@ from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from kr270_milling.bag.chunks import Unpacker
+from kr270_milling.bag.chunks import Chunk, Unpacker
 from kr270_milling.bag.contents import Contents
 from kr270_milling.bag.reader import FOOTER_SIZE, Recording, find_file, open_file
-from kr270_milling.bag.structure import MAGIC, Attachment, Chunk, Damage, Part, attached, content, next_chunk, parts
+from kr270_milling.bag.structure import MAGIC, Damage, Part, next_chunk, parts
 from kr270_milling.bag.verify import findings
 from kr270_milling.bag.writer import BagWriter, MessageRefused
 from kr270_milling.base.errors import RecordingError
@@ -108,7 +108,7 @@ class _Rescue:
     def __init__(self, stream, writer: BagWriter, result: Recovered):
         self.stream, self.writer, self.result = stream, writer, result
         self.size = os.fstat(stream.fileno()).st_size
-        self.unpack, self.contents = Unpacker(stream, self.size), Contents(stream)
+        self.unpack, self.contents = Unpacker(stream, self.size), Contents()
         self.numbers: dict[int, int] = {}  # channel in the source -> channel in the copy
         self.lost: Counter[str] = Counter()  # reason -> messages
         self.ended = False
@@ -173,7 +173,7 @@ class _Rescue:
         if part.type not in KNOWN and part.type < PRIVATE:
             raise Damage("a record is of no known type", part.offset)
         index = part.type == Opcode.MESSAGE_INDEX
-        if index and int.from_bytes(content(self.stream, part)[2:6], "little") + 6 != part.size:
+        if index and int.from_bytes(part.data[11:15], "little") + 15 != len(part.data):
             raise Damage("an index of messages has an impossible length", part.offset)
         return self.contents.take(part)
 
@@ -184,8 +184,8 @@ class _Rescue:
     def _copy(self, part: Part, found) -> None:
         if isinstance(found, Chunk):
             self._messages(found)
-        elif isinstance(found, Attachment):
-            self.writer.add_attachment(found.name, attached(self.stream, found))
+        elif part.type == Opcode.ATTACHMENT:
+            self.writer.add_attachment(found.name, part.attached())
             self.result.attachments.append(found.name)
         elif part.type == Opcode.METADATA and found.name != "rosbag2":  # the copy gets its own
             self.writer.add_metadata(found.name, found.metadata)

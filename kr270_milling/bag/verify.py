@@ -11,11 +11,12 @@ import yaml
 from mcap.opcode import Opcode
 
 from kr270_milling.bag.reader import FOOTER_SIZE, Recording
-from kr270_milling.bag.structure import HEAD, MAGIC, Damage, Part, attached, checksum, content, parsed, parts
+from kr270_milling.bag.structure import HEAD, MAGIC, Damage, Part, checksum, parts
 
 __all__ = ["findings"]
 
 MOST = 20  # sentences
+INDEX = struct.Struct("<BQHI")  # type and length; channel, bytes of the entries that follow
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 MOST_YAML = 256 * 1024  # [bytes] of metadata.yaml; the YAML reader takes some seconds for them
 
@@ -40,8 +41,7 @@ class _Walk:
         self.found: list[str] = []
         self.counts: Counter[int] = Counter()
         self.chunks = {chunk.offset: chunk for chunk in recording.chunks}
-        self.indexes: dict[int, dict[int, int]] = {}  # chunk -> channel -> place of its message index
-        self.lengths: dict[int, int] = {}  # chunk -> bytes of its record
+        self.indexed: dict[int, list] = {}  # chunk -> what its entry in the index of chunks must say
 
     def guard(self, call, *args):
         """The result of a call, or None and one more sentence."""
@@ -59,72 +59,72 @@ class _Walk:
                 self.guard(self._check_index, part, chunk, expected)
                 continue
             self.guard(self._check_left_out, chunk, expected)
-            chunk, expected = (part.offset, {}) if part.type in (Opcode.CHUNK, Opcode.MESSAGE) else (None, {})
-            if chunk is not None:
-                self.lengths[chunk] = part.end - part.offset
-                expected = self.guard(self._messages, chunk) or {}
+            chunk, expected = None, {}
+            if part.type == Opcode.ATTACHMENT:
+                self.guard(part.attached)
+            elif part.offset in self.chunks:
+                chunk, expected = part.offset, self.guard(self._messages, part) or {}
             if progress:
                 progress(part.end, recording.size)
         self.guard(self._check_left_out, chunk, expected)
-        for about in recording.attachments:
-            self.guard(attached, self.stream, about)
         crc = recording.contents.data_crc
         if crc and not recording.cut_off and checksum(self.stream, end) != crc:
             self.found.append("the data do not fit the checksum at their end")
         if not recording.cut_off:
             self._check_summary(end)
 
-    def _messages(self, chunk: int) -> dict[int, np.ndarray]:
+    def _messages(self, part: Part) -> dict[int, np.ndarray]:
         """Channel -> (log time, offset) of its messages in a chunk."""
-        found = self.recording.unpack(self.chunks[chunk])
+        if part.type == Opcode.CHUNK:
+            record = part.record()
+            self.indexed[part.offset] = [
+                len(part.data), record.message_start_time, record.message_end_time, record.compression,
+                len(record.data), record.uncompressed_size, {},
+            ]  # fmt: skip
+        found = self.recording.unpack(self.chunks[part.offset])
         self.counts += found.counts
         unknown = set(found.counts) - set(self.recording.contents.channels)
         if unknown:
-            raise Damage(f"messages belong to channel {min(unknown)}, which is not defined", chunk)
+            raise Damage(f"messages belong to channel {min(unknown)}, which is not defined", part.offset)
         channel, rows = found.table()
         return {number: rows[channel == number] for number in found.counts}
 
     def _check_index(self, part: Part, chunk: int | None, expected: dict[int, np.ndarray]) -> None:
-        data = content(self.stream, part)
-        if chunk is None or len(data) < 6:
+        if chunk not in self.indexed or len(part.data) < INDEX.size:
             raise Damage("an index of messages belongs to no chunk", part.offset)
-        channel, size = struct.unpack_from("<HI", data)
-        if size != len(data) - 6 or size % 16:
+        _, _, channel, size = INDEX.unpack_from(part.data)
+        if size != len(part.data) - INDEX.size or size % 16:
             raise Damage("an index of messages has an impossible length", part.offset)
-        rows, messages = np.frombuffer(data, "<u8", offset=6).reshape(-1, 2), expected.pop(channel, None)
-        self.indexes.setdefault(chunk, {})[channel] = part.offset
+        rows, messages = np.frombuffer(part.data, "<u8", offset=INDEX.size).reshape(-1, 2), expected.pop(channel, None)
+        self.indexed[chunk][-1][channel] = part.offset
         if messages is None and not len(rows):
             return
         if messages is None or not np.array_equal(_sorted(rows), _sorted(messages)):
             raise Damage("an index points to other messages than its chunk holds", part.offset)
 
     def _check_left_out(self, chunk: int | None, expected: dict) -> None:
-        if chunk in self.indexes and expected:
+        if expected and chunk in self.indexed and self.indexed[chunk][-1]:
             raise Damage(f"a chunk has no index for channel {min(expected)}", chunk)
 
     def _check_summary(self, end: int) -> None:
         """The index of chunks and the counts, against what is there."""
         at = self.recording.size - FOOTER_SIZE
-        footer = parsed(Opcode.FOOTER, content(self.stream, Part(Opcode.FOOTER, at, at + HEAD.size, 20)), at)
         behind = end + HEAD.size + 4  # of the record that ends the data
-        if footer.summary_start not in (0, behind) or (not footer.summary_start and behind != at):
-            self.found.append(f"the footer does not point to the end of the data (at byte {at})")
         if +self.counts != +self.recording.contents.counts:
             self.found.append("the counts of messages at the end are not those of the messages")
-        for part in parts(self.stream, behind, at):
+        for part in parts(self.stream, behind, self.recording.size):
             if part.type == Opcode.CHUNK_INDEX:
                 self.guard(self._check_chunk_index, part)
+            elif part.offset == at and part.record().summary_start != (0 if behind == at else behind):
+                self.found.append(f"the footer does not point to the end of the data (at byte {at})")
 
     def _check_chunk_index(self, part: Part) -> None:
-        index = parsed(part.type, content(self.stream, part), part.offset)
-        chunk = self.chunks.get(index.chunk_start_offset)
-        if chunk is None:
+        index = part.record()
+        if index.chunk_start_offset not in self.indexed:
             raise Damage("the index of chunks points to a place without a chunk", part.offset)
-        says = (index.chunk_length, index.message_start_time, index.message_end_time, index.compression,
-                index.compressed_size, index.uncompressed_size)  # fmt: skip
-        is_so = (self.lengths.get(chunk.offset), chunk.first_time, chunk.last_time, chunk.compression, chunk.size,
-                 chunk.unpacked)  # fmt: skip
-        if says != is_so or index.message_index_offsets != self.indexes.get(chunk.offset, {}):
+        says = [index.chunk_length, index.message_start_time, index.message_end_time, index.compression,
+                index.compressed_size, index.uncompressed_size, index.message_index_offsets]  # fmt: skip
+        if says != self.indexed[index.chunk_start_offset]:
             raise Damage("the index of chunks says another thing than the chunk", part.offset)
 
 

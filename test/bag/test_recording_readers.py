@@ -155,7 +155,7 @@ def test_foxglove_reads_a_cut_off_file_and_the_recovered_one(bag, tmp_path):
     whole = (directory / "pass_1.mcap").read_bytes()
     with Recording(directory) as recording:
         last = recording.chunks[-1]
-    (tmp_path / "cut.mcap").write_bytes(whole[: last.start + last.size // 2])
+    (tmp_path / "cut.mcap").write_bytes(whole[: last.offset + last.size // 2])
     result = recover(tmp_path / "cut.mcap")
     assert 0 < result.messages < len(written)
     expected = hashed(written[: result.messages])

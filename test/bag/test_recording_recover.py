@@ -19,6 +19,9 @@ from kr270_milling.cli import main
 RELAXED = settings(max_examples=budget(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
+PACKED = 9 + 3 * 8 + 4 + 8 + 8  # bytes of a chunk before its packed bytes: lengths, times, checksum, "zstd"
+
+
 class Source(tuple):
     """Bytes, messages and chunks; hypothesis prints its arguments, so the text is short."""
 
@@ -89,7 +92,7 @@ def test_a_cut_file_keeps_every_whole_chunk(source, tmp_path_factory, place):
     file.write_bytes(data[:place])
     result = recover(file)
     assert kept(result.directory) == written[: result.messages]
-    assert result.messages == sum(count for chunk, count in chunks if chunk.start + chunk.size <= place)
+    assert result.messages == sum(count for chunk, count in chunks if chunk.offset + chunk.size <= place)
 
 
 def test_a_file_that_lacks_only_its_end_loses_nothing(source, tmp_path):
@@ -104,7 +107,8 @@ def test_a_file_that_lacks_only_its_end_loses_nothing(source, tmp_path):
 def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place):
     data, written, chunks = source
     chunk, count = chunks[len(chunks) // 2]
-    at = {"packed bytes": chunk.start + 50, "length": chunk.offset + 3, "packed length": chunk.start - 6,
+    packed = chunk.offset + PACKED
+    at = {"packed bytes": packed + 50, "length": chunk.offset + 3, "packed length": packed - 6,
           "type": chunk.offset, "first time": chunk.offset + 9}[place]  # fmt: skip
     damaged = bytearray(data)
     damaged[at] ^= 0x30
@@ -123,14 +127,14 @@ def test_without_the_summary_a_lost_definition_is_told(source, tmp_path):
     """The first chunk defines the channels; in a cut-off file nothing else does."""
     data, written, chunks = source
     damaged = bytearray(data[: chunks[-1][0].offset])
-    damaged[chunks[0][0].start + 100] ^= 1
+    damaged[chunks[0][0].offset + PACKED + 100] ^= 1
     (tmp_path / "a.mcap").write_bytes(damaged)
     result = recover(tmp_path / "a.mcap")
     assert result.messages == 0 and any("whose definition is lost" in line for line in result.dropped)
     assert result.lost_messages is None
     # with the summary the rest comes back
     damaged = bytearray(data)
-    damaged[chunks[0][0].start + 100] ^= 1
+    damaged[chunks[0][0].offset + PACKED + 100] ^= 1
     (tmp_path / "b.mcap").write_bytes(damaged)
     result = recover(tmp_path / "b.mcap")
     assert result.messages > 0.8 * len(written) and result.lost_messages == len(written) - result.messages
