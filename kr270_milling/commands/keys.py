@@ -12,16 +12,15 @@ def add_arguments(parser) -> None:
 
 
 def run(args) -> None:
-    from dataclasses import asdict
-
     from kr270_milling.cell.keys import keys_of
 
     found = keys_of(args.section)
     if args.json:
-        print_json({"section": args.section, "keys": [asdict(key) | {"range": key.range} for key in found]})
+        print_json({"section": args.section, "keys": found})
         return
     rows = [("key", "unit", "range", "default", "meaning")]
-    rows += [(k.key, k.unit, k.range, "required" if k.required else _shown(k.default), k.text) for k in found]
+    for k in found:
+        rows.append((k["key"], k["unit"], k["range"], "required" if k["required"] else _shown(k["default"]), k["text"]))
     if args.markdown:
         cells = [[f"`{row[0]}`", *(text.replace("|", "or") for text in row[1:])] for row in rows]
         cells[0][0] = "key"
@@ -37,8 +36,6 @@ def _shown(default) -> str:
         return "-"
     if isinstance(default, list):
         return "[" + ", ".join(map(_shown, default)) + "]"
-    if default is None:
-        return "with the section"
     if isinstance(default, float):
         return f"{default:g}"
     return str(default).lower() if isinstance(default, bool) else str(default) or '""'

@@ -29,7 +29,7 @@ def run(args) -> None:
     from kr270_milling.cell.jobs import simulate
     from kr270_milling.decision.part import assess
     from kr270_milling.decision.stability import stability_of
-    from kr270_milling.decision.tolerance import judge_part, judge_straight_cut
+    from kr270_milling.decision.tolerance import judge
 
     cell = read_cell(find_file(args.cell), args.set)
     reference = _reference(cell, args.reference)
@@ -42,7 +42,7 @@ def run(args) -> None:
         stability = stability_of(cell, ran.result)
         found["stability"] = stability.as_dict()
         part = assess(cell, ran) if cell.path.file else None
-        tolerance = judge_part(cell, part) if part else judge_straight_cut(cell, ran)
+        tolerance = judge(cell, ran, part)
         found["tolerance"] = tolerance.as_dict()
         if part:
             found |= {key: value for key, value in part.as_dict().items() if key != "name"}

@@ -8,7 +8,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decision.check import Checked
 from kr270_milling.decision.part.assessment import PartAssessment
-from kr270_milling.decision.tolerance import Judgement, judge_part, judge_straight_cut
+from kr270_milling.decision.tolerance import Judgement, judge
 from kr270_milling.decision.verdict import Verdict
 
 __all__ = ["NO_METHOD", "Decision", "decide"]
@@ -62,10 +62,7 @@ def decide(
 
     Without a verdict the method of the revised pass is recommended where it makes the part better.
     """
-    if parts:
-        before, after = (judge_part(cell, part) for part in parts)
-    else:
-        before, after = (judge_straight_cut(cell, ran) for ran in (original, revised))
+    before, after = map(lambda ran, part: judge(cell, ran, part), (original, revised), parts or (None, None))
     better = revised.name if after.error < before.error else NO_METHOD
     recommended = verdict.recommended if verdict else better
     return Decision(before, after, checked.may_be_run, checked.count("warning"), recommended, verdict)

@@ -45,9 +45,12 @@ class Judgement:
         return f"{word} ({1e6 * self.error:.0f} um against {1e6 * self.tolerance:.0f}{where})"
 
 
-def judge(cell: Cell, ran: ScoredPass) -> Judgement:
-    """The pass of a tool path by what it leaves of the part, that of a straight cut by its deviation."""
-    return judge_part(cell, assess(cell, ran)) if cell.path.file else judge_straight_cut(cell, ran)
+def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Judgement:
+    """The pass of a tool path by what it leaves of the part, that of a straight cut by its deviation.
+
+    part: its assessment, if it is known already.
+    """
+    return judge_part(cell, part or assess(cell, ran)) if cell.path.file else judge_straight_cut(cell, ran)
 
 
 def judge_part(cell: Cell, part: PartAssessment) -> Judgement:

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.files import write_files
-from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
+from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.program import Program
 from kr270_milling.programs.krl_motion import Source, modules_of, motion_lines, point_numbers, point_speeds
 from kr270_milling.programs.krl_text import axis_text, comments, frame_row, frame_text, number, position_text
@@ -134,8 +134,7 @@ def _modules(main: str, moves: list, frames: list, main_parts: list) -> dict[str
 
 def _rows(run: Trajectory) -> np.ndarray:
     """X, Y, Z [mm], A, B, C [deg] of the knots, (n, 6)."""
-    abc = np.degrees(abc_from_rotation(rotation_from_quaternion(run.quaternion)))
-    return np.hstack([run.position * 1e3, abc])
+    return frame_row(Pose(run.position, rotation_from_quaternion(run.quaternion)))
 
 
 def _frames(run: Trajectory, numbers: np.ndarray) -> list[str]:

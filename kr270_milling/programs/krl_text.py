@@ -21,8 +21,8 @@ def number(value: float, digits: int) -> str:
 
 
 def frame_row(pose: Pose) -> np.ndarray:
-    """X, Y, Z [mm], A, B, C [deg], (6,)."""
-    return np.concatenate([pose.position * 1e3, np.degrees(abc_from_rotation(pose.rotation))])
+    """X, Y, Z [mm], A, B, C [deg], (..., 6)."""
+    return np.concatenate([pose.position * 1e3, np.degrees(abc_from_rotation(pose.rotation))], axis=-1)
 
 
 def frame_text(row: Sequence[float] | np.ndarray) -> str:

@@ -87,7 +87,7 @@ def _selection(selected: str, tools: tuple[ProgramTool, ...], last: int) -> list
         return [Refusal(last, selected, f"the program does not cut with {selected}; it does with {listing}", "")]
     if selected or len(cutting) < 2:
         return []
-    advice = f"choose one with path.tool, for example {cutting[0].name or cutting[1].name}"
+    advice = f"choose one with path.tool (init: --tool), for example {cutting[0].name or cutting[1].name}"
     reason = f"the program cuts with {len(cutting)} tools: {listing}"
     return [Refusal(cutting[1].line, cutting[1].name, reason, advice)]
 
