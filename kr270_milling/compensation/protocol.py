@@ -55,6 +55,13 @@ class CompensatorProtocol:
             raise MessageError("there is no target trajectory yet")
         return self.compensator
 
+    @property
+    def last_pass(self) -> tuple[Compensator, PassRecord]:
+        """What revised, and what it revised from; raises MessageError before a pass is complete."""
+        if self.ran_by is None or self.ran is None:
+            raise MessageError("no pass is complete yet")
+        return self.ran_by, self.ran
+
     def begin(self, target: Trajectory) -> list[Output]:
         """Go on along another target; raises MillingError where it is refused."""
         return self._go_on(self.models.compensator(target, None))

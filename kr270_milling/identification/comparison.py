@@ -34,6 +34,20 @@ class Pass:
     tool_time: np.ndarray | None  #: [s], (m,)
     tool: np.ndarray | None  #: tool centre [m], (m, 3)
 
+    def forces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times and forces; raises InputError where there are none."""
+        return _both("forces", self.force_time, self.force)
+
+    def places(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times and tool centres; raises InputError where there are none."""
+        return _both("places of the tool", self.tool_time, self.tool)
+
+
+def _both(what: str, time: np.ndarray | None, values: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+    if time is None or values is None:
+        raise InputError("compare", f"there are no {what} to compare with")
+    return time, values
+
 
 @dataclass(frozen=True, eq=False)
 class Channel:
@@ -70,7 +84,7 @@ def compare(measured: Pass, simulated: Pass, target, feed, revolution: float) ->
     if measured.tool is not None:
         lags["pose"], time, place = _places(measured, simulated)
         inside = np.isfinite(place).all(1)
-        ours = path_deviation(simulated.tool, target, feed)[inside]
+        ours = path_deviation(simulated.places()[1], target, feed)[inside]
         theirs = path_deviation(place, target, feed)[inside]
         channels.append(_channel("deviation", "m", time[inside], theirs, ours, revolution))
         ringing = {
@@ -87,30 +101,31 @@ def _count(time: np.ndarray, revolution: float) -> int:
 
 
 def _forces(measured: Pass, simulated: Pass, revolution: float) -> tuple[float, list[Channel]]:
-    step = float(np.median(np.diff(simulated.force_time)))
-    theirs, ours = (resampled(p.force_time, p.force, step) for p in (measured, simulated))
+    (their_time, force), (our_time, our_force) = measured.forces(), simulated.forces()
+    step = float(np.median(np.diff(our_time)))
+    theirs, ours = resampled(their_time, force, step), resampled(our_time, our_force, step)
     lag, likeness = best_lag(theirs, ours, same_size=False)
     if likeness < LEAST_LIKENESS:
         raise NoOverlapError("force", likeness)
     first, last = max(0, -lag), min(len(ours), len(theirs) - lag)
-    time = simulated.force_time[0] + step * np.arange(first, last)
+    time = our_time[0] + step * np.arange(first, last)
     pairs = zip("xyz", theirs[first + lag : last + lag].T, ours[first:last].T, strict=True)
-    found = [_channel(f"force {axis}", "N", time, *pair, revolution) for axis, *pair in pairs if np.any(pair[1])]
-    return lag * step + float(measured.force_time[0] - simulated.force_time[0]), found
+    found = [_channel(f"force {axis}", "N", time, a, b, revolution) for axis, a, b in pairs if np.any(b)]
+    return lag * step + float(their_time[0] - our_time[0]), found
 
 
 def _places(measured: Pass, simulated: Pass) -> tuple[float, np.ndarray, np.ndarray]:
     """Lag [s], the simulated times, and the measured places at them, NaN where there are none."""
-    step = float(np.median(np.diff(simulated.tool_time)))
-    theirs, ours = (resampled(p.tool_time, p.tool, step) for p in (measured, simulated))
+    (their_time, place), (our_time, our_place) = measured.places(), simulated.places()
+    step = float(np.median(np.diff(our_time)))
+    theirs, ours = resampled(their_time, place, step), resampled(our_time, our_place, step)
     middle = ours.mean(0)  # squares of small numbers
     lag, likeness = best_lag(theirs - middle, ours - middle, same_size=True)
     if likeness < LEAST_LIKENESS:
         raise NoOverlapError("place of the tool", likeness)
-    shift = lag * step + float(measured.tool_time[0] - simulated.tool_time[0])
-    at = simulated.tool_time + shift
-    columns = [np.interp(at, measured.tool_time, c, np.nan, np.nan) for c in measured.tool.T]
-    return shift, simulated.tool_time, np.stack(columns, -1)
+    shift = lag * step + float(their_time[0] - our_time[0])
+    columns = [np.interp(our_time + shift, their_time, c, np.nan, np.nan) for c in place.T]
+    return shift, our_time, np.stack(columns, -1)
 
 
 def _channel(name: str, unit: str, time, measured, simulated, revolution: float) -> Channel:

@@ -57,9 +57,9 @@ def linear_edge_sections(values, half_widths, axial: float = TOWARD_PART) -> dic
     given = [(field, k) for k, field in enumerate(FIELDS) if field in by_name and np.isfinite(values[k])]
     law: dict = {}
     for field, k in given:
-        spread = f"95 % +- {half_widths[k] / by_name[field].scale:.3g}" if np.isfinite(half_widths[k]) else ""
+        known = f"95 % +- {half_widths[k] / by_name[field].scale:.3g}" if np.isfinite(half_widths[k]) else ""
         value = max(values[k], 0.0) if k < 4 else values[k] * axial / TOWARD_PART
-        law[by_name[field].key] = (float(value / by_name[field].scale), spread)
+        law[by_name[field].key] = (float(value / by_name[field].scale), known)
     sections: dict = {"cutting": {"law": "linear_edge", "linear_edge": law}}
     relative = {field: half_widths[k] / 1.96 / max(abs(values[k]), 1e-300) for field, k in given}
     spread = _spread([relative.get(name, np.nan) for name in SCATTERED["linear_edge"]])
@@ -68,8 +68,8 @@ def linear_edge_sections(values, half_widths, axial: float = TOWARD_PART) -> dic
 
 def fractional_sections(found: FractionalFit) -> dict:
     """The same of the fractional law."""
-    each = zip(specs(FractionalLaw), found.values, found.half_widths, strict=True)
-    each = [(s, v, w) for s, v, w in each if np.isfinite(v)]
+    rows = zip(specs(FractionalLaw), found.values, found.half_widths, strict=True)
+    each = [(s, v, w) for s, v, w in rows if np.isfinite(v)]
     law = {s.key: (float(v / s.scale), f"95 % +- {w / s.scale:.3g}") for s, v, w in each}
     relative = {s.name: w / 1.96 / v for s, v, w in each}
     spread = _spread([relative.get(name, np.nan) for name in SCATTERED["fractional"]])

@@ -49,8 +49,15 @@ class Measurements:
 
     def take(self, rows) -> Measurements:
         """Some of the rows."""
-        arrays = (self.q, self.wrench, self.application, self.reflector, self.displacement, self.sigma)
-        return Measurements(*(array[rows] for array in arrays), self.sigma_known)
+        return Measurements(
+            self.q[rows],
+            self.wrench[rows],
+            self.application[rows],
+            self.reflector[rows],
+            self.displacement[rows],
+            self.sigma[rows],
+            self.sigma_known,
+        )
 
 
 def read_measurements(path, arm: Arm, mount: Mount) -> Measurements:

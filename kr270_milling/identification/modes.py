@@ -54,7 +54,7 @@ def find_modes(signals: Signals, low: float, high: float, most: int = 6) -> list
     """The modes between two frequencies [Hz], the lowest first. Raises NoModeError."""
     data = signals.values - signals.values[-max(1, len(signals.values) // 10) :].mean(0)
     if signals.force is not None:
-        data = impulse_response(signals)
+        data = impulse_response(signals, signals.force)
     data, step = _thinned(data, signals.step, high)
     poles = _poles(data, step, 2 * most + 2)
     shown = (np.abs(poles) > 2 * np.pi * low) & (np.abs(poles) < 2 * np.pi * high) & (poles.imag > 0)
@@ -81,16 +81,16 @@ def _mode(poles, residues, energy, k, order, total, data, step) -> Mode:
     return Mode(frequency, damping, shape, amplitude, decrement, share, complex(poles[k]), residues[k])
 
 
-def impulse_response(signals: Signals) -> np.ndarray:
-    """Response over force in the frequency domain (H_1), back in time: (n, channels), per N s.
+def impulse_response(signals: Signals, force: np.ndarray) -> np.ndarray:
+    """Response over force (n,) [N] in the frequency domain (H_1), back in time: (n, channels), per N s.
 
     What the hammer excites by less than a thousandth of its largest does not count.
     """
     n = 2 * len(signals.values)
-    force = np.fft.rfft(signals.force - np.median(signals.force), n)[:, None]
+    push = np.fft.rfft(force - np.median(force), n)[:, None]
     response = np.fft.rfft(signals.values - np.median(signals.values, axis=0), n, axis=0)
-    power = np.abs(force) ** 2
-    ratio = response * np.conj(force) / (power + 1e-6 * power.max())
+    power = np.abs(push) ** 2
+    ratio = response * np.conj(push) / (power + 1e-6 * power.max())
     return np.fft.irfft(ratio, n, axis=0)[: len(signals.values)] / signals.step
 
 
@@ -110,7 +110,7 @@ def _poles(data: np.ndarray, step: float, order: int) -> np.ndarray:
     pencil = n // 3
     hankel = np.concatenate([np.lib.stride_tricks.sliding_window_view(c, n - pencil) for c in data.T], 1)
     _, strength, right = np.linalg.svd(hankel.T, full_matrices=False)
-    count = int(min(order, np.count_nonzero(strength > SHARE * strength[0])))
+    count = min(order, int(np.count_nonzero(strength > SHARE * strength[0])))
     basis = right[:count].T
     shift = np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0]
     with np.errstate(divide="ignore"):

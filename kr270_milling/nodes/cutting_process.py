@@ -71,8 +71,7 @@ class CuttingProcess(ManagedNode):
         self.send(self.protocol.pose(pose_from_bytes(data)))
         self._mapped = False
         self.stamp_ns = self.protocol.stamp_ns
-        side = self.protocol.side
-        if self._robots == 0 and side is not None and side.step == 1:
+        if self._robots == 0 and self.protocol.step == 1:
             self._robots = self._pose.get_publisher_count()
             self.report(OK, "cutting")
         elif self._waiting:

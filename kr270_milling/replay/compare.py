@@ -42,7 +42,7 @@ class Difference:
 
 class Recorded(NamedTuple):
     order: tuple
-    index: int
+    number: int  #: in the recording
     stamp: int
     data: bytes
     refused: bool
@@ -78,7 +78,7 @@ class Channel:
         self._expected_passes = Passes()
         self._index = -1
         self._last = b""  # recorded
-        self._last_expected: object = None
+        self._last_expected: Expected | None = None
         self._skipped = 0  # missing although later ones of the same pass are there
         self._tails: list[tuple[int, int]] = []  # (pass, stamp) of those behind the last recorded one of their pass
         self._ends: dict[int, int] = {}  # pass -> latest recomputed stamp
@@ -153,15 +153,14 @@ class Channel:
             self._last_expected = self._expected.popleft()
 
     def _differ(self, recorded: Recorded, expected: Expected | None) -> None:
-        found = ("the message", "there", None)
-        if expected is not None:
-            found = difference(expected.record, recorded.data)
+        found = None if expected is None else difference(expected.record, recorded.data)
+        found = found or ("the message", "there", None)
         self.compared += expected is not None
         self.differing += 1
         self._next(both=expected is not None)
         if self.first is None:
             order = (*recorded.order, self.rank)
-            self.first = Difference(self.topic, recorded.index, recorded.stamp, *found, order)
+            self.first = Difference(self.topic, recorded.number, recorded.stamp, *found, order)
 
     def finish(self) -> None:
         """No more will come: what is repeated at the end is not waiting for anything, what is not there is missing."""

@@ -67,10 +67,10 @@ def compensate(path, method: str | None = None, progress=None) -> list[Revised]:
 
 
 def _revised(robot: Robot, feed: CompensatorFeed, method: str | None, published: bytes | None) -> Revised:
-    states = [revision.compensator for revision in feed.revisions]
+    states = [revision.begun for revision in feed.revisions]
     own = method in (None, states[0].method)
     same = []
-    if not own:
+    if method is not None and not own:
         states = [feed.revised_by(method)]
     elif published is not None:
         same = [state for state in states if difference(state.reference, published) is None]

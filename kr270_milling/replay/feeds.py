@@ -125,8 +125,10 @@ class RobotFeed(Feed):
 
 
 def _same_wrench(samples: list[WrenchSample], i: int) -> bool:
-    one, other = samples[i : i + 2] if i + 1 < len(samples) else (None, None)
-    return one is not None and one.frame == other.frame and one.wrench.tobytes() == other.wrench.tobytes()
+    if i + 1 >= len(samples):
+        return False
+    one, other = samples[i : i + 2]
+    return one.frame == other.frame and one.wrench.tobytes() == other.wrench.tobytes()
 
 
 class CutFeed(Feed):
@@ -145,13 +147,13 @@ class CutFeed(Feed):
         if self._passes.begins(sample.stamp):
             self.end_pass()
             self.protocol.configure()
-        next_step = self.protocol.side.step + 1
+        next_step = self.protocol.step + 1
         if self.cell.clock.step(sample.stamp) > next_step and self._lack is None:
             begun = "the tool pose of this time is not in the recording"
             reason = begun if next_step else "the recording begins in the middle of a pass"
             self._lack = int(self.cell.clock.stamp(next_step)), reason
         self._publish(self.protocol.pose(sample))
-        if self.protocol.side.step == next_step:
+        if self.protocol.step == next_step:
             self._lack = None
         self._compare_maps()
 
@@ -165,7 +167,7 @@ class CutFeed(Feed):
         if stamp == 0:
             channel.expected(0, self._fresh)
             channel.recorded(0, data)
-        elif self.protocol.side.step >= 0 and 0 <= ahead <= MOST_AHEAD * self.cell.exchange.period * 1e9:
+        elif self.protocol.step >= 0 and 0 <= ahead <= MOST_AHEAD * self.cell.exchange.period * 1e9:
             self._maps.append((stamp, data))
             self._compare_maps()
         else:

@@ -59,8 +59,8 @@ def references(recording: Recording, namespace: str | None = None) -> list[Traje
     for record in trajectories(recording, topic):
         if len(record.names) != 1:
             raise RecordingError(recording.path, f"{topic} holds {len(record.names)} bodies where a tool is one")
-        velocity = record.velocity[:, 0, :3]
-        velocity = None if np.isnan(velocity).all() else velocity
+        rates = record.velocity[:, 0, :3]
+        velocity = None if np.isnan(rates).all() else rates
         position, quaternion = record.position[:, 0], record.quaternion[:, 0]
         found.append(Trajectory(record.time, position, quaternion, velocity, record.frame_id))
     if not found:
@@ -143,11 +143,12 @@ def _wall_time(recording: Recording) -> float:
 
 def _result(cell: Cell, plant: Cell, run: Trajectory, stamps: np.ndarray, rows: dict, wall: float) -> PassResult:
     course, tool = run.sample(stamps), rows["tool_pose"][:, :3]
-    *volumes, heights = _cut_again(plant, stamps, tool)
+    torque, volume, steps, area, total, heights = _cut_again(plant, stamps, tool)
     shift = course + rows["deflection"][:, :3] - tool
     return PassResult(
         stamps, cell.target().sample(stamps), course, tool, rows["deflection"], rows["wrench"],
-        np.sqrt(np.sum(shift**2, axis=1)), *volumes, wall, heights,
+        np.sqrt(np.sum(shift**2, axis=1)), torque, volume, steps, area, total, wall,
+        heights,
     )  # fmt: skip
 
 

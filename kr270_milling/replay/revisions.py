@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.samples import PoseSample, WrenchSample
@@ -83,16 +84,16 @@ class CompensatorFeed:
     @property
     def lacks_passes(self) -> bool:
         """Whether what is run, and what follows from it, comes from passes that are not in this recording."""
-        return not self.known and self.protocol.compensator.repeats
+        return not self.known and self.protocol.begun.repeats
 
     def goes_on_from(self, before: CompensatorFeed | None) -> bool:
         """Begin with the state behind an earlier recording, if it leads to what is run here, by this method."""
         if before is None or not before.known:
             return False
-        state, run = before.protocol, self.protocol.compensator.reference
-        if not _same(state.compensator.reference, run):
+        state, run = before.protocol, self.protocol.begun.reference
+        if not _same(state.begun.reference, run):
             state.choose(self.method)
-        self.known = _same(state.compensator.reference, run)
+        self.known = _same(state.begun.reference, run)
         self.protocol = state if self.known else self.protocol
         return self.known
 
@@ -123,7 +124,7 @@ class CompensatorFeed:
 
     def revised_by(self, method: str) -> Compensator:
         """What another method makes of the complete pass."""
-        before, ran = self.revisions[0].ran_by, self.revisions[0].ran
+        before, ran = self.revisions[0].last_pass
         state = self.protocol.models.compensator(self.target, method)
         if not _same(state.reference, before.reference):
             state.resume(before.reference, tuple(before.errors), before.finished)
@@ -135,7 +136,7 @@ class CompensatorFeed:
         if self._published or self.protocol.at_end or self.revisions:
             self._compare()
 
-    def _feed(self, sample, how: Callable[[CompensatorProtocol, object], list]) -> None:
+    def _feed(self, sample, how: Callable[[CompensatorProtocol, Any], list]) -> None:
         protocol = self.protocol
         if sample.stamp >= protocol.end_ns and protocol.under_way and self._without is None:
             if not self.known:
@@ -177,7 +178,7 @@ class CompensatorFeed:
     def _restore(self) -> None:
         """The state in which the node was before this pass ended, as far as the file tells."""
         protocol = self.protocol
-        reference = protocol.compensator.reference
+        reference = protocol.begun.reference
         state = protocol.models.compensator(self.target, self.method)
         report = self.report or self._opening
         if _same(state.reference, reference):
@@ -195,8 +196,8 @@ class CompensatorFeed:
 
     def _decided(self, revised: CompensatorProtocol) -> bool:
         """Whether the rounding of earlier errors in the diagnostics leaves no doubt about what repeats."""
-        state = revised.compensator
-        if not state.repeats or len(state.errors) < 2 or self.known or revised.ran_by.finished:
+        state = revised.begun
+        if not state.repeats or len(state.errors) < 2 or self.known or revised.last_pass[0].finished:
             return True
         earlier, last = min(state.errors[:-1]), state.errors[-1]
         return min(abs(last - earlier), abs(last - (1.0 - LEAST_GAIN) * earlier)) > ROUNDING
@@ -228,7 +229,7 @@ class CompensatorFeed:
         if found is None:
             channel.take(data)
         else:
-            channel.expected(0, found.compensator.reference)
+            channel.expected(0, found.begun.reference)
             channel.recorded(0, data)
         self.revisions = []
         if "joint_trajectory" in self._channels:
@@ -237,7 +238,7 @@ class CompensatorFeed:
 
     def _go_on_from(self, reference: Trajectory) -> None:
         """What is run next is what was sent, whatever led to it."""
-        state = self.protocol.compensator
+        state = self.protocol.begun
         if not self.known:
             state = self.protocol.models.compensator(self.target, self.method)
             state.resume(reference, (), False)
@@ -248,7 +249,7 @@ class CompensatorFeed:
         """States that the node may be in now, the likely one first."""
         yield from self.revisions
         yield from self._unrevised()
-        if self.known and not self.revisions and self.protocol.compensator.first is not None:
+        if self.known and not self.revisions and self.protocol.begun.first is not None:
             for method in METHODS:
                 other = self.protocol.twin()
                 with contextlib.suppress(MillingError):
@@ -267,4 +268,4 @@ def _same(one: Trajectory, other: Trajectory) -> bool:
 
 
 def _same_bytes(protocol: CompensatorProtocol, data: bytes) -> bool:
-    return difference(protocol.compensator.reference, data) is None
+    return difference(protocol.begun.reference, data) is None

@@ -137,7 +137,8 @@ class Robot:
             return
         if name == "reference_trajectory":
             self.robot.reference(run)
-            self.compensator.reference(data)
+            if self.compensator is not None:
+                self.compensator.reference(data)
         elif self.compensator is not None:
             self.compensator.new_target(run)
 
@@ -174,10 +175,12 @@ class Robots:
                 channels = self._channels(namespace)
                 first = firsts.get(namespace)
                 robot = Robot((self.cell, plant), namespace, channels, first, openings.get(namespace))
-                if first is not None and robot.compensator.method == "learned" and is_first_version(recording):
-                    robot.revises = False  # that version fitted a spline to the deviation of the last pass
-                elif first is not None and robot.compensator.lacks_passes:
-                    _look_back(recording, namespace, first, robot.compensator, later)
+                feed = robot.compensator
+                if first is not None and feed is not None:
+                    if feed.method == "learned" and is_first_version(recording):
+                        robot.revises = False  # that version fitted a spline to the deviation of the last pass
+                    elif feed.lacks_passes:
+                        _look_back(recording, namespace, first, feed, later)
                 robot.foreign = recording.library != f"kr270_milling/{__version__}"
                 self.robots[namespace] = robot
 
@@ -235,8 +238,9 @@ class Robots:
                     hear(self.robots[namespace], name, message.data)
             elif message.topic in self._diagnostics:
                 for namespace, report in _reports_in(self._diagnostics[message.topic](message.data)):
-                    if namespace in self.robots and self.robots[namespace].compensator:
-                        self.robots[namespace].compensator.report = report
+                    feed = self.robots[namespace].compensator if namespace in self.robots else None
+                    if feed is not None:
+                        feed.report = report
         for namespace, robot in self.robots.items():
             with self._usable(f"{namespace}/wrench"):
                 robot.finish()

@@ -174,6 +174,11 @@ class CutProtocol:
         self.side = None
 
     @property
+    def step(self) -> int:
+        """The last exchange that was answered; -1 before the first one."""
+        return -1 if self.side is None else self.side.step
+
+    @property
     def under_way(self) -> bool:
         """Whether a pass has begun and has not come to the end of the reference trajectory."""
         return self.side is not None and self.side.step >= 0 and self.stamp_ns < self.end_ns
