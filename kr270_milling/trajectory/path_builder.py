@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 
 import numpy as np
@@ -11,8 +12,10 @@ from kr270_milling.trajectory.source_program import SourceProgram
 from kr270_milling.trajectory.toolpath import Toolpath
 from kr270_milling.trajectory.trajectory import TOOL_DOWN
 
-__all__ = ["PathBuilder"]
+__all__ = ["TOP", "PathBuilder"]
 
+#: height of a tool that was sent home: the highest one of the program, which ``PathBuilder.build`` puts in
+TOP = math.inf
 #: more blocks than this cannot be meant (a full circle of 100 m radius within 2 um has 16,000)
 MOST_BLOCKS = 20_000_000
 MOST_FEATURES = 200  #: a part with more of them is named by something that is no feature
@@ -21,7 +24,7 @@ MOST_FEATURES = 200  #: a part with more of them is named by something that is n
 class PathBuilder:
     """Moves that go nowhere are left out; a feature without a cutting move is none.
 
-    A height of infinity is that of a tool that was taken away: the highest of the path, known when it is built.
+    After a retract or a tool change the tool travels at the top height.
     """
 
     def __init__(self, source):
@@ -30,6 +33,8 @@ class PathBuilder:
         self.feature = 0
         self.spindle_speed = 0.0
         self.quaternion = TOOL_DOWN
+        self.active = True  #: whether the tool in the spindle is the one whose path is wanted
+        self.away = False  #: whether the tool was taken away since the last move
         self._positions = array("d")
         self._turns = array("d")
         self._numbers = array("d")  # feed, curvature, spindle speed per block
@@ -38,6 +43,30 @@ class PathBuilder:
 
     def __len__(self) -> int:
         return len(self._marks) // 3
+
+    @property
+    def last(self) -> tuple[float, float, float] | None:
+        """Where the last move went."""
+        return self._last and self._last[0]
+
+    def rapid(self, end: tuple, line: int) -> None:
+        """Go to a point; nothing is recorded until X, Y and Z are known."""
+        if not self.active or any(map(math.isnan, end)):
+            return
+        if self.last is not None and (self.away or self.last[2] == TOP):
+            self.move((*self.last[:2], TOP), 0.0, True, line)
+            self.move((*end[:2], TOP), 0.0, True, line)
+        self.away = False
+        self.move(end, 0.0, True, line)
+
+    def cut(self, start: tuple, ends: list, feed: float, line: int, curvature: float = 0.0) -> None:
+        """Feed through points, from a start that is known."""
+        if not self.active:
+            return
+        if self.last != start or self.away:
+            self.rapid(start, line)
+        for end in ends:
+            self.move(end, feed, False, line, curvature)
 
     def name_feature(self, name: str) -> None:
         """The moves that follow make this feature."""

@@ -12,8 +12,7 @@ import numpy as np
 from kr270_milling.trajectory.arcs import ArcError, centre_from_radius, flatten
 from kr270_milling.trajectory.gcode.cycles import Cycle, strokes
 from kr270_milling.trajectory.gcode.feed import Feed
-from kr270_milling.trajectory.path_builder import PathBuilder
-from kr270_milling.trajectory.recorder import TOP, Recorder
+from kr270_milling.trajectory.path_builder import TOP, PathBuilder
 from kr270_milling.trajectory.refusals import Refusals
 from kr270_milling.trajectory.summary import Observed
 from kr270_milling.trajectory.toolpath import REACH
@@ -38,7 +37,6 @@ class Motion:
         self.path = path
         self.refusals = refusals
         self.seen = seen
-        self.recorder = Recorder(path)
         self.chord = chord
         self.feed = Feed(feed)
         self.position: list[float] = [math.nan] * 3
@@ -63,11 +61,11 @@ class Motion:
         self.cycle = None
         if "Z" in axes:
             self.position[2] = TOP
-            self.recorder.rapid(tuple(self.position), line)
+            self.path.rapid(tuple(self.position), line)
         for axis in axes:
             if axis != "Z":
                 self.position[AXES[axis]] = math.nan
-                self.recorder.away = True
+                self.path.away = True
 
     def preset(self, lengths: dict[str, float]) -> None:
         """G92 before the first move says where the tool stands."""
@@ -76,9 +74,9 @@ class Motion:
 
     def change_tool(self, tool: str, wanted: bool) -> None:
         if self.tool or len(self.path):
-            self.recorder.away = True
+            self.path.away = True
         self.tool = tool
-        self.recorder.active = wanted
+        self.path.active = wanted
         self.cycle = None
         if not self.named:
             self.path.name_feature(tool)
@@ -109,7 +107,7 @@ class Motion:
             return
         if self.mode == 0:
             self._surplus(arc, line)
-            self.recorder.rapid(end, line)
+            self.path.rapid(end, line)
         else:
             self._cut(start, end, arc, axes, unit, absolute, line)
 
@@ -141,7 +139,7 @@ class Motion:
     def _cut(self, start, end, arc: dict, axes: dict, unit: float, absolute: dict, line: int) -> None:
         known = not any(map(math.isnan, start))
         if not known and self.mode == 1 and self._approach(start, end):
-            self.recorder.rapid(end, line)
+            self.path.rapid(end, line)
             return
         if not known or (self.mode > 1 and start[2] == TOP):
             self.refusals.add_derived(line, f"G{self.mode}", f"G{self.mode} before X, Y and Z are known", START)
@@ -162,7 +160,7 @@ class Motion:
     def _approach(self, start, end) -> bool:
         """Whether a G1 from an unknown place stays above the part: posts may feed where others go rapidly."""
         if all(map(math.isfinite, end)):
-            return self.recorder.last is None or start[2] == TOP
+            return self.path.last is None or start[2] == TOP
         return end[2] == start[2] or math.isnan(end[2]) or end[2] > 0
 
     def _feed(self, start, ends: list, length: float, line: int, curvature: float = 0.0) -> None:
@@ -173,7 +171,7 @@ class Motion:
                 advice = "" if feed == 0 else "give path.feed_rate_m_per_min in the cell"
                 self.refusals.add_derived(line, "F", reason, advice)
             return
-        self.recorder.cut(start, ends, feed, line, curvature)
+        self.path.cut(start, ends, feed, line, curvature)
         self.named = False
         self.seen.cuts[self.tool] += 1
         self.seen.offsets.setdefault((self.tool, self.seen.offset), line)
@@ -257,10 +255,10 @@ class Motion:
             self.refusals.add(line, f"G{cycle.kind}", "the cycle does not lead from R down to Z within reach")
             return False
         height = max(self.position[2], cycle.retract)
-        self.recorder.rapid((self.position[0], self.position[1], height), line)
-        self.recorder.rapid((x, y, height), line)
+        self.path.rapid((self.position[0], self.position[1], height), line)
+        self.path.rapid((x, y, height), line)
         at = (x, y, cycle.retract)
-        self.recorder.rapid(at, line)
+        self.path.rapid(at, line)
         try:
             path = strokes(cycle)
         except ValueError as error:
@@ -268,12 +266,12 @@ class Motion:
             return False
         for z, rapid in path:
             if rapid:
-                self.recorder.rapid((x, y, z), line)
+                self.path.rapid((x, y, z), line)
             else:
                 self._feed(at, [(x, y, z)], abs(z - at[2]), line)
             at = (x, y, z)
         back = max(cycle.initial, cycle.retract) if self.to_initial and not math.isnan(cycle.initial) else cycle.retract
-        self.recorder.rapid((x, y, back), line)
+        self.path.rapid((x, y, back), line)
         self.position = [x, y, back]
         return True
 
