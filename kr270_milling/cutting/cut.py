@@ -101,16 +101,6 @@ class Cut:
         if not undo(self.state):
             raise UndoError(self.state.log_level.size)
 
-    def copy(self) -> Cut:
-        """An independent workpiece in the same condition."""
-        other = Cut(self.tool, self.cutting, self.stock, self.params.micro_step, self.state.log_level.size)
-        other._log_grows = self._log_grows
-        used = self.state.ints[TILES] * TILE**2
-        other.state.pool[:used] = self.state.pool[:used]
-        for mine, its in zip(self.state[1:], other.state[1:], strict=True):
-            its[...] = mine
-        return other
-
     @property
     def removed_area(self) -> float:
         """Area that was cut into so far, at whatever depth [m^2]."""
@@ -120,11 +110,6 @@ class Cut:
     def removed_volume(self) -> float:
         """[m^3]."""
         return float(self.state.floats[LEVEL_SUM]) * self.params.spacing**2
-
-    @property
-    def power(self) -> float:
-        """Mean cutting power of the last sweep [W]."""
-        return self.torque * self.tool.spindle_speed
 
     @property
     def chip_thickness(self) -> np.ndarray:
@@ -160,19 +145,3 @@ class Cut:
     def map_heights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``heights`` of the whole stock, thinned to some 400 nodes along its longer side."""
         return self.heights(thinning=self.map_thinning)
-
-    def profile(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The machined profile: x of each column that was cut (m,), its lowest and its highest cleared y (m,) [m]."""
-        nx, _ = self.stock.nodes
-        low, high = np.full(nx, np.inf), np.full(nx, -np.inf)
-        for tx, ty in np.argwhere(self.state.table >= 0):
-            tile = self.state.pool[self.state.table[tx, ty] * TILE**2 :][: TILE**2].reshape(TILE, TILE)
-            cleared = tile > 0
-            found = np.flatnonzero(cleared.any(axis=1))
-            column, first, last = found + tx * TILE, cleared[found].argmax(axis=1), cleared[found, ::-1].argmax(axis=1)
-            low[column] = np.minimum(low[column], first + ty * TILE)
-            high[column] = np.maximum(high[column], (ty + 1) * TILE - 1 - last)
-        cut = np.flatnonzero(low <= high)
-        x, y = self.params.origin_x, self.params.origin_y
-        step = self.params.spacing
-        return x + cut * step, y + low[cut] * step, y + high[cut] * step

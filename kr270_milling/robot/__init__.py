@@ -5,13 +5,13 @@ from kr270_milling.robot.elastostatics import compliance, loaded_stiffness, rota
 from kr270_milling.robot.equilibrium import Equilibrium, equilibrium, wrench_for_pose
 from kr270_milling.robot.inverse import inverse, inverse_near
 from kr270_milling.robot.kinematics import LinkFrames, forward, jacobian, pose, singularity_measures, status_turn
-from kr270_milling.robot.loads import LinkLoads, hessian, link_loads
+from kr270_milling.robot.loads import LinkLoads, link_loads
 from kr270_milling.robot.mass import beam_mass, cartesian_mass, joint_mass, mode_frequencies
 from kr270_milling.robot.rigid_mass import rigid_joint_mass
 
 __all__ = [
     "BARE", "Arm", "Equilibrium", "LinkFrames", "LinkLoads", "Mount", "beam_mass", "cartesian_mass", "compliance",
-    "equilibrium", "forward", "hessian", "inverse", "inverse_near", "jacobian", "joint_mass", "link_loads",
+    "equilibrium", "forward", "inverse", "inverse_near", "jacobian", "joint_mass", "link_loads",
     "loaded_stiffness", "mode_frequencies", "pose", "rigid_joint_mass", "rotate_matrix", "singularity_measures",
     "status_turn", "stiffness", "wrench_for_pose",
 ]  # fmt: skip

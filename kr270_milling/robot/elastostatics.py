@@ -5,12 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from kr270_milling.robot.arm import Arm, Mount
-from kr270_milling.robot.equilibrium import Equilibrium, equilibrium, wrench_for_pose
+from kr270_milling.robot.equilibrium import Equilibrium, equilibrium
 from kr270_milling.robot.kinematics import check_regular
-from kr270_milling.robot.loads import GRAVITY, LinkLoads, hessian, link_loads
 
-__all__ = ["GRAVITY", "Equilibrium", "LinkLoads", "compliance", "equilibrium", "hessian", "link_loads",
-           "loaded_stiffness", "rotate_matrix", "stiffness", "wrench_for_pose"]  # fmt: skip
+__all__ = ["compliance", "loaded_stiffness", "rotate_matrix", "stiffness"]
 
 
 def compliance(equilibrium: Equilibrium, arm: Arm) -> np.ndarray:

@@ -13,9 +13,9 @@ import numpy as np
 
 from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.compensator import NO_COMPENSATOR, Compensator
-from kr270_milling.robot.kinematics import LinkFrames, cross, forward
+from kr270_milling.robot.kinematics import LinkFrames, cross
 
-__all__ = ["GRAVITY", "LinkLoads", "link_loads", "load_torque", "load_hessian", "hessian"]
+__all__ = ["GRAVITY", "LinkLoads", "link_loads", "load_torque", "load_hessian"]
 
 GRAVITY = 9.80665  #: standard acceleration of free fall [m/s^2], [BIPM, SI brochure]
 
@@ -98,8 +98,3 @@ def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads) -> np
     if loads.compensator.present:
         bent[..., 1, 1] += loads.share * loads.compensator.moment_slope(*_joint_2(frames))
     return bent
-
-
-def hessian(arm: Arm, mount: Mount, q_loaded, wrench, loads: LinkLoads) -> np.ndarray:
-    """H_theta_theta (14), (15) at the loaded posture [N m/rad], (..., 6, 6); not symmetric when there are moments."""
-    return load_hessian(forward(arm, mount, q_loaded), np.asarray(wrench, float), loads)

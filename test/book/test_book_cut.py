@@ -174,7 +174,7 @@ def test_work():
     cut, here, first = _engaged(Cutting(law="linear_edge", linear_edge=law))
     before = cut.removed_volume
     wrench = cut.sweep(here, here + [16 * FEED, 0.0, 0.0], first, 4 * 360)
-    energy = cut.power / cut.tool.spindle_speed * 4 * 2 * np.pi - wrench[0] * 16 * FEED
+    energy = cut.torque * 4 * 2 * np.pi - wrench[0] * 16 * FEED
     return 1.0, energy / (600.46e6 * (cut.removed_volume - before)), 1e-9
 
 

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from cuttings import PAPER_LAW
+from cuttings import PAPER_LAW, profile
 
 from kr270_milling.cutting import AL7075_T6, Cut, Cutting, GridError, Stock, SweepError, Tool, UndoError
 from kr270_milling.cutting.grid import TILE
@@ -82,17 +82,6 @@ def test_a_short_log_changes_nothing_else():
     assert np.array_equal(*forces) and a.removed_volume == b.removed_volume > 0
 
 
-def test_a_copy_goes_its_own_way():
-    cut = new_cut()
-    cut.sweep([-10e-3, 0.0, Z], [-8e-3, 0.0, Z], 0, 1440)
-    copy = cut.copy()
-    area = cut.removed_area
-    wrench = copy.sweep([-8e-3, 0.0, Z], [-7e-3, 0.0, Z], 1440, 720)
-    assert cut.removed_area == area < copy.removed_area
-    assert np.array_equal(cut.sweep([-8e-3, 0.0, Z], [-7e-3, 0.0, Z], 1440, 720), wrench)
-    assert np.array_equal(cut.heights()[2], copy.heights()[2])
-
-
 def test_a_course_is_swept_as_its_parts_are():
     whole, parts = new_cut(), new_cut()
     places = np.column_stack([np.linspace(-10e-3, -6e-3, 9), 1e-4 * np.arange(9.0), np.full(9, Z)])
@@ -154,7 +143,7 @@ def test_heights_show_the_slot_thinned_and_in_a_window():
 def test_profile_gives_both_walls():
     cut = new_cut()
     cut.sweep([-10e-3, 0.0, Z], [10e-3, 0.5e-3, Z], 0, 40 * 360)
-    x, low, high = cut.profile()
+    x, low, high = profile(cut)
     middle = (x > 1e-3) & (x < 9e-3)
     axis = 0.5e-3 * (x + 10e-3) / 20e-3
     assert low[middle] == pytest.approx(axis[middle] - 10e-3, abs=15e-6)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cuttings import profile
 from milled_part import HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
 
 from kr270_milling.cell.jobs import simulate
@@ -94,7 +95,7 @@ def test_walls_under_vibration_agree_with_the_nodes_of_a_fine_grid(tmp_path):
     shake = 8 * UM * np.sin(2 * np.pi * 63.0 * time)  # comes round between the teeth, which pass at 200 Hz
     found = surface(fine, path, target, target + shake[:, None] * [0, 1, 0]).walls
     cut = machined(fine, target + shake[:, None] * [0, 1, 0])
-    x, low, high = cut.profile()
+    x, low, high = profile(cut)
     left = found.normal[:, 1] < 0
     for mine, border, side in ((left, high + 2 * UM, 1), (~left, low - 2 * UM, -1)):
         columns = np.searchsorted(x, found.position[mine, 0])

@@ -5,9 +5,9 @@ import pinocchio as pin
 import pytest
 
 from kr270_milling.base.record import find_file
-from kr270_milling.robot import Mount, forward, hessian, jacobian, link_loads
+from kr270_milling.robot import Mount, forward, jacobian, link_loads
 from kr270_milling.robot.analysis import read_arm
-from kr270_milling.robot.loads import load_torque
+from kr270_milling.robot.loads import load_hessian, load_torque
 
 RNG = np.random.default_rng(11)
 ARM = read_arm(find_file("kr270_2.yaml"))[0].replace(link_mass_centre=np.array([0.5, 0.4, 0.7, 0.3, 0.5, 0.9]))
@@ -37,7 +37,7 @@ def test_the_weights_pull_as_pinocchio_says_at_100_random_postures():
     model = oracle()
     data, loads = model.createData(), link_loads(ARM, MOUNT)
     ours = load_torque(forward(ARM, MOUNT, POSTURES), np.zeros((100, 6)), loads)
-    bent = hessian(ARM, MOUNT, POSTURES, np.zeros((100, 6)), loads)
+    bent = load_hessian(forward(ARM, MOUNT, POSTURES), np.zeros((100, 6)), loads)
     for i, q in enumerate(POSTURES):
         motors = pin.computeGeneralizedGravity(model, data, q)  # what holds the arm up
         np.testing.assert_allclose(ours[i], -motors, atol=1e-9)
@@ -62,7 +62,7 @@ def test_node_jacobians_times_split_weights_give_the_same_torque():  # (5), (6) 
 @pytest.mark.parametrize("gravity", [0.0, 9.80665])
 def test_the_hessian_is_the_difference_quotient_of_the_torque_for_forces_and_moments(gravity):
     loads, step = link_loads(ARM, MOUNT, gravity), 1e-5
-    bent = hessian(ARM, MOUNT, POSTURES, WRENCHES, loads)
+    bent = load_hessian(forward(ARM, MOUNT, POSTURES), WRENCHES, loads)
     for k in range(6):
         ahead, behind = (
             load_torque(forward(ARM, MOUNT, POSTURES + s * step * np.eye(6)[k]), WRENCHES, loads) for s in (1, -1)
@@ -77,7 +77,7 @@ def test_the_torque_of_a_wrench_is_the_transposed_jacobian_times_it():
 
 def test_the_hessian_is_symmetric_for_forces_and_not_for_moments():
     forces, loads = WRENCHES * [1, 1, 1, 0, 0, 0], link_loads(ARM, MOUNT)
-    bent = hessian(ARM, MOUNT, POSTURES, forces, loads)
+    bent = load_hessian(forward(ARM, MOUNT, POSTURES), forces, loads)
     np.testing.assert_allclose(bent, np.swapaxes(bent, -1, -2), atol=1e-9)
-    turned = hessian(ARM, MOUNT, POSTURES, WRENCHES, loads)
+    turned = load_hessian(forward(ARM, MOUNT, POSTURES), WRENCHES, loads)
     assert np.all(np.abs(turned - np.swapaxes(turned, -1, -2)).max((-1, -2)) > 1.0)

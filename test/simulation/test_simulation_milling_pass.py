@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cuttings import profile
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
@@ -124,7 +125,7 @@ def test_the_slot_has_the_width_of_the_tool_and_ends_in_a_half_disc(paper):
     cell, _ = paper
     cut, target = cell.cut(), cell.target()
     result = run_pass(cell.arm_model(target), cut, cell.clock, target, target)
-    x, low, high = cut.profile()
+    x, low, high = profile(cut)
     width = high - low + cell.stock.grid_step
     np.testing.assert_allclose(width[x < 0.065], 0.020, atol=1.1 * cell.stock.grid_step)
     area = width.sum() * cell.stock.grid_step
