@@ -262,7 +262,7 @@ def test_recorder_that_hangs_while_it_closes_its_file_is_ended_with_the_graph(sh
     hanging = Hanging()
     hanging.signal(signal.SIGSTOP)
     graph = Graph(short_cell, tmp_path)
-    graph.driver, graph.ended = None, [hanging]
+    graph.ended = [hanging]
     graph.close()
     assert not hanging.alive
     hanging.process.stdin.close()
