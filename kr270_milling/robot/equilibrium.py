@@ -50,23 +50,23 @@ def equilibrium(arm: Arm, mount: Mount, q, wrench=None, gravity: bool = True) ->
     """
     q, wrench, shape = _flat(q, np.zeros(6) if wrench is None else wrench)
     loads = link_loads(arm, mount, GRAVITY if gravity else 0.0)
-    theta, residual, count = _newton(arm, mount, q, wrench, loads, np.zeros_like(q))
-    frames = forward(arm, mount, q + theta)
+    theta, residual, count, frames = _newton(arm, mount, q, wrench, loads, np.zeros_like(q))
     doubtful = ~(residual <= RESIDUAL) | ~(np.abs(theta).max(-1) < LARGE)
-    doubtful |= ~_stable(arm, load_hessian(frames, wrench, loads))
+    bent = load_hessian(frames, wrench, loads)
+    doubtful |= ~_stable(arm, bent)
     for i in np.flatnonzero(doubtful).tolist():
         theta[i], residual[i], steps = _by_load_steps(arm, mount, q[i], wrench[i], loads, _index(i, shape))
         count[i] += steps
     if doubtful.any():
         frames = forward(arm, mount, q + theta)
-    solved = _record(wrench, theta, q, frames, loads, residual, count)
+        bent = load_hessian(frames, wrench, loads)
+    solved = _record(wrench, theta, q, frames, bent, residual, count)
     return solved if shape == q.shape[:1] else _reshaped(solved, shape)
 
 
-def _record(wrench, theta, q, frames: LinkFrames, loads: LinkLoads, residual, iterations) -> Equilibrium:
+def _record(wrench, theta, q, frames: LinkFrames, bent, residual, iterations) -> Equilibrium:
     """The record of a solved equilibrium."""
     jacobian = jacobian_at(frames, frames.tool.position)
-    bent = load_hessian(frames, wrench, loads)
     return Equilibrium(wrench, theta, q + theta, frames.tool, jacobian, bent, residual, iterations)
 
 
@@ -90,7 +90,7 @@ def _reshaped(e: Equilibrium, shape: tuple) -> Equilibrium:
 
 
 def _newton(arm, mount, q, wrench, loads, theta):
-    """(theta, residual, steps) of each of the (n, 6) problems; a diverged one ends with a large or NaN residual."""
+    """(theta, residual, steps, frames) of each of the (n, 6) problems; a diverged one has a large or NaN residual."""
     theta = theta.copy()
     residual, count = np.full(len(q), np.inf), np.zeros(len(q), int)
     todo = np.arange(len(q))
@@ -105,7 +105,8 @@ def _newton(arm, mount, q, wrench, loads, theta):
         todo = todo[going]
         theta[todo] += _solve(springs[going], error[going])
         count[todo] += 1
-    return theta, residual, count
+    whole = todo.size == len(q) and not going.any()  # the frames are those of all, and of the last theta
+    return theta, residual, count, frames if whole else forward(arm, mount, q + theta)
 
 
 def _solve(matrix, right):
@@ -137,10 +138,10 @@ def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
     while held < 1.0:
         share = min(1.0, held + step)
         part = loads.part(share)
-        trial, left, steps = _newton(arm, mount, q[None], share * wrench[None], part, theta)
+        trial, left, steps, frames = _newton(arm, mount, q[None], share * wrench[None], part, theta)
         count += int(steps[0])
         if left[0] <= RESIDUAL and np.abs(trial - theta).max() < LARGE:
-            bent = load_hessian(forward(arm, mount, q + trial), share * wrench[None], part)
+            bent = load_hessian(frames, share * wrench[None], part)
             if not _stable(arm, bent)[0]:
                 springs = np.diag(arm.joint_stiffness) - bent[0]
                 raise UnstableLoadError(share, float(np.linalg.eigvalsh((springs + springs.T) / 2)[0]), index)
@@ -182,7 +183,8 @@ def wrench_for_pose(arm: Arm, mount: Mount, q, pose: Pose, gravity: bool = True)
     if going.any():
         i = int(np.flatnonzero(going)[0])
         raise EquilibriumError(float(residual[i]), count, 0.0, _index(i, shape))
-    solved = _record(wrench, theta, q, frames, loads, residual, np.full(len(q), count))
+    bent = load_hessian(frames, wrench, loads)
+    solved = _record(wrench, theta, q, frames, bent, residual, np.full(len(q), count))
     return _reshaped(solved, shape)
 
 
