@@ -90,8 +90,12 @@ def _loads(table: Table, mount: Mount) -> tuple[np.ndarray, np.ndarray]:
         if forced[row] == weighed[row]:
             both = "both a wrench and a mass" if forced[row] else "neither a wrench nor a mass_kg"
             raise InputError(table.path, f"has {both}", line)
+    mass = table.number("mass_kg", 0.0)
+    for row, line in enumerate(table.lines):
+        if weighed[row] and not mass[row] > 0.0:
+            raise InputError(table.path, "mass_kg must be above 0", line)
     wrench = np.where(forced[:, None], table.numbers(WRENCH, 0.0), 0.0)
-    wrench[weighed, 2] = -GRAVITY * table.number("mass_kg", 0.0)[weighed]
+    wrench[weighed, 2] = -GRAVITY * mass[weighed]
     idle = ~np.abs(wrench).any(1)
     if idle.any():
         raise InputError(table.path, "the load is zero", table.lines[int(idle.argmax())])

@@ -69,6 +69,9 @@ def sentences(found: Fit, pose: Measurements | None = None) -> list[str]:
     said = [f"not identified: {reason}; it stays as in the arm file" for reason in found.reasons.values()]
     if found.free.all():
         said.append("every sought number is told by the data")
+    seen = found.problem.measured.displacement[:, :3]
+    if np.nansum(seen * (seen - found.residuals[:, :3])) < 0.0:
+        said.append("the arm moved against its loads: look at the signs of forces and displacements")
     outliers = np.flatnonzero(found.weights < 0.25) + 1
     if outliers.size:
         said.append("tests that contradict the others: " + ", ".join(map(str, outliers.tolist())))

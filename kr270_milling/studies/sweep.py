@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import functools
 import io
 import math
@@ -13,6 +14,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import mean_force, simulate
+from kr270_milling.cell.keys import keys_of
 
 __all__ = ["Axis", "Sweep", "parse_axis"]
 
@@ -71,6 +73,13 @@ class Sweep:
     def __post_init__(self):
         if self.chunk == 0:
             object.__setattr__(self, "chunk", min(8, max(1, len(self) // 64)))
+        known = [key.key for key in keys_of()]
+        for axis in self.axes:
+            if axis.key not in known:  # else every row would say so
+                near = difflib.get_close_matches(axis.key, known, 1)
+                raise ParameterError(
+                    "--vary", axis.key, "a key of a cell" + "".join(f"; did you mean {name}?" for name in near)
+                )
         if not 1 <= self.chunk <= 100_000:
             raise ParameterError("--chunk", self.chunk, "from 1 to 100000")
         if self.samples is not None and not 1 <= self.samples <= MOST_ROWS:

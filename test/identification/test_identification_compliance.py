@@ -12,6 +12,7 @@ from campaigns import ARM, MOUNT, TRUE
 from kr270_milling.identification.compliance import TooFewError, fit
 from kr270_milling.identification.load_model import LoadModel, SoftArmError, displacements
 from kr270_milling.identification.problem import Problem
+from kr270_milling.identification.result import sentences
 from kr270_milling.robot.compensator import Compensator
 from kr270_milling.robot.equilibrium import equilibrium
 
@@ -113,6 +114,14 @@ def test_stated_noise_that_is_too_small_widens_the_intervals(rng):
     bold = fit(Problem(ARM, MOUNT, dataclasses.replace(seen, sigma=seen.sigma / 5)))
     assert bold.half_widths == pytest.approx(honest.half_widths, rel=0.4)
     assert bold.chi2_reduced > 15
+
+
+def test_displacements_against_the_loads_are_told(rng):
+    seen = campaigns.measured(campaigns.loads(rng), rng=rng)
+    right, wrong = (fit(Problem(ARM, MOUNT, dataclasses.replace(seen, displacement=s * seen.displacement)))
+                    for s in (1, -1))  # fmt: skip
+    assert any("look at the signs" in said for said in sentences(wrong))
+    assert not any("look at the signs" in said for said in sentences(right))
 
 
 def test_rotations_help_where_they_are_measured(rng):

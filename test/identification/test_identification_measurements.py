@@ -63,6 +63,7 @@ def test_the_shipped_examples_are_what_their_makers_make(tmp_path, made, name):
         ("dx_mm,dy_mm,dz_mm", "0,0,0", "neither a wrench nor a mass_kg"),
         ("fx_n,mass_kg,dx_mm,dy_mm,dz_mm", "1,1,0,0,0", "both a wrench and a mass"),
         ("fx_n,dx_mm,dy_mm,dz_mm", "0,0,0,0", "the load is zero"),
+        ("mass_kg,dx_mm,dy_mm,dz_mm", "-5,0,0,-1", "mass_kg must be above 0"),
         ("fx_n,dx_mm,dy_mm,dz_mm", "1,250,0,0", "moved the arm by more than"),
         ("fx_n,dx_mm,dy_mm,dz_mm", "1,,0,0", "has no value in the column dx_mm"),
         ("fx_n,dx_mm,dy_mm,dz_mm,sigma_um", "1,0,0,0,0", "standard deviation must be above 0"),

@@ -15,8 +15,10 @@ from pathlib import Path
 import pytest
 from slow_rows import slow_rows
 
+from kr270_milling.base.record import find_file
 from kr270_milling.cli import main
 from kr270_milling.studies.engine import AHEAD, EngineError, Study, _client, run_chunks
+from kr270_milling.studies.sweep import Sweep, parse_axis
 
 parquet = pytest.importorskip("pyarrow.parquet")
 distributed = pytest.importorskip("dask.distributed")
@@ -77,22 +79,19 @@ def chunks(study: Study, count: int) -> list[bytes]:
     return [study.chunk(number).read_bytes() for number in range(count)]
 
 
-def test_rows_are_the_same_from_one_process_a_local_cluster_and_a_scheduler(cluster, tmp_path, capsys):
-    """Bit for bit; what cannot be run is a row with its sentence; a chunk that is lost is made again as it was."""
-    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.5,-1,0.8", "--json"]
+def test_failures_are_rows_and_a_chunk_that_is_lost_is_made_again_as_it_was(cluster, tmp_path, capsys):
+    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.5,-1,0.8", "--json", "--out", str(tmp_path)]
     words += [part for pair in SHORT for part in ("--set", pair)]
-    made = {}
-    for name, more in {"local": (), "scheduler": ("--scheduler", cluster.address)}.items():
-        assert main([*words, "--out", str(tmp_path / name), *more]) == 0
-        found = json.loads(capsys.readouterr().out)
-        assert found["rows"] == 3 and found["failed"] == 1
-        made[name] = [path.read_bytes() for path in sorted((tmp_path / name).glob("*.parquet"))]
-    assert made["local"] == made["scheduler"] and len(made["local"]) == 3
-    row = parquet.read_table(tmp_path / "local" / "rows-000001.parquet").to_pylist()[0]
+    assert main([*words, "--scheduler", cluster.address]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["rows"] == 3 and found["failed"] == 1
+    files = sorted(tmp_path.glob("*.parquet"))
+    made = [path.read_bytes() for path in files]
+    row = parquet.read_table(files[1]).to_pylist()[0]
     assert "path.depth_of_cut_mm" in row["error"] and row["path.depth_of_cut_mm"] == -1.0
-    (tmp_path / "local" / "rows-000002.parquet").unlink()
-    assert main([*words, "--out", str(tmp_path / "local")]) == 0  # one chunk alone: in this process
-    assert [path.read_bytes() for path in sorted((tmp_path / "local").glob("*.parquet"))] == made["local"]
+    files[2].unlink()
+    assert main(words) == 0  # one chunk alone: in this process
+    assert [path.read_bytes() for path in files] == made
 
 
 def test_no_more_chunks_are_out_than_a_few_a_worker(cluster, tmp_path, monkeypatch):
@@ -138,36 +137,31 @@ def _workers(cluster) -> dict:
         return client.nthreads()
 
 
-def test_a_killed_driver_loses_what_was_out_and_the_same_command_goes_on(cluster, tmp_path):
-    """SIGKILL, as the kernel does it where memory ends."""
-    words = [sys.executable, "-m", "kr270_milling.cli", "sweep", "paper.yaml", "--out", tmp_path / "out",
-             "--chunk", "1", "--vary", "path.depth_of_cut_mm=0.1:1:0.05", "--json",
-             "--scheduler", cluster.address]  # fmt: skip
-    words = [*map(str, words), *(part for pair in SHORT for part in ("--set", pair))]
-    driver = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    until(lambda: len(list((tmp_path / "out").glob("rows-*.parquet"))) >= 3, "no rows")
-    driver.kill()
-    driver.wait()
-    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").glob("rows-*.parquet")}
-    assert 3 <= len(before) < 19
-    done = subprocess.run(words, capture_output=True, text=True, timeout=PATIENCE)
-    assert json.loads(done.stdout)["rows"] == 19, done.stderr
-    assert {path: path.stat().st_mtime_ns for path in before} == before  # none was made again
+def test_a_killed_driver_loses_what_was_out_and_the_same_command_goes_on(cluster, tmp_path, capsys):
+    """SIGKILL, as the kernel does it where memory ends; its workers listened on the loopback alone, and end with it.
 
-
-def test_the_workers_of_a_killed_driver_end_too(tmp_path):
-    import psutil
-
-    words = ["sweep", "paper.yaml", "--out", str(tmp_path / "out"), "--chunk", "1"]
-    words += ["--vary", "path.depth_of_cut_mm=0.1:1:0.001", *(part for pair in SHORT for part in ("--set", pair))]
+    Rows of that cluster, of another scheduler's workers, and of this process alone are the same bit for bit.
+    """
+    psutil = pytest.importorskip("psutil")
+    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.1:1:0.05", "--json", "--out", str(tmp_path)]
+    words += [part for pair in (*SHORT, "exchange.micro_step_deg=0.1") for part in ("--set", pair)]
     driver = subprocess.Popen([sys.executable, "-m", "kr270_milling.cli", *words], stderr=subprocess.DEVNULL)
-    until(lambda: len(list((tmp_path / "out").glob("rows-*.parquet"))) >= 3, "no rows")
+    until(lambda: len(list(tmp_path.glob("rows-*.parquet"))) >= 3, "no rows")
     children = psutil.Process(driver.pid).children(recursive=True)
     listening = [c.laddr.ip for p in (psutil.Process(driver.pid), *children) for c in p.net_connections()
                  if c.status == psutil.CONN_LISTEN]  # fmt: skip
     driver.kill()
     driver.wait()
     assert listening and set(listening) == {"127.0.0.1"}
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.glob("rows-*.parquet")}
+    assert 3 <= len(before) < 19
+    assert main([*words, "--scheduler", cluster.address]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == 19
+    assert {path: path.stat().st_mtime_ns for path in before} == before  # none was made again
+    settings = (*SHORT, "exchange.micro_step_deg=0.1")
+    plain = Sweep(str(find_file("paper.yaml").resolve()), settings, (parse_axis("path.depth_of_cut_mm=0.1:1:0.05"),))
+    for number in (0, 1, 17, 18):
+        assert (tmp_path / f"rows-{number:06d}.parquet").read_bytes() == plain(number)
     assert not psutil.wait_procs(children, timeout=PATIENCE)[1]
 
 

@@ -30,6 +30,11 @@ def test_axes_are_ranges_or_lists():
             parse_axis(text)
 
 
+def test_a_key_that_no_cell_has_is_refused_before_anything_is_started():
+    with pytest.raises(ParameterError, match="did you mean tool.teeth"):
+        Sweep(str(find_file("paper.yaml")), (), (Axis("tool.teth", (2.0,)),))
+
+
 def test_a_grid_has_every_combination_and_a_hypercube_every_stratum():
     assert [sweep().values(i) for i in range(4)] == [(0.2, 2.0), (0.2, 4.0), (0.4, 2.0), (0.4, 4.0)]
     drawn = sweep(samples=40)
