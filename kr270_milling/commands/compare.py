@@ -43,14 +43,14 @@ def _compared(args, cell):
     import numpy as np
 
     from kr270_milling.cell.jobs import simulate
-    from kr270_milling.identification.comparison import Pass, compare
+    from kr270_milling.identification.comparison import Pass, Series, compare
     from kr270_milling.trajectory.trajectory_csv import read_csv
 
     measured = _measured(args)
     reference = read_csv(Path(args.reference))[0] if args.reference else None
     with progress("milling") as report:
         ran = simulate(cell, reference, progress=report).result
-    simulated = Pass(ran.time, ran.wrench[:, :3], ran.time, ran.actual)
+    simulated = Pass(Series(ran.time, ran.wrench[:, :3]), Series(ran.time, ran.actual))
     feed = cell.target().sample_velocity(ran.time_ns)
     return compare(measured, simulated, ran.target, feed, 2 * np.pi / cell.tool.spindle_speed)
 
@@ -61,16 +61,16 @@ def _measured(args):
 
     from kr270_milling.bag.reader import Recording
     from kr270_milling.base.frames import rotation_from_abc
-    from kr270_milling.identification.comparison import Pass
+    from kr270_milling.identification.comparison import Pass, Series
     from kr270_milling.identification.sensor import Sensor, force_series, pose_series
 
     with Recording(args.recording) as recording:
         last = [topic.rpartition("/")[2] for topic in recording.topics()] + list(recording.topics())
     turn = np.eye(3) if args.sensor_abc is None else rotation_from_abc(np.radians(args.sensor_abc))
     sensor = Sensor(args.force_topic, turn, args.sensor_on == "part")
-    force = force_series(args.recording, sensor) if args.force_topic in last else (None, None)
-    pose = pose_series(args.recording, args.pose_topic) if args.pose_topic in last else (None, None)
-    return Pass(*force, *pose)
+    force = Series(*force_series(args.recording, sensor)) if args.force_topic in last else None
+    pose = Series(*pose_series(args.recording, args.pose_topic)) if args.pose_topic in last else None
+    return Pass(force, pose)
 
 
 def _as_dict(found) -> dict:

@@ -54,10 +54,9 @@ def run(args) -> None:
             raise
         bent = None
     result = as_dict(found, bent)
-    if args.law == "fractional":
+    sections = linear_edge_sections(found.values, found.half_widths, found.axial)
+    if args.law == "fractional" and bent is not None:
         sections = fractional_sections(bent)
-    else:
-        sections = linear_edge_sections(found.values, found.half_widths, found.axial)
     tables = [_table(f"Linear-edge law, residual {found.residual_rms:.3g} N RMS", result)]
     if bent is not None:
         tables.append(_table(f"Fractional law, residual {bent.residual_rms:.3g} N RMS", result["fractional"]))

@@ -18,7 +18,7 @@ from kr270_milling.identification.alignment import (
 )
 from kr270_milling.simulation.scores import path_deviation, ringing_frequency
 
-__all__ = ["Channel", "Comparison", "Pass", "compare"]
+__all__ = ["Channel", "Comparison", "Pass", "Series", "compare"]
 
 AGREES = 0.1  #: gains within it need no new identification: coefficients scatter by as much from batch to batch
 RINGS_ALIKE = 0.05  #: share of the frequency
@@ -26,27 +26,19 @@ SURE = 2.0  #: standard deviations
 
 
 @dataclass(frozen=True, eq=False)
+class Series:
+    """Vectors over time, workpiece axes."""
+
+    time: np.ndarray  #: [s], (n,)
+    values: np.ndarray  #: (n, 3)
+
+
+@dataclass(frozen=True, eq=False)
 class Pass:
-    """Series of one pass; workpiece axes. Of a measured pass each has a clock of its own, and may be None."""
+    """What is known of one pass; of a measured one each series has a clock of its own."""
 
-    force_time: np.ndarray | None  #: [s], (n,)
-    force: np.ndarray | None  #: on the tool [N], (n, 3)
-    tool_time: np.ndarray | None  #: [s], (m,)
-    tool: np.ndarray | None  #: tool centre [m], (m, 3)
-
-    def forces(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times and forces; raises InputError where there are none."""
-        return _both("forces", self.force_time, self.force)
-
-    def places(self) -> tuple[np.ndarray, np.ndarray]:
-        """Times and tool centres; raises InputError where there are none."""
-        return _both("places of the tool", self.tool_time, self.tool)
-
-
-def _both(what: str, time: np.ndarray | None, values: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    if time is None or values is None:
-        raise InputError("compare", f"there are no {what} to compare with")
-    return time, values
+    force: Series | None  #: on the tool [N]
+    tool: Series | None  #: tool centre [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,19 +70,19 @@ def compare(measured: Pass, simulated: Pass, target, feed, revolution: float) ->
     """
     channels: list[Channel] = []
     lags, ringing = {}, {}
-    if measured.force is not None:
-        lags["force"], found = _forces(measured, simulated, revolution)
+    if measured.force is not None and simulated.force is not None:
+        lags["force"], found = _forces(measured.force, simulated.force, revolution)
         channels += found
-    if measured.tool is not None:
-        lags["pose"], time, place = _places(measured, simulated)
+    if measured.tool is not None and simulated.tool is not None:
+        time = simulated.tool.time
+        lags["pose"], place = _places(measured.tool, simulated.tool)
         inside = np.isfinite(place).all(1)
-        ours = path_deviation(simulated.places()[1], target, feed)[inside]
+        ours = path_deviation(simulated.tool.values, target, feed)[inside]
         theirs = path_deviation(place, target, feed)[inside]
         channels.append(_channel("deviation", "m", time[inside], theirs, ours, revolution))
-        ringing = {
-            "measured": ringing_frequency(time[inside], smoothed(theirs[:, None], _count(time, revolution))[:, 0]),
-            "simulated": ringing_frequency(time[inside], smoothed(ours[:, None], _count(time, revolution))[:, 0]),
-        }
+        both = {"measured": theirs, "simulated": ours}
+        count = _count(time, revolution)
+        ringing = {k: ringing_frequency(time[inside], smoothed(v[:, None], count)[:, 0]) for k, v in both.items()}
     if not channels:
         raise InputError("compare", "the recording has neither a force nor a place of the tool to compare")
     return Comparison(channels, lags, ringing, advice(channels, ringing))
@@ -100,32 +92,31 @@ def _count(time: np.ndarray, revolution: float) -> int:
     return max(1, round(revolution / float(np.median(np.diff(time)))))
 
 
-def _forces(measured: Pass, simulated: Pass, revolution: float) -> tuple[float, list[Channel]]:
-    (their_time, force), (our_time, our_force) = measured.forces(), simulated.forces()
-    step = float(np.median(np.diff(our_time)))
-    theirs, ours = resampled(their_time, force, step), resampled(our_time, our_force, step)
-    lag, likeness = best_lag(theirs, ours, same_size=False)
+def _shift(what: str, measured: Series, simulated: Series, middle: np.ndarray, same_size: bool):
+    """Step [s], lag in steps and [s], and both on even grids, less ``middle``."""
+    step = float(np.median(np.diff(simulated.time)))
+    theirs, ours = (resampled(p.time, p.values, step) - middle for p in (measured, simulated))
+    lag, likeness = best_lag(theirs, ours, same_size)
     if likeness < LEAST_LIKENESS:
-        raise NoOverlapError("force", likeness)
+        raise NoOverlapError(what, likeness)
+    return step, lag, lag * step + float(measured.time[0] - simulated.time[0]), theirs, ours
+
+
+def _forces(measured: Series, simulated: Series, revolution: float) -> tuple[float, list[Channel]]:
+    step, lag, seconds, theirs, ours = _shift("force", measured, simulated, np.zeros(3), same_size=False)
     first, last = max(0, -lag), min(len(ours), len(theirs) - lag)
-    time = our_time[0] + step * np.arange(first, last)
+    time = simulated.time[0] + step * np.arange(first, last)
     pairs = zip("xyz", theirs[first + lag : last + lag].T, ours[first:last].T, strict=True)
-    found = [_channel(f"force {axis}", "N", time, a, b, revolution) for axis, a, b in pairs if np.any(b)]
-    return lag * step + float(their_time[0] - our_time[0]), found
+    return seconds, [_channel(f"force {axis}", "N", time, a, b, revolution) for axis, a, b in pairs if np.any(b)]
 
 
-def _places(measured: Pass, simulated: Pass) -> tuple[float, np.ndarray, np.ndarray]:
-    """Lag [s], the simulated times, and the measured places at them, NaN where there are none."""
-    (their_time, place), (our_time, our_place) = measured.places(), simulated.places()
-    step = float(np.median(np.diff(our_time)))
-    theirs, ours = resampled(their_time, place, step), resampled(our_time, our_place, step)
-    middle = ours.mean(0)  # squares of small numbers
-    lag, likeness = best_lag(theirs - middle, ours - middle, same_size=True)
-    if likeness < LEAST_LIKENESS:
-        raise NoOverlapError("place of the tool", likeness)
-    shift = lag * step + float(their_time[0] - our_time[0])
-    columns = [np.interp(our_time + shift, their_time, c, np.nan, np.nan) for c in place.T]
-    return shift, our_time, np.stack(columns, -1)
+def _places(measured: Series, simulated: Series) -> tuple[float, np.ndarray]:
+    """Lag [s], and the measured places at the simulated times, NaN where there are none."""
+    middle = simulated.values.mean(0)  # squares of small numbers
+    seconds = _shift("place of the tool", measured, simulated, middle, same_size=True)[2]
+    at = simulated.time + seconds
+    columns = [np.interp(at, measured.time, c, np.nan, np.nan) for c in measured.values.T]
+    return seconds, np.stack(columns, -1)
 
 
 def _channel(name: str, unit: str, time, measured, simulated, revolution: float) -> Channel:

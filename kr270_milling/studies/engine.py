@@ -118,7 +118,8 @@ def _made(client, name: str, missing: list[int], rows_of: Callable[[int], bytes]
     client.wait_for_workers(1, timeout=PATIENCE)
     # a task of its own: workers hand it to each other, and it is made again where all that had it were killed
     source = client.submit(functools.partial(_same, rows_of), key=f"{name}-rows", pure=False)
-    waiting, numbers = iter(missing), {}
+    waiting = iter(missing)
+    numbers: dict[str, int] = {}
     running = as_completed()
     looked = -math.inf
     while True:

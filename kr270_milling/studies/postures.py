@@ -29,15 +29,21 @@ def postures(arm: Arm, mount: Mount, place: Pose, force: np.ndarray, gravity: bo
     """
     lengths = tuple(map(float, (arm.d1, arm.a1, arm.a2, arm.forearm, arm.elbow_offset, arm.d6)))
     c = arm.compensator
-    spring = (0.0,) * 5
+    spring: tuple[float, ...] = (0.0,) * 5
     if gravity and c.present:
         spring = tuple(map(float, (c.stiffness, c.free_length, c.base_x, c.base_z, c.arm_length)))
     middle = 0.5 * float(arm.joint_lower[3] + arm.joint_upper[3])
     count = len(place.position)
     q, way = np.full((count, 8, 6), np.nan), np.full((count, 8, 3), np.nan)
-    arrays = mount.xyz, mount.pose.rotation.T, arm.joint_compliance, place.position, place.rotation, force
-    _fill(lengths, spring, middle, *(np.ascontiguousarray(a, float) for a in arrays), q, way)
+    unmount = _dense(mount.pose.rotation.T)
+    _fill(lengths, spring, middle, _dense(mount.xyz), unmount, _dense(arm.joint_compliance), _dense(place.position),
+          _dense(place.rotation), _dense(force), q, way)  # fmt: skip
     return q, way
+
+
+def _dense(array: np.ndarray) -> np.ndarray:
+    """One layout, so that one compilation serves."""
+    return np.ascontiguousarray(array, float)
 
 
 @njit(cache=True, nogil=True)
@@ -146,8 +152,7 @@ def along_path(arm: Arm, q: np.ndarray, way: np.ndarray, feed: np.ndarray, size:
     """
     within, measures = np.zeros(q.shape[::2][:2], np.bool_), np.full((*q.shape[::2][:2], 4), np.nan)
     lengths = tuple(map(float, (arm.a1, arm.a2, arm.forearm, arm.elbow_offset)))
-    arrays = (np.ascontiguousarray(a) for a in (way, feed, size))
-    _reduce(lengths, arm.joint_lower, arm.joint_upper, q, *arrays, within, measures)
+    _reduce(lengths, arm.joint_lower, arm.joint_upper, q, _dense(way), _dense(feed), _dense(size), within, measures)
     return within, measures
 
 

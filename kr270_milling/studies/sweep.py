@@ -73,13 +73,11 @@ class Sweep:
     def __post_init__(self):
         if self.chunk == 0:
             object.__setattr__(self, "chunk", min(8, max(1, len(self) // 64)))
-        known = [key.key for key in keys_of()]
+        known = [row["key"] for row in keys_of()]
         for axis in self.axes:
             if axis.key not in known:  # else every row would say so
-                near = difflib.get_close_matches(axis.key, known, 1)
-                raise ParameterError(
-                    "--vary", axis.key, "a key of a cell" + "".join(f"; did you mean {name}?" for name in near)
-                )
+                near = "".join(f"; did you mean {name}?" for name in difflib.get_close_matches(axis.key, known, 1))
+                raise ParameterError("--vary", axis.key, f"a key of a cell{near}")
         if not 1 <= self.chunk <= 100_000:
             raise ParameterError("--chunk", self.chunk, "from 1 to 100000")
         if self.samples is not None and not 1 <= self.samples <= MOST_ROWS:

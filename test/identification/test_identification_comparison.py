@@ -13,7 +13,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main
 from kr270_milling.identification.alignment import NoOverlapError, best_lag, line_through
-from kr270_milling.identification.comparison import Pass, compare
+from kr270_milling.identification.comparison import Pass, Series, compare
 
 CELL = read_cell(find_file("paper.yaml"), ["path.length_mm=40.0", "stock.grid_step_um=40.0"])
 
@@ -31,7 +31,7 @@ def as_pass(result, lag=0.0, noise=0.0) -> Pass:
     rng = np.random.default_rng(4)
     force = result.wrench[:, :3] + noise * 1e6 * rng.normal(size=result.wrench[:, :3].shape)
     place = result.actual + noise * rng.normal(size=result.actual.shape)
-    return Pass(result.time + lag, force, result.time + lag, place)
+    return Pass(Series(result.time + lag, force), Series(result.time + lag, place))
 
 
 def compared(measured: Pass, model):
@@ -63,16 +63,16 @@ def test_larger_forces_are_told_from_a_softer_arm(model):
 
 def test_a_force_alone_or_a_place_alone_is_compared(model):
     both = as_pass(model)
-    assert set(compared(Pass(both.force_time, both.force, None, None), model).lags) == {"force"}
-    assert set(compared(Pass(None, None, both.tool_time, both.tool), model).lags) == {"pose"}
+    assert set(compared(Pass(both.force, None), model).lags) == {"force"}
+    assert set(compared(Pass(None, both.tool), model).lags) == {"pose"}
     with pytest.raises(MillingError, match="neither a force nor a place"):
-        compared(Pass(None, None, None, None), model)
+        compared(Pass(None, None), model)
 
 
 def test_another_pass_is_refused(model):
     noise = np.random.default_rng(0).normal(size=model.wrench[:, :3].shape)
     with pytest.raises(NoOverlapError, match="does not resemble"):
-        compared(Pass(model.time, noise, None, None), model)
+        compared(Pass(Series(model.time, noise), None), model)
 
 
 def test_lag_and_line_of_a_known_series():
