@@ -129,7 +129,7 @@ def fit(
     if rest @ rest > rest.size:  # the model leaves more than the errors that are supposed
         starts = [problem.start(frequency, damping) for frequency in SCAN[0] for damping in SCAN[1]]
         best = min(starts, key=lambda numbers: float(np.sum(problem.residuals(numbers) ** 2)))
-    found = least_squares(problem.residuals, best, x_scale=problem.prior, max_nfev=30).x
+    found = least_squares(problem.residuals, best, x_scale=problem.prior, ftol=1e-6, xtol=1e-6, max_nfev=30).x
     fitted = problem.arm_of(found)
     return fitted, Identified(
         fitted.gain,
