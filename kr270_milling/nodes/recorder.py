@@ -22,7 +22,7 @@ from kr270_milling.bag.errors import MessageRefused, RecordingError
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.report.scene import INPUTS, Derived, Scene
-from kr270_milling.ros.drain import DEPTH, DRAIN_PERIOD, aside, drain
+from kr270_milling.ros.drain import DEPTH, DRAIN_PERIOD, Taken, aside, drain, in_order
 from kr270_milling.ros.names import NameRefused, message_class, resolved_topic
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence
 from kr270_milling.ros.spin import run_node
@@ -62,6 +62,7 @@ class Recorder(ReportingNode):
         self._subscriptions_of: dict[str, Subscription | None] = {}
         self._stopped, self._before = False, -1
         self._refused = 0  # messages
+        self._late: list[Taken] = []  # arrived while the readers were emptied
         self._there: set[str] = set()  # topics with a publisher
         self._gone: set[str] = set()  # topics that had one
         self._silences: dict[str, Silence] = {}  # of the nodes that report to /diagnostics
@@ -169,7 +170,12 @@ class Recorder(ReportingNode):
         self._subscriptions_of[topic] = aside(self, kind, topic, write, _matching(publishers))
 
     def _drain(self) -> None:
-        for _, published, write, data in drain(s for s in self._subscriptions_of.values() if s is not None):
+        """Write what has arrived, in the order of arrival, so that a file that ends here lacks nothing that came before
+        the rest of it. What arrives while the readers are emptied, one after another, waits for the next time."""
+        begun = self.get_clock().now().nanoseconds
+        taken, waited = drain(s for s in self._subscriptions_of.values() if s is not None), self._late
+        self._late = [item for item in taken if item[0] > begun]
+        for _, published, write, data in in_order([waited, [item for item in taken if item[0] <= begun]]):
             self._keep(write, data, published)
 
     def _keep(self, call, *args) -> None:
@@ -199,7 +205,7 @@ class Recorder(ReportingNode):
         """After a signal: nothing more came in since the last look."""
         self._drain()
         before, self._before = self._before, self.writer.count
-        return before == self.writer.count
+        return before == self.writer.count and not self._late
 
     def close(self) -> str | None:
         """Finish the file; tells on standard error what is missing. Returns a sentence if that failed."""

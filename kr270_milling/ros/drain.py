@@ -13,7 +13,7 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-__all__ = ["DRAIN_PERIOD", "DEPTH", "Taken", "aside", "drain", "is_aside"]
+__all__ = ["DRAIN_PERIOD", "DEPTH", "Taken", "aside", "drain", "in_order", "is_aside"]
 
 DRAIN_PERIOD = 0.02  # [s] of the wall
 DEPTH = 20_000  # messages that may wait in the reader
@@ -54,10 +54,10 @@ def drain(subscriptions: Iterable[Subscription]) -> list[Taken]:
                 data, info = found
                 series.append((info["received_timestamp"], info["source_timestamp"], subscription.callback, data))
         taken.append(series)
-    return _in_order(taken)
+    return in_order(taken)
 
 
-def _in_order(series: list[list[Taken]]) -> list[Taken]:
+def in_order(series: list[list[Taken]]) -> list[Taken]:
     """Those of several readers by arrival. Each reader has its own in order, whatever the wall clock did meanwhile."""
     back: list[tuple[int, int]] = [
         (new[0], old[0]) for one in series for old, new in itertools.pairwise(one) if new[0] < old[0]

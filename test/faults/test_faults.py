@@ -30,7 +30,7 @@ from kr270_milling.graph import graph, watchdog
 from kr270_milling.graph.graph import Graph
 from kr270_milling.graph.processes import Child, RunError
 from kr270_milling.graph.watchdog import LOST, QUIET, Watchdog
-from kr270_milling.ros.drain import _in_order
+from kr270_milling.ros.drain import in_order
 
 PACKAGE = Path(__file__).resolve().parents[2] / "kr270_milling"
 HOUR = 3600 * 10**9
@@ -174,8 +174,8 @@ def test_clock_set_back_does_not_turn_the_order_of_messages():
         return [(at, 0, None, f"{name}{i}") for i, at in enumerate(times)]
 
     poses, wrenches = series("p", HOUR + 1, HOUR + 3, 5, 7), series("w", HOUR + 2, HOUR + 4, 6)
-    assert [item[3] for item in _in_order([poses, wrenches])] == ["p0", "w0", "p1", "w1", "p2", "w2", "p3"]
-    assert [item[3] for item in _in_order([wrenches, poses[:2]])] == ["p0", "w0", "p1", "w1", "w2"]
+    assert [item[3] for item in in_order([poses, wrenches])] == ["p0", "w0", "p1", "w1", "p2", "w2", "p3"]
+    assert [item[3] for item in in_order([wrenches, poses[:2]])] == ["p0", "w0", "p1", "w1", "w2"]
 
 
 def test_timers_of_a_node_run_on_while_its_own_clock_stands_still(world):

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -55,6 +56,23 @@ def test_every_message_is_kept_with_its_bytes_and_its_stamp(world, recorder, tmp
         assert not recording.cut_off
     assert found.stamp.tolist() == found.log_time.tolist() == [i * 500_000 for i in range(300)]
     assert np.array_equal(found.values, np.repeat(np.arange(300.0)[:, None], 6, axis=1))
+
+
+def test_a_file_that_ends_anywhere_lacks_nothing_that_came_before_the_rest_of_it(recorder, monkeypatch):
+    """The readers are emptied one after another: a wrench came while that of the poses was empty already."""
+    found: list[str] = []
+    moments = iter([10, 20])  # at which it begins to empty them
+    clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=next(moments)))
+    batches = iter([[(8, "pose 1"), (12, "wrench 2")], [(11, "pose 2"), (13, "pose 3"), (21, "wrench 4")]])
+    taken = lambda readers: [(at, 0, lambda data, _: found.append(data), name) for at, name in next(batches)]  # noqa: E731
+    with monkeypatch.context() as only:
+        only.setattr(recorder, "get_clock", lambda: clock)
+        only.setattr("kr270_milling.nodes.recorder.drain", taken)
+        recorder._drain()
+        assert found == ["pose 1"]
+        recorder._drain()
+    assert found == ["pose 1", "pose 2", "wrench 2", "pose 3"]
+    recorder._late.clear()
 
 
 def test_a_message_with_an_impossible_publish_time_is_counted_and_the_recording_goes_on(world, recorder, tmp_path):
