@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 from collections.abc import Iterable, Mapping
 
@@ -11,7 +10,7 @@ import yaml
 from kr270_milling.base import parameter_file as config_file
 from kr270_milling.base.errors import ConfigError
 
-__all__ = ["bag_information", "describe_qos", "qos_text", "read_qos", "yaml_text"]
+__all__ = ["bag_information", "describe_qos", "qos_text", "read_qos", "topic_information", "yaml_text"]
 
 INFINITE = 2**63 - 1  # [ns], as rosbag2 writes a duration without limit
 DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
@@ -54,32 +53,43 @@ def qos_text(profiles: Iterable) -> str:
     return yaml_text([describe_qos(p) for p in profiles]).strip()
 
 
+class _WithoutAnchors(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):
+    """Writes what stands twice twice: anchors are legal YAML that other readers need not know."""
+
+    def ignore_aliases(self, data) -> bool:
+        return True
+
+
 def yaml_text(value) -> str:
-    return yaml.dump(value, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper), sort_keys=False)
-
-
-def read_qos(text: str) -> list[dict]:
-    """The profiles in a channel's metadata; none where the text of a foreign file is not a list of mappings."""
-    return copy.deepcopy(_profiles(text))
+    return yaml.dump(value, Dumper=_WithoutAnchors, sort_keys=False)
 
 
 @functools.lru_cache(maxsize=32)
-def _profiles(text: str) -> list[dict]:
+def read_qos(text: str) -> list[dict]:
+    """The profiles in a channel's metadata, which stay as they are; none where a foreign text lists no mappings."""
     try:
         profiles = config_file.parse(text[:100_000], "", "offered_qos_profiles")
     except ConfigError:
         return []
-    usable = isinstance(profiles, list) and all(isinstance(p, dict) for p in profiles)
-    return profiles if usable else []
+    return profiles if isinstance(profiles, list) and all(isinstance(p, dict) for p in profiles) else []
+
+
+def topic_information(name: str, kind: str, encoding: str, qos: list[dict], digest: str, count: int) -> dict:
+    """What ``metadata.yaml`` says of a topic; qos: described profiles; digest: of its type."""
+    about = dict(
+        name=name,
+        type=kind,
+        serialization_format=encoding,
+        offered_qos_profiles=qos,
+        type_description_hash=digest,
+    )
+    return dict(topic_metadata=about, message_count=count)
 
 
 def bag_information(file_name: str, topics: list[dict], start: int, end: int, custom: dict[str, str]) -> dict:
-    """The content of ``metadata.yaml`` for one MCAP file.
-
-    topics: per topic name, type, encoding, qos (list of described profiles), hash, count; start, end: first and last
-    log time [ns], of which only a file with messages has any.
-    """
-    count = sum(topic["count"] for topic in topics)
+    """The content of ``metadata.yaml`` for one MCAP file; topics: what ``topic_information`` gives of each; start,
+    end: first and last log time [ns], of which only a file with messages has any."""
+    count = sum(topic["message_count"] for topic in topics)
     begins = {"nanoseconds_since_epoch": start if count else INFINITE}
     lasts = {"nanoseconds": end - start if count else 0}
     return dict(
@@ -88,22 +98,11 @@ def bag_information(file_name: str, topics: list[dict], start: int, end: int, cu
         duration=lasts,
         starting_time=begins,
         message_count=count,
-        topics_with_message_count=[_topic(topic) for topic in topics],
+        topics_with_message_count=topics,
         compression_format="",  # of whole files or messages; the chunks inside have their own
         compression_mode="",
         relative_file_paths=[file_name],
-        files=[dict(path=file_name, starting_time=dict(begins), duration=dict(lasts), message_count=count)],
+        files=[dict(path=file_name, starting_time=begins, duration=lasts, message_count=count)],
         custom_data=custom,
         ros_distro="jazzy",
     )
-
-
-def _topic(topic: dict) -> dict:
-    about = dict(
-        name=topic["name"],
-        type=topic["type"],
-        serialization_format=topic["encoding"],
-        offered_qos_profiles=topic["qos"],
-        type_description_hash=topic["hash"],
-    )
-    return dict(topic_metadata=about, message_count=topic["count"])

@@ -32,28 +32,26 @@ class Output:
     """
 
     def __init__(self, directory: Path, name: str, chunk_size: int):
-        self.directory = directory
         self.path = directory / f"{plain_name(directory, name)}.mcap"
         self.error: RecordingError | None = None
         self.count = self.kept = 0  #: messages given, and those of them that are in the file
         self.position = 0  #: end of the last piece that was written whole; a piece is one or more whole records
         self._chunks = 0
-        self._folder = _open_directory(directory)
-        try:
-            self._file: int | None = self._create()
-        except RecordingError:
-            os.close(self._folder)
-            raise
+        self._file: int | None = self._create()
         # the checksum over the whole data section shows a flipped bit also outside of the chunks
         self.mcap = Writer(self, chunk_size, CompressionType.ZSTD, enable_data_crcs=True)
 
     def _create(self) -> int:
-        if os.path.lexists(self.directory / "metadata.yaml"):
-            raise RecordingError(self.directory, "holds a recording already, which is not overwritten")
+        folder = self.path.parent
         try:
-            return os.open(self.path.name, NEW, 0o666, dir_fd=self._folder)
-        except FileExistsError:
-            raise RecordingError(self.path, "exists already and is not overwritten") from None
+            folder.mkdir(parents=True, exist_ok=True)
+            if folder.is_symlink():
+                raise RecordingError(folder, "is a link, through which no recording is written")
+            if os.path.lexists(folder / "metadata.yaml"):
+                raise RecordingError(folder, "holds a recording already, which is not overwritten")
+            return os.open(self.path, NEW, 0o666)
+        except FileExistsError as error:
+            raise RecordingError(error.filename, "exists already and is not overwritten") from None
         except OSError as error:
             raise RecordingError(self.path, f"cannot be created: {error.strerror}") from error
 
@@ -122,7 +120,6 @@ class Output:
         with suppress(OSError):
             os.ftruncate(self._file, self.position)
         self._close()
-        os.close(self._folder)
         self.error = RecordingError(self.path, text)
         raise self.error from error
 
@@ -135,20 +132,8 @@ class Output:
         """End the file, and write a small one under ``name`` beside it, in place of whatever has that name."""
         self.run(self.mcap.finish)
         self._close()
+        beside = self.path.with_name(name)
         try:
-            write_files({self.directory / name: (data,)})
+            write_files({beside: (data,)})
         except InputError as error:
-            raise RecordingError(self.directory / name, error.reason) from error
-        finally:
-            os.close(self._folder)
-
-
-def _open_directory(path: Path) -> int:
-    """A handle of a directory that is made if it is missing; a symbolic link in its place is refused."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with suppress(FileExistsError):
-            path.mkdir()
-        return os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    except OSError as error:
-        raise RecordingError(path, f"no recording can be written into this directory: {error.strerror}") from error
+            raise RecordingError(beside, error.reason) from error

@@ -236,8 +236,10 @@ class BagWriter:
         self._release()
         for channel in self.channels.values():
             channel.gaps.finish()
-        topics = [dict(name=c.topic, type=c.type, encoding=c.encoding, qos=c.qos, hash=c.hash, count=c.count)
-                  for c in self.channels.values()]  # fmt: skip
+        topics = [
+            bagmeta.topic_information(c.topic, c.type, c.encoding, c.qos, c.hash, c.count)
+            for c in self.channels.values()
+        ]
         about = bagmeta.bag_information(self.path.name, topics, self.start or 0, self.end, self._custom)
         self.flush()
         self.add_metadata("kr270_milling.counts", {k: json.dumps(v) for k, v in self.report().items()})
