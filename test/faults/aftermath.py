@@ -25,6 +25,7 @@ class Recorded:
 
     cut_off: bool
     messages: int
+    begun: bool  #: it holds something of the pass: a pose or a wrench
     missing: int  #: holes in it, counted from the stamps
     short: int  #: messages of the whole pass that it has not
     behind_s: float  #: from its last pose to the fault [s of the wall clock]; 0 where it goes on behind it
@@ -40,10 +41,11 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, begun_ns: int, a
     """
     with Recording(path) as recording:
         about, every = info(recording), cell_of(recording).thinned_steps
-        wrong, short, ends = False, 0, {}
+        wrong, short, begun, ends = False, 0, False, {}
         for topic, values in zip(WIDTH, (expected.tool, expected.wrench, expected.deflection), strict=True):
             found = series(recording, topic)
             due = expected.time_ns[:: every if topic == "/deflection" else 1]
+            begun |= found.stamp.size > 0 and topic != "/deflection"
             ends[topic] = found.stamp.size and found.stamp[-1] == due[-1]
             short += due.size - np.unique(found.stamp).size
             wrong = wrong or not _same(found, expected.time_ns, values, WIDTH[topic])
@@ -51,7 +53,9 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, begun_ns: int, a
     complete = all(ends.values()) and not short
     behind = max(0.0, (struck_ns - last) * 1e-9)
     verdict = recompute(path).verdict if again else ""
-    return Recorded(about["cut_off"], about["messages"], about["missing"], short, behind, complete, not wrong, verdict)
+    return Recorded(
+        about["cut_off"], about["messages"], begun, about["missing"], short, behind, complete, not wrong, verdict
+    )
 
 
 def _same(found, stamps: np.ndarray, values: np.ndarray, width: int) -> bool:

@@ -93,7 +93,9 @@ def _judge_recording(trial: Trial, fault: Fault, graph: Disturbed, plain: PassRe
     counted = goes_on and trial.lost > 0
     if not found.same:
         trial.problems.append("the recording differs from the undisturbed pass")
-    if again and found.verdict != "identical" and not counted:
+    # of a recorder that was killed before it closed its first chunk of the pass there is nothing to compare
+    due = "identical" if found.begun or not found.cut_off else "incomplete"
+    if again and found.verdict != due and not counted:
         trial.problems.append(f"recomputed: {found.verdict}")
     if goes_on and not found.complete and not any(NOT_COMPLETE in told.sentence for told in graph.told):
         trial.problems.append("the recording does not hold the whole pass, and nobody said so")
