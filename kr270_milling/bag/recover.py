@@ -6,7 +6,7 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from mcap.opcode import Opcode
@@ -54,8 +54,7 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     The source is not touched. The target appears at once when it is complete; it must not exist before. A source that
     is whole is left alone: it is written again only where a target is named.
     """
-    file = find_file(source)
-    place = Path(os.path.abspath(source))
+    file, place = find_file(source), Path(os.path.abspath(source))
     name = place.name if place.is_dir() else place.stem
     whole, damage = _judged(file)
     if whole and target is None:
@@ -65,16 +64,20 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
         raise RecordingError(target, "exists already and is not overwritten")
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        result = _written(file, part, target.name, progress)
+        with open_file(file) as stream, BagWriter(part, target.name) as writer:
+            rescue = _Rescue(stream, writer, file)
+            rescue.run(progress)
+        with Recording(part) as copy:
+            result = _described(copy)
         os.rename(part, target)
     except OSError as error:
         raise RecordingError(target, f"cannot be written: {error.strerror or error}") from error
     finally:
         shutil.rmtree(part, ignore_errors=True)
-    result.directory = str(target)
-    result.damage = damage
-    result.whole = whole is not None and not result.dropped
-    return result
+    return replace(
+        result, source=str(file), directory=str(target), whole=whole is not None and not rescue.dropped,
+        lost_bytes=rescue.lost_bytes, lost_messages=rescue.lost_messages, dropped=rescue.dropped, damage=damage,
+    )  # fmt: skip
 
 
 def _judged(file: Path) -> tuple[Recovered | None, list[str]]:
@@ -82,36 +85,39 @@ def _judged(file: Path) -> tuple[Recovered | None, list[str]]:
     try:
         with Recording(file) as recording:
             damage = findings(recording)
-            if damage:
-                return None, damage
-            found = Recovered(str(file), os.path.abspath(file.parent), True, recording.count, lost_messages=0)
-            found.topics = {name: about.count for name, about in recording.topics().items()}
-            found.first_log_time, found.last_log_time = recording.first_log_time, recording.last_log_time
-            found.attachments = [about.name for about in recording.attachments]
-            return found, []
+            return None if damage else _described(recording), damage
     except RecordingError as error:
         return None, [error.reason]
 
 
-def _written(file: Path, directory: Path, name: str, progress) -> Recovered:
-    with open_file(file) as stream, BagWriter(directory, name) as writer:
-        rescue = _Rescue(stream, writer, Recovered(str(file)))
-        rescue.run(progress)
-        dropped = "\n".join(rescue.result.dropped) or "nothing"
-        writer.add_metadata("recovered", {"source": file.name, "dropped": dropped})
-        return rescue.finish()
+def _described(recording: Recording) -> Recovered:
+    """What a whole recording holds."""
+    return Recovered(
+        source=str(recording.path),
+        directory=os.path.abspath(recording.path.parent),
+        whole=True,
+        messages=recording.count,
+        topics={name: about.count for name, about in recording.topics().items()},
+        first_log_time=recording.first_log_time,
+        last_log_time=recording.last_log_time,
+        attachments=[about.name for about in recording.attachments],
+        lost_messages=0,
+    )
 
 
 class _Rescue:
     """The walk through a source that may be damaged anywhere."""
 
-    def __init__(self, stream, writer: BagWriter, result: Recovered):
-        self.stream, self.writer, self.result = stream, writer, result
+    def __init__(self, stream, writer: BagWriter, file: Path):
+        self.stream, self.writer, self.file = stream, writer, file
         self.size = os.fstat(stream.fileno()).st_size
         self.unpack, self.contents = Unpacker(stream, self.size), Contents()
         self.numbers: dict[int, int] = {}  # channel in the source -> channel in the copy
-        self.lost: Counter[str] = Counter()  # reason -> messages
-        self.ended = False
+        self.lost_bytes = 0
+        self.lost_messages: int | None = None
+        self.dropped: list[str] = []
+        self._lost: Counter[str] = Counter()  # reason -> messages
+        self._ended = False
 
     def run(self, progress) -> None:
         self._read_summary()
@@ -125,8 +131,16 @@ class _Rescue:
             if progress:
                 progress(part.end, self.size)
         if empty:
-            raise RecordingError(self.result.source, "nothing in it can be recovered")
-        self.result.dropped += [f"{count} messages {reason}" for reason, count in self.lost.items()]
+            raise RecordingError(self.file, "nothing in it can be recovered")
+        for number in self.contents.channels:  # a topic without messages belongs to the recording too
+            self._number(number)
+        self.dropped += [f"{count} messages {reason}" for reason, count in self._lost.items()]
+        if self.contents.counts is not None:
+            self.lost_messages = max(self.contents.counts.total() - self.writer.count, 0)
+        elif self._ended and not self.dropped:
+            self.lost_messages = 0
+        dropped = "\n".join(self.dropped) or "nothing"
+        self.writer.add_metadata("recovered", {"source": self.file.name, "dropped": dropped})
 
     def _read_summary(self) -> None:
         """Channels and counts from the end of the file, if it is there: they help where a chunk is lost."""
@@ -141,14 +155,14 @@ class _Rescue:
                 if part.type in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
                     self.contents.take(part)
         except Damage as damage:
-            self.result.dropped.append(f"the summary: {damage.reason}")
+            self.dropped.append(f"the summary: {damage.reason}")
 
     def _records(self) -> Iterator[tuple[Part, object]]:
         """The records of the data section; behind a place that makes no sense from the next chunk on."""
         self.stream.seek(0)
         begin = len(MAGIC)
         if self.stream.read(begin) != MAGIC:
-            self.result.dropped.append("the first bytes are not those of an MCAP file")
+            self.dropped.append("the first bytes are not those of an MCAP file")
             begin = next_chunk(self.stream, 0, self.size)
         while begin < self.size:
             end = begin
@@ -163,7 +177,7 @@ class _Rescue:
                     yield part, found
                 end = part.end
                 if part.type == Opcode.DATA_END:
-                    self.ended = True
+                    self._ended = True
                     return
             begin = next_chunk(self.stream, end + 1, self.size)
             if end < self.size:
@@ -178,15 +192,14 @@ class _Rescue:
         return self.contents.take(part)
 
     def _drop(self, begin: int, end: int, reason: str) -> None:
-        self.result.lost_bytes += end - begin
-        self.result.dropped.append(f"{end - begin} bytes at byte {begin}: {reason}")
+        self.lost_bytes += end - begin
+        self.dropped.append(f"{end - begin} bytes at byte {begin}: {reason}")
 
     def _copy(self, part: Part, found) -> None:
         if isinstance(found, Chunk):
             self._messages(found)
         elif part.type == Opcode.ATTACHMENT:
             self.writer.add_attachment(found.name, part.attached())
-            self.result.attachments.append(found.name)
         elif part.type == Opcode.METADATA and found.name != "rosbag2":  # the copy gets its own
             self.writer.add_metadata(found.name, found.metadata)
 
@@ -196,13 +209,13 @@ class _Rescue:
             self.contents.define(record, chunk.offset)
         for entry in map(found.entry, range(len(found))):
             if entry.channel not in self.contents.channels:
-                self.lost[f"of channel {entry.channel}, whose definition is lost"] += 1
+                self._lost[f"of channel {entry.channel}, whose definition is lost"] += 1
                 continue
             try:
                 self.writer.write_raw(self._number(entry.channel), found.data[entry.begin : entry.end],
                                       entry.publish_time, entry.log_time, entry.sequence)  # fmt: skip
             except MessageRefused as refused:
-                self.lost[f"that {refused.reason}"] += 1
+                self._lost[f"that {refused.reason}"] += 1
 
     def _number(self, channel: int) -> int:
         """The channel in the copy for one of the source."""
@@ -213,16 +226,3 @@ class _Rescue:
                 about.topic, (schema.name, schema.encoding, schema.data), about.message_encoding, about.metadata
             )
         return self.numbers[channel]
-
-    def finish(self) -> Recovered:
-        result, writer = self.result, self.writer
-        for number in self.contents.channels:  # a topic without messages belongs to the recording too
-            self._number(number)
-        result.messages, result.first_log_time = writer.count, writer.start
-        result.last_log_time = writer.end if writer.count else None
-        for channel in writer.channels.values():
-            result.topics[channel.topic] = result.topics.get(channel.topic, 0) + channel.count
-        result.lost_messages = 0 if self.ended and not result.dropped else None
-        if self.contents.counts is not None:
-            result.lost_messages = max(self.contents.counts.total() - writer.count, 0)
-        return result
