@@ -43,8 +43,8 @@ class Damage(ValueError):
 class Strict(BytesIO):
     """Bytes that mcap cannot read over the end of."""
 
-    def read(self, size: int | None = -1) -> bytes:
-        data = super().read(size)
+    def read(self, size: int) -> bytes:
+        data = super().read(min(size, 2**31))  # Python itself takes no size beyond 2^63
         if len(data) != size:
             raise EndOfFile
         return data

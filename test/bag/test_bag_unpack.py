@@ -53,6 +53,7 @@ def greedy_files() -> dict[str, bytes]:
     return {
         "unpacked": chunk_record(small, 2**60, b"zstd"),
         "packed": chunk_record(small, 1000, b"zstd", claimed=2**61),
+        "endless": chunk_record(small, 1000, b"zstd", claimed=2**64 - 1),
         "bomb": chunk_record(zstandard.compress(b"\0" * 200_000_000), 1000, b"zstd"),
         "messages": chunk_record(many, 62_000_000, b"zstd"),
         "record": struct.pack("<BQ", 3, 2**62) + b"\0" * 100,

@@ -158,6 +158,22 @@ def test_whatever_is_recovered_was_written(source, tmp_path_factory, place, chan
     assert all(message in good for message in kept(result.directory))
 
 
+@given(st.integers(0, 10**6), st.binary(max_size=40), st.integers(0, 200))
+@RELAXED
+def test_bytes_that_come_in_or_get_lost_anywhere_are_one_sentence(source, tmp_path_factory, place, noise, lost):
+    data, written, _ = source
+    place %= len(data)
+    file = tmp_path_factory.mktemp("x") / "a.mcap"
+    file.write_bytes(data[:place] + noise + data[place + lost :])
+    good = set(written)
+    try:
+        with Recording(file) as recording:
+            assert all((m.topic, m.log_time, m.data) in good for m in recording.messages())
+    except RecordingError as error:
+        assert "\n" not in str(error)
+    assert all(message in good for message in kept(recover(file).directory))
+
+
 def test_nothing_is_overwritten_and_nothing_half_is_left(source, tmp_path):
     data, _, _ = source
     (tmp_path / "a.mcap").write_bytes(data[:5000])
