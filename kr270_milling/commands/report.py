@@ -10,6 +10,7 @@ from kr270_milling.commands.console import add_common, command_line, fixed, outp
 from kr270_milling.commands.progress import progress
 
 if TYPE_CHECKING:
+    from kr270_milling.cell.cell import Cell
     from kr270_milling.replay.recorded import RecordedPass
 
 
@@ -42,8 +43,9 @@ def run(args) -> None:
     title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
     with progress("report"):
         page = write_report(
-            directory, cell, passes, title=title, source=first.name, command=command_line(args), date=date
-        )
+            directory, cell, passes, title=title, source=first.name, command=command_line(args), date=date,
+            program=_program(recordings(first)[0], cell),
+        )  # fmt: skip
         write_series(directory, cell, passes)
     rows = [{**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete} for one in found]
     if args.json:
@@ -79,6 +81,17 @@ def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedP
                 raise InputError(path, f"is a pass of another path than {paths[0]}: give each path a report of its own")
             found.append(one)
     return found, copies
+
+
+def _program(path: Path, cell: Cell) -> str | None:
+    """The tool path file that a recording carries."""
+    from kr270_milling.bag.reader import Recording
+
+    name = Path(cell.path.file).name
+    with Recording(path) as recording:
+        if name not in [about.name for about in recording.attachments]:
+            return None
+        return recording.attachment(name).decode("utf-8", errors="replace")
 
 
 def _same(one, other) -> bool:

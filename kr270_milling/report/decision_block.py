@@ -5,15 +5,22 @@ The report judges nothing itself: ``decision_block`` takes over what ``decision`
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from kr270_milling.decision.check import Checked
-from kr270_milling.decision.decision import Decision
+from kr270_milling.base.errors import MillingError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decision.check import Checked, check
+from kr270_milling.decision.decision import NO_METHOD, Decision
 from kr270_milling.decision.findings import Finding
-from kr270_milling.decision.tolerance import Judgement
+from kr270_milling.decision.part import PartAssessment
+from kr270_milling.decision.tolerance import Judgement, judge
 
-__all__ = ["Answer", "DecisionBlock", "FindingRow", "ReportTable", "decision_block", "finding_row"]
+__all__ = ["Answer", "DecisionBlock", "FindingRow", "ReportTable", "decision_block", "finding_row", "judged"]
 
 MICRO = "µm"
 
@@ -78,6 +85,28 @@ def decision_block(decision: Decision | None, checked: Checked | None, stability
         verdict=decision.verdict.text if decision.verdict else "",
         stability=stability or _stated(checked),
         findings=rows,
+    )
+
+
+def judged(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> DecisionBlock:
+    """The decision on passes that come without one, as recordings do: the best of the others against the first.
+
+    parts: their assessments. Where the path cannot be checked any more, nothing is said of whether it may be run.
+    """
+    known = parts if cell.path.file else [None] * len(passes)
+    judgements = [judge(cell, ran, part) for ran, part in zip(passes, known, strict=True)]
+    best = min(range(len(passes)), key=lambda k: (k == 0 < len(passes) - 1, judgements[k].error))
+    checked = None
+    with contextlib.suppress(MillingError, OSError):  # the tool path of a recording may be nowhere else
+        checked = check(cell, passes[best].reference, ran=passes[best])
+    found = decision_block(None, checked, _stated(checked))
+    compensated = judgements[best] if best else None
+    better = compensated is not None and compensated.error < judgements[0].error
+    return dataclasses.replace(
+        found,
+        as_programmed=_answer(judgements[0]),
+        compensated=None if compensated is None else _answer(compensated),
+        recommended_method="" if compensated is None else passes[best].name if better else NO_METHOD,
     )
 
 

@@ -58,7 +58,9 @@ class Linked:
     source_name: str
 
 
-def linked(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> Linked:
+def linked(
+    cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment], program: str | None = None
+) -> Linked:
     """Thin the passes to their common stations; the largest deviation and force of every pass are among them.
 
     Passes that were cut off are NaN beyond their end.
@@ -96,7 +98,7 @@ def linked(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessm
         cutting=_joined(cutting, cell)[chosen].astype(np.int64),
         scored=(cutting & engaged)[chosen].astype(np.int64),
         passes=tuple(thinned),
-        source=_source(cell, line[chosen]),
+        source=_source(cell, line[chosen], program),
         source_name=Path(cell.path.file).name if cell.path.file else "",
     )
 
@@ -121,11 +123,15 @@ def _series(one: ScoredPass, part: PartAssessment, rows: np.ndarray, known: np.n
     return PassSeries(one.name, *(np.where(known, values[np.where(known, rows, 0)], np.nan) for values in columns))
 
 
-def _source(cell: Cell, used: np.ndarray) -> tuple[SourceLine, ...]:
-    """Lines of the tool path file: all of a short one, else those that are used; none of a recording."""
+def _source(cell: Cell, used: np.ndarray, program: str | None) -> tuple[SourceLine, ...]:
+    """Lines of the tool path file, or of its text: all of a short one, else those that are used."""
     if not cell.path.file or not used.any():
         return ()
-    with open(cell.path.file, encoding="utf-8", errors="replace") as stream:
-        lines = stream.read().splitlines()
+    if program is None:
+        try:
+            program = Path(cell.path.file).read_text(encoding="utf-8", errors="replace")
+        except OSError:  # it was attached to a recording
+            return ()
+    lines = program.splitlines()
     wanted = range(1, len(lines) + 1) if len(lines) <= MOST_LINES else np.unique(used[used > 0]).tolist()
     return tuple(SourceLine(n, lines[n - 1][:LONGEST]) for n in wanted if n <= len(lines))

@@ -65,7 +65,7 @@
       const key = n ? n + 1 : "";
       const ends = (range) => (range && panel.log ? range.map(Math.log10) : range ?? undefined);
       const top = 1 - row * (high + gapY);
-      const kind = panel.log ? { type: "log", dtick: 1 } : {};
+      const kind = panel.log ? { type: "log", dtick: 1, exponentformat: "power" } : {};
       layout[`xaxis${key}`] = KR.axis(panel.x_label, { anchor: `y${key}`, range: ends(panel.x_range), ...kind, automargin: false,
         domain: [column * (wide + gapX), column * (wide + gapX) + wide], constrain: panel.equal ? "domain" : undefined });
       layout[`yaxis${key}`] = KR.axis(panel.y_label, { anchor: `x${key}`, range: ends(panel.y_range), ...kind, automargin: false,

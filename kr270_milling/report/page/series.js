@@ -24,7 +24,7 @@
         const values = one[row.key];
         const gaps = row.key === "side" || row.key === "height" || row.key === "force";
         const y = Array.from(values, (v, i) => (gaps && !linked.cutting[i] ? null : v));
-        found.push({ x: at, y, customdata: stations, name: KR.plain(one.name), legendgroup: k, showlegend: r === 0,
+        found.push({ x: at, y, customdata: stations, name: r ? KR.plain(one.name) : `${KR.plain(one.name)}, at most ${KR.num(Math.abs(one.side[KR.worst(k)]), 1)} µm`, legendgroup: k, showlegend: r === 0,
           yaxis: `y${axis}`, xaxis: "x", mode: "lines", line: { color: KR.colour(k), width: row.key === "force" ? 0.8 : 1.4 },
           text: y.map((v) => KR.num(v, 2)), hovertemplate: "%{text}", connectgaps: false });
       });
@@ -33,12 +33,19 @@
     return found;
   }
 
+  /* A value that would lie on another one is in the legend alone. */
   function maxima(at) {
+    const span = at[at.length - 1] - at[0];
+    const [low, high] = reach(ROWS[0]);
+    const shown = [];
     return linked.passes.map((one, k) => {
       const i = KR.worst(k);
+      const place = [(at[i] - at[0]) / span * KR.by("series").clientWidth, (one.side[i] - low) / (high - low) * 130];
+      const free = shown.every(([x, y]) => Math.abs(x - place[0]) > 48 || Math.abs(y - place[1]) > 24);
+      if (free) shown.push(place);
       return { x: [at[i]], y: [one.side[i]], customdata: [i], mode: "markers+text", xaxis: "x", yaxis: "y", showlegend: false,
         legendgroup: k, hoverinfo: "skip", marker: { color: KR.colour(k), size: 8, symbol: "circle-open", line: { width: 2 } },
-        text: [`${KR.num(one.side[i], 1)}`], textposition: one.side[i] < 0 ? "bottom center" : "top center",
+        text: [free ? KR.num(one.side[i], 1) : ""], textposition: `${one.side[i] < 0 ? "bottom" : "top"} ${place[0] > KR.by("series").clientWidth - 120 ? "left" : "right"}`,
         textfont: { color: KR.colour(k), size: 11 }, cliponaxis: false };
     });
   }
@@ -90,7 +97,7 @@
     for (const [a, b, name] of KR.data.part ? stretches() : []) {
       if (((at[b] - at[a]) / span) * wide < 7 * name.length) continue;
       found.push(note({ text: KR.plain(name), xref: "x", yref: "paper", x: (at[a] + at[b]) / 2, y: 0, yanchor: "bottom",
-                        font: { size: 10.5, color: KR.css("--soft") } }));
+                        bgcolor: KR.css("--paper"), borderpad: 1, font: { size: 11, color: KR.css("--ink") } }));
     }
     return found;
   }
