@@ -14,7 +14,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 
@@ -256,7 +256,7 @@ class Recording:
             else:
                 heapq.heapreplace(lanes, (following[0], offset, following[1], chunk, rest))
 
-    def decoded(self, topics: Collection[str] | None = None, **limits) -> Iterator[tuple[RawMessage, object]]:
+    def decoded(self, topics: Collection[str] | None = None, **limits) -> Iterator[tuple[RawMessage, Any]]:
         """Messages with their fields as attributes; the slow way for any type of the "ros2msg" kind."""
         decoders = {}
         for message in self.messages(topics, **limits):

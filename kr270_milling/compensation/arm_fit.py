@@ -92,8 +92,8 @@ class _Problem:
         return np.concatenate(found)
 
     def _uncorrected(self, arm: ArmResponse) -> np.ndarray:
-        under = arm.give_way(self.segments, self.first.wrench)
-        return under + arm.swing(self.segments, self.path, self.approach)
+        swing = arm.swing(self.segments, self.path, self.approach)
+        return swing if self.first.wrench is None else arm.give_way(self.segments, self.first.wrench) + swing
 
     def _sensitive(self) -> np.ndarray:
         """Modes whose frequency changes what the passes show."""

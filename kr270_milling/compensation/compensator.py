@@ -110,7 +110,7 @@ class Compensator:
         self.finished = False
         self.note = ""  #: a sentence where no correction is made, or the model speaks against the one that is made
         self.learner: Learner | None = None  #: of "inverse" and "learned", from the first pass on
-        self._best = (math.inf, self.target, ())
+        self._best: tuple[float, Trajectory | None, tuple[Limited, ...]] = (math.inf, self.target, ())
         self._in_vain = 0  # passes in a row that brought nothing
         self._forgotten = False  # passes that "learned" would need are not known here
 
@@ -154,9 +154,11 @@ class Compensator:
             self.first = ran
         self.errors.append(remaining_error(self.target, ran))
         if self.repeats and self._is_best(ran):
-            self.finished, (_, self.reference, self.limited) = True, self._best
-            if self.reference is None:
+            self.finished = True
+            _, reference, self.limited = self._best
+            if reference is None:
                 raise EarlierReference
+            self.reference = reference
             if len(self.errors) > 1 and self.reference is self.target:
                 self.note = f"{self.method} makes no pass better than the one without compensation: it is left out"
             return self.reference
@@ -171,7 +173,7 @@ class Compensator:
 
     def _revised(self, ran: PassRecord) -> tuple[Trajectory, tuple[Limited, ...]]:
         how = self.parameters
-        limits = {
+        limits: dict = {
             "max_correction": how.max_correction,
             "max_change": how.max_change_per_tick,
             "tick": how.tick,
@@ -179,7 +181,7 @@ class Compensator:
         if self.learner is not None:
             values, rates = self.learner.correction()
             return corrected(self.target, values, "linear" if rates is None else self.method, rates=rates, **limits)
-        if self.method == "mirror":
+        if self.method == "mirror" and self._mirror is not None:
             modified = self._mirror(self.target, ran.mean_wrench(self.target.time_ns))
             shift = modified.position - self.target.position
             return corrected(self.target, shift, "mirror", quaternion=modified.quaternion, **limits)
@@ -187,6 +189,8 @@ class Compensator:
 
     def _refuse_worse(self) -> None:
         """No correction whose predicted error is above that of no compensation."""
+        if self.learner is None:
+            return
         predicted, none = self.learner.predicted(self.reference), self.learner.predicted(self.target)
         if predicted <= none:
             return

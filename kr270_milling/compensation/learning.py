@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from kr270_milling.compensation.arm_fit import Evidence, Identified, fit
 from kr270_milling.compensation.lifted import Lifted
 from kr270_milling.compensation.response import ArmResponse
-from kr270_milling.compensation.revision import PassRecord
+from kr270_milling.compensation.revision import PassRecord, RevisionError
 from kr270_milling.compensation.segments import Segments, cubic_coefficients
 from kr270_milling.compensation.stages import Course
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -91,11 +91,13 @@ class Learner:
         )
         last = self.passes[-1]
         if last.wrench is not None and last.on_path is None:
-            self.passes[-1] = dataclasses.replace(last, on_path=self._on_path(last))
+            self.passes[-1] = dataclasses.replace(last, on_path=self._on_path(last, last.wrench))
         self.expected = self._expected()
 
     def expect(self) -> Learner:
         """Without any pass: what the model's arm does under the wrench of the model's cut on the path itself."""
+        if self._cut is None:
+            raise RevisionError("without a pass the wrench must come from the model's cut")
         ran = self._cut(self.segments.middle_ns.ravel(), np.zeros((self.segments.middle_ns.size, 3)))
         self._ideal, self.scored = self._wrench(ran), self._scored(ran)
         self.expected = self.arm.swing(self.segments, self.path, self.path[0, 1])
@@ -148,22 +150,22 @@ class Learner:
         self._rough = share * np.sqrt(noise)
         return ideal + share * rest
 
-    def _on_path(self, ran: Evidence) -> np.ndarray:
+    def _on_path(self, ran: Evidence, wrench: np.ndarray) -> np.ndarray:
         """w + k (w_c(path) - w_c(path + deviation)): the wrench of a pass, had its tool not strayed.
 
         w_c is the wrench of the model's cut, k the factor that explains w with w_c along the strayed path. A tool that
         drifts across the feed turns its chips, one that sinks cuts with its whole end: both damp what the arm does.
         """
         if self._cut is None:
-            return ran.wrench
+            return wrench
         time_ns = self.segments.middle_ns.ravel()
         strayed = self._wrench(self._cut(time_ns, self._modelled(ran).reshape(-1, 3)))
         if self._ideal is None:
             self._ideal = self._wrench(self._cut(time_ns, np.zeros((time_ns.size, 3))))
         if strayed is None or self._ideal is None:
-            return ran.wrench
-        factor = max(0.0, np.sum(ran.wrench[..., :3] * strayed[..., :3]) / np.sum(strayed[..., :3] ** 2))
-        return ran.wrench + factor * (self._ideal - strayed)
+            return wrench
+        factor = max(0.0, np.sum(wrench[..., :3] * strayed[..., :3]) / np.sum(strayed[..., :3] ** 2))
+        return wrench + factor * (self._ideal - strayed)
 
     def _modelled(self, ran: Evidence) -> np.ndarray:
         """Deviation [m], (m, parts, 3), that the arm explains: under the wrench, its inertia and the correction."""

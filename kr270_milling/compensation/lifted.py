@@ -9,6 +9,7 @@ nothing of a slowly decaying response is cut off, and the cost is linear in the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -72,7 +73,7 @@ class Lifted:
 
     def _backward(self, cost: np.ndarray, slope: np.ndarray, smoothness: float):
         """The best free numbers of each segment, policy x + push, and P, p at the first knot."""
-        m, size, r = *self._given.shape[::2], self.order
+        m, size, r = self._given.shape[0], self._given.shape[2], self.order
         later, linear = np.zeros((size, size)), np.zeros(size)
         policy, push = np.zeros((m, CONTROLS, size)), np.zeros((m, CONTROLS))
         if self.smooth:  # weight of j
@@ -101,7 +102,8 @@ class Lifted:
         Lawson's reweighting [Lawson1961]: parts with a large deviation gain weight; the weighted mean square is a lower
         bound of the largest one, so the end is known when it comes near.
         """
-        share, best, least = np.ones(scored.shape), None, np.inf
+        share, least = np.ones(scored.shape), np.inf
+        best: Correction | None = None
         for _ in range(ROUNDS if scored.any() else 1):
             found = self.least_squares(deviation, weight * share[..., None, None], smoothness)
             size = np.sqrt(np.einsum("kpi,kpij,kpj->kp", found.left, weight, found.left))[scored]
@@ -112,4 +114,4 @@ class Lifted:
                 break
             now = now * size / size.max()
             share[scored] = np.maximum(now / now.mean(), 1e-4)
-        return best
+        return cast(Correction, best)  # of one round at least

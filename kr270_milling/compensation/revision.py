@@ -95,8 +95,7 @@ def revise(
     if len(ran.time_ns) < 2 or not np.all(np.isfinite(ran.position)):
         raise RevisionError("a pass of at least two finite tool positions is needed to revise the reference")
     knots = -ran.sampled_displacement(reference, target.time_ns)
-    limits = {"max_correction": max_correction, "max_change": max_change, "tick": tick}
-    return corrected(target, knots, method, **limits)
+    return corrected(target, knots, method, max_correction=max_correction, max_change=max_change, tick=tick)
 
 
 def corrected(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
@@ -55,6 +57,10 @@ def _reach(cell: Cell, tool: Pose) -> list[Violation]:
     return violations("reach", lost, nearest, most, sentence, worst=np.maximum(nearest - most, least - nearest))
 
 
+def _leaving(leaves: str, degrees: np.ndarray) -> Callable[[int, int, str], str]:
+    return lambda k, point, where: f"{leaves}{where}: {degrees[k]:.3f} deg at point {point}"
+
+
 def _joint_limits(cell: Cell, joints: np.ndarray) -> list[Violation]:
     found = []
     for axis, (low, high) in enumerate(zip(cell.arm.joint_lower, cell.arm.joint_upper, strict=True)):
@@ -64,7 +70,7 @@ def _joint_limits(cell: Cell, joints: np.ndarray) -> list[Violation]:
         degrees = np.degrees(angle)
         found += violations(
             "joint limit", beyond > 1e-12, angle, np.where(angle > high, high, low),
-            lambda k, point, where, a=degrees, s=leaves: f"{s}{where}: {a[k]:.3f} deg at point {point}",
+            _leaving(leaves, degrees),
             worst=beyond, subject=name,
         )  # fmt: skip
     return found

@@ -117,7 +117,7 @@ def axis_reversals(joints, backlash, lever, least: float = 1e-5) -> list[Violati
             name = f"axis {axis + 1}"
             sentence = f"{name} reverses at point {k + 1}: its backlash lets the tool jump by {1e6 * jump:.3g} um"
             violations.append(Violation("axis reversal", k + 1, jump, 0.0, "note", sentence, name))
-    return sorted(violations, key=lambda v: v.point)
+    return sorted(violations, key=lambda v: v.point or 0)
 
 
 def _turns(angle: list[float], least: float) -> list[int]:

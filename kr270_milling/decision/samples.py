@@ -95,7 +95,10 @@ def coarser(cell: Cell) -> Cell:
     a quarter of the time.
     """
     turns = cell.tool.spindle_speed / (2.0 * math.pi)
-    feed_per_tooth = float(cell.fed_path.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
+    fed = cell.fed_path
+    if fed is None:
+        return cell
+    feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
     step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))
     how = cell.exchange
     if how.period <= LONG_PERIOD and how.micro_step <= LONG_STEP:

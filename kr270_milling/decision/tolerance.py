@@ -55,7 +55,7 @@ def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Ju
 
 def judge_part(cell: Cell, part: PartAssessment) -> Judgement:
     """Walls and floors of every feature against its own tolerance."""
-    rows = []
+    rows: list[tuple[float, float, str | None]] = []
     for row in part.rows:
         allowed = cell.part.of(row.name)
         rows += [(row.max_wall, allowed[0], row.name), (row.max_floor, allowed[1], row.name)]

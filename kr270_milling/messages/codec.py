@@ -158,8 +158,8 @@ def _program(record: JointProgram) -> dict:
 
 
 def _read_program(msg) -> JointProgram:
-    times = [_ns(point.time_from_start) for point in msg.points]
-    rows = [point.positions for point in msg.points] or np.empty((0, len(msg.joint_names)))
+    times = np.array([_ns(point.time_from_start) for point in msg.points], np.int64)
+    rows = np.array([point.positions for point in msg.points]).reshape(-1, len(msg.joint_names))
     return JointProgram(msg.header.frame_id, tuple(msg.joint_names), times, rows)
 
 
@@ -174,7 +174,7 @@ def _read_map(msg) -> StockMap:
     if msg.data.size != info.width * info.height:
         raise ValueError(f"has {msg.data.size} cells for {info.width} x {info.height}")
     cells = msg.data.reshape(info.height, info.width).T
-    return StockMap(_ns(msg.header.stamp), msg.header.frame_id, info.resolution, [p.x, p.y, p.z], cells)
+    return StockMap(_ns(msg.header.stamp), msg.header.frame_id, info.resolution, np.array([p.x, p.y, p.z]), cells)
 
 
 def _trajectory(record: Trajectory) -> dict:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.codec import read_message
@@ -17,7 +16,8 @@ PARSE, DECODE = 300.0, 0.15  # [us] of work a line of a definition, a byte of a 
 MOST_OBJECTS = 4 * 1024 * 1024
 
 
-class Topic(NamedTuple):
+@dataclasses.dataclass(frozen=True)
+class Topic:
     """A topic of a recording; ``schema`` is the message definition."""
 
     type: str

@@ -138,8 +138,8 @@ def series(recording, topic: str) -> Series:
             reason = f"{topic} unfolds into more than {size} bytes, {MOST_UNFOLDED} times the size of the file"
             raise RecordingError(recording.path, reason)
     log_time, stamp, values = zip(*tables, strict=True) if tables else ((), (), ())
-    times = [_joined(list(column), (0,), np.int64) for column in (log_time, stamp)]
-    return Series(topic, about.type, *times, tuple(frames), _joined(list(values), (0, len(FIXED[about.type]))))
+    times, stamps = (_joined(list(column), (0,), np.int64) for column in (log_time, stamp))
+    return Series(topic, about.type, times, stamps, tuple(frames), _joined(list(values), (0, len(FIXED[about.type]))))
 
 
 def _joined(pieces: list[np.ndarray], empty: tuple, kind=float) -> np.ndarray:

@@ -40,7 +40,8 @@ class CuttingProcess(ManagedNode):
     def configure(self) -> None:
         self._compile()
         self.send(self.protocol.configure())
-        self.protocol.side.cut.touch()
+        if self.protocol.side is not None:
+            self.protocol.side.cut.touch()
         self._mapped = True
         self.stamp_ns = 0
         self.report(OK, "configured: fresh workpiece")

@@ -154,13 +154,13 @@ class Channel:
 
     def _differ(self, recorded: Recorded, expected: Expected | None) -> None:
         found = None if expected is None else difference(expected.record, recorded.data)
-        found = found or ("the message", "there", None)
+        field, there, expected_value = found or ("the message", "there", None)
         self.compared += expected is not None
         self.differing += 1
         self._next(both=expected is not None)
         if self.first is None:
             order = (*recorded.order, self.rank)
-            self.first = Difference(self.topic, recorded.number, recorded.stamp, *found, order)
+            self.first = Difference(self.topic, recorded.number, recorded.stamp, field, there, expected_value, order)
 
     def finish(self) -> None:
         """No more will come: what is repeated at the end is not waiting for anything, what is not there is missing."""

@@ -8,6 +8,8 @@ linear or cubic between them is met everywhere.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numba import njit
 from scipy.spatial.transform import Rotation
@@ -42,7 +44,7 @@ def approach(programmed: Trajectory) -> np.ndarray:
     return _rates(programmed, np.zeros(1, np.int64), "right")[0]
 
 
-def _rates(reference: Trajectory, stamps: np.ndarray, side: str) -> np.ndarray:
+def _rates(reference: Trajectory, stamps: np.ndarray, side: Literal["left", "right"]) -> np.ndarray:
     return np.hstack([reference.sample_velocity(stamps, side), _turning(reference, stamps, side)])
 
 

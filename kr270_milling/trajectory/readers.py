@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from kr270_milling.base.errors import InputError
@@ -15,7 +16,9 @@ __all__ = ["read_toolpath", "SUFFIXES"]
 
 GCODE = (".nc", ".gcode", ".ngc", ".tap", ".cnc", ".mpf", ".spf", ".ncc", ".eia", ".iso", ".txt")
 APT = (".apt", ".cl", ".cls", ".aptsource", ".ncl")
-SUFFIXES = dict.fromkeys(GCODE, read_gcode) | dict.fromkeys(APT, read_apt) | {".csv": read_points}
+SUFFIXES: dict[str, Callable[..., Toolpath]] = (
+    dict.fromkeys(GCODE, read_gcode) | dict.fromkeys(APT, read_apt) | {".csv": read_points}
+)
 
 
 def read_toolpath(path, tool: str = "", feed: float = 0.0) -> Toolpath:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -85,7 +86,7 @@ class Trajectory:
         v0, v1 = step * self.velocity[k], step * self.velocity[k + 1]
         return start + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
 
-    def sample_velocity(self, time_ns, side: str = "right") -> np.ndarray:
+    def sample_velocity(self, time_ns, side: Literal["left", "right"] = "right") -> np.ndarray:
         """Velocity [m/s], (..., 3), at times [ns] of any shape; where two segments meet in a corner, of the later one.
 
         side: "left" for the earlier one, as ``numpy.searchsorted`` has it.
@@ -119,7 +120,7 @@ class Trajectory:
         time = np.asarray(time_ns)
         return (time >= 0) & (time <= self.duration_ns)
 
-    def locate(self, time_ns, side: str = "right") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def locate(self, time_ns, side: Literal["left", "right"] = "right") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Segment (...), place in it from 0 to 1 (..., 1), its duration [s] (..., 1), at times [ns] of any shape.
 
         side: "right" for the later segment at a knot, "left" for the earlier one.

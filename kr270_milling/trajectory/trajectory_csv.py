@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from decimal import Decimal
 
 import numpy as np
@@ -32,7 +33,7 @@ def write_csv(path, trajectory: Trajectory, joints=None) -> None:
     if joints is not None:
         header += JOINTS
         columns.append(_texts(np.degrees(np.asarray(joints, float)).reshape(len(trajectory), 6)))
-    rows = (sum(parts, []) for parts in zip(*columns, strict=True))
+    rows = (itertools.chain.from_iterable(parts) for parts in zip(*columns, strict=True))
     times = map(seconds, trajectory.time_ns.tolist())
     lines = (f"{time},{','.join(row)}\n" for time, row in zip(times, rows, strict=True))
     write_files({path: (line for part in ([",".join(header) + "\n"], lines) for line in part)})
@@ -58,12 +59,14 @@ def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | N
     if np.abs(column["time_s"]).max() > LATEST:
         raise InputError(path, "a time is too large", table.lines[int(np.abs(column["time_s"]).argmax())])
 
-    def columns(names) -> np.ndarray | None:
-        return np.stack([column[name] for name in names], -1) if names[0] in column else None
+    def columns(names) -> np.ndarray:
+        return np.stack([column[name] for name in names], -1)
 
-    time_ns, joints = np.rint(column["time_s"] * 1e9).astype(np.int64), columns(JOINTS)
+    time_ns = np.rint(column["time_s"] * 1e9).astype(np.int64)
+    joints = columns(JOINTS) if JOINTS[0] in column else None
+    velocity = columns(VELOCITY) if VELOCITY[0] in column else None
     try:
-        run = Trajectory(time_ns, columns(KNOT[1:4]), columns(KNOT[4:]), columns(VELOCITY), frame)
+        run = Trajectory(time_ns, columns(KNOT[1:4]), columns(KNOT[4:]), velocity, frame)
     except TrajectoryError as error:
         raise InputError(path, error.reason, None if error.index is None else table.lines[error.index]) from None
     return run, None if joints is None else np.radians(joints)

@@ -101,8 +101,8 @@ def assess(cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None) -> PartA
     left = surface(cell, path, result.target, result.actual, ideal, result.heights)
     series = (path, deviation, result.volume > 0.0, force, result.torque, power, left)
     features = range(len(path.features))
-    rows = [_row(name, series, k) for k, name in zip(features, path.features, strict=True)]
-    rows = tuple(row for row in rows if row.cut_length > 0.0)
+    every = [_row(name, series, k) for k, name in zip(features, path.features, strict=True)]
+    rows = tuple(row for row in every if row.cut_length > 0.0)
     return PartAssessment(ran.name, *series, rows, _row("whole part", series, None))
 
 

@@ -86,9 +86,9 @@ def marks(tool: Tool, path: Course, period: float, rigid: np.ndarray) -> Marks:
         k, share, radius = (np.concatenate(r) for r in zip(*rows, strict=True))
         order = np.argsort(k + share, kind="stable")
         found.append((k[order], share[order], radius[order], np.full(k.size, side)))
-    k, share, radius, side = (np.concatenate(r) for r in zip(*found, strict=True))
+    k, share, radius, sides = (np.concatenate(r) for r in zip(*found, strict=True))
     centre = rigid[k] + share[:, None] * (rigid[k + 1] - rigid[k])
-    along = first[k] + share * (last[k] - first[k]) + side * np.pi / 2
+    along = first[k] + share * (last[k] - first[k]) + sides * np.pi / 2
     return Marks(centre, np.column_stack([np.cos(along), np.sin(along)]), radius, k, share)
 
 

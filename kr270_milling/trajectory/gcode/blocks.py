@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
+from typing import cast
 
 __all__ = ["Block", "CommentError", "SIMPLE", "WORD", "split_comments", "tokens"]
 
@@ -42,7 +43,8 @@ class Block:
 
 def split_comments(line: str) -> tuple[str, list[str]]:
     """Code and comments of a line: in brackets, also nested, and after a semicolon; CYCLE800(...) is code."""
-    code, comments, at = "", [], 0
+    code, at = "", 0
+    comments: list[str] = []
     while at < len(line):
         mark = min((i for i in (line.find("(", at), line.find(";", at)) if i >= 0), default=-1)
         if mark < 0:
@@ -78,7 +80,7 @@ def tokens(line: str) -> Block:
     """The pieces of an upper-case line that is more than ISO words; reading stops at what cannot be a word."""
     block, at = Block(), 0
     while at < len(line):
-        at = BLANK.match(line, at).end()
+        at = _run(BLANK, line, at).end()
         if at == len(line):
             break
         step = _token(line, at, block)
@@ -88,10 +90,15 @@ def tokens(line: str) -> Block:
     return block
 
 
+def _run(pattern: re.Pattern, line: str, at: int) -> re.Match:
+    """What a pattern takes at a place; one that may take nothing, so that it always fits."""
+    return cast(re.Match, pattern.match(line, at))
+
+
 def _token(line: str, at: int, block: Block) -> int:
     """The end of the piece at ``at``, noted in the block; ``at`` itself where reading must stop."""
     if MACRO.match(line, at):
-        block.macro = PART.match(line, at).group()
+        block.macro = _run(PART, line, at).group()
         return at
     if match := CALL.match(line, at):
         block.names.append((match.group(1), match.group(2)))
@@ -106,12 +113,12 @@ def _token(line: str, at: int, block: Block) -> int:
         block.names.append((match.group(1), None))
         return match.end()
     if match := LETTER.match(line, at):
-        if MACRO.match(line, BLANK.match(line, match.end()).end()) or line[match.end() : match.end() + 1] == "=":
-            block.macro = PART.match(line, at).group()
+        if MACRO.match(line, _run(BLANK, line, match.end()).end()) or line[match.end() : match.end() + 1] == "=":
+            block.macro = _run(PART, line, at).group()
         else:
             block.bare = match.group()
         return at
-    block.rest = PART.match(line, at).group()
+    block.rest = _run(PART, line, at).group()
     return at
 
 

@@ -31,7 +31,8 @@ def strokes(cycle: Cycle) -> list[tuple[float, bool]]:
         return [(cycle.bottom, False), (cycle.retract, False)]
     if cycle.kind not in (73, 83) or not 0 < cycle.peck < cycle.retract - cycle.bottom:
         return [(cycle.bottom, False), (cycle.retract, True)]
-    depth, path = cycle.retract, []
+    depth = cycle.retract
+    path: list[tuple[float, bool]] = []
     while depth > cycle.bottom:
         depth = max(cycle.bottom, depth - cycle.peck)
         if path and cycle.kind == 83:

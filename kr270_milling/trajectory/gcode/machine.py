@@ -28,7 +28,7 @@ __all__ = ["Machine"]
 INCH = 0.0254
 MM = 0.001
 UNITS = {20: INCH, 70: INCH, 700: INCH, 21: MM, 71: MM, 710: MM}
-SENSE = {3: 1, 13: 1, 4: -1, 14: -1}
+SENSE: dict[float, int] = {3: 1, 13: 1, 4: -1, 14: -1}
 #: letters that only go with other words and move nothing by themselves
 ARGUMENTS = ("P", "Q", "L", "E", "H", "D")
 REST = frozenset("OABCUVWE")

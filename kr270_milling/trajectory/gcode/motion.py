@@ -141,7 +141,7 @@ class Motion:
         if not known and self.mode == 1 and self._approach(start, end):
             self.path.rapid(end, line)
             return
-        if not known or (self.mode > 1 and start[2] == TOP):
+        if not known or (self.mode is not None and self.mode > 1 and start[2] == TOP):
             self.refusals.add_derived(line, f"G{self.mode}", f"G{self.mode} before X, Y and Z are known", START)
             return
         if any(map(math.isnan, end)):
@@ -193,8 +193,9 @@ class Motion:
         if radius is not None:
             centre = centre_from_radius(from_point, to_point, radius * unit, clockwise, CLOSING)
         elif centres:
-            centre = tuple(
-                self._centre(letter, start, arc, unit, absolute) for letter in (CENTRES[first], CENTRES[second])
+            centre = (
+                self._centre(CENTRES[first], start, arc, unit, absolute),
+                self._centre(CENTRES[second], start, arc, unit, absolute),
             )
         else:
             raise ArcError(f"G{self.mode} without {CENTRES[first]}, {CENTRES[second]} or R")
@@ -231,6 +232,8 @@ class Motion:
             retract, bottom = (initial, math.nan) if self.cycle is None else (self.cycle.retract, self.cycle.bottom)
             self.cycle = Cycle(int(kind), initial, retract, bottom, 0.0 if self.cycle is None else self.cycle.peck)
         cycle = self.cycle
+        if cycle is None:
+            return
         if level is not None:
             cycle.retract = level * unit + (cycle.initial if self.incremental else 0.0)
         if floor is not None:

@@ -49,6 +49,10 @@ G_ADVICE = {41: CENTRE, 42: CENTRE, 41.1: CENTRE, 42.1: CENTRE, 141: CENTRE,
             12: POCKETS, 13: POCKETS, 150: POCKETS, 34: POCKETS, 47: POCKETS, 107: AXES5,
             12.1: AXES5, 7.1: AXES5}  # fmt: skip
 
-M_GROUPS = {2: "end", 30: "end", 99: "end", 17: "end", 3: "spindle", 4: "spindle", 5: "spindle", 13: "spindle",
-            14: "spindle", 19: "spindle", 6: "tool"}  # fmt: skip
-M_ADVICE = {98: MACROS, 97: MACROS, 96: MACROS, 72: MACROS, 198: MACROS, 128: AXES5, 129: AXES5, 29: THREADS}
+M_GROUPS: dict[float, str] = {
+    2: "end", 30: "end", 99: "end", 17: "end", 3: "spindle", 4: "spindle", 5: "spindle", 13: "spindle", 14: "spindle",
+    19: "spindle", 6: "tool",
+}  # fmt: skip
+M_ADVICE: dict[float, str] = {
+    98: MACROS, 97: MACROS, 96: MACROS, 72: MACROS, 198: MACROS, 128: AXES5, 129: AXES5, 29: THREADS,
+}  # fmt: skip
