@@ -56,7 +56,7 @@ def _turns(reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
     return (turned[1:] * turned[:-1].inv()).as_rotvec()
 
 
-def _turning(reference: Trajectory, stamps: np.ndarray, side: str) -> np.ndarray:
+def _turning(reference: Trajectory, stamps: np.ndarray, side: Literal["left", "right"]) -> np.ndarray:
     """Angular velocity (n, 3) [rad/s] of the reference at the stamps, workpiece axes: constant between its knots."""
     if np.ptp(reference.quaternion, axis=0).max() == 0.0:
         return np.zeros((stamps.size, 3))
