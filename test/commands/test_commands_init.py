@@ -33,9 +33,11 @@ def cell_of(capsys, tmp_path, *words):
     return read_cell(tmp_path / "my.yaml")
 
 
-@pytest.mark.parametrize("robot", ["kr270_2", "kr270_r2700_ultra"])
-@pytest.mark.parametrize("name", ["fusion_haas.nc", "fusion_grbl.nc", "freecad_linuxcnc.ngc", "mastercam_fanuc.nc",
-                                  "linuxcnc.ngc", "sinumerik.mpf", "haas.nc"])  # fmt: skip
+@pytest.mark.parametrize(("name", "robot"), [
+    ("fusion_haas.nc", "kr270_2"), ("fusion_grbl.nc", "kr270_r2700_ultra"), ("freecad_linuxcnc.ngc", "kr270_2"),
+    ("mastercam_fanuc.nc", "kr270_r2700_ultra"), ("linuxcnc.ngc", "kr270_2"), ("sinumerik.mpf", "kr270_r2700_ultra"),
+    ("haas.nc", "kr270_r2700_ultra"),
+])  # fmt: skip
 def test_a_cell_for_each_dialect_reaches_the_whole_pocket(capsys, tmp_path, name, robot):
     tool = ["--tool", "T1"] if name == "haas.nc" else []
     cell = cell_of(capsys, tmp_path, "--gcode", PROGRAMS / name, "--robot", robot, *tool)
