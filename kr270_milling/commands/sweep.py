@@ -42,8 +42,8 @@ def run(args) -> None:
     study = Study(output_directory(args.out), plan)
     with progress("sweep", unit="chunks", rate="passes", each=sweep.chunk) as report:
         seconds = run_chunks(study, sweep.chunks, sweep, args.scheduler, report)
-    sentences = [text for table in study.tables(sweep.chunks, ["error"]) for text in table["error"].to_pylist()]
-    found = {"rows": len(sentences), "failed": sum(map(bool, sentences)), "out": args.out, "wall_s": seconds}
+    failed = sum(bool(text) for table in study.tables(sweep.chunks, ["error"]) for text in table["error"].to_pylist())
+    found = {"rows": len(sweep), "failed": failed, "out": args.out, "wall_s": seconds}
     if args.json:
         print_json(found)
     else:

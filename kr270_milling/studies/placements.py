@@ -28,7 +28,9 @@ from kr270_milling.studies.postures import along_path, postures, whole_turns
 __all__ = ["COLUMNS", "Course", "Placements", "about_z", "course_at", "course_of", "moved_cell", "place_of"]
 
 SINGULAR = 1e-6  #: measure of a posture below which no Jacobian is inverted
-PLACES = 24  #: along the path at which each placement is looked at
+PLACES = 24  #: along the path at which the error of each placement is looked at
+REST = 12  #: over the whole path, approach and all, for reach and limits
+MARGIN = np.radians(0.5)  #: to the joint limits, for what is between the places
 COLUMNS = (
     "x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", "feasible", "reachable", "within_limits",
     "singularity", "lowest_mode_hz", "compliance_um_per_n", "error_max_um", "error_mean_um", "compensated_max_um",
@@ -47,14 +49,22 @@ class Course:
 
 
 def course_of(cell: Cell, places: int = PLACES) -> Course:
-    """Places where the tool cuts in one pass of the cell, with the mean force of the revolution there."""
+    """Places where the tool cuts in one pass of the cell, and REST over the whole path for its reach and limits."""
     result = simulate(cell).result
     cutting = np.flatnonzero(result.volume > 0.0)
-    return course_at(cell, result, cutting[np.linspace(0, len(cutting) - 1, places).astype(int)])
+    chosen = cutting[np.linspace(0, len(cutting) - 1, places).astype(int)]
+    rest = np.setdiff1d(np.linspace(0, len(result.volume) - 1, REST).astype(int), chosen)
+    both = np.union1d(chosen, rest)
+    course = course_at(cell, result, both)
+    course.force[np.isin(both, rest)] = 0.0
+    return course
 
 
 def course_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> Course:
-    """The exchange periods ``chosen`` (m,) of a pass; where the tool stands still, its feed is 0."""
+    """The exchange periods ``chosen`` (m,) of a pass, with the mean force of the revolution there.
+
+    Where the tool stands still, its feed is 0.
+    """
     time_ns, target = result.time_ns[chosen], cell.target()
     feed = target.sample_velocity(time_ns)
     feed = feed / np.maximum(np.linalg.norm(feed, axis=1, keepdims=True), 1e-12)
@@ -110,8 +120,8 @@ class Placements:
         place = Pose(position.reshape(-1, 3), rotation.reshape(-1, 3, 3))
         q, way = postures(cell.arm, cell.mount, place, force.reshape(-1, 3), cell.dynamics.gravity)
         q, way = q.reshape(n, m, 8, 6), way.reshape(n, m, 8, 3)
-        size = np.maximum(np.linalg.norm(force, axis=-1), 1e-12)
-        within, measures = along_path(cell.arm, q, way, feed, size)
+        size = np.linalg.norm(force, axis=-1)
+        within, measures = along_path(cell.arm, q, way, feed, size, MARGIN)
         singular, soft, largest, mean = np.moveaxis(measures, -1, 0)
         reachable, feasible = np.isfinite(singular), within & (singular > SINGULAR)
         left = math.hypot(cell.uncertainty.joint_compliance, cell.uncertainty.force_coefficient)

@@ -126,9 +126,9 @@ def _add(gives, soft, ax, ay, az, rx, ry, rz, force):
 
 @njit(cache=True, nogil=True)
 def whole_turns(q, lower, upper):
-    """Make the angles q (m, 6) run without jumps, within the limits where whole turns do that, in place.
+    """Make the angles q (m, 6) run without jumps, in place, and return whether they are within the limits.
 
-    Returns whether they are within the limits.
+    Of the whole turns that are within them, those nearest to the middle of the range are taken.
     """
     within = True
     for j in range(6):
@@ -136,23 +136,27 @@ def whole_turns(q, lower, upper):
         for k in range(1, len(q)):
             q[k, j] = q[k - 1, j] + _wrapped(q[k, j] - q[k - 1, j])
             low, high = min(low, q[k, j]), max(high, q[k, j])
-        shift = TWO_PI * np.ceil((lower[j] - low) / TWO_PI)
-        within &= high + shift <= upper[j]
+        first, last = np.ceil((lower[j] - low) / TWO_PI), np.floor((upper[j] - high) / TWO_PI)
+        within &= first <= last
+        central = np.round(0.5 * (lower[j] + upper[j] - low - high) / TWO_PI)
+        shift = TWO_PI * max(first, min(last, central))
         for k in range(len(q)):
             q[k, j] += shift
     return within
 
 
-def along_path(arm: Arm, q: np.ndarray, way: np.ndarray, feed: np.ndarray, size: np.ndarray):
+def along_path(arm: Arm, q: np.ndarray, way: np.ndarray, feed: np.ndarray, size: np.ndarray, margin: float = 0.0):
     """Measures of paths of m places, each (n, 8): within the limits, and (n, 8, 4): see below; q is unwrapped in place.
 
-    q, way: (n, m, 8, 6) and (n, m, 8, 3) of ``postures``; feed: unit vectors (n, m, 3); size: of the force [N], (n, m).
+    q, way: (n, m, 8, 6) and (n, m, 8, 3) of ``postures``; feed: unit vectors (n, m, 3); size: of the force [N], (n, m),
+    0 where nothing is cut: such a place counts for reach and limits alone. margin [rad]: kept to each limit.
     The four are the least of ``robot.singularity_measures``, the largest compliance in the direction of the force
     [m/N], the largest and the mean part of ``way`` across the feed [m]. NaN where a place is out of reach.
     """
     within, measures = np.zeros(q.shape[::2][:2], np.bool_), np.full((*q.shape[::2][:2], 4), np.nan)
     lengths = tuple(map(float, (arm.a1, arm.a2, arm.forearm, arm.elbow_offset)))
-    _reduce(lengths, arm.joint_lower, arm.joint_upper, q, _dense(way), _dense(feed), _dense(size), within, measures)
+    lower, upper = arm.joint_lower + margin, arm.joint_upper - margin
+    _reduce(lengths, lower, upper, q, _dense(way), _dense(feed), _dense(size), within, measures)
     return within, measures
 
 
@@ -162,21 +166,22 @@ def _reduce(lengths, lower, upper, q, way, feed, size, within, measures):
     n, m = q.shape[:2]
     for i in range(n):
         for b in range(8):
-            singular, soft, largest, total, reached = np.inf, 0.0, 0.0, 0.0, True
+            singular, soft, largest, total, cuts, reached = np.inf, 0.0, 0.0, 0.0, 0, True
             for k in range(m):
                 u, f, angles = way[i, k, b], feed[i, k], q[i, k, b]
                 if not np.isfinite(u[0]):
                     reached = False
                     break
-                length = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
-                along = u[0] * f[0] + u[1] * f[1] + u[2] * f[2]
-                across = np.sqrt(max(length**2 - along**2, 0.0))
-                largest, total = max(largest, across), total + across
-                soft = max(soft, length / size[i, k])
+                if size[i, k] > 0.0:
+                    length = np.sqrt(u[0] ** 2 + u[1] ** 2 + u[2] ** 2)
+                    along = u[0] * f[0] + u[1] * f[1] + u[2] * f[2]
+                    across = np.sqrt(max(length**2 - along**2, 0.0))
+                    largest, total, cuts = max(largest, across), total + across, cuts + 1
+                    soft = max(soft, length / size[i, k])
                 beta = elbow_offset - angles[2]
                 shoulder = abs(a1 + a2 * np.cos(angles[1]) + forearm * np.cos(beta - angles[1])) / (a2 + forearm)
                 singular = min(singular, shoulder, abs(np.sin(beta)), abs(np.sin(angles[4])))
             if reached:
                 within[i, b] = whole_turns(q[i, :, b], lower, upper)
                 row = measures[i, b]
-                row[0], row[1], row[2], row[3] = singular, soft, largest, total / m
+                row[0], row[1], row[2], row[3] = singular, soft, largest, total / max(cuts, 1)

@@ -14,6 +14,7 @@ from kr270_milling.robot import compliance, equilibrium, pose
 from kr270_milling.robot.compensator import NO_COMPENSATOR, Compensator
 from kr270_milling.simulation.arm_model import modal_models
 from kr270_milling.studies.placements import Course, Placements, moved_cell
+from kr270_milling.studies.postures import whole_turns
 
 pytest.importorskip("pyarrow")
 
@@ -59,6 +60,20 @@ def test_a_feasible_row_is_what_finite_differences_of_the_arm_give(placements):
         across.append(np.linalg.norm(way - way @ feed * feed))
     assert rows["error_max_um"][number, branch] == pytest.approx(1e6 * max(across), rel=1e-4)
     assert rows["error_mean_um"][number, branch] == pytest.approx(1e6 * np.mean(across), rel=1e-4)
+
+
+def test_of_the_whole_turns_within_the_limits_the_most_central_are_taken():
+    """175 deg is 360 deg more than -185 deg, the limit; a run over the seam has no jump."""
+    limits = np.radians([185.0] * 6)
+    q = np.radians([[-184.9, 170.0, -170.0, 0.0, 200.0, 350.0], [-184.5, -179.0, 176.0, 1.0, 201.0, 351.0]])
+    assert whole_turns(q, -limits, limits)
+    expected = [[175.1, 170.0, -170.0, 0.0, -160.0, -10.0], [175.5, 181.0, -184.0, 1.0, -159.0, -9.0]]
+    assert np.degrees(q) == pytest.approx(np.array(expected))
+    q[0, 0] -= np.radians(20.0)
+    assert whole_turns(q, -limits, limits)
+    q[0, 2] += np.radians(20.0)
+    q[1, 2] -= np.radians(2.0)  # from -150 to -186 deg, or from 210 to 174 deg
+    assert not whole_turns(q, -limits, limits)
 
 
 def test_a_place_out_of_reach_is_infeasible_and_says_nothing_of_errors(placements):
