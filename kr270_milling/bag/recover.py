@@ -22,6 +22,7 @@ from kr270_milling.base.errors import RecordingError
 __all__ = ["Recovered", "recover"]
 
 KNOWN = frozenset(range(0x01, 0x10))  # the record types of the format
+WRITE = 10.0  # [us] of work on a message
 PRIVATE = 0x80  # types from here on belong to applications
 HOLDING = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.MESSAGE_INDEX)  # they hold lengths of their own
 
@@ -205,6 +206,7 @@ class _Rescue:
 
     def _messages(self, chunk: Chunk) -> None:
         found = self.unpack(chunk)
+        self.unpack.spend(WRITE * len(found), chunk.offset)
         for record in found.definitions:
             self.contents.define(record, chunk.offset)
         for entry in map(found.entry, range(len(found))):

@@ -18,6 +18,7 @@ from kr270_milling.cell.cell import Cell, read_cell
 __all__ = ["CELL", "cell_of", "in_file_order", "is_first_version", "plant_of"]
 
 CELL, PLANT = "cell.yaml", "plant.yaml"
+FEED = 30.0  # [us] of work on a message that goes through the nodes' protocols
 LONGEST_NAME = 200  # [bytes], of an attached file
 MOST_ATTACHED = 64 * 1024 * 1024  # [bytes] of attachments that are unpacked to read the cell
 #: what version 0.1.0 did where its cells have no key for it: group, key, value
@@ -129,5 +130,7 @@ def in_file_order(recording: Recording, progress=None) -> Iterator[RawMessage]:
     """
     for done, message in enumerate(recording.messages(as_written=True), 1):
         yield message
+        if done % 1000 == 0:
+            recording.spend(1000 * FEED)
         if progress and (done % 1000 == 0 or done == recording.count):
             progress(done, recording.count)

@@ -14,6 +14,7 @@ from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.export import export_csv
 from kr270_milling.bag.info import info
 from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.recover import recover
 from kr270_milling.messages.codec import serialise
 from kr270_milling.messages.series import series
 
@@ -92,3 +93,12 @@ def test_work_that_the_size_of_a_file_does_not_explain_is_refused(tmp_path, monk
     with pytest.raises(RecordingError, match="more work than a file of its size can need"):
         read_all(tmp_path / "a.mcap", tmp_path / "less")
     assert time.process_time() - begin < 0.5  # 0.025 s are counted
+
+
+def test_recover_ends_in_time_too(tmp_path, monkeypatch):
+    many_messages(tmp_path / "a.mcap", 30_000)
+    assert recover(tmp_path / "a.mcap", tmp_path / "all").messages == 30_000
+    monkeypatch.setattr(chunks, "FREE", chunks.FREE / 100)
+    monkeypatch.setattr(chunks, "PER_BYTE", 0.0)
+    found = recover(tmp_path / "a.mcap", tmp_path / "less")
+    assert found.messages == 0 and "more work than" in found.dropped[0]
