@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import functools
 import importlib.util
+import math
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 from kr270_milling.base.errors import RecordingError
@@ -54,16 +56,18 @@ def _register(type_name: str) -> None:
             found.update(get_types_from_msg(_file(name).read_text(encoding="utf-8"), name))
         except (TypesysError, *DEFINITION_ERRORS) as error:
             raise RecordingError(name, "its definition cannot be used") from error
-        waiting += _parts(found[name])
+        waiting += [kind for _, is_message, kind, _ in _members(found[name]) if is_message]
     _jazzy().register(found)
 
 
-def _parts(fields) -> list[str]:
-    """Names of the message types among the fields of a type."""
+def _members(fields) -> Iterator[tuple[str, bool, str, float | None]]:
+    """Name, whether it is of messages, what it is of, and for a list its length (infinite: any), of every field."""
     from rosbags.interfaces import Nodetype
 
-    described = [kind[1][0] if kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else kind for _, kind in fields[1]]
-    return [kind[1] for kind in described if kind[0] == Nodetype.NAME]
+    for name, kind in fields[1]:
+        (inner, about), length = kind[1] if kind[0] in (Nodetype.ARRAY, Nodetype.SEQUENCE) else (kind, None)
+        length = math.inf if kind[0] == Nodetype.SEQUENCE else length
+        yield name, inner == Nodetype.NAME, about if inner == Nodetype.NAME else about[0], length
 
 
 def _file(type_name: str) -> Path:
@@ -116,26 +120,18 @@ def store_for(type_name: str, text: str):
 
 
 def _refuse_large(fields) -> None:
-    from rosbags.interfaces import Nodetype
-
-    for name, kind in fields[1]:
-        if kind[0] != Nodetype.ARRAY:
-            continue
-        (inner, about), length = kind[1]
-        plain = inner == Nodetype.BASE and about[0] != "string"
-        if not 1 <= length <= (2**31 if plain else MOST_ITEMS):
+    for name, is_message, kind, length in _members(fields):
+        most = MOST_ITEMS if is_message or kind == "string" else 2**31
+        if length not in (None, math.inf) and not 1 <= length <= most:
             raise ValueError(f"{name} is an array of {length} items")
 
 
 def has_lists(store, type_name: str, seen: frozenset = frozenset()) -> bool:
     """Whether a message may hold a list of messages or texts, itself or in a message within it."""
-    from rosbags.interfaces import Nodetype
-
-    for _, kind in store.fielddefs[type_name][1]:
-        if kind[0] == Nodetype.SEQUENCE and (kind[1][0][0] == Nodetype.NAME or kind[1][0][1][0] == "string"):
+    for _, is_message, kind, length in _members(store.fielddefs[type_name]):
+        if length == math.inf and (is_message or kind == "string"):
             return True
-        part = kind[1][0] if kind[0] == Nodetype.ARRAY else kind
-        if part[0] == Nodetype.NAME and part[1] not in seen and has_lists(store, part[1], seen | {type_name}):
+        if is_message and kind not in seen and has_lists(store, kind, seen | {type_name}):
             return True
     return False
 
