@@ -18,11 +18,11 @@ from kr270_milling.bag.structure import HEAD, LIMIT, MESSAGE, Damage, Part, exac
 __all__ = ["CACHE", "READ", "Chunk", "Entry", "Messages", "Unpacker"]
 
 CACHE = 32 * 1024 * 1024  # [bytes] of unpacked chunks that are remembered, and as many that are sorted by time
-MOST = 1_000_000  # messages in a chunk
+MOST, MOST_DEFINITIONS = 1_000_000, 10_000  # records in a chunk, and those that define schemas and channels
 # Work on a file is counted in rounded costs on one core and bounded by the file's size: a pass through a recording of
 # this package costs 0.05 us a byte, and 27 kB can be made to unfold into 9,000,000 messages.
 FREE, PER_BYTE = 5e6, 20.0  # [us], [us/byte]
-UNPACK, READ = 2e-3, 1.0  # [us] a byte that is unpacked, a message that is read
+UNPACK, READ, DEFINE = 2e-3, 1.0, 20.0  # [us] a byte that is unpacked, a record that is read, one that is parsed
 
 
 class Chunk(NamedTuple):
@@ -69,16 +69,19 @@ class Messages:
         self.places, self.times = array("I"), array("Q")  #: of each message: offset in the bytes, log time [ns]
         self.counts: Counter[int] = Counter()  #: channel -> messages
         self.definitions: list = []  #: mcap's Schema and Channel records
+        self.records = 0
         for kind, at, end in inner(data, chunk.offset):
+            self.records += 1
             if kind == Opcode.MESSAGE:
                 _, _, channel, _, log_time, _ = MESSAGE.unpack_from(data, at)
                 self.places.append(at)
                 self.times.append(log_time)
                 self.counts[channel] += 1
-                if len(self.times) > MOST:
-                    raise Damage(f"a chunk holds more than {MOST} messages", chunk.offset)
             elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self.definitions.append(Part(kind, chunk.offset, data[at:end]).record())
+            if self.records > MOST or len(self.definitions) > MOST_DEFINITIONS:
+                reason = f"a chunk holds more than {MOST} records or {MOST_DEFINITIONS} definitions"
+                raise Damage(reason, chunk.offset)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -129,7 +132,7 @@ class Unpacker:
             return found
         self.spend(UNPACK * chunk.unpacked, chunk.offset)
         found = self._remembered[chunk.offset] = _messages(self._stream, chunk)
-        self.spend(READ * len(found), chunk.offset)
+        self.spend(READ * found.records + DEFINE * len(found.definitions), chunk.offset)
         self.used += found.cost
         while self.used > self._limit and len(self._remembered) > 1:
             self.used -= self._remembered.popitem(last=False)[1].cost

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import struct
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from mcap.writer import IndexType, Writer
+from test_bag_unpack import BEGIN, chunk_record
 from test_recording_reader import poses, write_mcap
 
 from kr270_milling.bag.errors import RecordingError
@@ -27,6 +29,17 @@ def test_definitions_that_a_chunk_unfolds_are_bounded(tmp_path, monkeypatch):
         writer.finish()
     with pytest.raises(RecordingError, match="take more than 100000 bytes"):
         Recording(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("kind", [3, 77])  # definitions, and records that nobody knows
+def test_the_number_of_records_in_a_chunk_is_bounded(tmp_path, monkeypatch, kind):
+    monkeypatch.setattr("kr270_milling.bag.chunks.MOST", 1000)
+    monkeypatch.setattr("kr270_milling.bag.chunks.MOST_DEFINITIONS", 900)
+    for count, refused in ((900, False), (1001, True)):
+        data = b"".join(struct.pack("<BQHIII", kind, 14, 1 + i, 0, 0, 0) for i in range(count))
+        (tmp_path / "a.mcap").write_bytes(BEGIN + chunk_record(data, len(data), b""))
+        with pytest.raises(RecordingError, match="more than 1000 records or 900") if refused else nullcontext():
+            Recording(tmp_path / "a.mcap").close()
 
 
 def test_the_number_of_chunks_is_bounded(tmp_path, monkeypatch):
