@@ -33,7 +33,6 @@ __all__ = ["NoWayError", "Turns", "Way", "best_way", "constant_way", "find_way",
 FINEST = 1e-4  #: [rad] of the last grid
 NEAR = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  #: steps about a way
 ROUNDS = 60
-SPEED_SHARE = 0.95  #: of the speed limits: between two places a joint runs a little faster than its mean
 
 
 class NoWayError(MillingError):
@@ -82,7 +81,7 @@ class Turns:
     @property
     def room(self) -> np.ndarray:
         """How far each joint may go between two places [rad], (6,)."""
-        return SPEED_SHARE * self.cell.arm.joint_speed_limit * self.step
+        return self.cell.arm.joint_speed_limit * self.step * (1 + 1e-9)
 
     def searched(self, branch: int, turn, q, error, period: float) -> Way | None:
         """The best way through states (n, s) of turn, (n, s, 6) of joints, (n, s) of errors; None: there is none."""
