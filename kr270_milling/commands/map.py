@@ -27,7 +27,7 @@ def add_arguments(parser) -> None:
     parser.add_argument("--out", metavar="DIR", default="map", help="where rows, cells and picture go (default: map)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, tcp://host:port")
     parser.add_argument(
-        "--chunk", metavar="N", type=bounded(1, 1_000_000, int), default=500, help="placements a file (default: 500)"
+        "--chunk", metavar="N", type=bounded(1, 100_000, int), default=500, help="placements a file (default: 500)"
     )
     along = parser.add_argument_group("along a path")
     along.add_argument(
@@ -84,6 +84,7 @@ def run(args) -> None:
         raise ParameterError("map", len(placements), f"at most {MOST} placements in all")
     plan = {"study": "map", "cell": content(source, cell), "set": args.set, "axes": given, "chunk": args.chunk}
     study = Study(output_directory(args.out), plan)
+    made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
     postures = 8 * args.chunk * len(placements.course.position)
     with progress("map", unit="chunks", rate="postures", each=postures) as report:
         seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
@@ -91,10 +92,11 @@ def run(args) -> None:
     for table in study.tables(placements.chunks):
         summary.add(table)
     cells = write_cells(args.out, source, args.set, cell, placements.course, summary.best)
+    rate = made * summary.rows / seconds if seconds else None
     found = {
         "rows": summary.rows,
-        "rows_per_s": summary.rows / seconds if seconds else None,
-        "postures_per_s": summary.rows * len(placements.course.position) / seconds if seconds else None,
+        "rows_per_s": rate,
+        "postures_per_s": rate and rate * len(placements.course.position),
         "feasible": summary.feasible,
         "best": [row | {"cell": str(path)} for row, path in zip(summary.best, cells, strict=True)],
         "picture": str(write_picture(args.out, summary)),

@@ -29,6 +29,7 @@ __all__ = ["COLUMNS", "Course", "Placements", "about_z", "course_at", "course_of
 
 SINGULAR = 1e-6  #: measure of a posture below which no Jacobian is inverted
 PLACES = 24  #: along the path at which the error of each placement is looked at
+BLOCK = 1000  #: placements at a time, some 20 MB of postures
 REST = 12  #: over the whole path, approach and all, for reach and limits
 MARGIN = np.radians(0.5)  #: to the joint limits, for what is between the places
 COLUMNS = (
@@ -105,7 +106,8 @@ class Placements:
         """The Parquet bytes of one chunk."""
         first = number * self.chunk
         chosen = self.placements(first, min(first + self.chunk, len(self)))
-        return _parquet(chosen, self.rows(chosen))
+        parts = [self.rows(part) for part in np.array_split(chosen, -(-len(chosen) // BLOCK))]
+        return _parquet(chosen, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
     def rows(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
         """The measures of placements (n, 5), each (n, 8): one a branch."""
