@@ -9,7 +9,7 @@ import numpy as np
 
 from kr270_milling.identification.compliance import Fit
 
-__all__ = ["bars_with_intervals", "compliance_figures", "heat", "points", "write_page"]
+__all__ = ["compliance_figures", "points", "write_page"]
 
 STYLE = """body{font:16px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem;color:#1a1a1a}
 table{border-collapse:collapse;margin:1rem 0}td,th{padding:.2rem .8rem;text-align:right;border-bottom:1px solid #ccc}
@@ -25,15 +25,6 @@ def _figure(title: str, x: str, y: str):
     return figure.update_layout(title=title, xaxis_title=x, yaxis_title=y)
 
 
-def bars_with_intervals(title: str, unit: str, names: list[str], series: dict):
-    """Groups of bars; series: name -> (values, half widths or None)."""
-    figure = _figure(title, "", f"[{unit}]")
-    for name, (values, widths) in series.items():
-        shown = None if widths is None else dict(type="data", array=np.where(np.isfinite(widths), widths, 0.0).tolist())
-        figure.add_bar(name=name, x=names, y=np.asarray(values).tolist(), error_y=shown)
-    return figure
-
-
 def points(title: str, x: str, y: str, series: dict, lines: tuple[str, ...] = (), style: dict | None = None):
     """Name -> (x values, y values); lines: names that are drawn as lines; style: name -> (colour, symbol)."""
     figure = _figure(title, x, y)
@@ -47,22 +38,20 @@ def points(title: str, x: str, y: str, series: dict, lines: tuple[str, ...] = ()
     return figure
 
 
-def heat(title: str, names: list[str], table: np.ndarray):
-    """A square table of numbers between -1 and 1."""
-    figure = _figure(title, "", "")
-    text = np.round(table, 2).astype(str).tolist()
-    figure.add_heatmap(x=names, y=names, z=table.tolist(), zmin=-1, zmax=1, colorscale="RdBu", text=text,
-                       texttemplate="%{text}")  # fmt: skip
-    return figure.update_layout(yaxis_autorange="reversed", height=480)
-
-
 def compliance_figures(found: Fit) -> list:
     """Compliances with their intervals, residuals of each test and against the normal distribution, correlation."""
     from scipy.stats import norm
 
-    joints = [f"joint {j}" for j in range(1, 7)]
-    file, values, widths = (1e6 * v[:6] for v in (found.problem.arm.joint_compliance, found.values, found.half_widths))
-    series = {"identified, 95 %": (values, widths), "arm file": (file, None)}
+    bars = _figure("Joint compliances", "", "[urad/(N m)]")
+    values, widths = found.values[:6], np.where(np.isfinite(found.half_widths[:6]), found.half_widths[:6], 0.0)
+    spread = dict(type="data", array=(1e6 * widths).tolist())
+    joints, names = found.problem.names[:6], found.problem.names
+    bars.add_bar(name="identified, 95 %", x=joints, y=(1e6 * values).tolist(), error_y=spread)
+    bars.add_bar(name="arm file", x=joints, y=(1e6 * found.problem.arm.joint_compliance).tolist())
+    heat = _figure("Correlation of what was fitted", "", "")
+    heat.add_heatmap(x=names, y=names, z=found.correlation.tolist(), zmin=-1, zmax=1, colorscale="RdBu",
+                     texttemplate="%{z:.2f}")  # fmt: skip
+    heat.update_layout(yaxis_autorange="reversed", height=480)
     left = 1e6 * found.residuals[:, :3]
     tests = np.arange(1, len(left) + 1)
     scaled = np.sort((found.residuals / found.problem.measured.sigma)[found.problem.finite])
@@ -71,14 +60,14 @@ def compliance_figures(found: Fit) -> list:
     seen = 1e6 * found.problem.measured.displacement[:, :3]
     axes = list(enumerate("xyz"))
     return [
-        bars_with_intervals("Joint compliances", "urad/(N m)", joints, series),
+        bars,
         points("Measured against modelled displacement", "modelled [um]", "measured [um]",
                {a: (modelled[:, i], seen[:, i]) for i, a in axes}),
         points("Residuals of each load test", "test", "measured less modelled [um]",
                {a: (tests, left[:, i]) for i, a in axes}),
         points("Residuals against the normal distribution", "normal quantile", "residual [standard deviations]",
                {"residuals": (normal, scaled), "normal": (normal, normal)}, ("normal",)),
-        heat("Correlation of what was fitted", found.problem.names, found.correlation),
+        heat,
     ]  # fmt: skip
 
 

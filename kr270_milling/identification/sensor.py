@@ -11,7 +11,7 @@ from kr270_milling.bag.reader import Recording
 from kr270_milling.messages.series import series
 from kr270_milling.robot.loads import GRAVITY
 
-__all__ = ["Sensor", "force_series", "full_topic", "mean_force", "pose_series"]
+__all__ = ["Sensor", "force_series", "mean_force", "pose_series", "read_topic"]
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -29,40 +29,38 @@ class Sensor:
     down: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))  #: workpiece axes
 
 
-def full_topic(recording: Recording, name: str) -> str:
-    """A topic by its name or the last part of it; raises RecordingError."""
-    topics = recording.topics()
-    found = [name] if name in topics else [topic for topic in topics if topic.rpartition("/")[2] == name]
-    if len(found) != 1:
-        what = f"has several topics {name} ({', '.join(found)})" if found else f"has no topic {name}"
-        raise RecordingError(recording.path, f"{what}; it holds {', '.join(sorted(topics)) or 'nothing'}")
-    return found[0]
+def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds of the stamps (n,), ascending, and the numbers (n, columns) of a topic of one of these types.
+
+    name: full, or the last part where only one topic ends so. Raises RecordingError.
+    """
+    with Recording(path) as recording:
+        topics = recording.topics()
+        found = [name] if name in topics else [topic for topic in topics if topic.rpartition("/")[2] == name]
+        if len(found) != 1:
+            what = f"has several topics {name} ({', '.join(found)})" if found else f"has no topic {name}"
+            raise RecordingError(recording.path, f"{what}; it holds {', '.join(sorted(topics)) or 'nothing'}")
+        if topics[found[0]].type not in kinds:
+            what = f"{found[0]} is of type {topics[found[0]].type}, not {' or '.join(sorted(kinds))}"
+            raise RecordingError(recording.path, what)
+        read = series(recording, found[0])
+    if len(read.stamp) < 2:
+        raise RecordingError(path, f"{found[0]} has no two messages")
+    stamp, first = np.unique(read.stamp, return_index=True)
+    return stamp * 1e-9, read.values[first]
 
 
 def force_series(path, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     """Seconds after the first message, (n,), and forces in workpiece axes as the sensor has them, (n, 3) [N]."""
-    time, values = _read(path, sensor.topic, WRENCH)
+    time, values = read_topic(path, sensor.topic, (WRENCH,))
     sign = -1.0 if sensor.on_part else 1.0
     return time - time[0], sign * values[:, :3] @ sensor.rotation.T
 
 
 def pose_series(path, topic: str) -> tuple[np.ndarray, np.ndarray]:
     """Seconds of the stamps, (n,), and places [m], (n, 3)."""
-    time, values = _read(path, topic, POSE)
+    time, values = read_topic(path, topic, (POSE,))
     return time, values[:, :3]
-
-
-def _read(path, name: str, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Seconds of the stamps (n,), ascending, and the numbers (n, columns) of a topic of this type."""
-    with Recording(path) as recording:
-        topic = full_topic(recording, name)
-        if recording.topics()[topic].type != kind:
-            raise RecordingError(recording.path, f"{topic} is of type {recording.topics()[topic].type}, not {kind}")
-        read = series(recording, topic)
-    if len(read.stamp) < 2:
-        raise RecordingError(path, f"{topic} has no two messages")
-    stamp, first = np.unique(read.stamp, return_index=True)
-    return stamp * 1e-9, read.values[first]
 
 
 def mean_force(

@@ -7,12 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.bag.errors import RecordingError
-from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.table import read_table
-from kr270_milling.identification.sensor import full_topic
-from kr270_milling.messages.series import FIXED, series
+from kr270_milling.identification.sensor import read_topic
+from kr270_milling.messages.series import FIXED
 
 __all__ = ["AXES", "Signals", "read_signals"]
 
@@ -77,14 +75,9 @@ def _from_table(path) -> Signals:
 
 
 def _from_recording(path, name: str) -> Signals:
-    with Recording(path) as recording:
-        topic = full_topic(recording, name)
-        kind = recording.topics()[topic].type
-        if kind not in FIXED:
-            raise RecordingError(recording.path, f"{topic} is of type {kind}, not one of {', '.join(sorted(FIXED))}")
-        read = series(recording, topic)
-    columns = read.values[:, :6] if read.values.shape[1] == 6 else read.values[:, :3]
-    step, values = _even(path, read.stamp * 1e-9, columns)
+    time, columns = read_topic(path, name, FIXED)
+    columns = columns[:, : 6 if columns.shape[1] == 6 else 3]
+    step, values = _even(path, time, columns)
     return Signals(step, values, AXES[: columns.shape[1]])
 
 
