@@ -1,6 +1,6 @@
 """Wrong signs and factors in the numbered equations: does a test notice? By hand: ``python test/mutations.py [TEXT]``.
 
-Each mutation goes into a fresh copy of the package; the tests of that part run until the first one fails. TEXT chooses
+Each mutation goes into a copy of the package; the tests of that part run until the first one fails. TEXT chooses
 the mutations whose equation or file contains it. Exit code 1 if one survives. Takes about ten minutes.
 """
 
@@ -176,7 +176,7 @@ def run(folder: Path, tests: list[str]) -> str:
     """Name of the first test that fails, "" if none does."""
     files = [str(file.relative_to(folder)) for name in tests for file in folder.glob(f"test/*/test_{name}.py")]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider", *files]
-    environment = {**os.environ, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1"}
+    environment = {**os.environ, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     try:
         done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
     except subprocess.TimeoutExpired:
@@ -191,32 +191,41 @@ def texts(pattern: str) -> tuple[str, str]:
     return before + old + after, before + new + after
 
 
-def mutate(file: str, pattern: str) -> str:
-    """First test that fails with the mutation, "" if it survives."""
-    old, new = texts(pattern)
-    with tempfile.TemporaryDirectory() as name:
-        copy_into(Path(name))
-        source = Path(name, "kr270_milling", file)
-        text = source.read_text()
-        if text.count(old) != 1:
-            return "NOT APPLIED: the text is not there exactly once"
+def mutate(folder: Path, file: str, pattern: str) -> str:
+    """First test that fails with the mutation, "" if it survives; the folder is as it was afterwards."""
+    (old, new), source = texts(pattern), folder / "kr270_milling" / file
+    text = source.read_text()
+    if text.count(old) != 1:
+        return "NOT APPLIED: the text is not there exactly once"
+    try:
         source.write_text(text.replace(old, new))
-        return run(Path(name), TESTS[file])
+        forget_compiled(folder, text)
+        return run(folder, TESTS[file])
+    finally:
+        source.write_text(text)
+        forget_compiled(folder, text)
+
+
+def forget_compiled(folder: Path, text: str) -> None:
+    """Compiled functions keep what they call from other files: where that may have changed, all are made anew."""
+    if "numba" in text or "compiled" in text:
+        for cached in folder.rglob("*.nb[ci]"):
+            cached.unlink()
 
 
 def main(wanted: str) -> int:
-    chosen = [m for m in MUTATIONS if wanted in m[0] or wanted in m[1]]
+    chosen, alive = [m for m in MUTATIONS if wanted in m[0] or wanted in m[1]], 0
     with tempfile.TemporaryDirectory() as name:
-        copy_into(Path(name))
-        broken = run(Path(name), sorted({t for m in chosen for t in TESTS[m[1]]}))
-    if broken:
-        print(f"without any mutation {broken} fails already")
-        return 1
-    alive = 0
-    for equation, file, pattern in chosen:
-        killer = mutate(file, pattern)
-        alive += not killer or killer.startswith("NOT APPLIED")
-        print(f"{equation:20} {file:26} {pattern!r:80} {killer or 'SURVIVED'}", flush=True)
+        folder = Path(name)
+        copy_into(folder)
+        broken = run(folder, sorted({t for m in chosen for t in TESTS[m[1]]}))
+        if broken:
+            print(f"without any mutation {broken} fails already")
+            return 1
+        for equation, file, pattern in chosen:
+            killer = mutate(folder, file, pattern)
+            alive += not killer or killer.startswith("NOT APPLIED")
+            print(f"{equation:20} {file:26} {pattern!r:80} {killer or 'SURVIVED'}", flush=True)
     print(f"{len(chosen)} mutations, {alive} survived")
     return 1 if alive else 0
 
