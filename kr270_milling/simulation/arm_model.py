@@ -7,10 +7,13 @@ import numpy as np
 from kr270_milling.base.frames import Pose
 from kr270_milling.robot import Arm, Mount, cartesian_mass, compliance, equilibrium
 from kr270_milling.simulation.dynamics import ArmModel, ModalModel, discretise, discretise_reference, modes
-from kr270_milling.simulation.measured_modes import measured_model
-from kr270_milling.simulation.parameters import Dynamics
+from kr270_milling.simulation.parameters import Dynamics, MeasuredModes
 
-__all__ = ["arm_model", "modal_models"]
+__all__ = ["arm_model", "measured_model", "modal_models"]
+
+#: where rotation and translation of the reference cannot both be met, a radian counts as much as this way [m]:
+#: what a turn about the tool tip moves at the radius of an ordinary cutter
+RADIUS = 0.01
 
 
 def modal_models(arm: Arm, mount: Mount, dynamics: Dynamics, workpiece: Pose, joints: np.ndarray) -> list[ModalModel]:
@@ -30,6 +33,29 @@ def modal_models(arm: Arm, mount: Mount, dynamics: Dynamics, workpiece: Pose, jo
 def _clean(mass: np.ndarray) -> np.ndarray:
     """Turning a matrix whose rotations carry no inertia must leave exact zeros there."""
     return np.where(np.abs(mass) < 1e-12 * np.abs(mass).max(), 0.0, 0.5 * (mass + mass.T))
+
+
+def measured_model(measured: MeasuredModes) -> ModalModel:
+    """eta'' + 2 zeta omega eta' + omega^2 eta = phi^T F - gamma r'', delta = phi eta.
+
+    gamma = phi^T M for a mass matrix M. No M comes with measured modes, but with six of them phi^T M = phi^-1; with
+    fewer, gamma is the least-squares inverse of phi: above all modes the tool stays where it is in every direction in
+    which some mode moves it, and follows the reference in the others.
+    """
+    shapes = measured.shape.reshape(-1, 6).T  # (6, r)
+    weight = np.array([1.0] * 3 + [RADIUS] * 3)
+    r = measured.frequency.size
+    return ModalModel(
+        inertial=np.arange(r),
+        frequency=2 * np.pi * measured.frequency,
+        shape=np.eye(r),
+        mass=np.eye(r),
+        force=shapes.T,
+        output=shapes,
+        feedthrough=np.zeros((6, 6)),
+        reference=np.linalg.pinv(weight[:, None] * shapes) * weight,
+        damping=measured.damping_ratio,
+    )
 
 
 def arm_model(
