@@ -17,7 +17,7 @@ def test_memory_of_the_writer_stays_flat(tmp_path):
         peaks = []
         tracemalloc.start()
         for part in range(3):
-            for i in range(30_000):
+            for i in range(15_000):
                 writer.write("/p", data, 0, log_time=part * 10**9 + i)
             peaks.append(tracemalloc.get_traced_memory()[0])
         tracemalloc.stop()

@@ -111,13 +111,13 @@ def test_other_types_and_topics_are_refused(tmp_path):
             list(batches(recording, "/u"))
 
 
-def test_100000_poses_are_read_in_less_than_two_seconds(tmp_path):
+def test_30000_poses_are_read_in_less_than_a_second(tmp_path):
     body = raw(pose(0, np.arange(7)))
-    with Recording(written(tmp_path / "a", POSE, [body] * 100_000)) as recording:
+    with Recording(written(tmp_path / "a", POSE, [body] * 30_000)) as recording:
         begin = time.process_time()
         found = series(recording, "/t")
-        assert time.process_time() - begin < 2.0
-    np.testing.assert_array_equal(found.values, np.tile(np.arange(7.0), (100_000, 1)))
+        assert time.process_time() - begin < 1.0
+    np.testing.assert_array_equal(found.values, np.tile(np.arange(7.0), (30_000, 1)))
 
 
 def test_large_messages_are_read_some_megabytes_at_a_time(tmp_path):
