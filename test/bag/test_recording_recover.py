@@ -8,6 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
+from test_recording_reader import Whole
 from test_recording_samples import TOPICS, record
 
 from kr270_milling.bag.errors import RecordingError
@@ -22,13 +23,6 @@ RELAXED = settings(max_examples=budget(60), deadline=None, suppress_health_check
 PACKED = 9 + 3 * 8 + 4 + 8 + 8  # bytes of a chunk before its packed bytes: lengths, times, checksum, "zstd"
 
 
-class Source(tuple):
-    """Bytes, messages and chunks; hypothesis prints its arguments, so the text is short."""
-
-    def __repr__(self):
-        return "source"
-
-
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
     """The bytes of a file with many chunks, and its messages."""
@@ -36,7 +30,7 @@ def source(tmp_path_factory):
     written = record(directory, 60, attachments={"cell.yaml": "a: 1\n"}, metadata={"seed": 1}, chunk_size=20_000)
     with Recording(directory) as recording:
         chunks = [(chunk, len(recording.unpack(chunk))) for chunk in recording.chunks]
-    return Source(((directory / "a.mcap").read_bytes(), written, chunks))
+    return Whole(((directory / "a.mcap").read_bytes(), written, chunks))
 
 
 def kept(directory) -> list:
