@@ -30,8 +30,8 @@ def run_along(args) -> None:
     cell = read_cell(source, settings)
     with progress("milling") as report:
         ran = simulate(cell, progress=report).result
-    chosen = np.linspace(0, len(ran.time) - 1, args.places).astype(int)
-    step = float(ran.time[-1] - ran.time[0]) / (args.places - 1)
+    chosen = np.linspace(0, len(ran.time) - 1, min(args.places, len(ran.time))).astype(int)
+    step = float(ran.time[-1] - ran.time[0]) / (len(chosen) - 1)
     turns = Turns(cell, course_at(cell, ran, chosen), step, np.degrees(1e-6 * args.smooth))
     grid = np.radians(np.linspace(*(args.tool_turn or GRID)))
     way, same, own = find_way(turns, grid), constant_way(turns, grid), constant_way(turns, np.zeros(1))
@@ -72,8 +72,6 @@ def run_along(args) -> None:
 
 def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
     """The turned trajectory as a recording, the cell that runs it, and a table with the joint angles."""
-    import shutil
-
     import numpy as np
 
     from kr270_milling.bag.writer import BagWriter
@@ -87,7 +85,6 @@ def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
     changes = {"path": {"file": RECORDING}, "workpiece": place_of(cell.workpiece.pose),
                "posture_deg": np.degrees(q[0]).tolist()}  # fmt: skip
     note = f"The tool turns about its axis along the path, from {np.degrees(way.turn[0]):.2f} deg on"
-    shutil.rmtree(out / RECORDING, ignore_errors=True)
     with staged(out) as (draft, final):
         write_cell(draft / CELL, source, settings, cell, changes, note)
         write_csv(draft / TABLE, run, q)
