@@ -68,11 +68,11 @@ class Sweep:
     axes: tuple[Axis, ...]
     samples: int | None = None  #: of a Latin hypercube; None: the grid, the last axis fastest
     seed: int = 1
-    chunk: int = 0  #: rows a file; 0: as many as make some 64 files, 8 at most
+    chunk: int = 0  #: rows a file; 0: as many as make 64 to 20,000 files, 1 to 8 where that allows
 
     def __post_init__(self):
         if self.chunk == 0:
-            object.__setattr__(self, "chunk", min(8, max(1, len(self) // 64)))
+            object.__setattr__(self, "chunk", max(1, min(8, len(self) // 64), len(self) // 20_000))
         known = [row["key"] for row in keys_of()]
         for axis in self.axes:
             if axis.key not in known:  # else every row would say so

@@ -44,6 +44,11 @@ def test_a_grid_has_every_combination_and_a_hypercube_every_stratum():
         assert sorted(strata) == list(range(40))
 
 
+def test_files_are_neither_few_nor_without_number():
+    for count, chunk in ((4, 1), (640, 8), (100_000, 8), (10_000_000, 500)):
+        assert sweep(samples=count).chunk == chunk
+
+
 def test_the_rows_are_plain_passes_whatever_the_chunk():
     import io
 
