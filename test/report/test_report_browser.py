@@ -69,6 +69,14 @@ def visit(running, part):
     found.close()
 
 
+@pytest.fixture(scope="module")
+def paper(running, demo):
+    found = Visit(running, demo[2])
+    found.ask("KR.drawEverything()")
+    yield found
+    found.close()
+
+
 def settled(visit) -> dict:
     visit.ask("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     return visit.ask(MARKS)
@@ -190,28 +198,29 @@ def test_tolerance_and_largest_values_are_marked(visit, part):
     assert len(marked) == 3
 
 
-@pytest.mark.parametrize(
-    ("which", "width", "dark"), [("part", 390, True), ("part", 1400, True), ("demo", 390, False), ("demo", 1400, False)]
-)
-def test_nothing_is_wider_than_the_screen_in_light_and_dark(running, request, which, width, dark):
-    _, _, url = request.getfixturevalue(which)
-    visit = Visit(running, url, width, dark, touch=width < 500)
-    visit.ask("KR.drawEverything()")
-    assert visit.overhang <= 0.5
-    back = visit.ask("() => getComputedStyle(document.body).backgroundColor")
-    assert (sum(map(int, back[4:-1].split(","))) < 200) == dark
-    ink = visit.ask("() => document.getElementById('series').layout.font.color")
-    assert (int(ink[1:3], 16) > 128) == dark
-    assert visit.complaints == [] and visit.requests == [url]
+@pytest.mark.parametrize("which", ["visit", "paper"])
+def test_nothing_is_wider_than_the_screen_in_light_and_dark(request, which):
+    visit = request.getfixturevalue(which)
+    for width, dark in ((1400, True), (390, True), (390, False)):
+        visit.page.emulate_media(color_scheme="dark" if dark else "light")
+        visit.page.set_viewport_size({"width": width, "height": 900})
+        visit.page.wait_for_function(
+            """([wide, ink]) => { const s = document.getElementById('series')._fullLayout;
+                                  return s.width <= wide && s.width > 0.6 * wide && s.font.color === ink; }""",
+            arg=[width, "#e8ecf0" if dark else "#1d2329"],
+        )
+        assert visit.overhang <= 0.5
+        back = visit.ask("() => getComputedStyle(document.body).backgroundColor")
+        assert (sum(map(int, back[4:-1].split(","))) < 200) == dark
+    assert visit.complaints == [] and len(visit.requests) == 1
     assert visit.ask(
         """() => [...document.querySelectorAll('[role=img]')]
                  .every((e) => (e.getAttribute('aria-label') || '').length > 20)"""
     )
-    visit.close()
 
 
-def test_a_phone_turned_and_a_theme_changed_draw_again(running, demo):
-    visit = Visit(running, demo[2], 390)
+def test_a_phone_opened_turned_and_a_page_printed(running, demo):
+    visit = Visit(running, demo[2], 390, touch=True)
     visit.page.set_viewport_size({"width": 844, "height": 390})
     visit.page.emulate_media(color_scheme="dark")
     visit.page.wait_for_function("document.getElementById('series').layout.font.color === '#e8ecf0'")

@@ -101,27 +101,26 @@ def test_who_comes_late_gets_everything_and_the_stream_ends_with_the_graph(serve
     assert rows == told
 
 
-@pytest.mark.parametrize(("width", "dark"), [(1400, False), (390, True)])
-def test_the_page_grows_while_events_come_and_says_when_the_graph_is_closed(served, width, dark):
+def test_the_page_grows_while_events_come_and_says_when_the_graph_is_closed(served):
     events, port = served
     found = events_of(heard(made.one_pass(passes=2)))
     with browser() as running:
-        visit = Visit(running, f"http://127.0.0.1:{port}/", width, dark)
+        wide = Visit(running, f"http://127.0.0.1:{port}/")
+        phone = Visit(running, f"http://127.0.0.1:{port}/", 390, dark=True, touch=True)
         half = len(found) // 2
-        for event in found[:half]:
-            events.tell(event)
-        count = "(n) => KR.watch.samples === n"
         samples = [sum(e["kind"] == "sample" for e in part) for part in (found[:half], found)]
-        visit.page.wait_for_function(count, arg=samples[0])
-        for event in found[half:]:
-            events.tell(event)
-        visit.page.wait_for_function(count, arg=samples[1])
-        drawn = visit.ask("() => document.getElementById('live_series').data.map((t) => t.y.length)")
-        assert len(drawn) == 6 and sum(drawn) == 3 * samples[1]  # two passes, three rows
-        assert visit.ask("() => document.getElementById('live_map').data[0].x.length") == drawn[3]
+        for part, count in zip((found[:half], found[half:]), samples, strict=True):
+            for event in part:
+                events.tell(event)
+            for visit in (wide, phone):
+                visit.page.wait_for_function("(n) => KR.watch.samples === n", arg=count)
         events.tell({"kind": "end"})
-        visit.page.wait_for_function("KR.watch.ended")
-        assert "closed" in visit.page.locator("#now").inner_text()
-        assert visit.overhang <= 0.5 and visit.complaints == []
-        assert {url.rsplit("/", 1)[1] for url in visit.requests if not url.startswith("data:")} == {"", "events"}
-        visit.close()
+        for visit in (wide, phone):
+            visit.page.wait_for_function("KR.watch.ended")
+            drawn = visit.ask("() => document.getElementById('live_series').data.map((t) => t.y.length)")
+            assert len(drawn) == 6 and sum(drawn) == 3 * samples[1]  # two passes, three rows
+            assert visit.ask("() => document.getElementById('live_map').data[0].x.length") == drawn[3]
+            assert "closed" in visit.page.locator("#now").inner_text()
+            assert visit.overhang <= 0.5 and visit.complaints == []
+            assert {url.rsplit("/", 1)[1] for url in visit.requests if not url.startswith("data:")} == {"", "events"}
+            visit.close()
