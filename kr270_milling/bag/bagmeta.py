@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import yaml
 
@@ -53,7 +54,10 @@ def qos_text(profiles: Iterable) -> str:
     return yaml_text([describe_qos(p) for p in profiles]).strip()
 
 
-class _WithoutAnchors(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):
+Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+class _WithoutAnchors(Dumper):
     """Writes what stands twice twice: anchors are legal YAML that other readers need not know."""
 
     def ignore_aliases(self, data) -> bool:

@@ -107,7 +107,7 @@ class Messages:
         """Log time [ns] and number of every message in the order of the times; holds 12 bytes a message."""
         times = np.frombuffer(self.times, np.uint64)
         order = np.argsort(times, kind="stable").astype(np.uint32)
-        return zip(memoryview(times[order]), memoryview(order), strict=True)
+        return zip(times[order].data, order.data, strict=True)
 
 
 class Unpacker:

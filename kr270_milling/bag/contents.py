@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
@@ -48,7 +48,8 @@ class Contents:
 
     def take(self, part: Part):
         """Take one record of the top level; returns a Chunk, an Attachment or mcap's record."""
-        kind, found = part.type, None
+        kind = part.type
+        found: Any = None
         if kind in (Opcode.CHUNK, Opcode.MESSAGE):
             found = Chunk.of(part)
             if len(self.chunks) == MOST_CHUNKS:

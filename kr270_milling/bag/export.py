@@ -8,6 +8,7 @@ import io
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,8 @@ def _export_topic(recording: Recording, topic: str, directory: Path, open_table,
 
 
 def _write_all(parts: Iterator[Table], begin: Callable) -> None:
-    table, columns = None, None
+    table: Any = None
+    columns = None
     try:
         for names, values in parts:
             if names != columns:
@@ -126,7 +128,8 @@ class _CsvTable:
 
 class _ParquetTable:
     def __init__(self, stream, names: list[str]):
-        self._stream, self._names, self._writer = stream, names, None
+        self._stream, self._names = stream, names
+        self._writer: Any = None
 
     def write(self, columns: list) -> None:
         import pyarrow

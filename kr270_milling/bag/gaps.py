@@ -65,7 +65,7 @@ class GapCounter:
         return missing
 
     def _learn(self) -> int:
-        differences, self._differences = self._differences, None
+        differences, self._differences = self._differences or [], None
         period = min(differences)
         off = [abs(d - period * ((d + period // 2) // period)) for d in differences]
         single = sum(2 * d < 3 * period for d in differences)

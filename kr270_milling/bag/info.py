@@ -39,7 +39,7 @@ def info(recording: Recording, progress: Callable[[int, int], None] | None = Non
         messages=recording.count,
         start_ns=first,
         end_ns=last,
-        duration_s=(last - first) / 1e9 if recording.count else 0.0,
+        duration_s=((last or 0) - (first or 0)) / 1e9 if recording.count else 0.0,
         topics={name: _topic(about, sizes[name], spans[name], counters.get(name)) for name, about in topics.items()},
         missing=sum(counter.missing for counter in counters.values()),
         metadata={k: v for k, v in recording.metadata().items() if k != "rosbag2"},

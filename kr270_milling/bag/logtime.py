@@ -31,16 +31,14 @@ class LogTimes:
         if stamp == 0 and kind.startswith("trajectory_msgs/"):
             stamp = None  # it means "start at once" and says nothing of when it was published
         tells = stamp is not None and not kind.startswith(BESIDE)
-        if self.latest is None and not tells:
+        latest = stamp if self.latest is None and tells else self.latest
+        if latest is None:
             return None
-        if self.latest is None:
-            self.latest = stamp
-        if self._offset is None and tells:  # what was begun without a stamp goes on from there
-            self._offset = 0 if abs(stamp - self.latest) < YEAR else stamp - self.latest
+        if self._offset is None and tells and stamp is not None:  # what was begun without a stamp goes on from there
+            self._offset = 0 if abs(stamp - latest) < YEAR else stamp - latest
         if self._offset is None and self._by_wall:
-            self.latest = max(self.latest, publish_time)
+            latest = max(latest, publish_time)
         time = None if stamp is None else stamp - (self._offset or 0)
-        if time is None or time < 0 or abs(time - self.latest) >= YEAR:
-            return self.latest
-        self.latest = max(self.latest, time)
-        return time
+        usable = time is not None and time >= 0 and abs(time - latest) < YEAR
+        self.latest = latest if time is None or not usable else max(latest, time)
+        return time if usable else latest

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from contextlib import suppress
 from pathlib import Path
+from typing import IO, cast
 
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
@@ -39,7 +41,7 @@ class Output:
         self._chunks = 0
         self._file: int | None = self._create()
         # the checksum over the whole data section shows a flipped bit also outside of the chunks
-        self.mcap = Writer(self, chunk_size, CompressionType.ZSTD, enable_data_crcs=True)
+        self.mcap = Writer(cast(IO[bytes], self), chunk_size, CompressionType.ZSTD, enable_data_crcs=True)
 
     def _create(self) -> int:
         folder = self.path.parent
@@ -56,6 +58,12 @@ class Output:
             raise RecordingError(self.path, f"cannot be created: {error.strerror}") from error
 
     @property
+    def _descriptor(self) -> int:
+        if self._file is None:
+            raise OSError(errno.EBADF, "the file is closed")
+        return self._file
+
+    @property
     def is_open(self) -> bool:
         return self._file is not None
 
@@ -64,7 +72,7 @@ class Output:
     def write(self, data) -> int:
         view, done = memoryview(data), 0
         while done < len(view):
-            done += os.write(self._file, view[done:])
+            done += os.write(self._descriptor, view[done:])
         self.position += done
         self._chunks += bool(done) and view[0] == Opcode.CHUNK
         return done
@@ -118,15 +126,16 @@ class Output:
             f"are safe, the last {self.count - self.kept + waiting} are lost"
         )
         with suppress(OSError):
-            os.ftruncate(self._file, self.position)
+            os.ftruncate(self._descriptor, self.position)
         self._close()
         self.error = RecordingError(self.path, text)
         raise self.error from error
 
     def _close(self) -> None:
         file, self._file = self._file, None
-        with suppress(OSError):
-            os.close(file)
+        if file is not None:
+            with suppress(OSError):
+                os.close(file)
 
     def finish(self, name: str, data: bytes) -> None:
         """End the file, and write a small one under ``name`` beside it, in place of whatever has that name."""

@@ -36,9 +36,11 @@ def _find(recording: Recording) -> tuple[Part, ...]:
     whole = Part((BEGIN, END), recording.first_log_time or 0, recording.last_log_time or 0, 0)
     if whole.first > 0:  # on a clock that does not begin at 0 no pass begins there either
         return (whole,)
-    found, shift = [], 0
+    found: list[Part] = []
+    shift = 0
     begins = list(_beginnings(recording))
-    for (begin, first, last), (end, *_) in zip(begins, [*begins[1:], (END,)], strict=True):
+    ends = [*(begin for begin, _, _ in begins[1:]), END]
+    for (begin, first, last), end in zip(begins, ends, strict=True):
         found.append(Part((begin, end), first, last, shift))
         shift += last + 1
     return tuple(found) or (whole,)

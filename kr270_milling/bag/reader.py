@@ -171,7 +171,7 @@ class Recording:
 
     @property
     def count(self) -> int:
-        return self.contents.counts.total()
+        return (self.contents.counts or Counter()).total()
 
     @property
     def first_log_time(self) -> int | None:
@@ -236,7 +236,8 @@ class Recording:
     def _by_time(self, chunks: list[Chunk]) -> Iterator[tuple[Messages, int]]:
         """By log times. A chunk is opened when its first time has come; of one that waits for its next message only
         the order is held, and it is unpacked again where it was forgotten meanwhile."""
-        lanes = [(chunk.first_time, chunk.offset, -1, chunk, iter(())) for chunk in chunks]  # next message of each
+        # the next message of each
+        lanes: list[tuple] = [(chunk.first_time, chunk.offset, -1, chunk, iter(())) for chunk in chunks]
         heapq.heapify(lanes)
         held, bearable = 0, CACHE + 2 * self.size
         while lanes:

@@ -183,15 +183,15 @@ def _timed(record: TrajectoryRecord) -> TimedPath:
     kept = np.concatenate([[True], moves])
     length = np.linalg.norm(np.diff(run.position, axis=0), axis=1)
     feed = np.append(0.0, length / np.diff(run.time_ns) * 1e9)[kept]
-    bend = np.append(0.0, np.zeros(moves.size) if none else _bends(run))[kept]
+    bend = np.append(0.0, np.zeros(moves.size) if run.velocity is None else _bends(run, run.velocity))[kept]
     path = _blocks(run.position[kept], run.quaternion[kept], feed, bend)
     ends = np.cumsum(path.block_length)[np.cumsum(kept) - 1]
     return TimedPath(path, run, path.block_at(ends), ends, timed_by_source=True)
 
 
-def _bends(run: Trajectory) -> np.ndarray:
+def _bends(run: Trajectory, velocity: np.ndarray) -> np.ndarray:
     """Curvature [1/m] in the xy plane, (n - 1,), of an arc that turns as the velocity does from knot to knot."""
-    plane = run.velocity[:, :2]
+    plane = velocity[:, :2]
     cross = plane[:-1, 0] * plane[1:, 1] - plane[:-1, 1] * plane[1:, 0]
     turn = np.arctan2(cross, np.sum(plane[:-1] * plane[1:], axis=1))
     chord = np.hypot(*np.diff(run.position[:, :2], axis=0).T)

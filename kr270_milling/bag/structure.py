@@ -43,7 +43,8 @@ class Damage(ValueError):
 class Strict(BytesIO):
     """Bytes that mcap cannot read over the end of."""
 
-    def read(self, size: int) -> bytes:
+    def read(self, size: int | None = -1, /) -> bytes:
+        size = len(self.getbuffer()) - self.tell() if size is None or size < 0 else size
         data = super().read(min(size, 2**31))  # Python itself takes no size beyond 2^63
         if len(data) != size:
             raise EndOfFile

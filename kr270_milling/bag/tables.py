@@ -69,7 +69,9 @@ def _trajectory_tables(recording: Recording, topic: str) -> Iterator[Table]:
 
 def _any_tables(recording: Recording, topic: str, cells_of: Callable[[object], dict]) -> Iterator[Table]:
     """Any other type, row by row."""
-    rows, columns, size = [], None, 0
+    rows: list[list] = []
+    columns: list[str] = []
+    size = 0
     for message, decoded in recording.decoded([topic], as_written=True):
         try:
             cells = {"log_time_ns": message.log_time, **cells_of(decoded)}

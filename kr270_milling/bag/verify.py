@@ -53,7 +53,8 @@ class _Walk:
 
     def run(self, progress) -> None:
         recording, end = self.recording, self.recording.data_end
-        chunk, expected = None, {}
+        chunk: int | None = None
+        expected: dict = {}
         for part in parts(self.stream, len(MAGIC), end):
             if part.type == Opcode.MESSAGE_INDEX:
                 self.guard(self._check_index, part, chunk, expected)
@@ -110,7 +111,7 @@ class _Walk:
         """The index of chunks and the counts, against what is there."""
         at = self.recording.size - FOOTER_SIZE
         behind = end + HEAD.size + 4  # of the record that ends the data
-        if +self.counts != +self.recording.contents.counts:
+        if +self.counts != +(self.recording.contents.counts or Counter()):
             self.found.append("the counts of messages at the end are not those of the messages")
         for part in parts(self.stream, behind, self.recording.size):
             if part.type == Opcode.CHUNK_INDEX:

@@ -193,6 +193,7 @@ class BagWriter:
         while self._waiting:
             channel, data, publish_time, stamp = self._waiting.popleft()
             log_time = self._times.of(channel.type, stamp, publish_time)
+            log_time = first if log_time is None else log_time  # begun, so that it knows one
             self._append(channel, data, publish_time, log_time, channel.count, stamp)
         self._waiting_size, self._waiting_since = 0, None
 
@@ -212,7 +213,7 @@ class BagWriter:
         now [s]: any clock that does not go back."""
         if self._waiting and (self._waiting_since is None or now < self._waiting_since):
             self._waiting_since = now
-        if self._waiting and now - self._waiting_since >= HOLD_PERIOD:
+        if self._waiting and self._waiting_since is not None and now - self._waiting_since >= HOLD_PERIOD:
             self._release()
             self.flush()
         if self._last_tick is None or now < self._last_tick:
