@@ -2,6 +2,7 @@
 (() => {
   const DRAW_MS = 150;
   const ROWS = [["side", "deviation to the left [µm]"], ["up", "deviation upwards [µm]"], ["force", "force [N]"]];
+  const LEVELS = ["", "warning: ", "error: ", "silent: "]; // so that the colour is not needed
   const passes = [];
   const waiting = [];
   const nodes = new Map();
@@ -64,7 +65,7 @@
         KR.by("nodes").append(item);
       }
       nodes.get(event.node).dataset.level = event.level;
-      nodes.get(event.node).lastChild.textContent = event.message;
+      nodes.get(event.node).lastChild.textContent = LEVELS[event.level] + event.message;
     } else if (event.kind === "end") {
       KR.watch.ended = true;
       KR.by("now").textContent = "the graph is closed; what was seen stays here";
