@@ -63,7 +63,7 @@ def _data(cell: Cell, passes, parts, paper: bool, program: str | None) -> dict:
     """What the page's scripts draw."""
     charts = setup_charts(cell)
     if not cell.path.file:
-        charts += [*pass_charts(cell, passes[0]), *comparison_charts(cell, passes)]
+        charts += [*pass_charts(cell, passes[0]), *comparison_charts(cell, passes, parts)]
     sizes = [t.whole.max_normal for t in parts] if cell.path.file else [p.scores.max_deviation for p in passes]
     best = min(range(len(passes)), key=lambda k: sizes[k])
     return {

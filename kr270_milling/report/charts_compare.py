@@ -8,8 +8,8 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decision.part import PartAssessment
 from kr270_milling.report.charts import Chart, Curve, Panel, curve
-from kr270_milling.report.derived import slot_walls
 from kr270_milling.report.series import deviation_of
 
 __all__ = ["comparison_charts"]
@@ -17,13 +17,13 @@ __all__ = ["comparison_charts"]
 SAMPLES = 1000  #: of a reference trajectory
 
 
-def comparison_charts(cell: Cell, passes: Sequence[ScoredPass]) -> list[Chart]:
+def comparison_charts(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> list[Chart]:
     """What the compensations did to the trajectory, and what came of it."""
     charts = [_references(cell, passes[1:])] if len(passes) > 1 else []
     charts.append(_deviations(cell, passes))
     target = cell.target()
     if np.ptp(target.position[:, 1]) < 1e-9 and target.position[-1, 0] > target.position[0, 0]:
-        charts += _walls(cell, passes)
+        charts += _walls(parts)
     return charts
 
 
@@ -85,26 +85,23 @@ def _deviation_panel(curves, passes: Sequence[ScoredPass], shade, title: str, re
     )
 
 
-def _walls(cell: Cell, passes: Sequence[ScoredPass]) -> list[Chart]:
-    """The machined profile, where the path runs along +x."""
-    path, low, high = cell.target().position, cell.stock.min, cell.stock.max
-    span = (max(path[0, 0], low[0]), min(path[-1, 0], high[0]))
-    nominal = [path[0, 1] + side * cell.tool.radius for side in (1, -1)]
-    sides = [(k, y) for k, y in enumerate(nominal) if low[1] < y < high[1]]
-    if not span[0] < span[1] or not sides:
-        return []
-    found = [(p.name, slot_walls(p.result.time, p.result.actual, cell.tool)) for p in passes]
+def _walls(parts: Sequence[PartAssessment]) -> list[Chart]:
+    """The machined profile, where the path runs along +x: what the assessment of the part says of its walls."""
     panels = []
-    for k, y in sides:
+    for title, normal in (("left wall", -1.0), ("right wall", 1.0)):
         curves = []
-        for number, (name, walls) in enumerate(found):
-            inside = (walls.x >= span[0]) & (walls.x <= span[1])
-            error = ((walls.left, walls.right)[k][inside] - y) * 1e6
-            curves.append(curve(name, walls.x[inside] * 1e3, error, number, legend=k == sides[0][0]))
-        title = ("left wall", "right wall")[k]
-        panels.append(Panel("x [mm]", "error of the wall [µm]", tuple(curves), title=title, levels=((0.0, ""),)))
+        for number, part in enumerate(parts):
+            walls = part.surface.walls
+            rows = np.flatnonzero(walls.normal[:, 1] * normal > 0.5)
+            rows = rows[np.argsort(walls.position[rows, 0])]
+            if rows.size:
+                x, shift = walls.position[rows, 0] * 1e3, walls.error[rows] * normal * 1e6
+                curves.append(curve(part.name, x, shift, number, legend=not panels))
+        if curves:
+            label = "error of the wall [µm]"
+            panels.append(Panel("x [mm]", label, tuple(curves), title=title, levels=((0.0, ""),)))
     caption = (
-        "What remains on the part: each wall's distance from its nominal place, from the passages of the teeth. The "
-        "fine teeth of the curves are the cusps between two passages of a tooth. Positive is to the left of the feed."
+        "What remains on the part: how far each wall stands from its nominal place, from the passages of the teeth. "
+        "Positive is to the left of the feed."
     )
-    return [Chart("machined_profile", "Machined profile", "", caption, tuple(panels))]
+    return [Chart("machined_profile", "Machined profile", "", caption, tuple(panels))] if panels else []

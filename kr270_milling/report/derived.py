@@ -1,23 +1,12 @@
-"""What the figures show and a pass does not hold by itself: micro-step forces, slot walls, spectra."""
+"""What the figures show and a pass does not hold by itself: micro-step forces, spectra."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from kr270_milling.cutting import Cut, Tool
+from kr270_milling.cutting import Cut
 
-__all__ = ["Walls", "amplitude_spectrum", "micro_step_forces", "moving_mean", "slot_walls", "thinned_spectrum"]
-
-
-@dataclass(frozen=True, eq=False)
-class Walls:
-    """The two walls of a slot along x, left is +y."""
-
-    x: np.ndarray  #: [m], (n,)
-    left: np.ndarray  #: y of the wall [m], (n,)
-    right: np.ndarray  #: [m], (n,)
+__all__ = ["amplitude_spectrum", "micro_step_forces", "moving_mean", "thinned_spectrum"]
 
 
 def micro_step_forces(cut: Cut, tool: np.ndarray, micro_steps: int) -> np.ndarray:
@@ -39,47 +28,6 @@ def moving_mean(values: np.ndarray, window: int) -> np.ndarray:
     low = np.maximum(np.arange(values.size) - half, 0)
     high = np.minimum(np.arange(values.size) + max(1, window) - half, values.size)
     return (total[high] - total[low]) / (high - low)
-
-
-def slot_walls(time: np.ndarray, actual: np.ndarray, tool: Tool) -> Walls:
-    """Walls that the teeth leave when the tool centre (n, 3) [m] moves along +x; time (n,) [s].
-
-    Each tooth cuts the wall deepest when it passes +y or -y; what stays between two marks is a cusp of about
-    f_z^2 / 8R. Points: every mark and every cusp.
-    """
-    marks = {side: _marks(time, actual, tool, side) for side in (1.0, -1.0)}
-    x = marks[1.0][0]
-    x = np.sort(np.concatenate([x, 0.5 * (x[1:] + x[:-1])]))
-    left, right = (side * _outermost(x, *marks[side]) for side in (1.0, -1.0))
-    return Walls(x, left, right)
-
-
-def _marks(time: np.ndarray, actual: np.ndarray, tool: Tool, side: float) -> tuple[np.ndarray, ...]:
-    """x, side * y of the centre and the radius [m] at each passage of a tooth by +y (side 1) or -y (-1)."""
-    passages, radii = [], []
-    for angle, radius in zip(tool.angles, tool.radii, strict=True):
-        turn = (side * tool.sense * np.pi / 2 - angle) % (2 * np.pi)
-        when = np.arange(turn / tool.spindle_speed, time[-1], 2 * np.pi / tool.spindle_speed)
-        passages.append(when[when >= time[0]])
-        radii.append(np.full(passages[-1].size, radius))
-    when = np.concatenate(passages)
-    order = np.argsort(when, kind="stable")
-    when = when[order]
-    x, y = np.interp(when, time, actual[:, 0]), np.interp(when, time, actual[:, 1])
-    return x, side * y, np.concatenate(radii)[order]
-
-
-def _outermost(x: np.ndarray, centre_x: np.ndarray, centre_y: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """(n,): the farthest reach at each x of the teeth that passed nearby."""
-    reach = np.full(x.size, -np.inf)
-    if not centre_x.size:
-        return reach
-    nearest = np.clip(np.searchsorted(centre_x, x), 0, centre_x.size - 1)
-    for offset in range(-4, 5):
-        k = np.clip(nearest + offset, 0, centre_x.size - 1)
-        squared = radius[k] ** 2 - (x - centre_x[k]) ** 2
-        reach = np.maximum(reach, np.where(squared > 0, centre_y[k] + np.sqrt(np.maximum(squared, 0.0)), -np.inf))
-    return reach
 
 
 def amplitude_spectrum(values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
