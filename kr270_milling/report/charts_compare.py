@@ -87,7 +87,7 @@ def _deviation_panel(curves, passes: Sequence[ScoredPass], shade, title: str, re
 
 def _walls(parts: Sequence[PartAssessment]) -> list[Chart]:
     """The machined profile, where the path runs along +x: what the assessment of the part says of its walls."""
-    panels = []
+    panels: list[Panel] = []
     for title, normal in (("left wall", -1.0), ("right wall", 1.0)):
         curves = []
         for number, part in enumerate(parts):
