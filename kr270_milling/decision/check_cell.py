@@ -18,35 +18,25 @@ WIDEST_GRID = 0.05  #: of the tool's radius: with fewer nodes across a cut its f
 
 def cell_violations(cell: Cell) -> list[Violation]:
     """What is unlikely in the parameter file; all are warnings, for the user may have an unlikely cell."""
-    return _elasticity(cell) + _masses(cell) + _tool(cell) + _envelope(cell) + _posture(cell)
+    compliance, mass = np.asarray(cell.arm.joint_compliance), np.asarray(cell.arm.link_mass)
+    gives = "joint {number} gives way by {value:.3g} urad/(N m), arms of this size by 0.01 to 100"
+    weighs = "link {number} has {value:.3g} kg, links of arms of this size 1 to 2000 kg"
+    found = _unlikely("compliance", compliance, COMPLIANCE, gives, 1e6) + _unlikely("mass", mass, LINK_MASS, weighs)
+    return found + _tool(cell) + _envelope(cell) + _posture(cell)
 
 
 def _warning(kind: str, value: float, limit: float, sentence: str) -> list[Violation]:
     return [Violation(kind, None, float(value), float(limit), "warning", sentence)]
 
 
-def _outside(values: np.ndarray, low: float, high: float) -> int | None:
-    """The first index whose value is not within the bounds; None where all are."""
-    over = np.flatnonzero(~((values >= low) & (values <= high)))
-    return int(over[0]) if over.size else None
-
-
-def _elasticity(cell: Cell) -> list[Violation]:
-    values = np.asarray(cell.arm.joint_compliance)
-    k = _outside(values, *COMPLIANCE)
-    if k is None:
+def _unlikely(kind: str, values: np.ndarray, bounds: tuple, sentence: str, scale: float = 1.0) -> list[Violation]:
+    """A warning of the first value that is not within the bounds."""
+    over = np.flatnonzero(~((values >= bounds[0]) & (values <= bounds[1])))
+    if not over.size:
         return []
-    shown = f"joint {k + 1} gives way by {1e6 * values[k]:.3g} urad/(N m), arms of this size by 0.01 to 100"
-    return _warning("compliance", values[k], COMPLIANCE[int(values[k] > COMPLIANCE[1])], shown)
-
-
-def _masses(cell: Cell) -> list[Violation]:
-    values = np.asarray(cell.arm.link_mass)
-    k = _outside(values, *LINK_MASS)
-    if k is None:
-        return []
-    shown = f"link {k + 1} has {values[k]:.3g} kg, links of arms of this size 1 to 2000 kg"
-    return _warning("mass", values[k], LINK_MASS[int(values[k] > LINK_MASS[1])], shown)
+    value = float(values[over[0]])
+    text = sentence.format(number=over[0] + 1, value=scale * value)
+    return _warning(kind, value, bounds[int(value > bounds[1])], text)
 
 
 def _tool(cell: Cell) -> list[Violation]:

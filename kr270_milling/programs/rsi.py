@@ -27,17 +27,12 @@ def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: in
     write_files({path: lines})
 
 
-def write_joint_table(path, trajectory: Trajectory, joints, velocities=None, names=JOINT_NAMES) -> None:
-    """A joint trajectory: time_s, then a column of positions [deg] for each joint, then velocities [deg/s] if given.
-
-    joints [rad], (n, 6); velocities [rad/s], (n, 6).
-    """
-    tables = [np.asarray(joints, float)] + ([] if velocities is None else [np.asarray(velocities, float)])
-    for table in tables:
-        if table.shape != (len(trajectory), len(names)) or not np.isfinite(table).all():
-            raise TrajectoryError("a joint table needs one finite value per knot and joint")
-    header = [f"{n}_deg" for n in names] + ([] if velocities is None else [f"{n}_deg_per_s" for n in names])
-    lines = ["time_s," + ",".join(header) + "\n"]
-    for time, row in zip(trajectory.time_ns.tolist(), np.degrees(np.hstack(tables)).tolist(), strict=True):
+def write_joint_table(path, trajectory: Trajectory, joints) -> None:
+    """A joint trajectory: time_s, then a column of positions [deg] for each joint; joints [rad], (n, 6)."""
+    table = np.degrees(np.asarray(joints, float))
+    if table.shape != (len(trajectory), len(JOINT_NAMES)) or not np.isfinite(table).all():
+        raise TrajectoryError("a joint table needs one finite value per knot and joint")
+    lines = ["time_s," + ",".join(f"{name}_deg" for name in JOINT_NAMES) + "\n"]
+    for time, row in zip(trajectory.time_ns.tolist(), table.tolist(), strict=True):
         lines.append(f"{seconds(time)}," + ",".join(map(repr, row)) + "\n")
     write_files({path: lines})

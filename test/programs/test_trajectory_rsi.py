@@ -53,14 +53,13 @@ def test_other_ticks_and_paths_of_unlike_duration_are_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_joint_positions_and_velocities_are_written_in_degrees(tmp_path):
+def test_joint_positions_are_written_in_degrees(tmp_path):
     joints = np.random.default_rng(2).uniform(-3, 3, (25, 6))
-    write_joint_table(tmp_path / "joints.csv", LINE, joints, joints / 7)
+    write_joint_table(tmp_path / "joints.csv", LINE, joints)
     table = rows(tmp_path / "joints.csv")
     assert [row["time_s"] for row in table] == [t / 1e9 for t in LINE.time_ns.tolist()]
     for column, name in enumerate(JOINT_NAMES):
         assert [row[f"{name}_deg"] for row in table] == np.degrees(joints[:, column]).tolist()
-        assert [row[f"{name}_deg_per_s"] for row in table] == np.degrees(joints[:, column] / 7).tolist()
 
 
 def test_joints_that_do_not_fit_the_knots_are_refused(tmp_path):
