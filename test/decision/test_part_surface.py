@@ -9,7 +9,8 @@ from milled_part import HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
 
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.decision.part import heights_at, ideal_part, machined, surface
-from kr270_milling.decision.part.course import course
+from kr270_milling.decision.part.course import Course, course
+from kr270_milling.decision.part.walls import IdealWalls, Marks, remaining_walls
 
 MM, UM = 1e-3, 1e-6
 
@@ -188,3 +189,14 @@ def test_heights_beside_the_stock_are_not_known(slot):
     cut = slot.cut()
     found = heights_at(cut, np.array([[0.0, 0.0], [20.1 * MM, 0.0], [0.0, -15.1 * MM]]))
     assert found[0] == 0.0 and np.isnan(found[1:]).all()
+
+
+def test_a_mark_among_too_many_of_other_walls_counts_alone():
+    """A tool that rests in a corner: more marks at one point than are looked at, all but one of the other wall."""
+    other, mine, radius = 60, 1, 0.01
+    normal = np.array([[0.0, 1.0]] * other + [[1.0, 0.0]] * mine)
+    centre = np.column_stack([-radius * normal, np.full(other + mine, -1e-3)])  # all teeth point at the origin
+    marks = Marks(centre, normal, np.full(61, radius), np.zeros(61, np.int64), np.full(61, 0.5))
+    path = Course(np.zeros(2), np.array([[1.0, 0, 0]] * 2), np.zeros(2), np.zeros(2, np.int64), ("corner",))
+    walls = remaining_walls(IdealWalls(marks, np.array([60]), np.array([1e-3])), path, np.full((2, 3), 1e-5), 1e-9)
+    np.testing.assert_allclose(walls.error, [-1e-5])  # the wall is cut 10 um too deep

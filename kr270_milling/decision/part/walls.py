@@ -111,13 +111,17 @@ def remaining_walls(ideal: IdealWalls, path: Course, error: np.ndarray, level: f
     k, kept = found.period, found[ideal.kept]
     moved = (error[k] + found.share[:, None] * (error[k + 1] - error[k]))[:, :2]
     position = np.column_stack([kept.point, kept.centre[:, 2]])
-    missed = -_reach(found, moved, kept, 2.0 * level)
+    missed = -_reach(found, moved, kept, np.einsum("kd,kd->k", moved[ideal.kept], kept.normal), 2.0 * level)
     return Walls(position, -kept.normal, ideal.height, missed, path.feature[kept.period])
 
 
-def _reach(found: Marks, error: np.ndarray, kept: Marks, level: float) -> np.ndarray:
-    """How much farther than rigid ones teeth reached at each kept mark [m], (k,); error (m, 2) [m]: their shifts."""
-    out = np.empty(len(kept))
+def _reach(found: Marks, error: np.ndarray, kept: Marks, own: np.ndarray, level: float) -> np.ndarray:
+    """How much farther than rigid ones teeth reached at each kept mark [m], (k,); error (m, 2) [m]: their shifts.
+
+    own: how much farther the tooth of the kept mark itself did [m], (k,); it counts alone where a tool rests so long
+    that all the nearest marks are of other walls.
+    """
+    out = np.array(own)
     if not out.size:
         return out
     tree = cKDTree(found.point)
@@ -137,5 +141,6 @@ def _reach(found: Marks, error: np.ndarray, kept: Marks, level: float) -> np.nda
         rigid = np.einsum("mkd,md->mk", away, mine.normal) + arc
         moved = rigid + np.einsum("mkd,md->mk", error[near], mine.normal)
         farthest = [np.where(same, reach, -np.inf).max(axis=1) for reach in (moved, rigid)]
-        out[first : first + CHUNK] = farthest[0] - farthest[1]
+        known = same.any(axis=1)
+        out[first : first + CHUNK][known] = farthest[0][known] - farthest[1][known]
     return out
