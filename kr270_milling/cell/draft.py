@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.errors import InputError
 from kr270_milling.cell.template import TEMPLATE
 from kr270_milling.trajectory.toolpath import Toolpath
 
@@ -21,6 +22,8 @@ PLACE = (1500.0, 0.0, 800.0)  #: [mm], of the test piece, see config/test_piece.
 PERIOD = 0.25e-3  #: [s], exchange period of the test piece
 LONGEST_PERIOD = 2e-3  #: [s]
 STEPS = 2e6  #: exchange periods that a pass should take at most
+RAPID = 0.2  #: [m/s], of rapid moves, as the template has it
+SPACING, POSTURES = 5.0, 2e4  #: [mm] between two modelled postures, and how many of them a long path should have
 NODES = 2.5e7  #: of the grid, 25 MB
 FINEST, FINE, COARSEST = 5.0, 20.0, 100.0  #: [um], grid steps
 STRAIGHT = """      start_mm: [-8.0, 0.0]              # yours: a straight cut along +x; or give file: part.nc
@@ -87,7 +90,9 @@ def _sides(box: Box, place: np.ndarray, margin: float) -> list[Box]:
 
 
 def draft_text(file: str, path: Toolpath, robot: str) -> str:
-    """The YAML of a cell for a path, which ``check`` reads as it is."""
+    """The YAML of a cell for a path, which ``check`` reads as it is; raises InputError for a path that cuts nothing."""
+    if path.rapid[1:].all():
+        raise InputError(file, "has no cutting move: every block is a rapid one")
     program, tool = path.program, path.program.current
     speed = abs(program.spindle_speeds[0]) * 30 / math.pi if program.spindle_speeds else 0.0
     diameter = 1e3 * tool.diameter if tool and tool.diameter else 0.0
@@ -118,6 +123,7 @@ def draft_text(file: str, path: Toolpath, robot: str) -> str:
             path=f"      file: {_quoted(file)}" + (f"\n      tool: {_quoted(program.tool)}" if several else ""),
             period=f"{period:.10g}" if "." in f"{period:.10g}" else f"{period:.1f}",
             steps=steps,
+            spacing=_number(math.ceil(max(SPACING, 1e3 * RAPID * _duration(path) / POSTURES))),
         )
     )
 
@@ -144,15 +150,20 @@ def straight_text(robot: str) -> str:
             path=STRAIGHT,
             period=_number(period),
             steps=round(PERIOD * 6.0 * SPEED),
+            spacing=_number(SPACING),
         )
     )
 
 
+def _duration(path: Toolpath) -> float:
+    """[s], about what the path takes."""
+    feed = np.where(path.rapid, RAPID, np.maximum(path.feed, 1e-6))
+    return 1.3 * float((path.block_length / feed).sum()) + 5.0
+
+
 def _period(path: Toolpath, speed: float) -> tuple[float, int]:
     """Exchange period [ms] of whole degrees of the spindle at a speed [rpm], longer for a path that takes long."""
-    feed = np.where(path.rapid, 0.2, np.maximum(path.feed, 1e-6))
-    duration = 1.3 * float((path.block_length / feed).sum()) + 5.0
-    wanted = min(max(PERIOD, duration / STEPS), LONGEST_PERIOD)
+    wanted = min(max(PERIOD, _duration(path) / STEPS), LONGEST_PERIOD)
     steps = max(1, round(wanted * 6.0 * speed))
     return 1e3 * steps / (6.0 * speed), steps
 

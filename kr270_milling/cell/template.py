@@ -50,7 +50,7 @@ TEMPLATE = """\
       damping_ratio: 0.04                # yours: milling robots have 0.02 to 0.05
       gravity: true
       follow_pose: true
-      posture_spacing_mm: 5.0
+      posture_spacing_mm: {spacing}
 
     exchange:
       period_ms: {period}                # {steps} micro-steps at the spindle speed

@@ -66,6 +66,19 @@ def test_the_stock_leaves_room_where_the_tool_comes_down_rapidly(capsys, tmp_pat
     assert np.hypot(*beside.T).min() > piece.tool.radius
 
 
+def test_a_program_that_takes_an_hour_is_modelled_at_as_many_postures_as_a_cell_may_have(capsys, tmp_path):
+    (tmp_path / "slow.nc").write_text(SLOT.replace("F1200", "F1"))  # 18 mm at 1 mm/min
+    cell = cell_of(capsys, tmp_path, "--gcode", tmp_path / "slow.nc")
+    assert cell.target().duration_ns > 1000e9 and cell.dynamics.posture_spacing > 5e-3
+    assert len(cell._postures(cell.target())[1]) < 50_000  # more than 100,000 are refused
+
+
+def test_a_program_without_a_cut_is_refused_in_a_sentence(capsys, tmp_path):
+    (tmp_path / "air.nc").write_text("G21 S6000 M3\nG0 X0 Y0 Z5\nX10 F600\nM30\n")
+    assert main(["init", "--gcode", str(tmp_path / "air.nc")]) == 2
+    assert "has no cutting move" in capsys.readouterr().err
+
+
 def test_a_program_is_checked_as_init_prints_it(capsys, tmp_path):
     (tmp_path / "slot.nc").write_text(SLOT)
     (tmp_path / "my.yaml").write_text(printed(capsys, "--gcode", tmp_path / "slot.nc"))
