@@ -1,6 +1,7 @@
 """Many rows in chunks on Dask: each chunk is a Parquet file of its own, so that a study goes on where it stopped.
 
-Without a scheduler's address a local cluster of as many processes as cores is started, on the loopback interface only.
+Without a scheduler's address a local cluster of as many processes as cores is started, on the loopback interface only,
+unless the work is done before it would be up.
 A chunk depends on nothing but its number, so the rows are the same bit for bit whatever the number of workers.
 """
 
@@ -27,6 +28,7 @@ from kr270_milling.programs.files import source_hash
 __all__ = ["EngineError", "Study", "content", "run_chunks"]
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
+ALONE = 4.0  #: [s] of work that is done before a local cluster is up
 ANSWER = 10.0  #: [s] for a scheduler to answer
 PATIENCE = 30.0  #: [s] for a first worker
 LOOK = 1.0  #: [s] between two looks at the number of workers
@@ -92,13 +94,14 @@ def run_chunks(
     EngineError where Dask is missing, or the scheduler cannot be reached, has no worker or goes away.
     """
     missing, start = study.missing(count), time.monotonic()
+    done = count - len(missing)
+    if scheduler is None:
+        alone = _alone(study, missing, rows_of)
+        done += alone
+        missing = missing[alone:]
     if not missing:
-        return 0.0
-    if scheduler is None and len(missing) == 1:  # one chunk is made here before workers are up
-        _write_whole(study.chunk(missing[0]), rows_of(missing[0]))
         return time.monotonic() - start
     with _client(scheduler) as client:
-        done = count - len(missing)
         try:
             for number, data in _made(client, f"{study.folder.name}-{uuid.uuid4().hex}", missing, rows_of):
                 _write_whole(study.chunk(number), data)
@@ -109,6 +112,18 @@ def run_chunks(
             text = f"the workers are gone, or lack this package ({error}); the same command goes on where it stopped"
             raise EngineError(text) from None
     return time.monotonic() - start
+
+
+def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes]) -> int:
+    """Make chunks here as long as the rest takes less than the start of a cluster; returns how many were made."""
+    for k, number in enumerate(missing):
+        begun = time.monotonic()
+        _write_whole(study.chunk(number), rows_of(number))
+        took = time.monotonic() - begun
+        # the first chunk may compile, so that a short one has a second try
+        if took * (len(missing) - k - 1) > ALONE and (k > 0 or took > ALONE / 4):
+            return k + 1
+    return len(missing)
 
 
 def _made(client, name: str, missing: list[int], rows_of: Callable[[int], bytes]) -> Iterator[tuple[int, bytes]]:

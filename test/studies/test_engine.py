@@ -94,6 +94,17 @@ def test_failures_are_rows_and_a_chunk_that_is_lost_is_made_again_as_it_was(clus
     assert [path.read_bytes() for path in files] == made
 
 
+def test_a_short_study_needs_no_cluster_and_a_long_one_soon_has_one(tmp_path, monkeypatch):
+    def refuse(scheduler):
+        raise EngineError("a cluster")
+
+    monkeypatch.setattr("kr270_milling.studies.engine._client", refuse)
+    run_chunks(Study(tmp_path / "short", {}), 50, rows_of(0.001))
+    with pytest.raises(EngineError, match="a cluster"):
+        run_chunks(Study(tmp_path / "long", {}), 5000, rows_of(0.05))
+    assert len(list((tmp_path / "long").glob("rows-*"))) == 2
+
+
 def test_no_more_chunks_are_out_than_a_few_a_worker(cluster, tmp_path, monkeypatch):
     """What is submitted and not yet written is what the driver and the workers hold: the bound of their memory."""
     study, out, most = Study(tmp_path / "study", {}), set(), []
@@ -145,7 +156,9 @@ def test_a_killed_driver_loses_what_was_out_and_the_same_command_goes_on(cluster
     psutil = pytest.importorskip("psutil")
     words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.1:1:0.05", "--json", "--out", str(tmp_path)]
     words += [part for pair in (*SHORT, "exchange.micro_step_deg=0.1") for part in ("--set", pair)]
-    driver = subprocess.Popen([sys.executable, "-m", "kr270_milling.cli", *words], stderr=subprocess.DEVNULL)
+    script = "import sys; from kr270_milling import cli; from kr270_milling.studies import engine; engine.ALONE = 0.0; "
+    line = [sys.executable, "-c", f"{script} cli.main(sys.argv[1:])", *words]
+    driver = subprocess.Popen(line, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
     until(lambda: len(list(tmp_path.glob("rows-*.parquet"))) >= 3, "no rows")
     children = psutil.Process(driver.pid).children(recursive=True)
     listening = [c.laddr.ip for p in (psutil.Process(driver.pid), *children) for c in p.net_connections()
