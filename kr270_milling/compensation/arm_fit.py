@@ -23,6 +23,7 @@ OFFSET = 50e-6  #: [m], assumed: standard deviation of a constant offset between
 MODEL_ERROR = 1e-6  #: [m], assumed: what the model of the cut leaves unexplained of the uncorrected pass
 DIFFERENCE_ERROR = 0.3e-6  #: [m], assumed: the same of the difference of two passes, in which most of it cancels
 MATTERS = 0.003  #: share of the sensitivity to all modes that a mode must have to be fitted
+RESOLVED = 1.0  #: [rad] that a mode goes on within a part: of a faster one means over the parts tell little
 SCAN = np.exp(np.arange(-0.4, 0.41, 0.05)), (0.4, 1.0, 2.5)  #: factors on frequency and damping that are tried first
 KEPT = 4  #: latest corrected passes that are fitted
 
@@ -96,12 +97,13 @@ class _Problem:
         return swing if self.first.wrench is None else arm.give_way(self.segments, self.first.wrench) + swing
 
     def _sensitive(self) -> np.ndarray:
-        """Modes whose frequency changes what the passes show."""
+        """Modes whose frequency changes what the passes show, and slow enough for the means over the parts."""
         effect = np.zeros(self.arm.order)
         for mode in range(self.arm.order):
             factor = np.where(np.arange(self.arm.order) == mode, 1.05, 1.0)
             effect[mode] = sum(np.sum((self.weight * change) ** 2) for change in self._changes(factor))
-        return np.flatnonzero(effect > MATTERS * max(effect.sum(), 1e-300))
+        slow = self.arm.frequency[0] * float(np.median(self.segments.duration)) / self.segments.parts < RESOLVED
+        return np.flatnonzero(slow & (effect > MATTERS * max(effect.sum(), 1e-300)))
 
     def _changes(self, factor: np.ndarray):
         other = self.arm.scaled(factor, 1.0)
