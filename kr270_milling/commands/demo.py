@@ -15,6 +15,7 @@ INERTIA_METHODS = (*METHODS, "inverse")
 PAPER = {"original": ("58.10", "63.20"), "linear": ("0.14", "4.70")}
 AS_PRINTED = "Path deviation [um], eq. (1) as printed, Table 2"
 WITH_INERTIA = "Path deviation [um], with the inertia of the moving arm"
+WITH = ", with inertia"
 NEEDS = "learned and inverse need a tracker or the model: the encoders of the joints do not see the deflection"
 
 
@@ -40,27 +41,27 @@ def run(args) -> None:
         how = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
         with staged(args.out) as (draft, final):
             passes = _plain(cell, METHODS, read_plant(args, cell))
-            second = _plain(moving, INERTIA_METHODS, read_plant(args, moving))
+            second = _plain(moving, INERTIA_METHODS, read_plant(args, moving), WITH)
             report = final(_write(draft, cell, passes, second, source, args))
         return _tell(args, passes, second, {"report": str(report), "out": args.out, "ran_as": how})
     from kr270_milling.commands.run import run_cell, summary
 
     found = run_cell(cell, METHODS, args.out)
     passes = [ran.scored for ran in found["passes"]]
-    second = _plain(moving, INERTIA_METHODS, None)
+    second = _plain(moving, INERTIA_METHODS, None, WITH)
     how = f"four ROS 2 nodes and a recorder, graph up in {found['graph_up_s']:.2f} s"
     report = _write(found["out"], cell, passes, second, source, args)
     return _tell(args, passes, second, {**summary(found), "report": str(report), "ran_as": how})
 
 
-def _plain(cell, methods, plant) -> list:
+def _plain(cell, methods, plant, how: str = "") -> list:
     from kr270_milling.cell.jobs import compensated, compensator, simulate
 
-    with progress("original") as report:
+    with progress(f"original{how}") as report:
         passes = [simulate(cell, progress=report, plant=plant)]
     for method in methods:
         by = compensator(cell, cell.target(), method)
-        with progress(method, by.most_passes) as report:
+        with progress(f"{method}{how}", by.most_passes) as report:
             passes.append(compensated(cell, passes[0], method, report, by, plant))
     return passes
 

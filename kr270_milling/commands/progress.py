@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 __all__ = ["Progress", "progress"]
 
-LINE_PERIOD = 3.0  #: [s] between two lines
+LINE_PERIOD = 5.0  #: [s] between two lines
 LOOK_PERIOD = 0.2  #: [s] between two looks of the bar
 
 
