@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import interpolate, signal
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
@@ -15,7 +15,7 @@ from kr270_milling.simulation.arm_model import arm_model
 from kr270_milling.simulation.dynamics import modes
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.simulation.milling_pass import CompliantArm
-from kr270_milling.simulation.reference_motion import approach, reference_motion
+from kr270_milling.simulation.reference_motion import INPUTS, approach, push, reference_motion
 from kr270_milling.simulation.sides import CuttingSide, RobotSide
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory
 
@@ -289,3 +289,11 @@ def test_a_straight_cut_does_not_know_the_term_and_a_bent_reference_does():
     bent = target.with_position(target.position + along_y(np.arange(len(target)) % 2 * 2e-5))
     rung = [simulate(c, bent).result.deflection for c in (printed, moving)]
     assert np.abs(rung[1] - rung[0]).max() > 1e-6
+
+
+def test_between_two_postures_the_response_goes_in_a_straight_line():
+    rng = np.random.default_rng(4)
+    response, motion, found = rng.normal(size=(3, 4, INPUTS)), rng.normal(size=(11, INPUTS)), np.empty((11, 4))
+    push(motion, response, 4.0, found)
+    between = interpolate.make_interp_spline(np.arange(3), response, 1)(np.minimum(np.arange(11) / 4.0, 2.0))
+    np.testing.assert_allclose(found, np.einsum("nij,nj->ni", between, motion), rtol=1e-12)
