@@ -62,7 +62,7 @@ def test_start_that_is_interrupted_ends_at_once_and_quietly(ros_environment, com
 def test_node_that_a_run_starts_and_interrupts_at_any_time_ends_quietly(ros_environment, tmp_path):
     """Also while Python itself starts, which has no handlers yet."""
     names = [name for name in NODES if name != "player"]
-    for start in range(STARTS):
+    for start in range(2 * STARTS):
         child = Child(names[start % len(names)], ["--ros-args"], tmp_path / f"{start}.log")
         time.sleep(0.008 * start)
         child.signal((signal.SIGINT, signal.SIGTERM)[start % 2])
