@@ -40,8 +40,6 @@ class CuttingProcess(ManagedNode):
     def configure(self) -> None:
         self._compile()
         self.send(self.protocol.configure())
-        if self.protocol.side is not None:
-            self.protocol.side.cut.touch()
         self._mapped = True
         self.stamp_ns = 0
         self.report(OK, "configured: fresh workpiece")

@@ -165,7 +165,9 @@ class CutProtocol:
 
     def configure(self) -> list[Output]:
         """A fresh workpiece; its map, so that nobody who comes now takes the last part for this one."""
-        self.side = CuttingSide(self._fresh(), self._clock)
+        cut = self._fresh()
+        cut.touch()
+        self.side = CuttingSide(cut, self._clock)
         self.stamp_ns = 0
         return self.workpiece()
 
