@@ -13,10 +13,11 @@ from rclpy.callback_groups import CallbackGroup
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
-__all__ = ["DRAIN_PERIOD", "DEPTH", "Taken", "aside", "drain", "in_order", "is_aside"]
+__all__ = ["DRAIN_PERIOD", "DEPTH", "Taken", "as_available", "aside", "drain", "in_order", "is_aside"]
 
 DRAIN_PERIOD = 0.02  # [s] of the wall
 DEPTH = 20_000  # messages that may wait in the reader
+AGAIN = 5_000_000_000  # [ns] that a message which was lost may take to come again; more is a clock that was set back
 #: (arrival, publication [ns of the wall clock], callback, message as bytes)
 Taken = tuple[int, int, Callable, bytes]
 
@@ -53,8 +54,18 @@ def drain(subscriptions: Iterable[Subscription]) -> list[Taken]:
             while (found := handle.take_message(subscription.msg_type, True)) is not None:
                 data, info = found
                 series.append((info["received_timestamp"], info["source_timestamp"], subscription.callback, data))
-        taken.append(series)
+        taken.append(as_available(series))
     return in_order(taken)
+
+
+def as_available(series: list[Taken]) -> list[Taken]:
+    """Of one reader. What came while a lost message was sent again waited in the reader: it has come with that one."""
+    latest = 0
+    found: list[Taken] = []
+    for arrived, published, callback, data in series:
+        latest = latest if 0 < latest - arrived < AGAIN else arrived
+        found.append((latest, published, callback, data))
+    return found
 
 
 def in_order(series: list[list[Taken]]) -> list[Taken]:

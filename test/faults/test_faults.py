@@ -30,7 +30,7 @@ from kr270_milling.graph import graph, watchdog
 from kr270_milling.graph.graph import Graph
 from kr270_milling.graph.processes import Child, RunError
 from kr270_milling.graph.watchdog import LOST, QUIET, Watchdog
-from kr270_milling.ros.drain import in_order
+from kr270_milling.ros.drain import as_available, in_order
 
 PACKAGE = Path(__file__).resolve().parents[2] / "kr270_milling"
 HOUR = 3600 * 10**9
@@ -176,6 +176,15 @@ def test_clock_set_back_does_not_turn_the_order_of_messages():
     poses, wrenches = series("p", HOUR + 1, HOUR + 3, 5, 7), series("w", HOUR + 2, HOUR + 4, 6)
     assert [item[3] for item in in_order([poses, wrenches])] == ["p0", "w0", "p1", "w1", "p2", "w2", "p3"]
     assert [item[3] for item in in_order([wrenches, poses[:2]])] == ["p0", "w0", "p1", "w1", "w2"]
+
+
+def test_what_waited_in_the_reader_for_a_lost_message_has_come_with_it():
+    """Else the recorder would write it now, and the lost one, which arrived while it emptied its readers, later."""
+    second = 10**9
+    series = [(arrived, 0, None, b"") for arrived in (1, 2, 80 + second, 3, 4, 81 + second)]
+    assert [item[0] for item in as_available(series)] == [1, 2, *[80 + second] * 3, 81 + second]
+    set_back = [(arrived * second, 0, None, b"") for arrived in (4000, 400, 401)]  # the clock, by an hour
+    assert as_available(set_back) == set_back
 
 
 def test_timers_of_a_node_run_on_while_its_own_clock_stands_still(world):
