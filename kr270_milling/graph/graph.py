@@ -249,13 +249,15 @@ class Graph:
             self.driver.transition(CUT, "configure", UP)
 
     def _all_recorded(self) -> bool:
-        """The recorder has the last pose and wrench."""
-        status = self.driver.status(RECORDER)
-        if status is None:
-            return False
-        latest = status.counts("latest_ns")
-        last = float(self._says("pass_time_s", ROBOT)) * 1e9 - 1000  # told in microseconds
-        return all(latest.get(self.driver.name_of(t), -1) >= last for t in ("tool_pose", "wrench"))
+        """The recorder has the last message of robot and cut on each of their topics."""
+        sent = {**self._stamps(ROBOT, "sent_ns"), **self._stamps(CUT, "sent_ns")}
+        there = self._stamps(RECORDER, "latest_ns")
+        return bool(sent) and all(there.get(topic, -1) >= stamp for topic, stamp in sent.items())
+
+    def _stamps(self, node: str, key: str) -> dict[str, int]:
+        """Topic -> the last stamp [ns] that a node told."""
+        status = self.driver.status(node)
+        return status.counts(key) if status else {}
 
     def close(self, code: int = 0) -> None:
         """Stop everything; the recorder last, so that it has the others' last words.

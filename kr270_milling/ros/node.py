@@ -73,6 +73,7 @@ class Reporting(Node):
 
     def start_reporting(self) -> None:
         self.refused = 0  #: messages and requests that could not be used
+        self.sent: dict[str, int] = {}  #: stamp of the last message of each outlet [ns]
         self.stamp_ns = 0  #: time of the pass, the stamp of whatever the node publishes next without one of its own
         self._level, self.message, self._said = OK, "starting", ""
         self._values: dict[str, object] = {}
@@ -92,6 +93,7 @@ class Reporting(Node):
         """Publish what a protocol gives."""
         for name, record in outputs:
             self.outlets[name].publish(to_bytes(record))
+            self.sent[name] = getattr(record, "stamp", 0)
 
     def report(self, level, message: str, **values) -> None:
         """Set the node's status; a new message is also logged and published at once."""
@@ -129,7 +131,9 @@ class Reporting(Node):
         return {k: " ".join(f"{t}={n}" for t, n in v.items() if t not in OWN) for k, v in ends.items()}
 
     def publish_report(self) -> None:
-        values = {"pid": os.getpid(), **self._values, **self.watch(), **self._ends(), "refused": self.refused}
+        sent = " ".join(f"{self.outlets[name].topic_name}={ns}" for name, ns in self.sent.items() if ns)
+        values = {"pid": os.getpid(), **self._values, **self.watch(), **self._ends(), "sent_ns": sent}
+        values["refused"] = self.refused
         status = DiagnosticStatus(
             level=self._level,
             name=self.get_fully_qualified_name(),
