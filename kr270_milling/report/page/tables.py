@@ -141,7 +141,7 @@ def run_rows(cell: Cell, source: str, command: str, date: str) -> list[tuple[str
 def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
     """Table 1: name with unit, six values; joints [rad], (6,): those that are commanded at the start."""
     return [
-        ("commanded joint position q at the start [deg]", [_number(v) for v in np.round(np.degrees(joints), 6)]),
+        ("commanded joint position q at the start [deg]", [_number(v) for v in np.round(np.degrees(joints), 3)]),
         ("joint compliance [10⁻⁶ rad/(N m)]", [_number(v) for v in np.round(cell.arm.joint_compliance * UM, 9)]),
         ("link mass [kg]", [_number(v) for v in cell.arm.link_mass]),
     ]
