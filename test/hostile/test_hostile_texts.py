@@ -1,81 +1,13 @@
-"""What the package must never do, read from its own source, and what a report does with texts from elsewhere."""
+"""What reports and the terminal do with texts from elsewhere; that the package runs none of them is ruff's business."""
 
 from __future__ import annotations
 
-import ast
 import html.parser
-import re
 from pathlib import Path
 
 import pytest
 from hostile import ask, settings
 from small_part import SET
-
-PACKAGE = Path(__file__).resolve().parents[2] / "kr270_milling"
-FILES = sorted(PACKAGE.rglob("*.py"))
-FORBIDDEN_CALLS = {"eval", "exec", "compile", "__import__", "os.system", "os.popen", "tempfile.mktemp",
-                   "yaml.unsafe_load", "yaml.full_load", "yaml.load_all", "yaml.dump", "np.load", "numpy.load",
-                   "subprocess.getoutput", "subprocess.getstatusoutput"}  # fmt: skip
-FORBIDDEN_MODULES = {"pickle", "cPickle", "dill", "shelve", "marshal", "joblib", "commands", "imp"}
-
-
-def offences(source: str) -> list[str]:
-    """What in a source text is forbidden, with the line."""
-    found = []
-    for node in ast.walk(ast.parse(source)):
-        names = []
-        if isinstance(node, ast.Import):
-            names = [alias.name.split(".")[0] for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            names = [(node.module or "").split(".")[0]]
-        found += [f"{node.lineno}: imports {name}" for name in names if name in FORBIDDEN_MODULES]
-        if not isinstance(node, ast.Call):
-            continue
-        called, keywords = ast.unparse(node.func), {k.arg: k.value for k in node.keywords}
-        safe = called == "yaml.dump" and "SafeDumper" in ast.unparse(node)
-        if called in FORBIDDEN_CALLS and not safe:
-            found.append(f"{node.lineno}: calls {called}")
-        if called == "yaml.load" and "Loader" not in ast.unparse(node):
-            found.append(f"{node.lineno}: yaml.load without a loader")
-        shell = keywords.get("shell")
-        if shell is not None and not (isinstance(shell, ast.Constant) and shell.value is False):
-            found.append(f"{node.lineno}: starts a shell")
-        if called.endswith("Environment") and "jinja2" in called and ast.unparse(keywords.get("autoescape")) != "True":
-            found.append(f"{node.lineno}: a template without escapes")
-    return found
-
-
-def test_the_search_finds_each_kind_of_offence():
-    samples = ["import pickle", "from shelve import open", "eval('1')", "import os\nos.system('a')", "yaml.load(t)",
-               "subprocess.run('a', shell=True)", "subprocess.run('a', shell=x)", "tempfile.mktemp()", "np.load(f)",
-               "jinja2.Environment(autoescape=False)"]  # fmt: skip
-    assert all(len(offences(sample)) == 1 for sample in samples)
-    fine = "yaml.load(t, Loader=Strict)\nsubprocess.run(['a'], shell=False)\njinja2.Environment(autoescape=True)"
-    assert offences(fine) == []
-
-
-@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_no_module_runs_texts_as_programs(path):
-    assert offences(path.read_text(encoding="utf-8")) == []
-
-
-def test_every_loader_of_yaml_is_a_safe_one():
-    import yaml
-
-    from kr270_milling.bag.verify import LOADER
-    from kr270_milling.base.parameter_file import _strict_loader
-
-    assert issubclass(_strict_loader(), yaml.SafeLoader)
-    loaders = {m for p in FILES for m in re.findall(r"Loader=([\w.]+)", p.read_text(encoding="utf-8"))}
-    assert issubclass(LOADER, yaml.constructor.SafeConstructor)
-    assert loaders <= {"_strict_loader", "LOADER", "yaml.SafeLoader", "yaml.CSafeLoader"}
-
-
-def test_templates_mark_no_text_as_safe_but_our_own_scripts_and_styles():
-    for path in PACKAGE.rglob("*.html"):
-        assert "safe" not in re.findall(r"\|\s*(\w+)", path.read_text(encoding="utf-8")), path
-    marked = {str(p.relative_to(PACKAGE)) for p in FILES if "Markup(" in p.read_text(encoding="utf-8")}
-    assert marked == {"report/page/page.py", "watch/page.py"}
 
 
 class Page(html.parser.HTMLParser):
