@@ -243,7 +243,7 @@ def test_queue_and_silence_are_as_said():
     from kr270_milling.ros.node import SILENT
 
     said = " ".join(TEXT.split())
-    assert f"silent for {SILENT:g} s" in said
+    assert f"After {SILENT:g} s in mid-pass the others say so" in said
     known = [t for t in vars(topics).values() if isinstance(t, topics.Topic)]
     (depth,) = {t.qos.depth for t in known if t.qos.durability.name == "VOLATILE"}
     assert f"keep the last {depth} messages" in said
