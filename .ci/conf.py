@@ -5,6 +5,7 @@ import re
 project = "kr270_milling"
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 html_theme = "alabaster"
+html_use_index = html_domain_indices = html_copy_source = False  # the search knows all names
 autodoc_member_order = "bysource"
 autodoc_typehints = "description"
 #: a short name in an annotation that several modules have (Channel, type) links to none of them
