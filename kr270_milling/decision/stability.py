@@ -39,7 +39,8 @@ class Stability:
         """One line."""
         if self.word == "no statement":
             return f"stability: no statement, no cut of {FEWEST_TEETH} teeth without a break"
-        return f"stability: {self.word}, from tooth to tooth {100 * self.residue:.2g} % of the feed per tooth remain"
+        share = f"{100 * self.residue:.2g}" if self.residue >= SMALL else f"less than {100 * SMALL:g}"
+        return f"stability: {self.word}, from tooth to tooth {share} % of the feed per tooth remain"
 
     def as_dict(self) -> dict:
         """For JSON."""

@@ -135,7 +135,7 @@ def _made(client, name: str, missing: list[int], rows_of: Callable[[int], bytes]
     source = client.submit(functools.partial(_same, rows_of), key=f"{name}-rows", pure=False)
     waiting = iter(missing)
     numbers: dict[str, int] = {}
-    running = as_completed()
+    running = as_completed(with_results=True)  # results come while others are made, not in a round trip of their own
     looked = -math.inf
     while True:
         if time.monotonic() - looked > LOOK:  # workers come and go
@@ -146,8 +146,8 @@ def _made(client, name: str, missing: list[int], rows_of: Callable[[int], bytes]
             running.add(future)
         if not numbers:
             return
-        future = next(running)
-        yield numbers.pop(future.key), future.result()
+        future, data = next(running)
+        yield numbers.pop(future.key), data
         future.release()
 
 

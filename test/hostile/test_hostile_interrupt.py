@@ -56,10 +56,9 @@ def interrupted(directory, words, module, name, delay: float) -> subprocess.Comp
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-@pytest.mark.parametrize("seed", [1, 2])
-def test_ctrl_c_ends_a_command_cleanly(name, seed, tmp_path):
+def test_ctrl_c_ends_a_command_cleanly(name, tmp_path):
     words, module, function = COMMANDS[name]
-    ended = interrupted(tmp_path, words, module, function, random.Random(f"{name}{seed}").uniform(0.0, 0.4))
+    ended = interrupted(tmp_path, words, module, function, random.Random(name).uniform(0.0, 0.4))
     assert (ended.returncode, ended.stderr, ended.stdout) == (130, "kr270_milling: interrupted\n", "")
     assert contents(tmp_path) == {}
 

@@ -81,7 +81,7 @@ def test_no_key_takes_what_is_no_value_of_its_kind(key, place):
 def test_any_value_is_refused_or_gives_numbers_that_can_be(command, count, place, tmp_path):
     more = ["--no-verdict", "--out", str(tmp_path / "out")] if command == "compensate" else []
 
-    @settings(max_examples=count, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+    @settings(max_examples=budget(count), deadline=None, suppress_health_check=list(HealthCheck), database=None)
     @given(st.sampled_from(KEYS), VALUES)
     def attempt(key, value):
         refused_or_sound(command, write(place, key, value), *more)

@@ -39,8 +39,12 @@ class Cluster:
     def __init__(self, place: Path):
         self.place, self.workers, self.file = place, [], place / "scheduler.json"
         self.scheduler = self.start("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", self.file)
-        until(self.file.exists, "no scheduler")
-        self.address = json.loads(self.file.read_text())["address"]
+
+    @functools.cached_property
+    def address(self) -> str:
+        """Of the scheduler, which writes its file piece by piece."""
+        until(lambda: self.file.exists() and self.file.read_text().rstrip().endswith("}"), "no scheduler")
+        return json.loads(self.file.read_text())["address"]
 
     def start(self, *words):
         line = [sys.executable, "-m", "dask", *map(str, words), "--host", "127.0.0.1"]
