@@ -34,15 +34,12 @@ def pytest_terminal_summary(terminalreporter, config):
         terminalreporter.write_line(book.markdown(book.ROWS))
 
 
-#: folders whose tests start processes: one worker runs them one after another, so that they have the other's core
-PROCESSES = ("faults", "graph", "nodes", "ros", "watch")
-
-
+@pytest.hookimpl(tryfirst=True)  # before the scheduler reads the groups
 def pytest_collection_modifyitems(items) -> None:
-    """One group for ``--dist loadgroup``."""
+    """What talks in a ROS domain runs on one worker, one test after another, so that it has the other core."""
     for item in items:
-        if Path(item.fspath).parent.name in PROCESSES:
-            item.add_marker(pytest.mark.xdist_group("processes"))
+        if {"domain", "of_nodes"} & set(item.fixturenames):
+            item.add_marker(pytest.mark.xdist_group("domain"))
 
 
 @pytest.fixture

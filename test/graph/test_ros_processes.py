@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import mmap
 import os
 import signal
 import subprocess
@@ -76,6 +77,14 @@ def test_port_without_a_lock_is_left_alone_while_somebody_opens_it(port, value):
         os.utime(file, (0, 0))
     litter.remove_litter()  # whoever opened it is dead
     assert not any(map(os.path.exists, files))
+
+
+def test_port_that_waits_for_its_listener_stays_while_a_sender_has_it_mapped(port):
+    """A listener that made it anew would never hear that sender: nodes of another graph did not find each other."""
+    files = make(port)
+    with open(port, "r+b") as stream, mmap.mmap(stream.fileno(), 0):
+        assert not set(files) & set(litter.remove_litter())
+    assert set(files) <= set(litter.remove_litter())
 
 
 def test_segment_without_a_lock_is_left_alone_while_it_may_be_in_the_making():
