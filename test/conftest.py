@@ -17,7 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from ros_domain import DISCOVERY, environment_of_processes, own_domain
+from ros_domain import DISCOVERY, environment_of_processes, own_domain, own_turn
 
 #: a pass of 120 exchanges: air, the first touch and some teeth in the stock
 SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]", "publish.every=1")
@@ -34,18 +34,15 @@ def pytest_terminal_summary(terminalreporter, config):
         terminalreporter.write_line(book.markdown(book.ROWS))
 
 
-@pytest.hookimpl(tryfirst=True)  # before the scheduler reads the groups
 def pytest_collection_modifyitems(items) -> None:
-    """What talks in a ROS domain runs on one worker, one test after another, so that it has the other core."""
-    for item in items:
-        if {"domain", "of_nodes"} & set(item.fixturenames):
-            item.add_marker(pytest.mark.xdist_group("domain"))
+    """What talks in a ROS domain comes first: one worker begins with it, and others steal what is left of its share."""
+    items.sort(key=lambda item: not {"domain", "of_nodes"} & set(item.fixturenames))
 
 
 @pytest.fixture
 def domain():
     """A ROS domain id that no other test run on this machine uses now."""
-    with own_domain() as number:
+    with own_turn(), own_domain() as number:
         yield number
 
 

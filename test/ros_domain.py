@@ -20,11 +20,25 @@ COUNT = 100  # domains; from 102 on their ports may be those of any program
 _turn = itertools.count(os.getpid())  # what one test leaves is not in the domain of the next
 
 
-@contextlib.contextmanager
-def own_domain():
-    """Locked by a file, so that the kernel gives it back whatever becomes of this process."""
+def _locks() -> Path:
+    """Files that are locked, so that the kernel gives back what they stand for whatever becomes of a process."""
     directory = Path(tempfile.gettempdir(), "kr270_milling_domains")
     directory.mkdir(exist_ok=True)
+    return directory
+
+
+@contextlib.contextmanager
+def own_turn():
+    """One worker of a test run at a time, so that five processes have the other core and no other graph beside them."""
+    with open(_locks() / f"turn_{os.environ.get('PYTEST_XDIST_TESTRUNUID', os.getpid())}", "w") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX)
+        yield
+
+
+@contextlib.contextmanager
+def own_domain():
+    """A ROS domain id that nobody else has."""
+    directory = _locks()
     for _ in range(COUNT):
         number = 1 + next(_turn) % COUNT
         with open(directory / str(number), "w") as stream:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pass_recording as made
 import pytest
 from pass_recording import STEPS
-from ros_domain import environment_of_processes, own_domain
+from ros_domain import environment_of_processes, own_domain, own_turn
 
 from kr270_milling.replay.compensate import compensate
 from kr270_milling.replay.recompute import recompute
@@ -80,8 +80,8 @@ def recorder_hears(recording: Path, *topics: str) -> bool:
 @pytest.fixture(scope="module")
 def of_nodes(tmp_path_factory):
     """A pass of the four real nodes, recorded; the directory of the recording."""
-    with own_domain() as domain:
-        yield record_a_pass(tmp_path_factory.mktemp("nodes"), domain)
+    with own_turn(), own_domain() as domain:
+        return record_a_pass(tmp_path_factory.mktemp("nodes"), domain)
 
 
 def record_a_pass(directory: Path, domain: int) -> Path:
