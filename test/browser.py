@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import time
 
 import pytest
 
@@ -73,6 +74,13 @@ class Visit:
             .map((e) => e.getBoundingClientRect().right - wide);
           return Math.max(document.documentElement.scrollWidth - wide, ...over);
         }""")
+
+    def settled_overhang(self, seconds: float = 20.0) -> float:
+        """[px] The overhang when every picture has been drawn again, which takes its time on a busy machine."""
+        end = time.monotonic() + seconds
+        while (over := self.overhang) > 0.5 and time.monotonic() < end:
+            self.page.wait_for_timeout(50)
+        return over
 
     def close(self) -> None:
         self.context.close()

@@ -209,7 +209,7 @@ def test_nothing_is_wider_than_the_screen_in_light_and_dark(request, which):
                                   return s.width <= wide && s.width > 0.6 * wide && s.font.color === ink; }""",
             arg=[width, "#e8ecf0" if dark else "#1d2329"],
         )
-        assert visit.overhang <= 0.5
+        assert visit.settled_overhang() <= 0.5
         back = visit.ask("() => getComputedStyle(document.body).backgroundColor")
         assert (sum(map(int, back[4:-1].split(","))) < 200) == dark
     assert visit.complaints == [] and len(visit.requests) == 1
@@ -225,7 +225,7 @@ def test_a_phone_opened_turned_and_a_page_printed(running, demo):
     visit.page.emulate_media(color_scheme="dark")
     visit.page.wait_for_function("document.getElementById('series').layout.font.color === '#e8ecf0'")
     visit.page.wait_for_function("document.getElementById('series')._fullLayout.width > 700")
-    assert visit.overhang <= 0.5 and visit.complaints == []
+    assert visit.settled_overhang() <= 0.5 and visit.complaints == []
     visit.page.emulate_media(media="print", color_scheme="dark")
     visit.ask("dispatchEvent(new Event('beforeprint'))")
     assert visit.ask("() => document.getElementById('series').layout.font.color") == "#000"

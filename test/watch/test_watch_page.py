@@ -121,6 +121,6 @@ def test_the_page_grows_while_events_come_and_says_when_the_graph_is_closed(serv
             assert len(drawn) == 6 and sum(drawn) == 3 * samples[1]  # two passes, three rows
             assert visit.ask("() => document.getElementById('live_map').data[0].x.length") == drawn[3]
             assert "closed" in visit.page.locator("#now").inner_text()
-            assert visit.overhang <= 0.5 and visit.complaints == []
+            assert visit.settled_overhang() <= 0.5 and visit.complaints == []
             assert {url.rsplit("/", 1)[1] for url in visit.requests if not url.startswith("data:")} == {"", "events"}
             visit.close()
