@@ -155,7 +155,8 @@ def _run(argv: list[str]) -> int:
     if hasattr(sys.stdout, "reconfigure"):  # a file name need not be text that can be printed
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
-        return args.run(args) or EXIT_OK
+        answer = args.run(args)
+        return answer if isinstance(answer, int) else answer.tell(args.json)
     except MillingError as error:
         return _refuse(str(error), getattr(error, "listing", ()))
 
@@ -196,8 +197,11 @@ def _parser(argv: list[str]) -> argparse.ArgumentParser:
         description, epilog = text[0].upper() + text[1:] + ".", f"example: kr270_milling {example}"
         command = sub.add_parser(name, description=description, epilog=epilog)
         if name == chosen:
+            from kr270_milling.commands.options import add_json
+
             module = importlib.import_module(f"kr270_milling.commands.{name}")
             module.add_arguments(command)
+            add_json(command)
             command.set_defaults(run=module.run)
     return parser
 

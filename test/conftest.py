@@ -78,18 +78,16 @@ def demo(tmp_path_factory):
     from kr270_milling.cli import main
     from kr270_milling.commands import demo as command
 
-    told, tell = [], command._tell
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(command, "_tell", lambda *arguments: told.append(arguments))
-        assert main(["demo", "--plain", "--out", str(tmp_path_factory.mktemp("demo") / "out")]) == 0
-    args, passes, moving, found = told[0]
-    texts = []
-    for args.json in (False, True):
-        with contextlib.redirect_stdout(io.StringIO()) as stream:
-            tell(args, passes, moving, found)
-        texts.append(stream.getvalue())
-    moving = {p.name: p for p in moving}
-    return SimpleNamespace(passes={p.name: p for p in passes}, moving=moving, text=texts[0], json=json.loads(texts[1]))
+    told, answer = [], command._answer
+    directory = str(tmp_path_factory.mktemp("demo") / "out")
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as text:
+        patch.setattr(command, "_answer", lambda *arguments: told.append(arguments) or answer(*arguments))
+        assert main(["demo", "--plain", "--out", directory]) == 0
+    passes, moving, _ = told[0]
+    with contextlib.redirect_stdout(io.StringIO()) as as_json:
+        answer(*told[0]).tell(as_json=True)
+    moving, found = {p.name: p for p in moving}, json.loads(as_json.getvalue())
+    return SimpleNamespace(passes={p.name: p for p in passes}, moving=moving, text=text.getvalue(), json=found)
 
 
 @pytest.fixture

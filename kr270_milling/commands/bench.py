@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from kr270_milling.commands.console import add_common, print_json
+from kr270_milling.commands.console import Answer
 
 if TYPE_CHECKING:
     import numpy as np
@@ -23,21 +23,20 @@ USUAL = {"pass": 0.9, "postures": 3.0}
 
 
 def add_arguments(parser) -> None:
-    add_common(parser)
+    """It has no options."""
 
 
-def run(args) -> None:
+def run(args) -> Answer:
     found = {**_pass(), **_postures()}
     slow = [what for what, most in USUAL.items() if found[f"{what}_over_yardstick"] > most]
     found["verdict"] = f"slower than usual: {', '.join(slow)}" if slow else "as fast as usual"
-    if args.json:
-        print_json(found)
-        return
-    for key, value in found.items():
-        print(f"{key:36} {value:.6g}" if isinstance(value, (int, float)) else f"{key:36} {value}")
-    print("yardsticks: a plain milling pass, compiled; numpy's SVD of as many 6 x 6 matrices. A ratio below 1 is")
+    shown = [f"{key:36} {value if isinstance(value, str) else format(value, '.6g')}" for key, value in found.items()]
     usual = ", ".join(f"{most:g} ({what})" for what, most in USUAL.items())
-    print(f"quicker than the yardstick; usual are ratios up to {usual}.")
+    return Answer(found, [
+        *shown,
+        "yardsticks: a plain milling pass, compiled; numpy's SVD of as many 6 x 6 matrices. A ratio below 1 is",
+        f"quicker than the yardstick; usual are ratios up to {usual}.",
+    ])  # fmt: skip
 
 
 def _turns(ours: Callable[[], object], yardstick: Callable[[], object]) -> tuple[float, float]:

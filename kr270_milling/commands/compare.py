@@ -4,39 +4,37 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import add_common, numbers
-from kr270_milling.commands.identified import Outcome, Table, report
+from kr270_milling.commands.console import Answer
+from kr270_milling.commands.options import add_cell, cell_of, option
 from kr270_milling.commands.progress import progress
+from kr270_milling.nodes.option_types import numbers
+
+COLUMNS = ("quantity", "measured / simulated", "95 % +-", "offset", "difference RMS")
 
 
 def add_arguments(parser) -> None:
-    parser.add_argument("recording", metavar="RECORDING", help="of a force sensor, a tracker, or both")
-    parser.add_argument("cell", metavar="CELL.yaml", help="cell file, also a shipped one by its name")
-    parser.add_argument(
-        "--set", metavar="key=value", action="append", default=[], help="override a key, for example tool.teeth=2"
-    )
-    parser.add_argument("--reference", metavar="FILE.csv", help="the pass ran along this, as written by compensate")
-    parser.add_argument("--force-topic", default="wrench", help="WrenchStamped (default: wrench)")
-    parser.add_argument("--pose-topic", default="tool_pose", help="PoseStamped in workpiece axes (default: tool_pose)")
-    abc = numbers(3, most=720.0)
-    parser.add_argument("--sensor-abc", type=abc, metavar="A,B,C", help="force sensor in the workpiece [deg]")
-    parser.add_argument("--sensor-on", choices=("tool", "part"), default="tool", help="a plate under the part: part")
-    parser.add_argument("--out", metavar="DIR", help="write a report")
-    add_common(parser)
+    option(parser, "recording RECORDING", "of a force sensor, a tracker, or both")
+    add_cell(parser)
+    option(parser, "--reference FILE.csv", "the pass ran along this, as written by compensate")
+    option(parser, "--force-topic", "WrenchStamped", default="wrench")
+    option(parser, "--pose-topic", "PoseStamped in workpiece axes", default="tool_pose")
+    option(parser, "--sensor-abc A,B,C", "force sensor in the workpiece [deg]", numbers(3, most=720.0))
+    option(parser, "--sensor-on", "a plate under the part: part", default="tool", choices=("tool", "part"))
+    option(parser, "--out DIR", "write a report")
 
 
-def run(args) -> None:
-    from kr270_milling.base.record import find_file
-    from kr270_milling.cell.cell import read_cell
+def run(args) -> Answer:
+    from kr270_milling.commands.identify import identified
+    from kr270_milling.identification.outcome import Outcome
 
-    cell = read_cell(find_file(args.cell), args.set)
-    found = _compared(args, cell)
+    found = _compared(args, cell_of(args))
     result = _as_dict(found)
     lags = [f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation"
             for name, lag in result["lag_s"].items()]  # fmt: skip
     title = f"Measured against simulated: {Path(args.recording).name} and {Path(args.cell).name}"
-    table = Table("Measured against simulated", *_rows(result))
-    report(args, Outcome("compare", title, result, [table], [*lags, *result["advice"]]), lambda: _figures(found))
+    table = ("Measured against simulated", COLUMNS, _rows(result))
+    said = [*lags, *result["advice"]]
+    return identified(args, Outcome("compare", title, result, [table], said, lambda: _figures(found)))
 
 
 def _compared(args, cell):
@@ -57,17 +55,13 @@ def _compared(args, cell):
 
 def _measured(args):
     """What the recording has of both topics."""
-    import numpy as np
-
     from kr270_milling.bag.reader import Recording
-    from kr270_milling.base.frames import rotation_from_abc
     from kr270_milling.identification.comparison import Pass, Series
-    from kr270_milling.identification.sensor import Sensor, force_series, pose_series
+    from kr270_milling.identification.sensor import Sensor, force_series, pose_series, turn_of
 
     with Recording(args.recording) as recording:
         last = [topic.rpartition("/")[2] for topic in recording.topics()] + list(recording.topics())
-    turn = np.eye(3) if args.sensor_abc is None else rotation_from_abc(np.radians(args.sensor_abc))
-    sensor = Sensor(args.force_topic, turn, args.sensor_on == "part")
+    sensor = Sensor(args.force_topic, turn_of(args.sensor_abc), args.sensor_on == "part")
     force = Series(*force_series(args.recording, sensor)) if args.force_topic in last else None
     pose = Series(*pose_series(args.recording, args.pose_topic)) if args.pose_topic in last else None
     return Pass(force, pose)
@@ -90,14 +84,14 @@ def _as_dict(found) -> dict:
     return {"channels": channels, "lag_s": found.lags, "ringing": ringing, "advice": found.advice}
 
 
-def _rows(result: dict) -> tuple[list[str], list[list[str]]]:
+def _rows(result: dict) -> list[list[str]]:
     rows = []
     for channel in result["channels"]:
         unit = "um" if "offset_um" in channel else "n"
-        numbers_ = [channel["gain"], channel["gain_ci95"], channel[f"offset_{unit}"], channel[f"residual_rms_{unit}"]]
-        shown = [f"{v:.3f}" for v in numbers_[:2]] + [f"{v:.2f} {unit.replace('n', 'N')}" for v in numbers_[2:]]
-        rows.append([channel["name"], *shown])
-    return ["quantity", "measured / simulated", "95 % +-", "offset", "difference RMS"], rows
+        gains = [f"{channel[key]:.3f}" for key in ("gain", "gain_ci95")]
+        rest = [f"{channel[f'{key}_{unit}']:.2f} {unit.replace('n', 'N')}" for key in ("offset", "residual_rms")]
+        rows.append([channel["name"], *gains, *rest])
+    return rows
 
 
 def _figures(found) -> list:

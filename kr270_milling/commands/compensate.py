@@ -7,16 +7,8 @@ from __future__ import annotations
 
 import sys
 
-from kr270_milling.commands.console import (
-    add_cell,
-    add_common,
-    command_line,
-    fixed,
-    joints_text,
-    print_json,
-    print_table,
-)  # fmt: skip
-from kr270_milling.commands.plant import add_plant, read_plant
+from kr270_milling.commands.console import Answer, Table, command_line, fixed, joints_text, now
+from kr270_milling.commands.options import add_cell, add_plant, option, plant_of
 from kr270_milling.commands.progress import progress
 from kr270_milling.compensation.methods import METHODS
 from kr270_milling.nodes.option_types import bounded
@@ -27,35 +19,28 @@ SAMPLES, FEWEST = 32, 8  #: plants of the verdict
 def add_arguments(parser) -> None:
     add_cell(parser)
     add_plant(parser)
-    parser.add_argument("--method", choices=METHODS, help="default: the cell's compensation.method")
-    parser.add_argument("--out", metavar="DIR", default="out", help="where everything goes (default: out)")
-    parser.add_argument(
-        "--krl", choices=("LIN", "SPLINE"), action="append",
-        help="motions of the robot programs; may be given twice (default: LIN for the method linear, which corrects "
-        "in straight lines, else the cell's program.motion)",
-    )  # fmt: skip
+    option(parser, "--method", "default: the cell's compensation.method", choices=METHODS)
+    option(parser, "--out DIR", "where everything goes", default="out")
+    krl = (
+        "motions of the robot programs; may be given twice (default: LIN for the method linear, which corrects in "
+        "straight lines, else the cell's program.motion)"
+    )
+    option(parser, "--krl", krl, choices=("LIN", "SPLINE"), action="append")
     verdict = parser.add_mutually_exclusive_group()
-    verdict.add_argument(
-        "--verdict", metavar="N", type=bounded(1, 999_999, int), nargs="?", const=SAMPLES,
-        help=f"judge the compensation by N plants (default {SAMPLES}) drawn from the cell's uncertainty; by fewer, but "
-        f"at least {FEWEST}, where they take more than 5 minutes. Without this option: as many as take less than a "
-        f"minute, and none where {FEWEST} take longer",
-    )  # fmt: skip
-    verdict.add_argument(
-        "--quick", action="store_true", help=f"a verdict of {FEWEST} plants, without a look at other methods"
+    plants = (
+        f"judge the compensation by N plants (default {SAMPLES}) drawn from the cell's uncertainty; by fewer, but at "
+        f"least {FEWEST}, where they take more than 5 minutes. Without this option: as many as take less than a "
+        f"minute, and none where {FEWEST} take longer"
     )
-    verdict.add_argument("--no-verdict", action="store_true", help="no verdict: the model itself is what cuts")
-    parser.add_argument(
-        "--force", action="store_true",
-        help="write the programs of a path that must not be run all the same, marked NOT RELEASED in name and header",
-    )  # fmt: skip
-    parser.add_argument(
-        "--seed", metavar="N", type=bounded(1, 999_999, int), default=1, help="of the verdict's plants (default: 1)"
-    )
-    add_common(parser)
+    option(verdict, "--verdict N", plants, bounded(1, 999_999, int), nargs="?", const=SAMPLES)
+    option(verdict, "--quick", f"a verdict of {FEWEST} plants, without a look at other methods", bool)
+    option(verdict, "--no-verdict", "no verdict: the model itself is what cuts", bool)
+    force = "write the programs of a path that must not be run all the same, marked NOT RELEASED in name and header"
+    option(parser, "--force", force, bool)
+    option(parser, "--seed N", "of the verdict's plants", bounded(1, 999_999, int), 1)
 
 
-def run(args) -> int:
+def run(args) -> Answer:
     from kr270_milling.base.files import staged
     from kr270_milling.base.record import find_file
     from kr270_milling.cell.cell import read_cell
@@ -65,7 +50,7 @@ def run(args) -> int:
     cell = read_cell(source, args.set)
     method = args.method or cell.compensation.method
     motions = args.krl or ["LIN" if method == "linear" else cell.program.motion]
-    plant = read_plant(args, cell)
+    plant = plant_of(args, cell)
     with staged(args.out) as (draft, final):
         motion = "LIN" if "LIN" in motions else motions[0]  # these are blended
         done = compensate(cell, method, plant=plant, motion=motion, verdict=_order(args), progress=progress)
@@ -73,12 +58,7 @@ def run(args) -> int:
             print(f"no verdict: {FEWEST} plants would take too long; --verdict runs them", file=sys.stderr)
         found = _found(cell, done)
         found |= _write(draft, final, cell, done, motions, args, source)
-    if args.json:
-        print_json(found)
-    else:
-        print(_first_line(done))
-        _print(cell, done, found, args)
-    return 0 if done.checked.may_be_run else 1
+    return Answer(found, _shown(cell, done, found, args), code=int(not done.checked.may_be_run))
 
 
 def _order(args):
@@ -147,11 +127,9 @@ def _correction(cell, revised, by) -> dict:
 
 def _write(draft, final, cell, done, motions, args, source) -> dict:
     """All files; their final paths by kind."""
-    import datetime
-
     from kr270_milling.programs.files import source_hash, write_programs
 
-    date = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+    date = now()
     checked, revised = done.checked, done.revised
     with progress("files"):
         files = write_programs(
@@ -198,33 +176,33 @@ def _joints_table(cell, revised):
     return ReportTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
 
 
-def _print(cell, done, found: dict, args) -> None:
+def _shown(cell, done, found: dict, args):
+    """What people read, the decision first."""
     checked = done.checked
+    yield _first_line(done)
     if cell.path.file:
-        _print_features(found["features"], found["method"])
+        yield _features(found["features"], found["method"])
     else:
         scores = [(ran.name, ran.scores) for ran in (done.original, done.revised)]
         rows = [[name, fixed(1e6 * s.static_deviation), fixed(1e6 * s.max_deviation)] for name, s in scores]
-        print_table("Predicted path deviation [um]", ["pass", "static", "max"], rows)
+        yield Table("Predicted path deviation [um]", ["pass", "static", "max"], rows)
     if found["note"]:
-        print(found["note"])
+        yield found["note"]
     if found["identified"]:
-        print(_identified(found["identified"]))
-    print(joints_text(found["commanded_joints_deg"]))
-    print(f"largest correction {found['largest_correction_mm']:.4f} mm")
+        yield _identified(found["identified"])
+    yield joints_text(found["commanded_joints_deg"])
+    yield f"largest correction {found['largest_correction_mm']:.4f} mm"
     if "chord_error_mm" in found:
-        print(f"LIN chords stand off the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um")
-    print("\n".join(checked.lines()))
+        yield f"LIN chords stand off the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um"
+    yield from checked.lines()
     if found["verdict"]:
-        _print_verdict(found["verdict"])
-    print(f"{found['points']} reference points: {found['trajectory']}")
+        yield from _verdict(found["verdict"])
+    yield f"{found['points']} reference points: {found['trajectory']}"
     if not checked.may_be_run:
-        print("programs marked NOT RELEASED" if args.force else "no robot program is written (--force writes one)")
+        yield "programs marked NOT RELEASED" if args.force else "no robot program is written (--force writes one)"
     for kind, paths in found["programs"].items():
-        print(f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}")
-    for kind in ("report", "part"):
-        if kind in found:
-            print(f"{kind}: {found[kind]}")
+        yield f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}"
+    yield from (f"{kind}: {found[kind]}" for kind in ("report", "part") if kind in found)
 
 
 def _identified(found: dict) -> str:
@@ -234,31 +212,27 @@ def _identified(found: dict) -> str:
     return f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"
 
 
-def _print_features(features: dict, method: str) -> None:
+def _features(features: dict, method: str) -> Table:
     """Before and after, side by side."""
     before, after = ({row["feature"]: row for row in features[name]} for name in ("original", method))
     keys = ("max_normal_um", "mean_normal_um", "max_wall_error_um", "max_floor_error_um")
     rows = []
     for name, row in before.items():
         pairs = [(row[key], after.get(name, {}).get(key, float("nan"))) for key in keys]
-        rows.append([name] + [f"{v:.1f}".replace("nan", "-") for pair in pairs for v in pair])
+        rows.append([name] + [fixed(v, 1) for pair in pairs for v in pair])
     columns = ["feature", "max", "after", "mean", "after", "wall", "after", "floor", "after"]
-    print_table(
-        f"Before and after ({method}) [um]: deviation to the side while cutting, errors that remain", columns, rows
-    )
+    title = f"Before and after ({method}) [um]: deviation to the side while cutting, errors that remain"
+    return Table(title, columns, rows)
 
 
-def _print_verdict(verdict: dict) -> None:
+def _verdict(verdict: dict):
     rows = []
     for which in ("original", "compensated"):
         for name in ("max", "static"):
             band = verdict[which][f"{name}_deviation_mm"]
             rows.append([f"{which}, {name}"] + [f"{1e3 * v:.1f}" for v in band])
     title = f"{verdict['samples']} plants, seed {verdict['seed']}: deviation [um]"
-    print_table(title, ["", "5 %", "50 %", "95 %"], rows)
-    print(f"verdict: compensation {verdict['verdict']}: {verdict['reason']}")
-    print(f"recommended method: {verdict['recommended_method']} (95 % of the plants: {_levels(verdict)})")
-
-
-def _levels(verdict: dict) -> str:
-    return ", ".join(f"{name} {1e3 * band[2]:.1f} um" for name, band in verdict["methods"].items())
+    levels = ", ".join(f"{name} {1e3 * band[2]:.1f} um" for name, band in verdict["methods"].items())
+    yield Table(title, ["", "5 %", "50 %", "95 %"], rows)
+    yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"
+    yield f"recommended method: {verdict['recommended_method']} (95 % of the plants: {levels})"

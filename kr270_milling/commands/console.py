@@ -1,50 +1,50 @@
-"""What every command shares: arguments, JSON, tables, how paths are printed."""
+"""How a command answers: as JSON, or as text and tables; how numbers and paths are printed."""
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 __all__ = [
-    "EXIT_FAILED", "add_cell", "add_common", "command_line", "fixed", "joints_text", "numbers", "output_directory",
-    "print_json", "print_table", "shown_path",
+    "Answer", "Table", "command_line", "fixed", "joints_text", "now", "output_directory", "print_json", "print_table",
+    "shown_path",
 ]  # fmt: skip
 
-EXIT_FAILED = 1  # what was asked was done, and the answer is no
 WIDEST = 1000  # characters of a table
 
 
-def add_common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print one JSON object to standard output")
+@dataclass(frozen=True)
+class Table:
+    """As ``print_table`` takes it."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
 
 
-def add_cell(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("cell", metavar="CELL.yaml", help="cell file, also a shipped one by its name")
-    parser.add_argument(
-        "--set", metavar="key=value", action="append", default=[], help="override a key, for example tool.teeth=2"
-    )
+@dataclass(frozen=True)
+class Answer:
+    """What a command has found; ``cli`` prints it."""
 
+    found: Mapping  #: for --json
+    shown: Iterable[object]  #: for people: tables, and what is printed as a line
+    code: int = 0  #: exit code; 1: what was asked was done, and the answer is no
 
-def numbers(count: int, most: float = math.inf):
-    """An argparse type: so many finite numbers of at most that size, separated by commas."""
-
-    def parse(text: str) -> list[float]:
-        try:
-            values = [float(v) for v in text.split(",")]
-        except ValueError:
-            values = []
-        if len(values) != count or not all(map(math.isfinite, values)):
-            raise argparse.ArgumentTypeError(f"{text!r} is not {count} finite numbers separated by commas")
-        if max(map(abs, values)) > most:
-            raise argparse.ArgumentTypeError(f"{text!r} goes beyond {most:g}")
-        return values
-
-    return parse
+    def tell(self, as_json: bool) -> int:
+        """Print it; returns the exit code."""
+        if as_json:
+            print_json(self.found)
+        for part in () if as_json else self.shown:
+            if isinstance(part, Table):
+                print_table(part.title, part.columns, part.rows)
+            else:
+                print(part)
+        return self.code
 
 
 def fixed(value: float, digits: int = 2) -> str:
@@ -57,6 +57,13 @@ def joints_text(joints: dict) -> str:
     ranges = zip(joints["start"], joints["min"], joints["max"], strict=True)
     shown = [f"A{k} {fixed(q)} ({fixed(low)} to {fixed(high)})" for k, (q, low, high) in enumerate(ranges, 1)]
     return f"commanded joints at the start (and along the path) [deg]: {', '.join(shown)}"
+
+
+def now() -> str:
+    """Date and time of a report, to the second."""
+    import datetime
+
+    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
 
 
 def output_directory(path: str | Path) -> Path:
@@ -108,10 +115,10 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
     from rich import box
     from rich.console import Console
     from rich.measure import measure_renderables
-    from rich.table import Table
+    from rich.table import Table as RichTable
     from rich.text import Text
 
-    table = Table(title=Text(title), title_justify="left")
+    table = RichTable(title=Text(title), title_justify="left")
     for i, name in enumerate(columns):
         table.add_column(Text(name), justify="left" if i == 0 else "right", no_wrap=True)
     for row in rows:

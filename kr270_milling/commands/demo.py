@@ -6,8 +6,8 @@ which the paper leaves out and every real arm has.
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_common, command_line, print_json, print_table
-from kr270_milling.commands.plant import add_plant, read_plant
+from kr270_milling.commands.console import Answer, Table, command_line, now
+from kr270_milling.commands.options import add_plant, option, plant_of
 from kr270_milling.commands.progress import progress
 
 METHODS = ("linear", "spline", "learned")
@@ -20,13 +20,12 @@ NEEDS = "learned and inverse need a tracker or the model: the encoders of the jo
 
 
 def add_arguments(parser) -> None:
-    parser.add_argument("--out", metavar="DIR", default="out", help="where report and series go (default: out)")
-    parser.add_argument("--plain", action="store_true", help="the plain loop, also where ROS is installed")
+    option(parser, "--out DIR", "where report and series go", default="out")
+    option(parser, "--plain", "the plain loop, also where ROS is installed", bool)
     add_plant(parser)
-    add_common(parser)
 
 
-def run(args) -> None:
+def run(args) -> Answer:
     import importlib.util
 
     from kr270_milling.base.files import staged
@@ -40,10 +39,10 @@ def run(args) -> None:
     if args.plain or other or importlib.util.find_spec("rclpy") is None:
         how = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
         with staged(args.out) as (draft, final):
-            passes = _plain(cell, METHODS, read_plant(args, cell))
-            second = _plain(moving, INERTIA_METHODS, read_plant(args, moving), WITH)
+            passes = _plain(cell, METHODS, plant_of(args, cell))
+            second = _plain(moving, INERTIA_METHODS, plant_of(args, moving), WITH)
             report = final(_write(draft, cell, passes, second, source, args))
-        return _tell(args, passes, second, {"report": str(report), "out": args.out, "ran_as": how})
+        return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": how})
     from kr270_milling.commands.run import run_cell, summary
 
     found = run_cell(cell, METHODS, args.out)
@@ -51,7 +50,7 @@ def run(args) -> None:
     second = _plain(moving, INERTIA_METHODS, None, WITH)
     how = f"four ROS 2 nodes and a recorder, graph up in {found['graph_up_s']:.2f} s"
     report = _write(found["out"], cell, passes, second, source, args)
-    return _tell(args, passes, second, {**summary(found), "report": str(report), "ran_as": how})
+    return _answer(passes, second, {**summary(found), "report": str(report), "ran_as": how})
 
 
 def _plain(cell, methods, plant, how: str = "") -> list:
@@ -68,35 +67,31 @@ def _plain(cell, methods, plant, how: str = "") -> list:
 
 def _write(directory, cell, passes, second, source, args):
     """Report and series; returns the path of the report."""
-    import datetime
-
     from kr270_milling.report import ReportTable, write_report
     from kr270_milling.report.series import write_series
 
-    date = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
     table = ReportTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
     with progress("report"):
         report = write_report(
             directory, cell, passes, title="The milling pass of Klimchik et al. (2012)", source=str(source),
-            command=command_line(args), date=date, paper=True, tables=(table,),
+            command=command_line(args), date=now(), paper=True, tables=(table,),
         )  # fmt: skip
         write_series(directory, cell, passes)
     return report
 
 
-def _tell(args, passes, second, found: dict) -> None:
-    """Print tables or JSON."""
-    if args.json:
-        both = {"passes": [p.row() for p in passes], "passes_reference_inertia": [p.row() for p in second]}
-        print_json({**found, **both})
-        return
+def _answer(passes, second, found: dict) -> Answer:
+    both = {"passes": [p.row() for p in passes], "passes_reference_inertia": [p.row() for p in second]}
     columns = ["pass", "static", "paper", "max", "paper", "low frequency, model [Hz]"]
-    print_table(AS_PRINTED, columns, [_row(p) for p in passes])
     rows = [[name, static, largest, low] for name, static, _, largest, _, low in map(_row, second)]
-    print_table(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows)
-    print(NEEDS)
-    print(f"ran as: {found['ran_as']}\nreport: {found['report']}")
+    return Answer({**found, **both}, [
+        Table(AS_PRINTED, columns, [_row(p) for p in passes]),
+        Table(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows),
+        NEEDS,
+        f"ran as: {found['ran_as']}",
+        f"report: {found['report']}",
+    ])  # fmt: skip
 
 
 def _row(p) -> list[str]:

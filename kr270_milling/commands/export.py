@@ -1,23 +1,23 @@
-"""``kr270_milling export``: the topics of a recording as tables."""
+"""``kr270_milling export``: topics of a recording as tables."""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
 
-from kr270_milling.commands.console import EXIT_FAILED, add_common, print_json
+from kr270_milling.commands.console import Answer
+from kr270_milling.commands.options import option
 from kr270_milling.commands.progress import progress
 
 
 def add_arguments(parser) -> None:
-    parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording, also one that was cut off")
-    parser.add_argument("--csv", metavar="DIR", help="write a CSV file per topic into this directory")
-    parser.add_argument("--parquet", metavar="DIR", help="the same as Parquet; needs pyarrow")
-    parser.add_argument("--topics", metavar="TOPIC", nargs="+", help="only these")
-    add_common(parser)
+    option(parser, "file FILE.mcap|DIR", "a recording, also one that was cut off")
+    option(parser, "--csv DIR", "write one CSV file per topic into this directory")
+    option(parser, "--parquet DIR", "the same as Parquet; needs pyarrow")
+    option(parser, "--topics TOPIC", "only these", nargs="+")
 
 
-def run(args) -> int:
+def run(args) -> Answer:
     from kr270_milling.bag.export import export_csv, export_parquet
     from kr270_milling.bag.reader import Recording
     from kr270_milling.base.errors import InputError, one_line
@@ -34,14 +34,8 @@ def run(args) -> int:
                 files += written.files
                 refused |= written.refused
         last = recording.last_log_time
-    if args.json:
-        about = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files, "refused": refused}
-        print_json(about)
-        return EXIT_FAILED if refused else 0
-    if recording.cut_off:
-        print(f"{recording.path} was cut off; this is what it holds up to {seconds(last or 0)} s")
-    for file in files:
-        print(file)
-    for sentence in refused.values():
+    about = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files, "refused": refused}
+    for sentence in () if args.json else refused.values():
         print("not exported: " + one_line(sentence), file=sys.stderr)
-    return EXIT_FAILED if refused else 0
+    cut = [f"{recording.path} was cut off; this is what it holds up to {seconds(last or 0)} s"]
+    return Answer(about, [*(cut if recording.cut_off else ()), *files], code=int(bool(refused)))

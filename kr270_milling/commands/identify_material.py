@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_common
-from kr270_milling.commands.identified import Outcome, Table, report
+from kr270_milling.commands.console import Answer
+from kr270_milling.commands.options import option
+
+TITLE = "Linear-edge law [N/mm2, N/mm]"
 
 
 def add_arguments(parser) -> None:
-    parser.add_argument("name", metavar="NAME", nargs="?", help="of a material; without it all are listed")
-    parser.add_argument("--row", type=int, default=1, help="which, where a material has several (default: 1)")
-    parser.add_argument("--out", metavar="DIR", help="write YAML to include")
-    add_common(parser)
+    option(parser, "name NAME", "of a material; without it all are listed", nargs="?")
+    option(parser, "--row", "which, where a material has several", int, 1)
+    option(parser, "--out DIR", "write YAML to include")
 
 
-def run(args) -> None:
+def run(args) -> Answer:
     import numpy as np
 
     from kr270_milling.base.errors import InputError
+    from kr270_milling.commands.identify import identified
     from kr270_milling.identification.force_result import linear_edge_sections
     from kr270_milling.identification.forces import NAMES, SCALE
     from kr270_milling.identification.materials import find_material, materials
+    from kr270_milling.identification.outcome import Outcome
 
     rows = find_material(args.name) if args.name else materials()
     entries = [
@@ -36,6 +39,5 @@ def run(args) -> None:
     shown = [[m.name, m.cutter, *("-" if np.isnan(v) else f"{v:g}" for v in m.values / SCALE)] for m in rows]
     sources = [f"{m.name}, {m.cutter}, {m.lubrication} [source: {m.source}]" for m in rows] if args.name else []
     name = (args.name or "").lower().replace(".", "_")
-    outcome = Outcome(name, "Linear-edge law [N/mm2, N/mm]", {"materials": entries},
-                      [Table("Linear-edge law [N/mm2, N/mm]", columns, shown)], sources)  # fmt: skip
-    report(args, outcome, sections=sections)
+    found = {"materials": entries}
+    return identified(args, Outcome(name, TITLE, found, [(TITLE, columns, shown)], sources, sections=sections))

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import add_common, print_json
+from kr270_milling.commands.console import Answer
+from kr270_milling.commands.options import option
 
 
 def add_arguments(parser) -> None:
-    parser.add_argument("--gcode", metavar="FILE", help="the program: G-code or APT/CL")
-    parser.add_argument("--tool", default="", metavar="T1", help="of a program with several tools: whose moves")
-    parser.add_argument(
-        "--robot", default="kr270_2", help="arm file, also a shipped one by its name (default: kr270_2)"
-    )
-    add_common(parser)
+    option(parser, "--gcode FILE", "the program: G-code or APT/CL")
+    option(parser, "--tool T1", "of a program with several tools: whose moves", default="")
+    option(parser, "--robot", "arm file, also a shipped one by its name", default="kr270_2")
 
 
-def run(args) -> None:
+def run(args) -> Answer:
     from dataclasses import asdict
 
     from kr270_milling.base.record import find_file
@@ -30,7 +28,4 @@ def run(args) -> None:
     else:
         path = read_toolpath(args.gcode, args.tool)
         text, program = draft_text(str(Path(args.gcode).resolve()), path, robot), path.program
-    if args.json:
-        print_json({"cell": text, "program": None if program is None else asdict(program)})
-    else:
-        print(text, end="")
+    return Answer({"cell": text, "program": program and asdict(program)}, [text.removesuffix("\n")])

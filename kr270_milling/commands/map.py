@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-import math
-
-from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json, print_table
+from kr270_milling.commands.console import Answer, Table, output_directory
+from kr270_milling.commands.options import add_cell, option
 from kr270_milling.commands.progress import progress
-from kr270_milling.nodes.option_types import bounded
+from kr270_milling.nodes.option_types import bounded, grid
 
 MOST = 10_000_000
 BEST = 5  #: placements that are written as cells
+COLUMNS = ("x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", "error_max_um", "compensated_max_um")
 AXES = {
     "x": ("mm", "of the workpiece's origin on base_link"),
     "y": ("mm", "likewise"),
@@ -23,44 +22,22 @@ AXES = {
 def add_arguments(parser) -> None:
     add_cell(parser)
     for name, (unit, text) in AXES.items():
-        parser.add_argument(f"--{name}", metavar="LOW:HIGH:COUNT", type=_axis, help=f"[{unit}] {text}")
-    parser.add_argument("--out", metavar="DIR", default="map", help="where rows, cells and picture go (default: map)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, tcp://host:port")
-    parser.add_argument(
-        "--chunk", metavar="N", type=bounded(1, 100_000, int), default=500, help="placements a file (default: 500)"
-    )
+        option(parser, f"--{name} LOW:HIGH:COUNT", f"[{unit}] {text}", grid(-1e5, 1e5, 1_000_000))
+    option(parser, "--out DIR", "where rows, cells and picture go", default="map")
+    option(parser, "--scheduler ADDRESS", "a running Dask scheduler, tcp://host:port")
+    option(parser, "--chunk N", "placements a file", bounded(1, 100_000, int), 500)
     along = parser.add_argument_group("along a path")
-    along.add_argument(
-        "--along", metavar="PATH", nargs="?", const="",
-        help="turn the tool about its axis along this tool path (default: that of the cell), where the workpiece is",
-    )  # fmt: skip
-    along.add_argument(
-        "--smooth", metavar="UM", type=bounded(0.001, 1e6), default=1.0,
-        help="how much error [um] a turn of 1 deg/s is worth (default: 1)",
-    )  # fmt: skip
-    along.add_argument(
-        "--places", metavar="N", type=bounded(3, 5000, int), default=200, help="along the path (default: 200)"
-    )
-    add_common(parser)
+    turn = "turn the tool about its axis along this tool path (default: that of the cell), where the workpiece is"
+    option(along, "--along PATH", turn, nargs="?", const="")
+    option(along, "--smooth UM", "how much error [um] a turn of 1 deg/s is worth", bounded(0.001, 1e6), 1.0)
+    option(along, "--places N", "along the path", bounded(3, 5000, int), 200)
 
 
-def _axis(text: str) -> tuple[float, float, int]:
-    try:
-        low, high, count = text.split(":")
-        values = float(low), float(high), int(count)
-    except ValueError:
-        values = (math.nan, math.nan, 0)
-    if not (abs(values[0]) <= 1e5 and values[0] <= values[1] <= 1e5 and 1 <= values[2] <= 1_000_000):
-        raise argparse.ArgumentTypeError(f"{text!r} is not LOW:HIGH:COUNT with finite numbers")
-    return values
-
-
-def run(args) -> None:
+def run(args) -> Answer:
     if args.along is not None:
         from kr270_milling.commands.map_along import run_along
 
-        run_along(args)
-        return
+        return run_along(args)
     import numpy as np
 
     from kr270_milling.base.errors import ParameterError
@@ -102,17 +79,10 @@ def run(args) -> None:
         "picture": str(write_picture(args.out, summary)),
         "out": args.out,
     }
-    if args.json:
-        print_json(found)
-        return
-    _print(found)
-
-
-def _print(found: dict) -> None:
-    columns = ["x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", "error_max_um", "compensated_max_um"]
-    rows = [[f"{row[name]:.4g}" for name in columns] for row in found["best"]]
-    print_table("Best placements: largest static error across the feed [um]", columns, rows)
-    print(f"{found['rows']} rows, {found['feasible']} feasible: {found['out']}")
-    for row in found["best"]:
-        print(row["cell"])
-    print(found["picture"])
+    rows = [[f"{row[name]:.4g}" for name in COLUMNS] for row in found["best"]]
+    return Answer(found, [
+        Table("Best placements: largest static error across the feed [um]", COLUMNS, rows),
+        f"{found['rows']} rows, {found['feasible']} feasible: {found['out']}",
+        *(row["cell"] for row in found["best"]),
+        found["picture"],
+    ])  # fmt: skip

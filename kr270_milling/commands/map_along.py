@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import print_json
+from kr270_milling.commands.console import Answer
 from kr270_milling.commands.progress import progress
 
 __all__ = ["run_along"]
@@ -13,7 +13,7 @@ GRID = (-180.0, 180.0, 73)  #: [deg], where --tool-turn does not say otherwise
 RECORDING, TABLE, CELL = "along", "along.csv", "along.yaml"
 
 
-def run_along(args) -> None:
+def run_along(args) -> Answer:
     import numpy as np
 
     from kr270_milling.base.errors import ParameterError
@@ -54,20 +54,18 @@ def run_along(args) -> None:
         "best": [{"cell": str(files[0])}],
         "files": [str(path) for path in files],
     }
-    if args.json:
-        print_json(found)
-        return
     low, high = found["turn_deg"]
-    print(f"turning the tool from {low:.4g} to {high:.4g} deg along the path: {1e6 * way.value:.2f} um")
+    shown = [f"turning the tool from {low:.4g} to {high:.4g} deg along the path: {1e6 * way.value:.2f} um"]
     for name, other in (("the best turn that stays the same", same), ("as it is", own)):
-        print(f"{name}: " + (f"{1e6 * other.value:.2f} um" if other else "not within the limits of the joints"))
-    print(
-        "(root mean square of the static error across the feed and of what turning is worth by --smooth; what corners"
-    )
-    print("and teeth shake is not in it: compare `simulate` of both cells)")
-    print(f"joints run at up to {100 * speed.max():.0f} % of their speeds, the path takes {found['slower']:.3f} times")
-    for path in files:
-        print(path)
+        shown.append(f"{name}: " + (f"{1e6 * other.value:.2f} um" if other else "not within the limits of the joints"))
+    share = f"joints run at up to {100 * speed.max():.0f} % of their speeds"
+    return Answer(found, [
+        *shown,
+        "(root mean square of the static error across the feed and of what turning is worth by --smooth; what corners",
+        "and teeth shake is not in it: compare `simulate` of both cells)",
+        f"{share}, the path takes {found['slower']:.3f} times",
+        *files,
+    ])  # fmt: skip
 
 
 def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:

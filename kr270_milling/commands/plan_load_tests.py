@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from kr270_milling.commands.console import print_json, print_table
+from kr270_milling.commands.console import Answer, Table
 
 __all__ = ["plan_load_tests"]
 
 
-def plan_load_tests(args, arm, mount, pose) -> None:
+def plan_load_tests(args, arm, mount, pose) -> Answer:
     import numpy as np
 
     from kr270_milling.base.errors import InputError
@@ -31,10 +31,10 @@ def plan_load_tests(args, arm, mount, pose) -> None:
     rng = np.random.default_rng(args.seed)
     blind = sorted((planner.random(args.plan, rng) for _ in range(201)), key=lambda d: d.pose_error)
     designs["random (median of 201)"] = blind[100]
-    _report_plan(args, choice, designs)
+    return _answer(args, choice, designs)
 
 
-def _report_plan(args, choice, designs: dict) -> None:
+def _answer(args, choice, designs: dict) -> Answer:
     import numpy as np
 
     from kr270_milling.identification.plan_files import blind_spots, in_order, load_text
@@ -51,17 +51,16 @@ def _report_plan(args, choice, designs: dict) -> None:
     }  # fmt: skip
     if args.out:
         result["files"] = [str(path) for path in _write_plan(args, plan, best)]
-    if args.json:
-        print_json(result)
-        return
     rows = [[name, f"{1e6 * d.pose_error:.3f}", f"{100 * d.relative.max():.1f}", f"{100 * d.determinant:.2f}"]
             for name, d in designs.items()]  # fmt: skip
-    columns = ["choice", "error there [um]", "worst compliance [%]", "mean [%]"]
-    print_table(f"{args.plan} load tests: what 100 N at the cell's posture are known to (1 sigma)", columns, rows)
-    rows = [[t["load"], " ".join(f"{a:7.2f}" for a in t["joints_deg"])] for t in result["tests"]]
-    print_table("The tests, in the order of the program", ["load", "A1 to A6 [deg]"], rows)
-    for line in (*blind, *result.get("files", ())):
-        print(line)
+    title = f"{args.plan} load tests: what 100 N at the cell's posture are known to (1 sigma)"
+    tests = [[t["load"], " ".join(f"{a:7.2f}" for a in t["joints_deg"])] for t in result["tests"]]
+    return Answer(result, [
+        Table(title, ["choice", "error there [um]", "worst compliance [%]", "mean [%]"], rows),
+        Table("The tests, in the order of the program", ["load", "A1 to A6 [deg]"], tests),
+        *blind,
+        *result.get("files", ()),
+    ])  # fmt: skip
 
 
 def _write_plan(args, plan, best) -> list[Path]:

@@ -6,31 +6,34 @@ import argparse
 from pathlib import Path
 
 from kr270_milling.base.errors import one_line
-from kr270_milling.commands.console import EXIT_FAILED, add_common, output_directory, print_json, print_table
+from kr270_milling.commands.console import Answer, Table, output_directory
+from kr270_milling.commands.options import option
 from kr270_milling.commands.progress import progress
 from kr270_milling.compensation.methods import METHODS
 from kr270_milling.nodes.play_arguments import add_play_arguments, play_options
 
+COUNTS = ("compared", "differing", "missing", "repeated", "given", "not_compared")
+PUBLISHED: dict = {True: "identical to what the node published", False: "NOT what the node published",
+                   None: "not to be compared with a recorded one"}  # fmt: skip
+
 
 def add_arguments(parser) -> None:
-    parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording")
+    option(parser, "file FILE.mcap|DIR", "a recording")
     what = parser.add_mutually_exclusive_group()
-    what.add_argument(
-        "--recompute", action="store_true",
-        help="no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is "
-        "missing or is left over, or the recompute cannot go on",
-    )  # fmt: skip
-    what.add_argument(
-        "--compensate", action="store_true", help="no playback: the revised trajectory from the recorded pass"
+    recompute = (
+        "no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is missing or is "
+        "left over, or the recompute cannot go on"
     )
-    parser.add_argument("--method", choices=METHODS, help="with --compensate: in place of the recorded method")
-    parser.add_argument("--out", metavar="DIR", help="with --compensate: write reference_trajectory.csv there")
-    add_common(parser)
+    option(what, "--recompute", recompute, bool)
+    option(what, "--compensate", "no playback: the revised trajectory from the recorded pass", bool)
+    option(parser, "--method", "with --compensate: in place of the recorded method", choices=METHODS)
+    option(parser, "--out DIR", "with --compensate: write reference_trajectory.csv there")
     add_play_arguments(parser.add_argument_group("playback (names as in ros2 bag play)"))
-    parser.add_argument("--ros-args", nargs=argparse.REMAINDER, default=[], help="remapping and namespace; the last")
+    remapping = "remapping and namespace; the last"
+    option(parser, "--ros-args", remapping, default=[], nargs=argparse.REMAINDER)
 
 
-def run(args) -> int:
+def run(args) -> Answer:
     if args.recompute:
         return _recompute(args)
     if args.compensate:
@@ -38,7 +41,7 @@ def run(args) -> int:
     return _play(args)
 
 
-def _play(args) -> int:
+def _play(args) -> Answer:
     from kr270_milling.ros.environment import require_ros
 
     require_ros()
@@ -46,71 +49,51 @@ def _play(args) -> int:
 
     with progress("playing") as report:
         code, count = play(play_options(args), ["--ros-args", *args.ros_args] if args.ros_args else [], report)
-    if args.json:
-        print_json({"file": args.file, "messages": count, "exit_code": code})
-    return code
+    return Answer({"file": args.file, "messages": count, "exit_code": code}, [], code=code)
 
 
-def _recompute(args) -> int:
+def _recompute(args) -> Answer:
     from kr270_milling.replay.recompute import recompute
 
     with progress("recomputing") as report:
         result = recompute(args.file, report)
-    if args.json:
-        print_json(result.as_dict())
-        return EXIT_FAILED if result.verdict != "identical" else 0
-    names = ["compared", "differing", "missing", "repeated", "given", "not_compared"]
-    rows = [
-        [_shown(topic), *(str(c.as_dict()[name]) for name in names)] for topic, c in sorted(result.channels.items())
-    ]
-    print_table(result.file, ["topic", *(name.replace("_", " ") for name in names)], rows)
+    about = result.as_dict()
+    channels = sorted(result.channels.items())
+    rows = [[_shown(topic), *(str(count.as_dict()[name]) for name in COUNTS)] for topic, count in channels]
+    shown: list = [Table(result.file, ["topic", *(name.replace("_", " ") for name in COUNTS)], rows)]
     if result.cut_off:
-        print("The recording was cut off; what is there was compared.")
-    for stop in result.stops:
-        print(_shown(stop))
-    for sentence in result.damage:
-        print("damage: " + _shown(sentence))
+        shown.append("The recording was cut off; what is there was compared.")
+    shown += [*map(_shown, result.stops), *("damage: " + _shown(sentence) for sentence in result.damage)]
     if result.first:
-        print(f"first difference: {_shown(result.first)}")
-    print(f"{result.verdict}: {result.compared} messages compared bit for bit")
-    if result.verdict == "different" and result.as_dict()["version"] != result.version:
-        print(f"(recorded by version {result.version}, recomputed by {result.as_dict()['version']})")
-    return EXIT_FAILED if result.verdict != "identical" else 0
-
-
-TOLD = {
-    True: "identical to what the node published",
-    False: "NOT what the node published",
-    None: "not to be compared with a recorded one",
-}
+        shown.append(f"first difference: {_shown(result.first)}")
+    shown.append(f"{result.verdict}: {result.compared} messages compared bit for bit")
+    if result.verdict == "different" and about["version"] != result.version:
+        shown.append(f"(recorded by version {result.version}, recomputed by {about['version']})")
+    return Answer(about, shown, code=int(result.verdict != "identical"))
 
 
 def _shown(value) -> str:
     return one_line(str(value))
 
 
-def _compensate(args) -> int:
+def _compensate(args) -> Answer:
     from kr270_milling.replay.compensate import compensate
 
     with progress("compensating") as report:
         found = compensate(args.file, args.method, report)
     files = [_write(args.out, revised) for revised in found] if args.out else [None] * len(found)
-    if args.json:
-        print_json({"file": args.file, "robots": [r.as_dict() | {"csv": f} for r, f in zip(found, files, strict=True)]})
-        return 0
+    robots = [revised.as_dict() | {"csv": file} for revised, file in zip(found, files, strict=True)]
+    shown = []
     for revised, file in zip(found, files, strict=True):
-        print(
+        shown += [
             f"{_shown(revised.robot or '/')}: {revised.method}, {len(revised.reference)} points; the recorded pass was "
             f"off by up to {revised.remaining_error * 1e6:.2f} um, the largest correction is "
-            f"{revised.largest_correction * 1e6:.2f} um"
-        )
-        told: dict[bool | None, str] = {
-            True: "identical to what the node published",
-            False: "NOT what the node published",
-        }
-        print("  " + told.get(revised.published, "not to be compared with a recorded one"))
-        print(f"  written to {file}" if file else "  (--out DIR writes it as CSV)")
-    return EXIT_FAILED if any(r.published is False for r in found) else 0
+            f"{revised.largest_correction * 1e6:.2f} um",
+            "  " + PUBLISHED[revised.published],
+            f"  written to {file}" if file else "  (--out DIR writes it as CSV)",
+        ]
+    differs = any(revised.published is False for revised in found)
+    return Answer({"file": args.file, "robots": robots}, shown, code=int(differs))
 
 
 def _write(out: str, revised) -> Path:

@@ -6,31 +6,25 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kr270_milling.commands.console import add_common, command_line, fixed, output_directory, print_json, print_table
+from kr270_milling.commands.console import Answer, Table, command_line, fixed, now, output_directory
+from kr270_milling.commands.options import option
 from kr270_milling.commands.progress import progress
 
 if TYPE_CHECKING:
     from kr270_milling.cell.cell import Cell
     from kr270_milling.replay.recorded import RecordedPass
 
+COLUMNS = ("pass", "static [um]", "max [um]", "lost", "complete")
+
 
 def add_arguments(parser) -> None:
-    parser.add_argument(
-        "recordings", metavar="FILE-or-DIR", nargs="+",
-        help="recordings, or directories that hold some; passes of one path are compared on the same scales",
-    )  # fmt: skip
-    parser.add_argument("--namespace", metavar="NAME", help="of the robot, where a recording holds several")
-    parser.add_argument(
-        "--out",
-        metavar="DIR",
-        help="where the report goes (default: report in the first DIR, or beside the first FILE)",
-    )
-    add_common(parser)
+    what = "recordings, or directories that hold some; passes of one path are compared on the same scales"
+    option(parser, "recordings FILE-or-DIR", what, nargs="+")
+    option(parser, "--namespace NAME", "of the robot, where a recording holds several")
+    option(parser, "--out DIR", "where the report goes (default: report in the first DIR, or beside the first FILE)")
 
 
-def run(args) -> None:
-    import datetime
-
+def run(args) -> Answer:
     from kr270_milling.report import write_report
     from kr270_milling.report.series import write_series
 
@@ -39,23 +33,18 @@ def run(args) -> None:
     cell, passes = found[0].cell, [one.scored for one in found]
     first = places[0]
     directory = output_directory(args.out or (first if first.is_dir() else first.parent) / "report")
-    date = datetime.datetime.now().astimezone().isoformat(timespec="seconds")
     title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
     with progress("report"):
         page = write_report(
-            directory, cell, passes, title=title, source=first.name, command=command_line(args), date=date,
+            directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
             program=_program(recordings(first)[0], cell),
         )  # fmt: skip
         write_series(directory, cell, passes)
     rows = [{**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete} for one in found]
-    if args.json:
-        print_json({"passes": rows, "copies": copies, "report": str(page), "out": str(directory)})
-        return
-    columns = ["pass", "static [um]", "max [um]", "lost", "complete"]
-    print_table("Path deviation, from the recordings", columns, [_cells(row) for row in rows])
-    for copy in copies:
-        print(f"skipped, a copy of another pass: {copy}")
-    print(f"report: {page}")
+    table = Table("Path deviation, from the recordings", COLUMNS, [_cells(row) for row in rows])
+    skipped = [f"skipped, a copy of another pass: {copy}" for copy in copies]
+    about = {"passes": rows, "copies": copies, "report": str(page), "out": str(directory)}
+    return Answer(about, [table, *skipped, f"report: {page}"])
 
 
 def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedPass], list[str]]:
@@ -128,11 +117,5 @@ def recordings(path: Path) -> list[Path]:
 
 
 def _cells(row: dict) -> list[str]:
-    static, largest = row["static_deviation_mm"] * 1e3, row["max_deviation_mm"] * 1e3
-    return [
-        row["name"],
-        fixed(static),
-        fixed(largest),
-        str(row["messages_lost"]),
-        "yes" if row["complete"] else "no",
-    ]
+    numbers = [fixed(1e3 * row[f"{name}_deviation_mm"]) for name in ("static", "max")]
+    return [row["name"], *numbers, str(row["messages_lost"]), "yes" if row["complete"] else "no"]

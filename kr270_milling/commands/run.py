@@ -5,47 +5,36 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from kr270_milling.commands.console import add_cell, add_common, fixed, print_json, print_table, shown_path
-from kr270_milling.commands.plant import add_plant, read_plant
+from kr270_milling.commands.console import Answer, Table, fixed, shown_path
+from kr270_milling.commands.options import add_cell, add_plant, cell_of, option, plant_of
 from kr270_milling.commands.progress import progress
 from kr270_milling.compensation.methods import METHODS
 from kr270_milling.nodes.option_types import bounded
+
+COLUMNS = ("pass", "static [um]", "max [um]", "wall [s]", "x real time", "lost", "recording")
 
 
 def add_arguments(parser) -> None:
     add_cell(parser)
     add_plant(parser)
-    parser.add_argument(
-        "--passes",
-        type=bounded(1, 1000, int),
-        metavar="N",
-        help="passes in all, with the original one (default: as many as needed)",
-    )
-    parser.add_argument(
-        "--method", choices=METHODS, action="append", help="how to compensate; may be given several times"
-    )
-    parser.add_argument("--out", metavar="DIR", default="out", help="for recordings, logs, cell.yaml (default: out)")
-    parser.add_argument(
-        "--processes", action="store_true", help="one process a node; else robot and cut share one, which is quicker"
-    )
-    parser.add_argument("--namespace", default="", metavar="NAME", help="ROS namespace of the four nodes")
-    add_common(parser)
+    passes = "passes in all, with the original one (default: as many as needed)"
+    option(parser, "--passes N", passes, bounded(1, 1000, int))
+    option(parser, "--method", "how to compensate; may be given several times", choices=METHODS, action="append")
+    option(parser, "--out DIR", "for recordings, logs, cell.yaml", default="out")
+    option(parser, "--processes", "one process a node; else robot and cut share one, which is quicker", bool)
+    option(parser, "--namespace NAME", "ROS namespace of the four nodes", default="")
 
 
-def run(args) -> None:
-    from kr270_milling.base.parameter_file import find_file
-    from kr270_milling.cell.cell import read_cell
+def run(args) -> Answer:
     from kr270_milling.ros.environment import require_ros
 
     require_ros()
-    cell = read_cell(find_file(args.cell), args.set)
+    cell = cell_of(args)
     methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
-    plant = read_plant(args, cell)
-    found = run_cell(cell, methods, args.out, args.passes, args.namespace, not args.processes, plant)
-    if args.json:
-        print_json(summary(found))
-        return
-    print_rows(found)
+    found = run_cell(cell, methods, args.out, args.passes, args.namespace, not args.processes, plant_of(args, cell))
+    rows = [_row(ran.row()) for ran in found["passes"]]
+    up = f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(found['out'])}"
+    return Answer(summary(found), [Table("Path deviation, four nodes and a recorder", COLUMNS, rows), up])
 
 
 def run_cell(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:
@@ -91,13 +80,6 @@ def summary(found: dict) -> dict:
     return {**found, "out": str(found["out"]), "passes": [ran.row() for ran in found["passes"]]}
 
 
-def print_rows(found: dict) -> None:
-    columns = ["pass", "static [um]", "max [um]", "wall [s]", "x real time", "lost", "recording"]
-    rows = [_cells(ran.row()) for ran in found["passes"]]
-    print_table("Path deviation, four nodes and a recorder", columns, rows)
-    print(f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(found['out'])}")
-
-
-def _cells(row: dict) -> list[str]:
+def _row(row: dict) -> list[str]:
     numbers = [row["static_deviation_mm"] * 1e3, row["max_deviation_mm"] * 1e3, row["wall_s"], row["real_time_factor"]]
     return [row["name"], *map(fixed, numbers), str(row["messages_lost"]), shown_path(row["recording"])]

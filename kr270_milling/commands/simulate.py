@@ -5,35 +5,35 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-from kr270_milling.commands.console import add_cell, add_common, joints_text, print_json, print_table
-from kr270_milling.commands.plant import add_plant, read_plant
+from kr270_milling.commands.console import Answer, Table, fixed, joints_text
+from kr270_milling.commands.options import add_cell, add_plant, cell_of, option, plant_of
 from kr270_milling.commands.progress import progress
 
 FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
+COLUMNS = {
+    "feature": "feature", "cut [mm]": "cut_length_mm", "max": "max_normal_um", "mean": "mean_normal_um",
+    "95 %": "q95_normal_um", "wall": "max_wall_error_um", "floor": "max_floor_error_um", "force [N]": "max_force_n",
+    "power [W]": "max_power_w",
+}  # fmt: skip
 
 
 def add_arguments(parser) -> None:
     add_cell(parser)
     add_plant(parser)
-    parser.add_argument("--reference", metavar="FILE.csv", help="run along this trajectory, as written by compensate")
-    parser.add_argument(
-        "--out", metavar="DIR", help="write the series of the pass here as CSV; of a tool path also the part as STL"
-    )
-    add_common(parser)
+    option(parser, "--reference FILE.csv", "run along this trajectory, as written by compensate")
+    option(parser, "--out DIR", "write the series of the pass here as CSV; of a tool path also the part as STL")
 
 
-def run(args) -> None:
+def run(args) -> Answer:
     from kr270_milling.base.files import staged
-    from kr270_milling.base.record import find_file
-    from kr270_milling.cell.cell import read_cell
     from kr270_milling.cell.jobs import simulate
     from kr270_milling.decision.part import assess
     from kr270_milling.decision.stability import stability_of
     from kr270_milling.decision.tolerance import judge
 
-    cell = read_cell(find_file(args.cell), args.set)
+    cell = cell_of(args)
     reference = _reference(cell, args.reference)
-    plant = read_plant(args, cell)
+    plant = plant_of(args, cell)
     with staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final):
         with progress("milling") as report:
             name = "original" if reference is None else Path(args.reference).stem
@@ -48,29 +48,26 @@ def run(args) -> None:
             found |= {key: value for key, value in part.as_dict().items() if key != "name"}
         if draft and final:
             found["files"] = [str(final(path)) for path in _write(draft, cell, ran)]
-    if args.json:
-        print_json(found)
-        return
-    if cell.path.file:
-        _print_features(found)
-    else:
-        _print_scores(found)
-    print(f"tolerance: {tolerance.words}")
-    print(stability.text)
-    print(joints_text(found["commanded_joints_deg"]))
-    print(f"removed area        {found['removed_area_mm2']:10.3f} mm2")
-    print(f"{found['steps']} micro-steps in {found['wall_s']:.3f} s, {found['real_time_factor']:.1f} x real time")
-    for name in found.get("files", []):
-        print(name)
+    return Answer(found, [
+        *([_features(found)] if part else _scores(found)),
+        f"tolerance: {tolerance.words}",
+        stability.text,
+        joints_text(found["commanded_joints_deg"]),
+        f"removed area        {found['removed_area_mm2']:10.3f} mm2",
+        f"{found['steps']} micro-steps in {found['wall_s']:.3f} s, {found['real_time_factor']:.1f} x real time",
+        *found.get("files", []),
+    ])  # fmt: skip
 
 
-def _print_scores(found: dict) -> None:
+def _scores(found: dict) -> list[str]:
     x, y, z = found["mean_force_n"]
-    print(f"static deviation    {found['static_deviation_mm'] * 1e3:10.3f} um   mean over the last quarter")
-    print(f"max deviation       {found['max_deviation_mm'] * 1e3:10.3f} um   once fully engaged")
     ringing = found["ringing_frequency_hz"]
-    print(f"low frequency       {found['low_frequency_hz']:10.3f} Hz   model; ringing {ringing:.3f} Hz")
-    print(f"mean force          {x:10.3f} {y:.3f} {z:.3f} N   last quarter, workpiece axes")
+    return [
+        f"static deviation    {found['static_deviation_mm'] * 1e3:10.3f} um   mean over the last quarter",
+        f"max deviation       {found['max_deviation_mm'] * 1e3:10.3f} um   once fully engaged",
+        f"low frequency       {found['low_frequency_hz']:10.3f} Hz   model; ringing {ringing:.3f} Hz",
+        f"mean force          {x:10.3f} {y:.3f} {z:.3f} N   last quarter, workpiece axes",
+    ]
 
 
 def _write(directory: Path, cell, ran) -> list[Path]:
@@ -85,21 +82,13 @@ def _write(directory: Path, cell, ran) -> list[Path]:
     return files
 
 
-def _print_features(found: dict) -> None:
-    columns = {
-        "feature": "feature", "cut [mm]": "cut_length_mm", "max": "max_normal_um", "mean": "mean_normal_um",
-        "95 %": "q95_normal_um", "wall": "max_wall_error_um", "floor": "max_floor_error_um", "force [N]": "max_force_n",
-        "power [W]": "max_power_w",
-    }  # fmt: skip
+def _features(found: dict) -> Table:
     rows = [
-        [
-            value if isinstance(value := row[key], str) else f"{value:.1f}".replace("nan", "-")
-            for key in columns.values()
-        ]
+        [value if isinstance(value := row[key], str) else fixed(value, 1) for key in COLUMNS.values()]
         for row in (*found["features"], found["whole_part"])
     ]
     title = "Deviation to the side of the path while cutting, and largest errors of what remains [um]"
-    print_table(title, list(columns), rows)
+    return Table(title, list(COLUMNS), rows)
 
 
 def _reference(cell, path: str | None):

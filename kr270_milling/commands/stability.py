@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 
-from kr270_milling.commands.console import add_cell, add_common, fixed, print_json, print_table
+from kr270_milling.commands.console import Answer, Table, fixed
+from kr270_milling.commands.options import add_cell, cell_of, option
 from kr270_milling.commands.progress import progress
+from kr270_milling.nodes.option_types import grid
 
 COUNT = 60  #: speeds without --speeds
 SHOWN = 24  #: rows of the printed table
@@ -14,44 +15,25 @@ SHOWN = 24  #: rows of the printed table
 
 def add_arguments(parser) -> None:
     add_cell(parser)
-    parser.add_argument(
-        "--speeds", metavar="LOW:HIGH:COUNT", type=_speeds,
-        help=f"spindle speeds [rpm] (default: {COUNT} from half to one and a half times that of the cell)",
-    )  # fmt: skip
-    parser.add_argument("--no-arm", action="store_true", help="leave out the arm: the modes of tool.modes alone")
-    parser.add_argument(
-        "--along", action="store_true", help="instead of lobes: the limit depth of each feature of the path"
-    )
-    parser.add_argument("--out", metavar="DIR", help="write lobes.csv and the picture lobes.html here")
+    speeds = f"spindle speeds [rpm] (default: {COUNT} from half to one and a half times that of the cell)"
+    option(parser, "--speeds LOW:HIGH:COUNT", speeds, grid(1.0, 2e5, 100_000))
+    option(parser, "--no-arm", "leave out the arm: the modes of tool.modes alone", bool)
+    option(parser, "--along", "instead of lobes: the limit depth of each feature of the path", bool)
+    option(parser, "--out DIR", "write lobes.csv and the picture lobes.html here")
     parser.epilog += (
         "\nkeys: path.radial_immersion (share of the diameter) and path.mode (slot, up, down) say how the tool is "
         "engaged, tool.modes what of tool and spindle vibrates"
     )
-    add_common(parser)
 
 
-def _speeds(text: str) -> tuple[float, float, int]:
-    try:
-        low, high, count = text.split(":")
-        values = float(low), float(high), int(count)
-    except ValueError:
-        values = (0.0, 0.0, 0)
-    if not (0.0 < values[0] <= values[1] <= 2e5 and 1 <= values[2] <= 100_000):
-        raise argparse.ArgumentTypeError(f"{text!r} is not LOW:HIGH:COUNT with speeds from 0 to 200000 rpm")
-    return values
-
-
-def run(args) -> None:
+def run(args) -> Answer:
     import numpy as np
 
-    from kr270_milling.base.record import find_file
-    from kr270_milling.cell.cell import read_cell
     from kr270_milling.studies.lobes import lobes
 
-    cell = read_cell(find_file(args.cell), args.set)
+    cell = cell_of(args)
     if args.along:
-        _along(args, cell)
-        return
+        return _along(args, cell)
     nominal = cell.tool.spindle_speed * 30.0 / np.pi
     low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, COUNT)
     with progress("stability") as report:
@@ -60,29 +42,24 @@ def run(args) -> None:
     best = max(rows, key=lambda r: r["depth_limit_mm"])
     said = f"deepest stable cut: {_depth(best['depth_limit_mm'])} mm at {best['spindle_speed_rpm']:.0f} rpm"
     files = _write(args, cell, rows, said) if args.out else []
-    if args.json:
-        engaged = {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode}
-        print_json({"cell": args.cell, "arm": not args.no_arm, **engaged, "lobes": rows, "files": files})
-        return
-    every = max(1, -(-len(rows) // SHOWN))
-    shown = [[f"{r['spindle_speed_rpm']:.0f}", _depth(r["depth_limit_mm"]), fixed(r["chatter_hz"], 1)] for r in rows]
-    print_table("Stability lobes", ["spindle speed [rpm]", "limit depth [mm]", "chatter [Hz]"], shown[::every])
-    print(said)
-    for name in files:
-        print(name)
+    shown = [[f"{r['spindle_speed_rpm']:.0f}", _depth(r["depth_limit_mm"]), fixed(r["chatter_hz"], 1)]
+             for r in rows[:: max(1, -(-len(rows) // SHOWN))]]  # fmt: skip
+    table = Table("Stability lobes", ["spindle speed [rpm]", "limit depth [mm]", "chatter [Hz]"], shown)
+    engaged = {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode}
+    about = {"cell": args.cell, "arm": not args.no_arm, **engaged, "lobes": rows, "files": files}
+    return Answer(about, [table, said, *files])
 
 
-def _along(args, cell) -> None:
+def _along(args, cell) -> Answer:
     from kr270_milling.studies.feature_limits import feature_limits
 
     rows = [one.as_dict() for one in feature_limits(cell, not args.no_arm)]
-    if args.json:
-        print_json({"cell": args.cell, "arm": not args.no_arm, "features": rows})
-        return
     columns = ["feature", "deepest cut [mm]", "limit [mm]", "chatter [Hz]", "stable"]
     shown = [[r["feature"], fixed(r["depth_mm"], 3), _depth(r["depth_limit_mm"]), fixed(r["chatter_hz"], 1),
               "yes" if r["stable"] else "no"] for r in rows]  # fmt: skip
-    print_table(f"Limit depth along the path at {rows[0]['spindle_speed_rpm']:.0f} rpm", columns, shown)
+    title = f"Limit depth along the path at {rows[0]['spindle_speed_rpm']:.0f} rpm"
+    about = {"cell": args.cell, "arm": not args.no_arm, "features": rows}
+    return Answer(about, [Table(title, columns, shown)])
 
 
 def _depth(value: float) -> str:

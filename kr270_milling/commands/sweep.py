@@ -2,29 +2,25 @@
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_cell, add_common, output_directory, print_json
+from kr270_milling.commands.console import Answer, output_directory
+from kr270_milling.commands.options import add_cell, option
 from kr270_milling.commands.progress import progress
 from kr270_milling.nodes.option_types import bounded
 
 
 def add_arguments(parser) -> None:
     add_cell(parser)
-    parser.add_argument(
-        "--vary", metavar="KEY=LOW:HIGH:STEP", action="append", required=True,
-        help="values of a key, also KEY=A,B,C; may be given several times",
-    )  # fmt: skip
-    parser.add_argument("--samples", metavar="N", type=int, help="with --latin: that many rows")
-    parser.add_argument("--latin", action="store_true", help="a Latin hypercube between the values instead of a grid")
-    parser.add_argument("--seed", metavar="N", type=int, default=1, help="of --latin (default: 1)")
-    parser.add_argument("--out", metavar="DIR", default="sweep", help="where the rows go (default: sweep)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a running Dask scheduler, tcp://host:port")
-    parser.add_argument(
-        "--chunk", metavar="N", type=bounded(1, 100_000, int), default=0, help="rows a file (default: 1 to 8)"
-    )
-    add_common(parser)
+    vary = "values of a key, also KEY=A,B,C; may be given several times"
+    option(parser, "--vary KEY=LOW:HIGH:STEP", vary, action="append", required=True)
+    option(parser, "--samples N", "with --latin: that many rows", int)
+    option(parser, "--latin", "a Latin hypercube between the values instead of a grid", bool)
+    option(parser, "--seed N", "of --latin", int, 1)
+    option(parser, "--out DIR", "where the rows go", default="sweep")
+    option(parser, "--scheduler ADDRESS", "a running Dask scheduler, tcp://host:port")
+    option(parser, "--chunk N", "rows a file (default: 1 to 8)", bounded(1, 100_000, int), 0)
 
 
-def run(args) -> None:
+def run(args) -> Answer:
     from kr270_milling.base.errors import ParameterError
     from kr270_milling.base.record import find_file
     from kr270_milling.cell.cell import read_cell
@@ -44,7 +40,4 @@ def run(args) -> None:
         seconds = run_chunks(study, sweep.chunks, sweep, args.scheduler, report)
     failed = sum(bool(text) for table in study.tables(sweep.chunks, ["error"]) for text in table["error"].to_pylist())
     found = {"rows": len(sweep), "failed": failed, "out": args.out, "wall_s": seconds}
-    if args.json:
-        print_json(found)
-    else:
-        print(f"{found['rows']} rows, {found['failed']} failed (column error), in {seconds:.1f} s: {args.out}")
+    return Answer(found, [f"{len(sweep)} rows, {failed} failed (column error), in {seconds:.1f} s: {args.out}"])

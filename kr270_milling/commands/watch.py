@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kr270_milling.commands.console import add_common
+from kr270_milling.commands.options import option
 from kr270_milling.nodes.option_types import bounded
 
 PORT = 8270
@@ -10,15 +10,13 @@ LAST_LOOK = 1.0  #: [s] for an open page to take the last events
 
 
 def add_arguments(parser) -> None:
-    parser.add_argument("--namespace", metavar="NAME", default="", help="ROS namespace of the robot")
-    parser.add_argument("--host", default="127.0.0.1", help="where it is served (default: 127.0.0.1, this host alone)")
-    parser.add_argument(
-        "--port", type=bounded(0, 65535, int), default=PORT, help=f"default: {PORT}; 0: any that is free"
-    )
-    add_common(parser)
+    option(parser, "--namespace NAME", "ROS namespace of the robot", default="")
+    option(parser, "--host", "where it is served (default: 127.0.0.1, this host alone)", default="127.0.0.1")
+    option(parser, "--port", f"default: {PORT}; 0: any that is free", bounded(0, 65535, int), PORT)
 
 
 def run(args) -> int:
+    """The address is printed while the page is served: nothing is left to say at the end."""
     import json
     import time
 
@@ -36,10 +34,8 @@ def run(args) -> int:
     events = Events()
     server = serve(events, args.host, args.port)
     url = f"http://{args.host}:{server.server_port}/"
-    print(
-        json.dumps({"url": url}) if args.json else f"live view: {url} (Ctrl-C ends it; it ends with the graph)",
-        flush=True,
-    )
+    text = json.dumps({"url": url}) if args.json else f"live view: {url} (Ctrl-C ends it; it ends with the graph)"
+    print(text, flush=True)
     try:
         code = run_node(lambda **kwargs: Watcher(events, namespace, **kwargs), [])
         if not events.ended:

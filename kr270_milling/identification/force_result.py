@@ -10,18 +10,38 @@ from kr270_milling.decision.samples import SCATTERED
 from kr270_milling.identification.figures import points
 from kr270_milling.identification.forces import NAMES, SCALE, TOWARD_PART, Coefficients, mean_forces
 from kr270_milling.identification.fractional import FractionalFit, fractional_mean_forces
+from kr270_milling.identification.outcome import Outcome
 
-__all__ = ["as_dict", "figures", "fractional_sections", "linear_edge_sections", "sentences"]
+__all__ = ["force_outcome", "linear_edge_sections"]
 
 #: names of the record in the order of NAMES; the axial ones where the law has them
 FIELDS = ("tangential_cutting", "tangential_edge", "radial_cutting", "radial_edge", "axial_cutting", "axial_edge")
-
-
 COLOURS = {"x": "#1f77b4", "y": "#d62728", "z": "#2ca02c"}
 SYMBOLS = {"measured": "circle-open", "linear edge": "line-ew-open", "fractional": "x-thin-open"}
 
 
-def as_dict(found: Coefficients, bent: FractionalFit | None = None) -> dict:
+def force_outcome(found: Coefficients, bent: FractionalFit | None, law: str, source: str) -> Outcome:
+    """Everything that ``identify forces`` says; law: of the parameter file; source: name of the file with the cuts."""
+    result = _as_dict(found, bent)
+    tables = [_table(f"Linear-edge law, residual {found.residual_rms:.3g} N RMS", result)]
+    sections = linear_edge_sections(found.values, found.half_widths, found.axial)
+    if bent is not None:
+        tables.append(_table(f"Fractional law, residual {bent.residual_rms:.3g} N RMS", result["fractional"]))
+        if law == "fractional":
+            sections = _fractional_sections(bent)
+    title = f"Force coefficients from {len(found.cuts)} cuts, {source}"
+    use = "name this file in `includes`, and take `cutting` out of the cell"
+    said = _sentences(found, bent)
+    return Outcome("forces", title, result, tables, said, lambda: _figures(found, bent), sections, use)
+
+
+def _table(title: str, result: dict) -> tuple[str, list[str], list[list[str]]]:
+    rows = [[key, *("-" if np.isnan(v) else f"{v:.{d}g}" for v, d in ((result[key], 5), (width, 3)))]
+            for key, width in result["ci95"].items()]  # fmt: skip
+    return title, ["coefficient", "value", "95 % +-"], rows
+
+
+def _as_dict(found: Coefficients, bent: FractionalFit | None) -> dict:
     """For JSON; what was not measured becomes null there."""
     report: dict = dict(zip(NAMES, (found.values / SCALE).tolist(), strict=True))
     report["ci95"] = dict(zip(NAMES, (found.half_widths / SCALE).tolist(), strict=True))
@@ -32,7 +52,7 @@ def as_dict(found: Coefficients, bent: FractionalFit | None = None) -> dict:
     return report
 
 
-def sentences(found: Coefficients, bent: FractionalFit | None = None) -> list[str]:
+def _sentences(found: Coefficients, bent: FractionalFit | None) -> list[str]:
     """What the numbers mean."""
     said = []
     if np.isnan(found.values[4]):
@@ -66,7 +86,7 @@ def linear_edge_sections(values, half_widths, axial: float = TOWARD_PART) -> dic
     return sections | spread
 
 
-def fractional_sections(found: FractionalFit) -> dict:
+def _fractional_sections(found: FractionalFit) -> dict:
     """The same of the fractional law."""
     rows = zip(specs(FractionalLaw), found.values, found.half_widths, strict=True)
     each = [(s, v, w) for s, v, w in rows if np.isfinite(v)]
@@ -84,7 +104,7 @@ def _spread(relative: list[float]) -> dict:
     return {"uncertainty": {"force_coefficients": (shown, "standard deviations from the same fit")}}
 
 
-def figures(found: Coefficients, bent: FractionalFit | None = None) -> list:
+def _figures(found: Coefficients, bent: FractionalFit | None) -> list:
     """Forces and models over the feed, residuals; a colour a component, a symbol a law."""
     cuts = found.cuts
     feed, per_depth = 1e3 * cuts.feed_per_tooth, 1e-3 / cuts.depth

@@ -16,7 +16,6 @@ from scipy.optimize import nnls
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.identification.mode_result import six
 from kr270_milling.identification.modes import Mode
 from kr270_milling.identification.signals import AXES, Signals
 from kr270_milling.robot import compliance, equilibrium, rotate_matrix
@@ -39,10 +38,7 @@ def by_hammer(modes: list[Mode], signals: Signals, axis: str, quantity: str = "d
             raise InputError(
                 "--hammer", f"the mode at {mode.frequency:.4g} Hz moves against the force: check the signs"
             )
-        shape = np.zeros(6)
-        for name, value in zip(signals.names, share.real / np.sqrt(square), strict=True):
-            shape[AXES.index(name)] = value
-        shapes.append(shape)
+        shapes.append(signals.along_axes(share.real / np.sqrt(square)))
     return np.array(shapes)
 
 
@@ -53,7 +49,7 @@ def by_compliance(modes: list[Mode], signals: Signals, soft: np.ndarray) -> np.n
     """
     seen = [AXES.index(name) for name in signals.names if name in AXES[:3]]
     pairs = np.triu_indices(len(seen))
-    directions = np.array([six(mode, signals.names) for mode in modes])
+    directions = np.array([signals.along_axes(mode.shape) for mode in modes])
     softness = np.array([np.outer(psi, psi)[np.ix_(seen, seen)][pairs] for psi in directions])
     omega = 2 * np.pi * np.array([mode.frequency for mode in modes])
     target = soft[np.ix_(seen, seen)][pairs]

@@ -6,23 +6,36 @@ import numpy as np
 
 from kr270_milling.identification.figures import points
 from kr270_milling.identification.modes import Mode
-from kr270_milling.identification.signals import AXES, Signals
+from kr270_milling.identification.outcome import Outcome
+from kr270_milling.identification.signals import Signals
 
-__all__ = ["as_dict", "figures", "include_sections", "six"]
+__all__ = ["mode_outcome"]
 
 TOGETHER = 0.2  #: relative difference of both damping ratios up to which they confirm each other
 
 
-def six(mode: Mode, names: tuple[str, ...]) -> np.ndarray:
-    """The shape along x, y, z, rx, ry, rz, (6,); 0 where nothing was measured."""
-    shape = np.zeros(6)
-    for name, value in zip(names, mode.shape, strict=True):
-        if name in AXES:
-            shape[AXES.index(name)] = value
-    return shape
+COLUMNS = ("mode", "[Hz]", "damping [%]", "by decrement", "energy [%]", "shape x y z rx ry rz")
 
 
-def as_dict(modes: list[Mode], signals: Signals, shapes: np.ndarray | None = None) -> dict:
+def mode_outcome(modes: list[Mode], signals: Signals, shapes: np.ndarray | None, title: str) -> Outcome:
+    """Everything that ``identify damping`` says; shapes: mass-normalised ones, (n, 6), if there are any."""
+    result = _as_dict(modes, signals, shapes)
+    said = [f"{result['duration_s']:.3g} s at {result['samples_per_s']:.4g} samples a second"]
+    if not all(mode["confirmed"] for mode in result["modes"]):
+        said.append("the decrement does not confirm each damping ratio: modes are near each other, or ring too briefly")
+    if shapes is None:
+        said.append("the shapes are not scaled: a hammer (--hammer) or the compliance of a cell (--cell) does it")
+    rows = []
+    for i, mode in enumerate(result["modes"], 1):
+        ratios = [f"{100 * mode[key]:.2f}" for key in ("damping_ratio", "damping_ratio_log_decrement")]
+        shape = " ".join(f"{v:.2f}" for v in mode["shape"])
+        rows.append([str(i), f"{mode['frequency_hz']:.3f}", *ratios, f"{100 * mode['share_of_energy']:.0f}", shape])
+    use = "name this file in `includes`, or copy what you need"
+    sections = _include_sections(modes, shapes)
+    return Outcome("modes", title, result, [(title, COLUMNS, rows)], said, lambda: _figures(signals), sections, use)
+
+
+def _as_dict(modes: list[Mode], signals: Signals, shapes: np.ndarray | None) -> dict:
     """For JSON; shapes: mass-normalised ones, (n, 6)."""
     rows = [
         {
@@ -30,7 +43,7 @@ def as_dict(modes: list[Mode], signals: Signals, shapes: np.ndarray | None = Non
             "damping_ratio": mode.damping_ratio,
             "damping_ratio_log_decrement": mode.decrement,
             "confirmed": bool(abs(mode.decrement / mode.damping_ratio - 1.0) < TOGETHER),
-            "shape": six(mode, signals.names).tolist(),
+            "shape": signals.along_axes(mode.shape).tolist(),
             "share_of_energy": mode.share,
         }
         for mode in modes
@@ -41,7 +54,7 @@ def as_dict(modes: list[Mode], signals: Signals, shapes: np.ndarray | None = Non
     return {"modes": rows, "duration_s": duration, "samples_per_s": 1 / signals.step, "channels": list(signals.names)}
 
 
-def include_sections(modes: list[Mode], shapes: np.ndarray | None) -> dict:
+def _include_sections(modes: list[Mode], shapes: np.ndarray | None) -> dict:
     """``dynamics.modes`` of a parameter file with mass-normalised shapes (n, 6); without them one damping ratio."""
     if shapes is None:
         mean = sum(mode.share * mode.damping_ratio for mode in modes)
@@ -57,7 +70,7 @@ def include_sections(modes: list[Mode], shapes: np.ndarray | None) -> dict:
     return {"dynamics": {"follow_pose": ("false", "modes are of one posture"), "modes": rows}}
 
 
-def figures(signals: Signals) -> list:
+def _figures(signals: Signals) -> list:
     """The signal and its spectrum."""
     time = signals.step * np.arange(len(signals.values))
     data = signals.values - signals.values.mean(0)

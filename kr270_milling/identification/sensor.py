@@ -8,10 +8,11 @@ import numpy as np
 
 from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
+from kr270_milling.base.frames import rotation_from_abc
 from kr270_milling.messages.series import series
 from kr270_milling.robot.loads import GRAVITY
 
-__all__ = ["Sensor", "force_series", "mean_force", "pose_series", "read_topic"]
+__all__ = ["Sensor", "force_series", "mean_force", "pose_series", "read_topic", "turn_of"]
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 POSE = "geometry_msgs/msg/PoseStamped"
@@ -27,6 +28,11 @@ class Sensor:
     tare: tuple[float, float] | None = None  #: [s] of an idle stretch, after the first message
     mass: float = 0.0  #: [kg] that hangs on the sensor; its weight is taken off where there is no tare
     down: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))  #: workpiece axes
+
+
+def turn_of(abc) -> np.ndarray:
+    """Sensor axes -> workpiece axes from the angles A, B, C [deg] of a command line; None: they are the same."""
+    return np.eye(3) if abc is None else rotation_from_abc(np.radians(abc))
 
 
 def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:

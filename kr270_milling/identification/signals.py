@@ -31,6 +31,14 @@ class Signals:
     names: tuple[str, ...]  #: of the channels, of AXES where they are known
     force: np.ndarray | None = None  #: of the hammer [N], (n,)
 
+    def along_axes(self, shape: np.ndarray) -> np.ndarray:
+        """A shape of the channels along x, y, z, rx, ry, rz, (6,); 0 where nothing was measured."""
+        six = np.zeros(6)
+        for name, value in zip(self.names, shape, strict=True):
+            if name in AXES:
+                six[AXES.index(name)] = value
+        return six
+
     def window(self, start: float | None, stop: float | None) -> Signals:
         """The seconds between two, after the first sample."""
         first = 0 if start is None else max(0, round(start / self.step))

@@ -17,7 +17,7 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cli import COMMANDS, main
 from kr270_milling.commands.bench import USUAL, plain
-from kr270_milling.commands.console import numbers
+from kr270_milling.nodes.option_types import numbers
 
 ROOT = Path(__file__).resolve().parents[2]
 PAPER_POSTURE = "--joints-deg=90,-50,120,180,25,180"

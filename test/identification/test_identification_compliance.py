@@ -10,9 +10,9 @@ import pytest
 from campaigns import ARM, MOUNT, TRUE
 
 from kr270_milling.identification.compliance import TooFewError, fit
+from kr270_milling.identification.compliance_result import sentences
 from kr270_milling.identification.load_model import LoadModel, SoftArmError, displacements
 from kr270_milling.identification.problem import Problem
-from kr270_milling.identification.result import sentences
 from kr270_milling.robot.compensator import Compensator
 from kr270_milling.robot.equilibrium import equilibrium
 

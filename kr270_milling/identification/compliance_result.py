@@ -3,17 +3,42 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import norm
 
 from kr270_milling.base.record import specs
 from kr270_milling.identification.compliance import Fit
+from kr270_milling.identification.figures import figure_of, points
 from kr270_milling.identification.identifiability import singular_values
 from kr270_milling.identification.measurements import Measurements
+from kr270_milling.identification.outcome import Outcome
 from kr270_milling.identification.prediction import predicted_errors
 from kr270_milling.robot.compensator import Compensator
 
-__all__ = ["as_dict", "include_sections", "sentences"]
+__all__ = ["as_dict", "compliance_outcome", "include_sections", "sentences"]
 
 HARDLY_NORMAL = 0.05
+COLUMNS = ("number", "arm file", "identified", "95 % +-", "told by the data")
+
+
+def compliance_outcome(found: Fit, pose: Measurements | None, source: str) -> Outcome:
+    """Everything that ``identify compliance`` says; source: name of the file with the load tests."""
+    result = as_dict(found, pose)
+    title = f"Joint compliances of {found.problem.arm.name} from {result['tests']} load tests, {source}"
+    residual = f"residual {result['residual_rms_um']:.2f} um RMS, normal with p = {result['normality_p']:.2g}"
+    return Outcome(
+        "compliance", title, result, [(title, COLUMNS, _rows(found))], [residual, *sentences(found, pose)],
+        lambda: _figures(found), include_sections(found), "name this file in `includes` behind that of the arm",
+    )  # fmt: skip
+
+
+def _rows(found: Fit) -> list[list[str]]:
+    rows = []
+    numbers = zip(found.problem.scale, found.values, found.half_widths, strict=True)
+    for name, three, free in zip(found.problem.names, numbers, found.free, strict=True):
+        unit = 1e6 if name.startswith("joint") else 1.0
+        shown = [f"{unit * number:.4g}" if np.isfinite(number) else "-" for number in three]
+        rows.append([name, *shown, "yes" if free else "no"])
+    return rows
 
 
 def as_dict(found: Fit, pose: Measurements | None = None) -> dict:
@@ -101,3 +126,34 @@ def include_sections(found: Fit) -> dict:
     relative = np.sqrt(np.diag(found.covariance)[:6]) / np.abs(found.factors[:6])
     spread = (np.clip(relative, 1e-4, 1.0).tolist(), "standard deviations from the same fit")
     return {"arm": arm, "uncertainty": {"joint_compliances": spread}}
+
+
+def _figures(found: Fit) -> list:
+    """Compliances with their intervals, residuals of each test and against the normal distribution, correlation."""
+    bars = figure_of("Joint compliances", "", "[urad/(N m)]")
+    values, widths = found.values[:6], np.where(np.isfinite(found.half_widths[:6]), found.half_widths[:6], 0.0)
+    spread = dict(type="data", array=(1e6 * widths).tolist())
+    joints, names = found.problem.names[:6], found.problem.names
+    bars.add_bar(name="identified, 95 %", x=joints, y=(1e6 * values).tolist(), error_y=spread)
+    bars.add_bar(name="arm file", x=joints, y=(1e6 * found.problem.arm.joint_compliance).tolist())
+    heat = figure_of("Correlation of what was fitted", "", "")
+    heat.add_heatmap(x=names, y=names, z=found.correlation.tolist(), zmin=-1, zmax=1, colorscale="RdBu",
+                     texttemplate="%{z:.2f}")  # fmt: skip
+    heat.update_layout(yaxis_autorange="reversed", height=480)
+    left = 1e6 * found.residuals[:, :3]
+    tests = np.arange(1, len(left) + 1)
+    scaled = np.sort((found.residuals / found.problem.measured.sigma)[found.problem.finite])
+    normal = norm.ppf((np.arange(scaled.size) + 0.5) / scaled.size)
+    modelled = 1e6 * (found.problem.measured.displacement - found.residuals)[:, :3]
+    seen = 1e6 * found.problem.measured.displacement[:, :3]
+    axes = list(enumerate("xyz"))
+    return [
+        bars,
+        points("Measured against modelled displacement", "modelled [um]", "measured [um]",
+               {a: (modelled[:, i], seen[:, i]) for i, a in axes}),
+        points("Residuals of each load test", "test", "measured less modelled [um]",
+               {a: (tests, left[:, i]) for i, a in axes}),
+        points("Residuals against the normal distribution", "normal quantile", "residual [standard deviations]",
+               {"residuals": (normal, scaled), "normal": (normal, normal)}, ("normal",)),
+        heat,
+    ]  # fmt: skip
