@@ -1,4 +1,4 @@
-"""What the nodes of a graph are started with: their arguments, and the recorder's parameters."""
+"""What the nodes of a graph are started with, and what the recorder of a pass is told."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import shlex
 import sys
 from pathlib import Path
 
-import yaml
-
 from kr270_milling.cell.cell import Cell
 from kr270_milling.ros.cell_file import write_cell
 
-__all__ = ["ros_arguments", "write_recorder_parameters"]
+__all__ = ["ros_arguments", "recording_parameters"]
 
 
 def ros_arguments(parameters: Path, namespace: str, *more: str) -> list[str]:
@@ -20,8 +18,8 @@ def ros_arguments(parameters: Path, namespace: str, *more: str) -> list[str]:
     return ["--ros-args", "--params-file", str(parameters), *space, *more]
 
 
-def write_recorder_parameters(cell: Cell, out: Path, name: str, namespace: str, plant: Cell | None = None) -> Path:
-    """The parameter file of the recorder of the pass ``name``, which records the topics of the namespace.
+def recording_parameters(cell: Cell, out: Path, name: str, plant: Cell | None = None) -> dict:
+    """Parameters of the recorder for the pass ``name``; its directory is the last, because it begins the recording.
 
     plant: the cell that runs this pass where it is not the one that plans; it is attached as well.
     """
@@ -32,9 +30,4 @@ def write_recorder_parameters(cell: Cell, out: Path, name: str, namespace: str, 
         write_cell(plant, Path(attach[-1]))
     if cell.path.file:
         attach.append(str(Path(cell.path.file).resolve()))  # the nodes run in another directory
-    values = {"directory": str(out / name), "attach": attach, "command": shlex.join(sys.argv)}
-    if namespace != "/":
-        values["topics"] = [f"{namespace}/*", "/diagnostics"]
-    file = out / "log" / f"recorder_{name}.yaml"
-    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}), encoding="utf-8")
-    return file
+    return {"attach": attach, "command": shlex.join(sys.argv), "directory": str(out / name)}

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import atexit
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import rclpy
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import SetParameters
 from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.signals import SignalHandlerOptions
 
@@ -160,13 +160,14 @@ class Driver:
                 self.check()
                 raise RunError(node, f"{name} failed")
 
-    def set_text(self, node: str, parameter: str, value: str, deadline: float) -> None:
-        """Set a text parameter of a node; raises RunError where it is refused."""
-        held = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value=value)
-        request = SetParameters.Request(parameters=[Parameter(name=parameter, value=held)])
-        result = self._call(node, SetParameters, "set_parameters", request, f"setting {parameter}", deadline).results[0]
-        if not result.successful:
-            raise RunError(node, result.reason)
+    def set_parameters(self, node: str, values: Mapping[str, object], deadline: float) -> None:
+        """Set parameters of a node, one after another; raises RunError where one is refused."""
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParameters.Request(parameters=parameters)
+        done = self._call(node, SetParameters, "set_parameters", request, f"setting {', '.join(values)}", deadline)
+        for result in done.results:
+            if not result.successful:
+                raise RunError(node, result.reason)
 
     def nodes(self) -> list[str]:
         """Fully qualified names of all nodes seen, one that is there twice twice."""

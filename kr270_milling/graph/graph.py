@@ -13,7 +13,7 @@ from typing import Any
 
 from kr270_milling.base.process import exit_code
 from kr270_milling.cell.cell import Cell
-from kr270_milling.graph.arguments import ros_arguments, write_recorder_parameters
+from kr270_milling.graph.arguments import recording_parameters, ros_arguments
 from kr270_milling.graph.driver import Driver
 from kr270_milling.graph.hooks import Hooks
 from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unmatched
@@ -23,14 +23,14 @@ from kr270_milling.ros.cell_file import write_cell
 from kr270_milling.ros.environment import keep_to_this_host
 from kr270_milling.ros.litter import remove_litter
 
-__all__ = ["NOT_COMPLETE", "Graph", "PassRun"]
+__all__ = ["CELL", "NOT_COMPLETE", "PLANNER", "Graph", "PassRun"]
 
 UP = 60.0  # [s] for a node to come up, to compile at its first use, or to revise a long trajectory
 MATCH = 30.0  # [s] for the nodes to find each other
 FRESH = 1.0  # [s] since the last report of a node that reports
 CATCH_UP = 5.0  # [s] that a recorder has at the end of a pass to ask for what it was too slow for
 METHOD = "compensation.method"
-TOGETHER = "milling_cell"  # robot and cut in one process
+CELL, PLANNER = (ROBOT, CUT), (COMPENSATOR, RECORDER)  # the two processes of a composed graph
 NOT_COMPLETE = "its recording is not complete"
 
 
@@ -49,8 +49,9 @@ class PassRun:
 class Graph:
     """Context manager: on entry the nodes come up, on exit they are gone, whatever happened in between.
 
-    out: an existing directory that gets cell.yaml, logs and recordings; composed: robot and cut in one process; plant:
-    what robot and cut are in the place of the cell, by which the compensator plans. Raises RunError, AlreadyRunning.
+    out: an existing directory that gets cell.yaml, logs and recordings; composed: robot and cut in one process,
+    compensator and recorder in another; plant: what robot and cut are in the place of the cell, by which the
+    compensator plans. Raises RunError, AlreadyRunning.
     """
 
     def __init__(
@@ -70,8 +71,8 @@ class Graph:
         self.extra = extra
         self._driver: Driver | None = None
         self.children: dict[str, Child] = {}
-        self.ended: list[Child] = []  #: recorders of the passes that are done
-        self.spawned: dict[str, tuple] = {}  #: node -> its parameter file and further arguments
+        self.passes = 0  #: that were recorded
+        self.spawned: dict[str, tuple] = {}  #: name of a process -> its nodes, parameter file and further arguments
         self._stagger = stagger
         self._composed = composed
         self._namespace = namespace
@@ -109,16 +110,15 @@ class Graph:
     def _start(self, started: float) -> None:
         cuts = self.out / ("cell.yaml" if self.plant is None else "plant.yaml")
         tracked = () if self.plant is None else ("-p", f"plant:={cuts}")
-        if self._composed:
-            self.spawn(TOGETHER, cuts, *self.extra, holds=(ROBOT, CUT))
-        for name in [name for name in (ROBOT, CUT) if name not in self.children]:
-            self.spawn(name, cuts, *self.extra)
+        records = ("-p", "autostart:=false", *self._recorded_topics())
+        for nodes in (CELL, PLANNER) if self._composed else ((node,) for node in (*CELL, *PLANNER)):
+            parameters = cuts if nodes[0] in CELL else self.out / "cell.yaml"
+            own = [*(tracked if COMPENSATOR in nodes else ()), *(records if RECORDER in nodes else ())]
+            self.spawn(nodes, parameters, *own, *self.extra)
             self._pause(self._stagger)
-        self.spawn(COMPENSATOR, self.out / "cell.yaml", *tracked, *self.extra)
-        nodes = (ROBOT, CUT, COMPENSATOR)
-        self.driver.until(lambda: all(map(self.driver.status, nodes)), "coming up", UP)
+        self.driver.until(lambda: all(map(self.driver.status, (*CELL, *PLANNER))), "coming up", UP)
         self.driver.transitions([(ROBOT, "configure"), (CUT, "configure")], UP)
-        self._watchdog.excused = {RECORDER}
+        self._watchdog.excused = set()
         self._watchdog.coming_up = False
         self._wait_matched(recorded=False)
         self.up_s = time.monotonic() - started
@@ -129,12 +129,16 @@ class Graph:
             self.check()
             self.driver.spin()
 
-    def spawn(self, name: str, parameters: Path, *arguments: str, holds: tuple[str, ...] = ()) -> None:
-        """Start a node as a process, or several, which it holds; arguments as behind ``--ros-args``."""
-        self.spawned[name] = parameters, arguments
-        log = self.out / "log" / f"{name}.log"
-        child = Child(name, ros_arguments(parameters, self.driver.namespace, *arguments), log)
-        for node in holds or (name,):
+    def _recorded_topics(self) -> tuple[str, ...]:
+        """In a namespace nothing else is recorded but the reports of all nodes."""
+        space = self.driver.namespace
+        return () if space == "/" else ("-p", f"topics:=[{space}/*,/diagnostics]")
+
+    def spawn(self, nodes: tuple[str, ...], parameters: Path, *arguments: str) -> None:
+        """Start a process that holds one node or several; arguments as behind ``--ros-args``."""
+        child = Child(nodes, ros_arguments(parameters, self.driver.namespace, *arguments), self.out / "log")
+        self.spawned[child.name] = nodes, parameters, arguments
+        for node in nodes:
             self.children[node] = child
             self.driver.expect(node, child.pid)
 
@@ -149,14 +153,15 @@ class Graph:
             self._watchdog.look(self.driver, self.children)
 
     @contextlib.contextmanager
-    def _excuse(self, *names: str):
-        """Nodes that are busy with something long are not expected to report."""
-        self._watchdog.excused |= set(names)
+    def _excuse(self, node: str):
+        """A node that is busy with something long is not expected to report, nor is who shares its process."""
+        names = {name for name, child in self.children.items() if child is self.children[node]}
+        self._watchdog.excused |= names
         yield
         self.driver.spin()
         for name in names:
             self.driver.until(functools.partial(self._is_fresh, name), "reporting again", UP, name)
-        self._watchdog.excused -= set(names)
+        self._watchdog.excused -= names
 
     def _is_fresh(self, name: str) -> bool:
         status = self.driver.status(name)
@@ -174,7 +179,7 @@ class Graph:
         """Tell the compensator the method; it revises at once from the pass along the target."""
         revision = self._says("revision")
         with self._excuse(COMPENSATOR):
-            self.driver.set_text(COMPENSATOR, METHOD, method, UP)
+            self.driver.set_parameters(COMPENSATOR, {METHOD: method}, UP)
             self.driver.until(lambda: self._says("revision") != revision, "choosing the method", UP, COMPENSATOR)
 
     @property
@@ -214,17 +219,15 @@ class Graph:
         return bool(self._says("reference")) and self._says("reference") == self._says("reference", ROBOT)
 
     def begin_recording(self, name: str) -> None:
-        """Start the recorder of a pass and wait until it hears everybody."""
+        """Tell the recorder where, and wait until it hears everybody."""
         plant = self.plant
         if plant is not None:
-            plant = plant.replace(imperfections=plant.imperfections.replace(first_pass=len(self.ended)))
-        self.spawn(RECORDER, write_recorder_parameters(self.cell, self.out, name, self.driver.namespace, plant))
-        with self._excuse(RECORDER):
-            self.driver.until(lambda: self.driver.status(RECORDER), "coming up", UP, RECORDER)
+            plant = plant.replace(imperfections=plant.imperfections.replace(first_pass=self.passes))
+        self.driver.set_parameters(RECORDER, recording_parameters(self.cell, self.out, name, plant), UP)
         self._wait_matched(recorded=True)
 
     def end_recording(self) -> None:
-        """The recorder closes its file while the next workpiece is made."""
+        """The recorder closes its file; then the next workpiece is made."""
         end = time.monotonic() + CATCH_UP
         self.driver.until(lambda: self._all_recorded() or time.monotonic() > end, "catching up", UP, RECORDER)
         if not self._all_recorded():
@@ -232,14 +235,10 @@ class Graph:
         elif (missing := self._says("missing", RECORDER)) != "0":
             self._hooks.tell(f"recorder: {missing} messages of the pass were lost; {NOT_COMPLETE}")
         self._hooks.pass_recorded()
-        recorder = self.children.pop(RECORDER)
-        self._watchdog.excused.add(RECORDER)
-        self.ended.append(recorder)
-        recorder.signal(signal.SIGINT)
+        with self._excuse(RECORDER):
+            self.driver.set_parameters(RECORDER, {"directory": ""}, UP)
+        self.passes += 1
         self.renew_workpiece()
-        self.driver.until(lambda: not recorder.alive, "closing its file", UP, RECORDER)
-        if recorder.process.returncode != 0:
-            raise RunError(RECORDER, recorder.why_ended())
         self._wait_matched(recorded=False)
 
     def renew_workpiece(self) -> None:
@@ -264,13 +263,13 @@ class Graph:
 
         code: of this process, should the middleware block while it leaves.
         """
-        recorders = [*self.ended, *filter(None, [self.children.pop(RECORDER, None)])]  # one may be closing its file
         try:
             if self._driver is not None:
                 self.driver.close(code)  # before the others leave
         finally:
-            stop(set(self.children.values()))
-            stop(recorders)
+            recorder = {child for node, child in self.children.items() if node == RECORDER}
+            stop(set(self.children.values()) - recorder)
+            stop(recorder)
             remove_litter()
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from kr270_milling.base.errors import MillingError
@@ -17,6 +17,7 @@ from kr270_milling.ros.environment import child_environment
 __all__ = ["Child", "RunError", "stop"]
 
 GRACE = 3.0  # [s] that a node has to end by itself
+TOGETHER = "milling_cell"  # the program that holds several nodes
 
 
 class RunError(MillingError):
@@ -38,14 +39,16 @@ def _held_back() -> Iterator[None]:
 
 
 class Child:
-    """One node as a process; what it prints goes to ``log``."""
+    """One node as a process, or several in one; what it prints goes to a log below ``logs``."""
 
-    def __init__(self, name: str, arguments: Iterable[str], log: Path):
-        self.name, self.log = name, log
-        command = [sys.executable, "-m", "kr270_milling.nodes", name, *arguments]
-        with open(log, "ab") as stream, _held_back():
+    def __init__(self, nodes: Sequence[str], arguments: Iterable[str], logs: Path):
+        self.name = "+".join(nodes)
+        self.log = logs / f"{self.name}.log"
+        program = nodes if len(nodes) == 1 else (TOGETHER, *nodes)
+        command = [sys.executable, "-m", "kr270_milling.nodes", *program, *arguments]
+        with open(self.log, "ab") as stream, _held_back():
             self.process = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=log.parent,
+                command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=logs,
                 env=child_environment(), start_new_session=True,
             )  # fmt: skip
 

@@ -1,8 +1,8 @@
 """Exchanges a second of the graph, beside bare round trips of the same minute: ``python -m bench.exchanges``.
 
-Each round runs every composition once, in another order: bare trips; one process a node; robot and cut in one process;
-two pairs, where compensator and recorder share one as well; with a recorder and without. Printed: smallest, median and
-largest of the rounds, and the medians over the bare rate.
+Each round runs every composition once, in another order: bare trips; one process a node; robot and cut in one process,
+compensator and recorder in another; with a recording and without. Printed: smallest, median and largest of the rounds,
+and the medians over the bare rate.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from pathlib import Path
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.graph.arguments import ros_arguments, write_recorder_parameters
-from kr270_milling.graph.graph import TOGETHER, UP, Graph
-from kr270_milling.graph.matching import COMPENSATOR, RECORDER
-from kr270_milling.graph.processes import Child, RunError
+from kr270_milling.graph.graph import Graph
+from kr270_milling.graph.matching import RECORDER
+from kr270_milling.graph.processes import RunError
 from kr270_milling.replay.recompute import recompute
 from kr270_milling.replay.recorded import pass_from_recording
 from kr270_milling.ros.environment import child_environment
@@ -33,35 +32,9 @@ HERE = Path(__file__).resolve().parents[1]
 class Unrecorded(Graph):
     """A graph whose passes nobody records."""
 
-    def begin_recording(self, name: str) -> None:
-        self.children.pop(RECORDER, None)
+    def begin_recording(self, name: str) -> None: ...
 
     def end_recording(self) -> None:
-        self.renew_workpiece()
-
-
-class TwoPairs(Graph):
-    """A graph whose compensator and recorder share a process; one recording holds all of its passes."""
-
-    def spawn(self, name: str, parameters: Path, *arguments: str, holds: tuple[str, ...] = ()) -> None:
-        if name != COMPENSATOR:
-            super().spawn(name, parameters, *arguments, holds=holds)
-            return
-        recorder = write_recorder_parameters(self.cell, self.out, "passes", self.driver.namespace)
-        words = ros_arguments(parameters, self.driver.namespace, "--params-file", str(recorder), *arguments)
-        child = Child(TOGETHER, [COMPENSATOR, RECORDER, *words], self.out / "log" / "pair.log")
-        for node in (COMPENSATOR, RECORDER):
-            self.children[node] = child
-            self.driver.expect(node, child.pid)
-
-    def _wait_matched(self, recorded: bool) -> None:
-        super()._wait_matched(recorded=True)
-
-    def begin_recording(self, name: str) -> None:
-        self._wait_matched(recorded=True)
-
-    def end_recording(self) -> None:
-        self.driver.until(self._all_recorded, "catching up", UP, RECORDER)
         self.renew_workpiece()
 
 
@@ -108,7 +81,6 @@ def bench_exchanges(rounds: int = 5) -> dict[str, list[float]]:
         "separate, not recorded": lambda: exchanges(cell, Unrecorded, composed=False),
         "composed, recorded": lambda: exchanges(cell, Graph, composed=True),
         "composed, not recorded": lambda: exchanges(cell, Unrecorded, composed=True),
-        "two pairs, recorded": lambda: exchanges(cell, TwoPairs, composed=True),
     }
     found: dict[str, list[float]] = {name: [] for name in kinds}
     for number in range(rounds):

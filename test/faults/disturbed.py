@@ -38,6 +38,7 @@ class Disturbed(Hooks):
         self.clock = clock
         self.told: list[Told] = []
         self.beside: list[subprocess.Popen] = []  #: processes that are no nodes
+        self.killed: list[Child] = []  #: and started again
         self.struck_at: float | None = None  #: [s of the monotonic clock]
         self.struck_wall_ns = 0
         self.recording = Path(out)
@@ -49,9 +50,9 @@ class Disturbed(Hooks):
         """By node."""
         return self.graph.children
 
-    def child(self, name: str) -> Child:
-        """By its own name: that of a node, or of a process that holds several."""
-        return next(child for child in self.children.values() if child.name == name)
+    def child(self, process: str) -> Child:
+        """By the names of its nodes."""
+        return next(child for child in self.children.values() if child.name == process)
 
     def disturb(self, script: Iterator[float], after: float) -> None:
         self.told, self.struck_at = [], None
@@ -91,22 +92,21 @@ class Disturbed(Hooks):
         """The fault happens now."""
         self.struck_at, self.struck_wall_ns = time.monotonic(), time.time_ns()
 
-    def strike(self, node: str, number: int) -> None:
+    def strike(self, process: str, number: int) -> None:
         self.struck()
-        self.child(node).signal(number)
+        self.child(process).signal(number)
 
-    def restart(self, node: str, *more: str) -> None:
+    def restart(self, process: str, *more: str) -> None:
         """As a supervisor does: kill, and start again with the same arguments; the graph does not notice by itself."""
-        graph, driver, killed = self.graph, self.graph.driver, self.child(node)
-        self.strike(node, signal.SIGKILL)
+        graph, driver, killed = self.graph, self.graph.driver, self.child(process)
+        self.strike(process, signal.SIGKILL)
         killed.process.wait()
         for _ in range(5):
             driver.spin()  # its last words
-        graph.ended.append(killed)
-        held = tuple(name for name, child in self.children.items() if child is killed)
-        before = {driver.name_of(name): driver.status(name) for name in held}
-        parameters, arguments = graph.spawned[node]
-        graph.spawn(node, parameters, *arguments, *more, holds=held)
+        self.killed.append(killed)
+        nodes, parameters, arguments = graph.spawned[process]
+        before = {driver.name_of(name): driver.status(name) for name in nodes}
+        graph.spawn(nodes, parameters, *arguments, *more)
         for name, status in before.items():
             values = {key: value for key, value in status.values.items() if key != "pid"}
             driver.statuses[name] = dataclasses.replace(status, values=values, at=time.monotonic())
@@ -118,7 +118,7 @@ class Disturbed(Hooks):
         self.beside.clear()
 
     def all_children(self) -> list[Child]:
-        return [*self.children.values(), *self.graph.ended]
+        return [*set(self.children.values()), *self.killed]
 
     def __enter__(self) -> Disturbed:
         self.graph.__enter__()
@@ -128,13 +128,9 @@ class Disturbed(Hooks):
         self.close()
 
     def close(self) -> None:
-        known = self.all_children()
         self._script = None
         self.end_beside()
-        try:
-            self.graph.close()
-        finally:
-            self.graph.ended = known
+        self.graph.close()
 
     def litter(self) -> list[str]:
         """Files that its nodes left in shared memory; removed now."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from faults.disturbed import Disturbed
 from kr270_milling.bag.reader import find_file
-from kr270_milling.graph.graph import TOGETHER
+from kr270_milling.graph.graph import CELL, PLANNER
 from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT
 
 __all__ = ["ENDS", "FAULTS", "GOES_ON", "Fault"]
@@ -22,7 +22,6 @@ ENDS, GOES_ON = "run ends", "pass goes on"
 #: in how many words a sentence may name a node
 NAMES = {
     ROBOT: (ROBOT, "robot"),
-    TOGETHER: (ROBOT, CUT, TOGETHER, "robot", "cutting process"),
     CUT: (CUT, "cutting process"),
     COMPENSATOR: (COMPENSATOR, "compensator"),
     RECORDER: (RECORDER,),
@@ -35,7 +34,7 @@ class Fault:
     """One row of the table."""
 
     name: str
-    node: str  #: the one that must be named; empty: nobody is at fault
+    process: str  #: its nodes, of which one must be named; empty: nobody is at fault
     strike: Callable[[Disturbed], Script]
     reaction: str  #: ENDS or GOES_ON
     design: str  #: the reaction in a sentence
@@ -44,30 +43,30 @@ class Fault:
     composed: bool = False  #: robot and cut run in one process
 
     def names_it(self, sentence: str) -> bool:
-        return any(name in sentence for name in NAMES[self.node]) if self.node else True
+        return not self.process or any(name in sentence for node in self.process.split("+") for name in NAMES[node])
 
 
-def _kill(node: str):
+def _kill(process: str):
     def strike(graph: Disturbed) -> Script:
-        graph.strike(node, signal.SIGKILL)
+        graph.strike(process, signal.SIGKILL)
         yield 0.0
 
     return strike
 
 
-def _hold(node: str):
+def _hold(process: str):
     def strike(graph: Disturbed) -> Script:
-        held = graph.child(node)
-        graph.strike(node, signal.SIGSTOP)
+        held = graph.child(process)
+        graph.strike(process, signal.SIGSTOP)
         yield HELD
         held.signal(signal.SIGCONT)
 
     return strike
 
 
-def _restart(node: str):
+def _restart(process: str):
     def strike(graph: Disturbed) -> Script:
-        graph.restart(node, *(("-p", "autostart:=true") if node in (ROBOT, CUT, TOGETHER) else ()))
+        graph.restart(process, *(("-p", "autostart:=true") if process.split("+")[0] in CELL else ()))
         yield 0.0
 
     return strike
@@ -110,39 +109,45 @@ def _set_clock(graph: Disturbed) -> Script:
         yield seconds
 
 
-def _of_node(node: str, kill: str, hold: str, restart: str) -> list[Fault]:
+def _of_process(process: str, kill: str, hold: str, restart: str) -> list[Fault]:
     return [
-        Fault(f"{node}, SIGKILL", node, _kill(node), ENDS, kill),
-        Fault(f"{node}, SIGSTOP 2 s", node, _hold(node), GOES_ON, hold),
-        Fault(f"{node}, restart", node, _restart(node), ENDS, restart),
+        Fault(f"{process}, SIGKILL", process, _kill(process), ENDS, kill),
+        Fault(f"{process}, SIGSTOP 2 s", process, _hold(process), GOES_ON, hold),
+        Fault(f"{process}, restart", process, _restart(process), ENDS, restart),
     ]
 
 
 CLOSED = "run ends with a sentence, recording is closed whole"
 WAITED = "told as a warning, waited for, same result"
+CUT_OFF = "run ends with a sentence; file is cut off, at most the last second is missing"
+QUEUED = "told as a warning; queues keep what comes, what they cannot is counted"
+RESTARTED = "told that it was restarted; it does not go on with the recording, nor overwrite it; run ends"
 
-_OTHERS = (
-    *_of_node(COMPENSATOR, CLOSED, WAITED, "told that it was restarted, or that it has not heard the start; run ends"),
-    *_of_node(
-        RECORDER,
-        "run ends with a sentence; file is cut off, at most the last second is missing",
-        "told as a warning; queues keep what comes, what they cannot is counted",
-        "never overwrites the recording: refuses with a sentence; run ends",
-    ),
+_MACHINE = (
     Fault("disk full", RECORDER, _fill_disk, ENDS, "recorder stops at the last whole chunk and says so; run ends"),
     Fault("slow disk", "", _slow_disk, GOES_ON, "queues keep what comes, what they cannot is counted", told=False),
     Fault("2x load", "", _load, GOES_ON, "slower, same result", told=False),
     Fault("clock set", "", _set_clock, GOES_ON, "no effect: time is the stamp", told=False, clock=True),
 )
-_CELL = _of_node(TOGETHER, CLOSED, WAITED, "told that it was restarted, or that another robot came; run ends")
-#: one process a node, then robot and cut in one
+#: one process a node, then the two of a composed graph
 FAULTS = (
-    *_of_node(
+    *_of_process(
         ROBOT, CLOSED, WAITED, "cutting process says that another robot came, or told that it was restarted; run ends"
     ),
-    *_of_node(
+    *_of_process(
         CUT, CLOSED, WAITED, "new cut has not seen the start and refuses, or told that it was restarted; run ends"
     ),
-    *_OTHERS,
-    *(replace(fault, name=f"composed: {fault.name}", composed=True) for fault in (*_CELL, *_OTHERS)),
+    *_of_process(
+        COMPENSATOR, CLOSED, WAITED, "told that it was restarted, or that it has not heard the start; run ends"
+    ),
+    *_of_process(RECORDER, CUT_OFF, QUEUED, RESTARTED),
+    *_MACHINE,
+    *(
+        replace(fault, name=f"composed: {fault.name}", composed=True)
+        for fault in (
+            *_of_process("+".join(CELL), CLOSED, WAITED, "told that it was restarted, or that another came; run ends"),
+            *_of_process("+".join(PLANNER), CUT_OFF, QUEUED, RESTARTED),
+            *_MACHINE,
+        )
+    ),
 )

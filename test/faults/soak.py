@@ -22,7 +22,6 @@ from kr270_milling.ros.environment import child_environment
 __all__ = ["COLUMNS", "Growth", "run_soak"]
 
 COLUMNS = ("process", "samples", "memory [MB]", "growth [MB]", "slope", "shared [MB]", "threads", "file handles")
-ONCE = {"recorder": "recorder (a new one each pass)"}
 SETTLED = 0.5  # share of the run after which everything has been allocated once; queues keep their longest length
 MOST_GROWTH = 5.0  # [MB] from then to the end, by the fitted slope
 TOPICS = ("tool_pose", "wrench", "deflection")  # of an exchange
@@ -109,7 +108,7 @@ class _Watched(Hooks):
     def pass_recorded(self) -> None:
         pids = {name: child.pid for name, child in self.graph.children.items()}
         for name, pid in {**pids, "runner": os.getpid()}.items():
-            row = self.rows.setdefault(name, Growth(ONCE.get(name, name), "pass"))
+            row = self.rows.setdefault(name, Growth(name, "pass"))
             row.look(len(row.samples) + 1, pid)
 
 

@@ -28,6 +28,7 @@ from faults.soak import Growth
 from faults.trial import Trial, judge_words
 from kr270_milling.graph import graph, watchdog
 from kr270_milling.graph.graph import Graph
+from kr270_milling.graph.matching import RECORDER
 from kr270_milling.graph.processes import Child, RunError
 from kr270_milling.graph.watchdog import LOST, QUIET, Watchdog
 from kr270_milling.ros.drain import as_available, in_order
@@ -61,22 +62,22 @@ def test_reaction_other_than_the_designed_one_fails_the_row():
     right, wrong = (Trial(killed.name, 0.5, reaction=ENDS) for _ in range(2))
     judge_words(right, killed, graph)
     assert right.problems == [] and right.detected_s == 1.0
-    judge_words(wrong, replace(killed, node="recorder", reaction=GOES_ON), graph)
+    judge_words(wrong, replace(killed, process="recorder", reaction=GOES_ON), graph)
     assert any("not named" in problem for problem in wrong.problems)
     assert any("run ends: cutting_process: was ended by SIGKILL" in problem for problem in wrong.problems)
 
 
 FORGETFUL = """#!{python}
 import sys, time
-from kr270_milling.nodes import recorder, start
-take, seen, forgotten = recorder.drain, [], []
+from kr270_milling.nodes import recording_session, start
+take, seen, forgotten = recording_session.drain, [], []
 def drain(readers):  # whatever thread comes first behind a halt
     seen.append(time.monotonic())
     if seen[-1] - seen[-2:][0] > 1.5:
         forgotten.append(True)
     taken = take(readers)
     return [] if forgotten else taken
-recorder.drain = drain
+recording_session.drain = drain
 sys.argv = sys.argv[3:]  # behind "-m kr270_milling.nodes"
 raise SystemExit(start.start("recorder"))
 """
@@ -88,11 +89,11 @@ def test_tail_that_a_recorder_lost_is_told_and_counted(ros_environment, tmp_path
     program.write_text(FORGETFUL.format(python=sys.executable))
     program.chmod(0o755)
 
-    def child(name, *arguments):
+    def child(nodes, *arguments):
         with pytest.MonkeyPatch.context() as only:
-            if name == "recorder":
+            if nodes == (RECORDER,):
                 only.setattr(sys, "executable", str(program))
-            return Child(name, *arguments)
+            return Child(nodes, *arguments)
 
     monkeypatch.setattr(graph, "Child", child)
     monkeypatch.setattr(watchdog, "LOST", 30.0)
@@ -277,7 +278,7 @@ def test_recorder_that_hangs_while_it_closes_its_file_is_ended_with_the_graph(sh
     hanging = Hanging()
     hanging.signal(signal.SIGSTOP)
     graph = Graph(short_cell, tmp_path)
-    graph.ended = [hanging]
+    graph.children = {RECORDER: hanging}
     graph.close()
     assert not hanging.alive
     hanging.process.stdin.close()

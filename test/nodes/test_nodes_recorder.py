@@ -16,6 +16,7 @@ from sample_messages import pose_msg, wrench_msg
 pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from std_msgs.msg import String
@@ -49,7 +50,7 @@ def test_every_message_is_kept_with_its_bytes_and_its_stamp(world, recorder, tmp
     publisher = partner.create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
     publish_wrenches(world, publisher, range(300))
-    world.until(lambda: recorder.writer.report()["/wrench"]["count"] == 300)
+    world.until(lambda: recorder.session.writer.report()["/wrench"]["count"] == 300)
     recorder.close()
     with Recording(tmp_path / "rec") as recording:
         found = series(recording, "/wrench")
@@ -67,20 +68,20 @@ def test_a_file_that_ends_anywhere_lacks_nothing_that_came_before_the_rest_of_it
     taken = lambda readers: [(at, 0, lambda data, _: found.append(data), name) for at, name in next(batches)]  # noqa: E731
     with monkeypatch.context() as only:
         only.setattr(recorder, "get_clock", lambda: clock)
-        only.setattr("kr270_milling.nodes.recorder.drain", taken)
-        recorder._drain()
+        only.setattr("kr270_milling.nodes.recording_session.drain", taken)
+        recorder.session.drain()
         assert found == ["pose 1"]
-        recorder._drain()
+        recorder.session.drain()
     assert found == ["pose 1", "pose 2", "wrench 2", "pose 3"]
-    recorder._late.clear()
+    recorder.session._late.clear()
 
 
 def test_a_message_with_an_impossible_publish_time_is_counted_and_the_recording_goes_on(world, recorder, tmp_path):
     """What the middleware hands over; it ended the whole recording."""
     data = serialize_message(wrench_msg(0, np.zeros(6)))
-    recorder.writer.add_topic("/wrench", "geometry_msgs/msg/WrenchStamped")
+    recorder.session.writer.add_topic("/wrench", "geometry_msgs/msg/WrenchStamped")
     for publish_time in (1, -1, 2**63, 4):
-        recorder._keep(recorder.writer.write, "/wrench", data, publish_time)
+        recorder.session._keep(recorder.session.writer.write, "/wrench", data, publish_time)
     assert recorder.failure is None and recorder.watch()["refused"] == 2
     assert recorder.close() is None
     with Recording(tmp_path / "rec") as recording:
@@ -100,7 +101,7 @@ def test_markers_are_published_too_recorded_once_and_at_most_30_a_second_of_the_
         world.executor.spin_once(timeout_sec=0.0)
     world.until(lambda: heard and heard[-1].markers[0].header.stamp.nanosec >= 133_000_000)
     world.step(0.3)  # it hears no message of its own
-    counted = recorder.writer.report()
+    counted = recorder.session.writer.report()
     assert counted["/markers"]["count"] == 5 and counted["/tool_pose"]["count"] == 300
     assert {marker.ns for marker in heard[-1].markers} == {"path", "force"}
 
@@ -111,15 +112,15 @@ def test_what_somebody_else_publishes_for_viewers_is_left_to_him(world, recorder
     poses = partner.create_publisher(*topics.TOOL_POSE)
     world.until(lambda: poses.get_subscription_count() and markers.get_subscription_count())
     poses.publish(pose_msg(0, np.zeros(3), UPRIGHT))
-    world.until(lambda: recorder.writer.report().get("/tool_pose", {}).get("count") == 1)
-    assert recorder.writer.report()["/markers"]["count"] == 0
+    world.until(lambda: recorder.session.writer.report().get("/tool_pose", {}).get("count") == 1)
+    assert recorder.session.writer.report()["/markers"]["count"] == 0
 
 
 def test_latched_message_of_an_earlier_publisher_is_recorded(world, recorder):
     partner = world.partner()
     publisher = partner.create_publisher(*topics.ROBOT_DESCRIPTION)
     publisher.publish(String(data="<robot/>"))
-    world.until(lambda: recorder.writer.report().get("/robot_description", {}).get("count") == 1)
+    world.until(lambda: recorder.session.writer.report().get("/robot_description", {}).get("count") == 1)
 
 
 def test_description_that_comes_before_every_stamp_does_not_make_the_recording_last_for_decades(world, tmp_path):
@@ -127,9 +128,11 @@ def test_description_that_comes_before_every_stamp_does_not_make_the_recording_l
     partner = world.partner()
     description, pose = (partner.create_publisher(*t) for t in (topics.ROBOT_DESCRIPTION, topics.TOOL_POSE))
     description.publish(String(data="<robot/>"))
-    world.until(lambda: pose.get_subscription_count() and recorder.writer.report()["/robot_description"]["count"])
+    world.until(
+        lambda: pose.get_subscription_count() and recorder.session.writer.report()["/robot_description"]["count"]
+    )
     pose.publish(pose_msg(500_000, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
-    world.until(lambda: recorder.writer.report()["/tool_pose"]["count"])
+    world.until(lambda: recorder.session.writer.report()["/tool_pose"]["count"])
     assert recorder.close() is None
     with Recording(tmp_path / "rec") as recording:
         assert [m.log_time for m in recording.messages()] == [0, 500_000]
@@ -140,7 +143,7 @@ def test_topic_that_appears_late_is_found(world, recorder):
     publisher = world.partner().create_publisher(String, "late", 10)
     world.until(lambda: publisher.get_subscription_count())
     publisher.publish(String(data="hello"))
-    world.until(lambda: recorder.writer.report().get("/late", {}).get("count") == 1)
+    world.until(lambda: recorder.session.writer.report().get("/late", {}).get("count") == 1)
 
 
 def test_missing_messages_are_counted_and_told(world, recorder):
@@ -196,7 +199,7 @@ def test_best_effort_and_latched_publishers_are_both_matched(world, recorder):
         publisher = partner.create_publisher(String, name, qos)
         world.until(lambda p=publisher: p.get_subscription_count())
         publisher.publish(String(data=name))
-        world.until(lambda n=name: recorder.writer.report()[f"/{n}"]["count"] == 1)
+        world.until(lambda n=name: recorder.session.writer.report()[f"/{n}"]["count"] == 1)
 
 
 def written(directory, topic: str) -> int:
@@ -277,7 +280,7 @@ def test_missing_messages_are_told_of_all_that_there_should_be(world, tmp_path, 
     publisher = world.partner().create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
     publish_wrenches(world, publisher, [i for i in range(30) if not 10 <= i < 15])
-    world.until(lambda: recorder.writer.report()["/wrench"]["count"] == 25)
+    world.until(lambda: recorder.session.writer.report()["/wrench"]["count"] == 25)
     recorder.close()
     assert "/wrench: 5 of 30 messages are missing" in capfd.readouterr().err
 
@@ -290,3 +293,40 @@ def test_directory_with_a_recording_is_not_overwritten(ros_environment, tmp_path
         told = process.stderr.read()
     assert "not overwritten" in told and "Traceback" not in told
     assert (tmp_path / "rec" / "metadata.yaml").read_text() == "old"
+
+
+def test_a_directory_that_is_set_ends_the_recording_and_begins_another(world, tmp_path):
+    recorder = world.add(Recorder, "-p", "autostart:=false")
+    partner = world.partner()
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    partner.create_publisher(String, "robot_description", latched).publish(String(data="<robot/>"))
+    publisher = partner.create_publisher(*topics.WRENCH)
+    assert recorder.watch() == {}
+    for name, steps in (("first", range(30)), ("second", range(20))):
+        assert set_directory(recorder, tmp_path / name).successful
+        world.until(lambda: publisher.get_subscription_count() == 1)
+        publish_wrenches(world, publisher, steps)
+        due = {"/wrench": len(steps), "/robot_description": 1}
+        world.until(
+            lambda due=due: {t: e["count"] for t, e in recorder.session.writer.report().items() if t in due} == due
+        )
+        assert set_directory(recorder, "").successful
+        world.until(lambda: publisher.get_subscription_count() == 0)
+        with Recording(tmp_path / name) as recording:
+            assert not recording.cut_off
+            assert {topic: recording.topics()[topic].count for topic in due} == due
+
+
+def test_a_directory_that_cannot_be_used_is_refused_and_the_recorder_goes_on(world, tmp_path):
+    recorder = world.add(Recorder, "-p", "autostart:=false")
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "metadata.yaml").write_text("old")
+    refused = set_directory(recorder, tmp_path / "old")
+    assert not refused.successful and "old" in refused.reason
+    assert recorder.failure is None and recorder.get_parameter("directory").value == ""
+    assert set_directory(recorder, tmp_path / "new").successful
+    assert recorder.close() is None
+
+
+def set_directory(recorder, directory):
+    return recorder.set_parameters([Parameter("directory", value=str(directory))])[0]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pass_recording as made
 import pytest
-import yaml
 
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
@@ -70,9 +69,8 @@ def test_the_random_numbers_of_another_pass_are_a_difference(recordings, plant, 
 
 def test_a_run_attaches_the_plant_with_the_number_of_the_pass(plant, tmp_path):
     pytest.importorskip("rclpy")
-    from kr270_milling.graph.arguments import write_recorder_parameters
+    from kr270_milling.graph.arguments import recording_parameters
 
     (tmp_path / "log").mkdir()
-    file = write_recorder_parameters(made.cell_of("learned"), tmp_path, "learned_2", "/", plant)
-    attached = yaml.safe_load(file.read_text())["/**"]["ros__parameters"]["attach"]
+    attached = recording_parameters(made.cell_of("learned"), tmp_path, "learned_2", plant)["attach"]
     assert attached == [str(tmp_path / "cell.yaml"), str(tmp_path / "log" / "learned_2" / "plant.yaml")]
