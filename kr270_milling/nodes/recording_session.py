@@ -137,10 +137,13 @@ class RecordingSession:
     def drain(self) -> None:
         """Write what has arrived, in the order of arrival, so that a file that ends here lacks nothing that came before
         the rest of it. What arrives while the readers are emptied, one after another, waits for the next time."""
-        begun = self._node.get_clock().now().nanoseconds
+        clock = self._node.get_clock()
+        begun = clock.now().nanoseconds
         taken, waited = drain(s for s in self._subscriptions.values() if s is not None), self._late
-        self._late = [item for item in taken if item[0] > begun]
-        for _, published, write, data in in_order([waited, [item for item in taken if item[0] <= begun]]):
+        ended = clock.now().nanoseconds  # what seems to arrive later still came before the clock was set back
+        self._late = [item for item in taken if begun < item[0] <= ended]
+        now = [item for item in taken if not begun < item[0] <= ended]
+        for _, published, write, data in in_order([waited, now]):
             self._keep(write, data, published)
 
     def _keep(self, call, *args) -> None:

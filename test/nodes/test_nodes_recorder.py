@@ -61,19 +61,31 @@ def test_every_message_is_kept_with_its_bytes_and_its_stamp(world, recorder, tmp
 
 def test_a_file_that_ends_anywhere_lacks_nothing_that_came_before_the_rest_of_it(recorder, monkeypatch):
     """The readers are emptied one after another: a wrench came while that of the poses was empty already."""
+    batches = [[(8, "pose 1"), (12, "wrench 2")], [(11, "pose 2"), (13, "pose 3"), (21, "wrench 4")]]
+    assert emptied(recorder, monkeypatch, batches, [(10, 15), (20, 25)]) == [
+        ["pose 1"], ["pose 1", "pose 2", "wrench 2", "pose 3"],
+    ]  # fmt: skip
+
+
+def test_messages_from_before_the_clock_was_set_back_do_not_wait_for_that_time(recorder, monkeypatch):
+    batches = [[(3600, "pose 1"), (3601, "wrench 1"), (9, "pose 2"), (12, "wrench 2")]]
+    assert emptied(recorder, monkeypatch, batches, [(10, 15)]) == [["pose 1", "wrench 1", "pose 2"]]
+
+
+def emptied(recorder, monkeypatch, batches, moments) -> list[list[str]]:
+    """What is written after each time that the readers were emptied; moments: begin and end of these times."""
     found: list[str] = []
-    moments = iter([10, 20])  # at which it begins to empty them
-    clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=next(moments)))
-    batches = iter([[(8, "pose 1"), (12, "wrench 2")], [(11, "pose 2"), (13, "pose 3"), (21, "wrench 4")]])
-    taken = lambda readers: [(at, 0, lambda data, _: found.append(data), name) for at, name in next(batches)]  # noqa: E731
+    after, times, arrived = [], iter(np.ravel(moments)), iter(batches)
+    clock = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=next(times)))
+    taken = lambda readers: [(at, 0, lambda data, _: found.append(data), name) for at, name in next(arrived)]  # noqa: E731
     with monkeypatch.context() as only:
         only.setattr(recorder, "get_clock", lambda: clock)
         only.setattr("kr270_milling.nodes.recording_session.drain", taken)
-        recorder.session.drain()
-        assert found == ["pose 1"]
-        recorder.session.drain()
-    assert found == ["pose 1", "pose 2", "wrench 2", "pose 3"]
+        for _ in batches:
+            recorder.session.drain()
+            after.append(list(found))
     recorder.session._late.clear()
+    return after
 
 
 def test_a_message_with_an_impossible_publish_time_is_counted_and_the_recording_goes_on(world, recorder, tmp_path):
