@@ -24,7 +24,7 @@ def add_arguments(parser) -> None:
     option(
         parser,
         "--processes",
-        "one process a node; else robot and cut share one, and so do compensator and recorder, which is quicker",
+        "one process a node; else two nodes share one, which is quicker",
         bool,
     )
     option(parser, "--namespace NAME", "ROS namespace of the four nodes", default="")
