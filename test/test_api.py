@@ -52,3 +52,9 @@ def test_check_and_verdict_of_a_compensated_pass(both):
     cell = both.original.cell
     assert check(cell).may_be_run and verdict(cell, both.compensated.reference, samples=2).word
     assert simulate(cell, both.compensated.reference).scores.max_deviation == both.compensated.scores.max_deviation
+
+
+def test_compensate_says_what_of_the_correction_was_not_let_through():
+    cell = read_cell("paper.yaml", "path.length_mm=14.4", "compensation.max_correction_mm=0.02")
+    found = compensate(cell, "linear").checked.findings
+    assert [f.severity for f in found if f.what == "correction limited"] == ["warning"]

@@ -21,20 +21,9 @@ from kr270_milling.simulation.scores import Scores, score
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = [
-    "ScoredPass",
-    "commanded_joints",
-    "compensated",
-    "compensator",
-    "expected_deviations",
-    "joint_ranges",
-    "mean_force",
-    "mirrored",
-    "pass_record",
-    "record_of",
-    "scored",
-    "simulate",
-    "strayed",
-]
+    "ScoredPass", "commanded_joints", "compensated", "compensator", "expected_deviations", "joint_ranges", "mean_force",
+    "mirrored", "pass_record", "record_of", "scored", "simulate", "strayed",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,7 @@ import numpy as np
 
 from kr270_milling.bag.recorded_path import is_recording, read_recorded
 from kr270_milling.base.errors import InputError
-from kr270_milling.cell.path_checks import check_feed, check_path
-from kr270_milling.cell.plausibility import MOST_STEPS, check_effort, sinking
+from kr270_milling.cell.plausibility import MOST_STEPS, check_effort, check_feed, check_path, sinking
 from kr270_milling.cell.records import Parameters, Path
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.trajectory.joint_limits import limit_by_joints

@@ -1,4 +1,7 @@
-"""What a pass costs, reckoned before it starts: a wrong unit must not keep a machine busy for days."""
+"""Whether a pass can be meant: what it costs, and whether its tool path belongs to spindle, tool and stock of the cell.
+
+The cost is reckoned before it starts: a wrong unit must not keep a machine busy for days.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,14 @@ import math
 
 import numpy as np
 
-from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.cutting import Stock, Tool
 from kr270_milling.simulation.exchange import Exchange
+from kr270_milling.trajectory.timing import TimedPath
+from kr270_milling.trajectory.toolpath import Toolpath
 
-__all__ = ["MOST_STEPS", "check_effort", "check_postures", "sinking"]
+__all__ = ["MOST_STEPS", "check_effort", "check_feed", "check_path", "check_postures", "sinking"]
 
 MOST_STEPS = 5e6  #: exchange periods or reference points of one pass; its series take some 250 bytes a step
 MOST_TOOTH_STEPS = 1e10  #: micro-steps of single teeth in one pass, some 0.1 us each
@@ -46,3 +52,89 @@ def check_postures(count: int, spacing: float) -> None:
     if count > MOST_POSTURES:
         allowed = f"larger: the arm would be modelled at {count} postures, more than {MOST_POSTURES}"
         raise ParameterError("dynamics.posture_spacing_mm", spacing * 1e3, allowed)
+
+
+SAME_FEED = 1e-6  # [m/s]
+SAME_SPEED = 0.1  # [rad/s], 1 rpm: spindle speeds that differ by less are one
+UPRIGHT = np.radians(1.0)  # the cut is that of a tool along z: beyond this its floors and chips are others
+
+
+def check_path(file: str, timed: TimedPath, tool: Tool, stock: Stock) -> None:
+    """Raise InputError, with the line where there is one, for a path that this tool cannot mean in this stock."""
+    path = timed.toolpath
+    if path.rapid[1:].all():
+        raise InputError(file, "has no cutting move: every block is a rapid one")
+    _check_spindle(file, path, tool)
+    _check_upright(file, path)
+    _check_stock(file, timed, tool, stock)
+
+
+def _line(path: Toolpath, block: int) -> int | None:
+    return int(path.line[block]) or None
+
+
+def _check_spindle(file: str, path: Toolpath, tool: Tool) -> None:
+    """A programmed spindle, where there is one, must turn as that of the model does."""
+    cutting = np.flatnonzero(~path.rapid[1:]) + 1
+    speed = path.spindle_speed[cutting]
+    if not speed.any():
+        return
+    other = np.abs(np.abs(speed) - tool.spindle_speed) > SAME_SPEED
+    if other.any():
+        block = cutting[np.argmax(other)]
+        rpm = 30.0 / np.pi * np.array([abs(path.spindle_speed[block]), tool.spindle_speed])
+        reason = f"the spindle speed S{rpm[0]:.6g} is not the tool.spindle_speed_rpm of the cell, {rpm[1]:.6g}"
+        if path.spindle_speed[block] == 0.0:
+            reason = "a cutting move while the spindle is off"
+        raise InputError(file, reason, _line(path, block))
+    turns = "clockwise (M3, CLW)" if speed[0] > 0 else "counterclockwise (M4, CCLW)"
+    if not turns.startswith(f"{tool.rotation} "):
+        reason = f"its spindle turns {turns}, but tool.rotation of the cell is {tool.rotation}"
+        raise InputError(file, reason, _line(path, cutting[0]))
+
+
+def _check_upright(file: str, path: Toolpath) -> None:
+    """The cut knows one tool axis, z of the workpiece."""
+    axis = rotation_from_quaternion(path.quaternion)[:, :, 2]
+    tilt = np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), -axis[:, 2])
+    over = ~path.rapid & (tilt > UPRIGHT)
+    if over.any():
+        block = int(np.argmax(over))
+        reason = (
+            f"point {block + 1} of the path: the tool is tilted by {np.degrees(tilt[block]):.4g} deg, but the cut is "
+            f"that of a tool along z of the workpiece (within {np.degrees(UPRIGHT):g} deg)"
+        )
+        raise InputError(file, reason, _line(path, block))
+
+
+def _check_stock(file: str, timed: TimedPath, tool: Tool, stock: Stock) -> None:
+    """A path that leaves the stock alone must be a mistake of placement, or of the unit."""
+    run, path = timed.trajectory, timed.toolpath
+    step = tool.radius / 8 / max(float(np.max(run.feed(run.time_ns))), 1e-6)
+    stamps = np.linspace(0, run.duration_ns, 2 + int(min(run.time[-1] / step, MOST_STEPS))).astype(np.int64)
+    at, radius = run.sample(stamps), tool.radii.max()
+    beside = np.maximum(np.maximum(stock.min - at, at - stock.max), 0.0)[:, :2]
+    if np.any((np.hypot(*beside.T) < radius) & (at[:, 2] < stock.max[2])):
+        return
+    way, box = _extent(at.min(axis=0), at.max(axis=0)), _extent(stock.min, stock.max)
+    cutting = np.flatnonzero(~path.rapid[1:]) + 1
+    hint = "check the datum and the unit (G20, G21)"
+    reason = f"the tool never reaches the stock: it goes through {way} mm, the stock fills {box} mm; {hint}"
+    raise InputError(file, reason, _line(path, cutting[0]))
+
+
+def _extent(low: np.ndarray, high: np.ndarray) -> str:
+    """A box [m] in words, in mm."""
+    return ", ".join(f"{axis} {1e3 * a:.6g} to {1e3 * b:.6g}" for axis, a, b in zip("xyz", low, high, strict=True))
+
+
+def check_feed(file: str, path: Toolpath, feed: float) -> None:
+    """Raise InputError where the program has feeds of its own, not that of the cell [m/s]; 0: the cell has none."""
+    other = ~path.rapid & (np.abs(path.feed - feed) > SAME_FEED)
+    if feed and other.any():
+        block = int(np.argmax(other))
+        reason = (
+            f"its feed is {6e4 * path.feed[block]:.6g} mm/min, but path.feed_rate_m_per_min of the cell says "
+            f"{6e4 * feed:.6g}; leave that key out"
+        )
+        raise InputError(file, reason, int(path.line[block]))

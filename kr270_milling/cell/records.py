@@ -11,11 +11,8 @@ from kr270_milling.bag.recorded_path import is_recording
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter, specs
-from kr270_milling.cell.limits import Limits
-from kr270_milling.cell.part import Part
 from kr270_milling.cell.plausibility import MOST_STEPS, check_effort
-from kr270_milling.cell.program import Program
-from kr270_milling.cell.uncertainty import Uncertainty
+from kr270_milling.cell.sections import Limits, Part, Program, Uncertainty
 from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.cutting import Cutting, Stock, Tool
 from kr270_milling.robot import Arm, Mount

@@ -31,8 +31,7 @@ def run(args) -> Answer:
     from kr270_milling.commands.identify import identified
     from kr270_milling.identification.cuts import read_cuts
     from kr270_milling.identification.force_result import force_outcome
-    from kr270_milling.identification.forces import OneFeedError, fit_linear_edge
-    from kr270_milling.identification.fractional import fit_fractional
+    from kr270_milling.identification.forces import OneFeedError, fit_fractional, fit_linear_edge
     from kr270_milling.identification.sensor import Sensor, turn_of
 
     tool, down = _tool(args)

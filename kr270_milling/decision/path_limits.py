@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.trajectory.joint_limits import joint_rates
-from kr270_milling.trajectory.offsets import offsets
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.trajectory.trajectory import Trajectory, offsets
 
 __all__ = ["Violation", "violations", "exceeding", "correction_size", "correction_per_tick", "axis_reversals",
            "corner_blending", "joint_speeds", "joint_accelerations"]  # fmt: skip

@@ -11,19 +11,21 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import Record
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import imperfect_course
-from kr270_milling.cell.uncertainty import Uncertainty
+from kr270_milling.cell.sections import Uncertainty
 from kr270_milling.simulation.imperfections import Imperfections
 from kr270_milling.simulation.milling_pass import PassResult, run_pass
 from kr270_milling.simulation.scores import path_deviation
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["coarser", "deviations", "perturbed", "run_sample"]
+__all__ = ["AXIAL", "SCATTERED", "coarser", "deviations", "perturbed", "run_sample"]
 
 #: what scatters of each force law; the ratio of the slopes of the fractional one shapes it and is left alone
 SCATTERED = {
     "fractional": ("stiffness", "specific_chip_thickness", "radial_ratio"),
     "linear_edge": ("tangential_cutting", "tangential_edge", "radial_cutting", "radial_edge"),
 }
+#: and what scatters beside them where there is an axial force
+AXIAL = {"fractional": ("axial_ratio",), "linear_edge": ("axial_cutting", "axial_edge")}
 LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones stay as they are
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
 
@@ -43,9 +45,10 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
         return np.exp(np.sqrt(np.log1p(spread**2)) * rng.standard_normal(spread.size))
 
     compliance = cell.arm.joint_compliance * factors(how.of_compliances())
-    names = SCATTERED[law]
+    axial = AXIAL[law] if cell.cutting.axial else ()
+    names = (*SCATTERED[law], *axial)
     coefficients: Record = getattr(cell.cutting, law)
-    scattered = zip(names, factors(how.of_coefficients(len(names))), strict=True)
+    scattered = zip(names, factors(how.of_coefficients(len(names), len(axial))), strict=True)
     coefficients = coefficients.replace(**{name: float(getattr(coefficients, name) * f) for name, f in scattered})
     damping = min(0.9, cell.dynamics.damping_ratio * float(factors(np.array([how.damping_ratio]))[0]))
     frequency = float(factors(np.array([how.frequency]))[0])

@@ -6,10 +6,17 @@ import numpy as np
 
 from kr270_milling.base.record import specs
 from kr270_milling.cutting.laws import FractionalLaw, LinearEdgeLaw
-from kr270_milling.decision.samples import SCATTERED
+from kr270_milling.decision.samples import AXIAL, SCATTERED
 from kr270_milling.identification.figures import points
-from kr270_milling.identification.forces import NAMES, SCALE, TOWARD_PART, Coefficients, mean_forces
-from kr270_milling.identification.fractional import FractionalFit, fractional_mean_forces
+from kr270_milling.identification.forces import (
+    NAMES,
+    SCALE,
+    TOWARD_PART,
+    Coefficients,
+    FractionalFit,
+    fractional_mean_forces,
+    mean_forces,
+)
 from kr270_milling.identification.outcome import Outcome
 
 __all__ = ["force_outcome", "linear_edge_sections"]
@@ -82,8 +89,7 @@ def linear_edge_sections(values, half_widths, axial: float = TOWARD_PART) -> dic
         law[by_name[field].key] = (float(value / by_name[field].scale), known)
     sections: dict = {"cutting": {"law": "linear_edge", "linear_edge": law}}
     relative = {field: half_widths[k] / 1.96 / max(abs(values[k]), 1e-300) for field, k in given}
-    spread = _spread([relative.get(name, np.nan) for name in SCATTERED["linear_edge"]])
-    return sections | spread
+    return sections | _spread("linear_edge", relative)
 
 
 def _fractional_sections(found: FractionalFit) -> dict:
@@ -92,15 +98,19 @@ def _fractional_sections(found: FractionalFit) -> dict:
     each = [(s, v, w) for s, v, w in rows if np.isfinite(v)]
     law = {s.key: (float(v / s.scale), f"95 % +- {w / s.scale:.3g}") for s, v, w in each}
     relative = {s.name: w / 1.96 / v for s, v, w in each}
-    spread = _spread([relative.get(name, np.nan) for name in SCATTERED["fractional"]])
-    return {"cutting": {"law": "fractional", "fractional": law}} | spread
+    return {"cutting": {"law": "fractional", "fractional": law}} | _spread("fractional", relative)
 
 
-def _spread(relative: list[float]) -> dict:
-    """``uncertainty.force_coefficients``, if all that the verdict draws are known."""
-    if not np.isfinite(relative).all():
+def _spread(law: str, relative: dict[str, float]) -> dict:
+    """``uncertainty.force_coefficients`` from the relative deviations by name, if all that the verdict draws are known.
+
+    Those of the axial force follow where they were measured.
+    """
+    names = [*SCATTERED[law], *(AXIAL[law] if set(AXIAL[law]) <= set(relative) else ())]
+    known = np.array([relative.get(name, np.nan) for name in names])
+    if not np.isfinite(known).all():
         return {}
-    shown = np.clip(relative, 1e-4, 1.0).tolist()
+    shown = np.clip(known, 1e-4, 1.0).tolist()
     return {"uncertainty": {"force_coefficients": (shown, "standard deviations from the same fit")}}
 
 

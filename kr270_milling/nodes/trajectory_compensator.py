@@ -18,7 +18,7 @@ from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
 from kr270_milling.ros.parameters import declare_cell
 from kr270_milling.ros.spin import run_node
-from kr270_milling.trajectory.fingerprint import fingerprint
+from kr270_milling.trajectory.trajectory import fingerprint
 
 __all__ = ["TrajectoryCompensator", "main"]
 

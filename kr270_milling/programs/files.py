@@ -1,10 +1,13 @@
-"""What a controller runs, from a cell and its original and revised trajectory: programs, offsets, joint positions."""
+"""What a controller runs, from a cell and its original and revised trajectory: programs, offsets, joint positions.
+
+The manifest beside them says which file goes where, and in which order to try them.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,21 +16,21 @@ from kr270_milling import __version__
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import Pose, quaternion_from_rotation
+from kr270_milling.base.units import seconds
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
+from kr270_milling.cell.sections import Program
 from kr270_milling.programs import krl, krl_motion
-from kr270_milling.programs.manifest import manifest
-from kr270_milling.programs.rsi import RSI_TICKS_NS, write_joint_table, write_rsi_table
 from kr270_milling.robot import pose, status_turn
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError, offsets
 from kr270_milling.trajectory.trajectory_csv import write_csv
+
+__all__ = ["RSI_TICKS_NS", "as_commanded", "source_hash", "write_joint_table", "write_programs", "write_rsi_table"]
 
 AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
 BESIDE = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  #: [m], of the approach beside the first point, tried in this order
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
-
-__all__ = ["as_commanded", "source_hash", "write_programs"]
 
 
 def write_programs(
@@ -73,7 +76,7 @@ def write_programs(
     tick = tick if tick in RSI_TICKS_NS else RSI_TICKS_NS[-1]
     files |= _tables(place, (original, revised), shown, joints, tick, label)
     files["manifest"] = [place / "MANIFEST.txt"]
-    write_files({files["manifest"][0]: manifest(place, program, files, findings, tick, released)})
+    write_files({files["manifest"][0]: _manifest(place, program, files, findings, tick, released)})
     return files
 
 
@@ -162,3 +165,79 @@ def _source(cell: Cell, count: int) -> krl_motion.Source | None:
     features = timed.toolpath.features
     numbers = timed.toolpath.feature[timed.block].tolist()
     return krl_motion.Source(timed.toolpath.line[timed.block], tuple(features[n] for n in numbers))
+
+
+def _manifest(
+    place: Path,
+    program: Program,
+    files: Mapping[str, Sequence[Path]],
+    findings: Sequence[str],
+    tick_ns: int,
+    released: bool,
+) -> list[str]:
+    """Lines of text; files: paths by kind, below ``place``; tick_ns: of the RSI table."""
+    lines = [
+        "Files for the controller, written by kr270_milling. A simulation result: verify it on the machine.\n",
+        "Names carry method, date and the hash of the corrected trajectory: files of one name belong together.\n",
+        "\n",
+    ]
+    if not released:
+        lines += ["NOT RELEASED: the check forbids to run this path. Its programs are for looking at.\n", "\n"]
+    for kind, paths in files.items():
+        if kind.startswith("krl_"):
+            lines += _program(place, program, kind, paths)
+    rsi, (first, second), (trajectory,) = files["rsi"][0].name, files["joints"], files["trajectory"]
+    lines += [
+        f"{rsi}: for RSI on top of the original program.\n",
+        f"  time_s: every {tick_ns / 1e6:g} ms from the start of the path, point 1. dX_mm, dY_mm, dZ_mm: correction\n",
+        "  along the axes of $BASE, the whole of it, not the step from the tick before. dA_deg, dB_deg, dC_deg: its\n",
+        "  turn about z, y', x'' of $BASE.\n",
+        f"{first.name}, {second.name}: for a joint trajectory controller, as programmed and corrected.\n",
+        "  time_s: from the start of the path. joint_a1_deg to joint_a6_deg: positions, signs as KUKA counts them.\n",
+        f"{trajectory.name}: the corrected trajectory for 'simulate --reference' and 'check --reference'.\n",
+        "  time_s, then mm, mm/s, deg; qx to qw: orientation of the tool in the workpiece frame.\n",
+        "\n",
+        "Findings of the check:\n",
+        *(f"  {line}\n" for line in findings or ["none were asked for"]),
+    ]
+    return lines
+
+
+def _program(place: Path, program: Program, kind: str, paths: Sequence[Path]) -> list[str]:
+    folder = paths[0].parent.relative_to(place)
+    name, motion = program.name, kind.removeprefix("krl_").upper()
+    return [
+        f"{folder}: {len(paths)} files, {motion} motions. Copy all of them to KRC:\\R1\\Program on the controller.\n",
+        f"  {name}_ORG runs the programmed path, {name}_CMP the corrected one; points have the same numbers.\n",
+        "  1. T1, 10 % override, spindle off, the tool well above the part (raise $BASE): ORG, then CMP.\n",
+        "  2. T1, 10 %, spindle on, an air cut at the height of the part: CMP.\n",
+        "  3. T1 at full height of the part with the spindle on, then AUT with rising override: CMP.\n",
+        "\n",
+    ]
+
+
+RSI_TICKS_NS = (4_000_000, 12_000_000)
+JOINT_NAMES = ("joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6")
+
+
+def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: int = RSI_TICKS_NS[0]) -> None:
+    """The offsets at every RSI tick (4 or 12 ms): time_s, dX, dY, dZ [mm], dA, dB, dC [deg]."""
+    if tick_ns not in RSI_TICKS_NS:
+        raise TrajectoryError(f"RSI corrects every 4 or 12 ms, not every {tick_ns / 1e6:g} ms")
+    time_ns, shift, turn = offsets(original, revised, tick_ns)
+    rows = np.hstack([shift * 1e3, np.degrees(turn)]) + 0.0  # + 0.0 turns -0.0 into 0.0
+    lines = ["time_s,dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg\n"]
+    for time, row in zip(time_ns.tolist(), rows.tolist(), strict=True):
+        lines.append(f"{seconds(time)}," + ",".join(f"{v:.6f}" for v in row) + "\n")
+    write_files({path: lines})
+
+
+def write_joint_table(path, trajectory: Trajectory, joints) -> None:
+    """A joint trajectory: time_s, then a column of positions [deg] for each joint; joints [rad], (n, 6)."""
+    table = np.degrees(np.asarray(joints, float))
+    if table.shape != (len(trajectory), len(JOINT_NAMES)) or not np.isfinite(table).all():
+        raise TrajectoryError("a joint table needs one finite value per knot and joint")
+    lines = ["time_s," + ",".join(f"{name}_deg" for name in JOINT_NAMES) + "\n"]
+    for time, row in zip(trajectory.time_ns.tolist(), table.tolist(), strict=True):
+        lines.append(f"{seconds(time)}," + ",".join(map(repr, row)) + "\n")
+    write_files({path: lines})

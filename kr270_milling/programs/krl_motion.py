@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.cell.program import Program
+from kr270_milling.cell.sections import Program
 from kr270_milling.programs.krl_text import number
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 

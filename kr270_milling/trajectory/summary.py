@@ -1,4 +1,4 @@
-"""What a program says beside its moves, put together when it was read to its end."""
+"""What a program says beside its moves, and what of it cannot be run: collected until its end, then put together."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import math
 from collections import Counter
 from dataclasses import dataclass, field
 
+from kr270_milling.base.errors import one_line
+from kr270_milling.base.text import short
 from kr270_milling.trajectory.comments import described_tool
 from kr270_milling.trajectory.path_builder import PathBuilder
-from kr270_milling.trajectory.refusals import Refusals
 from kr270_milling.trajectory.source_program import ProgramTool, Refusal, SourceProgram, read_over
 
-__all__ = ["Observed", "source_program"]
+__all__ = ["Observed", "Refusals", "source_program"]
 
 SAME_SPEED = 0.1  #: [rad/s], 1 rpm: spindle speeds that differ by less are one
 
@@ -111,3 +112,34 @@ def _offsets(offsets: dict[str, int]) -> list[Refusal]:
     shown = ", ".join(f"{name} (line {line})" for name, line in named.items())
     line = list(named.values())[1]
     return [Refusal(line, list(named)[1], f"{len(named)} work offsets: {shown}", "post one program for each")]
+
+
+MOST = 10_000  #: refusals that are kept; a file with more is no program
+
+
+class Refusals:
+    """Collects what cannot be run, apart for each tool, so that one tool's part of a program can be run alone."""
+
+    def __init__(self):
+        self._found: list[tuple[str, Refusal]] = []
+        self.tool = ""  #: in the spindle
+        self.lost = False  #: a move was refused: where the tool stands is not known any more
+
+    @property
+    def full(self) -> bool:
+        return len(self._found) >= MOST
+
+    def add(self, line: int, word: str, reason: str = "", advice: str = "", lost: bool = False) -> None:
+        """lost: the word may have moved the tool, so that what follows from its place is not refused once more."""
+        self._found.append((self.tool, Refusal(line, one_line(short(word)), one_line(reason), advice)))
+        self.lost = self.lost or lost
+
+    def add_derived(self, line: int, word: str, reason: str, advice: str = "") -> None:
+        """A refusal that may only follow from an earlier one."""
+        if not self.lost:
+            self.add(line, word, reason, advice)
+
+    def of(self, tool: str) -> tuple[Refusal, ...]:
+        """Those that concern the path of a tool, "" for all; words before the first tool concern every one."""
+        found = [refusal for name, refusal in self._found if not tool or name in ("", tool)]
+        return tuple(sorted(found, key=lambda refusal: refusal.line))

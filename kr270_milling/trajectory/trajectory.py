@@ -8,6 +8,7 @@ are joined by the shortest rotation at constant rate (slerp). Before the first a
 from __future__ import annotations
 
 import math
+import zlib
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,8 +16,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.base.frames import abc_from_rotation, rotation_from_quaternion
 
-__all__ = ["Trajectory", "TrajectoryError", "TOOL_DOWN", "slerp"]
+__all__ = ["TOOL_DOWN", "Trajectory", "TrajectoryError", "fingerprint", "offsets", "slerp"]
 
 #: tool0 in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
 TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
@@ -189,3 +191,23 @@ def _rows(name: str, array, count: int, width: int) -> np.ndarray:
 def _refuse(bad: np.ndarray, reason: str) -> None:
     if bad.any():
         raise TrajectoryError(reason, int(np.argmax(bad)))
+
+
+def fingerprint(trajectory: Trajectory) -> str:
+    """CRC-32 of times, positions and velocities, whose bits a message keeps; 8 hexadecimal digits."""
+    velocity = b"" if trajectory.velocity is None else trajectory.velocity.tobytes()
+    return f"{zlib.crc32(trajectory.time_ns.tobytes() + trajectory.position.tobytes() + velocity):08x}"
+
+
+def offsets(original: Trajectory, revised: Trajectory, tick_ns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Revised minus original at every tick: times [ns], (m,), shifts [m], (m, 3), turns as A, B, C [rad], (m, 3).
+
+    Shifts and turns stand in the axes of the trajectories' frame ($BASE); a turn carries the original orientation into
+    the revised one.
+    """
+    if original.duration_ns != revised.duration_ns or original.frame != revised.frame:
+        raise TrajectoryError("the original and the revised trajectory must share duration and frame")
+    time_ns = np.arange(0, original.duration_ns + tick_ns, tick_ns)
+    before, after = (rotation_from_quaternion(t.sample_orientation(time_ns)) for t in (original, revised))
+    turn = abc_from_rotation(after @ np.swapaxes(before, 1, 2))
+    return time_ns, revised.sample(time_ns) - original.sample(time_ns), turn

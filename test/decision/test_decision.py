@@ -12,7 +12,7 @@ from small_part import GCODE, assignments, small_part
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.part import Part
+from kr270_milling.cell.sections import Part
 from kr270_milling.cli import main
 from kr270_milling.decision.tolerance import judge_part
 

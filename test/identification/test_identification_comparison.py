@@ -12,8 +12,7 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main
-from kr270_milling.identification.alignment import NoOverlapError, best_lag, line_through
-from kr270_milling.identification.comparison import Pass, Series, compare
+from kr270_milling.identification.comparison import NoOverlapError, Pass, Series, best_lag, compare, line_through
 
 CELL = read_cell(find_file("paper.yaml"), ["path.length_mm=40.0", "stock.grid_step_um=40.0"])
 

@@ -12,8 +12,13 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
 from kr270_milling.identification.cuts import Cuts, engagement, read_cuts
 from kr270_milling.identification.force_result import linear_edge_sections
-from kr270_milling.identification.forces import OneFeedError, fit_linear_edge, mean_forces
-from kr270_milling.identification.fractional import fit_fractional, fractional_mean_forces
+from kr270_milling.identification.forces import (
+    OneFeedError,
+    fit_fractional,
+    fit_linear_edge,
+    fractional_mean_forces,
+    mean_forces,
+)
 from kr270_milling.identification.materials import find_material, materials
 
 TOOL = Tool(diameter=0.02, teeth=4, spindle_speed=8000 * 2 * math.pi / 60)
@@ -96,6 +101,8 @@ def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_says_s
     assert found.values == pytest.approx(TRUE) and found.axial == 1.0
     sections = linear_edge_sections(found.values, found.half_widths, found.axial)
     assert sections["cutting"]["linear_edge"]["axial_cutting_n_per_mm2"][0] == pytest.approx(-222.0)
+    spreads = sections["uncertainty"]["force_coefficients"][0]  # the verdict scatters the axial ones by what is known
+    assert spreads == pytest.approx(np.clip(found.half_widths / 1.96 / found.values, 1e-4, 1.0))
 
 
 def test_one_feed_is_refused():

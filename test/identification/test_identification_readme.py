@@ -28,8 +28,6 @@ def ran(tmp_path_factory) -> dict:
     ring(place / "ring.csv")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        # learning on each plant takes most of the time, and no band of the page needs it
-        patch.setattr("kr270_milling.decision.verdict._tracked", lambda cell, plant: np.nan)
         lines = [line for block in re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL) for line in block.splitlines()]
         for line in lines:
             words = shlex.split(line)[1:]

@@ -10,7 +10,7 @@ from krl_robot import NUMBER, Robot
 from test_trajectory_krl import swaying, write
 
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.cell.program import Program
+from kr270_milling.cell.sections import Program
 
 #: a cell's own commands, run up, home declared, tool and base of the controller's tables
 OWN = Program(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.programs.rsi import JOINT_NAMES, offsets, write_joint_table, write_rsi_table
+from kr270_milling.programs.files import JOINT_NAMES, offsets, write_joint_table, write_rsi_table
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 
 LINE = Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], 0.08, 4 / 60, 0.05)

@@ -7,7 +7,7 @@ import pytest
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.frames import rotation_from_abc, rotation_from_quaternion
-from kr270_milling.trajectory.points import read_points
+from kr270_milling.trajectory.readers import read_points
 
 HEADER = "x_mm,y_mm,z_mm,feed_mm_per_min\n"
 

@@ -20,8 +20,7 @@ from kr270_milling.trajectory.gcode.words import (
     UNKNOWN,
 )
 from kr270_milling.trajectory.path_builder import PathBuilder
-from kr270_milling.trajectory.refusals import Refusals
-from kr270_milling.trajectory.summary import Observed
+from kr270_milling.trajectory.summary import Observed, Refusals
 
 __all__ = ["Machine"]
 

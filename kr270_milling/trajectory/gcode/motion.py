@@ -13,8 +13,7 @@ from kr270_milling.trajectory.arcs import ArcError, centre_from_radius, flatten
 from kr270_milling.trajectory.gcode.cycles import Cycle, strokes
 from kr270_milling.trajectory.gcode.feed import Feed
 from kr270_milling.trajectory.path_builder import TOP, PathBuilder
-from kr270_milling.trajectory.refusals import Refusals
-from kr270_milling.trajectory.summary import Observed
+from kr270_milling.trajectory.summary import Observed, Refusals
 from kr270_milling.trajectory.toolpath import REACH
 
 __all__ = ["CHORD", "Motion"]

@@ -16,12 +16,10 @@ from kr270_milling.trajectory.comments import operation_name
 from kr270_milling.trajectory.gcode.blocks import SIMPLE, WORD, CommentError, split_comments, tokens
 from kr270_milling.trajectory.gcode.machine import Machine
 from kr270_milling.trajectory.gcode.motion import CHORD, Motion
-from kr270_milling.trajectory.gcode.names import NAMES_ADVICE, NAMES_SILENT
-from kr270_milling.trajectory.gcode.words import MACROS, UNKNOWN
+from kr270_milling.trajectory.gcode.words import MACROS, NAMES_ADVICE, NAMES_SILENT, UNKNOWN
 from kr270_milling.trajectory.path_builder import PathBuilder
-from kr270_milling.trajectory.refusals import Refusals
 from kr270_milling.trajectory.source_program import ProgramError, SourceProgram
-from kr270_milling.trajectory.summary import Observed, source_program
+from kr270_milling.trajectory.summary import Observed, Refusals, source_program
 from kr270_milling.trajectory.toolpath import Toolpath
 
 __all__ = ["read_gcode"]

@@ -6,7 +6,10 @@ Sinumerik 840D ISO and DIN dialects.
 
 from __future__ import annotations
 
-__all__ = ["CYCLES", "G_ADVICE", "G_GROUPS", "G_SILENT", "M_ADVICE", "M_GROUPS", "OFFSETS", "UNKNOWN"]  # fmt: skip
+__all__ = [
+    "CYCLES", "G_ADVICE", "G_GROUPS", "G_SILENT", "M_ADVICE", "M_GROUPS", "NAMES_ADVICE", "NAMES_SILENT", "OFFSETS",
+    "UNKNOWN",
+]  # fmt: skip
 
 #: G word -> modal group; two different words of one group cannot stand in one line
 G_GROUPS = {0: "motion", 1: "motion", 2: "motion", 3: "motion", 17: "plane", 18: "plane", 19: "plane", 20: "units",
@@ -56,3 +59,40 @@ M_GROUPS: dict[float, str] = {
 M_ADVICE: dict[float, str] = {
     98: MACROS, 97: MACROS, 96: MACROS, 72: MACROS, 198: MACROS, 128: AXES5, 129: AXES5, 29: THREADS,
 }  # fmt: skip
+
+
+HEIDENHAIN = "a program of a Heidenhain control; post it as ISO (DIN) G-code"
+
+
+def _each(names: str, advice: str) -> dict[str, str]:
+    return dict.fromkeys(names.split(), advice)
+
+
+#: words that change no path: dynamics, compressors, orientation of nothing, messages, modes that end
+NAMES_SILENT = frozenset(
+    _each(
+        """DIAMOF DIAMON DIAM90 FFWON FFWOF SOFT BRISK DRIVE COMPOF COMPON COMPCAD COMPCURV COMPSURF CFTCP CFC CFIN
+        TRAFOOF STOPRE UPATH SPATH KONT KONTC KONTT NORM CUT2D WORKPIECE CYCLE832 MSG GROUP_BEGIN GROUP_END GROUP_ADDEND
+        DYNNORM DYNFINISH DYNROUGH DYNSEMIFIN DYNPOS DYNPREC PROC SETMS SPOS ADIS ADISPOS FGROUP FNORM FLIN ORIWKS
+        ORIMKS ORIAXES DISPLOF SAVE ACC OVR SPCON SPCOF FRESH CTOL OTOL STOLF LIMS VELOLIM JERKLIM ACCLIM""",
+        "",
+    )
+)
+NAMES_ADVICE = {
+    **_each(
+        """IF ENDIF ELSE WHILE ENDWHILE END GOTO GOTOF GOTOB FOR ENDFOR DO REPEAT CALL EXTCALL DEF SUB EQ NE LOOP
+        ENDLOOP CASE SETVN DEFINE UNTIL RETURN EXTERN ENDSUB ENDREPEAT ELSEIF BREAK CONTINUE THEN""",
+        MACROS,
+    ),
+    **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
+    **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
+    **_each("TRAORI CYCLE800 TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
+    **_each("CYCLE84 CYCLE840 CYCLE70", THREADS),
+    **_each(
+        """MCALL CYCLE81 CYCLE82 CYCLE83 CYCLE85 CYCLE86 CYCLE89 POCKET3 POCKET4 CYCLE61 CYCLE62 CYCLE63 CYCLE64 CYCLE71
+        CYCLE72 CYCLE76 CYCLE77 CYCLE79 CYCLE899 SLOT1 SLOT2 HOLES1 HOLES2 LONGHOLE""",
+        POCKETS,
+    ),
+    **_each("MEAS MEAW CYCLE977 CYCLE978 CYCLE998", PROBING),
+    **_each("BEGIN PGM", HEIDENHAIN),
+}

@@ -1,0 +1,188 @@
+"""Sections of the parameter file that describe the job: limits, tolerances, robot programs, uncertainty."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.record import Record, parameter
+
+__all__ = ["Limits", "Part", "Program", "Uncertainty"]
+
+
+@dataclass(frozen=True, eq=False)
+class Limits(Record):
+    """YAML ``limits``: beyond these a path is not to be run, or is told to be doubtful.
+
+    wrist_angle: A4 and A6 turn 1 / sin(A5) times as fast as the tool, 19 times at 3 deg, and the least correction
+    across the wrist makes them swing. elbow_angle: the nearly stretched arm turns A3 by 11 times what its reach asks
+    for at 5 deg. shoulder_distance: at 0.1 m a feed of 4 m/min turns A1 by 38 deg/s.
+    """
+
+    wrist_angle: float = parameter(math.radians(3.0), unit="deg", low=0.0, high=90.0, text="least size of A5")
+    elbow_angle: float = parameter(
+        math.radians(5.0), unit="deg", low=0.0, high=90.0, text="least angle between upper arm and forearm"
+    )
+    shoulder_distance: float = parameter(
+        0.1, unit="mm", low=0.0, high=5000.0, text="least distance of the wrist centre from axis 1"
+    )
+    # assumed: one minute of arc, what makers of cycloidal gears promise; nothing is known of this arm
+    backlash: np.ndarray = parameter(
+        np.full(6, math.radians(1.0 / 60.0)), unit="deg", size=6, low=0.0, high=5.0, text="backlash of each joint"
+    )
+    blending_share: float = parameter(
+        0.5, above=0.0, high=10.0, text="share of the correction that the blending of LIN motions may round off"
+    )
+    rapid_contact: float = parameter(
+        20e-6, unit="um", low=0.0, high=1e4,
+        text="deepest contact of a rapid move beyond the spring-back of the arm",
+    )  # fmt: skip
+    below_stock: float = parameter(
+        0.0, unit="mm", low=0.0, high=1e3, text="how far the tool may go below the stock, into a sacrificial plate"
+    )
+    # assumed: a milling spindle of the size that a heavy arm carries
+    spindle_torque: float = parameter(10.0, unit="n_m", above=0.0, high=1e4, text="most that the spindle gives")
+    spindle_power: float = parameter(10e3, unit="kw", above=0.0, high=1e3, text="most that the spindle gives")
+
+
+@dataclass(frozen=True, eq=False)
+class Part(Record):
+    """Tolerances [m]: half widths of the band about the nominal surface; 0: none is asked for.
+
+    A feature takes its own tolerance, else that of walls or floors, else ``tolerance``.
+    """
+
+    tolerance: float = parameter(0.0, unit="um", low=0.0, high=1e5, text="of walls and floors; 0: not asked for")
+    wall_tolerance: float = parameter(0.0, unit="um", low=0.0, high=1e5, text="of walls; 0: that of the part")
+    floor_tolerance: float = parameter(0.0, unit="um", low=0.0, high=1e5, text="of floors; 0: that of the part")
+    features: tuple[str, ...] = parameter((), text="tolerances of single features in um, as name=30")
+
+    def check(self) -> None:
+        for text in self.features:
+            _feature(text)
+
+    def of(self, feature: str | None = None) -> tuple[float, float]:
+        """Tolerance of the walls and of the floors [m] of a feature, or of the whole part; 0: none is asked for."""
+        own = dict(map(_feature, self.features))
+        if feature in own:
+            return own[feature], own[feature]
+        return self.wall_tolerance or self.tolerance, self.floor_tolerance or self.tolerance
+
+
+def _feature(text: str) -> tuple[str, float]:
+    name, equals, number = text.rpartition("=")
+    try:
+        value = float(number) * 1e-6
+    except ValueError:
+        value = -1.0
+    if not (equals and name and 0.0 < value < 0.1):
+        raise ParameterError("features", text, "the name of a feature, =, and its tolerance in um")
+    return name, value
+
+
+TEMPLATES = ("spindle_on", "spindle_off", "coolant_on", "coolant_off")
+
+
+@dataclass(frozen=True, eq=False)
+class Program(Record):
+    """Names, motions and the machine's own commands of the robot programs."""
+
+    name: str = parameter("MILLING", text="module name, to which _ORG_001 and the like are added")
+    motion: str = parameter("SPLINE", choices=("SPLINE", "LIN"), text="SPL segments in SPLINE blocks, or LIN")
+    line_limit: int = parameter(1400, low=100, high=100000, text="most lines of a .src or .dat file")
+    blend_distance: float = parameter(1e-3, unit="mm", low=0.0, high=100.0, text="$APO.CDIS of LIN motions")
+    point_spacing: float = parameter(1e-5, unit="mm", above=0.0, high=10.0, text="closer points are left out")
+    approach_speed_percent: int = parameter(10, low=1, high=100, text="axis speed of the PTP motions")
+    approach_feed: float = parameter(0.05, unit="m_per_min", above=0.0, high=60.0, text="down to the first point")
+    safe_height: float = parameter(
+        0.05, unit="mm", low=0.0, high=2000.0, text="of approach and retract above the stock's top"
+    )
+    home: str = parameter("XHOME", text="axis position before and after: that of $CONFIG.DAT, or home_deg")
+    home_angles: np.ndarray = parameter(
+        [], unit="deg", low=-720.0, high=720.0, text="axis position that is declared as ``home``; empty: not declared"
+    )
+    spindle_on: tuple[str, ...] = parameter((), text="KRL lines, for example $OUT[1]=TRUE")
+    spindle_off: tuple[str, ...] = parameter((), text="KRL lines")
+    coolant_on: tuple[str, ...] = parameter((), text="KRL lines")
+    coolant_off: tuple[str, ...] = parameter((), text="KRL lines")
+    spindle_run_up: float = parameter(3.0, unit="s", low=0.0, high=600.0, text="dwell after the spindle is started")
+    tool_number: int = parameter(0, low=0, high=64, text="$TOOL=TOOL_DATA[n]; 0: by value")
+    base_number: int = parameter(0, low=0, high=64, text="$BASE=BASE_DATA[n]; 0: by value")
+    set_load: bool = parameter(False, text="whether the program sets $LOAD, or a comment says what to set")
+
+    def check(self) -> None:
+        if not re.fullmatch(r"[A-Z][A-Z0-9_]{0,15}", self.name):  # with _ORG_001 the 24 characters of a KRL name
+            allowed = "1 to 16 characters of A-Z, 0-9 and _, the first a letter"
+            raise ParameterError("name", self.name, allowed)
+        if not re.fullmatch(r"[A-Z$][A-Z0-9_$]{0,23}", self.home):
+            raise ParameterError("home", self.home, "the name of an axis position, A-Z, 0-9, _ and $")
+        if self.home_angles.size not in (0, 6):
+            raise ParameterError("home_angles_deg", np.degrees(self.home_angles).tolist(), "empty or six angles")
+        for key in TEMPLATES:
+            for line in getattr(self, key):
+                if not re.fullmatch(r"[ -~]{1,200}", line):
+                    raise ParameterError(key, line, "lines of 1 to 200 printable ASCII characters")
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty(Record):
+    """YAML ``uncertainty``: relative standard deviations (of log-normal factors) and a standard deviation in mm.
+
+    All defaults are assumed: identified joint compliances scatter by 10 to 20 % between methods and postures, cutting
+    coefficients by as much between batches and tool wear, modal damping by a third from mode to mode, frequencies by a
+    tenth; a part is touched off within a few hundredths of a millimetre. Repeatability, noise and backlash of a plant
+    are drawn evenly from 0 to the value here.
+    """
+
+    joint_compliance: float = parameter(0.15, low=0.0, high=1.0, text="of each joint's compliance")
+    force_coefficient: float = parameter(0.15, low=0.0, high=1.0, text="of each coefficient of the force law")
+    joint_compliances: np.ndarray = parameter(
+        [], low=0.0, high=1.0, text="of each joint on its own, as identified; empty: joint_compliance for all"
+    )
+    force_coefficients: np.ndarray = parameter(
+        [], low=0.0, high=1.0,
+        text="of each coefficient of the force law on its own; those left out, axial or all: force_coefficient",
+    )  # fmt: skip
+    damping_ratio: float = parameter(0.3, low=0.0, high=1.0, text="of the damping ratio of all modes")
+    frequency: float = parameter(0.1, low=0.0, high=1.0, text="of the frequencies of all modes, by the moving masses")
+    reference_inertia: float = parameter(
+        1.0,
+        low=0.0,
+        high=1.0,
+        text="share of the plants whose reference moves the motor side, as every real arm's does",
+    )
+    # ISO 9283, 0.06 mm: data sheet of the KR 270; noise: a laser tracker at some metres; backlash: half a minute of arc
+    repeatability: float = parameter(60e-6, unit="um", low=0.0, high=1e4, text="largest repeatability of a plant")
+    pose_noise: float = parameter(10e-6, unit="um", low=0.0, high=1e4, text="largest noise of a measured position")
+    backlash: float = parameter(
+        np.radians(0.5 / 60.0), unit="deg", low=0.0, high=5.0, text="largest backlash of a joint of a plant"
+    )
+    placement: float = parameter(
+        0.05e-3, unit="mm", low=0.0, high=10.0, text="of the stock's place along each axis of the workpiece frame"
+    )
+    matters_above: float = parameter(
+        10e-6, unit="um", low=0.0, high=1e4, text="deviations below this do not matter to the part"
+    )
+
+    def check(self) -> None:
+        if self.joint_compliances.size not in (0, 6):
+            raise ParameterError("joint_compliances", self.joint_compliances.tolist(), "empty or one number a joint")
+
+    def of_compliances(self) -> np.ndarray:
+        """Of the six compliances, (6,)."""
+        return self.joint_compliances if self.joint_compliances.size else np.full(6, self.joint_compliance)
+
+    def of_coefficients(self, count: int, axial: int) -> np.ndarray:
+        """Of so many coefficients of the force law in use, (count,); the list may leave out the last ``axial`` ones.
+
+        Raises ParameterError.
+        """
+        given = self.force_coefficients
+        if given.size not in (0, count - axial, count):
+            allowed = f"empty or one number for each of the {count} coefficients of the force law in use"
+            raise ParameterError("uncertainty.force_coefficients", given.tolist(), allowed)
+        return np.append(given, np.full(count - given.size, self.force_coefficient))
