@@ -14,8 +14,7 @@ from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.protocols import compensator_protocol, cut_protocol, robot_protocol
-from kr270_milling.messages.codec import serialise
-from kr270_milling.messages.exchange import to_bytes
+from kr270_milling.messages.codec import serialise, to_bytes
 
 needs_messages = pytest.mark.skipif(
     importlib.util.find_spec("geometry_msgs") is None, reason="the message definitions of ROS are not installed"

@@ -74,7 +74,7 @@ def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
 
     from kr270_milling.bag.writer import BagWriter
     from kr270_milling.base.files import staged
-    from kr270_milling.messages.exchange import to_bytes
+    from kr270_milling.messages.codec import to_bytes
     from kr270_milling.messages.trajectory import TRAJECTORY
     from kr270_milling.studies.best import write_cell
     from kr270_milling.studies.placements import place_of

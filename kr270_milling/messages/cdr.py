@@ -6,11 +6,19 @@ A string is its length with the closing NUL (uint32) and its bytes, a sequence i
 
 from __future__ import annotations
 
+import functools
 import struct
+from collections.abc import Iterable
 
-__all__ = ["Cursor", "stamp_of"]
+import numpy as np
+
+from kr270_milling.base.units import SECOND
+
+__all__ = ["Cursor", "pack_stamped", "places_behind_header", "stamp_of", "unpack_stamped"]
 
 STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
+LENGTH_AT, FRAME_AT = 12, 16  #: of the frame's name in a message that begins with a Header
+LITTLE = b"\0\1\0\0"  #: the first four bytes of plain CDR, little endian
 
 
 def stamp_of(data: bytes, schema_has_header: bool = True) -> int | None:
@@ -18,9 +26,50 @@ def stamp_of(data: bytes, schema_has_header: bool = True) -> int | None:
     if not schema_has_header or len(data) < 12 or data[1] > 1:
         return None
     seconds, nanoseconds = STAMP[data[1]].unpack_from(data, 4)
-    if seconds < 0 or nanoseconds >= 1_000_000_000:
+    if seconds < 0 or nanoseconds >= SECOND:
         return None
-    return seconds * 1_000_000_000 + nanoseconds
+    return seconds * SECOND + nanoseconds
+
+
+@functools.lru_cache(maxsize=64)
+def _layout(order: str, length: int, count: int) -> struct.Struct:
+    """A Header whose frame takes ``length`` bytes with its closing NUL, and ``count`` doubles behind it."""
+    return struct.Struct(f"{order}4siII{length}s{-(FRAME_AT - 4 + length) % 8}x{count}d")
+
+
+def _order_and_length(data: bytes) -> tuple[str, int]:
+    """Byte order of a message with a Header, and how many bytes its frame takes with the closing NUL."""
+    if len(data) < FRAME_AT or data[0] != 0 or data[1] > 1:
+        raise ValueError("not plain CDR of version 1 with a header")
+    order = "<" if data[1] else ">"
+    return order, int.from_bytes(data[LENGTH_AT:FRAME_AT], "little" if data[1] else "big")
+
+
+def pack_stamped(stamp_ns: int, frame: str, values: Iterable[float]) -> bytes:
+    """A message that is a Header and doubles, such as a WrenchStamped: all of them stand behind each other."""
+    name, values = frame.encode() + b"\0", list(values)
+    return _layout("<", len(name), len(values)).pack(LITTLE, *divmod(stamp_ns, SECOND), len(name), name, *values)
+
+
+def unpack_stamped(data: bytes, count: int) -> tuple[int, str, np.ndarray]:
+    """Stamp [ns], frame and the ``count`` doubles of such a message; raises ValueError where it is none."""
+    layout = _layout(*_order_and_length(data), count)
+    if len(data) < layout.size:
+        raise ValueError("the message ends too early")
+    _, seconds, nanoseconds, _, frame, *values = layout.unpack_from(data)
+    return seconds * SECOND + nanoseconds, frame[:-1].decode(), np.array(values)
+
+
+def places_behind_header(data: bytes, count: int) -> tuple[str, slice, slice]:
+    """Byte order, where the frame's name stands, and where the ``count`` doubles that end such a message.
+
+    Raises ValueError where it is shorter, or longer by more than padding.
+    """
+    order, length = _order_and_length(data)
+    end = _layout(order, length, count).size
+    if not end <= len(data) < end + 8:
+        raise ValueError("the message has another length than its type")
+    return order, slice(FRAME_AT, FRAME_AT + max(length - 1, 0)), slice(end - 8 * count, end)
 
 
 class Cursor:

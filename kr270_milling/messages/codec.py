@@ -23,15 +23,16 @@ from kr270_milling.base.samples import (
     WrenchSample,
 )
 from kr270_milling.base.units import SECOND
+from kr270_milling.messages.cdr import pack_stamped, unpack_stamped
 from kr270_milling.messages.definitions import store_of
 from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
+from kr270_milling.simulation.admission import TOOL, WORKPIECE, MessageError
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = [
-    "TOOL", "deserialise", "from_bytes", "named", "read_message", "serialise", "time_fields", "to_bytes", "type_of",
+    "deserialise", "from_bytes", "named", "pose_from_bytes", "read_message", "serialise", "time_fields", "to_bytes",
+    "trajectory_from_bytes", "type_of", "wrench_from_bytes",
 ]  # fmt: skip
-
-TOOL = "tool0"
 
 
 def deserialise(type_name: str, data: bytes):
@@ -86,11 +87,33 @@ def _value(store, kind, value):
 
 
 class Kind(NamedTuple):
-    """A record's message: its type, record -> fields, message -> record."""
+    """A record's message: its type, record -> bytes, bytes -> record."""
 
     type: str
     write: Callable
-    read: Callable | None
+    read: Callable
+
+
+def _stored(type_name: str, fields: Callable, record: Callable) -> Kind:
+    """A message that the type store writes from fields, and reads to an object from which a record is made."""
+    return Kind(type_name, lambda r: serialise(type_name, fields(r)), lambda d: record(deserialise(type_name, d)))
+
+
+def _stamped(type_name: str, record: Callable, *places: slice) -> Kind:
+    """A message that is a header and doubles, quick: one of these comes twice in every exchange.
+
+    places: of the record's arrays among the doubles.
+    """
+
+    def write(sample) -> bytes:
+        stamp, frame, *arrays = sample
+        return pack_stamped(stamp, frame, [value for array in arrays for value in np.asarray(array).tolist()])
+
+    def read(data: bytes):
+        stamp, frame, values = unpack_stamped(data, places[-1].stop)
+        return record(stamp, frame, *[values[place] for place in places])
+
+    return Kind(type_name, write, read)
 
 
 def time_fields(ns: int) -> dict:
@@ -111,42 +134,12 @@ def named(axes: str, values) -> dict:
     return dict(zip(axes, map(float, values), strict=True))
 
 
-def _pose(record: PoseSample) -> dict:
-    pose = {"position": named("xyz", record.position), "orientation": named("xyzw", record.quaternion)}
-    return {"header": _header(record.stamp, record.frame), "pose": pose}
-
-
-def _read_pose(msg) -> PoseSample:
-    p, q = msg.pose.position, msg.pose.orientation
-    position, quaternion = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
-    return PoseSample(_ns(msg.header.stamp), msg.header.frame_id, position, quaternion)
-
-
-def _six(record: type, type_name: str, field: str, one: str, other: str) -> Kind:
-    """A stamped message with two vectors."""
-
-    def write(sample) -> dict:
-        values = getattr(sample, field)
-        pair = {one: named("xyz", values[:3]), other: named("xyz", values[3:])}
-        return {"header": _header(sample.stamp, sample.frame), field: pair}
-
-    def read(msg):
-        a, b = getattr(getattr(msg, field), one), getattr(getattr(msg, field), other)
-        return record(_ns(msg.header.stamp), msg.header.frame_id, np.array([a.x, a.y, a.z, b.x, b.y, b.z]))
-
-    return Kind(type_name, write, read)
-
-
 def _joints(record: JointSample) -> dict:
     return {"header": _header(record.stamp, ""), "name": list(record.names), "position": record.position}
 
 
 def _read_joints(msg) -> JointSample:
     return JointSample(_ns(msg.header.stamp), tuple(msg.name), msg.position)
-
-
-def _clock(record: ClockSample) -> dict:
-    return {"clock": time_fields(record.stamp)}
 
 
 def _program(record: JointProgram) -> dict:
@@ -189,18 +182,43 @@ def _trajectory(record: Trajectory) -> dict:
     return {"header": _header(0, record.frame), "joint_names": [TOOL], "points": points}
 
 
+def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
+    """Of a trajectory_msgs/MultiDOFJointTrajectory of the tool; raises MessageError, TrajectoryError.
+
+    as_sent: as its publisher had it. Its quaternions were of length 1 already, and to divide them by their length
+    once more could change a last bit.
+    """
+    try:
+        found = read_trajectory(bytes(data))
+    except ValueError:
+        raise MessageError("trajectory: cannot be read as MultiDOFJointTrajectory") from None
+    if found.frame_id != WORKPIECE:
+        raise MessageError(f"trajectory: the frame is {found.frame_id!r}, but must be {WORKPIECE}")
+    if found.names != (TOOL,):
+        raise MessageError(f"trajectory: must hold one transform a point, of the joint {TOOL}")
+    velocity = found.velocity[:, 0, :3]
+    none = np.isnan(velocity).all()
+    position, quaternion = found.position[:, 0], found.quaternion[:, 0]
+    run = Trajectory(found.time, position, quaternion, None if none else velocity, found.frame_id)
+    if as_sent:
+        object.__setattr__(run, "quaternion", np.array(quaternion))
+    return run
+
+
 KINDS = {
-    PoseSample: Kind("geometry_msgs/msg/PoseStamped", _pose, _read_pose),
-    WrenchSample: _six(WrenchSample, "geometry_msgs/msg/WrenchStamped", "wrench", "force", "torque"),
-    TwistSample: _six(TwistSample, "geometry_msgs/msg/TwistStamped", "twist", "linear", "angular"),
-    JointSample: Kind("sensor_msgs/msg/JointState", _joints, _read_joints),
-    ClockSample: Kind("rosgraph_msgs/msg/Clock", _clock, lambda msg: ClockSample(_ns(msg.clock))),
-    Text: Kind("std_msgs/msg/String", lambda record: {"data": record.text}, lambda msg: Text(msg.data)),
-    JointProgram: Kind("trajectory_msgs/msg/JointTrajectory", _program, _read_program),
-    StockMap: Kind("nav_msgs/msg/OccupancyGrid", _map, _read_map),
-    Trajectory: Kind(TRAJECTORY, _trajectory, None),
+    PoseSample: _stamped("geometry_msgs/msg/PoseStamped", PoseSample, slice(0, 3), slice(3, 7)),
+    WrenchSample: _stamped("geometry_msgs/msg/WrenchStamped", WrenchSample, slice(0, 6)),
+    TwistSample: _stamped("geometry_msgs/msg/TwistStamped", TwistSample, slice(0, 6)),
+    JointSample: _stored("sensor_msgs/msg/JointState", _joints, _read_joints),
+    ClockSample: _stored(
+        "rosgraph_msgs/msg/Clock", lambda r: {"clock": time_fields(r.stamp)}, lambda msg: ClockSample(_ns(msg.clock))
+    ),
+    Text: _stored("std_msgs/msg/String", lambda record: {"data": record.text}, lambda msg: Text(msg.data)),
+    JointProgram: _stored("trajectory_msgs/msg/JointTrajectory", _program, _read_program),
+    StockMap: _stored("nav_msgs/msg/OccupancyGrid", _map, _read_map),
+    Trajectory: Kind(TRAJECTORY, lambda run: serialise(TRAJECTORY, _trajectory(run)), trajectory_from_bytes),
 }
-READERS = {kind.type: kind.read for kind in KINDS.values() if kind.read}
+READERS = {kind.type: kind.read for kind in KINDS.values()}
 
 
 def type_of(record) -> str:
@@ -210,15 +228,30 @@ def type_of(record) -> str:
 
 def to_bytes(record) -> bytes:
     """The message that carries a record, serialised; a Trajectory becomes one of the body tool0."""
-    kind = KINDS[type(record)]
-    return serialise(kind.type, kind.write(record))
+    return KINDS[type(record)].write(record)
 
 
 def from_bytes(type_name: str, data: bytes):
-    """The record of a serialised message; of a MultiDOFJointTrajectory a TrajectoryRecord.
+    """The record of a serialised message.
 
-    Raises ValueError where the bytes are no such message, KeyError for a type that no record stands for.
+    Raises ValueError where the bytes are no such message, KeyError for a type that no record stands for, and what
+    ``trajectory_from_bytes`` raises.
     """
-    if type_name == TRAJECTORY:
-        return read_trajectory(data)
-    return READERS[type_name](deserialise(type_name, data))
+    return READERS[type_name](data)
+
+
+def pose_from_bytes(data: bytes) -> PoseSample:
+    """Of a geometry_msgs/PoseStamped; raises MessageError."""
+    return _received(PoseSample, data, "tool_pose")
+
+
+def wrench_from_bytes(data: bytes) -> WrenchSample:
+    """Of a geometry_msgs/WrenchStamped; raises MessageError."""
+    return _received(WrenchSample, data, "wrench")
+
+
+def _received(kind: type, data: bytes, topic: str):
+    try:
+        return KINDS[kind].read(data)
+    except ValueError:
+        raise MessageError(f"{topic}: cannot be read as {type_of(kind).rpartition('/')[2]}") from None

@@ -10,7 +10,7 @@ from rclpy.timer import Timer
 
 from kr270_milling.base.samples import WrenchSample
 from kr270_milling.cell.protocols import robot_protocol
-from kr270_milling.messages.exchange import trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.messages.codec import trajectory_from_bytes, wrench_from_bytes
 from kr270_milling.ros import topics
 from kr270_milling.ros.node import ERROR, LOST, OK, WARN, ManagedNode, guarded
 from kr270_milling.ros.parameters import declare_cell

@@ -6,7 +6,7 @@ import numpy as np
 from std_srvs.srv import Trigger
 
 from kr270_milling.cell.protocols import cut_protocol
-from kr270_milling.messages.exchange import pose_from_bytes, trajectory_from_bytes
+from kr270_milling.messages.codec import pose_from_bytes, trajectory_from_bytes
 from kr270_milling.ros import topics
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
 from kr270_milling.ros.parameters import declare_cell

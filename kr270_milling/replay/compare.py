@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kr270_milling.bag.gaps import GapCounter, Passes
-from kr270_milling.messages.codec import deserialise, type_of
-from kr270_milling.messages.exchange import to_bytes
+from kr270_milling.messages.codec import deserialise, to_bytes, type_of
 
 __all__ = ["Channel", "Difference", "difference"]
 

@@ -14,7 +14,7 @@ from kr270_milling.cell.protocols import compensator_protocol
 from kr270_milling.compensation.compensator import LEAST_GAIN, Compensator, EarlierReference
 from kr270_milling.compensation.parameters import METHODS
 from kr270_milling.compensation.protocol import CompensatorProtocol
-from kr270_milling.messages.exchange import to_bytes, trajectory_from_bytes
+from kr270_milling.messages.codec import to_bytes, trajectory_from_bytes
 from kr270_milling.replay.compare import Channel, difference
 from kr270_milling.trajectory.trajectory import Trajectory
 

@@ -16,7 +16,7 @@ from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.messages.cdr import stamp_of
-from kr270_milling.messages.exchange import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
 from kr270_milling.replay.attached import CELL, cell_of, in_file_order, is_first_version, plant_of
 from kr270_milling.replay.compare import Channel
 from kr270_milling.replay.feeds import CutFeed, RobotFeed

@@ -12,8 +12,7 @@ import numpy as np
 
 from kr270_milling.base.frames import quaternion_from_rotation
 from kr270_milling.messages.cdr import stamp_of
-from kr270_milling.messages.codec import from_bytes
-from kr270_milling.messages.exchange import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.messages.codec import from_bytes, pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
 from kr270_milling.messages.viewer import (
     ARROW,
     LINE_STRIP,

@@ -6,7 +6,7 @@ from builtin_interfaces.msg import Time
 from rclpy.serialization import deserialize_message, serialize_message
 
 from kr270_milling.base.units import SECOND
-from kr270_milling.messages import codec, exchange
+from kr270_milling.messages.codec import from_bytes, to_bytes, type_of
 from kr270_milling.ros.names import message_class
 
 __all__ = ["from_msg", "ns_from_stamp", "stamp_from_ns", "to_msg"]
@@ -23,14 +23,10 @@ def ns_from_stamp(stamp) -> int:
 
 def to_msg(record):
     """The message object that carries a record."""
-    return deserialize_message(exchange.to_bytes(record), message_class(codec.type_of(record)))
+    return deserialize_message(to_bytes(record), message_class(type_of(record)))
 
 
 def from_msg(msg):
     """The record that a message object carries; of a MultiDOFJointTrajectory a Trajectory."""
     package = type(msg).__module__.partition(".msg")[0]
-    type_name = f"{package}/msg/{type(msg).__name__}"
-    data = serialize_message(msg)
-    if type_name == codec.TRAJECTORY:
-        return exchange.trajectory_from_bytes(data)
-    return codec.from_bytes(type_name, data)
+    return from_bytes(f"{package}/msg/{type(msg).__name__}", serialize_message(msg))

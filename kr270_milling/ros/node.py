@@ -14,7 +14,7 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.messages.exchange import to_bytes
+from kr270_milling.messages.codec import to_bytes
 from kr270_milling.ros import topics
 from kr270_milling.ros.drain import is_aside
 from kr270_milling.ros.messages import stamp_from_ns

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from kr270_milling.messages.cdr import stamp_of
-from kr270_milling.messages.codec import deserialise
-from kr270_milling.messages.exchange import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.messages.codec import deserialise, pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
 from kr270_milling.simulation.scores import path_deviation
 from kr270_milling.trajectory.trajectory import Trajectory
 

@@ -16,7 +16,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 
 from kr270_milling.base.samples import PoseSample, WrenchSample
-from kr270_milling.messages.exchange import to_bytes
+from kr270_milling.messages.codec import to_bytes
 from kr270_milling.ros import topics
 from kr270_milling.ros.environment import keep_to_this_host
 

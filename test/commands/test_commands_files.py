@@ -81,7 +81,7 @@ def test_export_writes_tables_that_read_back_to_the_bit(whole, tmp_path, capsys)
     assert found["files"] == [str(tmp_path / "t" / "wrench.csv")]
     with open(found["files"][0], newline="") as stream:
         rows = list(csv.DictReader(stream))
-    from kr270_milling.messages.exchange import wrench_from_bytes
+    from kr270_milling.messages.codec import wrench_from_bytes
 
     sent = [wrench_from_bytes(m.data) for m in made.one_pass() if m.topic == "wrench"]
     assert [(int(r["stamp_ns"]), float(r["force_y_n"])) for r in rows] == [(s.stamp, s.wrench[1]) for s in sent]

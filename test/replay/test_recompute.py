@@ -16,7 +16,7 @@ from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import ConfigError, MillingError
 from kr270_milling.base.samples import Text
 from kr270_milling.cell.protocols import robot_protocol
-from kr270_milling.messages.exchange import to_bytes
+from kr270_milling.messages.codec import to_bytes
 from kr270_milling.replay.compensate import compensate
 from kr270_milling.replay.recompute import recompute
 

@@ -8,7 +8,7 @@ import pytest
 from pass_recording import STEPS
 
 from kr270_milling.base.samples import PoseSample, WrenchSample
-from kr270_milling.messages.exchange import to_bytes
+from kr270_milling.messages.codec import to_bytes
 from kr270_milling.replay.compensate import compensate
 from kr270_milling.replay.recompute import recompute
 

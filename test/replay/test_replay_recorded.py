@@ -10,7 +10,7 @@ import pass_recording as made
 import pytest
 
 from kr270_milling.bag.errors import RecordingError
-from kr270_milling.messages.exchange import to_bytes
+from kr270_milling.messages.codec import to_bytes
 from kr270_milling.replay.recorded import pass_from_recording
 from kr270_milling.trajectory.trajectory import Trajectory
 
