@@ -33,14 +33,13 @@ class GapCounter:
 
     def __init__(self, period_ns: int | None = None):
         self.period_ns = period_ns
-        self.received = self.missing = self.gaps = self.repeated = self.backwards = 0
+        self.missing = self.gaps = self.repeated = self.backwards = 0
         self.last: int | None = None
         self.passes = Passes()
         self._differences: list[int] | None = [] if period_ns is None else None
 
     def add(self, stamp: int) -> int:
         """Take the next stamp and return how many messages are known to be missing before it."""
-        self.received += 1
         if self.passes.begins(stamp) or self.last is None:
             self.last = stamp
             return 0

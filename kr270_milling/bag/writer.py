@@ -11,10 +11,10 @@ from pathlib import Path
 
 from kr270_milling import __version__
 from kr270_milling.bag import bagmeta
-from kr270_milling.bag.errors import MessageRefused, RecordingError
 from kr270_milling.bag.gaps import SHARED, GapCounter
 from kr270_milling.bag.logtime import LogTimes
 from kr270_milling.bag.output import Output
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.definitions import definition, starts_with_stamp, type_hash
 
@@ -24,6 +24,10 @@ CHUNK_SIZE = 1024 * 1024  # [bytes] before compression
 CHUNK_PERIOD = 0.2  # [s]; what a SIGKILL can lose
 HOLD_PERIOD = 0.5  # [s] that messages wait for the first stamp, and what a SIGKILL can lose until it has come
 HOLD_SIZE = 256 * 1024  # [bytes] of them that may wait
+
+
+class MessageRefused(RecordingError):
+    """One message that cannot be recorded; the file is unharmed and takes the next one."""
 
 
 @dataclass

@@ -10,7 +10,6 @@ import numpy as np
 
 __all__ = [
     "ClockSample", "JointProgram", "JointSample", "PoseSample", "StockMap", "Text", "TwistSample", "WrenchSample",
-    "same_bits",
 ]  # fmt: skip
 
 
@@ -105,23 +104,3 @@ class StockMap(Sample):
     resolution: float  #: [m], side of a cell, as float32 holds it
     corner: np.ndarray = _values(3)  #: [m], (3,), of cell (0, 0)
     cells: np.ndarray = _values(-1, -1, kind=np.int8)  #: percent, (nx, ny)
-
-
-def same_bits(one, other) -> str:
-    """The name of the first field in which two records differ in any bit; "" where they are the same.
-
-    Arrays are the same where type, shape and bytes are: 0.0 is not -0.0, and a NaN is that NaN.
-    """
-    if type(one) is not type(other):
-        return "type"
-    names = one._fields if hasattr(one, "_fields") else [field.name for field in dataclasses.fields(one)]
-    for name in names:
-        a, b = getattr(one, name), getattr(other, name)
-        if isinstance(a, (np.ndarray, float)) and type(a) is type(b):
-            a, b = np.asarray(a), np.asarray(b)
-            equal = a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
-        else:
-            equal = type(a) is type(b) and a == b
-        if not equal:
-            return name
-    return ""

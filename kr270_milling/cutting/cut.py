@@ -112,11 +112,6 @@ class Cut:
         return float(self.state.floats[LEVEL_SUM]) * self.params.spacing**2
 
     @property
-    def chip_thickness(self) -> np.ndarray:
-        """Largest uncut chip thickness of each tooth in the last sweep [m], (teeth,)."""
-        return self.state.chips.copy()
-
-    @property
     def tiles(self) -> int:
         """Tiles of the grid in use."""
         return int(self.state.ints[TILES])

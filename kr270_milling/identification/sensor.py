@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.frames import rotation_from_abc
 from kr270_milling.messages.series import series
 from kr270_milling.robot.loads import GRAVITY

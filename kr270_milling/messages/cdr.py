@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import struct
-from collections.abc import Iterable
+from collections.abc import Callable
 
 import numpy as np
 
@@ -17,8 +17,8 @@ from kr270_milling.base.units import SECOND
 __all__ = ["Cursor", "pack_stamped", "places_behind_header", "stamp_of", "unpack_stamped"]
 
 STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
-LENGTH_AT, FRAME_AT = 12, 16  #: of the frame's name in a message that begins with a Header
-LITTLE = b"\0\1\0\0"  #: the first four bytes of plain CDR, little endian
+FRAME_AT = 16  #: offset of the frame's name in a message that begins with a Header; its length stands before it
+BIG, LITTLE = b"\0\0\0\0", b"\0\1\0\0"  #: the first four bytes of plain CDR, by byte order
 
 
 def stamp_of(data: bytes, schema_has_header: bool = True) -> int | None:
@@ -32,28 +32,31 @@ def stamp_of(data: bytes, schema_has_header: bool = True) -> int | None:
 
 
 @functools.lru_cache(maxsize=64)
-def _layout(order: str, length: int, count: int) -> struct.Struct:
-    """A Header whose frame takes ``length`` bytes with its closing NUL, and ``count`` doubles behind it."""
-    return struct.Struct(f"{order}4siII{length}s{-(FRAME_AT - 4 + length) % 8}x{count}d")
-
-
-def _order_and_length(data: bytes) -> tuple[str, int]:
-    """Byte order of a message with a Header, and how many bytes its frame takes with the closing NUL."""
-    if len(data) < FRAME_AT or data[0] != 0 or data[1] > 1:
+def _layout(begin: bytes, length: bytes, count: int) -> struct.Struct:
+    """A Header and ``count`` doubles behind it; begin: the first two bytes of the message; length: as it has that of
+    the frame's name, with its closing NUL. Raises ValueError."""
+    if begin not in (BIG[:2], LITTLE[:2]) or len(length) != 4:
         raise ValueError("not plain CDR of version 1 with a header")
-    order = "<" if data[1] else ">"
-    return order, int.from_bytes(data[LENGTH_AT:FRAME_AT], "little" if data[1] else "big")
+    order, name = ("<", int.from_bytes(length, "little")) if begin[1] else (">", int.from_bytes(length, "big"))
+    return struct.Struct(f"{order}4siII{name}s{-(FRAME_AT - 4 + name) % 8}x{count}d")
 
 
-def pack_stamped(stamp_ns: int, frame: str, values: Iterable[float]) -> bytes:
+@functools.lru_cache(maxsize=64)
+def _packing(frame: str, count: int) -> tuple[Callable, bytes]:
+    """What packs a message, and the name of its frame as it stands there."""
+    name = frame.encode() + b"\0"
+    return _layout(LITTLE[:2], len(name).to_bytes(4, "little"), count).pack, name
+
+
+def pack_stamped(stamp_ns: int, frame: str, values: list[float]) -> bytes:
     """A message that is a Header and doubles, such as a WrenchStamped: all of them stand behind each other."""
-    name, values = frame.encode() + b"\0", list(values)
-    return _layout("<", len(name), len(values)).pack(LITTLE, *divmod(stamp_ns, SECOND), len(name), name, *values)
+    pack, name = _packing(frame, len(values))
+    return pack(LITTLE, stamp_ns // SECOND, stamp_ns % SECOND, len(name), name, *values)
 
 
 def unpack_stamped(data: bytes, count: int) -> tuple[int, str, np.ndarray]:
     """Stamp [ns], frame and the ``count`` doubles of such a message; raises ValueError where it is none."""
-    layout = _layout(*_order_and_length(data), count)
+    layout = _layout(data[:2], data[12:FRAME_AT], count)
     if len(data) < layout.size:
         raise ValueError("the message ends too early")
     _, seconds, nanoseconds, _, frame, *values = layout.unpack_from(data)
@@ -65,11 +68,12 @@ def places_behind_header(data: bytes, count: int) -> tuple[str, slice, slice]:
 
     Raises ValueError where it is shorter, or longer by more than padding.
     """
-    order, length = _order_and_length(data)
-    end = _layout(order, length, count).size
+    layout = _layout(data[:2], data[12:FRAME_AT], count)
+    end = layout.size
     if not end <= len(data) < end + 8:
         raise ValueError("the message has another length than its type")
-    return order, slice(FRAME_AT, FRAME_AT + max(length - 1, 0)), slice(end - 8 * count, end)
+    name = layout.unpack_from(data)[4]
+    return layout.format[0], slice(FRAME_AT, FRAME_AT + len(name[:-1])), slice(end - 8 * count, end)
 
 
 class Cursor:

@@ -99,19 +99,20 @@ def _stored(type_name: str, fields: Callable, record: Callable) -> Kind:
     return Kind(type_name, lambda r: serialise(type_name, fields(r)), lambda d: record(deserialise(type_name, d)))
 
 
-def _stamped(type_name: str, record: Callable, *places: slice) -> Kind:
+def _stamped(type_name: str, record: Callable, *widths: int) -> Kind:
     """A message that is a header and doubles, quick: one of these comes twice in every exchange.
 
-    places: of the record's arrays among the doubles.
+    widths: of the arrays of the record, one or two.
     """
+    count, first = sum(widths), widths[0]
 
     def write(sample) -> bytes:
-        stamp, frame, *arrays = sample
-        return pack_stamped(stamp, frame, [value for array in arrays for value in np.asarray(array).tolist()])
+        values = sample[2].tolist()
+        return pack_stamped(sample[0], sample[1], values if first == count else values + sample[3].tolist())
 
     def read(data: bytes):
-        stamp, frame, values = unpack_stamped(data, places[-1].stop)
-        return record(stamp, frame, *[values[place] for place in places])
+        stamp, frame, values = unpack_stamped(data, count)
+        return record(stamp, frame, *((values,) if first == count else (values[:first], values[first:])))
 
     return Kind(type_name, write, read)
 
@@ -206,9 +207,9 @@ def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
 
 
 KINDS = {
-    PoseSample: _stamped("geometry_msgs/msg/PoseStamped", PoseSample, slice(0, 3), slice(3, 7)),
-    WrenchSample: _stamped("geometry_msgs/msg/WrenchStamped", WrenchSample, slice(0, 6)),
-    TwistSample: _stamped("geometry_msgs/msg/TwistStamped", TwistSample, slice(0, 6)),
+    PoseSample: _stamped("geometry_msgs/msg/PoseStamped", PoseSample, 3, 4),
+    WrenchSample: _stamped("geometry_msgs/msg/WrenchStamped", WrenchSample, 6),
+    TwistSample: _stamped("geometry_msgs/msg/TwistStamped", TwistSample, 6),
     JointSample: _stored("sensor_msgs/msg/JointState", _joints, _read_joints),
     ClockSample: _stored(
         "rosgraph_msgs/msg/Clock", lambda r: {"clock": time_fields(r.stamp)}, lambda msg: ClockSample(_ns(msg.clock))

@@ -14,7 +14,6 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from kr270_milling.bag.bagmeta import read_qos
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.play_options import PlayOptions
 from kr270_milling.bag.playback import (
     PlayClock,
@@ -24,7 +23,7 @@ from kr270_milling.bag.playback import (
     span,
 )
 from kr270_milling.bag.reader import RawMessage, Recording
-from kr270_milling.base.errors import one_line
+from kr270_milling.base.errors import RecordingError, one_line
 from kr270_milling.base.process import end_process
 from kr270_milling.nodes.play_arguments import add_play_arguments, play_options
 from kr270_milling.ros.messages import stamp_from_ns

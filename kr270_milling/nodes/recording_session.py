@@ -15,9 +15,8 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
-from kr270_milling.bag.errors import MessageRefused, RecordingError
-from kr270_milling.bag.writer import BagWriter
-from kr270_milling.base.errors import MillingError
+from kr270_milling.bag.writer import BagWriter, MessageRefused
+from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.report.scene import INPUTS, Derived, Scene
 from kr270_milling.ros.drain import DEPTH, Taken, aside, drain, in_order
 from kr270_milling.ros.names import NameRefused, message_class

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import yaml
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import RawMessage, Recording
 from kr270_milling.base import parameter_file as config_file
-from kr270_milling.base.errors import ConfigError, one_line
+from kr270_milling.base.errors import ConfigError, RecordingError, one_line
 from kr270_milling.base.parameter_file import read_tree
 from kr270_milling.cell.cell import Cell, read_cell
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.replay.compare import difference
 from kr270_milling.replay.revisions import CompensatorFeed
 from kr270_milling.replay.robots import Robot, Robots

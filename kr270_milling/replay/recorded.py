@@ -7,8 +7,8 @@ import dataclasses
 
 import numpy as np
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.cell.cell import MOST_STEPS, Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.plant import imperfect_course

@@ -11,9 +11,8 @@ import numpy as np
 
 from kr270_milling import __version__
 from kr270_milling.bag.bagmeta import read_qos
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes

@@ -11,9 +11,9 @@ from mcap.writer import IndexType, Writer
 from test_bag_unpack import BEGIN, chunk_record
 from test_recording_reader import poses, write_mcap
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.export import export_csv
 from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.series import series
 
 

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from test_recording_samples import header, make, pose, raw
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.recorded_path import read_path, read_recorded
 from kr270_milling.bag.writer import BagWriter
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.trajectory.toolpath import Toolpath

@@ -8,9 +8,8 @@ from small_part import path_error
 from test_bag_recorded_path import CELL, FEED, NAV, SIDE, line, nav, record, refusal, stamped
 from test_recording_samples import PATH, POSE, path, pose
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.recorded_path import read_recorded
-from kr270_milling.base.errors import ConfigError, InputError
+from kr270_milling.base.errors import ConfigError, InputError, RecordingError
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main

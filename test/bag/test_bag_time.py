@@ -10,11 +10,11 @@ from mcap.writer import IndexType, Writer
 from test_recording_reader import write_mcap
 
 from kr270_milling.bag import chunks
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.export import export_csv
 from kr270_milling.bag.info import info
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.recover import recover
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.codec import serialise
 from kr270_milling.messages.series import series
 

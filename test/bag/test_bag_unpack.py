@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from test_recording_reader import write_mcap
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import RecordingError
 
 
 def chunk_record(data: bytes, unpacked: int, packing: bytes, crc: int = 0, claimed: int | None = None) -> bytes:
@@ -26,7 +26,7 @@ BEGIN = b"\x89MCAP0\r\n" + struct.pack("<BQI4sI", 1, 12, 4, b"ros2", 0)
 GREEDY = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000, 2_000_000_000))
-from kr270_milling.bag.errors import RecordingError
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.recover import recover
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -25,11 +25,11 @@ from test_recording_samples import (
     time,
 )
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.export import export_csv, export_parquet
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.tables import tables as tables_of
 from kr270_milling.bag.writer import BagWriter
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.cli import main
 
 
@@ -161,7 +161,7 @@ def test_parquet_is_written_where_pyarrow_is_and_else_told(tmp_path):
 
 EXPORT = """
 import resource, sys
-from kr270_milling.bag.errors import RecordingError
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.bag.export import export_csv
 from kr270_milling.bag.reader import Recording
 with Recording(sys.argv[1]) as recording:

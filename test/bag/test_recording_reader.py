@@ -14,9 +14,9 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 from test_recording_samples import POSE, STORE, TOPICS, pose, raw, record
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.verify import findings
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.definitions import definition
 from kr270_milling.messages.series import series
 

@@ -11,10 +11,10 @@ from rosbags.rosbag2 import Reader
 from test_recording_reader import Whole
 from test_recording_samples import TOPICS, record
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.recover import recover
 from kr270_milling.bag.verify import findings
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.cli import main
 
 RELAXED = settings(max_examples=budget(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -5,9 +5,9 @@ import stat
 
 import pytest
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.output import plain_name
 from kr270_milling.bag.writer import BagWriter
+from kr270_milling.base.errors import RecordingError
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "/etc/passwd", "../x", "a\0b", "x" * 300])

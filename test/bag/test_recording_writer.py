@@ -15,13 +15,13 @@ import yaml
 from test_recording_samples import PERIOD, POSE, TEXT, make, pose, raw, record
 
 from kr270_milling import __version__
-from kr270_milling.bag.errors import MessageRefused, RecordingError
 from kr270_milling.bag.export import export_csv
 from kr270_milling.bag.info import info
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.recover import recover
 from kr270_milling.bag.verify import findings
-from kr270_milling.bag.writer import BagWriter
+from kr270_milling.bag.writer import BagWriter, MessageRefused
+from kr270_milling.base.errors import RecordingError
 
 ROOT = str(Path(__file__).parents[2])
 
@@ -210,7 +210,7 @@ LIMITED = """
 import resource, sys
 import numpy as np
 from test_recording_samples import GRID, make, header, raw, sample
-from kr270_milling.bag.errors import RecordingError
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.bag.writer import BagWriter
 resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
 writer = BagWriter(sys.argv[1])
@@ -275,7 +275,7 @@ def test_a_chunk_that_fits_only_in_part_is_taken_back(tmp_path, monkeypatch):
 def test_the_disk_is_full_from_the_first_byte(tmp_path):
     code = """
 import resource, sys
-from kr270_milling.bag.errors import RecordingError
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.bag.writer import BagWriter
 resource.setrlimit(resource.RLIMIT_FSIZE, (4, 4))
 try:

@@ -124,14 +124,14 @@ def test_runout_and_unequal_pitch_agree_with_the_quadrature():
     total = np.zeros(2)
     for i in range(4):
         chips = np.array([exact_chip(angle, radii, pitches, i) for angle in phi])
-        assert cut.chip_thickness[i] == pytest.approx(chips.max(), abs=10e-6)  # a node
+        assert cut.state.chips[i] == pytest.approx(chips.max(), abs=10e-6)  # a node
         for angle, h in zip(phi, chips, strict=True):
             tangential, radial = fractional(h)
             total[0] += -radial * np.cos(angle) + tangential * np.sin(angle)
             total[1] += radial * np.sin(angle) + tangential * np.cos(angle)
     exact = total * np.radians(0.5) / (2 * np.pi)
     assert found == pytest.approx(exact, abs=3e-3 * np.linalg.norm(exact))
-    assert np.ptp(cut.chip_thickness) > 20e-6
+    assert np.ptp(cut.state.chips) > 20e-6
 
 
 def test_counterclockwise_rotation_mirrors_the_cut():
@@ -151,7 +151,7 @@ def test_loss_of_contact_gives_exactly_zero():
     back = here - [2e-3, 0.0, 0.0]
     assert np.array_equal(cut.sweep(here, back, first + 360, 1440), np.zeros(6))
     assert np.array_equal(cut.sweep(back, here, first + 1800, 1440), np.zeros(6))
-    assert cut.torque == 0.0 and not cut.chip_thickness.any()
+    assert cut.torque == 0.0 and not cut.state.chips.any()
 
 
 def test_a_dwelling_tool_stops_cutting_after_one_pitch():

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from same_bits import same_bits
 
 from kr270_milling.base.samples import (
     ClockSample,
@@ -17,7 +18,6 @@ from kr270_milling.base.samples import (
     Text,
     TwistSample,
     WrenchSample,
-    same_bits,
 )
 from kr270_milling.messages import codec
 from kr270_milling.messages.codec import deserialise, from_bytes, serialise, to_bytes, trajectory_from_bytes, type_of

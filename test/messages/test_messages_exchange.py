@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from same_bits import same_bits
 
 pytest.importorskip("rclpy")
 
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 
-from kr270_milling.base.samples import PoseSample, TwistSample, WrenchSample, same_bits
+from kr270_milling.base.samples import PoseSample, TwistSample, WrenchSample
 from kr270_milling.messages.codec import pose_from_bytes, to_bytes, trajectory_from_bytes, wrench_from_bytes
 from kr270_milling.ros.messages import from_msg
 from kr270_milling.simulation.admission import MessageError, checked_pose, checked_wrench, in_workpiece_axes

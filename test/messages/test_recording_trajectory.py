@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_recording_samples import PATH, POSE, STORE, path, pose, raw
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.writer import BagWriter
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.trajectory import read_trajectory, trajectories
 
 

@@ -15,11 +15,10 @@ import pytest
 from player_listener import FIRST, Listener, options
 from ros_domain import environment_of_processes
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.play_options import PlayOptions
 from kr270_milling.bag.playback import PlayClock, opening, passage, span
 from kr270_milling.bag.reader import Recording
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, RecordingError
 
 pytestmark = made.needs_messages
 needs_ros = pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed")

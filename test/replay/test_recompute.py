@@ -11,9 +11,8 @@ import pass_recording as made
 import pytest
 from pass_recording import STEPS, flip, force_offset
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
-from kr270_milling.base.errors import ConfigError, MillingError
+from kr270_milling.base.errors import ConfigError, MillingError, RecordingError
 from kr270_milling.base.samples import Text
 from kr270_milling.cell.protocols import robot_protocol
 from kr270_milling.messages.codec import to_bytes

@@ -8,7 +8,7 @@ import pass_recording as made
 import pytest
 from pass_recording import STEPS, flip
 
-from kr270_milling.bag.errors import RecordingError
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.replay.compensate import compensate
 from kr270_milling.replay.recompute import recompute
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import pass_recording as made
 import pytest
 
-from kr270_milling.bag.errors import RecordingError
 from kr270_milling.bag.reader import Recording
-from kr270_milling.base.errors import ConfigError
+from kr270_milling.base.errors import ConfigError, RecordingError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.replay.attached import cell_of
 

@@ -9,7 +9,7 @@ import time
 import pass_recording as made
 import pytest
 
-from kr270_milling.bag.errors import RecordingError
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.codec import to_bytes
 from kr270_milling.replay.recorded import pass_from_recording
 from kr270_milling.trajectory.trajectory import Trajectory

@@ -81,11 +81,11 @@ def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
 
     scene, target = Scene(), cell.target()
     list(scene.hear("target_trajectory", to_bytes(target)))
-    shift = np.array([0.0, 200e-6, 0.0])
+    shift, upright = np.array([0.0, 200e-6, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])
     for k in range(1000):
         stamp = k * 40_000_000
         position = target.sample(stamp) + (shift if k > 500 else 0.0)
-        found = list(scene.hear("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, (0.0, 0.0, 0.0, 1.0)))))
+        found = list(scene.hear("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, upright))))
     (markers,) = (deserialise(one.type, one.data).markers for one in found)
     (path,) = (marker for marker in markers if marker.ns == "path")
     assert 100 <= len(path.points) <= 200 and len(path.colors) == len(path.points)
