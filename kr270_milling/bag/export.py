@@ -1,25 +1,41 @@
-"""Topics as files: CSV, and Parquet where pyarrow is installed."""
+"""Topics as files: CSV, and Parquet where pyarrow is installed; read message by message, so that memory is bounded."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import importlib.util
 import io
+import itertools
+import json
+import math
+import re
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.tables import Table, tables, word
 from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.files import staged
+from kr270_milling.base.units import SECOND
+from kr270_milling.messages.decode import plain
+from kr270_milling.messages.series import FIXED, batches
+from kr270_milling.messages.trajectory import TRAJECTORY, trajectories
 
-__all__ = ["Exported", "export_csv", "export_parquet"]
+__all__ = ["Exported", "export_csv", "export_parquet", "tables"]
 
 MAX_FILES = 100  # of one topic; a new one begins where the columns change
+Table = tuple[list[str], list]  # column names; columns of equal length
+TIMES = ["log_time_ns", "stamp_ns", "frame_id"]
+POINT = ([f"position_{a}_m" for a in "xyz"] + [f"orientation_{a}" for a in "xyzw"],
+         [f"velocity_{a}_m_per_s" for a in "xyz"] + [f"angular_velocity_{a}_rad_per_s" for a in "xyz"],
+         [f"acceleration_{a}_m_per_s2" for a in "xyz"] + [f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"],
+)  # fmt: skip
+JOINTS = "sensor_msgs/msg/JointState"
+TWIST = "geometry_msgs/msg/TwistStamped"
+ROWS, ROW_BYTES = 1024, 1024 * 1024  # of messages in one table; as Python's numbers and texts they take far more
 
 
 @dataclass
@@ -35,7 +51,7 @@ def export_csv(
 ) -> Exported:
     """Write a CSV file per topic into a directory; progress(messages done, of all). A topic that cannot be read is
     named in the result, and the others are written. Raises RecordingError for an unknown topic and a full disk."""
-    return _export(recording, directory, topics, progress, _CsvTable, "csv")
+    return _export(recording, directory, topics, progress, _write_csv, "csv")
 
 
 def export_parquet(
@@ -44,10 +60,10 @@ def export_parquet(
     """The same as Parquet; raises RecordingError where pyarrow is not installed."""
     if importlib.util.find_spec("pyarrow") is None:
         raise RecordingError(directory, "Parquet needs the package pyarrow, which is not installed")
-    return _export(recording, directory, topics, progress, _ParquetTable, "parquet")
+    return _export(recording, directory, topics, progress, _write_parquet, "parquet")
 
 
-def _export(recording: Recording, directory, topics, progress, open_table: Callable, suffix: str) -> Exported:
+def _export(recording: Recording, directory, topics, progress, write: Callable, suffix: str) -> Exported:
     known = recording.topics()
     missing = sorted(set(topics or ()) - set(known))
     if missing:
@@ -57,7 +73,7 @@ def _export(recording: Recording, directory, topics, progress, open_table: Calla
         Path(directory).mkdir(parents=True, exist_ok=True)
         for topic, about in known.items():
             if about.count and (topics is None or topic in topics):
-                _export_topic(recording, topic, Path(directory), open_table, suffix, result)
+                _export_topic(recording, topic, Path(directory), write, suffix, result)
             done += about.count
             if progress:
                 progress(done, recording.count)
@@ -68,80 +84,135 @@ def _export(recording: Recording, directory, topics, progress, open_table: Calla
     return result
 
 
-def _export_topic(recording: Recording, topic: str, directory: Path, open_table, suffix: str, result: Exported) -> None:
+def _export_topic(recording: Recording, topic: str, directory: Path, write, suffix: str, result: Exported) -> None:
     """A topic's files: one, and a further one each time the columns change. They appear when all are written."""
     files: list[Path] = []
+    found = tables(recording, topic, recording.topics()[topic].type)
     try:
-        with staged(directory) as (draft, final):
-
-            def begin(names: list[str]):
+        with staged(directory) as (draft, _):
+            for names, alike in itertools.groupby(found, key=lambda table: table[0]):
                 if len(files) == MAX_FILES:
                     raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
-                files.append(_free_path(directory, word(topic), suffix, [*result.files, *files]))
-                return open_table(open(draft / files[-1].name, "xb"), names)
-
-            _write_all(tables(recording, topic, recording.topics()[topic].type), begin)
+                files.append(_free_path(directory, topic, suffix, [*result.files, *files]))
+                with open(draft / files[-1].name, "xb") as stream:
+                    write(stream, names, (columns for _, columns in alike))
     except RecordingError as error:
         result.refused[topic] = str(error)
     else:
         result.files += files
 
 
-def _write_all(parts: Iterator[Table], begin: Callable) -> None:
-    table: Any = None
-    columns = None
-    try:
-        for names, values in parts:
-            if names != columns:
-                if table:
-                    table.close()
-                    table = None
-                table, columns = begin(names), names
-            table.write(values)
-    finally:
-        if table:
-            table.close()  # raises once more where the disk is full
-
-
-def _free_path(directory: Path, stem: str, suffix: str, taken: list[Path]) -> Path:
-    number, path = 1, directory / f"{stem}.{suffix}"
+def _free_path(directory: Path, topic: str, suffix: str, taken: list[Path]) -> Path:
+    """``directory/topic.suffix``, or with a number where another topic has this name."""
+    number, path = 1, directory / f"{_word(topic)}.{suffix}"
     while path in taken:
         number += 1
-        path = directory / f"{stem}_{number}.{suffix}"
+        path = directory / f"{_word(topic)}_{number}.{suffix}"
     return path
 
 
-class _CsvTable:
-    def __init__(self, stream, names: list[str]):
-        self._stream = io.TextIOWrapper(stream, encoding="utf-8", newline="")
-        self._writer = csv.writer(self._stream)
-        self._writer.writerow(names)
-
-    def write(self, columns: list) -> None:
-        # Python's numbers print as the shortest text that reads back to the same bits
-        lists = [column.tolist() if isinstance(column, np.ndarray) else column for column in columns]
-        self._writer.writerows(zip(*lists, strict=True))
-
-    def close(self) -> None:
-        self._stream.close()
+def _write_csv(stream, names: list[str], tables: Iterator[list]) -> None:
+    with io.TextIOWrapper(stream, encoding="utf-8", newline="") as text:
+        writer = csv.writer(text)
+        writer.writerow(names)
+        for columns in tables:
+            # Python's numbers print as the shortest text that reads back to the same bits
+            lists = [column.tolist() if isinstance(column, np.ndarray) else column for column in columns]
+            writer.writerows(zip(*lists, strict=True))
 
 
-class _ParquetTable:
-    def __init__(self, stream, names: list[str]):
-        self._stream, self._names = stream, names
-        self._writer: Any = None
+def _write_parquet(stream, names: list[str], tables: Iterator[list]) -> None:
+    import pyarrow.parquet
 
-    def write(self, columns: list) -> None:
-        import pyarrow
-        import pyarrow.parquet
+    with contextlib.ExitStack() as stack:
+        writer = None
+        for columns in tables:
+            schema = writer.schema if writer else None
+            table = pyarrow.table(dict(zip(names, map(list, columns), strict=True)), schema=schema)
+            writer = writer or stack.enter_context(pyarrow.parquet.ParquetWriter(stream, table.schema))
+            writer.write_table(table)
 
-        schema = self._writer.schema if self._writer else None
-        table = pyarrow.table(dict(zip(self._names, map(list, columns), strict=True)), schema=schema)
-        if self._writer is None:
-            self._writer = pyarrow.parquet.ParquetWriter(self._stream, table.schema)
-        self._writer.write_table(table)
 
-    def close(self) -> None:
-        if self._writer:
-            self._writer.close()
-        self._stream.close()
+def tables(recording: Recording, topic: str, type_name: str) -> Iterator[Table]:
+    """The messages of a topic as tables; a new one may have other columns. Raises RecordingError."""
+    if type_name in FIXED:
+        return _series_tables(recording, topic, type_name)
+    if type_name == TRAJECTORY:
+        return _trajectory_tables(recording, topic)
+    return _any_tables(recording, topic, _joint_cells if type_name == JOINTS else lambda message: _flat(plain(message)))
+
+
+def _series_tables(recording: Recording, topic: str, type_name: str) -> Iterator[Table]:
+    columns = [f"{name}_{unit}" if unit else name for name, unit in _units(type_name, topic)]
+    for rows in batches(recording, topic):
+        yield TIMES + columns, [rows.log_time, rows.stamp, rows.frame_ids, *rows.values.T]
+
+
+def _units(type_name: str, topic: str) -> list[tuple[str, str]]:
+    if type_name != TWIST:
+        return FIXED[type_name]
+    # a deflection is a displacement in the message of a velocity
+    units = ("m", "rad") if topic.split("/")[-1] == "deflection" else ("m_per_s", "rad_per_s")
+    return [(name, units[name.startswith("angular")]) for name, _ in FIXED[TWIST]]
+
+
+def _trajectory_tables(recording: Recording, topic: str) -> Iterator[Table]:
+    """One row per point; the columns of a body carry its name if there are several."""
+    for number, found in enumerate(trajectories(recording, topic)):
+        count = len(found.time)
+        columns = ["message", "stamp_ns", "frame_id", "time_from_start_ns"]
+        values = [[number] * count, [found.stamp] * count, [found.frame_id] * count, found.time]
+        for j, name in enumerate(found.names):
+            prefix = f"{_word(name)}_" if len(found.names) > 1 else ""
+            pose = np.hstack([found.position[:, j], found.quaternion[:, j]])
+            for names, part in zip(POINT, (pose, found.velocity[:, j], found.acceleration[:, j]), strict=True):
+                columns += [prefix + column for column in names]
+                values += list(part.T)
+        yield columns, values
+
+
+def _any_tables(recording: Recording, topic: str, cells_of: Callable[[object], dict]) -> Iterator[Table]:
+    """Any other type, row by row."""
+    rows: list[list] = []
+    columns: list[str] = []
+    size = 0
+    for message, decoded in recording.decoded([topic], as_written=True):
+        try:
+            cells = {"log_time_ns": message.log_time, **cells_of(decoded)}
+        except ValueError as error:
+            raise RecordingError(recording.path, f"a message on {topic} {error}") from error
+        if rows and (columns != list(cells) or len(rows) == ROWS or size + len(message.data) > ROW_BYTES):
+            yield columns, list(zip(*rows, strict=True))
+            rows, size = [], 0
+        columns, size = list(cells), size + len(message.data)
+        rows.append(list(cells.values()))
+    if rows:
+        yield columns, list(zip(*rows, strict=True))
+
+
+def _joint_cells(state) -> dict:
+    """A column per joint and quantity; what a message leaves out is NaN."""
+    stamp = state.header.stamp
+    cells = {"stamp_ns": stamp.sec * SECOND + stamp.nanosec, "frame_id": state.header.frame_id}
+    for kind, unit in (("position", "rad"), ("velocity", "rad_per_s"), ("effort", "n_m")):
+        values = getattr(state, kind).tolist() or [math.nan] * len(state.name)
+        if len(values) != len(state.name):
+            raise ValueError(f"names {len(state.name)} joints and gives {len(values)} values of {kind}")
+        cells.update({f"{kind}_{_word(name)}_{unit}": value for name, value in zip(state.name, values, strict=True)})
+    return cells
+
+
+def _flat(value: dict, prefix: str = "") -> dict:
+    """A column per number or text, sequences as JSON in one cell."""
+    cells = {}
+    for key, item in value.items():
+        if isinstance(item, dict):
+            cells.update(_flat(item, f"{prefix}{key}_"))
+        else:
+            cells[prefix + key] = json.dumps(item) if isinstance(item, list) else item
+    return cells
+
+
+def _word(text: str) -> str:
+    """A name without signs that a file name or a column cannot have."""
+    return re.sub(r"\W+", "_", text).strip("_")[:100] or "unnamed"

@@ -12,12 +12,13 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.cell.cell import MOST_STEPS, Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.plant import imperfect_course
+from kr270_milling.messages.codec import trajectory_from_bytes
 from kr270_milling.messages.series import series
-from kr270_milling.messages.trajectory import TRAJECTORY, trajectories
 from kr270_milling.replay.attached import cell_of, plant_of
+from kr270_milling.simulation.admission import MessageError
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.simulation.sides import RobotSide
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
 __all__ = ["RecordedPass", "pass_from_recording", "references", "topic_of"]
 
@@ -53,16 +54,10 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
 def references(recording: Recording, namespace: str | None = None) -> list[Trajectory]:
     """Every reference trajectory in the order of their publication; the first is the one that the pass ran."""
     topic = topic_of(recording, "reference_trajectory", namespace)
-    if recording.topics()[topic].type != TRAJECTORY:
-        raise RecordingError(recording.path, f"{topic} is no trajectory")
-    found = []
-    for record in trajectories(recording, topic):
-        if len(record.names) != 1:
-            raise RecordingError(recording.path, f"{topic} holds {len(record.names)} bodies where a tool is one")
-        rates = record.velocity[:, 0, :3]
-        velocity = None if np.isnan(rates).all() else rates
-        position, quaternion = record.position[:, 0], record.quaternion[:, 0]
-        found.append(Trajectory(record.time, position, quaternion, velocity, record.frame_id))
+    try:
+        found = [trajectory_from_bytes(message.data) for message in recording.messages([topic], as_written=True)]
+    except (MessageError, TrajectoryError) as error:
+        raise RecordingError(recording.path, f"{topic}: {error}") from error
     if not found:
         raise RecordingError(recording.path, f"{topic} has no message")
     return found

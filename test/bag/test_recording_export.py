@@ -26,8 +26,8 @@ from test_recording_samples import (
 )
 
 from kr270_milling.bag.export import export_csv, export_parquet
+from kr270_milling.bag.export import tables as tables_of
 from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.tables import tables as tables_of
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.cli import main

@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_recording_samples import JOINTS, POSE, STORE, TWIST, WRENCH, joints, pose, raw, twist, wrench
 
+from kr270_milling.bag.export import tables
 from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.tables import tables
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.series import batches, series
