@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 import math
 from collections.abc import Callable
@@ -21,7 +20,7 @@ from kr270_milling.compensation.revision import PassRecord, corrected, held, rev
 from kr270_milling.compensation.stages import Course
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Compensator", "EarlierReference", "PassListener", "noise_floor", "remaining_error"]
+__all__ = ["Compensator", "EarlierReference", "noise_floor", "remaining_error"]
 
 #: a pass that improves the largest error by less than this share, or by less than LEAST_STEP, ends the learning
 LEAST_GAIN = 0.01
@@ -228,37 +227,3 @@ class Compensator:
         while self.repeats and not self.finished:
             self.revise(run(self.reference))
         return self.reference
-
-
-class PassListener:
-    """Gathers what is heard of one pass and knows when it is complete; a later start begins anew."""
-
-    def __init__(self, end_ns: int):
-        self.end_ns = end_ns
-        self.start_over()
-
-    def start_over(self) -> None:
-        self.stamps: list[int] = []
-        self.items: list = []
-        self.ignored = 0  #: messages that were older than the last one, or came before the start
-
-    def copy(self) -> PassListener:
-        """An independent one in the same state."""
-        other = copy.copy(self)
-        other.stamps = list(self.stamps)
-        other.items = list(self.items)
-        return other
-
-    def hear(self, stamp_ns: int, item) -> bool:
-        """True when the pass is complete with this item; a repeated stamp replaces its item."""
-        if stamp_ns == 0:
-            self.start_over()
-        if stamp_ns != 0 and (not self.stamps or stamp_ns < self.stamps[-1] or self.stamps[-1] >= self.end_ns):
-            self.ignored += 1
-            return False
-        if self.stamps and stamp_ns == self.stamps[-1]:
-            self.items[-1] = item
-            return False
-        self.stamps.append(stamp_ns)
-        self.items.append(item)
-        return stamp_ns >= self.end_ns

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.samples import JointProgram, PoseSample, WrenchSample
-from kr270_milling.compensation.compensator import Compensator, PassListener
+from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.simulation.admission import MessageError, checked_pose, checked_wrench, in_workpiece_axes
 from kr270_milling.simulation.exchange import Clock
@@ -89,20 +89,15 @@ class CompensatorProtocol:
         other = copy.copy(self)
         vars(other).update(
             compensator=self.compensator and _twin(self.compensator),
-            _listener=self._listener.copy(),
+            _poses=dict(self._poses),
             _wrenches=dict(self._wrenches),
         )
         return other
 
     @property
-    def end_ns(self) -> int:
-        """Stamp that ends a pass."""
-        return self._listener.end_ns
-
-    @property
     def under_way(self) -> bool:
         """Whether the start of a pass was heard and its end was not revised yet."""
-        return self.compensator is not None and bool(self._listener.stamps)
+        return self.compensator is not None and bool(self._poses)
 
     @property
     def at_end(self) -> bool:
@@ -112,12 +107,12 @@ class CompensatorProtocol:
     @property
     def stamp_ns(self) -> int:
         """Of the last pose that counts."""
-        return self._listener.stamps[-1] if self._listener.stamps else 0
+        return next(reversed(self._poses), 0)
 
     @property
     def ignored(self) -> int:
         """Poses of a pass whose start was not heard."""
-        return self._listener.ignored if not self._listener.stamps else 0
+        return 0 if self._poses else self._ignored
 
     @property
     def has_wrench(self) -> bool:
@@ -127,17 +122,16 @@ class CompensatorProtocol:
     def pose(self, sample: PoseSample) -> list[Output]:
         """Take a pose; raises MessageError, and what a revision raises."""
         checked_pose(sample)
-        listener = self._listener
         if self.compensator is None:
             return []
-        if sample.stamp == 0 and listener.stamps != [0]:
-            self._await_pass(listener.end_ns, self._early)
-            listener = self._listener
-        if listener.stamps and sample.stamp == listener.stamps[-1]:
-            listener.items[-1] = sample  # the exchange is iterated, or the robot asked again
-        else:
-            listener.hear(sample.stamp, sample)
-        if not listener.stamps or sample.stamp != listener.stamps[-1] or sample.stamp < listener.end_ns:
+        if sample.stamp == 0 and list(self._poses) != [0]:  # a later start begins anew
+            self._await_pass(self.end_ns, self._early)
+        last = next(reversed(self._poses), -1)
+        if sample.stamp != last and (sample.stamp < last or last >= self.end_ns or (last < 0 < sample.stamp)):
+            self._ignored += 1  # older than the last one, behind the end, or before the start
+            return []
+        self._poses[sample.stamp] = sample  # again where the exchange is iterated, or the robot asked again
+        if sample.stamp < self.end_ns:
             return []
         self._last_poses -= 1
         return self._revise_when_complete()
@@ -147,13 +141,13 @@ class CompensatorProtocol:
         checked_wrench(sample)
         if self.compensator is None:
             return []
-        if sample.stamp == 0 and self._listener.stamps != [0]:
+        if sample.stamp == 0 and list(self._poses) != [0]:
             self._early = {0: sample}  # it may overtake the pose that it answers
             return []
-        if not self._listener.stamps:
+        if not self._poses:
             return []
         self._wrenches[sample.stamp] = sample
-        if sample.stamp < self._listener.end_ns:
+        if sample.stamp < self.end_ns:
             return []
         self._last_wrenches -= 1
         return self._revise_when_complete()
@@ -167,22 +161,23 @@ class CompensatorProtocol:
 
     def _await_pass(self, end_ns: int, wrenches: dict[int, WrenchSample] | None = None) -> None:
         """Nothing of a pass was heard yet; each exchange brings as many poses and wrenches as it has iterations."""
-        self._listener = PassListener(end_ns)
+        self.end_ns = end_ns  #: stamp that ends a pass
+        self._poses: dict[int, PoseSample] = {}  # by their stamps, ascending
+        self._ignored = 0
         self._wrenches = dict(wrenches or {})
         self._early = {}
         self._last_poses = self.models.iterations
         self._last_wrenches = self.models.iterations
 
     def _revise(self) -> list[Output]:
-        stamps = np.array(self._listener.stamps)
-        poses = self._listener.items
+        stamps, poses = np.array(list(self._poses)), list(self._poses.values())
         positions = np.array([pose.position for pose in poses])
         self.ran = self.models.pass_record(self.passes, stamps, positions, self._wrench_series(stamps, poses))
         self.passes += 1
         self.ran_by = self.compensator
         self.missing = _holes(stamps)
         self.missing_wrenches = _holes(np.array(sorted(self._wrenches)))
-        self._await_pass(self._listener.end_ns)  # this one is over, also if nothing can be made of it
+        self._await_pass(self.end_ns)  # this one is over, also if nothing can be made of it
         made = _twin(self.begun)
         made.revise(self.ran)
         return self._go_on(made)

@@ -8,7 +8,7 @@ import pytest
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.compensation.compensator import Compensator, PassListener, remaining_error
+from kr270_milling.compensation.compensator import Compensator, remaining_error
 from kr270_milling.compensation.parameters import Compensation
 from kr270_milling.compensation.revision import PassRecord, RevisionError
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -202,43 +202,6 @@ def test_mirror_without_a_wrench_is_refused():
 def test_parameters_that_make_no_sense_are_refused(wrong):
     with pytest.raises(ParameterError):
         Compensation(**({"method": "linear"} | wrong))
-
-
-# --- listening ---
-
-
-def heard(listener, *stamps):
-    return [listener.hear(s, f"{i}@{s}") for i, s in enumerate(stamps)]
-
-
-def test_a_pass_is_complete_at_its_end_and_once():
-    listener = PassListener(30)
-    assert heard(listener, 0, 10, 20, 30, 30, 40) == [False, False, False, True, False, False]
-    assert listener.stamps == [0, 10, 20, 30] and listener.ignored == 2
-
-
-def test_the_end_may_be_stepped_over():
-    assert heard(PassListener(25), 0, 10, 20, 30) == [False, False, False, True]
-
-
-def test_a_repeated_stamp_replaces_its_item():
-    listener = PassListener(30)
-    heard(listener, 0, 10, 10, 20)
-    assert listener.items == ["0@0", "2@10", "3@20"] and listener.ignored == 0
-
-
-def test_what_comes_before_the_start_or_out_of_order_is_ignored_and_counted():
-    listener = PassListener(30)
-    assert heard(listener, 10, 20, 30) == [False] * 3 and listener.stamps == [] and listener.ignored == 3
-    assert heard(listener, 0, 20, 10, 30) == [False, False, False, True]
-    assert listener.stamps == [0, 20, 30] and listener.ignored == 1
-
-
-def test_a_new_start_begins_anew():
-    listener = PassListener(30)
-    assert heard(listener, 0, 10, 0, 20, 30) == [False, False, False, False, True]
-    assert listener.stamps == [0, 20, 30] and listener.items == ["2@0", "3@20", "4@30"]
-    assert heard(listener, 0, 30) == [False, True]
 
 
 # --- the arm itself ---

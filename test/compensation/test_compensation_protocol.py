@@ -73,6 +73,21 @@ def test_poses_alone_wait_for_the_last_wrench_until_it_is_given_up(protocol, ran
     assert protocol.finish() == [] and feed(protocol, [last]) == []
 
 
+def test_poses_before_the_start_and_out_of_order_count_for_nothing(protocol, ran, short_cell):
+    records = samples(ran)
+    assert feed(protocol, records[2:8:2]) == [] and protocol.ignored == 3 and not protocol.under_way
+    older, repeated = records[10], records[38]
+    outputs = feed(protocol, [*records[:40], older, repeated, *records[40:]])
+    assert_revised(outputs, expected(short_cell, ran))
+    assert protocol.missing == 0 and feed(protocol, [records[-2]]) == []  # the end was heard already
+
+
+def test_a_new_start_begins_anew(protocol, ran, short_cell):
+    records = samples(ran)
+    assert_revised(feed(protocol, records[:30] + records), expected(short_cell, ran))
+    assert len(protocol.last_pass[1].time_ns) == len(ran.time_ns)
+
+
 def test_nothing_is_finished_in_mid_pass(protocol, ran):
     assert feed(protocol, samples(ran)[:40]) == [] == protocol.finish()
     assert protocol.under_way and not protocol.at_end
