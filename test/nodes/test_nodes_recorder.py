@@ -55,7 +55,7 @@ def test_every_message_is_kept_with_its_bytes_and_its_stamp(world, recorder, tmp
     with Recording(tmp_path / "rec") as recording:
         found = series(recording, "/wrench")
         assert not recording.cut_off
-        times = [message.log_time for message in recording.messages()]
+        times = [message.log_time for message in recording.messages(["/wrench"])]
     assert found.stamp.tolist() == times == [i * 500_000 for i in range(300)]
     assert np.array_equal(found.values, np.repeat(np.arange(300.0)[:, None], 6, axis=1))
 
