@@ -17,8 +17,6 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.decision import check as checks
 from kr270_milling.decision import compensation, decision, tolerance, verdict
 from kr270_milling.report.series import COLUMNS, series_lines, series_rows
-from kr270_milling.simulation.milling_pass import PassResult
-from kr270_milling.simulation.scores import Scores
 from kr270_milling.trajectory.trajectory import Trajectory
 
 if TYPE_CHECKING:
@@ -28,12 +26,15 @@ if TYPE_CHECKING:
 __all__ = ["Compensation", "Pass", "check", "compensate", "read_cell", "read_recording", "simulate", "verdict_of"]
 
 
-@dataclass(frozen=True, eq=False)
-class Pass:
-    """One pass of a cell, simulated or recorded."""
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Pass(jobs.ScoredPass):
+    """One pass of a cell, simulated or recorded: its name, reference, result (series) and scores."""
 
     cell: Cell
-    scored: jobs.ScoredPass
+
+    @classmethod
+    def of(cls, cell: Cell, scored: jobs.ScoredPass) -> Pass:
+        return cls(**vars(scored), cell=cell)
 
     def __repr__(self) -> str:
         static, most = 1e6 * self.scores.static_deviation, 1e6 * self.scores.max_deviation
@@ -41,29 +42,9 @@ class Pass:
         return f"<Pass {self.name}: {shown}max {most:.2f} um>"
 
     @property
-    def name(self) -> str:
-        """Of the method, or "original"."""
-        return self.scored.name
-
-    @property
-    def reference(self) -> Trajectory:
-        """The trajectory that the controller ran, workpiece frame."""
-        return self.scored.reference
-
-    @property
-    def result(self) -> PassResult:
-        """Series at the ends of the exchange periods."""
-        return self.scored.result
-
-    @property
-    def scores(self) -> Scores:
-        """Deviations of Table 2."""
-        return self.scored.scores
-
-    @property
     def tolerance(self) -> tolerance.Judgement:
         """What the pass leaves on the part against ``part.tolerance_um``."""
-        return tolerance.judge(self.cell, self.scored)
+        return tolerance.judge(self.cell, self)
 
     def to_frame(self) -> pandas.DataFrame:
         """Every series as a pandas frame, units in the column names; raises ImportError without pandas."""
@@ -115,13 +96,13 @@ def read_cell(path, *assignments: str) -> Cell:
 
 def simulate(cell: Cell, reference: Trajectory | None = None) -> Pass:
     """One pass on a fresh workpiece, along the programmed path or along a reference."""
-    return Pass(cell, jobs.simulate(cell, reference, "original" if reference is None else "reference"))
+    return Pass.of(cell, jobs.simulate(cell, reference, "original" if reference is None else "reference"))
 
 
 def compensate(cell: Cell, method: str | None = None) -> Compensation:
     """Revise the trajectory by a method (default: that of the cell) and judge it."""
     done = compensation.compensate(cell, method)
-    return Compensation(Pass(cell, done.original), Pass(cell, done.revised), done.checked, done.decision)
+    return Compensation(Pass.of(cell, done.original), Pass.of(cell, done.revised), done.checked, done.decision)
 
 
 def check(cell: Cell, reference: Trajectory | None = None) -> checks.Checked:
@@ -143,4 +124,4 @@ def read_recording(path, namespace: str | None = None) -> Pass:
     place = Path(path)
     found: Sequence[Path] = sorted(place.glob("*.mcap")) if place.is_dir() else [place]
     recorded = pass_from_recording(found[0] if found else place, place.stem, namespace)
-    return Pass(recorded.cell, recorded.scored)
+    return Pass.of(recorded.cell, recorded.scored)

@@ -47,6 +47,11 @@ class Table:
         """Several columns, (n, columns)."""
         return np.stack([self.number(name, default) for name in names], -1)
 
+    def refuse(self, wrong, reason: str) -> None:
+        """Raise InputError with the line of the first row that is wrong, (n,), if there is one."""
+        if np.any(wrong):
+            raise InputError(self.path, reason, self.lines[int(np.argmax(wrong))])
+
     def _value(self, text: str, name: str, line: int, default: float | None) -> float:
         if not text:
             if default is None:

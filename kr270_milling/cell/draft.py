@@ -97,11 +97,20 @@ RAPID = 0.2  #: [m/s], of rapid moves, as the template has it
 SPACING, POSTURES = 5.0, 2e4  #: [mm] between two modelled postures, and how many of them a long path should have
 NODES = 2.5e7  #: of the grid, 25 MB
 FINEST, FINE, COARSEST = 5.0, 20.0, 100.0  #: [um], grid steps
-STRAIGHT = """      start_mm: [-8.0, 0.0]              # yours: a straight cut along +x; or give file: part.nc
+DIAMETER, TEETH, SPEED = 10.0, 4, 8000.0  #: [mm], -, [rpm], where nobody says
+#: what the template holds for a slot along +x, of which no program says anything
+STRAIGHT = {
+    "operations": "", "place": f"[{PLACE[0]}, {PLACE[1]}, {PLACE[2]}]", "offset": "of the workpiece",
+    "diameter": DIAMETER, "diameter_source": "yours", "teeth": TEETH, "teeth_source": "yours", "rotation": "clockwise",
+    "speed": f"spindle_speed_rpm: {SPEED}", "speed_source": "yours", "low": "[0.0, -20.0, -10.0]",
+    "high": "[60.0, 20.0, 0.0]", "grid": "20.0", "period": 1e3 * PERIOD, "steps": round(PERIOD * 6.0 * SPEED),
+    "spacing": SPACING,
+    "path": """\
+      start_mm: [-8.0, 0.0]              # yours: a straight cut along +x; or give file: part.nc
       depth_of_cut_mm: 1.0               # yours
       length_mm: 40.0                    # yours
-      feed_rate_m_per_min: 2.0           # yours"""
-DIAMETER, TEETH, SPEED = 10.0, 4, 8000.0  #: [mm], -, [rpm], where nobody says
+      feed_rate_m_per_min: 2.0           # yours""",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -169,61 +178,36 @@ def draft_text(file: str, path: Toolpath, robot: str) -> str:
     diameter = 1e3 * tool.diameter if tool and tool.diameter else 0.0
     teeth = tool.teeth if tool else 0
     stock = stock_of(path, (diameter or DIAMETER) / 2e3)
-    reverse = any(value < 0 for value in program.spindle_speeds)
     several = sum(bool(known.cuts) for known in program.tools) > 1
     period, steps = _period(path, speed or SPEED)
-    name = tool.label if tool else ""
-    return _aligned(
-        TEMPLATE.format(
-            robot=robot,
-            operations=_words(f"operations: {', '.join(program.operations)}" if program.operations else ""),
-            place=_list(_place(stock)),
-            offset=program.work_offset or "the work offset",
-            diameter=_number(diameter or DIAMETER),
-            diameter_source=_words(f"[source: comment on {name or 'the tool'}]")
-            if diameter
-            else "yours: the program does not say it",
-            teeth=teeth or TEETH,
-            teeth_source="[source: the tool's comment]" if teeth else "yours: the program does not say it",
-            rotation="counterclockwise" if reverse else "clockwise",
-            speed=f"# spindle_speed_rpm: {_number(speed)}" if speed else f"spindle_speed_rpm: {_number(SPEED)}",
-            speed_source="[source: the program's S]" if speed else "yours: the program has no S",
-            low=_list(1e3 * stock.low),
-            high=_list(1e3 * stock.high),
-            grid=_number(_grid(stock, path, speed or SPEED, teeth or TEETH)),
-            path=f"      file: {_quoted(file)}" + (f"\n      tool: {_quoted(program.tool)}" if several else ""),
-            period=f"{period:.10g}" if "." in f"{period:.10g}" else f"{period:.1f}",
-            steps=steps,
-            spacing=_number(math.ceil(max(SPACING, 1e3 * RAPID * _duration(path) / POSTURES))),
-        )
-    )
+    comment = _words(f"[source: comment on {tool.label if tool and tool.label else 'the tool'}]")
+    unsaid = "yours: the program does not say it"
+    said = {
+        "operations": _words(f"operations: {', '.join(program.operations)}" if program.operations else ""),
+        "place": _list(_place(stock)),
+        "offset": program.work_offset or "the work offset",
+        "diameter": _number(diameter or DIAMETER),
+        "diameter_source": comment if diameter else unsaid,
+        "teeth": teeth or TEETH,
+        "teeth_source": "[source: the tool's comment]" if teeth else unsaid,
+        "rotation": "counterclockwise" if any(value < 0 for value in program.spindle_speeds) else "clockwise",
+        "speed_source": "yours: the program has no S",
+        "low": _list(1e3 * stock.low),
+        "high": _list(1e3 * stock.high),
+        "grid": _number(_grid(stock, path, speed or SPEED, teeth or TEETH)),
+        "path": f"      file: {_quoted(file)}" + (f"\n      tool: {_quoted(program.tool)}" if several else ""),
+        "period": f"{period:.10g}" if "." in f"{period:.10g}" else f"{period:.1f}",
+        "steps": steps,
+        "spacing": _number(math.ceil(max(SPACING, 1e3 * RAPID * _duration(path) / POSTURES))),
+    }
+    if speed:
+        said |= {"speed": f"# spindle_speed_rpm: {_number(speed)}", "speed_source": "[source: the program's S]"}
+    return _aligned(TEMPLATE.format(**STRAIGHT | said, robot=robot))
 
 
 def straight_text(robot: str) -> str:
     """The YAML of a cell without a program: a slot along +x."""
-    period = 1e3 * PERIOD
-    return _aligned(
-        TEMPLATE.format(
-            robot=robot,
-            operations="",
-            place=_list(PLACE),
-            offset="of the workpiece",
-            diameter=_number(DIAMETER),
-            diameter_source="yours",
-            teeth=TEETH,
-            teeth_source="yours",
-            rotation="clockwise",
-            speed=f"spindle_speed_rpm: {_number(SPEED)}",
-            speed_source="yours",
-            low="[0.0, -20.0, -10.0]",
-            high="[60.0, 20.0, 0.0]",
-            grid="20.0",
-            path=STRAIGHT,
-            period=_number(period),
-            steps=round(PERIOD * 6.0 * SPEED),
-            spacing=_number(SPACING),
-        )
-    )
+    return _aligned(TEMPLATE.format(**STRAIGHT, robot=robot))
 
 
 def _duration(path: Toolpath) -> float:

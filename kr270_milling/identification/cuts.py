@@ -65,11 +65,9 @@ def read_cuts(path, tool: Tool, sensor: Sensor | None = None) -> Cuts:
     slots = np.array(table.texts("mode")) == "slot"
     width = 1e-3 * table.number("width_mm", np.nan)
     width = np.where(slots & np.isnan(width), tool.diameter, width)
-    angles = []
-    for row, line in enumerate(table.lines):
-        if not (0.0 < feed[row] < 0.1 and 0.0 < depth[row] < 1.0):
-            raise InputError(path, "feed per tooth and depth must be above 0 and in mm", line)
-        angles.append(_angles(table, row, float(width[row]), tool.diameter))
+    meant = (feed > 0.0) & (feed < 0.1) & (depth > 0.0) & (depth < 1.0)
+    table.refuse(~meant, "feed per tooth and depth must be above 0 and in mm")
+    angles = [_angles(table, row, float(width[row]), tool.diameter) for row in range(len(table))]
     force, sigma, known = _forces(table, sensor or Sensor(), tool.spindle_speed)
     entry, leave = np.array(angles).T
     return Cuts(tool, feed, depth, entry, leave, force, sigma, known)
@@ -82,9 +80,8 @@ def _angles(table: Table, row: int, width: float, diameter: float) -> tuple[floa
     most = diameter * (1.0 + 1e-6)
     if not 0.0 < width <= most or (mode == "slot" and width < 0.99 * diameter):
         right = "the tool's diameter in a slot" if mode == "slot" else "above 0 and at most the tool's diameter"
-        raise InputError(
-            table.path, f"the width is {1e3 * width:g} mm, but must be {right}, {1e3 * diameter:g} mm", line
-        )
+        reason = f"the width is {1e3 * width:g} mm, but must be {right}, {1e3 * diameter:g} mm"
+        raise InputError(table.path, reason, line)
     return engagement(mode, width, diameter)
 
 
@@ -104,6 +101,5 @@ def _forces(table: Table, sensor: Sensor, spindle_speed: float) -> tuple[np.ndar
         elif not np.isfinite(force[row, :2]).all():
             raise InputError(table.path, "has neither fx_n and fy_n nor a recording", line)
     known = bool(np.isfinite(sigma).all())
-    if known and not (sigma > 0.0).all():
-        raise InputError(table.path, "sigma_n must be above 0", table.lines[int((sigma <= 0.0).argmax())])
+    table.refuse(known & (sigma <= 0.0), "sigma_n must be above 0")
     return force, sigma if known else np.ones(len(table)), known

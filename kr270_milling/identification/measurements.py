@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.errors import MillingError
 from kr270_milling.base.table import Table, read_table, write_table
 from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.loads import GRAVITY
@@ -24,6 +25,7 @@ REFLECTOR = ("reflector_x_mm", "reflector_y_mm", "reflector_z_mm")
 COLUMNS = (*JOINTS, *WRENCH, *MASS, *LOAD, *REFLECTOR, *SHIFT, *TILT, *SIGMA, "note")
 #: three reflectors 0.2 m apart tell a rotation to sqrt(2) of what each tells a place, over that distance [1/m]
 ROTATION_PER_SHIFT = np.sqrt(2.0) / 0.2
+ARRAYS = ("q", "wrench", "application", "reflector", "displacement", "sigma")
 FARTHEST = 0.2  #: [m] that a load test moves a reflector at most; more is a wrong unit
 
 
@@ -49,30 +51,19 @@ class Measurements:
 
     def take(self, rows) -> Measurements:
         """Some of the rows."""
-        return Measurements(
-            self.q[rows],
-            self.wrench[rows],
-            self.application[rows],
-            self.reflector[rows],
-            self.displacement[rows],
-            self.sigma[rows],
-            self.sigma_known,
-        )
+        return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in ARRAYS})
 
 
 def read_measurements(path, arm: Arm, mount: Mount) -> Measurements:
     """A CSV file of load tests, one a row; the columns are COLUMNS. Raises InputError."""
     table = read_table(path, COLUMNS, (*JOINTS, *SHIFT))
     q = np.radians(table.numbers(JOINTS))
-    outside = ~((q >= arm.joint_lower - 1e-9) & (q <= arm.joint_upper + 1e-9)).all(1)
-    if outside.any():
-        raise InputError(path, "the posture is outside of the joint limits of the arm", table.lines[outside.argmax()])
+    inside = (q >= arm.joint_lower - 1e-9) & (q <= arm.joint_upper + 1e-9)
+    table.refuse(~inside.all(1), "the posture is outside of the joint limits of the arm")
     wrench, application = _loads(table, mount)
     reflector = np.where(_given(table, REFLECTOR)[:, None], 1e-3 * table.numbers(REFLECTOR, 0.0), mount.xyz)
     shift = 1e-3 * table.numbers(SHIFT)
-    far = np.abs(shift).max(1) > FARTHEST
-    if far.any():
-        raise InputError(path, f"a load moved the arm by more than {FARTHEST} m", table.lines[far.argmax()])
+    table.refuse(np.abs(shift).max(1) > FARTHEST, f"a load moved the arm by more than {FARTHEST} m")
     tilt = 1e-3 * table.numbers(TILT, np.nan)
     sigma, known = _sigma(table)
     return Measurements(q, wrench, application, reflector, np.hstack([shift, tilt]), sigma, known)
@@ -86,19 +77,13 @@ def _given(table: Table, names) -> np.ndarray:
 def _loads(table: Table, mount: Mount) -> tuple[np.ndarray, np.ndarray]:
     """Wrench (n, 6), base axes, and the point where it acts (n, 3), flange frame; a mass hangs in its centre."""
     forced, weighed = _given(table, WRENCH), _given(table, MASS[:1])
-    for row, line in enumerate(table.lines):
-        if forced[row] == weighed[row]:
-            both = "both a wrench and a mass" if forced[row] else "neither a wrench nor a mass_kg"
-            raise InputError(table.path, f"has {both}", line)
+    table.refuse(forced & weighed, "has both a wrench and a mass")
+    table.refuse(~forced & ~weighed, "has neither a wrench nor a mass_kg")
     mass = table.number("mass_kg", 0.0)
-    for row, line in enumerate(table.lines):
-        if weighed[row] and not mass[row] > 0.0:
-            raise InputError(table.path, "mass_kg must be above 0", line)
+    table.refuse(weighed & ~(mass > 0.0), "mass_kg must be above 0")
     wrench = np.where(forced[:, None], table.numbers(WRENCH, 0.0), 0.0)
     wrench[weighed, 2] = -GRAVITY * mass[weighed]
-    idle = ~np.abs(wrench).any(1)
-    if idle.any():
-        raise InputError(table.path, "the load is zero", table.lines[int(idle.argmax())])
+    table.refuse(~wrench.any(1), "the load is zero")
     centre = 1e-3 * table.numbers(MASS[1:], 0.0)
     hung = weighed & _given(table, MASS[1:])
     point = np.where(_given(table, LOAD)[:, None], 1e-3 * table.numbers(LOAD, 0.0), mount.xyz)
@@ -111,23 +96,21 @@ def _sigma(table: Table) -> tuple[np.ndarray, bool]:
     shift = 1e-6 * table.number("sigma_um", None if known else 1.0)
     tilt = 1e-3 * table.number("sigma_mrad", np.nan)
     tilt = np.where(np.isfinite(tilt), tilt, ROTATION_PER_SHIFT * shift)
-    for row, line in enumerate(table.lines):
-        if not (shift[row] > 0.0 and tilt[row] > 0.0):
-            raise InputError(table.path, "a standard deviation must be above 0", line)
+    table.refuse(~((shift > 0.0) & (tilt > 0.0)), "a standard deviation must be above 0")
     return np.stack([shift] * 3 + [tilt] * 3, -1), known
 
 
 def write_measurements(path, measured: Measurements, notes=(), remarks=None) -> None:
     """The same file again; loads as wrenches, what is not measured empty."""
-    tilted = bool(np.isfinite(measured.displacement[:, 3:]).any())
-    names = [*JOINTS, *WRENCH, *LOAD, *REFLECTOR, *SHIFT, *(TILT if tilted else ()), *SIGMA[: 1 + tilted], "note"]
+    shift, tilt = np.hsplit(measured.displacement, 2)
+    tilted = bool(np.isfinite(tilt).any())
     places = [1e3 * measured.application, 1e3 * measured.reflector]
-    columns = [np.degrees(measured.q), measured.wrench, *places, 1e3 * measured.displacement[:, :3]]
+    names = [*JOINTS, *WRENCH, *LOAD, *REFLECTOR, *SHIFT, SIGMA[0]]
+    columns = [np.degrees(measured.q), measured.wrench, *places, 1e3 * shift, 1e6 * measured.sigma[:, :1]]
     if tilted:
-        columns.append(1e3 * measured.displacement[:, 3:])
-    columns.append(1e6 * measured.sigma[:, :1])
-    if tilted:
-        columns.append(1e3 * measured.sigma[:, 3:4])
+        names += [*TILT, SIGMA[1]]
+        columns += [1e3 * tilt, 1e3 * measured.sigma[:, 3:4]]
     rows = [[f"{v:.9g}" if np.isfinite(v) else "" for v in row] for row in np.hstack(columns).tolist()]
     remarks = remarks or [""] * len(rows)
-    write_table(path, names, [[*row, remark] for row, remark in zip(rows, remarks, strict=True)], notes)
+    written = [[*row, remark] for row, remark in zip(rows, remarks, strict=True)]
+    write_table(path, [*names, "note"], written, notes)

@@ -56,8 +56,7 @@ def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | N
     several = {part[0]: [name in column for name in part] for part in (VELOCITY, JOINTS)}
     if any(any(there) != all(there) for there in several.values()):
         raise InputError(path, f"the header must be {','.join(KNOT)}, then velocities and joint angles if any", 1)
-    if np.abs(column["time_s"]).max() > LATEST:
-        raise InputError(path, "a time is too large", table.lines[int(np.abs(column["time_s"]).argmax())])
+    table.refuse(np.abs(column["time_s"]) > LATEST, "a time is too large")
 
     def columns(names) -> np.ndarray:
         return np.stack([column[name] for name in names], -1)
