@@ -22,7 +22,7 @@ __all__ = ["BENCHMARK", "Milling", "Mode", "growth", "limit_depth"]
 
 GRID = 1e-6  # [m]
 MICRO_STEP = math.radians(1.0)
-PERIODS = 80  # tooth periods of a run at most
+PERIODS = 50  # tooth periods of a run at most
 MOST_TURNS = 200  # of run-in
 LOST, LARGE = 0.03, 0.35  # of the feed per tooth: below, the grid's noise reigns; above, teeth leave the cut
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from kr270_milling.cli import main
+from kr270_milling.cli import _parser, main
 
 SHORT = ("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")
 
@@ -15,10 +15,12 @@ def test_the_command_prints_the_verdict_with_its_seed(tmp_path, capsys):
     printed = [f"uncertainty.{name}={value}" for name, value in (("reference_inertia", 0.0), ("repeatability_um", 0.0))]
     sets = [part for pair in (*SHORT, *printed) for part in ("--set", pair)]
     words = ["compensate", "paper.yaml", "--method", "spline", "--out", str(tmp_path / "o"), "--verdict", "2", *sets]
-    assert main([*words, "--seed", "7"]) == 0
+    args = _parser(words).parse_args([*words, "--seed", "7"])
+    answer = args.run(args)
+    assert answer.tell(as_json=False) == 0
     text = capsys.readouterr().out
     assert "2 plants, seed 7" in text and "verdict: compensation helps" in text
-    assert main([*words, "--seed", "7", "--json"]) == 0
+    assert answer.tell(as_json=True) == 0
     found = json.loads(capsys.readouterr().out)["verdict"]
     assert found["verdict"] == "helps" and found["samples"] == 2 and found["seed"] == 7
     assert len(found["compensated"]["static_deviation_mm"]) == 3

@@ -131,7 +131,8 @@ def test_yaml_made_to_hurt_is_refused_quickly(text, place):
 
 
 def test_numbers_at_the_edge_of_what_is_allowed_still_end_within_seconds(place):
-    """The bounds of every number with bounds, one at a time."""
+    """The bounds of every number with bounds, one at a time; sections that no pass asks are only read."""
+    unasked = ("uncertainty.", "limits.", "program.", "compensation.", "publish.")
 
     def leaves(record, prefix=""):
         for spec in specs(record):
@@ -144,7 +145,8 @@ def test_numbers_at_the_edge_of_what_is_allowed_still_end_within_seconds(place):
     for key, spec in leaves(Cell):
         for bound in (spec.low, spec.high, spec.above + 1e-9):
             if math.isfinite(bound):
-                refused_or_sound("simulate", write(place, key, spec.kind(bound)))
+                cell = write(place, key, spec.kind(bound))
+                read_cell(cell) if key.startswith(unasked) else refused_or_sound("simulate", cell)
                 tried += 1
     assert tried > 60
 

@@ -8,7 +8,7 @@ import time
 
 from kr270_milling.trajectory.gcode import read_gcode
 
-BLOCKS = 20_000
+BLOCKS = 6_000
 WORD = re.compile(r"([A-Z])([-+]?[0-9]*\.?[0-9]+)")
 #: a reader that takes 25 us a block, on a machine that finds the words of one in 3.5 us
 MOST = 7.0
