@@ -63,7 +63,8 @@ def test_node_that_a_run_starts_and_interrupts_at_any_time_ends_quietly(ros_envi
     """Also while Python itself starts, which has no handlers yet."""
     names = [name for name in NODES if name != "player"]
     for start in range(2 * STARTS):
-        child = Child(names[start % len(names)], ["--ros-args"], tmp_path / f"{start}.log")
+        (tmp_path / str(start)).mkdir()
+        child = Child((names[start % len(names)],), ["--ros-args"], tmp_path / str(start))
         time.sleep(0.008 * start)
         child.signal((signal.SIGINT, signal.SIGTERM)[start % 2])
         assert child.process.wait(30) == 0
