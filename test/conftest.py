@@ -35,14 +35,28 @@ def pytest_terminal_summary(terminalreporter, config):
 
 
 def pytest_collection_modifyitems(items) -> None:
-    """What talks in a ROS domain comes first: one worker begins with it, and others steal what is left of its share."""
-    items.sort(key=lambda item: not {"domain", "of_nodes"} & set(item.fixturenames))
+    """The first of two workers begins with the tests that start graphs, the second with those of nodes in this process.
+
+    Each kind takes turns (``own_turn``); what a worker steals from the other is the end of its share, which is neither.
+    """
+    kinds: dict[str, list] = {"processes": [], "nodes": [], "": []}
+    for item in items:
+        kinds[kind_of(item.fixturenames)].append(item)
+    before = max(0, len(items) // 2 - len(kinds["processes"]))
+    items[:] = kinds["processes"] + kinds[""][:before] + kinds["nodes"] + kinds[""][before:]
+
+
+def kind_of(fixtures) -> str:
+    """How a test uses a ROS domain: by processes, by nodes in this one, or not."""
+    if {"ros_environment", "of_nodes"} & set(fixtures):
+        return "processes"
+    return "nodes" if "domain" in fixtures else ""
 
 
 @pytest.fixture
-def domain():
+def domain(request):
     """A ROS domain id that no other test run on this machine uses now."""
-    with own_turn(), own_domain() as number:
+    with own_turn(kind_of(request.fixturenames)), own_domain() as number:
         yield number
 
 

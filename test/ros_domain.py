@@ -28,9 +28,9 @@ def _locks() -> Path:
 
 
 @contextlib.contextmanager
-def own_turn():
-    """One worker of a test run at a time, so that five processes have the other core and no other graph beside them."""
-    with open(_locks() / f"turn_{os.environ.get('PYTEST_XDIST_TESTRUNUID', os.getpid())}", "w") as stream:
+def own_turn(kind: str):
+    """Of each kind one test of a run at a time: no graph of five processes has another one beside it."""
+    with open(_locks() / f"{kind}_{os.environ.get('PYTEST_XDIST_TESTRUNUID', os.getpid())}", "w") as stream:
         fcntl.flock(stream, fcntl.LOCK_EX)
         yield
 

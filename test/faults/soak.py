@@ -102,11 +102,11 @@ class _Watched(Hooks):
     """Looks at the processes of a graph at the end of every pass."""
 
     def __init__(self, cell, out: Path):
-        self.graph = Graph(cell, out, hooks=self)
+        self.graph = Graph(cell, out, hooks=self, composed=True)
         self.rows: dict[str, Growth] = {}
 
     def pass_recorded(self) -> None:
-        pids = {name: child.pid for name, child in self.graph.children.items()}
+        pids = {child.name: child.pid for child in self.graph.children.values()}
         for name, pid in {**pids, "runner": os.getpid()}.items():
             row = self.rows.setdefault(name, Growth(name, "pass"))
             row.look(len(row.samples) + 1, pid)

@@ -27,7 +27,7 @@ NODE = [
     "config/paper.yaml",
 ]
 COMMAND = [sys.executable, "-m", "kr270_milling.cli", "simulate", "config/paper.yaml"]
-STARTS = 7
+STARTS = 5
 
 
 def started(command, environment) -> subprocess.Popen:

@@ -80,7 +80,7 @@ def recorder_hears(recording: Path, *topics: str) -> bool:
 @pytest.fixture(scope="module")
 def of_nodes(tmp_path_factory):
     """A pass of the four real nodes, recorded; the directory of the recording."""
-    with own_turn(), own_domain() as domain:
+    with own_turn("processes"), own_domain() as domain:
         return record_a_pass(tmp_path_factory.mktemp("nodes"), domain)
 
 
