@@ -70,8 +70,7 @@ class Fit:
     @property
     def residuals(self) -> np.ndarray:
         """Measured less modelled [m, rad], (n, 6)."""
-        moved = self.problem.model(self.factors).predict(self.values[:6])
-        return self.problem.measured.displacement - moved
+        return self.problem.measured.displacement - self.problem.predict(self.factors)
 
     @property
     def residual_rms(self) -> float:

@@ -57,7 +57,7 @@ def why_held(problem: Problem, number: int, partner: int | None) -> str:
 def hidden(problem: Problem, number: int) -> str | None:
     """Why a joint, 0 to 5, cannot show what it does, if that is so for a reason of geometry."""
     name = problem.names[number]
-    torques = np.abs(problem.model(problem.start).torques())
+    torques = np.abs(problem.torques())
     if torques[:, number].max() <= UNSEEN * torques.max():
         return f"{name}: no load turned it"
     frames = forward(problem.arm, problem.mount, problem.measured.q)

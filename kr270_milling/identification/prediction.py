@@ -53,5 +53,4 @@ def predicted_errors(found: Fit, pose: Measurements) -> tuple[np.ndarray, np.nda
     slopes = pose_derivatives(found.problem, found.factors, pose)
     square = np.einsum("kip,pq,kiq->k", slopes, found.covariance, slopes)
     at = dataclasses.replace(found.problem, measured=pose)
-    moved = at.model(found.factors).predict(found.values[:6])[:, :3]
-    return moved, np.sqrt(np.maximum(square, 0.0))
+    return at.predict(found.factors)[:, :3], np.sqrt(np.maximum(square, 0.0))

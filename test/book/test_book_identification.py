@@ -14,7 +14,6 @@ from kr270_milling.identification.candidates import Bench, Candidates, candidate
 from kr270_milling.identification.compliance import fit
 from kr270_milling.identification.cuts import Cuts, engagement
 from kr270_milling.identification.forces import fit_linear_edge, mean_forces
-from kr270_milling.identification.load_model import displacements
 from kr270_milling.identification.materials import find_material
 from kr270_milling.identification.modes import find_modes
 from kr270_milling.identification.plan import Planner
@@ -28,6 +27,11 @@ FILE = find_file("test_piece.yaml")
 ARM, MOUNT = read_arm(FILE)
 TRUE = ARM.replace(joint_compliance=ARM.joint_compliance * [1.2, 0.8, 1.1, 0.9, 1.3, 0.85])
 CAMPAIGNS = 400
+
+
+def displacements(arm, mount, tests, gravity: bool = True) -> np.ndarray:
+    """What an arm would show in these load tests [m, rad], (n, 6)."""
+    return Problem(arm, mount, tests, gravity).predict(np.ones(6))
 
 
 def _campaign(choice: Candidates, rows, rng) -> Problem:

@@ -7,14 +7,19 @@ import dataclasses
 import numpy as np
 
 from kr270_milling.base.record import find_file
-from kr270_milling.identification.load_model import displacements
 from kr270_milling.identification.measurements import Measurements
+from kr270_milling.identification.problem import Problem
 from kr270_milling.robot.analysis import read_arm
 
 ARM, MOUNT = read_arm(find_file("test_piece.yaml"))
 #: an arm that differs from its file by 10 to 30 %
 TRUE = ARM.replace(joint_compliance=ARM.joint_compliance * [1.2, 0.8, 1.1, 0.9, 1.3, 0.85])
 SIGMA = 20e-6  #: [m] of a laser tracker
+
+
+def displacements(arm, mount, tests: Measurements, gravity: bool = True) -> np.ndarray:
+    """What an arm would show in these load tests [m, rad], (n, 6)."""
+    return Problem(arm, mount, tests, gravity).predict(np.ones(6))
 
 
 def loads(rng, n: int = 20, point=None) -> Measurements:

@@ -6,11 +6,10 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-from campaigns import ARM, MOUNT
+from campaigns import ARM, MOUNT, displacements
 
 from kr270_milling.base.record import find_file
 from kr270_milling.identification.candidates import Bench, candidates
-from kr270_milling.identification.load_model import displacements
 from kr270_milling.identification.measurements import write_measurements
 from kr270_milling.identification.plan import Planner
 from kr270_milling.identification.plan_files import in_order, load_text

@@ -7,12 +7,11 @@ import dataclasses
 import campaigns
 import numpy as np
 import pytest
-from campaigns import ARM, MOUNT, TRUE
+from campaigns import ARM, MOUNT, TRUE, displacements
 
 from kr270_milling.identification.compliance import TooFewError, fit
 from kr270_milling.identification.compliance_result import sentences
-from kr270_milling.identification.load_model import LoadModel, SoftArmError, displacements
-from kr270_milling.identification.problem import Problem
+from kr270_milling.identification.problem import Problem, SoftArmError
 from kr270_milling.robot.compensator import Compensator
 from kr270_milling.robot.equilibrium import equilibrium
 
@@ -149,4 +148,4 @@ def test_too_few_numbers_and_an_arm_that_falls_are_refused(rng):
     with pytest.raises(TooFewError, match="6 numbers"):
         fit(Problem(ARM, MOUNT, tests))
     with pytest.raises(SoftArmError, match="does not hold the load of row"):
-        LoadModel(ARM, MOUNT, tests).predict(1e4 * ARM.joint_compliance)
+        Problem(ARM, MOUNT, tests).predict(np.full(6, 1e4))
