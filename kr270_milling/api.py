@@ -15,7 +15,7 @@ from kr270_milling.cell import cell as cells
 from kr270_milling.cell import jobs
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decision import check as checks
-from kr270_milling.decision import compensation, decision, tolerance, verdict
+from kr270_milling.decision import compensation, tolerance, verdict
 from kr270_milling.report.series import COLUMNS, series_lines, series_rows
 from kr270_milling.trajectory.trajectory import Trajectory
 
@@ -80,7 +80,7 @@ class Compensation:
     original: Pass
     compensated: Pass
     checked: checks.Checked
-    decision: decision.Decision
+    decision: compensation.Decision
 
     def __repr__(self) -> str:
         return f"<Compensation {self.compensated.name}: {self.decision.headline}>"

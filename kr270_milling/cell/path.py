@@ -13,10 +13,9 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.cell.plausibility import MOST_STEPS, check_effort, check_feed, check_path, sinking
 from kr270_milling.cell.records import Parameters, Path
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
-from kr270_milling.trajectory.joint_limits import limit_by_joints
 from kr270_milling.trajectory.readers import read_toolpath
 from kr270_milling.trajectory.source_program import SourceProgram
-from kr270_milling.trajectory.timing import TimedPath, time_path
+from kr270_milling.trajectory.timing import TimedPath, limit_by_joints, time_path
 from kr270_milling.trajectory.toolpath import Toolpath
 from kr270_milling.trajectory.trajectory import Trajectory
 

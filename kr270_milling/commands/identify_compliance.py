@@ -57,7 +57,7 @@ def _pose(args, mount):
     import numpy as np
 
     from kr270_milling.base.record import find_file
-    from kr270_milling.identification.prediction import at_posture, read_test_pose
+    from kr270_milling.identification.plan import at_posture, read_test_pose
 
     if args.at:
         return at_posture(mount, np.radians(args.at))

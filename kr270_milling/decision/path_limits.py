@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.trajectory.joint_limits import joint_rates
+from kr270_milling.trajectory.timing import joint_rates
 from kr270_milling.trajectory.trajectory import Trajectory, offsets
 
 __all__ = ["Violation", "violations", "exceeding", "correction_size", "correction_per_tick", "axis_reversals",

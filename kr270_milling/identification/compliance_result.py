@@ -11,7 +11,7 @@ from kr270_milling.identification.figures import figure_of, points
 from kr270_milling.identification.identifiability import singular_values
 from kr270_milling.identification.measurements import Measurements
 from kr270_milling.identification.outcome import Outcome
-from kr270_milling.identification.prediction import predicted_errors
+from kr270_milling.identification.plan import predicted_errors
 from kr270_milling.robot.compensator import Compensator
 
 __all__ = ["as_dict", "compliance_outcome", "include_sections", "sentences"]

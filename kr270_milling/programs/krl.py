@@ -22,8 +22,19 @@ import numpy as np
 from kr270_milling.base.files import write_files
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.sections import Program
-from kr270_milling.programs.krl_motion import Source, modules_of, motion_lines, point_numbers, point_speeds
-from kr270_milling.programs.krl_text import axis_text, comments, frame_row, frame_text, number, position_text
+from kr270_milling.programs.krl_motion import (
+    Source,
+    axis_text,
+    comments,
+    frame_row,
+    frame_text,
+    modules_of,
+    motion_lines,
+    number,
+    point_numbers,
+    point_speeds,
+    position_text,
+)
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
 __all__ = ["Approach", "Heading", "Setup", "trajectory_hash", "write_krl"]

@@ -15,7 +15,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decision.check import Checked, check
-from kr270_milling.decision.decision import NO_METHOD, Decision
+from kr270_milling.decision.compensation import NO_METHOD, Decision
 from kr270_milling.decision.findings import Finding
 from kr270_milling.decision.part import PartAssessment
 from kr270_milling.decision.tolerance import Judgement, judge

@@ -25,7 +25,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.robot import inverse_near
 from kr270_milling.studies.placements import Course, about_z
 from kr270_milling.studies.postures import postures
-from kr270_milling.trajectory.joint_limits import limit_by_joints
+from kr270_milling.trajectory.timing import limit_by_joints
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["NoWayError", "Turns", "Way", "best_way", "constant_way", "find_way", "refined", "turned"]

@@ -14,10 +14,9 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.text import ends_in_mid_line, read_lines, short
 from kr270_milling.trajectory.apt_machine import ADVICE, SILENT, Machine
 from kr270_milling.trajectory.comments import operation_name
-from kr270_milling.trajectory.path_builder import PathBuilder
 from kr270_milling.trajectory.source_program import ProgramError, ProgramTool, SourceProgram
 from kr270_milling.trajectory.summary import Observed, Refusals, source_program
-from kr270_milling.trajectory.toolpath import Toolpath
+from kr270_milling.trajectory.toolpath import PathBuilder, Toolpath
 
 __all__ = ["read_apt"]
 

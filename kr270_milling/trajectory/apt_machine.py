@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.text import short
 from kr270_milling.trajectory.gcode.motion import Motion
-from kr270_milling.trajectory.path_builder import PathBuilder
 from kr270_milling.trajectory.source_program import ProgramTool
 from kr270_milling.trajectory.summary import Observed, Refusals
+from kr270_milling.trajectory.toolpath import PathBuilder
 from kr270_milling.trajectory.trajectory import TOOL_DOWN
 
 __all__ = ["ADVICE", "FEEDS", "LENGTHS", "SILENT", "Machine"]

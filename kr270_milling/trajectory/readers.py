@@ -11,8 +11,7 @@ from kr270_milling.base.record import UNITS
 from kr270_milling.base.table import read_table
 from kr270_milling.trajectory.apt import read_apt
 from kr270_milling.trajectory.gcode import read_gcode
-from kr270_milling.trajectory.path_builder import PathBuilder
-from kr270_milling.trajectory.toolpath import REACH, Toolpath
+from kr270_milling.trajectory.toolpath import REACH, PathBuilder, Toolpath
 
 __all__ = ["SUFFIXES", "read_points", "read_toolpath"]
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from kr270_milling.base.errors import one_line
 from kr270_milling.base.text import short
 from kr270_milling.trajectory.comments import described_tool
-from kr270_milling.trajectory.path_builder import PathBuilder
 from kr270_milling.trajectory.source_program import ProgramTool, Refusal, SourceProgram, read_over
+from kr270_milling.trajectory.toolpath import PathBuilder
 
 __all__ = ["Observed", "Refusals", "source_program"]
 

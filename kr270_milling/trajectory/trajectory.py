@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import abc_from_rotation, rotation_from_quaternion
@@ -151,20 +150,6 @@ class Trajectory:
         path = np.append(time_ns[:-1] * 1e-9 * feed_rate, length)
         unit = direction / np.linalg.norm(direction)
         return cls(time_ns, np.asarray(start, float) + path[:, None] * unit, quaternion, None, frame)
-
-    @classmethod
-    def spline(cls, time_ns, position, quaternion=TOOL_DOWN, ends="natural", frame: str = "workpiece") -> Trajectory:
-        """The C2 cubic spline through the positions [m], (n, 3), as knots with velocities.
-
-        ends: "natural" (no acceleration there), "not-a-knot", "clamped" (at rest), or a pair of end velocities [m/s].
-        """
-        line = cls(time_ns, position, quaternion, None, frame)
-        if not isinstance(ends, str):
-            ends = tuple((1, np.asarray(v, float)) for v in ends)
-        elif ends not in ("natural", "not-a-knot", "clamped"):
-            raise TrajectoryError(f"spline ends are natural, not-a-knot, clamped or two velocities, not {ends}")
-        velocity = CubicSpline(line.time, line.position, axis=0, bc_type=ends)(line.time, 1)
-        return line.with_position(line.position, velocity)
 
 
 def slerp(first: np.ndarray, second: np.ndarray, u: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 from book import check
 from posture import PAPER, SPINDLE, arm_of
 from scipy.signal import lsim
+from splines import spline
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
@@ -96,12 +97,12 @@ def _one_mode(segments: int) -> ArmResponse:
 def test_lifted_response():
     """A spline correction of 50 um, knots every 50 ms; largest difference."""
     knots = np.arange(25) * 50_000_000
-    spline = Trajectory.spline(knots, np.random.default_rng(1).normal(0, 50e-6, (25, 3)))
+    smooth = spline(knots, np.random.default_rng(1).normal(0, 50e-6, (25, 3)))
     segments, time = Segments.of(knots), np.arange(0, knots[-1] + 1, 50_000)
-    shift = spline.sample(time)[:, 1]
+    shift = smooth.sample(time)[:, 1]
     top, bottom = [2 * ZETA * OMEGA, OMEGA**2], [1.0, 2 * ZETA * OMEGA, OMEGA**2]
     moved = lsim((top, bottom), shift - shift[0], time * 1e-9)[1] + shift[0]
-    found = _one_mode(24).follow(segments, cubic_coefficients(knots, spline.position, spline.velocity))[..., 1]
+    found = _one_mode(24).follow(segments, cubic_coefficients(knots, smooth.position, smooth.velocity))[..., 1]
     return 0.0, np.abs(found.ravel() - np.interp(segments.middle_ns.ravel(), time, moved)).max(), 2e-9
 
 
@@ -113,9 +114,9 @@ def test_lifted_response():
 def test_lifted_inverse():
     """The deviation is the response of the arm to a spline on the same knots."""
     knots = np.arange(25) * 50_000_000
-    spline = Trajectory.spline(knots, np.random.default_rng(1).normal(0, 50e-6, (25, 3)))
+    smooth = spline(knots, np.random.default_rng(1).normal(0, 50e-6, (25, 3)))
     segments, arm = Segments.of(knots), _one_mode(24)
-    deviation = arm.follow(segments, cubic_coefficients(knots, spline.position, spline.velocity))
+    deviation = arm.follow(segments, cubic_coefficients(knots, smooth.position, smooth.velocity))
     course = Course(True, np.zeros(25, bool), np.zeros(24, bool))
     weight = np.broadcast_to(np.eye(3), (24, segments.parts, 3, 3))
     return 0.0, np.abs(Lifted(arm, segments, course).least_squares(deviation, weight, 1e-12).left).max(), 1e-9

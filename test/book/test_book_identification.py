@@ -16,8 +16,7 @@ from kr270_milling.identification.cuts import Cuts, engagement
 from kr270_milling.identification.forces import fit_linear_edge, mean_forces
 from kr270_milling.identification.materials import find_material
 from kr270_milling.identification.modes import find_modes
-from kr270_milling.identification.plan import Planner
-from kr270_milling.identification.prediction import read_test_pose
+from kr270_milling.identification.plan import Planner, read_test_pose
 from kr270_milling.identification.problem import Problem
 from kr270_milling.identification.signals import Signals
 from kr270_milling.robot.analysis import read_arm

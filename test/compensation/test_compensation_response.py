@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.signal import lsim
+from splines import spline
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
@@ -35,7 +36,7 @@ def one_mode(frequency=OMEGA, damping=ZETA) -> ArmResponse:
 
 def correction(smooth: bool) -> Trajectory:
     values = np.random.default_rng(2).normal(0.0, 50e-6, (KNOTS.size, 3))
-    return Trajectory.spline(KNOTS, values) if smooth else Trajectory(KNOTS, values, (0.0, 0.0, 0.0, 1.0))
+    return spline(KNOTS, values) if smooth else Trajectory(KNOTS, values, (0.0, 0.0, 0.0, 1.0))
 
 
 def fine(step_ns: int = 50_000) -> np.ndarray:
@@ -116,12 +117,12 @@ def test_the_lifted_model_of_a_cell_is_the_arm_that_its_pass_runs(sets):
     cell = read_cell(find_file("paper.yaml"), [*sets, *short, "dynamics.reference_inertia=true"])
     target = cell.target()
     shift = np.random.default_rng(1).normal(0.0, 50e-6, (len(target), 3))
-    spline = Trajectory.spline(target.time_ns, target.position + shift, target.quaternion)
-    ran = simulate(cell, spline).result
+    smooth = spline(target.time_ns, target.position + shift, target.quaternion)
+    ran = simulate(cell, smooth).result
     assert not ran.wrench.any()
     segments = Segments.of(target.time_ns)
     straight = cubic_coefficients(target.time_ns, target.position, target.velocity)
-    cubic = cubic_coefficients(target.time_ns, spline.position, spline.velocity) - straight
+    cubic = cubic_coefficients(target.time_ns, smooth.position, smooth.velocity) - straight
     found = arm_response(cell, target).follow(segments, cubic)
     deviation = np.stack([np.interp(segments.middle_ns, ran.time_ns, d) for d in (ran.actual - ran.target).T], axis=-1)
     assert found == pytest.approx(deviation, abs=2e-3 * np.abs(deviation).max())  # linear between samples of 0.5 ms

@@ -7,12 +7,13 @@ import csv
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from splines import spline
 
 from kr270_milling.programs.files import JOINT_NAMES, offsets, write_joint_table, write_rsi_table
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 
 LINE = Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], 0.08, 4 / 60, 0.05)
-BENT = Trajectory.spline(LINE.time_ns, LINE.position + np.sin(LINE.time)[:, None] * [0, 1e-4, -2e-5], ends="not-a-knot")
+BENT = spline(LINE.time_ns, LINE.position + np.sin(LINE.time)[:, None] * [0, 1e-4, -2e-5], ends="not-a-knot")
 
 
 def rows(path) -> list[dict[str, float]]:

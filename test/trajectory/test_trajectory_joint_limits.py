@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kr270_milling.trajectory.joint_limits import joint_rates, limit_by_joints
+from kr270_milling.trajectory.timing import joint_rates, limit_by_joints
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 8.0)

@@ -10,9 +10,8 @@ from small_part import path_error
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.trajectory.gcode import read_gcode
-from kr270_milling.trajectory.path_builder import PathBuilder
 from kr270_milling.trajectory.timing import Timing, time_path
-from kr270_milling.trajectory.toolpath import ToolpathError
+from kr270_milling.trajectory.toolpath import PathBuilder, ToolpathError
 
 STEP, FEED = 0.05, 4 / 60
 FINE = Timing(controller_step=0.001)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.trajectory.path_builder import PathBuilder
-from kr270_milling.trajectory.toolpath import Toolpath, ToolpathError
+from kr270_milling.trajectory.toolpath import PathBuilder, Toolpath, ToolpathError
 
 
 def corner() -> PathBuilder:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
+from splines import spline
 
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 
@@ -30,18 +31,18 @@ def test_any_cubic_is_run_exactly_when_its_knot_velocities_are_given():
 @pytest.mark.parametrize("ends", ["natural", "not-a-knot", "clamped"])
 def test_a_spline_is_run_as_scipy_evaluates_it(ends):
     oracle = CubicSpline(TIME * 1e-9, PATH, bc_type=ends)
-    run = Trajectory.spline(TIME, PATH, ends=ends)
+    run = spline(TIME, PATH, ends=ends)
     np.testing.assert_allclose(run.sample(FINE), oracle(FINE * 1e-9), atol=1e-16)
     np.testing.assert_allclose(run.feed(FINE), np.linalg.norm(oracle(FINE * 1e-9, 1), axis=1), rtol=1e-10, atol=1e-15)
 
 
 def test_a_spline_takes_end_velocities():
-    run = Trajectory.spline(TIME, PATH, ends=([0.1, 0.0, 0.0], [0.0, 0.2, 0.0]))
+    run = spline(TIME, PATH, ends=([0.1, 0.0, 0.0], [0.0, 0.2, 0.0]))
     np.testing.assert_allclose(run.velocity[[0, -1]], [[0.1, 0.0, 0.0], [0.0, 0.2, 0.0]], atol=1e-15)
 
 
 def test_a_spline_has_no_jump_in_acceleration():
-    run = Trajectory.spline(TIME, PATH)
+    run = spline(TIME, PATH)
     step = 10_000
     inner = TIME[1:-1]
     slope = [(run.sample_velocity(inner + d) - run.sample_velocity(inner + d - step)) / step for d in (0, step)]
@@ -61,7 +62,7 @@ def test_a_constant_orientation_stays_the_same_to_the_last_bit():
 
 
 def test_the_tool_rests_before_the_first_and_after_the_last_knot():
-    run = Trajectory.spline(TIME, PATH)
+    run = spline(TIME, PATH)
     outside = np.array([-5, TIME[-1] + 1])
     np.testing.assert_array_equal(run.sample(outside), PATH[[0, -1]])
     assert np.all(run.feed(outside) == 0)

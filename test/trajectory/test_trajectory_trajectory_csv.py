@@ -6,14 +6,14 @@ import csv
 
 import numpy as np
 import pytest
+from splines import spline
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.trajectory.trajectory_csv import read_csv, write_csv
 
 RANDOM = np.random.default_rng(5)
 QUATERNION = RANDOM.normal(size=(7, 4))
-RUN = Trajectory.spline(
+RUN = spline(
     np.cumsum([0, 50_000_000, 4_000_000, 1, 12_000_000, 333_333_333, 9_999_999_999]), RANDOM.normal(size=(7, 3)),
     QUATERNION / np.linalg.norm(QUATERNION, axis=1, keepdims=True),
 )  # fmt: skip

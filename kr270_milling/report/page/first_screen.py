@@ -10,7 +10,7 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.decision.decision import NO_METHOD
+from kr270_milling.decision.compensation import NO_METHOD
 from kr270_milling.decision.findings import SEVERITIES
 from kr270_milling.decision.part import PartAssessment
 from kr270_milling.report.decision_block import Answer, DecisionBlock, FindingRow

@@ -15,7 +15,6 @@ class Feed:
     def __init__(self, default: float):
         self.mode = 94
         self.given: float | None = default or None  #: [m/s], [m/rev] or [1/s]; at first what the cell says
-        self.from_program = False
 
     def change(self, mode: int) -> None:
         """A feed of one kind means nothing as another."""
@@ -29,7 +28,6 @@ class Feed:
         if not 0 <= value <= most:
             return f"the feed F{value:g} must lie between 0 and {most:g} per minute"
         self.given = {94: value * unit / 60, 95: value * unit, 93: value / 60}[self.mode]
-        self.from_program = True
         return ""
 
     def rate(self, length: float, speed: float) -> float | None:

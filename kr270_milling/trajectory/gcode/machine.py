@@ -19,8 +19,8 @@ from kr270_milling.trajectory.gcode.words import (
     OFFSETS,
     UNKNOWN,
 )
-from kr270_milling.trajectory.path_builder import PathBuilder
 from kr270_milling.trajectory.summary import Observed, Refusals
+from kr270_milling.trajectory.toolpath import PathBuilder
 
 __all__ = ["Machine"]
 

@@ -12,9 +12,8 @@ import numpy as np
 from kr270_milling.trajectory.arcs import ArcError, centre_from_radius, flatten
 from kr270_milling.trajectory.gcode.cycles import Cycle, strokes
 from kr270_milling.trajectory.gcode.feed import Feed
-from kr270_milling.trajectory.path_builder import TOP, PathBuilder
 from kr270_milling.trajectory.summary import Observed, Refusals
-from kr270_milling.trajectory.toolpath import REACH
+from kr270_milling.trajectory.toolpath import REACH, TOP, PathBuilder
 
 __all__ = ["CHORD", "Motion"]
 

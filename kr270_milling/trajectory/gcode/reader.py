@@ -17,10 +17,9 @@ from kr270_milling.trajectory.gcode.blocks import SIMPLE, WORD, CommentError, sp
 from kr270_milling.trajectory.gcode.machine import Machine
 from kr270_milling.trajectory.gcode.motion import CHORD, Motion
 from kr270_milling.trajectory.gcode.words import MACROS, NAMES_ADVICE, NAMES_SILENT, UNKNOWN
-from kr270_milling.trajectory.path_builder import PathBuilder
 from kr270_milling.trajectory.source_program import ProgramError, SourceProgram
 from kr270_milling.trajectory.summary import Observed, Refusals, source_program
-from kr270_milling.trajectory.toolpath import Toolpath
+from kr270_milling.trajectory.toolpath import PathBuilder, Toolpath
 
 __all__ = ["read_gcode"]
 
