@@ -14,7 +14,7 @@ from kr270_milling.base.frames import Pose
 from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 from kr270_milling.robot.kinematics import LinkFrames, check_regular, forward, jacobian_at
-from kr270_milling.robot.loads import GRAVITY, LinkLoads, link_loads, load_hessian, load_torque
+from kr270_milling.robot.loads import GRAVITY, LinkLoads, link_loads, load_hessian, load_torque, moment_arms
 
 __all__ = ["Equilibrium", "equilibrium", "wrench_for_pose"]
 
@@ -96,12 +96,13 @@ def _newton(arm, mount, q, wrench, loads, theta):
     todo = np.arange(len(q))
     for _ in range(ITERATIONS):
         frames = forward(arm, mount, q[todo] + theta[todo])
-        error = load_torque(frames, wrench[todo], loads) - arm.joint_stiffness * theta[todo]
+        masses = moment_arms(frames, loads)
+        error = load_torque(frames, wrench[todo], loads, masses) - arm.joint_stiffness * theta[todo]
         residual[todo] = np.abs(error).max(-1)
         going = (residual[todo] > RESIDUAL) & (np.abs(theta[todo]).max(-1) < np.pi)
         if not going.any():
             break
-        springs = np.diag(arm.joint_stiffness) - load_hessian(frames, wrench[todo], loads)
+        springs = np.diag(arm.joint_stiffness) - load_hessian(frames, wrench[todo], loads, masses)
         todo = todo[going]
         theta[todo] += _solve(springs[going], error[going])
         count[todo] += 1

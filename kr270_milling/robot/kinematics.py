@@ -19,6 +19,8 @@ from kr270_milling.robot.errors import SingularityError
 __all__ = ["LinkFrames", "forward", "pose", "jacobian", "jacobian_at", "singularity_measures", "check_regular",
            "status_turn", "cross"]  # fmt: skip
 
+#: number of the coordinate axis that each joint turns about, and KUKA's sign
+TURNS = [(int(np.argmax(np.abs(axis))), float(axis.sum())) for axis in AXES]
 #: below this measure (see ``singularity_measures``) a Jacobian is not inverted
 SINGULAR = 1e-9
 
@@ -52,21 +54,20 @@ def forward(arm: Arm, mount: Mount, q) -> LinkFrames:
     q = np.asarray(q, float)
     cosines, sines = np.cos(q), np.sin(q)
     rotations = np.empty(q.shape + (3, 3))
+    axes = np.empty(q.shape + (3,))
     nodes = np.zeros(q.shape[:-1] + (7, 3))
     turned = np.broadcast_to(np.eye(3), q.shape[:-1] + (3, 3))
-    for j, axis in enumerate(AXES):
-        turned = _turn(turned, axis, cosines[..., j, None], sines[..., j, None], rotations[..., j, :, :])
+    for j, (k, sign) in enumerate(TURNS):
+        turned = _turn(turned, k, cosines[..., j, None], sign * sines[..., j, None], rotations[..., j, :, :])
         nodes[..., j + 1, :] = nodes[..., j, :] + turned @ arm.link_vectors[j]
-    axes = np.einsum("...jik,jk->...ji", rotations, AXES)
+        np.multiply(sign, turned[..., k], out=axes[..., j, :])
     flange = Pose(nodes[..., 6, :], rotations[..., 5, :, :])
     return LinkFrames(rotations, nodes, axes, flange, flange @ mount.pose, flange.apply(mount.mass_centre))
 
 
-def _turn(rotation, axis, cosine, sine, out):
-    """rotation @ (turn about one of the coordinate axes, + or -), written to out."""
-    k = int(np.argmax(np.abs(axis)))
+def _turn(rotation, k, cosine, sine, out):
+    """rotation @ (turn about coordinate axis k), written to out."""
     i, j = (k + 1) % 3, (k + 2) % 3
-    sine = sine * axis[k]
     out[..., k] = rotation[..., k]
     out[..., i] = cosine * rotation[..., i] + sine * rotation[..., j]
     out[..., j] = cosine * rotation[..., j] - sine * rotation[..., i]

@@ -15,7 +15,7 @@ from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.compensator import NO_COMPENSATOR, Compensator
 from kr270_milling.robot.kinematics import LinkFrames, cross
 
-__all__ = ["GRAVITY", "LinkLoads", "link_loads", "load_torque", "load_hessian"]
+__all__ = ["GRAVITY", "LinkLoads", "link_loads", "load_torque", "load_hessian", "moment_arms"]
 
 GRAVITY = 9.80665  #: standard acceleration of free fall [m/s^2], [BIPM, SI brochure]
 
@@ -55,18 +55,19 @@ def link_loads(arm: Arm, mount: Mount, gravity: float = GRAVITY) -> LinkLoads:
     return LinkLoads(mass, np.array([0.0, 0.0, -gravity]), balanced)
 
 
-def _moment_arms(frames: LinkFrames, loads: LinkLoads) -> np.ndarray:
-    """First moment of all masses beyond joint i about O_(i-1) [kg m], (..., 6, 3)."""
+def moment_arms(frames: LinkFrames, loads: LinkLoads) -> np.ndarray:
+    """First moment of all masses beyond joint i about O_(i-1) [kg m], (..., 6, 3): what weights need, made once."""
     points = np.concatenate([frames.nodes, frames.mass_centre[..., None, :]], -2)
     beyond = np.triu(np.ones((6, 8)), 1) * loads.mass  # joint i (row i-1) moves the nodes i..6 and the mount
     return beyond @ points - beyond.sum(-1)[:, None] * frames.nodes[..., :6, :]
 
 
-def load_torque(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads) -> np.ndarray:
-    """Right-hand side of (6): J_G^T G + J_F^T F [N m], (..., 6)."""
+def load_torque(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads, masses=None) -> np.ndarray:
+    """Right-hand side of (6): J_G^T G + J_F^T F [N m], (..., 6); masses: ``moment_arms``, where they are known."""
+    masses = moment_arms(frames, loads) if masses is None else masses
     force, moment = wrench[..., None, :3], wrench[..., None, 3:]
     arms = frames.tool.position[..., None, :] - frames.nodes[..., :6, :]
-    about_axis = cross(arms, force) + moment + cross(_moment_arms(frames, loads), loads.gravity)
+    about_axis = cross(arms, force) + moment + cross(masses, loads.gravity)
     torque = np.einsum("...ij,...ij->...i", frames.axes, about_axis)
     if loads.compensator.present:
         torque[..., 1] += loads.share * loads.compensator.moment(*_joint_2(frames))
@@ -82,16 +83,17 @@ def _joint_2(frames: LinkFrames):
     return cosine, sine
 
 
-def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads) -> np.ndarray:
+def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads, masses=None) -> np.ndarray:
     """H_theta_theta of (14), (15) [N m/rad], (..., 6, 6): the derivative of ``load_torque`` by the joint angles.
 
     A point x beyond both joints has d2x / dq_i dq_k = a_min x (a_max x (x - O_max)), which is symmetric. A moment m
     adds (a_k x a_i) . m for k < i only, because joint k turns the axis i and not the other way round.
     """
+    masses = moment_arms(frames, loads) if masses is None else masses
     axes = frames.axes
     force, moment = wrench[..., None, :3], wrench[..., None, 3:]
     arms = frames.tool.position[..., None, :] - frames.nodes[..., :6, :]
-    weight = cross(cross(axes, _moment_arms(frames, loads)), loads.gravity)
+    weight = cross(cross(axes, masses), loads.gravity)
     upper = np.triu(axes @ np.swapaxes(cross(cross(axes, arms), force) + weight, -1, -2))  # i <= k
     symmetric = upper + np.swapaxes(np.triu(upper, 1), -1, -2)
     bent = symmetric + np.tril(cross(axes, moment) @ np.swapaxes(axes, -1, -2), -1)
