@@ -70,7 +70,7 @@ MUTATIONS = [
     ("(1) posture", REFERENCE, "total += (r <<+|->> f * "),
     ("(7) weights", LOADS, "<<+|->> cross(masses, loads.gravity)"),
     ("(7) wrench", LOADS, "about_axis = cross(arms, force) <<+|->> moment"),
-    ("(7) springs", BALANCE, "error = load_torque(frames, wrench[todo], loads) - <<arm|2 * arm>>"),
+    ("(7) springs", BALANCE, "error = load_torque(frames, wrench[todo], loads, masses) - <<arm|2 * arm>>"),
     ("(7) split weights", LOADS, "arm.link_mass * (1 <<-|+>> arm.link_mass_centre)"),
     ("(8)", BALANCE, "<<target.position - now.position|now.position - target.position>>, turn]"),
     ("(9)", BALANCE, "balance = load_torque(frames, wrench, loads) <<-|+>> arm"),
