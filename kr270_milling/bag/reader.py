@@ -16,6 +16,7 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from mcap.opcode import Opcode
 
 from kr270_milling.bag.chunks import CACHE, READ, Chunk, Entry, Messages, Unpacker
@@ -216,6 +217,22 @@ class Recording:
                 if entry.channel in names:
                     data = found.data[entry.begin : entry.end]
                     yield RawMessage(names[entry.channel], entry.log_time, entry.publish_time, data)
+
+    def tables(self, topics: Collection[str]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+        """Topic, log times [ns] (k,) and contents (k, length) of messages, each topic's as they were written.
+
+        All topics come out of one pass through the file. Raises RecordingError.
+        """
+        numbers = {t: {n for n, c in self.contents.channels.items() if c.topic == t} for t in topics}
+        with self.sentences():
+            for chunk in self.chunks:
+                found = self.unpack(chunk)
+                self.unpack.spend(READ * len(found), chunk.offset)
+                for channel in found.counts.keys() - self.contents.channels:
+                    raise Damage(f"a message belongs to channel {channel}, which is not defined", chunk.offset)
+                for topic, channels in numbers.items():
+                    for times, table in found.alike(channels):
+                        yield topic, times, table
 
     def entries(self, chunks: list[Chunk], as_written: bool) -> Iterator[tuple[Entry, Messages]]:
         """Every message of some chunks and the chunk that it is in. Raises Damage."""

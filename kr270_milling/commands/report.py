@@ -11,7 +11,6 @@ from kr270_milling.commands.options import option
 from kr270_milling.commands.progress import progress
 
 if TYPE_CHECKING:
-    from kr270_milling.cell.cell import Cell
     from kr270_milling.replay.recorded import RecordedPass
 
 COLUMNS = ("pass", "static [um]", "max [um]", "lost", "complete")
@@ -37,7 +36,7 @@ def run(args) -> Answer:
     with progress("report"):
         page = write_report(
             directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
-            program=_program(recordings(first)[0], cell),
+            program=found[0].program,
         )  # fmt: skip
         write_series(directory, cell, passes)
     rows = [{**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete} for one in found]
@@ -49,6 +48,8 @@ def run(args) -> Answer:
 
 def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedPass], list[str]]:
     """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
+    from concurrent.futures import ThreadPoolExecutor
+
     import numpy as np
 
     from kr270_milling.base.errors import InputError
@@ -58,9 +59,9 @@ def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedP
     names = unique_names(paths)
     found: list[RecordedPass] = []
     copies: list[str] = []
-    with progress("reading") as report:
-        for number, (path, name) in enumerate(zip(paths, names, strict=True), 1):
-            one = pass_from_recording(path, name, namespace)
+    with progress("reading") as report, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
+        read = pool.map(lambda path, name: pass_from_recording(path, name, namespace), paths, names)
+        for number, (path, one) in enumerate(zip(paths, read, strict=True), 1):
             report(number, len(paths))
             if any(_same(one.scored, other.scored) for other in found):
                 copies.append(str(path))
@@ -70,17 +71,6 @@ def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedP
                 raise InputError(path, f"is a pass of another path than {paths[0]}: give each path a report of its own")
             found.append(one)
     return found, copies
-
-
-def _program(path: Path, cell: Cell) -> str | None:
-    """The tool path file that a recording carries."""
-    from kr270_milling.bag.reader import Recording
-
-    name = Path(cell.path.file).name
-    with Recording(path) as recording:
-        if name not in [about.name for about in recording.attachments]:
-            return None
-        return recording.attachment(name).decode("utf-8", errors="replace")
 
 
 def _same(one, other) -> bool:

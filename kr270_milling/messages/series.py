@@ -6,7 +6,8 @@ them as the rows of a table.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -14,9 +15,8 @@ import numpy as np
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import places_behind_header
 
-__all__ = ["FIXED", "Series", "batches", "series"]
+__all__ = ["FIXED", "Series", "batches", "series", "several"]
 
-BATCH, BATCH_BYTES = 4096, 4 * 1024 * 1024
 BEARABLE, MOST_UNFOLDED = 64 * 1024 * 1024, 50  # [bytes] of a series, and what it may take beside, in sizes of the file
 LAYOUT = 30.0  # [us] of work on messages of one layout in a row
 #: type -> (column, unit) of the numbers behind its header
@@ -51,38 +51,31 @@ def batches(recording, topic: str) -> Iterator[Rows]:
 
     Raises RecordingError where one is not what its type says.
     """
+    _check(recording, topic)
+    for _, times, table in recording.tables([topic]):
+        yield from _tables(recording, topic, times, table)
+
+
+def _check(recording, topic: str) -> None:
     about = recording.topics().get(topic)
     if about is None:
         raise RecordingError(recording.path, f"has no topic {topic}")
     if about.encoding != "cdr" or about.type not in FIXED:
         raise RecordingError(recording.path, f"{topic} is {about.type or 'of no type'}, which is no series of numbers")
-    waiting: list = []
-    for message in recording.messages([topic], as_written=True):
-        size = len(message.data)
-        full = len(waiting) == BATCH or (len(waiting) + 1) * size > BATCH_BYTES
-        if waiting and (full or size != len(waiting[0].data)):
-            yield from _tables(recording, topic, waiting)
-            waiting = []
-        waiting.append(message)
-    if waiting:
-        yield from _tables(recording, topic, waiting)
 
 
-def _tables(recording, topic: str, messages: list) -> Iterator[Rows]:
-    """Messages of one length as tables; rows of another layout begin a new one."""
-    kind, width = recording.topics()[topic].type, len(messages[0].data)
-    table = np.frombuffer(b"".join(m.data for m in messages), np.uint8).reshape(len(messages), width)
-    times = np.array([m.log_time for m in messages], np.uint64).astype(np.int64)
-    begin = 0
-    while begin < len(messages):
+def _tables(recording, topic: str, times: np.ndarray, table: np.ndarray) -> Iterator[Rows]:
+    """Messages of one length, (n, width); rows of another layout begin a new table."""
+    kind, begin = recording.topics()[topic].type, 0
+    while begin < len(table):
         recording.spend(LAYOUT)
         try:
-            places = places_behind_header(messages[begin].data, len(FIXED[kind]))
+            places = places_behind_header(table[begin].tobytes(), len(FIXED[kind]))
         except ValueError as error:
             raise RecordingError(recording.path, f"a message on {topic} is not a {kind}: {error}") from error
         # byte order and length of the frame's name
         same = (table[begin:, [0, 1, 12, 13, 14, 15]] == table[begin, [0, 1, 12, 13, 14, 15]]).all(axis=1)
-        end = len(messages) if same.all() else begin + int(np.argmin(same))
+        end = len(table) if same.all() else begin + int(np.argmin(same))
         yield _rows(table[begin:end], times[begin:end], *places)
         begin = end
 
@@ -100,16 +93,34 @@ def _rows(table: np.ndarray, times: np.ndarray, order: str, text: slice, numbers
 
 def series(recording, topic: str) -> Series:
     """A PoseStamped, WrenchStamped or TwistStamped topic as arrays. Raises RecordingError."""
-    stamps, tables, size = [np.empty(0, np.int64)], [], 0
-    for rows in batches(recording, topic):
-        stamps.append(rows.stamp)
-        tables.append(rows.values)
-        size += rows.values.nbytes
-        if size > BEARABLE + MOST_UNFOLDED * recording.size:
-            reason = f"{topic} unfolds into more than {size} bytes, {MOST_UNFOLDED} times the size of the file"
-            raise RecordingError(recording.path, reason)
-    width = len(FIXED[recording.topics()[topic].type])
-    found = Series(np.concatenate(stamps), np.concatenate([np.empty((0, width)), *tables]))
+    return several(recording, [topic])[0]
+
+
+def several(recording, topics: Sequence[str], others: Mapping[str, Callable[[bytes], object]] = MappingProxyType({})
+            ) -> list[Series]:  # fmt: skip
+    """Topics of the FIXED types as arrays, all out of one pass through the file.
+
+    others: what takes each message of further topics. Raises RecordingError.
+    """
+    for topic in topics:
+        _check(recording, topic)
+    found: dict[str, list[Rows]] = {topic: [] for topic in topics}
+    sizes = dict.fromkeys(topics, 0)
+    for topic, times, table in recording.tables({**found, **others}):
+        for row in table if topic in others else ():
+            others[topic](row.tobytes())
+        for rows in _tables(recording, topic, times, table) if topic in found else ():
+            found[topic].append(rows)
+            sizes[topic] += rows.values.nbytes
+            if sizes[topic] > BEARABLE + MOST_UNFOLDED * recording.size:
+                most = f"{sizes[topic]} bytes, {MOST_UNFOLDED} times the size of the file"
+                raise RecordingError(recording.path, f"{topic} unfolds into more than {most}")
+    return [_joined(found[topic], len(FIXED[recording.topics()[topic].type])) for topic in topics]
+
+
+def _joined(rows: list[Rows], width: int) -> Series:
+    stamps = np.concatenate([np.empty(0, np.int64), *(part.stamp for part in rows)])
+    found = Series(stamps, np.concatenate([np.empty((0, width)), *(part.values for part in rows)]))
     for array in found:
         array.setflags(write=False)
     return found

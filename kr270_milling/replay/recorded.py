@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import functools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from kr270_milling.bag.reader import Recording
-from kr270_milling.base.errors import RecordingError
+from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.cell.cell import MOST_STEPS, Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.plant import imperfect_course
 from kr270_milling.messages.codec import trajectory_from_bytes
-from kr270_milling.messages.series import series
+from kr270_milling.messages.series import Series, several
+from kr270_milling.messages.trajectory import TRAJECTORY
 from kr270_milling.replay.attached import cell_of, plant_of
-from kr270_milling.simulation.admission import MessageError
-from kr270_milling.simulation.milling_pass import PassResult
-from kr270_milling.simulation.sides import RobotSide
-from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
+from kr270_milling.simulation.milling_pass import PassResult, follow
+from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["RecordedPass", "pass_from_recording", "references", "topic_of"]
+__all__ = ["RecordedPass", "pass_from_recording", "topic_of"]
 
 DIAGNOSTICS = "/diagnostics"
 SERIES = ("tool_pose", "deflection", "wrench")
@@ -35,6 +38,14 @@ class RecordedPass:
     messages_lost: int  #: poses, wrenches and deflections that the pass must have had and the file has not
     lost_to_end: int  #: the same, where the pass is known to have run to the end of its reference
     complete: bool  #: the pass ran to the end of its reference, no message of it is lost, and the file was closed
+    program: str | None = None  #: text of the tool path file, where the recording carries it
+
+
+class Rows(NamedTuple):
+    """A series of one pass by the steps of the exchange, ascending."""
+
+    step: np.ndarray  #: (n,)
+    values: np.ndarray  #: (n, columns)
 
 
 def topic_of(recording: Recording, name: str, namespace: str | None = None) -> str:
@@ -51,108 +62,124 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
     return found[0]
 
 
-def references(recording: Recording, namespace: str | None = None) -> list[Trajectory]:
-    """Every reference trajectory in the order of their publication; the first is the one that the pass ran."""
-    topic = topic_of(recording, "reference_trajectory", namespace)
-    try:
-        found = [trajectory_from_bytes(message.data) for message in recording.messages([topic], as_written=True)]
-    except (MessageError, TrajectoryError) as error:
-        raise RecordingError(recording.path, f"{topic}: {error}") from error
-    if not found:
-        raise RecordingError(recording.path, f"{topic} has no message")
-    return found
-
-
 def pass_from_recording(path, name: str | None = None, namespace: str | None = None) -> RecordedPass:
-    """The pass that a recording holds; a file that was cut off gives the part that is there."""
+    """The pass that a recording holds; a file that was cut off gives the part that is there. It is read once."""
     with Recording(path) as recording:
-        cell, reference = cell_of(recording), references(recording, namespace)[0]
+        cell = cell_of(recording)
         plant = plant_of(recording, cell)
-        heard = {kind: _by_stamp(recording, topic_of(recording, kind, namespace)) for kind in SERIES}
-        wall = _wall_time(recording)
+        reference, wall, found = _read(recording, namespace)
+        program = _program(recording, cell)
     last = cell.clock.steps(reference.duration_ns)
     if last > MOST_STEPS:
         raise RecordingError(recording.path, f"its reference trajectory takes {reference.duration_ns * 1e-9:g} s")
-    heard = {kind: {s: v for s, v in at.items() if 0 <= cell.clock.step(s) <= last} for kind, at in heard.items()}
-    lost_to_end = _lost(cell, heard, last)
-    recorded = dict(heard)
+    recorded = {kind: _by_step(cell, series, last) for kind, series in found.items()}
     course = imperfect_course(plant, reference, 0)
-    heard["deflection"] = _all_deflections(plant, reference, course, heard["wrench"], heard["deflection"])
-    stamps = np.array(sorted(set.intersection(*map(set, heard.values()))), np.int64)
-    if stamps.size < 2:
+    whole = recorded | {"deflection": _all_deflections(plant, reference, course, recorded)}
+    steps = functools.reduce(lambda a, b: np.intersect1d(a, b, True), (rows.step for rows in whole.values()))
+    if steps.size < 2:
         raise RecordingError(recording.path, "holds no pass: poses, wrenches and deflections of at least one period")
-    rows = {kind: np.array([values[stamp] for stamp in stamps.tolist()]) for kind, values in heard.items()}
-    ended = int(stamps[-1]) >= int(cell.clock.stamp(last))
-    end = last if ended else max(cell.clock.step(int(stamps[-1])), 0)
-    lost = _lost(cell, recorded, end)
-    result = _result(cell, plant, course, stamps, rows, wall)
+    rows = {kind: one.values[np.searchsorted(one.step, steps)] for kind, one in whole.items()}
+    ended = int(steps[-1]) == last
+    lost = _lost(cell, recorded, int(steps[-1]))
+    result = _result(cell, plant, course, steps, rows, wall)
     ran = ScoredPass(name or recording.path.stem, reference, result, scored(cell, result, plant.low_frequency))
-    return RecordedPass(ran, cell, lost, lost_to_end, ended and not lost and not recording.cut_off)
+    complete = ended and not lost and not recording.cut_off
+    return RecordedPass(ran, cell, lost, _lost(cell, recorded, last), complete, program)
 
 
-def _lost(cell: Cell, recorded: dict[str, dict], last: int) -> int:
+def _read(recording: Recording, namespace: str | None) -> tuple[Trajectory, float, dict[str, Series]]:
+    """The reference that the pass ran, its time of the wall [s], and the series."""
+    topics = {kind: topic_of(recording, kind, namespace) for kind in SERIES}
+    topic = topic_of(recording, "reference_trajectory", namespace)
+    if recording.topics()[topic].type != TRAJECTORY:
+        raise RecordingError(recording.path, f"{topic} is no trajectory")
+    runs: list[Trajectory] = []
+    walls = [float("nan")]
+    others = {topic: lambda data: runs.extend([] if runs else [_trajectory(recording, topic, data)])}
+    if DIAGNOSTICS in recording.topics():
+        decode = recording.decoder(DIAGNOSTICS)
+        others[DIAGNOSTICS] = lambda data: walls.extend(_wall_times(decode(data)))
+    found = dict(zip(SERIES, several(recording, list(topics.values()), others), strict=True))
+    if not runs:
+        raise RecordingError(recording.path, f"{topic} has no message")
+    passes = int(np.count_nonzero(found["deflection"].stamp == 0))  # published once an exchange
+    if passes > 1:
+        raise RecordingError(recording.path, f"holds {passes} passes; every pass needs a recording of its own")
+    return runs[0], walls[-1], found
+
+
+def _trajectory(recording: Recording, topic: str, data: bytes) -> Trajectory:
+    try:
+        return trajectory_from_bytes(data)
+    except MillingError as error:
+        raise RecordingError(recording.path, f"a message on {topic} is no path of the tool: {error}") from error
+
+
+def _wall_times(diagnostics) -> Iterator[float]:
+    """[s], as the robot said it."""
+    for pair in (pair for status in diagnostics.status for pair in status.values if pair.key == "wall_s"):
+        with contextlib.suppress(ValueError):
+            yield float(pair.value)
+
+
+def _by_step(cell: Cell, found: Series, last: int) -> Rows:
+    """Of a repeated stamp the last, which is what counted when an exchange was iterated."""
+    step = np.rint(found.stamp / (cell.clock.period * 1e9)).astype(np.int64)
+    rows = np.flatnonzero((step >= 0) & (step <= last) & (cell.clock.stamp(step) == found.stamp))[::-1]
+    steps, latest = np.unique(step[rows], return_index=True)
+    return Rows(steps, found.values[rows[latest]])
+
+
+def _lost(cell: Cell, recorded: dict[str, Rows], last: int) -> int:
     """Poses, wrenches and deflections that are missing up to a step; of the deflections those that were due."""
     thinned = cell.thinned_steps
-    due = sum(cell.clock.step(stamp) % thinned == 0 for stamp in recorded["deflection"])
-    there = {"tool_pose": len(recorded["tool_pose"]), "wrench": len(recorded["wrench"])}
+    due = np.count_nonzero(recorded["deflection"].step % thinned == 0)
+    there = {"tool_pose": len(recorded["tool_pose"].step), "wrench": len(recorded["wrench"].step)}
     return sum(max(0, last + 1 - count) for count in there.values()) + max(0, last // thinned + 1 - due)
 
 
-def _all_deflections(
-    plant: Cell, reference: Trajectory, course: Trajectory, wrenches: dict, recorded: dict
-) -> dict[int, np.ndarray]:
+def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, recorded: dict[str, Rows]) -> Rows:
     """Those that were recorded and, as far as these are the same to the bit, those between them: they follow from the
     wrenches, which were all published."""
-    if len(recorded) >= len(wrenches):
-        return recorded
-    side = RobotSide(plant.arm_model(reference), plant.clock, course)
-    found = {}
-    for stamp in sorted(wrenches):
-        deflection = side.answer(stamp, wrenches[stamp])
-        if deflection is None or (stamp in recorded and deflection.tobytes() != recorded[stamp].tobytes()):
-            break
-        found[stamp] = deflection
-    return {**recorded, **found}
+    wrench, there = recorded["wrench"], recorded["deflection"]
+    if len(there.step) >= len(wrench.step):
+        return there
+    model, whole = plant.arm_model(reference), plant.clock.steps(course.duration_ns) + 1
+    count = np.flatnonzero(np.append(wrench.step, -1) != np.arange(len(wrench.step) + 1))[0]  # without a hole
+    pushes = model.push(course, plant.clock.stamp(np.arange(whole)))
+    found = follow(model, pushes, wrench.values[: min(count, whole)])
+    known = there.step < len(found)
+    other = (found[there.step[known]].view(np.int64) != there.values[known].view(np.int64)).any(axis=1)
+    end = int(there.step[known][np.argmax(other)]) if other.any() else len(found)
+    later = there.step >= end
+    return Rows(np.append(np.arange(end), there.step[later]), np.append(found[:end], there.values[later], axis=0))
 
 
-def _by_stamp(recording: Recording, topic: str) -> dict[int, np.ndarray]:
-    """Values by stamp; of a repeated stamp the last, which is what counted when an exchange was iterated."""
-    found = series(recording, topic)
-    once = topic.endswith("deflection")  # published once an exchange
-    passes = int(np.count_nonzero(found.stamp == 0))
-    if once and passes > 1:
-        raise RecordingError(recording.path, f"holds {passes} passes; every pass needs a recording of its own")
-    return dict(zip(found.stamp.tolist(), found.values, strict=True))
+def _program(recording: Recording, cell: Cell) -> str | None:
+    """The tool path file that a recording carries."""
+    name = Path(cell.path.file).name
+    if name not in [about.name for about in recording.attachments]:
+        return None
+    return recording.attachment(name).decode("utf-8", errors="replace")
 
 
-def _wall_time(recording: Recording) -> float:
-    """[s], as the robot said it in /diagnostics; NaN if it did not."""
-    wall = float("nan")
-    if DIAGNOSTICS in recording.topics():
-        for _, msg in recording.decoded([DIAGNOSTICS], as_written=True):
-            for pair in (pair for status in msg.status for pair in status.values if pair.key == "wall_s"):
-                with contextlib.suppress(ValueError):
-                    wall = float(pair.value)
-    return wall
-
-
-def _result(cell: Cell, plant: Cell, run: Trajectory, stamps: np.ndarray, rows: dict, wall: float) -> PassResult:
+def _result(cell: Cell, plant: Cell, run: Trajectory, steps: np.ndarray, rows: dict, wall: float) -> PassResult:
+    stamps = cell.clock.stamp(steps)
     course, tool = run.sample(stamps), rows["tool_pose"][:, :3]
-    torque, volume, steps, area, total, heights = _cut_again(plant, stamps, tool)
+    torque, volume, count, area, total, heights = _cut_again(plant, steps, tool)
     shift = course + rows["deflection"][:, :3] - tool
     return PassResult(
         stamps, cell.target().sample(stamps), course, tool, rows["deflection"], rows["wrench"],
-        np.sqrt(np.sum(shift**2, axis=1)), torque, volume, steps, area, total, wall,
+        np.sqrt(np.sum(shift**2, axis=1)), torque, volume, count, area, total, wall,
         heights,
     )  # fmt: skip
 
 
-def _cut_again(cell: Cell, stamps: np.ndarray, tool: np.ndarray) -> tuple:
+def _cut_again(cell: Cell, steps: np.ndarray, tool: np.ndarray) -> tuple:
     """What no message carries: torque (n + 1,), volume (n + 1,), micro-steps, area and volume in all, heights.
 
     From the recorded tool centres on a fresh workpiece; across a hole in the recording the tool goes straight.
     """
-    cut, clock = cell.cut(), cell.clock
-    steps = np.array([clock.step(stamp) for stamp in stamps.tolist()]) * clock.micro_steps
-    _, torque, volume = cut.along(tool, steps)
-    return torque, volume, int(steps[-1]), cut.removed_area, cut.removed_volume, cut.map_heights()[2]
+    cut, counts = cell.cut(), steps * cell.clock.micro_steps
+    _, torque, volume = cut.along(tool, counts)
+    return torque, volume, int(counts[-1]), cut.removed_area, cut.removed_volume, cut.map_heights()[2]

@@ -20,7 +20,7 @@ from kr270_milling.simulation.dynamics import ArmModel, advance
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["CompliantArm", "PassError", "PassResult", "run_pass"]
+__all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass"]
 
 CHUNK = 200  # exchange periods between two reports of progress
 FLIGHT = 0.05  # [m]; an arm that is linear about its posture is no model of one that is pushed so far
@@ -103,6 +103,24 @@ class CompliantArm:
         self.wrench = np.array(wrench, float)
         self.step += 1
         return deflection
+
+
+def follow(model: ArmModel, pushes: np.ndarray, wrenches: np.ndarray) -> np.ndarray:
+    """Deflections (n + 1, 6) of a pass whose wrenches (n + 1, 6) are known; pushes: see ``CompliantArm``.
+
+    Those that ``CompliantArm.correct`` gives one by one, to the bit.
+    """
+    deflections = np.zeros((len(wrenches), 6))
+    _follow(np.ascontiguousarray(wrenches, float), np.zeros(model.order), pushes, model.arrays, deflections)
+    return deflections
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _follow(wrenches, state, pushes, arrays, deflections):
+    scratch = np.zeros(state.size)
+    for n in range(len(wrenches) - 1):
+        advance(n, state, wrenches[n + 1], pushes, arrays, scratch, deflections[n + 1])
+        state[:] = scratch
 
 
 def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:

@@ -120,4 +120,5 @@ def test_30000_poses_are_read_in_less_than_a_second(tmp_path):
 def test_large_messages_are_read_some_megabytes_at_a_time(tmp_path):
     message = wrench(0, np.zeros(6), "x" * 1_000_000)
     with Recording(written(tmp_path / "a", WRENCH, [message] * 20)) as recording:
-        assert [len(rows.stamp) for rows in batches(recording, "/t")] == [4, 4, 4, 4, 4]
+        sizes = [len(rows.stamp) for rows in batches(recording, "/t")]
+        assert sum(sizes) == 20 and max(sizes) <= 4
