@@ -146,7 +146,7 @@ def _write(draft, final, cell, done, motions, args, source) -> dict:
 
 def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
     """Report with the error maps, and the part as it is predicted."""
-    from kr270_milling.decision.part import machined, write_stl
+    from kr270_milling.decision.part import write_part
     from kr270_milling.report import decision_block, write_report
 
     revised = done.revised
@@ -156,7 +156,7 @@ def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
         parts=done.parts, decision=decision_block(done.decision, done.checked), tables=[_joints_table(cell, revised)],
     )  # fmt: skip
     stl = draft / f"part_{revised.name}.stl"
-    write_stl(stl, machined(cell, revised.result.actual))
+    write_part(stl, cell, revised.result)
     return {"report": str(final(report)), "part": str(final(stl))}
 
 

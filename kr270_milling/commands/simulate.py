@@ -72,13 +72,13 @@ def _scores(found: dict) -> list[str]:
 
 def _write(directory: Path, cell, ran) -> list[Path]:
     """The series, and of a tool path the machined part."""
-    from kr270_milling.decision.part import machined, write_stl
+    from kr270_milling.decision.part import write_part
     from kr270_milling.report.series import write_series
 
     files = write_series(directory, cell, [ran])
     if cell.path.file:
         files.append(directory / "part.stl")
-        write_stl(files[-1], machined(cell, ran.result.actual))
+        write_part(files[-1], cell, ran.result)
     return files
 
 

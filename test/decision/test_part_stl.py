@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from milled_part import POCKET, small_cell
 
-from kr270_milling.base.errors import InputError, ParameterError
-from kr270_milling.decision.part import machined, write_stl
+from kr270_milling.base.errors import InputError
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.decision.part import machined, write_part, write_stl
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,7 @@ def read(path) -> np.ndarray:
 @pytest.fixture(scope="module")
 def mesh(cut, tmp_path_factory):
     path = tmp_path_factory.mktemp("file") / "part.stl"
-    assert write_stl(path, cut, 0.5e-3) == (path.stat().st_size - 84) // 50
+    assert write_stl(path, cut) == (path.stat().st_size - 84) // 50
     return read(path)
 
 
@@ -67,21 +68,24 @@ def test_its_normals_are_those_of_the_corners_order(mesh):
     assert length.min() > 0
 
 
-def test_a_finer_spacing_gives_the_volume_more_exactly(cut, tmp_path):
+def test_nodes_that_are_nearer_give_the_volume_more_exactly(cut, tmp_path):
     wrong = []
-    for spacing in (2e-3, 0.2e-3):
-        write_stl(tmp_path / "part.stl", cut, spacing)
+    for thinning in (40, 4):
+        write_stl(tmp_path / "part.stl", cut, cut.heights(thinning=thinning))
         corners, _ = read(tmp_path / "part.stl")
         volume = np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
         wrong.append(abs(volume - np.prod(cut.stock.max - cut.stock.min) * 1e9 + cut.removed_volume * 1e9))
     assert wrong[1] < 0.3 * wrong[0]
 
 
-def test_a_file_of_unbearable_size_is_refused_before_anything_is_written(cut, tmp_path, monkeypatch):
-    monkeypatch.setattr("kr270_milling.decision.part.stl.MOST_TRIANGLES", 1000)
-    with pytest.raises(ParameterError, match="larger"):
-        write_stl(tmp_path / "part.stl", cut, 0.1e-3)
-    assert not list(tmp_path.iterdir())
+def test_the_part_of_a_pass_is_that_of_its_own_map_and_of_another_sweep(tmp_path, monkeypatch):
+    cell = small_cell(tmp_path, POCKET, "stock.grid_step_um=100")
+    result = simulate(cell).result
+    again = machined(cell, result.tool)
+    write_stl(tmp_path / "swept.stl", again, again.map_heights())
+    monkeypatch.setattr("kr270_milling.decision.part.stl.machined", None)  # nothing is swept
+    write_part(tmp_path / "part.stl", cell, result)
+    assert (tmp_path / "part.stl").read_bytes() == (tmp_path / "swept.stl").read_bytes()
 
 
 def test_a_large_part_is_written_as_finely_as_the_size_of_the_file_allows(cut, tmp_path, monkeypatch):
@@ -91,8 +95,8 @@ def test_a_large_part_is_written_as_finely_as_the_size_of_the_file_allows(cut, t
 
 def test_a_file_that_cannot_be_written_leaves_nothing(cut, tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
-        write_stl(tmp_path / "missing" / "part.stl", cut, 1e-3)
+        write_stl(tmp_path / "missing" / "part.stl", cut)
     (tmp_path / "part.stl").mkdir()
     with pytest.raises(InputError):
-        write_stl(tmp_path / "part.stl", cut, 1e-3)
+        write_stl(tmp_path / "part.stl", cut)
     assert [p.name for p in tmp_path.iterdir()] == ["part.stl"]

@@ -7,23 +7,33 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.files import write_files
+from kr270_milling.cell.cell import Cell
 from kr270_milling.cutting import Cut, Stock
+from kr270_milling.decision.part.machined import machined
+from kr270_milling.simulation.milling_pass import PassResult
 
-__all__ = ["write_stl"]
+__all__ = ["write_part", "write_stl"]
 
 MOST_TRIANGLES = 4_000_000  #: 200 MB
 FINE = 0.25e-3  #: [m]
 
 
-def write_stl(path, cut: Cut, spacing: float | None = None) -> int:
-    """Write the part of ``cut`` as seen in heights ``spacing`` [m] apart, coordinates in mm; returns the triangles.
+def write_part(path, cell: Cell, result: PassResult) -> int:
+    """``write_stl`` of the part that a pass left. It is swept again only where the pass has no map that is as fine."""
+    cut = cell.cut()
+    if result.heights is None or cut.map_thinning > _thinning(cut):
+        return write_stl(path, machined(cell, result.actual))
+    return write_stl(path, cut, (*cut.map_heights()[:2], result.heights))
 
-    Default: 0.25 mm, or the least that a large part allows. The file appears whole or not at all. Raises ParameterError
-    where it would have more than 4 million triangles, and InputError where it cannot be written.
+
+def write_stl(path, cut: Cut, lattice: tuple[np.ndarray, ...] = ()) -> int:
+    """Write the part of ``cut`` as seen in heights 0.25 mm apart, coordinates in mm; returns the triangles.
+
+    A large part has 4 million triangles at most. lattice: x (a,), y (b,) and heights (a, b) [m] in place of those of
+    the cut. The file appears whole or not at all. Raises InputError where it cannot be written.
     """
-    x, y, z = _lattice(cut, _spacing(cut) if spacing is None else spacing)
+    x, y, z = _bordered(cut, *(lattice or cut.heights(thinning=_thinning(cut))))
     triangles = _triangles(x * 1e3, y * 1e3, z * 1e3, float(cut.stock.min[2]) * 1e3)
     record = np.zeros(
         len(triangles), np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -35,12 +45,12 @@ def write_stl(path, cut: Cut, spacing: float | None = None) -> int:
     return len(record)
 
 
-def _spacing(cut: Cut) -> float:
-    """[m]"""
+def _thinning(cut: Cut) -> int:
+    """One node in so many each way: 0.25 mm apart, or as far as a large part needs."""
     thinning = max(1, round(FINE / cut.stock.grid_step))
     while _count(cut.stock, thinning) > MOST_TRIANGLES:
         thinning = math.ceil(1.1 * thinning)
-    return thinning * cut.stock.grid_step
+    return thinning
 
 
 def _count(stock: Stock, thinning: int) -> int:
@@ -49,19 +59,12 @@ def _count(stock: Stock, thinning: int) -> int:
     return 2 * count[0] * count[1] + 6 * sum(count)
 
 
-def _lattice(cut: Cut, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes at the middles of thinned cells, and on the stock's borders; heights (a, b) [m]."""
+def _bordered(cut: Cut, x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nodes, and their neighbours on the stock's borders."""
     stock = cut.stock
-    thinning = max(1, round(spacing / stock.grid_step))
-    most = _count(stock, thinning)
-    if not spacing > 0.0 or most > MOST_TRIANGLES:
-        shown = f"larger: the part would have {most} triangles, more than {MOST_TRIANGLES}"
-        raise ParameterError("STL spacing [mm]", spacing * 1e3, shown)
-    x, y, z = cut.heights(thinning=thinning)
     x, y = (np.concatenate([[stock.min[k]], axis, [stock.max[k]]]) for k, axis in enumerate((x, y)))
-    z = np.pad(z, 1, mode="edge")
     least = stock.min[2] + cut.params.level_step  # where the tool went through, a skin is left: the surface is one
-    return x, y, np.maximum(z, least)
+    return x, y, np.maximum(np.pad(z, 1, mode="edge"), least)
 
 
 def _triangles(x: np.ndarray, y: np.ndarray, z: np.ndarray, bottom: float) -> np.ndarray:
