@@ -52,9 +52,9 @@ def stability_of(cell: Cell, result: PassResult) -> Stability:
     period = 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
     feed_per_tooth = cell.feed_rate * period
     limit = max(CHATTERS, GRID_NOISE * cell.stock.grid_step / max(feed_per_tooth, 1e-12))
-    worst, grows = np.nan, False
+    worst, grows, seconds = np.nan, False, result.time
     for first, last in _stretches(result.volume > 0.0):
-        time = result.time[first:last]
+        time = seconds[first:last]
         teeth = np.arange(time[0], time[-1], period)
         if teeth.size < FEWEST_TEETH:
             continue
