@@ -10,7 +10,6 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
-from kr270_milling.base.units import seconds
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.simulation.milling_pass import PassResult
@@ -96,7 +95,8 @@ def series_rows(result: PassResult, target: Trajectory) -> np.ndarray:
 
 
 def series_lines(result: PassResult, target: Trajectory) -> Iterator[str]:
-    """The lines of the CSV file of a pass."""
+    """The lines of the CSV file of a pass: thirteen digits of every number."""
     yield ",".join(COLUMNS) + "\n"
-    for stamp, row in zip(result.time_ns.tolist(), series_rows(result, target).tolist(), strict=True):
-        yield f"{seconds(stamp)},{','.join(map(repr, row))}\n"
+    line = ",".join(["%.9f", *["%.13g"] * (len(COLUMNS) - 1)]) + "\n"
+    for row in np.column_stack([result.time, series_rows(result, target)]).tolist():
+        yield line % tuple(row)

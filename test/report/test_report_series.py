@@ -27,10 +27,11 @@ def passes(cell):
 
 
 def close(table, expected):
-    np.testing.assert_allclose(table, expected, rtol=1e-15, atol=0)
+    """A number of thirteen digits is wrong by half of the last one at most."""
+    np.testing.assert_allclose(table, expected, rtol=5e-13, atol=0)
 
 
-def test_every_series_comes_back_to_an_ulp(tmp_path, cell, passes):
+def test_every_series_comes_back_with_twelve_digits(tmp_path, cell, passes):
     paths = write_series(tmp_path, cell, passes)
     assert [p.name for p in paths[:2]] == ["original.csv", "spline.csv"]
     for path, one in zip(paths[:2], passes, strict=True):
@@ -43,8 +44,8 @@ def test_every_series_comes_back_to_an_ulp(tmp_path, cell, passes):
                 close(table[f"{kind}_{axis}_mm"], 1e3 * getattr(r, kind)[:, k])
             close(table[f"deflection_{axis}_mm"], 1e3 * r.deflection[:, k])
             close(table[f"deflection_r{axis}_deg"], np.degrees(r.deflection[:, 3 + k]))
-            np.testing.assert_array_equal(table[f"force_{axis}_n"], r.wrench[:, k])
-            np.testing.assert_array_equal(table[f"moment_{axis}_n_m"], r.wrench[:, 3 + k])
+            close(table[f"force_{axis}_n"], r.wrench[:, k])
+            close(table[f"moment_{axis}_n_m"], r.wrench[:, 3 + k])
         close(table["path_deviation_mm"], 1e3 * deviation_of(r, cell.target()))
         close(table["correction_mm"], 1e3 * r.correction)
 
@@ -54,7 +55,7 @@ def test_the_largest_deviation_of_the_series_is_the_score(tmp_path, cell, passes
     table = dict(zip(COLUMNS, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
     engaged = table["time_s"] >= cell.full_engagement - 1e-9
     largest = np.abs(table["path_deviation_mm"][engaged]).max()
-    assert largest == pytest.approx(1e3 * passes[0].scores.max_deviation, rel=1e-15)
+    assert largest == pytest.approx(1e3 * passes[0].scores.max_deviation, rel=5e-13)
 
 
 def test_reference_trajectories_are_written_with_joint_angles(tmp_path, cell, passes):
