@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
 from browser import Visit, browser
@@ -9,8 +11,8 @@ from milled_part import POCKET, small_cell
 
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import find_file
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import commanded_joints, compensated, simulate
+from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.jobs import ScoredPass, commanded_joints, compensated, simulate
 from kr270_milling.report import write_report
 from kr270_milling.robot import pose
 
@@ -43,38 +45,45 @@ def running():
         yield found
 
 
+class Shown(NamedTuple):
+    """A report in the browser, everything on it drawn."""
+
+    cell: Cell
+    passes: list[ScoredPass]
+    visit: Visit
+
+
+def shown(running, directory, cell: Cell, methods, width: int, **words) -> Shown:
+    """The report of a pass and its compensations; solids are drawn small, since here the processor draws them."""
+    original = simulate(cell)
+    passes = [original, *(compensated(cell, original, method) for method in methods)]
+    visit = Visit(running, write_report(directory, cell, passes, **WORDS, **words).as_uri(), width, touch=width < 600)
+    visit.page.add_style_tag(content=".plot.robot, .plot.part { height: 150px !important; }")
+    visit.ask("KR.drawEverything()")
+    return Shown(cell, passes, visit)
+
+
 @pytest.fixture(scope="module")
-def part(tmp_path_factory):
+def part(running, tmp_path_factory):
     directory = tmp_path_factory.mktemp("part")
     cell = small_cell(directory, POCKET, "part.tolerance_um=30")
-    original = simulate(cell)
-    passes = [original, *(compensated(cell, original, method) for method in ("linear", "spline"))]
-    return cell, passes, write_report(directory, cell, passes, title="A part", **WORDS).as_uri()
+    found = shown(running, directory, cell, ("linear", "spline"), 1400, title="A part")
+    yield found
+    found.visit.close()
 
 
 @pytest.fixture(scope="module")
-def demo(tmp_path_factory):
+def visit(part):
+    return part.visit
+
+
+@pytest.fixture(scope="module")
+def phone(running, tmp_path_factory):
     cell = read_cell(find_file("paper.yaml"), ["path.length_mm=20.0", "stock.grid_step_um=40.0"])
-    original = simulate(cell)
-    passes = [original, compensated(cell, original, "linear")]
-    path = write_report(tmp_path_factory.mktemp("demo"), cell, passes, title="The paper", paper=True, **WORDS)
-    return cell, passes, path.as_uri()
-
-
-@pytest.fixture(scope="module")
-def visit(running, part):
-    found = Visit(running, part[2])
-    found.ask("KR.drawEverything()")
-    yield found
-    found.close()
-
-
-@pytest.fixture(scope="module")
-def paper(running, demo):
-    found = Visit(running, demo[2])
-    found.ask("KR.drawEverything()")
-    yield found
-    found.close()
+    words = dict(title="The paper", paper=True)
+    found = shown(running, tmp_path_factory.mktemp("demo"), cell, ("linear",), 390, **words)
+    yield found.visit
+    found.visit.close()
 
 
 def settled(visit) -> dict:
@@ -87,12 +96,12 @@ def agrees(visit) -> None:
         assert np.abs(differences).max() < 1e-4, name
 
 
-def test_the_page_says_nothing_asks_for_nothing_and_starts_at_the_worst_place(visit, part):
-    assert visit.complaints == [] and visit.requests == [part[2]]
-    shown = visit.ask("() => KR.data.linked.passes[KR.shownPass()].side[KR.place]")
+def test_the_page_says_nothing_asks_for_nothing_and_starts_at_the_worst_place(visit):
+    assert visit.complaints == [] and visit.requests == [visit.page.url]
+    here = visit.ask("() => KR.data.linked.passes[KR.shownPass()].side[KR.place]")
     sides = visit.ask("""() => { const p = KR.data.linked.passes[KR.shownPass()], s = KR.data.linked.scored;
                               return Math.max(...[...p.side].map((v, i) => s[i] ? Math.abs(v) : 0)); }""")
-    assert abs(shown) == sides
+    assert abs(here) == sides
     agrees(visit)
 
 
@@ -187,7 +196,7 @@ def test_the_robot_holds_the_tool_where_it_is_commanded(visit, part):
     np.testing.assert_allclose(visit.ask("() => KR.toolAt(0)"), first, atol=1e-5)
 
 
-def test_tolerance_and_largest_values_are_marked(visit, part):
+def test_tolerance_and_largest_values_are_marked(visit):
     shapes = visit.ask(
         "() => document.getElementById('series').layout.shapes.filter((s) => s.line.dash === 'dash').map((s) => s.y0)"
     )
@@ -198,36 +207,35 @@ def test_tolerance_and_largest_values_are_marked(visit, part):
     assert len(marked) == 3
 
 
-@pytest.mark.parametrize("which", ["visit", "paper"])
-def test_nothing_is_wider_than_the_screen_in_light_and_dark(request, which):
-    visit = request.getfixturevalue(which)
-    for width, dark in ((1400, True), (390, True), (390, False)):
-        visit.page.emulate_media(color_scheme="dark" if dark else "light")
-        visit.page.set_viewport_size({"width": width, "height": 900})
-        visit.page.wait_for_function(
-            """([wide, ink]) => { const s = document.getElementById('series')._fullLayout;
-                                  return s.width <= wide && s.width > 0.6 * wide && s.font.color === ink; }""",
-            arg=[width, "#e8ecf0" if dark else "#1d2329"],
-        )
-        assert visit.settled_overhang() <= 0.5
-        back = visit.ask("() => getComputedStyle(document.body).backgroundColor")
-        assert (sum(map(int, back[4:-1].split(","))) < 200) == dark
+def look(visit, width: int, dark: bool, height: int = 900) -> None:
+    """The page on a screen of this size: every picture in its colours, nothing wider than the screen."""
+    visit.page.emulate_media(color_scheme="dark" if dark else "light")
+    visit.page.set_viewport_size({"width": width, "height": height})
+    visit.page.wait_for_function(
+        """([wide, ink]) => { const s = document.getElementById('series')._fullLayout;
+                              return s.width <= wide && s.width > 0.6 * wide && s.font.color === ink; }""",
+        arg=[width, "#e8ecf0" if dark else "#1d2329"],
+    )
+    assert visit.settled_overhang() <= 0.5
+    back = visit.ask("() => getComputedStyle(document.body).backgroundColor")
+    assert (sum(map(int, back[4:-1].split(","))) < 200) == dark
     assert visit.complaints == [] and len(visit.requests) == 1
+
+
+def test_nothing_is_wider_than_the_screen_in_light_and_dark(visit):
+    for width, dark in ((1400, True), (390, True), (820, False)):
+        look(visit, width, dark)
     assert visit.ask(
         """() => [...document.querySelectorAll('[role=img]')]
                  .every((e) => (e.getAttribute('aria-label') || '').length > 20)"""
     )
 
 
-def test_a_phone_opened_turned_and_a_page_printed(running, demo):
-    visit = Visit(running, demo[2], 390, touch=True)
-    visit.page.set_viewport_size({"width": 844, "height": 390})
-    visit.page.emulate_media(color_scheme="dark")
-    visit.page.wait_for_function("document.getElementById('series').layout.font.color === '#e8ecf0'")
-    visit.page.wait_for_function("document.getElementById('series')._fullLayout.width > 700")
-    assert visit.settled_overhang() <= 0.5 and visit.complaints == []
-    visit.page.emulate_media(media="print", color_scheme="dark")
-    visit.ask("dispatchEvent(new Event('beforeprint'))")
-    assert visit.ask("() => document.getElementById('series').layout.font.color") == "#000"
-    assert visit.ask("() => [...document.querySelectorAll('.chart')].every((e) => e.drawn)")
-    visit.close()
+def test_a_phone_opened_turned_and_a_page_printed(phone):
+    look(phone, 390, False)
+    look(phone, 844, True, 390)
+    phone.page.emulate_media(media="print", color_scheme="dark")
+    phone.ask("dispatchEvent(new Event('beforeprint'))")
+    assert phone.ask("() => document.getElementById('series').layout.font.color") == "#000"
+    assert phone.ask("() => [...document.querySelectorAll('.chart')].every((e) => e.drawn)")
+    assert phone.settled_overhang() <= 0.5
