@@ -10,7 +10,14 @@ setup(
     version="0.2.0",
     packages=find_packages(include=[package, package + ".*"]),
     package_data={
-        package: ["py.typed", "report/page/*.html", "report/page/*.css", "report/page/*.js", "watch/*.html"]
+        package: [
+            "py.typed",
+            "report/page/*.html",
+            "report/page/*.css",
+            "report/page/*.js",
+            "report/page/*.txt",
+            "watch/*.html",
+        ]
         + ["watch/*.js"]
     },
     data_files=[

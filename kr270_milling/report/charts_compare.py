@@ -49,9 +49,10 @@ def _references(cell: Cell, passes: Sequence[ScoredPass]) -> Chart:
         f"{cell.timing.controller_step * 1e3:g} ms. 'linear' joins them by straight lines, so that its rate jumps; the "
         "others join them smoothly."
     )
+    span = (0.0, target.duration_ns * 1e-9)
     panels = (
-        Panel("time [s]", "shift f_y [µm]", tuple(shift), levels=((0.0, ""),)),
-        Panel("time [s]", "rate v_fy [mm/min]", tuple(rate), levels=((0.0, ""),)),
+        Panel("time [s]", "shift f_y [µm]", tuple(shift), x_range=span, levels=((0.0, ""),)),
+        Panel("time [s]", "rate v_fy [mm/min]", tuple(rate), x_range=span, levels=((0.0, ""),)),
     )
     return Chart("revised_trajectories", "Modified trajectory and its feed rate", "Fig. 14", caption, panels)
 

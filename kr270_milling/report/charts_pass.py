@@ -46,9 +46,9 @@ def _mean_forces(result, revolution: float, shade) -> tuple[Panel, ...]:
     for k, name in enumerate("xyz"):
         if k == 2 and not result.wrench[:, 2].any():
             continue
-        curves.append(curve(f"F_{name}", result.time, result.wrench[:, k], k + 1, "thin"))
+        curves.append(curve(f"F_{name} of a period", result.time, result.wrench[:, k], k + 1, "thin", legend=False))
         mean = moving_mean(result.wrench[:, k], window)
-        curves.append(curve(f"F_{name}, mean of a revolution", result.time, mean, k + 1, legend=False))
+        curves.append(curve(f"F_{name}", result.time, mean, k + 1))
     return (Panel("time [s]", "force [N]", tuple(curves), title="the whole pass", shade=shade),)
 
 

@@ -56,7 +56,7 @@ def force_law(cutting: Cutting, depth_of_cut: float, feed_per_tooth: float) -> C
 def start_position(tool: Tool, stock: Stock, start: np.ndarray, feed: np.ndarray) -> Chart:
     """Tool and workpiece border at t = 0 from +z of the workpiece, Fig. 11; start [m] and feed (2+,) x and y first."""
     centre, r = np.asarray(start)[:2] * 1e3, tool.radius * 1e3
-    way = np.asarray(feed)[:2] / max(np.linalg.norm(np.asarray(feed)[:2]), 1e-300)
+    ahead = np.asarray(feed)[:2] / max(np.linalg.norm(np.asarray(feed)[:2]), 1e-300)
     low, high = stock.min * 1e3, stock.max * 1e3
     corners = np.array([[low[0], low[1]], [high[0], low[1]], [high[0], high[1]], [low[0], high[1]], [low[0], low[1]]])
     angle = np.linspace(0.0, 2 * np.pi, 91)
@@ -66,15 +66,17 @@ def start_position(tool: Tool, stock: Stock, start: np.ndarray, feed: np.ndarray
         _through("tool", circle, 2),
     ]
     for number, (phi, radius) in enumerate(zip(tool.angles, tool.radii * 1e3, strict=True), 1):
-        tip = centre + radius * np.array([np.cos(phi), tool.sense * np.sin(phi)])
-        curves.append(_through(f"tooth {number}", np.stack([centre, tip]), 0, text=str(number), legend=False))
-    left = r * np.array([-way[1], way[0]])
+        way = np.array([np.cos(phi), tool.sense * np.sin(phi)])
+        curves.append(_through(f"tooth {number}", np.stack([centre, centre + radius * way]), 0, legend=False))
+        beside = centre + 1.2 * r * np.array([np.cos(phi + 0.15), tool.sense * np.sin(phi + 0.15)])
+        curves.append(_through(f"number {number}", beside[None], 0, text=str(number), legend=False))
+    left = r * np.array([-ahead[1], ahead[0]])
     for side, shown in ((left, True), (-left, False)):
-        edge = np.stack([centre + side, centre + side + 4.5 * r * way])
+        edge = np.stack([centre + side, centre + side + 4.5 * r * ahead])
         curves.append(_through("walls that the cut should leave", edge, 6, "dash", legend=shown))
-    arrow = np.stack([centre, centre + 2.4 * r * way])
+    arrow = np.stack([centre, centre + 2.4 * r * ahead])
     curves.append(_through("feed", arrow, 1, text="feed ▸"))
-    span = np.stack([centre - 1.5 * r, centre + 1.5 * r, centre + 3.2 * r * way])
+    span = np.stack([centre - 1.5 * r, centre + 1.5 * r, centre + 3.2 * r * ahead])
     panel = Panel(
         "x of the workpiece [mm]", "y of the workpiece [mm]", tuple(curves), equal=True,
         x_range=(float(span[:, 0].min()), float(span[:, 0].max())),

@@ -6,8 +6,6 @@ The report judges nothing itself: ``decision_block`` takes over what ``decision`
 from __future__ import annotations
 
 import contextlib
-import dataclasses
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,7 +18,7 @@ from kr270_milling.decision.findings import Finding
 from kr270_milling.decision.part import PartAssessment
 from kr270_milling.decision.tolerance import Judgement, judge
 
-__all__ = ["Answer", "DecisionBlock", "FindingRow", "ReportTable", "decision_block", "finding_row", "judged"]
+__all__ = ["Answer", "DecisionBlock", "ReportTable", "decision_block", "judged"]
 
 MICRO = "µm"
 
@@ -34,21 +32,6 @@ class Answer:
 
 
 @dataclass(frozen=True)
-class FindingRow:
-    """One finding; value and limit are in ``unit``."""
-
-    severity: str  #: "stop", "warning" or "note"
-    what: str
-    where: str = ""  #: place in words: "line 42, point 311"
-    value: float | None = None
-    limit: float | None = None
-    unit: str = ""
-    advice: str = ""
-    count: int = 1  #: places of this kind, of which this is the worst
-    point: int | None = None  #: number of the point in the robot program, from 1: the page jumps there
-
-
-@dataclass(frozen=True)
 class DecisionBlock:
     """The answer to what was asked; what is None or empty is not known and is not shown."""
 
@@ -58,7 +41,7 @@ class DecisionBlock:
     recommended_method: str = ""
     verdict: str = ""  #: of plants that are not the model, with its band
     stability: str = ""  #: statement in one sentence
-    findings: tuple[FindingRow, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -71,20 +54,16 @@ class ReportTable:
     note: str = ""
 
 
-def decision_block(decision: Decision | None, checked: Checked | None, stability: str = "") -> DecisionBlock:
+def decision_block(decision: Decision, checked: Checked) -> DecisionBlock:
     """decision: of an original and a compensated pass; checked: findings of the path that is to be run."""
-    rows = () if checked is None else tuple(map(finding_row, checked.findings))
-    may = None if checked is None else checked.may_be_run
-    if decision is None:
-        return DecisionBlock(may_be_run=may, stability=stability, findings=rows)
     return DecisionBlock(
         as_programmed=_answer(decision.as_programmed),
         compensated=_answer(decision.compensated),
         may_be_run=decision.may_be_run,
         recommended_method=decision.recommended_method,
         verdict=decision.verdict.text if decision.verdict else "",
-        stability=stability or _stated(checked),
-        findings=rows,
+        stability=_stated(checked),
+        findings=checked.findings,
     )
 
 
@@ -99,14 +78,15 @@ def judged(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessm
     checked = None
     with contextlib.suppress(MillingError, OSError):  # the tool path of a recording may be nowhere else
         checked = check(cell, passes[best].reference, ran=passes[best])
-    found = decision_block(None, checked, _stated(checked))
     compensated = judgements[best] if best else None
     better = compensated is not None and compensated.error < judgements[0].error
-    return dataclasses.replace(
-        found,
+    return DecisionBlock(
         as_programmed=_answer(judgements[0]),
-        compensated=None if compensated is None else _answer(compensated),
+        compensated=compensated and _answer(compensated),
+        may_be_run=checked and checked.may_be_run,
         recommended_method="" if compensated is None else passes[best].name if better else NO_METHOD,
+        stability=_stated(checked),
+        findings=checked.findings if checked else (),
     )
 
 
@@ -120,17 +100,3 @@ def _answer(judged: Judgement) -> Answer:
         return Answer(None, f"{left}; part.tolerance_um says nothing")
     where = f" at {judged.feature}" if judged.feature else ""
     return Answer(judged.passes, f"{left}{where}, {1e6 * judged.tolerance:.0f} {MICRO} allowed")
-
-
-def finding_row(finding: Finding) -> FindingRow:
-    """A finding of the checks, its place in words; its sentence tells value and limit."""
-    place = finding.where
-    words = [place.feature, f"line {place.line}" if place.line else None, f"XP{place.point}" if place.point else None]
-    return FindingRow(
-        severity=finding.severity,
-        what=re.sub(r"\bum\b", MICRO, finding.sentence),
-        where=", ".join(filter(None, words)),
-        advice=finding.advice,
-        count=finding.count,
-        point=place.point,
-    )

@@ -23,11 +23,8 @@ def micro_step_forces(cut: Cut, tool: np.ndarray, micro_steps: int) -> np.ndarra
 
 def moving_mean(values: np.ndarray, window: int) -> np.ndarray:
     """Centred mean over ``window`` rows of values (n,), over what there is of them at the ends."""
-    half = max(1, window) // 2
-    total = np.concatenate([[0.0], np.cumsum(values)])
-    low = np.maximum(np.arange(values.size) - half, 0)
-    high = np.minimum(np.arange(values.size) + max(1, window) - half, values.size)
-    return (total[high] - total[low]) / (high - low)
+    ones = np.ones(max(1, min(window, values.size)))
+    return np.convolve(values, ones, "same") / np.convolve(np.ones(values.size), ones, "same")
 
 
 def amplitude_spectrum(values: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
@@ -35,9 +32,8 @@ def amplitude_spectrum(values: np.ndarray, step: float) -> tuple[np.ndarray, np.
 
     The mean is removed, the window is Hann's. A sine of amplitude a at a frequency of the list shows as a.
     """
-    centred = values - values.mean()
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(values.size) / values.size)
-    amplitude = np.abs(np.fft.rfft(centred * window)) * 2.0 / max(window.sum(), 1e-300)
+    window = np.hanning(values.size + 1)[:-1]
+    amplitude = np.abs(np.fft.rfft((values - values.mean()) * window)) * 2.0 / max(window.sum(), 1e-300)
     return np.fft.rfftfreq(values.size, step)[1:], amplitude[1:]
 
 

@@ -31,6 +31,9 @@ class PassSeries:
     correction: np.ndarray  #: reference minus target, to the left of the path [um], (k,)
     lift: np.ndarray  #: the same, upwards [um], (k,)
 
+    def at(self, rows: np.ndarray) -> PassSeries:
+        return PassSeries(self.name, *(values[rows] for values in list(vars(self).values())[1:]))
+
 
 @dataclass(frozen=True)
 class SourceLine:
@@ -81,10 +84,6 @@ def linked(
     target, timed = passes[longest].result.target, cell.timed_path
     knots = cell.target().time_ns
     line = np.zeros(time_ns.size, np.int64) if timed is None else timed.toolpath.line[timed.block_at(time_ns)]
-    thinned = [
-        PassSeries(s.name, s.side[chosen], s.height[chosen], s.force[chosen], s.correction[chosen], s.lift[chosen])
-        for s in series
-    ]
     return Linked(
         time=time_ns[chosen] * 1e-9,
         way=path.distance[chosen] * 1e3,
@@ -97,7 +96,7 @@ def linked(
         features=tuple(path.features),
         cutting=_joined(cutting, cell)[chosen].astype(np.int64),
         scored=(cutting & engaged)[chosen].astype(np.int64),
-        passes=tuple(thinned),
+        passes=tuple(s.at(chosen) for s in series),
         source=_source(cell, line[chosen], program),
         source_name=Path(cell.path.file).name if cell.path.file else "",
     )

@@ -18,7 +18,7 @@ from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
 from kr270_milling.decision.findings import Finding, Place
 from kr270_milling.report import ReportTable, write_report
 from kr270_milling.report.assumptions import assumptions, mode_frequencies
-from kr270_milling.report.decision_block import Answer, DecisionBlock, FindingRow, finding_row
+from kr270_milling.report.decision_block import Answer, DecisionBlock
 from kr270_milling.report.page.page import plotly_script
 from kr270_milling.report.payload import fixed
 
@@ -139,7 +139,7 @@ def test_texts_from_files_are_escaped(tmp_path, cell, passes):
     hostile_cell = cell.replace(arm=cell.arm.replace(name=bad))
     first = passes[0]
     hostile = [ScoredPass(bad, first.reference, first.result, first.scores), passes[1]]
-    row = FindingRow("stop", bad, bad, point=3)
+    row = Finding("stop", bad, Place(3, 1, bad), 1.0, 1.0, bad, bad, bad)
     decision = DecisionBlock(Answer(False, bad), None, False, bad, bad, bad, (row,))
     words = dict(title=bad, source=bad, command=bad, date=bad, decision=decision)
     text = text_of(write_report(tmp_path, hostile_cell, hostile, paper=True, **words))
@@ -155,7 +155,7 @@ def test_the_decision_leads_the_page(tmp_path, cell, passes):
     )
     decision = DecisionBlock(
         as_programmed=Answer(False, "40 µm, 30 allowed"), compensated=Answer(True, "2 µm"), may_be_run=True,
-        recommended_method="spline", verdict="helps (1 to 3 um)", stability="stable", findings=(finding_row(finding),),
+        recommended_method="spline", verdict="helps (1 to 3 um)", stability="stable", findings=(finding,),
     )  # fmt: skip
     table = ReportTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00")))
     text = text_of(write_report(tmp_path, cell, passes, decision=decision, tables=[table], **WORDS))

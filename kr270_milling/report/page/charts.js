@@ -16,7 +16,7 @@
       const last = curve.x.length - 1;
       found.mode = "lines+text";
       found.text = Array.from(curve.x, (_, i) => (i === last ? curve.text : ""));
-      found.textposition = "top center";
+      found.textposition = curve.x.length > 1 ? "top center" : "middle center";
       Object.assign(found, { hoverinfo: "skip", hovertemplate: undefined });
     }
     return found;
@@ -65,7 +65,7 @@
       const key = n ? n + 1 : "";
       const ends = (range) => (range && panel.log ? range.map(Math.log10) : range ?? undefined);
       const top = 1 - row * (high + gapY);
-      const kind = panel.log ? { type: "log", dtick: 1, exponentformat: "power" } : {};
+      const kind = panel.log ? { type: "log", dtick: 1, exponentformat: "power", tickfont: { size: 10 } } : {};
       layout[`xaxis${key}`] = KR.axis(panel.x_label, { anchor: `y${key}`, range: ends(panel.x_range), ...kind, automargin: false,
         domain: [column * (wide + gapX), column * (wide + gapX) + wide], constrain: panel.equal ? "domain" : undefined });
       layout[`yaxis${key}`] = KR.axis(panel.y_label, { anchor: `x${key}`, range: ends(panel.y_range), ...kind, automargin: false,

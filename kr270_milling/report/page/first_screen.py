@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +12,9 @@ import numpy as np
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decision.compensation import NO_METHOD
-from kr270_milling.decision.findings import SEVERITIES
+from kr270_milling.decision.findings import SEVERITIES, Finding
 from kr270_milling.decision.part import PartAssessment
-from kr270_milling.report.decision_block import Answer, DecisionBlock, FindingRow
+from kr270_milling.report.decision_block import Answer, DecisionBlock
 from kr270_milling.report.payload import fixed
 
 __all__ = ["Tile", "asked", "finding_rows", "tiles"]
@@ -85,20 +86,12 @@ def _judged(label: str, judged: Answer | None, amount: str, said: str) -> Tile:
 
 
 def finding_rows(decision: DecisionBlock) -> list[dict]:
-    """The worst first; numbers as texts."""
-    ordered = sorted(decision.findings, key=lambda f: SEVERITIES.index(f.severity))
-    return [_finding(row) for row in ordered]
+    """The worst first; where: the place in words."""
+    return [_finding(one) for one in sorted(decision.findings, key=lambda f: SEVERITIES.index(f.severity))]
 
 
-def _finding(row: FindingRow) -> dict:
-    amount = "" if row.value is None else f"{row.value:.4g} {row.unit}".replace("-", "−").strip()
-    limit = "" if row.limit is None else f"{row.limit:.4g} {row.unit}".replace("-", "−").strip()
-    return {
-        "severity": row.severity,
-        "what": row.what,
-        "where": row.where,
-        "amount": amount + (f" (limit {limit})" if amount and limit else ""),
-        "advice": row.advice,
-        "count": row.count,
-        "point": row.point,
-    }
+def _finding(one: Finding) -> dict:
+    place = one.where
+    words = [place.feature, f"line {place.line}" if place.line else None, f"XP{place.point}" if place.point else None]
+    where = ", ".join(filter(None, words))
+    return {**vars(one), "sentence": re.sub(r"\bum\b", "µm", one.sentence), "where": where, "point": place.point}

@@ -52,7 +52,7 @@
       { x: KR.cut(linked.x), y: KR.cut(linked.y), mode: "lines", hoverinfo: "skip", line: { color: KR.css("--soft"), width: 0.6 } },
       { x, y, text, customdata: rows, mode: "markers", hovertemplate: "%{text}<extra></extra>",
         marker: { size: 5.5, color: rows.map((i) => values[i]), colorscale: scale, cmin: -limit, cmax: limit,
-                  colorbar: { orientation: "h", thickness: 10, yref: "container", y: 0, yanchor: "bottom", ypad: 4, outlinewidth: 0, len: 0.9 } } },
+                  colorbar: { orientation: "h", thickness: 10, yref: "container", y: 0, yanchor: "bottom", ypad: 4, outlinewidth: 0, len: 0.9, nticks: 6, tickangle: 0 } } },
       { x: rows.length ? [linked.x[worst]] : [], y: rows.length ? [linked.y[worst]] : [], mode: "markers+text",
         text: [`${KR.num(values[worst], 1)} µm`], textposition: "top center", hoverinfo: "skip", cliponaxis: false,
         textfont: { color: KR.css("--ink"), size: 12 },
