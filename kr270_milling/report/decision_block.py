@@ -82,8 +82,8 @@ def judged(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessm
     better = compensated is not None and compensated.error < judgements[0].error
     return DecisionBlock(
         as_programmed=_answer(judgements[0]),
-        compensated=compensated and _answer(compensated),
-        may_be_run=checked and checked.may_be_run,
+        compensated=_answer(compensated) if compensated else None,
+        may_be_run=checked.may_be_run if checked else None,
         recommended_method="" if compensated is None else passes[best].name if better else NO_METHOD,
         stability=_stated(checked),
         findings=checked.findings if checked else (),
