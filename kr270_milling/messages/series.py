@@ -104,13 +104,13 @@ def several(recording, topics: Sequence[str], others: Mapping[str, Callable[[byt
     """
     for topic in topics:
         _check(recording, topic)
-    found: dict[str, list[Rows]] = {topic: [] for topic in topics}
+    found: dict[str, list[Series]] = {topic: [] for topic in topics}
     sizes = dict.fromkeys(topics, 0)
     for topic, times, table in recording.tables({**found, **others}):
         for row in table if topic in others else ():
             others[topic](row.tobytes())
         for rows in _tables(recording, topic, times, table) if topic in found else ():
-            found[topic].append(rows)
+            found[topic].append(Series(rows.stamp, rows.values))
             sizes[topic] += rows.values.nbytes
             if sizes[topic] > BEARABLE + MOST_UNFOLDED * recording.size:
                 most = f"{sizes[topic]} bytes, {MOST_UNFOLDED} times the size of the file"
@@ -118,7 +118,7 @@ def several(recording, topics: Sequence[str], others: Mapping[str, Callable[[byt
     return [_joined(found[topic], len(FIXED[recording.topics()[topic].type])) for topic in topics]
 
 
-def _joined(rows: list[Rows], width: int) -> Series:
+def _joined(rows: list[Series], width: int) -> Series:
     stamps = np.concatenate([np.empty(0, np.int64), *(part.stamp for part in rows)])
     found = Series(stamps, np.concatenate([np.empty((0, width)), *(part.values for part in rows)]))
     for array in found:
