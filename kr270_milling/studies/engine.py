@@ -8,11 +8,11 @@ A chunk depends on nothing but its number, so the rows are the same bit for bit 
 from __future__ import annotations
 
 import contextlib
-import functools
 import hashlib
 import itertools
 import json
 import math
+import multiprocessing
 import os
 import time
 import uuid
@@ -29,10 +29,27 @@ __all__ = ["EngineError", "Study", "content", "run_chunks"]
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
 ALONE = 4.0  #: [s] of work that is done before a local cluster is up
+SEVERAL = 16  #: chunks, above which a local cluster is prepared while the first is made
 ANSWER = 10.0  #: [s] for a scheduler to answer
 PATIENCE = 30.0  #: [s] for a first worker
 LOOK = 1.0  #: [s] between two looks at the number of workers
 PLAN = "study.json"
+METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+QUIET = {
+    "distributed.logging.distributed": "error",
+    "distributed.admin.log-format": "",
+    "distributed.scheduler.allowed-failures": 3,
+}
+#: of a local cluster: what its processes watch beside their work took a tenth of a core
+LOCAL = {
+    "distributed.worker.multiprocessing-method": METHOD,
+    "distributed.worker.profile.enabled": False,
+    "distributed.worker.memory.monitor-interval": "1s",
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+    # else a worker gives the memory of each array back at once, and gets every page of the next one anew
+    "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": None,
+}
 
 
 class EngineError(MillingError):
@@ -96,6 +113,8 @@ def run_chunks(
     missing, start = study.missing(count), time.monotonic()
     done = count - len(missing)
     if scheduler is None:
+        if len(missing) > SEVERAL:
+            _prepare(rows_of)
         alone = _alone(study, missing, rows_of)
         done += alone
         missing = missing[alone:]
@@ -114,6 +133,17 @@ def run_chunks(
     return time.monotonic() - start
 
 
+def _prepare(rows_of: Callable[[int], bytes]) -> None:
+    """Start the process that local workers are forked from: it imports what they need while first chunks are made."""
+    if METHOD == "forkserver":
+        from multiprocessing import forkserver, get_context
+
+        os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
+        modules = ["distributed", "pandas", "pyarrow.parquet", type(rows_of).__module__]
+        get_context(METHOD).set_forkserver_preload(modules)
+        forkserver.ensure_running()
+
+
 def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes]) -> int:
     """Make chunks here as long as the rest takes less than the start of a cluster; returns how many were made."""
     for k, number in enumerate(missing):
@@ -127,12 +157,13 @@ def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes]) ->
 
 
 def _made(client, name: str, missing: list[int], rows_of: Callable[[int], bytes]) -> Iterator[tuple[int, bytes]]:
-    """Number and bytes of each chunk as it is ready; no more than AHEAD a thread of the workers are out at a time."""
+    """Number and bytes of each chunk as it is ready; no more than AHEAD a thread of the workers are out at a time.
+
+    What makes the rows goes with each chunk. Held by a worker for all of them, it would draw them all to that one.
+    """
     from dask.distributed import as_completed
 
     client.wait_for_workers(1, timeout=PATIENCE)
-    # a task of its own: workers hand it to each other, and it is made again where all that had it were killed
-    source = client.submit(functools.partial(_same, rows_of), key=f"{name}-rows", pure=False)
     waiting = iter(missing)
     numbers: dict[str, int] = {}
     running = as_completed(with_results=True)  # results come while others are made, not in a round trip of their own
@@ -141,7 +172,7 @@ def _made(client, name: str, missing: list[int], rows_of: Callable[[int], bytes]
         if time.monotonic() - looked > LOOK:  # workers come and go
             most, looked = AHEAD * max(1, sum(client.nthreads().values())), time.monotonic()
         for number in itertools.islice(waiting, max(0, most - len(numbers))):
-            future = client.submit(_rows, source, number, key=f"{name}-{number}", pure=False)
+            future = client.submit(rows_of, number, key=f"{name}-{number}", pure=False)
             numbers[future.key] = number
             running.add(future)
         if not numbers:
@@ -151,14 +182,6 @@ def _made(client, name: str, missing: list[int], rows_of: Callable[[int], bytes]
         future.release()
 
 
-def _same(rows_of: Callable[[int], bytes]) -> Callable[[int], bytes]:
-    return rows_of
-
-
-def _rows(rows_of: Callable[[int], bytes], number: int) -> bytes:
-    return rows_of(number)
-
-
 @contextlib.contextmanager
 def _client(scheduler: str | None) -> Iterator:
     try:
@@ -166,8 +189,7 @@ def _client(scheduler: str | None) -> Iterator:
         from dask.distributed import Client, LocalCluster
     except ImportError:
         raise EngineError("studies need Dask and Arrow: pip install 'kr270_milling[studies]'") from None
-    quiet = {"distributed.logging.distributed": "error", "distributed.admin.log-format": ""}
-    with dask.config.set({**quiet, "distributed.scheduler.allowed-failures": 3}):
+    with dask.config.set(QUIET if scheduler else QUIET | LOCAL):
         if scheduler:
             try:
                 client = Client(scheduler, timeout=ANSWER)
@@ -177,7 +199,7 @@ def _client(scheduler: str | None) -> Iterator:
                 yield client
             return
         cluster = LocalCluster(
-            n_workers=os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+            n_workers=os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address=None,
             host="127.0.0.1", silence_logs="ERROR",
         )  # fmt: skip
         with cluster, Client(cluster) as client:

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import MillingError, ParameterError
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import mean_force, simulate
 from kr270_milling.cell.keys import keys_of
+from kr270_milling.simulation.exchange import Exchange
 
 __all__ = ["Axis", "Sweep", "parse_axis"]
 
@@ -139,39 +140,48 @@ def _text(value: float | str) -> str:
 
 
 def _row(sweep: Sweep, index: int) -> dict:
-    values = sweep.values(index)
-    keys = [axis.key for axis in sweep.axes]
-    texts = [f"{key}={_text(value)}" for key, value in zip(keys, values, strict=True)]
+    chosen = dict(zip([axis.key for axis in sweep.axes], sweep.values(index), strict=True))
+    chosen |= _period(sweep, chosen)
     scores, error = dict.fromkeys(SCORES, math.nan), ""
     try:
+        texts = (f"{key}={_text(value)}" for key, value in chosen.items())
         scores = _scores(read_cell(Path(sweep.cell), (*sweep.settings, *texts)))
     except MillingError as refusal:
         error = str(refusal)
-    return {"index": index, **dict(zip(keys, values, strict=True)), **scores, "error": error}
+    return {"index": index, **chosen, **scores, "error": error}
 
 
+def _period(sweep: Sweep, chosen: dict) -> dict[str, float]:
+    """The exchange period [ms] of a row whose spindle speed is varied and whose period is not.
+
+    It is the whole number of micro-steps that comes nearest to the period of the cell: most speeds do not fit that one.
+    """
+    if SPEED not in chosen or PERIOD in chosen:
+        return {}
+    exchange, speed = _exchange(sweep), chosen[SPEED]
+    if not isinstance(speed, float) or not speed > 0.0:
+        return {PERIOD: 1e3 * exchange.period}  # the row says what is wrong with the speed
+    unit = math.degrees(exchange.micro_step) / (6.0 * speed)  # [s]; 1 rpm is 6 deg/s
+    return {PERIOD: 1e3 * unit * max(1, round(exchange.period / unit))}
+
+
+@functools.lru_cache(maxsize=1)
+def _exchange(sweep: Sweep) -> Exchange:
+    return read_cell(Path(sweep.cell), sweep.settings).exchange
+
+
+SPEED, PERIOD = "tool.spindle_speed_rpm", "exchange.period_ms"
 SCORES = (
     "static_deviation_um", "max_deviation_um", "mean_fx_n", "mean_fy_n", "mean_fz_n", "max_torque_n_m",
     "max_power_w", "removed_volume_mm3", "duration_s",
 )  # fmt: skip
 
 
-def _scores(cell) -> dict[str, float]:
+def _scores(cell: Cell) -> dict[str, float]:
     ran = simulate(cell)
-    result = ran.result
-    torque = float(result.torque.max())
-    return dict(
-        zip(
-            SCORES,
-            (
-                1e6 * ran.scores.static_deviation,
-                1e6 * ran.scores.max_deviation,
-                *mean_force(result).tolist(),
-                torque,
-                torque * cell.tool.spindle_speed,
-                1e9 * result.removed_volume,
-                float(result.time[-1]),
-            ),
-            strict=True,
-        )
-    )
+    torque = float(ran.result.torque.max())
+    deviations = 1e6 * ran.scores.static_deviation, 1e6 * ran.scores.max_deviation
+    removed = 1e9 * ran.result.removed_volume
+    power = torque * cell.tool.spindle_speed
+    values = *deviations, *mean_force(ran.result).tolist(), torque, power, removed, float(ran.result.time[-1])
+    return dict(zip(SCORES, values, strict=True))

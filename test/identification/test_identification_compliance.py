@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from campaigns import ARM, MOUNT, TRUE, displacements
 
+from kr270_milling.base.record import find_file
 from kr270_milling.identification.compliance import TooFewError, fit
 from kr270_milling.identification.compliance_result import sentences
 from kr270_milling.identification.problem import Problem, SoftArmError
+from kr270_milling.robot.analysis import read_arm
 from kr270_milling.robot.compensator import Compensator
 from kr270_milling.robot.equilibrium import equilibrium
 
@@ -77,6 +79,20 @@ def test_weights_alone_do_not_turn_the_vertical_axis(rng):
     tests.wrench[:, :2] = 0.0
     found = fit(Problem(ARM, MOUNT, campaigns.measured(tests)))
     assert found.reasons == {0: "joint 1: no load turned it"}
+
+
+def test_published_compliances_come_back_from_hanging_loads_such_as_they_were_found_with(rng):
+    """250 to 280 kg that hang: joints 2 to 6, as the table of 2013 has them, and not joint 1, which it lacks."""
+    table = [0.302, 0.406, 3.002, 3.303, 2.365]  # [Klimchik2013a], Table IV, at second hand
+    arm, mount = read_arm(find_file("kr270_2_identified_2013.yaml"))
+    weights = campaigns.loads(rng, 15, point=[0.0, 0.15, 0.2])
+    weights.wrench[:, :3] = np.column_stack([np.zeros((15, 2)), -9.81 * rng.uniform(250.0, 280.0, 15)])
+    moved = displacements(arm, mount, weights)
+    moved[:, 3:] = np.nan
+    found = fit(Problem(ARM, mount, dataclasses.replace(weights, displacement=moved)))
+    assert found.free.tolist() == [False, *[True] * 5]
+    assert 1e6 * found.values[1:] == pytest.approx(table, rel=1e-6)
+    assert 1e6 * found.values[0] == pytest.approx(0.26)  # stays as Table 1 has it
 
 
 def test_joints_that_move_alike_are_not_told_apart(rng):
