@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.robot import cartesian_mass, jacobian
@@ -154,16 +154,13 @@ class Placements:
         turned = jacobian(cell.arm, cell.mount, posture)
         soft = np.tile(cell.arm.joint_compliance, (len(posture), 1))
         if cell.dynamics.gravity:
-            soft[:, 1] /= 1.0 - soft[:, 1] * cell.arm.compensator.moment_slope(*_circle(posture[:, 1]))
+            slope = cell.arm.compensator.moment_slope(np.cos(posture[:, 1]), np.sin(posture[:, 1]))
+            soft[:, 1] /= 1.0 - soft[:, 1] * slope
         mass = cartesian_mass(cell.arm, cell.mount, posture, cell.dynamics.mass_model)
         lowest = mode_frequencies((turned * soft[:, None]) @ np.swapaxes(turned, -1, -2), mass)[..., 0]
         found[:, ::2][some] = lowest
         found[:, 1::2][some] = lowest
         return np.where(chosen, found, np.nan)
-
-
-def _circle(angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return np.cos(angle), np.sin(angle)
 
 
 def about_z(angle: np.ndarray) -> np.ndarray:
@@ -209,8 +206,6 @@ def place_of(frame: Pose) -> dict:
 
 
 def _abc(pose: Pose) -> list[float]:
-    from kr270_milling.base.frames import abc_from_rotation
-
     return _listed(np.degrees(abc_from_rotation(pose.rotation)))
 
 
