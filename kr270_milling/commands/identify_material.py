@@ -20,8 +20,7 @@ def run(args) -> Answer:
     from kr270_milling.base.errors import InputError
     from kr270_milling.commands.identify import identified
     from kr270_milling.identification.force_result import linear_edge_sections
-    from kr270_milling.identification.forces import NAMES, SCALE
-    from kr270_milling.identification.materials import find_material, materials
+    from kr270_milling.identification.forces import NAMES, SCALE, find_material, materials
     from kr270_milling.identification.outcome import Outcome
 
     rows = find_material(args.name) if args.name else materials()

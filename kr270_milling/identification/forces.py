@@ -16,20 +16,23 @@ thickness: its means are integrated, and its coefficients follow by non-linear l
 
 from __future__ import annotations
 
+import difflib
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import specs
+from kr270_milling.base.table import read_table
 from kr270_milling.cutting.laws import KLIMCHIK2012, FractionalLaw, fractional
 from kr270_milling.identification.cuts import Cuts
 from kr270_milling.identification.linear import MixedUpError, half_interval, scatter, solve
 
 __all__ = [
-    "NAMES", "TOWARD_PART", "Coefficients", "FractionalFit", "OneFeedError", "fit_fractional", "fit_linear_edge",
-    "fractional_mean_forces", "mean_forces",
+    "FILE", "NAMES", "TOWARD_PART", "Coefficients", "FractionalFit", "Material", "OneFeedError", "find_material",
+    "fit_fractional", "fit_linear_edge", "fractional_mean_forces", "materials", "mean_forces",
 ]  # fmt: skip
 
 #: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON and file units [N/m^2, N/m per file unit]
@@ -190,3 +193,42 @@ def _axial(cuts: Cuts, values: np.ndarray) -> tuple[float, float]:
     unit = fractional_mean_forces(cuts, [*values, 1.0])[seen, 2] / cuts.sigma[seen]
     ratio, _, width = solve(unit[:, None], cuts.force[seen, 2] / cuts.sigma[seen], cuts.sigma_known)
     return float(ratio[0]), float(width[0])
+
+
+FILE = "materials.csv"
+COLUMNS = ("material", "cutter", "lubrication", *NAMES, "reference")
+SOURCE = "Chinese Journal of Mechanical Engineering (2021), doi 10.1186/s10033-021-00536-9, table 5"
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """One row of the table."""
+
+    name: str
+    cutter: str
+    lubrication: str
+    values: np.ndarray  #: K_tc, K_te, K_rc, K_re, K_ac, K_ae [N/m^2, N/m], (6,), NaN: not given
+    source: str
+
+
+def materials() -> list[Material]:
+    """All rows."""
+    table = read_table(find_file(FILE), COLUMNS, COLUMNS)
+    values = table.numbers(NAMES, np.nan) * SCALE
+    texts = zip(*(table.texts(name) for name in ("material", "cutter", "lubrication", "reference")), strict=True)
+    return [
+        Material(name, cutter, cooling, row, f"{SOURCE}, reference [{reference}] there")
+        for (name, cutter, cooling, reference), row in zip(texts, values, strict=True)
+    ]
+
+
+def find_material(name: str) -> list[Material]:
+    """The rows of a material, in any case; raises InputError with the known ones."""
+    rows = materials()
+    found = [row for row in rows if row.name.lower() == name.lower()]
+    if not found:
+        known = sorted({row.name for row in rows})
+        near = difflib.get_close_matches(name, known, 1, 0.4)
+        hint = f"; did you mean {near[0]}?" if near else f"; it has {', '.join(known)}"
+        raise InputError(FILE, f"has no material {name[:40]!r}{hint}")
+    return found

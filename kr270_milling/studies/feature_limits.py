@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
-from kr270_milling.decision.engagement import engagement
+from kr270_milling.decision.check_cut import engagement
 from kr270_milling.decision.part.course import course
 from kr270_milling.simulation.arm_model import modal_models
 from kr270_milling.studies.lobes import Lobe, lobe_at, modes_of

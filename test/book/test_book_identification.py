@@ -13,8 +13,7 @@ from kr270_milling.cutting import Tool
 from kr270_milling.identification.candidates import Bench, Candidates, candidates
 from kr270_milling.identification.compliance import fit
 from kr270_milling.identification.cuts import Cuts, engagement
-from kr270_milling.identification.forces import fit_linear_edge, mean_forces
-from kr270_milling.identification.materials import find_material
+from kr270_milling.identification.forces import find_material, fit_linear_edge, mean_forces
 from kr270_milling.identification.modes import find_modes
 from kr270_milling.identification.plan import Planner, read_test_pose
 from kr270_milling.identification.problem import Problem

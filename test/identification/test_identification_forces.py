@@ -14,12 +14,13 @@ from kr270_milling.identification.cuts import Cuts, engagement, read_cuts
 from kr270_milling.identification.force_result import linear_edge_sections
 from kr270_milling.identification.forces import (
     OneFeedError,
+    find_material,
     fit_fractional,
     fit_linear_edge,
     fractional_mean_forces,
+    materials,
     mean_forces,
 )
-from kr270_milling.identification.materials import find_material, materials
 
 TOOL = Tool(diameter=0.02, teeth=4, spindle_speed=8000 * 2 * math.pi / 60)
 TRUE = np.array([767.01e6, 27.7e3, 168.8e6, 26.6e3, 222e6, 0.7e3])

@@ -7,8 +7,7 @@ import pytest
 from scipy.linalg import eigh
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.identification.modal_mass import by_compliance, by_hammer
-from kr270_milling.identification.modes import NoModeError, find_modes
+from kr270_milling.identification.modes import NoModeError, by_compliance, by_hammer, find_modes
 from kr270_milling.identification.signals import Signals, read_signals
 
 #: a milling robot as measured: 7.07 Hz (3.7 %), 10.3 Hz (2.2 %), 16.0 Hz (2.3 %) [shared facts of the project]

@@ -23,14 +23,6 @@ def read(tmp_path):
     return read
 
 
-def test_moves_feeds_and_lines_are_kept(read):
-    path = read("N1 G21 G90 S6000 M3\nG0 X1 Y2 Z3\nG1 Z-1 F600\nX5 F1200\nG0 Z10\nM30\n")
-    np.testing.assert_allclose(path.position * 1e3, [[1, 2, 3], [1, 2, -1], [5, 2, -1], [5, 2, 10]])
-    np.testing.assert_allclose(path.feed[1:3], [0.01, 0.02])
-    assert path.rapid.tolist() == [True, False, False, True] and path.line.tolist() == [2, 3, 4, 5]
-    np.testing.assert_allclose(path.spindle_speed, 2 * math.pi * 100)
-
-
 def test_spaces_case_leading_zeros_and_signs_do_not_matter(read):
     one = read("g00x+1.50y-.5z0\n  G01 X 2. F100\nM02\n")
     two = read("G0 X1.5 Y-0.5 Z0\nG1 X2 F100\nM2\n")
@@ -41,11 +33,6 @@ def test_inches_are_inches_in_coordinates_and_feeds(read):
     path = read("G20\nG0 X0 Y0 Z0\nG1 X1 F60\nG21\nX50.8\n")
     np.testing.assert_allclose(path.position[:, 0], [0, 0.0254, 0.0508])
     np.testing.assert_allclose(path.feed[1:], 0.0254)
-
-
-def test_incremental_moves_add_up(read):
-    path = read("G0 X1 Y1 Z1\nG91 G1 X1 F100\nX1 Z-2\nG90 X0\n")
-    np.testing.assert_allclose(path.position * 1e3, [[1, 1, 1], [2, 1, 1], [3, 1, -1], [0, 1, -1]])
 
 
 def test_the_length_of_an_arc_is_radius_times_angle(read):
@@ -74,11 +61,6 @@ def test_the_chord_tolerance_is_kept_and_asks_for_no_more_chords_than_needed(rea
         middle = (path.position[1:] + path.position[:-1]) / 2
         sagitta = 0.037 - np.hypot(middle[:, 0] + 0.037, middle[:, 1])
         assert 0.9 * tolerance < sagitta.max() <= tolerance
-
-
-def test_chords_of_an_arc_keep_its_line_and_curvature(read):
-    path = read(START + "G2 I-20 F100\n")
-    assert set(path.line[1:]) == {2} and np.all(path.curvature[1:] == -50.0)
 
 
 def test_a_comment_of_one_word_names_the_feature_that_follows(read):

@@ -118,16 +118,6 @@ def test_a_helix_of_sinumerik_turns_further_circles(read):
     assert 1e3 * path.length == pytest.approx(math.hypot(3 * 10 * math.pi, 6), rel=1e-6)
 
 
-def test_a_feed_per_revolution_goes_with_the_spindle(read):
-    path = read(START + "S6000 M3\nG95 G1 X1 F0.2\nG94 X2 F600\n")
-    np.testing.assert_allclose(path.feed[1:], [0.02, 0.01])
-
-
-def test_an_inverse_time_is_that_of_its_own_block(read):
-    path = read(START + "G93 G1 X10 F2\nX40 F2\n")
-    np.testing.assert_allclose(path.feed[1:], [0.01 * 2 / 60, 0.03 * 2 / 60])
-
-
 def test_two_work_offsets_are_refused_and_one_is_named(read):
     assert read("G55\n" + START + "G1 Z1 F100\n").program.work_offset == "G55"
     with pytest.raises(Exception, match=r"2 work offsets: G54 \(line 3\), G55 \(line 5\); post one program for each"):
