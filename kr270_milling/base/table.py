@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.base.text import ends_in_mid_line, read_lines
+from kr270_milling.base.text import read_lines, unended
 
 __all__ = ["Table", "read_table", "write_table"]
 
@@ -72,8 +72,8 @@ def read_table(path, known, required=(), whole: bool = False) -> Table:
     known: names that a column may have; required: those that must be there; whole: the last line must have an end.
     """
     lines = read_lines(path)
-    if whole:
-        ends_in_mid_line(path, lines)
+    if whole and (reason := unended(lines)):
+        raise InputError(path, reason, len(lines))
     rows = _cells(lines, path)
     if not rows:
         raise InputError(path, "holds no table: the first line names the columns", 1)

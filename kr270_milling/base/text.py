@@ -6,7 +6,7 @@ from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["read_lines", "ends_in_mid_line", "short"]
+__all__ = ["read_lines", "short", "unended"]
 
 MOST_BYTES = 1 << 30  # read at once; a block of a tool path has some 30
 
@@ -44,11 +44,10 @@ def _line_at(data: bytes, offset: int) -> int:
     return before.count(b"\n") + before.count(b"\r") + 1
 
 
-def ends_in_mid_line(source, lines: list[str]) -> None:
-    """Raise InputError if the last line has no end, as in a file that was cut off: its last number may be wrong."""
-    if lines[-1].strip():
-        reason = "the file ends in the middle of a line, so it may be cut off; if it is whole, end its last line"
-        raise InputError(source, reason, len(lines))
+def unended(lines: list[str]) -> str:
+    """What is wrong where the last line has no end, as in a file that was cut off: its last number may be; else ""."""
+    reason = "the file ends in the middle of a line, so it may be cut off; if it is whole, end its last line"
+    return reason if lines[-1].strip() else ""
 
 
 def short(text: str) -> str:

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import re
 
-from kr270_milling.base.errors import InputError
-from kr270_milling.base.text import ends_in_mid_line, read_lines, short
+from kr270_milling.base.text import read_lines, short, unended
 from kr270_milling.trajectory.apt_machine import ADVICE, SILENT, Machine
 from kr270_milling.trajectory.comments import operation_name
 from kr270_milling.trajectory.source_program import ProgramError, ProgramTool, SourceProgram
@@ -36,7 +35,6 @@ class _Reader:
     """Lines to statements, statements to the machine."""
 
     def __init__(self, source, tool: str, feed: float):
-        self.source = source
         self.text = read_lines(source)
         self.lines = len(self.text)
         self.path = PathBuilder(source)
@@ -69,11 +67,8 @@ class _Reader:
     def _check_end(self, held: str, last: int) -> None:
         if held:
             self.refusals.add(last, "$", "the file ends in a statement that is continued with $")
-            return
-        try:
-            ends_in_mid_line(self.source, self.text)
-        except InputError as error:
-            self.refusals.add(self.lines, "", error.reason)
+        elif reason := unended(self.text):
+            self.refusals.add(self.lines, "", reason)
 
     def _name(self, text: str) -> None:
         name, _ = operation_name(text)

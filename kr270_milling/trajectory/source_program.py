@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from kr270_milling.base.errors import InputError
 
-__all__ = ["ProgramError", "ProgramTool", "ReadOver", "Refusal", "SourceProgram", "read_over"]
+__all__ = ["ProgramError", "ProgramTool", "ReadOver", "Refusal", "SourceProgram"]
 
 MOST_KINDS = 8  #: kinds of refused words that one sentence lists; the error carries all of them
 MOST_LINES = 40  #: kinds that a terminal lists
@@ -87,14 +86,16 @@ class ProgramError(InputError):
 
     def __init__(self, source, program: SourceProgram):
         self.program = program
-        self.refusals = program.refused
-        self.listing = _lines(source, program.refused)  #: one text for each kind of refused word, for a terminal
-        super().__init__(source, _listed(program.refused), program.refused[0].line)
+        kinds = _kinds(program.refused)
+        lines = [f"{source}, line {line}: {text}" for line, text in kinds]
+        self.listing = tuple(_first(lines, MOST_LINES, f"{source}: "))  #: one text for each kind, for a terminal
+        texts = [kinds[0][1], *(f"line {line}: {text}" for line, text in kinds[1:])]
+        super().__init__(source, " | ".join(_first(texts, MOST_KINDS)), program.refused[0].line)
 
 
-def read_over(counts: Counter) -> tuple[ReadOver, ...]:
-    """The most frequent first; equal ones in the order of the program."""
-    return tuple(ReadOver(word, count) for word, count in counts.most_common())
+def _first(texts: list[str], most: int, before: str = "") -> list[str]:
+    """So many of the texts, and how many more there are."""
+    return texts[:most] + [f"{before}and {len(texts) - most} other kinds of words"] * (len(texts) > most)
 
 
 def _kinds(refused: Iterable[Refusal]) -> list[tuple[int, str]]:
@@ -110,19 +111,3 @@ def _more(like: list[Refusal]) -> str:
         return ""
     shown = ", ".join(str(refusal.line) for refusal in like[1:4])
     return f" (also line {shown}{f' and {len(like) - 4} more' if len(like) > 4 else ''})"
-
-
-def _listed(refused: Iterable[Refusal]) -> str:
-    """All kinds of refused words in one sentence."""
-    kinds = _kinds(refused)
-    parts = [f"{f'line {line}: ' if k else ''}{text}" for k, (line, text) in enumerate(kinds[:MOST_KINDS])]
-    rest = [f"and {len(kinds) - MOST_KINDS} other kinds of words"] if len(kinds) > MOST_KINDS else []
-    return " | ".join(parts + rest)
-
-
-def _lines(source, refused: Iterable[Refusal]) -> tuple[str, ...]:
-    """The same, each kind as a text of its own."""
-    kinds = _kinds(refused)
-    lines = [f"{source}, line {line}: {text}" for line, text in kinds[:MOST_LINES]]
-    rest = [f"{source}: and {len(kinds) - MOST_LINES} other kinds of words"] if len(kinds) > MOST_LINES else []
-    return tuple(lines + rest)

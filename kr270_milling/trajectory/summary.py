@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from kr270_milling.base.errors import one_line
 from kr270_milling.base.text import short
 from kr270_milling.trajectory.comments import described_tool
-from kr270_milling.trajectory.source_program import ProgramTool, Refusal, SourceProgram, read_over
+from kr270_milling.trajectory.source_program import ProgramTool, ReadOver, Refusal, SourceProgram
 from kr270_milling.trajectory.toolpath import PathBuilder
 
 __all__ = ["Observed", "Refusals", "source_program"]
@@ -52,7 +52,7 @@ def source_program(seen: Observed, path: PathBuilder, refusals: Refusals, last: 
         feeds=path.cutting_feeds(),
         work_offset=next(filter(None, offsets), seen.offset),
         operations=path.cut_features(),
-        read_over=read_over(seen.silent),
+        read_over=tuple(ReadOver(word, count) for word, count in seen.silent.most_common()),
         refused=tuple(sorted(refused, key=lambda refusal: refusal.line)),
     )
 

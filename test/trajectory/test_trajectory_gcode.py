@@ -174,14 +174,14 @@ def test_what_cannot_be_run_is_refused_with_line_and_word(read, text, line, word
 def test_all_that_cannot_be_run_is_listed_at_once(read):
     with pytest.raises(ProgramError) as caught:
         read(START + "G41 D1\nG1 X1 F100\nX#1\nG42\nA5\nG1 X2\n")
-    assert [(r.line, r.word) for r in caught.value.refusals] == [(2, "G41"), (4, "X#1"), (5, "G42"), (6, "A5")]
+    assert [(r.line, r.word) for r in caught.value.program.refused] == [(2, "G41"), (4, "X#1"), (5, "G42"), (6, "A5")]
     assert "line 4: X#1: post without macros" in str(caught.value) and "(also line 5)" in str(caught.value)
 
 
 def test_what_follows_from_a_refused_move_is_not_refused_once_more(read):
     with pytest.raises(ProgramError) as caught:
         read("G0 X#1 Y0\nG0 Z5\nG1 Z-1 F100\nX1\n")
-    assert [r.line for r in caught.value.refusals] == [1]
+    assert [r.line for r in caught.value.program.refused] == [1]
 
 
 def test_a_feed_may_come_from_the_cell_where_the_program_has_none(read):

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import re
 
-from kr270_milling.base.errors import InputError
-from kr270_milling.base.text import ends_in_mid_line, read_lines, short
+from kr270_milling.base.text import read_lines, short, unended
 from kr270_milling.trajectory.comments import operation_name
 from kr270_milling.trajectory.gcode.blocks import SIMPLE, WORD, CommentError, split_comments, tokens
 from kr270_milling.trajectory.gcode.machine import Machine
@@ -48,7 +47,6 @@ class _Reader:
     """Lines to blocks, comments to names."""
 
     def __init__(self, source, chord: float, tool: str, feed: float):
-        self.source = source
         self.text = read_lines(source)
         self.lines = len(self.text)
         self.path = PathBuilder(source)
@@ -77,12 +75,8 @@ class _Reader:
 
     def _check_end(self) -> None:
         """A program without an end may be cut off, unless it ends in M words, which move nothing."""
-        if LAST.fullmatch(_code(self.text[-1])):
-            return
-        try:
-            ends_in_mid_line(self.source, self.text)
-        except InputError as error:
-            self.refusals.add(self.lines, "", error.reason)
+        if (reason := unended(self.text)) and not LAST.fullmatch(_code(self.text[-1])):
+            self.refusals.add(self.lines, "", reason)
 
     def _line(self, line: str, number: int) -> None:
         line = line.strip()
