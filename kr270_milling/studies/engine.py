@@ -36,7 +36,7 @@ LOOK = 1.0  #: [s] between two looks at the number of workers
 PLAN = "study.json"
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 QUIET = {
-    "distributed.logging.distributed": "error",
+    "distributed.logging.distributed": "critical",  # a worker that ends may miss a heartbeat
     "distributed.admin.log-format": "",
     "distributed.scheduler.allowed-failures": 3,
 }

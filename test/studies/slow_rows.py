@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 
 
@@ -9,3 +10,9 @@ def slow_rows(seconds: float, number: int) -> bytes:
     """What a chunk might hold, after some time."""
     time.sleep(seconds)
     return f"rows of chunk {number}".encode()
+
+
+def rows_and_maker(number: int) -> bytes:
+    """The process that made the chunk."""
+    time.sleep(0.2)
+    return str(os.getpid()).encode()

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-from slow_rows import slow_rows
+from slow_rows import rows_and_maker, slow_rows
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cli import main
@@ -133,6 +133,14 @@ def test_no_more_chunks_are_out_than_a_few_a_worker(cluster, tmp_path, monkeypat
     monkeypatch.setattr(Study, "chunk", written)
     run_chunks(study, 200, rows_of(), cluster.address)
     assert len(most) == 200 and max(most) <= 2 * AHEAD
+
+
+def test_no_worker_draws_the_first_chunks_to_itself(cluster, tmp_path):
+    """Where all chunks needed something that one worker held, that one made all of them in the first seconds."""
+    study = Study(tmp_path / "study", {})
+    run_chunks(study, 8, rows_and_maker, cluster.address)
+    made = chunks(study, 8)
+    assert len(set(made)) == 2 and min(map(made.count, made)) >= 2
 
 
 def test_a_killed_worker_loses_no_row(cluster, tmp_path):
