@@ -29,6 +29,8 @@ def add_arguments(parser) -> None:
 
 
 def run(args) -> Answer:
+    import numpy as np
+
     from kr270_milling.base.errors import InputError
     from kr270_milling.base.record import find_file
     from kr270_milling.commands.identify import identified
@@ -36,13 +38,15 @@ def run(args) -> Answer:
     from kr270_milling.identification.compliance import fit
     from kr270_milling.identification.compliance_result import compliance_outcome
     from kr270_milling.identification.measurements import read_measurements
+    from kr270_milling.identification.plan import at_posture, read_test_pose
     from kr270_milling.identification.problem import Problem
     from kr270_milling.robot.analysis import read_arm
 
     arm, mount = read_arm(find_file(args.arm))
     if args.cell:
         mount = read_arm(find_file(args.cell))[1]
-    pose = _pose(args, mount)
+    where = find_file(args.cell or args.arm)
+    pose = at_posture(mount, np.radians(args.at)) if args.at else read_test_pose(where, mount)
     if args.plan is not None:
         return plan_load_tests(args, arm, mount, pose)
     if args.measurements is None:
@@ -51,14 +55,3 @@ def run(args) -> Answer:
     sought = tuple(name.strip() for name in args.compensator.split(",") if name.strip())
     found = fit(Problem(arm, mount, measured, not args.no_gravity, sought), args.robust)
     return identified(args, compliance_outcome(found, pose, Path(args.measurements).name))
-
-
-def _pose(args, mount):
-    import numpy as np
-
-    from kr270_milling.base.record import find_file
-    from kr270_milling.identification.plan import at_posture, read_test_pose
-
-    if args.at:
-        return at_posture(mount, np.radians(args.at))
-    return read_test_pose(find_file(args.cell or args.arm), mount)
