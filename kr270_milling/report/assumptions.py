@@ -6,8 +6,8 @@ Only what affects the run at hand is listed; values are those of the cell, never
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import jinja2
 import numpy as np
@@ -22,8 +22,7 @@ __all__ = ["Assumption", "assumptions", "mode_frequencies"]
 TEXT = Path(__file__).parent / "page" / "assumptions.txt"
 
 
-@dataclass(frozen=True)
-class Assumption:
+class Assumption(NamedTuple):
     """One row of the table."""
 
     point: str

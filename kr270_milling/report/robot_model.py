@@ -121,26 +121,21 @@ def _mesh(visual) -> Mesh:
     rotation, xyz = _origin(visual.find("origin"))
     shape = visual.find("geometry")[0]
     if shape.tag == "box":
-        vertex, triangle = _box(_numbers(shape.get("size")))
+        vertex, triangle = _prism(4, np.pi / 4)
+        size = _numbers(shape.get("size")) * [np.sqrt(0.5), np.sqrt(0.5), 1.0]
     else:
-        vertex, triangle = _cylinder(float(shape.get("radius")), float(shape.get("length")))
-    return Mesh(visual.find("material").get("name"), vertex @ rotation.T + xyz, triangle)
+        vertex, triangle = _prism(SIDES, 0.0)
+        size = np.array([float(shape.get(key)) for key in ("radius", "radius", "length")])
+    return Mesh(visual.find("material").get("name"), (vertex * size) @ rotation.T + xyz, triangle)
 
 
-def _box(size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    corner = np.array([[(c >> k) & 1 for k in range(3)] for c in range(8)]) - 0.5
-    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = [t for a, b, c, d in faces for t in ((a, c, b), (a, d, c))]
-    return corner * size, np.array(triangles)
-
-
-def _cylinder(radius: float, length: float) -> tuple[np.ndarray, np.ndarray]:
-    angle = 2 * np.pi * np.arange(SIDES) / SIDES
-    ring = radius * np.column_stack([np.cos(angle), np.sin(angle)])
-    ends = [np.column_stack([ring, np.full(SIDES, side * length / 2)]) for side in (-1.0, 1.0)]
-    middles = np.array([[0.0, 0.0, -length / 2], [0.0, 0.0, length / 2]])
-    k = np.arange(SIDES)
-    n = (k + 1) % SIDES
-    below, above = np.full(SIDES, 2 * SIDES), np.full(SIDES, 2 * SIDES + 1)
-    parts = [(k, n, n + SIDES), (k, n + SIDES, k + SIDES), (below, n, k), (above, k + SIDES, n + SIDES)]
-    return np.vstack([*ends, middles]), np.vstack([np.column_stack(part) for part in parts])
+def _prism(sides: int, first: float) -> tuple[np.ndarray, np.ndarray]:
+    """Of height 1, its corners on a circle of radius 1, the first one at an angle [rad]."""
+    angle = first + 2 * np.pi * np.arange(sides) / sides
+    ring = np.column_stack([np.cos(angle), np.sin(angle)])
+    ends = [np.column_stack([ring, np.full(sides, side)]) for side in (-0.5, 0.5)]
+    k = np.arange(sides)
+    n = (k + 1) % sides
+    below, above = np.full(sides, 2 * sides), np.full(sides, 2 * sides + 1)
+    parts = [(k, n, n + sides), (k, n + sides, k + sides), (below, n, k), (above, k + sides, n + sides)]
+    return np.vstack([*ends, [[0, 0, -0.5], [0, 0, 0.5]]]), np.vstack([np.column_stack(part) for part in parts])

@@ -19,10 +19,8 @@ HERE = Path(__file__).parent
 @functools.cache
 def page() -> str:
     """The HTML text; it asks for nothing but /events."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(HERE), autoescape=True, undefined=jinja2.StrictUndefined
-    )
-    return environment.get_template("watch.html").render(
+    text = (HERE / "watch.html").read_text(encoding="utf-8")
+    return jinja2.Template(text, autoescape=True, undefined=jinja2.StrictUndefined).render(
         version=__version__,
         style=Markup((report_page.HERE / "report.css").read_text(encoding="utf-8")),
         plotly=report_page.plotly_script(),

@@ -62,26 +62,22 @@ class _Handler(BaseHTTPRequestHandler):
         if self.hosts and host not in self.hosts:  # a name that leads here from elsewhere (DNS rebinding)
             self.send_error(403)
         elif self.path == "/":
-            self._send(page().encode(), "text/html; charset=utf-8")
+            body = page().encode()
+            self._head("text/html; charset=utf-8", ("Content-Length", str(len(body))))
+            self.wfile.write(body)
         elif self.path == "/events":
             self._stream()
         else:
             self.send_error(404)
 
-    def _send(self, body: bytes, kind: str) -> None:
+    def _head(self, kind: str, more: tuple[str, str]) -> None:
         self.send_response(200)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("Cache-Control", "no-store")
+        for name, value in (("Content-Type", kind), ("Cache-Control", "no-store"), more):
+            self.send_header(name, value)
         self.end_headers()
-        self.wfile.write(body)
 
     def _stream(self) -> None:
-        self.send_response(200)
-        self.send_header("Content-Type", "text/event-stream")
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("Connection", "close")
-        self.end_headers()
+        self._head("text/event-stream", ("Connection", "close"))
         self.close_connection = True
         number = 0
         while True:

@@ -22,7 +22,7 @@ from kr270_milling.report.paper import PAPER
 from kr270_milling.report.payload import to_json
 from kr270_milling.report.symbols import SYMBOLS
 
-__all__ = ["SCRIPTS", "environment", "plotly_script", "render", "script_text"]
+__all__ = ["SCRIPTS", "plotly_script", "render", "script_text"]
 
 HERE = Path(__file__).parent
 #: in the order in which the page runs them
@@ -43,34 +43,14 @@ def script_text(names: Sequence[str] = SCRIPTS) -> Markup:
     return Markup("\n".join((HERE / name).read_text(encoding="utf-8") for name in names))
 
 
-@functools.cache
-def environment() -> jinja2.Environment:
-    """Templates of this folder; every text from outside is escaped."""
-    return jinja2.Environment(
-        loader=jinja2.FileSystemLoader(HERE),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-
 def render(
-    cell: Cell,
-    passes: Sequence[ScoredPass],
-    parts: Sequence[PartAssessment],
-    data: dict,
-    *,
-    title: str,
-    source: str,
-    command: str,
-    date: str,
-    paper: bool,
-    decision: DecisionBlock,
-    more: Sequence[ReportTable],
-) -> str:
-    """The whole HTML text; data: what the scripts draw."""
-    return environment().get_template("report.html").render(
+    cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment], data: dict, *, decision: DecisionBlock,
+    more: Sequence[ReportTable], title: str, source: str, command: str, date: str, paper: bool,
+) -> str:  # fmt: skip
+    """The whole HTML text, every text from outside escaped; data: what the scripts draw."""
+    text = (HERE / "report.html").read_text(encoding="utf-8")
+    strict = jinja2.StrictUndefined
+    return jinja2.Template(text, autoescape=True, undefined=strict, trim_blocks=True, lstrip_blocks=True).render(
         title=title,
         version=__version__,
         paper=paper,

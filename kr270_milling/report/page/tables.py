@@ -141,14 +141,13 @@ def run_rows(cell: Cell, source: str, command: str, date: str) -> list[tuple[str
 def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
     """Table 1: name with unit, six values; joints [rad], (6,): those that are commanded at the start."""
     return [
-        ("commanded joint position q at the start [deg]", [_number(v) for v in np.round(np.degrees(joints), 3)]),
-        ("joint compliance [10⁻⁶ rad/(N m)]", [_number(v) for v in np.round(cell.arm.joint_compliance * UM, 9)]),
-        ("link mass [kg]", [_number(v) for v in cell.arm.link_mass]),
+        (
+            "commanded joint position q at the start [deg]",
+            [shown(v + 0.0) for v in np.round(np.degrees(joints), 3).tolist()],
+        ),
+        ("joint compliance [10⁻⁶ rad/(N m)]", [shown(v) for v in np.round(cell.arm.joint_compliance * UM, 9).tolist()]),
+        ("link mass [kg]", [shown(v) for v in cell.arm.link_mass.tolist()]),
     ]
-
-
-def _number(value: float) -> str:
-    return shown(float(value) + 0.0)
 
 
 def detail_rows(cell: Cell, passes: Sequence[ScoredPass]) -> list[tuple[str, ...]]:
@@ -156,18 +155,10 @@ def detail_rows(cell: Cell, passes: Sequence[ScoredPass]) -> list[tuple[str, ...
     rows: list[tuple[str, ...]] = []
     for one in passes:
         result = one.result
-        shift = np.linalg.norm(result.reference - result.target, axis=1)
-        rows.append(
-            (
-                one.name,
-                " / ".join(fixed(v, 2) for v in mean_force(result)),
-                fixed(float(shift.max()) * UM, 2),
-                fixed(result.removed_volume * 1e9, 3),
-                fixed(float(result.correction.max()) * 1e9, 2),
-                str(result.micro_steps),
-                fixed(result.wall_time, 3),
-            )
-        )
+        shift = float(np.linalg.norm(result.reference - result.target, axis=1).max()) * UM
+        exchange = fixed(float(result.correction.max()) * 1e9, 2), str(result.micro_steps), fixed(result.wall_time, 3)
+        force, volume = " / ".join(fixed(v, 2) for v in mean_force(result)), fixed(result.removed_volume * 1e9, 3)
+        rows.append((one.name, force, fixed(shift, 2), volume, *exchange))
     return rows
 
 
