@@ -9,6 +9,13 @@
   let largest = 0;
   KR.watch = { passes, samples: 0, ended: false };
 
+  /* Ends of an axis, given and not left to the picture: it does not widen an axis that is tied to another one. */
+  function span(values) {
+    const [low, high] = values.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
+    const room = 5 + 0.04 * (high - low);
+    return low <= high ? [low - room, high + room] : [-50, 50];
+  }
+
   function drawMap() {
     const one = passes[passes.length - 1] ?? { x: [], y: [], side: [] };
     const limit = one.side.reduce((m, v) => Math.max(m, Math.abs(v)), 0) || 1;
@@ -19,8 +26,8 @@
     const last = one.x.length - 1;
     const here = { x: last < 0 ? [] : [one.x[last]], y: last < 0 ? [] : [one.y[last]], mode: "markers", hoverinfo: "skip",
                    marker: { size: 15, symbol: "circle-open", color: KR.css("--accent"), line: { width: 3 } } };
-    KR.draw("live_map", [trace, here], KR.layout({ showlegend: false, xaxis: KR.axis("x [mm]", { constrain: "domain" }), uirevision: "keep",
-      yaxis: KR.axis("y [mm]", { scaleanchor: "x", constrain: "domain" }) }));
+    KR.draw("live_map", [trace, here], KR.layout({ showlegend: false, xaxis: KR.axis("x [mm]", { range: span(one.x), constrain: "domain" }), uirevision: "keep",
+      yaxis: KR.axis("y [mm]", { range: span(one.y), scaleanchor: "x", constrain: "domain" }) }));
   }
 
   function drawSeries() {
