@@ -17,7 +17,13 @@ KNOWN = (
     | OUTPUTS
     | {"/diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}
 )
-PANELS = {"3D", "Plot", "DiagnosticSummary"}
+#: the names that Lichtblick's code gives to the settings of its panels (RendererConfig, PlotConfig, ...)
+PANELS = {
+    "3D": {"cameraState", "followMode", "followTf", "scene", "transforms", "topics", "layers", "publish", "imageMode"},
+    "Plot": {"foxglovePanelTitle", "lichtblickPanelTitle", "paths", "showLegend", "legendDisplay", "showPlotValuesInLegend", "isSynced",
+             "xAxisVal", "showXAxisLabels", "showYAxisLabels", "sidebarDimension"},
+    "DiagnosticSummary": {"minLevel", "pinnedIds", "topicToRender", "hardwareIdFilter", "sortByLevel"},
+}  # fmt: skip
 
 
 def has_number(kind: str, fields: list[str]) -> bool:
@@ -48,8 +54,8 @@ def test_the_layout_of_the_3d_viewers_places_what_it_describes():
     layout = json.loads((CONFIG / "viewer_layout.json").read_text())
     assert {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"} == set(layout)
     assert sorted(placed(layout["layout"])) == sorted(layout["configById"])
-    assert {name.split("!")[0] for name in layout["configById"]} <= PANELS
-    for panel in layout["configById"].values():
+    for name, panel in layout["configById"].items():
+        assert set(panel) <= PANELS[name.split("!")[0]], name
         for topic in panel.get("topics", {}):
             assert topic in KNOWN, topic
 
