@@ -80,6 +80,7 @@ def _write(args, cell, rows: list[dict], said: str) -> list[str]:
         points("Chatter at the limit", "spindle speed [rpm]", "frequency [Hz]", {"chatter": (speeds, chatter)}),
     ]
     figures[0].update_yaxes(rangemode="tozero")
+    figures = figures[: 1 + any(map(math.isfinite, chatter))]  # none chatters: there is no frequency to show
     with staged(args.out) as (draft, final):
         table = draft / "lobes.csv"
         text = [",".join(repr(float(value)) for value in row.values()) for row in rows]

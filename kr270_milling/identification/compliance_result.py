@@ -132,7 +132,7 @@ def _figures(found: Fit) -> list:
     """Compliances with their intervals, residuals of each test and against the normal distribution, correlation."""
     bars = figure_of("Joint compliances", "", "[urad/(N m)]")
     values, widths = found.values[:6], np.where(np.isfinite(found.half_widths[:6]), found.half_widths[:6], 0.0)
-    spread = dict(type="data", array=(1e6 * widths).tolist())
+    spread = dict(type="data", color="#888888", array=(1e6 * widths).tolist())
     joints, names = found.problem.names[:6], found.problem.names
     bars.add_bar(name="identified, 95 %", x=joints, y=(1e6 * values).tolist(), error_y=spread)
     bars.add_bar(name="arm file", x=joints, y=(1e6 * found.problem.arm.joint_compliance).tolist())

@@ -10,7 +10,7 @@ import numpy as np
 from kr270_milling.base.include import write_include
 from kr270_milling.base.parameter_file import merge, override, shipped_directories
 from kr270_milling.cell.cell import Cell
-from kr270_milling.identification.figures import write_page
+from kr270_milling.identification.figures import figure_of, write_page
 from kr270_milling.studies.placements import Course, moved_cell
 
 __all__ = ["Summary", "write_cell", "write_cells", "write_picture"]
@@ -88,23 +88,16 @@ def _included(source: Path, folder: Path) -> str:
 
 def write_picture(folder, summary: Summary) -> Path:
     """Heat maps over x and y, with the best placements."""
-    from plotly.subplots import make_subplots
-
-    figure = make_subplots(rows=2, cols=2, subplot_titles=list(SHOWN.values()), shared_xaxes=True, shared_yaxes=True,
-                           horizontal_spacing=0.12, vertical_spacing=0.08)  # fmt: skip
     best = [[row[name] for row in summary.best] for name in ("x_mm", "y_mm")]
-    for number, shown in enumerate(summary.maps.values()):
-        at = {"row": 1 + number // 2, "col": 1 + number % 2}
-        across, up = (axis.domain for axis in figure.get_subplot(*at.values()))
-        bar = {"x": across[1], "y": sum(up) / 2, "len": up[1] - up[0], "xpad": 2, "thickness": 12}
-        figure.add_heatmap(x=summary.x, y=summary.y, z=shown, colorscale="Viridis", colorbar=bar, **at)
-        figure.add_scatter(x=best[0], y=best[1], mode="markers", showlegend=False, name="best placements",
-                           marker={"symbol": "star", "size": 11, "color": "red"}, **at)  # fmt: skip
-        figure.update_xaxes(title="x [mm]" if number > 1 else "", **at)
-        figure.update_yaxes(title="" if number % 2 else "y [mm]", **at)
-    figure.update_layout(template="plotly_white", height=800, margin={"l": 70, "r": 20, "t": 40, "b": 60})
+    star = {"symbol": "star", "size": 11, "color": "red"}
+    figures = []
+    for title, shown in zip(SHOWN.values(), summary.maps.values(), strict=True):
+        figure = figure_of(title, "x [mm]", "y [mm]")
+        figure.add_heatmap(x=summary.x, y=summary.y, z=shown, colorscale="Viridis", colorbar={"thickness": 12})
+        figure.add_scatter(x=best[0], y=best[1], mode="markers", name="best placements", marker=star, showlegend=False)
+        figures.append(figure)
     said = ["each field shows the z, the turns and the branch with the least error there; the stars are the best "
             "placements, and nothing is drawn where the path is out of reach or of the joints' limits"]  # fmt: skip
     names = ["x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", *SHOWN]
     rows = [[f"{row[name]:.4g}" for name in names] for row in summary.best]
-    return write_page(Path(folder) / "map.html", "Where to clamp the part", said, [("Best", names, rows)], [figure])
+    return write_page(Path(folder) / "map.html", "Where to clamp the part", said, [("Best", names, rows)], figures)

@@ -20,8 +20,8 @@ KNOWN = (
 #: the names that Lichtblick's code gives to the settings of its panels (RendererConfig, PlotConfig, ...)
 PANELS = {
     "3D": {"cameraState", "followMode", "followTf", "scene", "transforms", "topics", "layers", "publish", "imageMode"},
-    "Plot": {"foxglovePanelTitle", "lichtblickPanelTitle", "paths", "showLegend", "legendDisplay", "showPlotValuesInLegend", "isSynced",
-             "xAxisVal", "showXAxisLabels", "showYAxisLabels", "sidebarDimension"},
+    "Plot": {"foxglovePanelTitle", "lichtblickPanelTitle", "paths", "showLegend", "legendDisplay", "isSynced",
+             "xAxisVal", "showPlotValuesInLegend", "showXAxisLabels", "showYAxisLabels", "sidebarDimension"},
     "DiagnosticSummary": {"minLevel", "pinnedIds", "topicToRender", "hardwareIdFilter", "sortByLevel"},
 }  # fmt: skip
 
