@@ -50,7 +50,9 @@ def test_the_series_are_the_same_in_frame_csv_and_figure(both, tmp_path):
 
 def test_check_and_verdict_of_a_compensated_pass(both):
     cell = both.original.cell
-    assert check(cell).may_be_run and verdict(cell, both.compensated.reference, samples=2).word
+    checked, judged = check(cell), verdict(cell, both.compensated.reference, samples=2)
+    assert checked.may_be_run and judged.word in repr(judged) and "may be run" in repr(checked)
+    assert max(len(repr(shown)) for shown in (cell, checked, judged)) < 200
     assert simulate(cell, both.compensated.reference).scores.max_deviation == both.compensated.scores.max_deviation
 
 

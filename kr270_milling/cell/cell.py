@@ -41,6 +41,10 @@ class Cell(Parameters):
         if not self.workpiece.xyz.size or not self.workpiece.abc.size:  # at the start joints
             object.__setattr__(self, "workpiece", self.placed())
 
+    def __repr__(self) -> str:
+        cut = self.path.file.rpartition("/")[2] or f"straight cut of {1e3 * self.path.length:g} mm"
+        return f"<Cell {self.arm.name}: {cut}>"
+
     def placed(self) -> Workpiece:
         """The workpiece where the start joints put the tool at the start of the straight cut."""
         cut = straight_cut(self)

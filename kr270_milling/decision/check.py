@@ -38,6 +38,9 @@ class Checked:
     program: SourceProgram  #: what the file of the path says beside its moves
     stability: Stability | None  #: of the pass that was simulated
 
+    def __repr__(self) -> str:
+        return f"<Checked: {self.summary}>"
+
     @property
     def may_be_run(self) -> bool:
         """Whether nothing was found that forbids it."""

@@ -42,6 +42,9 @@ class Verdict:
     seed: int | None
     methods: dict[str, np.ndarray] = field(default_factory=dict)  #: largest deviation [m], (n,), by method
 
+    def __repr__(self) -> str:
+        return f"<Verdict: {self.text}>"
+
     @property
     def recommended(self) -> str:
         """The method, planned on the model, that is no risk and leaves the least deviation to 95 % of the plants.
