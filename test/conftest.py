@@ -48,7 +48,7 @@ def pytest_collection_modifyitems(items) -> None:
 
 def kind_of(fixtures) -> str:
     """How a test uses a ROS domain: by processes, by nodes in this one, or not."""
-    if {"ros_environment", "of_nodes"} & set(fixtures):
+    if "ros_environment" in fixtures:
         return "processes"
     return "nodes" if "domain" in fixtures else ""
 

@@ -136,8 +136,9 @@ def test_run_gives_the_plain_loop_bit_for_bit_and_tells_so(runner, tmp_path, sho
 def test_one_process_a_node_gives_the_same_to_the_bit(runner, tmp_path, short_cell):
     code, out, told = finished(runner(tmp_path / "o", "--processes", "--passes", "1", "--json"))
     assert code == 0, told
-    recorded = pass_from_recording(json.loads(out)["passes"][0]["recording"])
-    same(recorded.scored.result, simulate(short_cell).result)
+    file = json.loads(out)["passes"][0]["recording"]
+    same(pass_from_recording(file).scored.result, simulate(short_cell).result)
+    assert recompute(file).verdict == "identical"
     assert {f"{node}.log" for node in NODES[:3]} <= {file.name for file in (tmp_path / "o" / "log").iterdir()}
 
 

@@ -13,6 +13,7 @@ from pass_recording import STEPS
 
 pytest.importorskip("rclpy")
 
+from kr270_milling.replay.compensate import compensate
 from kr270_milling.replay.recompute import recompute
 
 COMMAND = [sys.executable, "-m", "kr270_milling.nodes", "milling_cell"]
@@ -55,7 +56,12 @@ def test_all_nodes_of_a_pass_run_in_one_process_and_its_recording_recomputes(sta
     assert process.wait(30) == 0
     found = recompute(tmp_path / "r")
     assert found.verdict == "identical", (found.first, found.stops)
-    assert found.channels["/wrench"].compared == STEPS and found.channels["/reference_trajectory"].compared == 2
+    compared = {topic: channel.compared for topic, channel in found.channels.items()}
+    assert compared["/wrench"] == compared["/deflection"] == STEPS and compared["/robot_description"] == 1
+    assert compared["/reference_trajectory"] == compared["/joint_trajectory"] == 2 and compared["/clock"] == 7
+    assert all(c.differing == c.missing == c.waiting == 0 for c in found.channels.values())
+    (revised,) = compensate(tmp_path / "r")
+    assert revised.published is True and revised.method == "linear"
 
 
 def test_parameters_go_to_a_node_by_its_name(start, tmp_path):
