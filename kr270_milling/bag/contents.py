@@ -9,7 +9,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Schema
 
 from kr270_milling.bag.chunks import Chunk
-from kr270_milling.bag.structure import Damage, Part
+from kr270_milling.bag.structure import Damage, Part, parts
 from kr270_milling.messages.decode import Topic
 
 __all__ = ["Attachment", "Contents"]
@@ -73,6 +73,12 @@ class Contents:
         elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
             self.define(found, part.offset)
         return found
+
+    def take_summary(self, stream, begin: int, end: int) -> None:
+        """Schemas, channels and counts of the summary between two offsets."""
+        for part in parts(stream, begin, end):
+            if part.type in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+                self.take(part)
 
     def define(self, record, offset: int) -> None:
         """Take a Schema or a Channel; one that was there already is replaced."""

@@ -22,7 +22,7 @@ from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
 from kr270_milling.messages.decode import plain
 from kr270_milling.messages.series import FIXED, batches
-from kr270_milling.messages.trajectory import TRAJECTORY, trajectories
+from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
 
 __all__ = ["Exported", "export_csv", "export_parquet", "tables"]
 
@@ -158,7 +158,11 @@ def _units(type_name: str, topic: str) -> list[tuple[str, str]]:
 
 def _trajectory_tables(recording: Recording, topic: str) -> Iterator[Table]:
     """One row per point; the columns of a body carry its name if there are several."""
-    for number, found in enumerate(trajectories(recording, topic)):
+    for number, message in enumerate(recording.messages([topic], as_written=True)):
+        try:
+            found = read_trajectory(message.data)
+        except ValueError as error:
+            raise RecordingError(recording.path, f"a message on {topic} is not a {TRAJECTORY}: {error}") from error
         count = len(found.time)
         columns = ["message", "stamp_ns", "frame_id", "time_from_start_ns"]
         values = [[number] * count, [found.stamp] * count, [found.frame_id] * count, found.time]

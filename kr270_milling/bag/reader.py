@@ -21,13 +21,12 @@ from mcap.opcode import Opcode
 
 from kr270_milling.bag.chunks import CACHE, READ, Chunk, Entry, Messages, Unpacker
 from kr270_milling.bag.contents import Contents
-from kr270_milling.bag.structure import MAGIC, SMALL, Damage, checksum, exactly, parts
+from kr270_milling.bag.structure import FOOTER_SIZE, MAGIC, SMALL, Damage, checksum, exactly, footer, parts
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.decode import Topic, make_decoder
 
 __all__ = ["BEGIN", "END", "Place", "RawMessage", "Recording", "Topic", "find_file", "open_file"]
 
-FOOTER_SIZE = 9 + 20 + len(MAGIC)
 Place = tuple[int, float]  # of a message in its file: offset of the chunk, offset in the unpacked chunk
 BEGIN, END = (0, 0), (2**64, 0)  # no message stands before and none behind
 
@@ -109,37 +108,23 @@ class Recording:
         if begin != MAGIC:
             cut = begin and MAGIC.startswith(begin)
             raise Damage("the file ends in its first bytes" if cut else "this is not an MCAP file", 0)
-        finished = self._is_finished()
-        summary = self._read_summary() if finished else None
-        self._read_data(summary or self.size, finished)
+        end = footer(self.stream, self.size)
+        summary = self._read_summary(end) if end and end.summary_start else self.size
+        self._read_data(summary, finished=end is not None)
         if self.contents.counts is None or not set(self.contents.counts) <= set(self.contents.channels):
             self._survey(progress)
-        if self.cut_off and finished:
+        if self.cut_off and end is not None:
             raise Damage("a record claims more bytes than the file has", self.data_end)
 
-    def _is_finished(self) -> bool:
-        """Whether the file ends as a writer ends it: with a footer."""
-        if self.size < len(MAGIC) + FOOTER_SIZE:
-            return False
-        end = exactly(self.stream, self.size - FOOTER_SIZE, FOOTER_SIZE)
-        return end.endswith(MAGIC) and end[:9] == bytes([Opcode.FOOTER, 20]) + bytes(7)
-
-    def _read_summary(self) -> int | None:
+    def _read_summary(self, end) -> int:
         """Schemas, channels and counts from the end of the file; returns where the summary begins."""
-        at = self.size - FOOTER_SIZE
-        (part,) = parts(self.stream, at, at + FOOTER_SIZE)
-        footer = part.record()
-        start = footer.summary_start
-        if not start:
-            return None
+        at, start = self.size - FOOTER_SIZE, end.summary_start
         if not len(MAGIC) <= start <= at or at - start > SMALL:
             raise Damage("the footer points to an impossible place", at)
         summary = exactly(self.stream, start, at + 25 - start)  # the checksum includes the footer up to itself
-        if footer.summary_crc and zlib.crc32(summary) != footer.summary_crc:
+        if end.summary_crc and zlib.crc32(summary) != end.summary_crc:
             raise Damage("the summary at the end does not fit its checksum", start)
-        for part in parts(self.stream, start, at):
-            if part.type in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
-                self.contents.take(part)
+        self.contents.take_summary(self.stream, start, at)
         return start
 
     def _read_data(self, end: int, finished: bool) -> None:

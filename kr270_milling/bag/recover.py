@@ -13,8 +13,8 @@ from mcap.opcode import Opcode
 
 from kr270_milling.bag.chunks import Chunk, Unpacker
 from kr270_milling.bag.contents import Contents
-from kr270_milling.bag.reader import FOOTER_SIZE, Recording, find_file, open_file
-from kr270_milling.bag.structure import MAGIC, Damage, Part, next_chunk, parts
+from kr270_milling.bag.reader import Recording, find_file, open_file
+from kr270_milling.bag.structure import FOOTER_SIZE, MAGIC, Damage, Part, footer, next_chunk, parts
 from kr270_milling.bag.verify import findings
 from kr270_milling.bag.writer import BagWriter, MessageRefused
 from kr270_milling.base.errors import RecordingError
@@ -145,16 +145,10 @@ class _Rescue:
 
     def _read_summary(self) -> None:
         """Channels and counts from the end of the file, if it is there: they help where a chunk is lost."""
-        at = max(self.size - FOOTER_SIZE, 0)
-        self.stream.seek(at)
-        footer = self.stream.read(FOOTER_SIZE)
-        start = int.from_bytes(footer[9:17], "little")
-        if not footer.endswith(MAGIC) or footer[0] != Opcode.FOOTER or start < len(MAGIC):
-            return
+        end = footer(self.stream, self.size)
         try:
-            for part in parts(self.stream, start, at):
-                if part.type in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
-                    self.contents.take(part)
+            if end is not None and end.summary_start >= len(MAGIC):
+                self.contents.take_summary(self.stream, end.summary_start, self.size - FOOTER_SIZE)
         except Damage as damage:
             self.dropped.append(f"the summary: {damage.reason}")
 

@@ -18,10 +18,14 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
 
-__all__ = ["HEAD", "LIMIT", "MAGIC", "MESSAGE", "Damage", "Part", "checksum", "exactly", "inner", "next_chunk", "parts"]
+__all__ = [
+    "FOOTER_SIZE", "HEAD", "LIMIT", "MAGIC", "MESSAGE", "Damage", "Part", "checksum", "exactly", "footer", "inner",
+    "next_chunk", "parts",
+]  # fmt: skip
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
+FOOTER_SIZE = HEAD.size + 20 + len(MAGIC)  # with the magic behind it
 MESSAGE = struct.Struct("<BQHIQQ")  # type and length; channel, sequence, log time, publish time
 LIMIT = 256 * 1024 * 1024  # [bytes] of one attachment, one message or one chunk, packed and unpacked
 SMALL = 32 * 1024 * 1024  # [bytes] of any other record
@@ -104,6 +108,15 @@ def parts(stream, begin: int, end: int) -> Iterator[Part]:
             behind += HEAD.size + size
         yield Part(kind, begin, exactly(stream, begin, behind - begin))
         begin = behind
+
+
+def footer(stream, size: int):
+    """mcap's Footer of a file that ends as a writer ends it; None of another one."""
+    at = size - FOOTER_SIZE
+    end = exactly(stream, at, FOOTER_SIZE) if at >= len(MAGIC) else b""
+    if not end.startswith(HEAD.pack(Opcode.FOOTER, 20)) or not end.endswith(MAGIC):
+        return None
+    return Part(Opcode.FOOTER, at, end[: -len(MAGIC)]).record()
 
 
 def exactly(stream, begin: int, size: int) -> bytes:

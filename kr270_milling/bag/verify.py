@@ -10,8 +10,8 @@ import numpy as np
 import yaml
 from mcap.opcode import Opcode
 
-from kr270_milling.bag.reader import FOOTER_SIZE, Recording
-from kr270_milling.bag.structure import HEAD, MAGIC, Damage, Part, checksum, parts
+from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.structure import FOOTER_SIZE, HEAD, MAGIC, Damage, Part, checksum, parts
 
 __all__ = ["findings"]
 

@@ -9,7 +9,6 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import make_lsq_spline
 
-from kr270_milling.base.errors import MillingError
 from kr270_milling.compensation.arm_fit import Identified
 from kr270_milling.compensation.learning import Learner
 from kr270_milling.compensation.limiting import Limited
@@ -20,18 +19,11 @@ from kr270_milling.compensation.revision import PassRecord, corrected, held, rev
 from kr270_milling.compensation.stages import Course
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Compensator", "EarlierReference", "noise_floor", "remaining_error"]
+__all__ = ["Compensator", "noise_floor", "remaining_error"]
 
 #: a pass that improves the largest error by less than this share, or by less than LEAST_STEP, ends the learning
 LEAST_GAIN = 0.01
 LEAST_STEP = 0.05e-6  #: [m]
-
-
-class EarlierReference(MillingError):
-    """The best reference is that of a pass before the first one that is known here."""
-
-    def __init__(self, what: str = "the best reference trajectory is that of an earlier pass, which is not known"):
-        super().__init__(what)
 
 
 def remaining_error(target: Trajectory, ran: PassRecord) -> float:
@@ -109,19 +101,14 @@ class Compensator:
         self.finished = False
         self.note = ""  #: a sentence where no correction is made, or the model speaks against the one that is made
         self.learner: Learner | None = None  #: of "inverse" and "learned", from the first pass on
-        self._best: tuple[float, Trajectory | None, tuple[Limited, ...]] = (math.inf, self.target, ())
+        self._best: tuple[float, Trajectory, tuple[Limited, ...]] = (math.inf, self.target, ())
         self._in_vain = 0  # passes in a row that brought nothing
-        self._forgotten = False  # passes that "learned" would need are not known here
 
-    def resume(self, reference: Trajectory, errors: tuple[float, ...], finished: bool) -> None:
-        """Go on from a later pass along ``reference``; errors [m] of the passes before it, whose references are not
-        known here, unless it is ``finished`` and this is the best of them."""
+    def resume(self, reference: Trajectory, finished: bool = False) -> None:
+        """Go on from a pass along ``reference``; those before it are not known. finished: it is the best of them."""
         self.reference = reference
-        self.errors = list(errors)
         self.finished = finished
-        best = min(errors, default=math.inf)
-        self._best = (best, reference if finished or not errors else None, ())
-        self._forgotten = bool(errors) and self.remembers
+        self._best = (math.inf, reference, ())
 
     @property
     def repeats(self) -> bool:
@@ -131,11 +118,6 @@ class Compensator:
     def most_passes(self) -> int | None:
         """How many passes it can ask for after the first one, where it repeats."""
         return self.parameters.max_passes if self.repeats else None
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the next reference follows from all passes so far, and not from the last one alone."""
-        return self.method in LIFTED and self.repeats
 
     @property
     def identified(self) -> Identified | None:
@@ -149,20 +131,15 @@ class Compensator:
 
     def revise(self, ran: PassRecord) -> Trajectory:
         """The reference for the next pass, from the pass that was run along the present one."""
-        if not self.errors:
+        if not self.errors and self.reference is self.target:
             self.first = ran
         self.errors.append(remaining_error(self.target, ran))
         if self.repeats and self._is_best(ran):
             self.finished = True
-            _, reference, self.limited = self._best
-            if reference is None:
-                raise EarlierReference
-            self.reference = reference
+            _, self.reference, self.limited = self._best
             if len(self.errors) > 1 and self.reference is self.target:
                 self.note = f"{self.method} makes no pass better than the one without compensation: it is left out"
             return self.reference
-        if self._forgotten:
-            raise EarlierReference("what is learned follows from all passes, and the earlier ones are not known")
         if self.method in LIFTED:
             self.learner = (self.learner or self.new_learner()).with_pass(ran, self.reference)
         self.reference, self.limited = self._revised(ran)

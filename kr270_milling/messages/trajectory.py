@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import Cursor, stamp_of
 
-__all__ = ["TRAJECTORY", "TrajectoryRecord", "read_trajectory", "trajectories"]
+__all__ = ["TRAJECTORY", "TrajectoryRecord", "read_trajectory"]
 
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 WIDTHS = (7, 6, 6)  # doubles of a transform, a velocity, an acceleration
@@ -28,21 +26,6 @@ class TrajectoryRecord:
     quaternion: np.ndarray  #: x y z w, (p, j, 4)
     velocity: np.ndarray  #: [m/s, rad/s], (p, j, 6)
     acceleration: np.ndarray  #: [m/s^2, rad/s^2], (p, j, 6)
-
-
-def trajectories(recording, topic: str) -> Iterator[TrajectoryRecord]:
-    """Every trajectory on a topic, as they were written."""
-    if getattr(recording.topics().get(topic), "type", "") != TRAJECTORY:
-        raise RecordingError(recording.path, f"{topic} is no topic with trajectories in it")
-    for message in recording.messages([topic], as_written=True):
-        yield _read(recording, topic, message.data)
-
-
-def _read(recording, topic: str, data: bytes) -> TrajectoryRecord:
-    try:
-        return read_trajectory(data)
-    except ValueError as error:
-        raise RecordingError(recording.path, f"a message on {topic} is not a {TRAJECTORY}: {error}") from error
 
 
 def read_trajectory(data: bytes) -> TrajectoryRecord:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.protocols import compensator_protocol
-from kr270_milling.compensation.compensator import LEAST_GAIN, Compensator, EarlierReference
+from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.parameters import METHODS
 from kr270_milling.compensation.protocol import CompensatorProtocol
 from kr270_milling.messages.codec import to_bytes, trajectory_from_bytes
@@ -20,26 +19,19 @@ from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["CompensatorFeed", "Report", "read_report"]
 
-ROUNDING = 1e-10  # [m], of the remaining errors in the compensator's diagnostics
 
-
-@dataclass(frozen=True)
-class Report:
+class Report(NamedTuple):
     """What the compensator told of itself in /diagnostics."""
 
     method: str
-    errors: tuple[float, ...]  #: [m], remaining error of each pass
     finished: bool
 
 
 def read_report(values: dict[str, str]) -> Report | None:
     """From the keys and values of a diagnostic status; None where it is not the compensator's."""
-    try:
-        errors = tuple(float(e) * 1e-6 for e in values["remaining_error_um"].split())
-        finished = {"True": True, "False": False}[values["finished"]]
-    except (KeyError, ValueError):
-        return None
-    return Report(values["method"], errors, finished) if values.get("method") in METHODS else None
+    finished = {"True": True, "False": False}.get(values.get("finished", ""))
+    method = values.get("method", "")
+    return Report(method, finished) if method in METHODS and finished is not None else None
 
 
 class CompensatorFeed:
@@ -78,7 +70,7 @@ class CompensatorFeed:
         state = self.protocol.models.compensator(self.target, self.method)
         self.known = _same(state.reference, run)
         if not self.known:
-            state.resume(run, (), False)
+            state.resume(run)
         self.protocol.resume(state)
 
     @property
@@ -127,7 +119,7 @@ class CompensatorFeed:
         before, ran = self.revisions[0].last_pass
         state = self.protocol.models.compensator(self.target, method)
         if not _same(state.reference, before.reference):
-            state.resume(before.reference, tuple(before.errors), before.finished)
+            state.resume(before.reference, before.finished)
         state.revise(ran)
         return state
 
@@ -146,10 +138,6 @@ class CompensatorFeed:
             self._without.pose(sample)
         try:
             revised = how(protocol, sample)
-        except EarlierReference:
-            self._without = None
-            self._tell_undecided()
-            return
         except MillingError:  # no revision is possible: the live node told so, and published none
             self._without = None
             return
@@ -164,43 +152,26 @@ class CompensatorFeed:
                 revisions = [*revisions, without]
         if not revisions:
             return
-        self.revisions = [] if self._undecided else [r for r in revisions if self._decided(r)]
-        if len(self.revisions) < len(revisions) and not self._undecided:
-            self._tell_undecided()
+        self.revisions = [] if self._undecided else revisions
         self._undecided = False
         if self._published:
             self._compare()
-
-    def _tell_undecided(self) -> None:
-        reason = f"whether {self.method} goes on or back to an earlier pass is not decidable from this file alone"
-        self._stop(self.protocol.end_ns, reason)
 
     def _restore(self) -> None:
         """The state in which the node was before this pass ended, as far as the file tells."""
         protocol = self.protocol
         reference = protocol.begun.reference
         state = protocol.models.compensator(self.target, self.method)
-        report = self.report or self._opening
         if _same(state.reference, reference):
             protocol.compensator = state
             return
-        if report is None and state.repeats:
-            reason = "neither this recording nor one beside it tells how good the passes before this one were"
-            self._stop(protocol.end_ns, reason)
+        finished = self.report is not None and self.report.finished
+        if state.repeats and not finished:
+            reason = "neither this recording nor one beside it holds the passes before this one"
+            self._stop(protocol.end_ns, f"{reason}, from which {self.method} goes on")
             self._undecided = True
-        errors = report.errors if report else ()
-        if report is not None and self.report is None:  # the report came behind this pass
-            errors = errors[:-1]
-        state.resume(reference, errors, report is not None and report.finished and self.report is not None)
+        state.resume(reference, finished)
         protocol.compensator = state
-
-    def _decided(self, revised: CompensatorProtocol) -> bool:
-        """Whether the rounding of earlier errors in the diagnostics leaves no doubt about what repeats."""
-        state = revised.begun
-        if not state.repeats or len(state.errors) < 2 or self.known or revised.last_pass[0].finished:
-            return True
-        earlier, last = min(state.errors[:-1]), state.errors[-1]
-        return min(abs(last - earlier), abs(last - (1.0 - LEAST_GAIN) * earlier)) > ROUNDING
 
     def _compare(self) -> None:
         """The recorded references with those that follow from the pass before, if one is complete.
@@ -241,7 +212,7 @@ class CompensatorFeed:
         state = self.protocol.begun
         if not self.known:
             state = self.protocol.models.compensator(self.target, self.method)
-            state.resume(reference, (), False)
+            state.resume(reference)
         state.reference = reference
         self.protocol.resume(state)
 

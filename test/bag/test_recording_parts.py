@@ -11,8 +11,7 @@ from test_recording_samples import DIAGNOSTICS, PERIOD, POSE, TEXT, WRENCH, head
 
 from kr270_milling.bag.export import export_csv
 from kr270_milling.bag.info import info
-from kr270_milling.bag.parts import parts
-from kr270_milling.bag.playback import opening, passage, span
+from kr270_milling.bag.playback import opening, parts, passage, span
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.messages.series import series

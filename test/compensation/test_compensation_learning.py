@@ -168,16 +168,6 @@ def test_no_reference_is_returned_that_is_worse_than_none(cell):
     assert "no pass better than the one without compensation" in by.note and by.errors[1] > by.errors[0]
 
 
-def test_what_is_learned_needs_all_passes(cell, learned):
-    from kr270_milling.compensation.compensator import EarlierReference
-
-    _, original, by, _ = learned
-    later = compensator(cell, cell.target(), "learned")
-    later.resume(by.reference, (1e-3,), finished=False)
-    with pytest.raises(EarlierReference, match="all passes"):
-        later.revise(record_of(cell, original))
-
-
 def test_a_learner_that_was_copied_does_not_change(cell, learned):
     """The node tries a revision on a copy of its compensator."""
     import copy

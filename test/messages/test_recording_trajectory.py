@@ -8,12 +8,13 @@ import pytest
 from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_recording_samples import PATH, POSE, STORE, path, pose, raw
+from test_recording_samples import PATH, STORE, path, pose, raw
 
+from kr270_milling.bag.export import tables
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.messages.trajectory import read_trajectory, trajectories
+from kr270_milling.messages.trajectory import read_trajectory
 
 
 def random_path(points: int, bodies: int = 1, speeds: bool = True, seed: int = 1):
@@ -88,20 +89,17 @@ def test_a_message_made_to_change_its_layout_all_the_time_costs_no_more_than_its
     assert time.process_time() - begin < 2.0
 
 
-def test_trajectories_of_a_recording_come_one_by_one(tmp_path):
+def test_trajectories_of_a_recording_are_tables_up_to_one_that_is_none(tmp_path):
     with BagWriter(tmp_path / "a") as writer:
         writer.add_topic("/reference_trajectory", PATH)
-        writer.add_topic("/tool_pose", POSE)
         for points in (2, 5):
             writer.write("/reference_trajectory", raw(random_path(points)[0]), 0)
         writer.write("/reference_trajectory", raw(pose(100, np.zeros(7))), 0)
     with Recording(tmp_path / "a") as recording:
-        found = trajectories(recording, "/reference_trajectory")
-        assert [len(next(found).time) for _ in range(2)] == [2, 5]
+        found = tables(recording, "/reference_trajectory", PATH)
+        assert [len(next(found)[1][0]) for _ in range(2)] == [2, 5]
         with pytest.raises(RecordingError, match="is not a trajectory_msgs"):
             next(found)
-        with pytest.raises(RecordingError, match="no topic with trajectories"):
-            next(trajectories(recording, "/tool_pose"))
 
 
 def test_points_without_content_for_many_bodies_are_refused_before_room_is_made_for_them():
