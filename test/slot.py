@@ -27,7 +27,8 @@ def slot_chip(tool: Tool, feed_per_tooth: float, phi: np.ndarray) -> np.ndarray:
     drift = feed_per_tooth / pitch  # of the centre [m/rad]
     phi = (np.asarray(phi, float) + np.pi) % (2 * np.pi) - np.pi
     psi = phi.copy()  # where the tooth ahead stood when it passed this direction
-    for _ in range(50):  # its centre lay ``way`` behind; the sine rule in the triangle of both centres and the point
+    # its centre lay ``way`` behind; the sine rule in the triangle of both centres and the point
+    for _ in range(15):  # each round leaves some f / R of the error
         way = drift * (pitch + phi - psi)
         psi = phi - np.arcsin(way * np.sin(phi) / radius)
     rho = radius * np.cos(psi - phi) - way * np.cos(phi)
