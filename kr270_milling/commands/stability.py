@@ -81,6 +81,8 @@ def _write(args, cell, rows: list[dict], said: str) -> list[str]:
     ]
     figures[0].update_yaxes(rangemode="tozero")
     figures = figures[: 1 + any(map(math.isfinite, chatter))]  # none chatters: there is no frequency to show
+    for figure in figures:  # one above the other
+        figure.update_xaxes(range=[min(*speeds, *own[0]), max(*speeds, *own[0])])
     with staged(args.out) as (draft, final):
         table = draft / "lobes.csv"
         text = [",".join(repr(float(value)) for value in row.values()) for row in rows]

@@ -39,6 +39,7 @@ QUIET = {
     "distributed.logging.distributed": "critical",  # a worker that ends may miss a heartbeat
     "distributed.admin.log-format": "",
     "distributed.scheduler.allowed-failures": 3,
+    "distributed.admin.low-level-log-length": 10,  # each of its entries holds a task with the cell: 1000 grew by 90 MB
 }
 #: of a local cluster: what its processes watch beside their work took a tenth of a core
 LOCAL = {

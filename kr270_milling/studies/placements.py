@@ -10,6 +10,7 @@ times sqrt(s_k^2 + s_F^2), one standard deviation of ``uncertainty``.
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import math
 from dataclasses import dataclass, field
@@ -88,6 +89,7 @@ class Placements:
 
     def __post_init__(self):
         object.__setattr__(self, "base", self.cell.workpiece.pose)
+        object.__setattr__(self, "cell", dataclasses.replace(self.cell))  # goes with each chunk, without its path
 
     def __len__(self) -> int:
         return math.prod(len(axis) for axis in self.axes)
