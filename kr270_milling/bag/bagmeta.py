@@ -11,7 +11,7 @@ import yaml
 from kr270_milling.base import parameter_file as config_file
 from kr270_milling.base.errors import ConfigError
 
-__all__ = ["bag_information", "describe_qos", "qos_text", "read_qos", "topic_information", "yaml_text"]
+__all__ = ["bag_information", "describe_qos", "qos_text", "read_qos", "yaml_text"]
 
 INFINITE = 2**63 - 1  # [ns], as rosbag2 writes a duration without limit
 DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
@@ -78,21 +78,21 @@ def read_qos(text: str) -> list[dict]:
     return profiles if isinstance(profiles, list) and all(isinstance(p, dict) for p in profiles) else []
 
 
-def topic_information(name: str, kind: str, encoding: str, qos: list[dict], digest: str, count: int) -> dict:
-    """What ``metadata.yaml`` says of a topic; qos: described profiles; digest: of its type."""
+def _topic_information(channel) -> dict:
     about = dict(
-        name=name,
-        type=kind,
-        serialization_format=encoding,
-        offered_qos_profiles=qos,
-        type_description_hash=digest,
+        name=channel.topic,
+        type=channel.type,
+        serialization_format=channel.encoding,
+        offered_qos_profiles=channel.qos,
+        type_description_hash=channel.hash,
     )
-    return dict(topic_metadata=about, message_count=count)
+    return dict(topic_metadata=about, message_count=channel.count)
 
 
-def bag_information(file_name: str, topics: list[dict], start: int, end: int, custom: dict[str, str]) -> dict:
-    """The content of ``metadata.yaml`` for one MCAP file; topics: what ``topic_information`` gives of each; start,
-    end: first and last log time [ns], of which only a file with messages has any."""
+def bag_information(file_name: str, channels: Iterable, start: int, end: int, custom: dict[str, str]) -> dict:
+    """The content of ``metadata.yaml`` for one MCAP file; channels: as the writer has them; start, end: first and last
+    log time [ns], of which only a file with messages has any."""
+    topics = [_topic_information(channel) for channel in channels]
     count = sum(topic["message_count"] for topic in topics)
     begins = {"nanoseconds_since_epoch": start if count else INFINITE}
     lasts = {"nanoseconds": end - start if count else 0}

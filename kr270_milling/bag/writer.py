@@ -101,16 +101,6 @@ class BagWriter:
         """Messages that were given to the file."""
         return self.output.count
 
-    @property
-    def kept(self) -> int:
-        """Messages that a SIGKILL cannot take any more."""
-        return self.output.kept
-
-    @property
-    def error(self) -> RecordingError | None:
-        """What ended the file."""
-        return self.output.error
-
     def _run(self, call, *args):
         return self.output.run(call, *args, waiting=len(self._waiting))
 
@@ -241,11 +231,7 @@ class BagWriter:
         self._release()
         for channel in self.channels.values():
             channel.gaps.finish()
-        topics = [
-            bagmeta.topic_information(c.topic, c.type, c.encoding, c.qos, c.hash, c.count)
-            for c in self.channels.values()
-        ]
-        about = bagmeta.bag_information(self.path.name, topics, self.start or 0, self.end, self._custom)
+        about = bagmeta.bag_information(self.path.name, self.channels.values(), self.start or 0, self.end, self._custom)
         self.flush()
         self.add_metadata("kr270_milling.counts", {k: json.dumps(v) for k, v in self.report().items()})
         self.add_metadata("rosbag2", {"serialized_metadata": bagmeta.yaml_text(about)})

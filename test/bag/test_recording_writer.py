@@ -140,7 +140,7 @@ def test_a_refused_message_is_counted_and_the_recording_goes_on(tmp_path):
                 writer.write("/p", data, publish_time)
         with pytest.raises(MessageRefused, match="not added"):
             writer.write("/q", b"", 0)
-        assert writer.error is None and writer.report()["/p"]["refused"] == 3
+        assert writer.output.error is None and writer.report()["/p"]["refused"] == 3
     with Recording(tmp_path / "a") as recording:
         assert [m.publish_time for m in recording.messages()] == [0, 5, 7]
         assert json.loads(recording.metadata()["kr270_milling.counts"]["/p"])["refused"] == 3
@@ -227,7 +227,7 @@ for i in range(100):
         size = (writer.path).stat().st_size
 writer.close()
 assert writer.path.stat().st_size == size, "it wrote on"
-print(writer.kept, len(set(errors)), errors[0])
+print(writer.output.kept, len(set(errors)), errors[0])
 """
 
 
@@ -265,10 +265,10 @@ def test_a_chunk_that_fits_only_in_part_is_taken_back(tmp_path, monkeypatch):
         with pytest.raises(RecordingError) as again:
             writer.add_metadata("more", {})
     assert again.value is error.value
-    assert f"{writer.kept} messages" in str(error.value) and 0 < writer.kept < writer.count
+    assert f"{writer.output.kept} messages" in str(error.value) and 0 < writer.output.kept < writer.count
     assert not (tmp_path / "a" / "metadata.yaml").exists()
     with Recording(tmp_path / "a") as recording:
-        assert recording.cut_off and recording.count == writer.kept
+        assert recording.cut_off and recording.count == writer.output.kept
         assert recording.data_end == recording.size  # no piece of a record behind the last whole one
 
 
