@@ -33,6 +33,7 @@
     const place = KR.by("part").clientWidth > 600 ? { len: 0.7, x: 1, xanchor: "right" }
       : { orientation: "h", len: 0.8, y: 0, yanchor: "bottom" };
     const narrow = "orientation" in place;
+    const unit = narrow ? "" : " [mm]"; // else two titles lie on each other
     const eye = narrow ? 1.6 : 1.12; // farther away, so that no corner is cut off
     const traces = [
       { type: "surface", x: surface.x, y: surface.y, z: surface.z, surfacecolor: floats(pass.floor), cmin: -limit, cmax: limit,
@@ -51,7 +52,7 @@
                                backgroundcolor: "rgba(0,0,0,0)", zeroline: false, nticks: narrow ? 3 : 5 });
     const layout = KR.layout({
       showlegend: false, margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: "keep",
-      scene: { domain: { y: [narrow ? 0.14 : 0, 1] }, xaxis: axis("x [mm]"), yaxis: axis("y [mm]"), zaxis: { ...axis("z [mm]"), nticks: narrow ? 2 : 3 }, aspectmode: "manual",
+      scene: { domain: { y: [narrow ? 0.14 : 0, 1] }, xaxis: axis(`x${unit}`), yaxis: axis(`y${unit}`), zaxis: { ...axis(`z${unit}`), nticks: narrow ? 2 : 3 }, aspectmode: "manual",
                aspectratio: { x: 1.35 * size.x, y: 1.35 * size.y, z: 1.35 * Math.max(size.z, 0.02) },
                camera: { eye: { x: -0.62 * eye, y: -1.1 * eye, z: 0.95 * eye }, center: { x: 0, y: 0, z: -0.12 } } },
     });
