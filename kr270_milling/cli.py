@@ -68,7 +68,8 @@ EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
 def main(argv: list[str] | None = None) -> int:
     """Exit code 0, 1 (a check failed), 2 (unusable input: one sentence on stderr) or 130 (Ctrl-C).
 
-    Without ``argv`` the process is the command's own, and ends here where its exit code would else be in danger.
+    Without ``argv`` the process is the command's own, and ends here: a key that comes while Python takes itself apart
+    would change an exit code that is due.
     """
     if argv is not None:
         return _main(argv)
@@ -78,9 +79,7 @@ def main(argv: list[str] | None = None) -> int:
         code = _main(sys.argv[1:])
     except SystemExit as error:  # argparse, or a run that SIGTERM ends
         code = exit_code(error)
-    if "rclpy" in sys.modules or code == EXIT_INTERRUPTED:
-        end_process(code)
-    return code
+    end_process(code)
 
 
 def _main(argv: list[str]) -> int:
