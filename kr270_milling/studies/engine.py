@@ -200,8 +200,8 @@ def _client(scheduler: str | None) -> Iterator:
                 yield client
             return
         cluster = LocalCluster(
-            n_workers=os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address=None,
-            host="127.0.0.1", silence_logs="ERROR",
+            n_workers=os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
+            scheduler_kwargs={"dashboard": False}, host="127.0.0.1", silence_logs="CRITICAL",
         )  # fmt: skip
         with cluster, Client(cluster) as client:
             yield client
