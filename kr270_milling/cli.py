@@ -79,7 +79,7 @@ def main(argv: list[str] | None = None) -> int:
         code = _main(sys.argv[1:])
     except SystemExit as error:  # argparse, or a run that SIGTERM ends
         code = exit_code(error)
-    end_process(code)
+    return end_process(code)
 
 
 def _main(argv: list[str]) -> int:
