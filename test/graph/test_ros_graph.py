@@ -81,9 +81,9 @@ def nodes_of(out: Path) -> dict[str, int]:
         except OSError:
             continue
         words = [word.decode("utf-8", "replace") for word in command]
-        nodes = (
-            words[words.index("kr270_milling.nodes") + 1 : words.index("--ros-args")] if "--ros-args" in words else []
-        )
+        if not {"kr270_milling.nodes", "--ros-args"} <= set(words):
+            continue
+        nodes = words[words.index("kr270_milling.nodes") + 1 : words.index("--ros-args")]
         if state != "Z" and any(w.startswith(str(out)) for w in words):
             found |= {node: int(pid) for node in nodes if node != "milling_cell"}
     return found
