@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import os
 import signal
 import threading
 import time
@@ -121,7 +122,18 @@ class Graph:
         self._watchdog.excused = set()
         self._watchdog.coming_up = False
         self._wait_matched(recorded=False)
+        self._share_out_cores()
         self.up_s = time.monotonic() - started
+
+    def _share_out_cores(self) -> None:
+        """Robot and cut work by turns, so one core is enough for both; to wake the other on another core took as long
+        again as the whole exchange. Compensator and recorder have the rest."""
+        cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+        if len(cores) < 2:
+            return
+        own = sorted(cores)[os.getpid() % len(cores)]
+        for node, child in self.children.items():
+            child.keep_to({own} if node in CELL else cores - {own})
 
     def _pause(self, seconds: float) -> None:
         end = time.monotonic() + seconds

@@ -73,6 +73,12 @@ class Child:
             lines = stream.read().decode("utf-8", "replace").split("\n")
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
+    def keep_to(self, cores: set[int]) -> None:
+        """Run on these cores only, with every thread that it has now and those that they start."""
+        for task in os.listdir(f"/proc/{self.pid}/task") if self.alive else ():
+            with contextlib.suppress(OSError):  # it has ended
+                os.sched_setaffinity(int(task), cores)
+
     def signal(self, number: int) -> None:
         if self.alive:
             with contextlib.suppress(ProcessLookupError):
