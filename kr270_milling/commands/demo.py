@@ -6,6 +6,9 @@ which the paper leaves out and every real arm has.
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 from kr270_milling.commands.console import Answer, Table, command_line, now
 from kr270_milling.commands.options import add_plant, option, plant_of
 from kr270_milling.commands.progress import progress
@@ -37,6 +40,8 @@ def run(args) -> Answer:
     moving = read_cell(source, ["dynamics.reference_inertia=true"])
     other = args.plant is not None or args.noise_um is not None
     if args.plain or other or importlib.util.find_spec("rclpy") is None:
+        if Path(args.out, "report.html").exists():
+            print(f"{args.out} holds a report already; it is replaced", file=sys.stderr)
         how = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
         with staged(args.out) as (draft, final):
             passes = _plain(cell, METHODS, plant_of(args, cell))

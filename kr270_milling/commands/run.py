@@ -21,12 +21,7 @@ def add_arguments(parser) -> None:
     option(parser, "--passes N", passes, bounded(1, 1000, int))
     option(parser, "--method", "how to compensate; may be given several times", choices=METHODS, action="append")
     option(parser, "--out DIR", "for recordings, logs, cell.yaml", default="out")
-    option(
-        parser,
-        "--processes",
-        "one process a node; else two nodes share one, which is quicker",
-        bool,
-    )
+    option(parser, "--processes", "one process a node; else two nodes share one, which is quicker", bool)
     option(parser, "--namespace NAME", "ROS namespace of the four nodes", default="")
 
 

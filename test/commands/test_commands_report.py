@@ -9,6 +9,7 @@ from pathlib import Path
 import pass_recording as made
 from hostile import ask, refused
 
+from kr270_milling.cli import main
 from kr270_milling.commands.report import unique_names
 from kr270_milling.replay import recorded
 from kr270_milling.replay.recorded import pass_from_recording
@@ -77,3 +78,14 @@ def test_a_whole_recording_is_left_alone_by_recover(tmp_path):
     answer = ask("recover", str(directory))
     assert answer.code == 0 and "left as it is" in answer.out
     assert sorted(p.name for p in tmp_path.iterdir()) == ["one"]
+
+
+def test_a_second_plain_demo_says_first_that_it_replaces_the_report(tmp_path, monkeypatch, capsys):
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    (tmp_path / "report.html").write_text("old")
+    monkeypatch.setattr("kr270_milling.commands.demo._plain", stop)
+    assert main(["demo", "--plain", "--out", str(tmp_path)]) == 130
+    assert "holds a report already; it is replaced" in capsys.readouterr().err
+    assert (tmp_path / "report.html").read_text() == "old"
