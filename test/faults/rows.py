@@ -21,12 +21,12 @@ from kr270_milling.simulation.milling_pass import PassResult
 
 __all__ = ["Row", "expected_seconds", "fault_cell", "run_faults"]
 
-#: a pass of 4,800 exchanges, some two seconds at full speed
-CELL = ("path.length_mm=40", "stock.grid_step_um=50", "exchange.period_ms=0.125")
-COMPOSED = (*CELL[:2], "exchange.period_ms=0.0625")  # twice as many, for a graph that is quicker
+#: a pass of 14,400 exchanges, longer at full speed than a node is held; twice as many for a graph that is quicker
+CELL = ("path.length_mm=120", "stock.max_mm=[120,12,0]", "stock.grid_step_um=50", "exchange.period_ms=0.125")
+COMPOSED = (*CELL[:3], "exchange.period_ms=0.0625")
 AFTER = (0.05, 0.8)  # [s] from the start of the pass to the fault
 TRIES = 6  #: a busy machine may look so late that the pass is over before the fault
-SECONDS = {True: 9.0, False: 6.0}  # [s] that a trial takes, with and without a graph of its own
+SECONDS = {True: 11.0, False: 9.0}  # [s] that a trial takes, with and without a graph of its own
 COLUMNS = ("fault", "repeats", "detected within max [s]", "named", "others", "orphans", "litter", "recording")
 
 
