@@ -56,7 +56,8 @@ def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: Pa
         if graph.clock is not None:
             graph.clock.set(0.0)
     if graph.struck_at is None:
-        trial.problems.append(TOO_LATE)
+        ended = trial.reaction == ENDS
+        trial.problems.append(f"the run ended before the fault: {graph.told[-1].sentence}" if ended else TOO_LATE)
         return trial
     judge_words(trial, fault, graph)
     _judge_recording(trial, fault, graph, plain, again)
