@@ -73,6 +73,7 @@ class Driver:
         self._executor.add_node(self.node)
         topic = topics.DIAGNOSTICS
         self.node.create_subscription(topic.type, topic.name, self._on_diagnostics, topic.qos)
+        self.addresses: dict[str, str] = {}  #: node -> the name under which its services are, where it has another
         self._clients: dict[str, Client] = {}
         self.namespace = self.node.get_namespace()
 
@@ -129,7 +130,7 @@ class Driver:
         return self._finish(self._ask(node, kind, service, request, deadline), what, deadline)
 
     def _ask(self, node: str, kind: type, service: str, request, deadline: float) -> tuple:
-        name = f"{self.name_of(node)}/{service}"
+        name = f"{self.name_of(self.addresses.get(node, node))}/{service}"
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
         client = self._clients[name]

@@ -111,11 +111,14 @@ class Graph:
     def _start(self, started: float) -> None:
         cuts = self.out / ("cell.yaml" if self.plant is None else "plant.yaml")
         tracked = () if self.plant is None else ("-p", f"plant:={cuts}")
-        records = ("-p", "autostart:=false", *self._recorded_topics())
+        own = f"{RECORDER}_{os.getpid()}"  # the recorder of another graph must not hear where this one records
+        self.driver.addresses[RECORDER] = own
+        alone = ("-r", f"{RECORDER}/set_parameters:={own}/set_parameters")
+        records = ("-p", "autostart:=false", *alone, *self._recorded_topics())
         for nodes in (CELL, PLANNER) if self._composed else ((node,) for node in (*CELL, *PLANNER)):
             parameters = cuts if nodes[0] in CELL else self.out / "cell.yaml"
-            own = [*(tracked if COMPENSATOR in nodes else ()), *(records if RECORDER in nodes else ())]
-            self.spawn(nodes, parameters, *own, *self.extra)
+            more = [*(tracked if COMPENSATOR in nodes else ()), *(records if RECORDER in nodes else ())]
+            self.spawn(nodes, parameters, *more, *self.extra)
             self._pause(self._stagger)
         self.driver.until(lambda: all(map(self.driver.status, (*CELL, *PLANNER))), "coming up", UP)
         self.driver.transitions([(ROBOT, "configure"), (CUT, "configure")], UP)

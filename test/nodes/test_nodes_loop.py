@@ -150,7 +150,7 @@ def test_cut_restarted_in_mid_pass_says_so_and_runs_after_a_fresh_start(world, s
     loop.cut = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     loop.cut.trigger_configure()
     loop.cut.trigger_activate()
-    loop.told.until("/compliant_robot", "the cutting process is gone", ERROR, deadline=4.5)
+    loop.told.until("/compliant_robot", "the cutting process is gone", ERROR, deadline=20.0)
     loop.stop()
     loop.series = {topic: {} for topic in loop.series}
     loop.start()
