@@ -95,7 +95,7 @@ def _rows(result: dict) -> list[list[str]]:
 
 
 def _figures(found) -> list:
-    from kr270_milling.identification.figures import points
+    from kr270_milling.identification.outcome import points
 
     figures = []
     for channel in found.channels:

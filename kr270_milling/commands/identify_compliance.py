@@ -35,8 +35,7 @@ def run(args) -> Answer:
     from kr270_milling.base.record import find_file
     from kr270_milling.commands.identify import identified
     from kr270_milling.commands.plan_load_tests import plan_load_tests
-    from kr270_milling.identification.compliance import fit
-    from kr270_milling.identification.compliance_result import compliance_outcome
+    from kr270_milling.identification.compliance import compliance_outcome, fit
     from kr270_milling.identification.measurements import read_measurements
     from kr270_milling.identification.plan import at_posture, read_test_pose
     from kr270_milling.identification.problem import Problem

@@ -13,8 +13,7 @@ def plan_load_tests(args, arm, mount, pose) -> Answer:
     import numpy as np
 
     from kr270_milling.base.errors import InputError
-    from kr270_milling.identification.candidates import Bench, candidates
-    from kr270_milling.identification.plan import CRITERIA, Planner
+    from kr270_milling.identification.plan import CRITERIA, Bench, Planner, candidates
 
     if pose is None:
         raise InputError(
@@ -37,7 +36,7 @@ def plan_load_tests(args, arm, mount, pose) -> Answer:
 def _answer(args, choice, designs: dict) -> Answer:
     import numpy as np
 
-    from kr270_milling.identification.plan_files import blind_spots, in_order, load_text
+    from kr270_milling.identification.plan import blind_spots, in_order, load_text
 
     best = next(iter(designs.values()))
     plan = in_order(choice.take(best.rows))
@@ -66,7 +65,7 @@ def _answer(args, choice, designs: dict) -> Answer:
 def _write_plan(args, plan, best) -> list[Path]:
     from kr270_milling import __version__
     from kr270_milling.base.files import staged
-    from kr270_milling.identification.plan_files import blind_spots, write_plan
+    from kr270_milling.identification.plan import blind_spots, write_plan
 
     error = f"expected error {1e6 * best.pose_error:.3f} um per 100 N"
     notes = [f"load tests planned by kr270_milling {__version__}, {error}", *blind_spots(best.relative),

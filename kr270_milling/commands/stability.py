@@ -69,7 +69,7 @@ def _depth(value: float) -> str:
 def _write(args, cell, rows: list[dict], said: str) -> list[str]:
     """Table and picture."""
     from kr270_milling.base.files import staged
-    from kr270_milling.identification.figures import points, write_page
+    from kr270_milling.identification.outcome import points, write_page
 
     speeds = [row["spindle_speed_rpm"] for row in rows]
     limit, chatter = ([row[name] for row in rows] for name in ("depth_limit_mm", "chatter_hz"))

@@ -2,30 +2,35 @@
 
 minimise sum w_i r_i(x)^2,  r = (model(x) - measurement) / sigma,  cov(x) = s^2 (A^T W A)^-1,  A = dr/dx.
 
-s^2 and the interval are those of ``linear``; where no standard deviations are stated, they are estimated from the
+s^2 and the interval are those of ``intervals``; where no standard deviations are stated, they are estimated from the
 residuals, of translations and rotations each for itself.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 from scipy.optimize import least_squares
-from scipy.stats import chi2
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.identification.identifiability import held_numbers, hidden, why_held
-from kr270_milling.identification.linear import half_interval, scatter
+from kr270_milling.base.record import specs
+from kr270_milling.identification.intervals import half_interval, robust_variance, robust_weights, scatter
+from kr270_milling.identification.measurements import Measurements
+from kr270_milling.identification.outcome import Outcome, figure_of, points
 from kr270_milling.identification.problem import Problem
+from kr270_milling.robot.compensator import Compensator
 
-__all__ = ["Fit", "TooFewError", "fit", "robust_weights"]
+__all__ = ["Fit", "TooFewError", "compliance_outcome", "fit", "sentences"]
 
 #: relative standard deviation of a number that the data cannot tell, as in the cell's ``uncertainty``: assumed
 PRIOR = 0.15
 ROUNDS = 30
+HARDLY_NORMAL = 0.05
+COLUMNS = ("number", "arm file", "identified", "95 % +-", "told by the data")
 
 
 class TooFewError(MillingError):
@@ -42,12 +47,16 @@ class Fit:
 
     problem: Problem  #: with the standard deviations that were used
     factors: np.ndarray  #: on the arm file's numbers, (p,)
-    free: np.ndarray  #: (p,) bool: fitted; the others are as in the arm file
-    reasons: dict[int, str]  #: of those that are not
+    reasons: dict[int, str]  #: of those that were not fitted, which are as in the arm file
     covariance: np.ndarray  #: of the factors, (p, p), with PRIOR for those that are held
     quantile: float  #: half width of a 95 % interval in standard deviations
     weights: np.ndarray  #: of each load test, (n,); 1 unless robust
     chi2_reduced: float  #: weighted sum of the squares of the residuals over the degrees of freedom
+
+    @property
+    def free(self) -> np.ndarray:
+        """(p,) bool: fitted."""
+        return np.array([k not in self.reasons for k in range(len(self.factors))])
 
     @property
     def values(self) -> np.ndarray:
@@ -68,6 +77,13 @@ class Fit:
         return np.where(both, self.covariance / np.outer(sigma, sigma), np.eye(len(sigma)))
 
     @property
+    def singular_values(self) -> np.ndarray:
+        """Of the derivatives, each column scaled to length 1, (p,), the largest first; 1 each: nothing is mixed up."""
+        columns = self.problem.derivatives(self.factors)
+        lengths = np.linalg.norm(columns, axis=0)
+        return np.linalg.svd(columns / np.where(lengths > 0.0, lengths, 1.0), compute_uv=False)
+
+    @functools.cached_property
     def residuals(self) -> np.ndarray:
         """Measured less modelled [m, rad], (n, 6)."""
         return self.problem.measured.displacement - self.problem.predict(self.factors)
@@ -79,15 +95,23 @@ class Fit:
         return float(np.sqrt(np.nanmean(rows**2)))
 
     @property
-    def normality(self) -> float:
-        """p-value of the test of Shapiro and Wilk: below 0.05 the residuals are hardly normal; NaN for fewer than 3."""
-        scaled = (self.residuals / self.problem.measured.sigma)[self.problem.finite]
-        return float(stats.shapiro(scaled[:5000]).pvalue) if scaled.size >= 3 and np.ptp(scaled) > 0.0 else float("nan")
+    def scaled(self) -> np.ndarray:
+        """Residuals in standard deviations, (m,)."""
+        return (self.residuals / self.problem.measured.sigma)[self.problem.finite]
 
     @property
-    def arm(self):
-        """The identified arm."""
-        return self.problem.arm_at(self.factors)
+    def normality(self) -> float:
+        """p-value of the test of Shapiro and Wilk: below 0.05 the residuals are hardly normal; NaN for fewer than 3."""
+        if self.scaled.size < 3 or not np.ptp(self.scaled) > 0.0:
+            return float("nan")
+        return float(stats.shapiro(self.scaled[:5000]).pvalue)
+
+    def at(self, pose: Measurements) -> tuple[np.ndarray, np.ndarray]:
+        """Translation of the tool under each force of a test pose [m], (k, 3), and its standard deviation [m], (k,)."""
+        slopes = self.problem.slopes(self.factors, pose)
+        square = np.einsum("kip,pq,kiq->k", slopes, self.covariance, slopes)
+        moved = dataclasses.replace(self.problem, measured=pose).predict(self.factors)[:, :3]
+        return moved, np.sqrt(np.maximum(square, 0.0))
 
 
 def fit(problem: Problem, robust: bool = False) -> Fit:
@@ -96,102 +120,83 @@ def fit(problem: Problem, robust: bool = False) -> Fit:
     A number that the data cannot tell stays as the arm file has it: one without effect, one that is mixed up with
     another, and one whose interval would reach beyond zero. The others' intervals then hold its uncertainty, PRIOR.
     """
-    held = held_numbers(problem.derivatives(problem.start))
-    reasons = {k: why_held(problem, k, partner) for k, partner in held.items()}
+    reasons = problem.held()
     while True:
-        free = np.array([k not in reasons for k in range(len(problem.start))])
-        found = _fitted(problem, free, robust)
+        found = _fitted(problem, dict(reasons), robust)
         relative = found.half_widths / np.maximum(np.abs(found.values), 1e-300)
-        relative[~free | (found.factors <= 0.0) & (np.arange(len(free)) < 6)] = 0.0
-        relative[free & (found.factors <= 0.0) & (np.arange(len(free)) < 6)] = np.inf
+        relative[:6][found.factors[:6] <= 0.0] = np.inf
+        relative[~found.free] = 0.0
         worst = int(np.argmax(relative))
         if not relative[worst] >= 1.0:
-            return dataclasses.replace(found, reasons=reasons)
+            return found
         noise = f"{problem.names[worst]}: what it does is below the noise, its 95 % interval would reach beyond zero"
-        reasons[worst] = worst < 6 and hidden(problem, worst) or noise
+        reasons[worst] = problem.hidden(worst) or noise
 
 
-def _fitted(problem: Problem, free: np.ndarray, robust: bool) -> Fit:
-    measured = int(problem.finite.sum())
-    if measured <= free.sum():
-        raise TooFewError(measured, int(free.sum()))
+def _fitted(problem: Problem, reasons: dict[int, str], robust: bool) -> Fit:
+    """The fit of all numbers without a reason to be held, by weights and standard deviations from its own residuals."""
     weights, x = np.ones(len(problem.measured)), problem.start
+    free = np.array([k not in reasons for k in range(len(x))])
+    sought, measured = int(free.sum()), int(problem.finite.sum())
+    if measured <= sought:
+        raise TooFewError(measured, sought)
     for _ in range(ROUNDS):
         x = _solved(problem, x, free, weights)
-        left = _by_test(problem, problem.residuals(x))
+        left = problem.weighted(problem.predict(x))
         new = robust_weights(left) if robust else weights
-        scaled = problem if problem.measured.sigma_known else _with_estimated_sigma(problem, left, weights, free)
+        scaled = problem if problem.measured.sigma_known else _with_estimated_sigma(problem, left, weights, sought)
         done = np.abs(new - weights).max() < 1e-3 and np.allclose(scaled.measured.sigma, problem.measured.sigma, 1e-4)
         problem, weights = scaled, new
         if done:
             break
-    return _with_covariance(problem, x, free, weights, robust)
+    each = np.repeat(weights, 6)[problem.finite.ravel()]
+    residuals, a = problem.linearised(x)
+    freedom = max(1, int((each > 0.0).sum() - sought))
+    chi2 = float(np.sum(each * residuals**2))
+    if robust:
+        variance = robust_variance(problem.weighted(problem.predict(x)), sought)
+    else:
+        variance = scatter(chi2, freedom, True)
+    covariance = _with_prior(np.linalg.inv(a[:, free].T @ a[:, free]) * variance, a * np.sqrt(each)[:, None], free)
+    quantile = half_interval(freedom, problem.measured.sigma_known and not robust)
+    return Fit(problem, x, reasons, covariance, quantile, weights, chi2 / freedom)
 
 
-def _solved(problem: Problem, x: np.ndarray, free: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _solved(problem: Problem, start: np.ndarray, free: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """The factors of least weighted squares."""
     if not free.any():
-        return x
+        return start
     root = np.sqrt(np.repeat(weights, 6)[problem.finite.ravel()])
-    known: dict[bytes, tuple] = {}  # residuals and derivatives of one place come from one evaluation
 
-    def linearised(part):
-        key = part.tobytes()
-        if key not in known:
-            known.clear()
-            known[key] = problem.linearised(_inserted(part, x, free))
-        return known[key]
+    def whole(part: np.ndarray) -> np.ndarray:
+        x = start.copy()
+        x[free] = part
+        return x
 
-    solved = least_squares(
-        lambda part: root * linearised(part)[0],
-        x[free],
-        lambda part: root[:, None] * linearised(part)[1][:, free],
-        method="lm",
-        xtol=1e-8,
-        ftol=1e-12,
-    )
-    return _inserted(solved.x, x, free)
+    @functools.lru_cache(maxsize=1)  # residuals and derivatives of one place come from one evaluation
+    def linearised(part: bytes):
+        return problem.linearised(whole(np.frombuffer(part)))
 
+    def residuals(part):
+        return root * linearised(part.tobytes())[0]
 
-def _inserted(part: np.ndarray, x: np.ndarray, free: np.ndarray) -> np.ndarray:
-    full = x.copy()
-    full[free] = part
-    return full
+    def derivatives(part):
+        return root[:, None] * linearised(part.tobytes())[1][:, free]
+
+    return whole(least_squares(residuals, start[free], derivatives, method="lm", xtol=1e-8, ftol=1e-12).x)
 
 
-def _by_test(problem: Problem, residuals: np.ndarray) -> np.ndarray:
-    """(n, 6), NaN where nothing was measured."""
-    table = np.full(problem.finite.shape, np.nan)
-    table[problem.finite] = residuals
-    return table
-
-
-def _with_estimated_sigma(problem: Problem, left: np.ndarray, weights: np.ndarray, free: np.ndarray) -> Problem:
+def _with_estimated_sigma(problem: Problem, left: np.ndarray, weights: np.ndarray, sought: int) -> Problem:
     """Standard deviations so that translations and rotations scatter by 1 each; p / m of each is taken by the fit."""
     sigma = problem.measured.sigma.copy()
-    share = 1.0 - free.sum() / problem.finite.sum()
+    share = 1.0 - sought / problem.finite.sum()
     for part in (slice(0, 3), slice(3, 6)):
         used = np.isfinite(left[:, part]) & (weights[:, None] > 0.0)
         if used.any():
             heavy = np.broadcast_to(weights[:, None], used.shape)[used]
             square = np.sum(heavy * left[:, part][used] ** 2) / np.sum(heavy) / share
             sigma[:, part] *= np.sqrt(max(square, 1e-24))
-    measured = dataclasses.replace(problem.measured, sigma=sigma)
-    return dataclasses.replace(problem, measured=measured)
-
-
-def _with_covariance(problem: Problem, x, free, weights, robust: bool) -> Fit:
-    """The record, with cov = s^2 (A^T W A)^-1 and what the held numbers add."""
-    each = np.repeat(weights, 6)[problem.finite.ravel()]
-    left, a = problem.linearised(x)
-    freedom = max(1, int((each > 0.0).sum() - free.sum()))
-    chi2 = float(np.sum(each * left**2))
-    known = problem.measured.sigma_known and not robust
-    square = robust_variance(_by_test(problem, left), int(free.sum())) if robust else scatter(chi2, freedom, True)
-    inverse = np.linalg.inv(a[:, free].T @ a[:, free]) * square
-    quantile = half_interval(freedom, known)
-    covariance = _with_prior(inverse, a * np.sqrt(each)[:, None], free)
-    return Fit(problem, x, free, {}, covariance, quantile, weights, chi2 / freedom)
+    return dataclasses.replace(problem, measured=dataclasses.replace(problem.measured, sigma=sigma))
 
 
 def _with_prior(inverse: np.ndarray, a: np.ndarray, free: np.ndarray) -> np.ndarray:
@@ -205,40 +210,123 @@ def _with_prior(inverse: np.ndarray, a: np.ndarray, free: np.ndarray) -> np.ndar
     return covariance
 
 
-TUKEY = 4.685  #: 95 % efficiency for normal residuals of one number a test [Tukey's biweight]
+def compliance_outcome(found: Fit, pose: Measurements | None, source: str) -> Outcome:
+    """Everything that ``identify compliance`` says; source: name of the file with the load tests."""
+    tests, problem = len(found.problem.measured), found.problem
+    title = f"Joint compliances of {problem.arm.name} from {tests} load tests, {source}"
+    residual = f"residual {1e6 * found.residual_rms:.2f} um RMS, normal with p = {found.normality:.2g}"
+    rows = []
+    for name, *numbers, free in zip(
+        problem.names, problem.scale, found.values, found.half_widths, found.free, strict=True
+    ):
+        unit = 1e6 if name.startswith("joint") else 1.0
+        shown = [f"{unit * number:.4g}" if np.isfinite(number) else "-" for number in numbers]
+        rows.append([name, *shown, "yes" if free else "no"])
+    return Outcome(
+        "compliance", title, _as_dict(found, pose), [(title, COLUMNS, rows)], [residual, *sentences(found, pose)],
+        lambda: _figures(found), _sections(found), "name this file in `includes` behind that of the arm",
+    )  # fmt: skip
 
 
-def robust_weights(residuals: np.ndarray) -> np.ndarray:
-    """One weight for each test (n,), 0 to 1, from its residuals (n, k), NaN where not measured: (1 - u^2)^2, u < 1."""
-    u = _shares(residuals)
-    return np.where(u < 1.0, (1.0 - u**2) ** 2, 0.0)
+def _as_dict(found: Fit, pose: Measurements | None) -> dict:
+    """For JSON; half widths that are infinite become null there."""
+    report = {
+        "compliance_urad_per_n_m": (1e6 * found.values[:6]).tolist(),
+        "ci95_urad_per_n_m": (1e6 * found.half_widths[:6]).tolist(),
+        "identifiable": found.free[:6].tolist(),
+        "reasons": list(found.reasons.values()),
+        "residual_rms_um": 1e6 * found.residual_rms,
+        "residuals_um": (1e6 * found.residuals[:, :3]).tolist(),
+        "weights": found.weights.tolist(),
+        "chi2_reduced": found.chi2_reduced,
+        "normality_p": found.normality,
+        "correlation": found.correlation.tolist(),
+        "singular_values": found.singular_values.tolist(),
+        "tests": len(found.problem.measured),
+    }
+    if np.isfinite(found.residuals[:, 3:]).any():
+        report["residuals_mrad"] = (1e3 * found.residuals[:, 3:]).tolist()
+    if found.problem.compensator:
+        report["compensator"] = {"ci95": _compensator(found, found.half_widths), **_compensator(found, found.values)}
+    if pose is not None:
+        moved, error = found.at(pose)
+        report["test_pose"] = {
+            "joints_deg": np.degrees(pose.q[0]).tolist(),
+            "forces_n": pose.wrench[:, :3].tolist(),
+            "displacement_um": (1e6 * moved).tolist(),
+            "error_um": (1e6 * error).tolist(),
+            "share": float(np.sqrt(np.sum(error**2) / np.sum(moved**2))),
+        }
+    return report
 
 
-def _shares(residuals: np.ndarray) -> np.ndarray:
-    """u (n,): the length of a test's residuals over the length c_k s at which it loses all weight.
-
-    Its square is s^2 times a chi^2 distributed number; s comes from the median, c_k cuts off the same share as TUKEY
-    does for one number.
-    """
-    count = np.isfinite(residuals).sum(1)
-    length = np.sqrt(np.nansum(residuals**2, axis=1))
-    scale = float(np.median(length / np.sqrt(chi2.ppf(0.5, count))))
-    cut = np.sqrt(chi2.isf(chi2.sf(TUKEY**2, 1), count))
-    return length / np.maximum(scale * cut, 1e-300)
+def _compensator(found: Fit, numbers: np.ndarray) -> dict[str, float]:
+    """Numbers (p,) [SI] of the compensator in units of the parameter file."""
+    by_name = {spec.name: spec for spec in specs(Compensator)}
+    chosen = [by_name[name] for name in found.problem.compensator]
+    return {spec.key: float(number / spec.scale) for spec, number in zip(chosen, numbers[6:], strict=True)}
 
 
-def robust_variance(residuals: np.ndarray, sought: int) -> float:
-    """s^2 in cov = s^2 (A^T A)^-1 of an M-estimate [Huber1981, section 7.6].
+def sentences(found: Fit, pose: Measurements | None = None) -> list[str]:
+    """What the numbers mean."""
+    said = [f"not identified: {reason}; it stays as in the arm file" for reason in found.reasons.values()]
+    if found.free.all():
+        said.append("every sought number is told by the data")
+    seen = found.problem.measured.displacement[:, :3]
+    if np.nansum(seen * (seen - found.residuals[:, :3])) < 0.0:
+        said.append("the arm moved against its loads: look at the signs of forces and displacements")
+    outliers = np.flatnonzero(found.weights < 0.25) + 1
+    if outliers.size:
+        said.append("tests that contradict the others: " + ", ".join(map(str, outliers.tolist())))
+    if found.normality < HARDLY_NORMAL:
+        said.append(f"the residuals are hardly normal (p = {found.normality:.2g}): look for outliers, or a wrong load")
+    if found.problem.measured.sigma_known and found.chi2_reduced > 1.5:
+        factor = np.sqrt(found.chi2_reduced)
+        said.append(f"the residuals are {factor:.1f} times what sigma_um states; the intervals are widened by that")
+    if pose is not None:
+        moved, error = found.at(pose)
+        size = 1e6 * np.sqrt(np.sum(moved**2, axis=1).mean()), 1e6 * np.sqrt(np.mean(error**2))
+        said.append(f"at the cell's posture 100 N move the tool by {size[0]:.1f} um, known to {size[1]:.2f} um")
+    return said
 
-    s^2 = K^2 [sum psi^2 / (m - p)] / mean(psi')^2, K = 1 + p / m var(psi') / mean(psi')^2, psi = w r of m numbers;
-    psi' = (1 - u^2)^2 - 4 u^2 (1 - u^2) / k, its mean over the k directions of a test.
-    """
-    u, count = _shares(residuals), np.isfinite(residuals).sum(1)
-    inside = np.maximum(1.0 - u**2, 0.0)
-    slope = inside**2 - 4.0 * u**2 * inside / count
-    m = int(count.sum())
-    psi = np.nansum((inside**2)[:, None] ** 2 * residuals**2)
-    mean = float(np.average(slope, weights=count))
-    spread = float(np.average((slope - mean) ** 2, weights=count))
-    correction = 1.0 + sought / m * spread / mean**2
-    return correction**2 * float(psi) / max(1, m - sought) / mean**2
+
+def _sections(found: Fit) -> dict:
+    """The groups of a parameter file: the arm's compliances, and how well they are known for the verdict."""
+    widths = ", ".join("-" if not np.isfinite(w) else f"{1e6 * w:.2g}" for w in found.half_widths[:6])
+    arm: dict = {"joint_compliance_urad_per_n_m": ((1e6 * found.values[:6]).tolist(), f"identified, 95 % +- {widths}")}
+    if found.problem.compensator:
+        arm["compensator"] = _compensator(found, found.values)
+    relative = np.sqrt(np.diag(found.covariance)[:6]) / np.abs(found.factors[:6])
+    spread = (np.clip(relative, 1e-4, 1.0).tolist(), "standard deviations from the same fit")
+    return {"arm": arm, "uncertainty": {"joint_compliances": spread}}
+
+
+def _figures(found: Fit) -> list:
+    """Compliances with their intervals, residuals of each test and against the normal distribution, correlation."""
+    bars = figure_of("Joint compliances", "", "[urad/(N m)]")
+    values, widths = found.values[:6], np.where(np.isfinite(found.half_widths[:6]), found.half_widths[:6], 0.0)
+    spread = dict(type="data", color="#888888", array=(1e6 * widths).tolist())
+    joints, names = found.problem.names[:6], found.problem.names
+    bars.add_bar(name="identified, 95 %", x=joints, y=(1e6 * values).tolist(), error_y=spread)
+    bars.add_bar(name="arm file", x=joints, y=(1e6 * found.problem.arm.joint_compliance).tolist())
+    heat = figure_of("Correlation of what was fitted", "", "")
+    heat.add_heatmap(x=names, y=names, z=found.correlation.tolist(), zmin=-1, zmax=1, colorscale="RdBu",
+                     texttemplate="%{z:.2f}")  # fmt: skip
+    heat.update_layout(yaxis_autorange="reversed", height=480)
+    left = 1e6 * found.residuals[:, :3]
+    tests = np.arange(1, len(left) + 1)
+    scaled = np.sort(found.scaled)
+    normal = stats.norm.ppf((np.arange(scaled.size) + 0.5) / scaled.size)
+    modelled = 1e6 * (found.problem.measured.displacement - found.residuals)[:, :3]
+    seen = 1e6 * found.problem.measured.displacement[:, :3]
+    axes = list(enumerate("xyz"))
+    return [
+        bars,
+        points("Measured against modelled displacement", "modelled [um]", "measured [um]",
+               {a: (modelled[:, i], seen[:, i]) for i, a in axes}),
+        points("Residuals of each load test", "test", "measured less modelled [um]",
+               {a: (tests, left[:, i]) for i, a in axes}),
+        points("Residuals against the normal distribution", "normal quantile", "residual [standard deviations]",
+               {"residuals": (normal, scaled), "normal": (normal, normal)}, ("normal",)),
+        heat,
+    ]  # fmt: skip

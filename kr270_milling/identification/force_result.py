@@ -7,7 +7,6 @@ import numpy as np
 from kr270_milling.base.record import specs
 from kr270_milling.cutting.laws import FractionalLaw, LinearEdgeLaw
 from kr270_milling.decision.samples import AXIAL, SCATTERED
-from kr270_milling.identification.figures import points
 from kr270_milling.identification.forces import (
     NAMES,
     SCALE,
@@ -17,7 +16,7 @@ from kr270_milling.identification.forces import (
     fractional_mean_forces,
     mean_forces,
 )
-from kr270_milling.identification.outcome import Outcome
+from kr270_milling.identification.outcome import Outcome, points
 
 __all__ = ["force_outcome", "linear_edge_sections"]
 

@@ -28,7 +28,7 @@ from kr270_milling.base.record import specs
 from kr270_milling.base.table import read_table
 from kr270_milling.cutting.laws import KLIMCHIK2012, FractionalLaw, fractional
 from kr270_milling.identification.cuts import Cuts
-from kr270_milling.identification.linear import MixedUpError, half_interval, scatter, solve
+from kr270_milling.identification.intervals import MixedUpError, half_interval, scatter, solve
 
 __all__ = [
     "FILE", "NAMES", "TOWARD_PART", "Coefficients", "FractionalFit", "Material", "OneFeedError", "find_material",
@@ -60,7 +60,6 @@ class Coefficients:
     cuts: Cuts
     values: np.ndarray  #: K_tc, K_te, K_rc, K_re, K_ac, K_ae [N/m^2, N/m], (6,)
     half_widths: np.ndarray  #: of their 95 % intervals, (6,)
-    covariance: np.ndarray  #: (6, 6)
     residuals: np.ndarray  #: measured less modelled [N], (n, 3)
     axial: float = TOWARD_PART  #: s of F_z, from the sign of what was measured
 
@@ -98,7 +97,7 @@ def fit_linear_edge(cuts: Cuts) -> Coefficients:
     """The linear-edge law; raises OneFeedError. The axial pair only where fz was measured in two cuts at least."""
     axial = INTO_HOLDER if np.nansum(cuts.force[:, 2]) > 0.0 else TOWARD_PART
     design = _design(cuts, axial)
-    values, widths, covariance = np.full(6, np.nan), np.full(6, np.nan), np.full((6, 6), np.nan)
+    values, widths = np.full(6, np.nan), np.full(6, np.nan)
     for axes, columns in (((0, 1), slice(0, 4)), ((2,), slice(4, 6))):
         used = np.isfinite(cuts.force[:, axes])
         if axes == (2,) and used.sum() < 2:
@@ -106,12 +105,11 @@ def fit_linear_edge(cuts: Cuts) -> Coefficients:
         weight = np.broadcast_to(cuts.sigma[:, None], used.shape)[used]
         a = design[:, axes, columns][used] / weight[:, None]
         try:
-            solved = solve(a, cuts.force[:, axes][used] / weight, cuts.sigma_known)
+            values[columns], widths[columns] = solve(a, cuts.force[:, axes][used] / weight, cuts.sigma_known)
         except MixedUpError:
             raise OneFeedError(cuts.feeds, len(cuts)) from None
-        values[columns], covariance[columns, columns], widths[columns] = solved
     residuals = cuts.force - mean_forces(cuts, values, axial)
-    return Coefficients(cuts, values, widths, covariance, residuals, axial)
+    return Coefficients(cuts, values, widths, residuals, axial)
 
 
 POINTS = np.polynomial.legendre.leggauss(48)
@@ -191,7 +189,7 @@ def _axial(cuts: Cuts, values: np.ndarray) -> tuple[float, float]:
     if seen.sum() < 2:
         return np.nan, np.nan
     unit = fractional_mean_forces(cuts, [*values, 1.0])[seen, 2] / cuts.sigma[seen]
-    ratio, _, width = solve(unit[:, None], cuts.force[seen, 2] / cuts.sigma[seen], cuts.sigma_known)
+    ratio, width = solve(unit[:, None], cuts.force[seen, 2] / cuts.sigma[seen], cuts.sigma_known)
     return float(ratio[0]), float(width[0])
 
 

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import MillingError
 from kr270_milling.base.table import Table, read_table, write_table
 from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.loads import GRAVITY
 
-__all__ = ["COLUMNS", "Measurements", "read_measurements", "write_measurements"]
+__all__ = ["COLUMNS", "Measurements", "read_measurements", "unmeasured", "write_measurements"]
 
 JOINTS = tuple(f"a{j}_deg" for j in range(1, 7))
 WRENCH = ("fx_n", "fy_n", "fz_n", "mx_n_m", "my_n_m", "mz_n_m")
@@ -44,14 +44,16 @@ class Measurements:
     def __len__(self) -> int:
         return len(self.q)
 
-    def __post_init__(self):
-        for name in ("wrench", "displacement", "sigma"):
-            if getattr(self, name).shape != self.q.shape:
-                raise MillingError(f"{name} must be of shape {self.q.shape}, as the postures are")
-
     def take(self, rows) -> Measurements:
         """Some of the rows."""
         return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in ARRAYS})
+
+
+def unmeasured(q: np.ndarray, force: np.ndarray, point: np.ndarray, sigma: float) -> Measurements:
+    """Tests without a result: forces [N], (n, 3), at a point (3,) of the flange [m], where the reflector is, too."""
+    n = len(q)
+    wrench, place = np.hstack([force, np.zeros((n, 3))]), np.tile(point, (n, 1))
+    return Measurements(q, wrench, place, place, np.full((n, 6), np.nan), np.full((n, 6), sigma), True)
 
 
 def read_measurements(path, arm: Arm, mount: Mount) -> Measurements:
@@ -103,14 +105,17 @@ def _sigma(table: Table) -> tuple[np.ndarray, bool]:
 def write_measurements(path, measured: Measurements, notes=(), remarks=None) -> None:
     """The same file again; loads as wrenches, what is not measured empty."""
     shift, tilt = np.hsplit(measured.displacement, 2)
-    tilted = bool(np.isfinite(tilt).any())
-    places = [1e3 * measured.application, 1e3 * measured.reflector]
-    names = [*JOINTS, *WRENCH, *LOAD, *REFLECTOR, *SHIFT, SIGMA[0]]
-    columns = [np.degrees(measured.q), measured.wrench, *places, 1e3 * shift, 1e6 * measured.sigma[:, :1]]
-    if tilted:
-        names += [*TILT, SIGMA[1]]
-        columns += [1e3 * tilt, 1e3 * measured.sigma[:, 3:4]]
-    rows = [[f"{v:.9g}" if np.isfinite(v) else "" for v in row] for row in np.hstack(columns).tolist()]
-    remarks = remarks or [""] * len(rows)
-    written = [[*row, remark] for row, remark in zip(rows, remarks, strict=True)]
-    write_table(path, [*names, "note"], written, notes)
+    columns = {
+        JOINTS: np.degrees(measured.q),
+        WRENCH: measured.wrench,
+        LOAD: 1e3 * measured.application,
+        REFLECTOR: 1e3 * measured.reflector,
+        SHIFT: 1e3 * shift,
+        SIGMA[:1]: 1e6 * measured.sigma[:, :1],
+    }
+    if np.isfinite(tilt).any():
+        columns |= {TILT: 1e3 * tilt, SIGMA[1:]: 1e3 * measured.sigma[:, 3:4]}
+    numbers = np.hstack(list(columns.values())).tolist()
+    texts = [[f"{v:.9g}" if np.isfinite(v) else "" for v in row] for row in numbers]
+    rows = [[*row, remark] for row, remark in zip(texts, remarks or [""] * len(texts), strict=True)]
+    write_table(path, [*itertools.chain(*columns), "note"], rows, notes)

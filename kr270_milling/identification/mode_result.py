@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from kr270_milling.identification.figures import points
 from kr270_milling.identification.modes import Mode
-from kr270_milling.identification.outcome import Outcome
+from kr270_milling.identification.outcome import Outcome, points
 from kr270_milling.identification.signals import Signals
 
 __all__ = ["mode_outcome"]

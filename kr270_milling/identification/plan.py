@@ -1,4 +1,4 @@
-"""The N load tests that leave the smallest error at the cell's posture: optimal design by exchange.
+"""The N load tests that leave the smallest error at the cell's posture: candidates, optimal design, files to do it.
 
 Each test adds B = A^T A to the information M, A the derivatives of what it shows by the sought factors, in standard
 deviations. Criteria, with cov = M^-1: test pose, trace(A_0 cov A_0^T) [Klimchik2012b]; A, trace(cov); D, det(cov).
@@ -10,32 +10,107 @@ is predicted to make under a test load: the arm that compensates with these comp
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from scipy.stats import qmc
 
+from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.base.record import read_tree
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.identification.candidates import Candidates
-from kr270_milling.identification.compliance import Fit
-from kr270_milling.identification.measurements import Measurements
+from kr270_milling.identification.measurements import Measurements, unmeasured, write_measurements
 from kr270_milling.identification.problem import Problem
+from kr270_milling.programs.krl import EXTERNAL, HEAD
 from kr270_milling.robot.arm import Arm, Mount
+from kr270_milling.robot.kinematics import forward, singularity_measures
+from kr270_milling.robot.loads import GRAVITY
 
 __all__ = [
-    "CRITERIA", "TEST_FORCE", "Design", "Planner", "at_posture", "pose_derivatives", "predicted_errors",
-    "read_test_pose",
+    "CRITERIA", "Bench", "Candidates", "Design", "Planner", "at_posture", "blind_spots", "candidates", "in_order",
+    "load_text", "read_test_pose", "write_plan",
 ]  # fmt: skip
 
+MARGIN = np.radians(5.0)  #: kept to every joint limit
+MOST_TURN = np.radians(180.0)  #: of axes 4 and 6, for the cables
+LEAST_MEASURE = 0.1  #: of the singularities of elbow and wrist: nobody drives through them to measure
+LOADS = ("hang", "pull outward", "pull sideways", "pull between both")
 TEST_FORCE = 100.0  #: [N] along each axis in turn, what milling of aluminium asks of the arm
+CRITERIA = ("test pose", "A", "D")
+WEAK = 1.0  #: relative standard deviation of each number before anything is measured: regular from the first test on
+SWEEPS = 20
+BLIND = 0.5  #: relative standard deviation from which a compliance is as good as unknown
+MODULE = "LOADTEST"
+SPEED = 10  #: [%] of the axis speeds
+
+
+class NoPostureError(MillingError):
+    """No posture has room for a load test."""
+
+    def __init__(self):
+        super().__init__("no posture of this arm keeps its tool above the floor and away from its base")
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """What there is to load and to see the arm with."""
+
+    point: np.ndarray  #: flange frame [m], (3,): where the loads act and the reflector sits
+    mass: float = 100.0  #: [kg] hung from it
+    pull: float = 800.0  #: [N] of a rope with a load cell, horizontal; the vertical axis cannot be turned by a mass
+    sigma: float = 20e-6  #: [m] of each measured coordinate
+    lowest: float = 0.3  #: [m] over the base, of tool and wrist
+    highest: float = 2.2  #: [m], of the tool, where a mass can still be hung
+    nearest: float = 0.9  #: [m] from axis 1
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """m load tests that could be made; nothing is measured yet."""
+
+    tests: Measurements
+    kind: np.ndarray  #: number in LOADS, (m,)
+
+    def take(self, rows) -> Candidates:
+        return Candidates(self.tests.take(rows), self.kind[rows])
+
+
+def candidates(arm: Arm, mount: Mount, bench: Bench, postures: int, seed: int) -> Candidates:
+    """Every load in up to ``postures`` postures spread evenly over those that there is room for (Sobol')."""
+    q = _postures(arm, mount, bench, postures, seed)
+    kinds = np.flatnonzero([bench.mass > 0.0, *[bench.pull > 0.0] * 3])
+    if not kinds.size:
+        raise ParameterError("mass_kg and pull_n", [bench.mass, bench.pull], "above 0, one of them at least")
+    outward = np.stack([np.cos(q[:, 0]), -np.sin(q[:, 0]), np.zeros(len(q))], -1)  # from axis 1
+    sideways = np.stack([np.sin(q[:, 0]), np.cos(q[:, 0]), np.zeros(len(q))], -1)
+    hang = np.tile([0.0, 0.0, -GRAVITY * bench.mass], (len(q), 1))
+    pulls = [bench.pull * outward, bench.pull * sideways, bench.pull * (outward + sideways) / np.sqrt(2.0)]
+    force = np.stack([hang, *pulls], 1)[:, kinds].reshape(-1, 3)
+    tests = unmeasured(np.repeat(q, len(kinds), axis=0), force, bench.point, bench.sigma)
+    return Candidates(tests, np.tile(kinds, len(q)))
+
+
+def _postures(arm: Arm, mount: Mount, bench: Bench, count: int, seed: int) -> np.ndarray:
+    """(k, 6) [rad], k up to ``count``."""
+    low, high = arm.joint_lower + MARGIN, arm.joint_upper - MARGIN
+    low[[3, 5]], high[[3, 5]] = np.maximum(low[[3, 5]], -MOST_TURN), np.minimum(high[[3, 5]], MOST_TURN)
+    drawn = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(16 * count))))
+    q = low + (high - low) * drawn
+    frames = forward(arm, mount, q)
+    point = frames.flange.apply(bench.point)
+    lowest = np.minimum(point[:, 2], frames.nodes[:, 2:, 2].min(1))
+    fits = (lowest > bench.lowest) & (point[:, 2] < bench.highest)
+    fits &= np.hypot(point[:, 0], point[:, 1]) > bench.nearest
+    fits &= np.hypot(*np.moveaxis(frames.nodes[:, 4, :2], -1, 0)) > bench.nearest
+    fits &= (singularity_measures(arm, q)[:, 1:] > LEAST_MEASURE).all(1)
+    if not fits.any():
+        raise NoPostureError
+    return q[fits][:count]
 
 
 def at_posture(mount: Mount, q) -> Measurements:
     """TEST_FORCE along x, y and z of the base at the tool point of posture q (6,) [rad], as tests without a result."""
-    place, nothing = np.tile(mount.xyz, (3, 1)), np.full((3, 6), np.nan)
-    wrench = np.hstack([TEST_FORCE * np.eye(3), np.zeros((3, 3))])
-    return Measurements(np.tile(np.asarray(q, float), (3, 1)), wrench, place, place, nothing, np.ones((3, 6)), True)
+    return unmeasured(np.tile(np.asarray(q, float), (3, 1)), TEST_FORCE * np.eye(3), mount.xyz, 1.0)
 
 
 def read_test_pose(path, mount: Mount) -> Measurements | None:
@@ -47,26 +122,6 @@ def read_test_pose(path, mount: Mount) -> Measurements | None:
     middle = len(run) // 2
     place, turn = run.position[middle : middle + 1], run.quaternion[middle : middle + 1]
     return at_posture(mount, cell.joints_at(place, turn)[0])
-
-
-def pose_derivatives(problem: Problem, factors, pose: Measurements) -> np.ndarray:
-    """A_0 of each force: translation of the tool by the factors, (k, 3, p) [m]."""
-    seen = dataclasses.replace(pose, displacement=np.zeros_like(pose.displacement))
-    at = dataclasses.replace(problem, measured=seen)
-    return at.derivatives(factors).reshape(len(seen), 6, -1)[:, :3]
-
-
-def predicted_errors(found: Fit, pose: Measurements) -> tuple[np.ndarray, np.ndarray]:
-    """Translation of the tool under each force [m], (k, 3), and the standard deviation rho of its error [m], (k,)."""
-    slopes = pose_derivatives(found.problem, found.factors, pose)
-    square = np.einsum("kip,pq,kiq->k", slopes, found.covariance, slopes)
-    at = dataclasses.replace(found.problem, measured=pose)
-    return at.predict(found.factors)[:, :3], np.sqrt(np.maximum(square, 0.0))
-
-
-CRITERIA = ("test pose", "A", "D")
-WEAK = 1.0  #: relative standard deviation of each number before anything is measured: regular from the first test on
-SWEEPS = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,11 +138,9 @@ class Planner:
     """Chooses among candidates for one arm and one test pose."""
 
     def __init__(self, arm: Arm, mount: Mount, choice: Candidates, pose: Measurements, gravity: bool = True):
-        tests = dataclasses.replace(choice.tests, displacement=np.zeros_like(choice.tests.displacement))
-        problem = Problem(arm, mount, tests, gravity)
-        columns = problem.derivatives(problem.start).reshape(len(tests), 6, -1)
-        self._slopes = columns[:, :3]  # (m, 3, p): a tracker sees translations
-        at_pose = pose_derivatives(problem, problem.start, pose)
+        problem = Problem(arm, mount, choice.tests, gravity)
+        self._slopes = problem.slopes(problem.start, choice.tests)  # (m, 3, p): a tracker sees translations
+        at_pose = problem.slopes(problem.start, pose)
         self._pose = np.einsum("kip,kiq->pq", at_pose, at_pose) / len(at_pose)
 
     def best(self, count: int, criterion: str = "test pose") -> Design:
@@ -98,8 +151,7 @@ class Planner:
         for _ in range(SWEEPS):
             before = list(chosen)
             for i in range(count):
-                others = chosen[:i] + chosen[i + 1 :]
-                chosen[i] = self._addition(others, criterion)
+                chosen[i] = self._addition(chosen[:i] + chosen[i + 1 :], criterion)
             if chosen == before:
                 break
         return self.design(chosen)
@@ -111,12 +163,11 @@ class Planner:
     def design(self, rows) -> Design:
         """What a choice is worth."""
         covariance = self._covariance(rows)
-        size = len(covariance)
         return Design(
             np.asarray(rows),
             float(np.sqrt(np.trace(self._pose @ covariance))),
             np.sqrt(np.diag(covariance)),
-            float(np.exp(np.linalg.slogdet(covariance)[1] / (2 * size))),
+            float(np.exp(np.linalg.slogdet(covariance)[1] / (2 * len(covariance)))),
         )
 
     def _covariance(self, rows) -> np.ndarray:
@@ -138,3 +189,55 @@ class Planner:
             gain = np.trace(np.linalg.solve(inner, spread @ weight @ np.swapaxes(spread, -1, -2)), axis1=-2, axis2=-1)
         gain[others] = -np.inf
         return int(np.argmax(gain))
+
+
+def blind_spots(relative: np.ndarray) -> list[str]:
+    """What the tests of a plan cannot tell, from the standard deviations of the factors, (6,), in words."""
+    lost = [f"joint {j}" for j in np.flatnonzero(relative > BLIND) + 1]
+    if not lost:
+        return []
+    cure = "a horizontal pull turns joint 1, a --point off axis 6 joint 6, and more tests tell what matters less there"
+    return [f"{', '.join(lost)}: these tests tell next to nothing of it; {cure}"]
+
+
+def in_order(plan: Candidates) -> Candidates:
+    """One kind of load after the other, in each the nearest posture next: loads are changed seldom, ways are short."""
+    order: list[int] = []
+    for kind in np.unique(plan.kind):
+        left = np.flatnonzero(plan.kind == kind).tolist()
+        here = plan.tests.q[order[-1]] if order else plan.tests.q[left].mean(0)
+        while left:
+            nearest = min(left, key=lambda row: float(np.abs(plan.tests.q[row] - here).max()))
+            left.remove(nearest)
+            order.append(nearest)
+            here = plan.tests.q[nearest]
+    return plan.take(np.array(order))
+
+
+def load_text(plan: Candidates, row: int) -> str:
+    """What is to be done, for people."""
+    x, y, z = plan.tests.wrench[row, :3].tolist()
+    kind = int(plan.kind[row])
+    toward = f" toward {np.degrees(np.arctan2(y, x)):.1f} deg" if kind else ""
+    return f"{LOADS[kind]} {np.linalg.norm([x, y, z]):.0f} N{toward}"
+
+
+def write_plan(directory, plan: Candidates, notes: list[str]) -> list[Path]:
+    """plan.csv, as ``identify compliance`` reads it when the last columns are filled in, and a KRL program.
+
+    The program drives to the postures and halts twice at each, without and with the load.
+    """
+    place = Path(directory)
+    head = [*(f"; {note}" for note in notes), "; VERIFY IN T1: THE WAYS ARE NOT CHECKED FOR COLLISION"]
+    remarks = [f"test {row + 1}: {load_text(plan, row)}" for row in range(len(plan.tests))]
+    write_measurements(place / "plan.csv", plan.tests, notes, remarks)
+    source = [*HEAD, f"DEF {MODULE}( )", *head, "BAS(#INITMOV,0)", f"BAS(#VEL_PTP,{SPEED})"]
+    for remark, q in zip(remarks, np.degrees(plan.tests.q).tolist(), strict=True):
+        axes = ",".join(f"A{i} {angle:.4f}" for i, angle in enumerate(q, 1))
+        source += [f"; {remark}", f"PTP {{{axes}}}"]
+        source += ["HALT ; measure the reflector without the load", "HALT ; put the load on, measure, take it off"]
+    program = {".src": [*source, "END"], ".dat": [*HEAD, f"DEFDAT {MODULE}", *head, *EXTERNAL, "ENDDAT"]}
+    for suffix, lines in program.items():
+        text = "".join(f"{line}\r\n" for line in lines)
+        (place / f"{MODULE}{suffix}").write_bytes(text.encode("ascii", "replace"))
+    return [place / "plan.csv", *(place / f"{MODULE}{suffix}" for suffix in program)]

@@ -4,6 +4,8 @@ How far a load moves a reflector follows from the loaded model (6), (7). With C 
 springs bend by theta = C tau(q + theta), tau the torque of wrench, link weights and compensator. Derivation by one
 compliance gives (1 - C H) dtheta/dc_j = tau_j e_j, H = dtau/dtheta. The displacement by the load is that of the loaded
 posture less that of the posture under the weights alone.
+
+Which numbers the data can tell follows from the singular values of the weighted derivatives.
 """
 
 from __future__ import annotations
@@ -23,13 +25,18 @@ from kr270_milling.robot.compensator import Compensator
 from kr270_milling.robot.kinematics import LinkFrames, forward, jacobian_at
 from kr270_milling.robot.loads import GRAVITY, link_loads, load_hessian, load_torque
 
-__all__ = ["COMPENSATOR", "Problem", "SoftArmError"]
+__all__ = ["Problem", "SoftArmError"]
 
 COMPENSATOR = tuple(spec.name for spec in specs(Compensator))
 STEP = 1e-4  #: share of its scale by which a number of the compensator is changed for its derivative
 ITERATIONS = 20
 PRECISION = 1e-8  #: [rad] of the last Newton step, which leaves its square
 MOST_BEND = 0.1  #: [rad] of a joint spring; beyond it no drive is linear
+#: a column whose length is a smaller share of the longest, or a direction with a smaller share of the largest singular
+#: value of the columns of length 1, is rounding of the model (1e-13 rad of 1e-4 rad) and no information
+NOTHING = 1e-6
+#: a torque below this share of the largest, or a lever [m] of the reflector below it, is said to be none
+UNSEEN = 1e-3
 
 
 class SoftArmError(MillingError):
@@ -68,24 +75,25 @@ class Problem:
         return [f"joint {j}" for j in range(1, 7)] + [f"compensator {name}" for name in self.compensator]
 
     @property
+    def _spring(self) -> np.ndarray:
+        """The named numbers of the compensator, as the arm file has them."""
+        return np.array([getattr(self.arm.compensator, name) for name in self.compensator], float)
+
+    @property
     def scale(self) -> np.ndarray:
         """What a factor of 1 stands for [SI], (p,)."""
-        values = [getattr(self.arm.compensator, name) for name in self.compensator]
-        scales = [v if v else 1.0 for v in values]
-        return np.concatenate([self.arm.joint_compliance, scales])
+        return np.concatenate([self.arm.joint_compliance, np.where(self._spring, self._spring, 1.0)])
 
     @property
     def start(self) -> np.ndarray:
         """The factors of the arm file, (p,)."""
-        values = [float(bool(getattr(self.arm.compensator, name))) for name in self.compensator]
-        return np.concatenate([np.ones(6), values])
+        return np.concatenate([np.ones(6), self._spring != 0.0])
 
     def arm_at(self, x) -> Arm:
         """The arm with these factors."""
         values = np.asarray(x) * self.scale
         changes = dict(zip(self.compensator, values[6:].tolist(), strict=True))
-        spring = self.arm.compensator.replace(**changes) if changes else self.arm.compensator
-        return self.arm.replace(joint_compliance=values[:6], compensator=spring)
+        return self.arm.replace(joint_compliance=values[:6], compensator=self.arm.compensator.replace(**changes))
 
     @property
     def finite(self) -> np.ndarray:
@@ -94,39 +102,41 @@ class Problem:
 
     def residuals(self, x) -> np.ndarray:
         """(m,), in standard deviations."""
-        return self._weighted(self.predict(x))
+        return self.weighted(self.predict(x))[self.finite]
 
-    def _weighted(self, moved: np.ndarray) -> np.ndarray:
-        return ((moved - self.measured.displacement) / self.measured.sigma)[self.finite]
+    def weighted(self, moved: np.ndarray) -> np.ndarray:
+        """Residuals in standard deviations, (n, 6), NaN where nothing was measured."""
+        return (moved - self.measured.displacement) / self.measured.sigma
 
     def linearised(self, x) -> tuple[np.ndarray, np.ndarray]:
         """Residuals (m,) and their derivatives by the factors, (m, p); of the compensator's by differences."""
         x = np.asarray(x, float)
-        moved, by_compliance = self.linear(x)
+        moved, by_compliance = self._linear(x)
         columns = (by_compliance * self.scale[:6] / self.measured.sigma[..., None])[self.finite]
         for k in range(6, len(x)):
             more, less = x.copy(), x.copy()
             more[k] += STEP
             less[k] -= STEP
             columns = np.column_stack([columns, (self.residuals(more) - self.residuals(less)) / (2 * STEP)])
-        return self._weighted(moved), columns
+        return self.weighted(moved)[self.finite], columns
 
     def derivatives(self, x) -> np.ndarray:
         """The second of ``linearised``."""
         return self.linearised(x)[1]
 
-    def take(self, rows) -> Problem:
-        """The problem with some of the load tests."""
-        return dataclasses.replace(self, measured=self.measured.take(rows))
+    def slopes(self, x, tests: Measurements) -> np.ndarray:
+        """A of other tests: translation of the reflector by the factors, in standard deviations, (k, 3, p)."""
+        tests = dataclasses.replace(tests, displacement=np.zeros((len(tests), 6)))
+        return dataclasses.replace(self, measured=tests).derivatives(x).reshape(len(tests), 6, -1)[:, :3]
 
     # --- the loaded model ---
 
     def predict(self, x) -> np.ndarray:
-        """Displacements [m, rad], (n, 6), with these factors."""
-        return self.linear(x)[0]
+        """Displacements [m, rad], (n, 6), with these factors. Raises SoftArmError."""
+        return self._linear(x)[0]
 
-    def linear(self, x) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements [m, rad], (n, 6), and their derivatives by the compliances, (n, 6, 6). Raises SoftArmError."""
+    def _linear(self, x) -> tuple[np.ndarray, np.ndarray]:
+        """Displacements [m, rad], (n, 6), and their derivatives by the compliances, (n, 6, 6)."""
         compliance = np.asarray(x, float)[:6] * self.scale[:6]  # on the way to the fit it need not be one of an arm
         frames, by_joint = self._bent(self.arm_at(x) if self.compensator else self.arm, compliance)
         place = frames.flange.apply(np.tile(self.measured.reflector, (2, 1)))
@@ -163,9 +173,38 @@ class Problem:
         """All frames of (n,) or twice (n,) postures, with the tool point where each row's load acts."""
         frames = forward(self.arm, self.mount, q)
         at = np.tile(self.measured.application, (len(q) // len(self.measured), 1))
-        point = Pose(frames.flange.apply(at), frames.tool.rotation)
-        return dataclasses.replace(frames, tool=point)
+        return dataclasses.replace(frames, tool=Pose(frames.flange.apply(at), frames.tool.rotation))
 
-    def torques(self) -> np.ndarray:
-        """What the test loads add to the torque of each joint [N m], (n, 6), in the unbent posture."""
-        return load_torque(self._frames(self.measured.q), self.measured.wrench, link_loads(self.arm, self.mount, 0.0))
+    # --- what the data can tell ---
+
+    def held(self) -> dict[int, str]:
+        """Numbers to be held so that the others can be told, each with the reason in words."""
+        columns = self.derivatives(self.start)
+        lengths = np.linalg.norm(columns, axis=0)
+        unit = columns / np.where(lengths > 0.0, lengths, 1.0)
+        effectless = np.flatnonzero(~(lengths > NOTHING * lengths.max())).tolist()
+        held = {k: self.hidden(k) or f"{self.names[k]}: nothing that was measured depends on it" for k in effectless}
+        while free := [k for k in range(len(lengths)) if k not in held]:
+            _, values, directions = np.linalg.svd(unit[:, free], full_matrices=len(unit) < len(free))
+            if len(values) == len(free) and values[-1] > NOTHING * values[0]:
+                break
+            worst, partner = [free[i] for i in np.argsort(-np.abs(directions[-1]))[[0, min(1, len(free) - 1)]]]
+            held[worst] = (
+                f"{self.names[worst]}: in every test it moved the reflector as {self.names[partner]} does, "
+                "they cannot be told apart"
+            )
+        return held
+
+    def hidden(self, number: int) -> str | None:
+        """Why a number cannot show what it does, if it is a joint, 0 to 5, and the reason is one of geometry."""
+        if number >= 6:
+            return None
+        name, measured = self.names[number], self.measured
+        torques = np.abs(load_torque(self._frames(measured.q), measured.wrench, link_loads(self.arm, self.mount, 0.0)))
+        if torques[:, number].max() <= UNSEEN * torques.max():
+            return f"{name}: no load turned it"
+        frames = forward(self.arm, self.mount, measured.q)
+        lever = np.linalg.norm(jacobian_at(frames, frames.flange.apply(measured.reflector))[:, :3, number], axis=-1)
+        if lever.max() <= UNSEEN and not self.finite[:, 3:].any():
+            return f"{name}: the reflector lay on its axis, so its turning was not seen"
+        return None

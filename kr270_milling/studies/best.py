@@ -10,7 +10,7 @@ import numpy as np
 from kr270_milling.base.include import write_include
 from kr270_milling.base.parameter_file import merge, override, shipped_directories
 from kr270_milling.cell.cell import Cell
-from kr270_milling.identification.figures import figure_of, write_page
+from kr270_milling.identification.outcome import figure_of, write_page
 from kr270_milling.studies.placements import Course, moved_cell
 
 __all__ = ["Summary", "write_cell", "write_cells", "write_picture"]

@@ -10,12 +10,11 @@ from book import check
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cutting import Tool
-from kr270_milling.identification.candidates import Bench, Candidates, candidates
 from kr270_milling.identification.compliance import fit
 from kr270_milling.identification.cuts import Cuts, engagement
 from kr270_milling.identification.forces import find_material, fit_linear_edge, mean_forces
 from kr270_milling.identification.modes import find_modes
-from kr270_milling.identification.plan import Planner, read_test_pose
+from kr270_milling.identification.plan import Bench, Candidates, Planner, candidates, read_test_pose
 from kr270_milling.identification.problem import Problem
 from kr270_milling.identification.signals import Signals
 from kr270_milling.robot.analysis import read_arm

@@ -9,10 +9,8 @@ import numpy as np
 from campaigns import ARM, MOUNT, displacements
 
 from kr270_milling.base.record import find_file
-from kr270_milling.identification.candidates import Bench, candidates
 from kr270_milling.identification.measurements import write_measurements
-from kr270_milling.identification.plan import Planner, read_test_pose
-from kr270_milling.identification.plan_files import in_order, load_text
+from kr270_milling.identification.plan import Bench, Planner, candidates, in_order, load_text, read_test_pose
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 #: of the arm that the example is measured on, as factors on Table 1 of [Klimchik2012]

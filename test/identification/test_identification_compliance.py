@@ -10,8 +10,7 @@ import pytest
 from campaigns import ARM, MOUNT, TRUE, displacements
 
 from kr270_milling.base.record import find_file
-from kr270_milling.identification.compliance import TooFewError, fit
-from kr270_milling.identification.compliance_result import sentences
+from kr270_milling.identification.compliance import TooFewError, fit, sentences
 from kr270_milling.identification.problem import Problem, SoftArmError
 from kr270_milling.robot.analysis import read_arm
 from kr270_milling.robot.compensator import Compensator

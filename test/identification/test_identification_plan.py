@@ -9,9 +9,16 @@ import pytest
 from campaigns import ARM, MOUNT
 
 from kr270_milling.base.record import find_file
-from kr270_milling.identification.candidates import Bench, candidates
-from kr270_milling.identification.plan import CRITERIA, Planner, read_test_pose
-from kr270_milling.identification.plan_files import blind_spots, in_order, write_plan
+from kr270_milling.identification.plan import (
+    CRITERIA,
+    Bench,
+    Planner,
+    blind_spots,
+    candidates,
+    in_order,
+    read_test_pose,
+    write_plan,
+)
 from kr270_milling.robot.kinematics import forward
 
 BENCH = Bench(MOUNT.xyz)
