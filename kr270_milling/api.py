@@ -112,8 +112,7 @@ def check(cell: Cell, reference: Trajectory | None = None) -> checks.Checked:
 
 def verdict_of(cell: Cell, reference: Trajectory, samples: int = verdict.SAMPLES, seed: int = 1) -> verdict.Verdict:
     """Whether a corrected trajectory helps when the models are as uncertain as the cell says."""
-    rng = np.random.default_rng(seed)
-    found = verdict.monte_carlo(cell, cell.target(), reference, rng, samples, seed=seed)
+    found = verdict.monte_carlo(cell, reference, samples, seed)
     return cast(verdict.Verdict, found)  # None only where it is told when to give up
 
 

@@ -10,15 +10,9 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
-from kr270_milling.decision.check_arm import arm_violations
 from kr270_milling.decision.check_cut import cut_violations
-from kr270_milling.decision.findings import SEVERITIES, Finding, gathered
-from kr270_milling.decision.path_limits import (
-    Violation,
-    corner_blending,
-    correction_per_tick,
-    correction_size,
-)
+from kr270_milling.decision.findings import SEVERITIES, Finding, Violation, gathered, violation
+from kr270_milling.decision.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.decision.stability import Stability, stability_of
 from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 from kr270_milling.simulation.milling_pass import FLIGHT, PassError
@@ -104,16 +98,10 @@ def check(
         ran, cut = _cut(cell, run, ran, progress)
         found += cut
         stability = stability_of(cell, ran.result) if ran else None
-        found += _chatter(stability)
+        if stability and stability.word == "chatter":
+            found.append(violation("chatter", stability.residue, stability.limit, percent=100 * stability.residue))
     program = fed.toolpath.program if fed else SourceProgram()
     return Checked(gathered(cell, run, found), len(run), ran if reachable else None, program, stability)
-
-
-def _chatter(stability: Stability | None) -> list[Violation]:
-    if stability is None or stability.word != "chatter":
-        return []
-    sentence = f"the cut chatters: {100 * stability.residue:.2g} % of the feed per tooth remain from tooth to tooth"
-    return [Violation("chatter", None, stability.residue, stability.limit, "stop", sentence)]
 
 
 def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:
@@ -122,11 +110,11 @@ def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple
         ran = ran or simulate(cell, run, "checked", progress)
     except PassError as error:
         point = int(np.searchsorted(run.time, error.at)) + 1
-        return None, [Violation("deflection", point, error.deflection, FLIGHT, "stop", str(error))]
+        return None, [violation("deflection", error.deflection, FLIGHT, point, said=error)]
     except DeflectionError as error:
-        return None, [Violation("joint deflection", None, error.deflection, error.limit, "stop", str(error))]
+        return None, [violation("joint deflection", error.deflection, error.limit, said=error)]
     except (UnstableLoadError, EquilibriumError) as error:
-        return None, [Violation("load on the arm", None, error.load_factor, 1.0, "stop", str(error))]
+        return None, [violation("load on the arm", error.load_factor, 1.0, said=error)]
     return ran, cut_violations(cell, run, ran)
 
 
@@ -152,44 +140,21 @@ WIDEST_GRID = 0.05  #: of the tool's radius: with fewer nodes across a cut its f
 
 def cell_violations(cell: Cell) -> list[Violation]:
     """What is unlikely in the parameter file; all are warnings, for the user may have an unlikely cell."""
-    compliance, mass = np.asarray(cell.arm.joint_compliance), np.asarray(cell.arm.link_mass)
-    gives = "joint {number} gives way by {value:.3g} urad/(N m), arms of this size by 0.01 to 100"
-    weighs = "link {number} has {value:.3g} kg, links of arms of this size 1 to 2000 kg"
-    found = _unlikely("compliance", compliance, COMPLIANCE, gives, 1e6) + _unlikely("mass", mass, LINK_MASS, weighs)
-    return found + _tool(cell) + _envelope(cell) + _posture(cell)
-
-
-def _warning(kind: str, value: float, limit: float, sentence: str) -> list[Violation]:
-    return [Violation(kind, None, float(value), float(limit), "warning", sentence)]
-
-
-def _unlikely(kind: str, values: np.ndarray, bounds: tuple, sentence: str, scale: float = 1.0) -> list[Violation]:
-    """A warning of the first value that is not within the bounds."""
-    over = np.flatnonzero(~((values >= bounds[0]) & (values <= bounds[1])))
-    if not over.size:
-        return []
-    value = float(values[over[0]])
-    text = sentence.format(number=over[0] + 1, value=scale * value)
-    return _warning(kind, value, bounds[int(value > bounds[1])], text)
-
-
-def _tool(cell: Cell) -> list[Violation]:
-    step, radius = cell.stock.grid_step, cell.tool.radius
-    if step <= WIDEST_GRID * radius:
-        return []
-    shown = f"the grid step of {1e3 * step:.4g} mm is coarse for a cutter of {2e3 * radius:.4g} mm diameter"
-    return _warning("tool and grid", step, WIDEST_GRID * radius, shown)
-
-
-def _envelope(cell: Cell) -> list[Violation]:
-    arm = cell.arm
+    arm, step, widest = cell.arm, cell.stock.grid_step, WIDEST_GRID * cell.tool.radius
     reach = arm.a1 + arm.a2 + arm.forearm + arm.d6 + float(np.linalg.norm(cell.mount.xyz))
     away = float(np.hypot(*cell.workpiece.xyz[:2]))
-    if away <= reach:
-        return []
-    return _warning(
-        "envelope", away, reach, f"the workpiece is {away:.4g} m from axis 1, the arm reaches {reach:.4g} m"
-    )
+    found = _unlikely("compliance", arm.joint_compliance, COMPLIANCE) + _unlikely("mass", arm.link_mass, LINK_MASS)
+    if step > widest:
+        found.append(violation("tool and grid", step, widest, diameter=1e3 * cell.tool.diameter))
+    if away > reach:
+        found.append(violation("envelope", away, reach))
+    return found + _posture(cell)
+
+
+def _unlikely(kind: str, values: np.ndarray, bounds: tuple[float, float]) -> list[Violation]:
+    """The first value that is not within the bounds."""
+    over = np.flatnonzero(~((values >= bounds[0]) & (values <= bounds[1])))
+    return [violation(kind, values[k], bounds[int(values[k] > bounds[1])], number=k + 1) for k in over[:1]]
 
 
 def _posture(cell: Cell) -> list[Violation]:
@@ -198,11 +163,12 @@ def _posture(cell: Cell) -> list[Violation]:
     key = "start_joints_deg" if cell.start_joints.size else "posture_hint_deg"
     beyond = np.maximum(q - arm.joint_upper, arm.joint_lower - q)
     k = int(np.argmax(beyond))
+    degrees = np.degrees(np.abs(q))
     if beyond[k] > 0.0:
         limit = arm.joint_upper[k] if q[k] > arm.joint_upper[k] else arm.joint_lower[k]
-        return _warning("posture", q[k], limit, f"{key}: axis {k + 1} is at {np.degrees(q[k]):.4g} deg")
-    degrees = np.degrees(np.abs(q))
+        said = f"axis {k + 1} is at {np.degrees(q[k]):.4g} deg"
+        return [violation("posture", q[k], limit, key=key, said=said)]
     if np.any(degrees > 0.0) and np.all(degrees <= 2.0 * np.pi) and np.any(degrees % 1.0 > 1e-9):
-        shown = f"{key} are all within {degrees.max():.3g} deg: are they radians?"
-        return _warning("posture", np.radians(degrees.max()), 2.0 * np.pi / 180.0, shown)
+        said = f"all within {degrees.max():.3g} deg, as radians would be"
+        return [violation("posture", np.radians(degrees.max()), np.radians(2.0 * np.pi), key=key, said=said)]
     return []

@@ -1,11 +1,7 @@
-"""Checks of the cut: is anything removed, do rapid moves or plunges meet material, can tool and spindle do it.
-
-What the programmed path meets in the stock: depth of cut, rapid contact, material under the tool's middle.
-"""
+"""Checks of the cut: is anything removed, do rapid moves or plunges meet material, can tool and spindle do it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +9,7 @@ from numba import njit
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.decision.path_limits import Violation, exceeding, violations
+from kr270_milling.decision.findings import Violation, violation, violations
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Engagement", "cut_violations", "engagement"]
@@ -21,6 +17,8 @@ __all__ = ["Engagement", "cut_violations", "engagement"]
 NODES_PER_RADIUS = 50  #: of the height map; a contact narrower than a fiftieth of the radius is not seen
 MOST_VISITS = 2e9  #: of nodes, about a nanosecond each; a longer path takes a coarser map
 CORE = 0.2  #: share of the radius about the axis where a cutter that is not centre-cutting has no edge
+PLUNGE = 0.5  #: sine of the slope below which a way down is a ramp: 30 deg
+UNLIKELY_FEED = 0.25  #: of the diameter, a tooth: no cutter takes that, so a unit has slipped
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,39 +91,11 @@ def _mill(surface, origin, step, position, radii, margin, found):
                 surface[i, j] = z
 
 
-Stops = Callable[..., list[Violation]]
-
-PLUNGE = 0.5  #: sine of the slope below which a way down is a ramp: 30 deg
-UNLIKELY_FEED = 0.25  #: of the diameter, a tooth: no cutter takes that, so a unit has slipped
-
-
 def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
     """What the simulated pass along ``run``, and the programmed path in the stock, show; by the points of ``run``."""
-    result = ran.result
-    if not result.removed_volume > 0.0:
-        return [Violation("stock missed", 1, 0.0, 0.0, "stop", "the path removes nothing from the stock")]
-    margin = _spring_back(cell, ran) + cell.limits.rapid_contact
-    met = engagement(cell, margin)
-    #: the point of the program that each place of the path leads to, from 1
-    points = np.clip(np.searchsorted(run.time, met.time - 1e-6), 0, len(run) - 1) + 1
-
-    def stops(kind: str, over: np.ndarray, deep: np.ndarray, limit: float, text: str, subject: str = "", **more):
-        """text: with {deep} for the depth in mm and {point} for its point."""
-
-        def sentence(k: int, point: int, where: str) -> str:
-            return text.format(deep=f"{1e3 * deep[k]:.4g}", point=point)
-
-        return violations(kind, over, deep, limit, sentence, subject=subject, points=points, **more)
-
-    found = _spindle(cell, run, ran) + _tool(cell)
-    over = met.rapid & (met.inner > margin)
-    text = "a rapid move goes through material {deep} mm deep at point {point}"
-    found += stops("rapid in material", over, met.inner, margin, text)
-    found += _below(cell, met, stops) + _fixtures(cell, met, stops)
-    if flutes := cell.tool.flute_length:
-        text = f"the cut is {{deep}} mm deep at point {{point}}, the flutes are {1e3 * flutes:.4g} mm"
-        found += stops("depth of cut", met.depth > flutes, met.depth, flutes, text)
-    return found + ([] if cell.tool.centre_cutting else _plunges(met, stops))
+    if not ran.result.removed_volume > 0.0:
+        return [violation("stock missed", 0.0, 0.0, 1)]
+    return _spindle(cell, run, ran) + _tool(cell) + _contacts(cell, run, _spring_back(cell, ran))
 
 
 def _spring_back(cell: Cell, ran: ScoredPass) -> float:
@@ -139,17 +109,11 @@ def _spring_back(cell: Cell, ran: ScoredPass) -> float:
 
 
 def _spindle(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
-    result = ran.result
-    knot = np.clip(np.searchsorted(run.time_ns, result.time_ns), 1, len(run) - 1)  # the one that is next
-
-    def most(values: np.ndarray) -> np.ndarray:
-        largest = np.zeros(len(run))
-        np.maximum.at(largest, knot, values)
-        return largest
-
-    torque, power = most(result.torque), most(result.torque * cell.tool.spindle_speed)
-    found = exceeding("spindle torque", torque, cell.limits.spindle_torque, "the spindle torque", "N m")
-    return found + exceeding("spindle power", power, cell.limits.spindle_power, "the spindle power", "kW", 1e-3)
+    knot = np.clip(np.searchsorted(run.time_ns, ran.result.time_ns), 1, len(run) - 1)  # the one that is next
+    torque = np.zeros(len(run))
+    np.maximum.at(torque, knot, ran.result.torque)
+    found = violations("spindle torque", torque, cell.limits.spindle_torque)
+    return found + violations("spindle power", torque * cell.tool.spindle_speed, cell.limits.spindle_power)
 
 
 def _tool(cell: Cell) -> list[Violation]:
@@ -158,14 +122,35 @@ def _tool(cell: Cell) -> list[Violation]:
     teeth_a_second = tool.spindle_speed / (2.0 * np.pi) * tool.teeth
     feed, speed = cell.feed_rate / teeth_a_second, tool.spindle_speed * tool.radius
     if tool.max_feed_per_tooth and feed > tool.max_feed_per_tooth:
-        sentence = f"{1e3 * feed:.4g} mm a tooth, but the cutter takes {1e3 * tool.max_feed_per_tooth:.4g} mm"
-        found.append(Violation("feed per tooth", None, feed, tool.max_feed_per_tooth, "stop", sentence))
-    elif feed > UNLIKELY_FEED * tool.diameter:
-        sentence = f"{1e3 * feed:.4g} mm a tooth is more than a quarter of the cutter's diameter"
-        found.append(Violation("feed per tooth", None, feed, UNLIKELY_FEED * tool.diameter, "warning", sentence))
+        found.append(violation("feed per tooth", feed, tool.max_feed_per_tooth, most="the cutter takes"))
+    elif feed > (unlikely := UNLIKELY_FEED * tool.diameter):
+        most = "a quarter of the cutter's diameter"
+        found.append(violation("feed per tooth", feed, unlikely, severity="warning", most=most))
     if tool.max_cutting_speed and speed > tool.max_cutting_speed:
-        sentence = f"the teeth run at {60 * speed:.4g} m/min, but the cutter takes {60 * tool.max_cutting_speed:.4g}"
-        found.append(Violation("cutting speed", None, speed, tool.max_cutting_speed, "stop", sentence))
+        found.append(violation("cutting speed", speed, tool.max_cutting_speed))
+    return found
+
+
+def _contacts(cell: Cell, run: Trajectory, spring_back: float) -> list[Violation]:
+    """What the tool meets along the programmed path: material at rapid, below the stock, fixtures."""
+    low, high, radius = cell.stock.min, cell.stock.max, cell.tool.radii.max()
+    margin, below, flutes = spring_back + cell.limits.rapid_contact, cell.limits.below_stock, cell.tool.flute_length
+    met = engagement(cell, margin)
+    #: the point of the program that each place of the path leads to, from 1
+    points = np.clip(np.searchsorted(run.time, met.time - 1e-6), 0, len(run) - 1) + 1
+    beneath = np.where(_over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
+    found = violations("rapid in material", met.inner, margin, met.rapid & (met.inner > margin), points=points)
+    found += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points)
+    for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
+        inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
+        found += violations(
+            "in the fixture", inside, 0.0, inside > 0.0, points=points, subject=f"fixture {number}"
+        )  # fmt: skip
+    if flutes:
+        found += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points)
+    if not cell.tool.centre_cutting:
+        depth, over = _plunges(met)
+        found += violations("plunge", depth, 0.0, over, points=points)
     return found
 
 
@@ -175,29 +160,10 @@ def _over(met: Engagement, low: np.ndarray, high: np.ndarray, radius: float) -> 
     return np.hypot(*beside.T) < radius
 
 
-def _below(cell: Cell, met: Engagement, stops: Stops) -> list[Violation]:
-    low, allowed = cell.stock.min, cell.limits.below_stock
-    inside = _over(met, low, cell.stock.max, cell.tool.radii.max())
-    deep = np.where(inside, low[2] - met.position[:, 2], -np.inf)
-    text = "the tool is {deep} mm below the bottom of the stock at point {point}"
-    return stops("below the stock", deep > allowed + 1e-9, deep, allowed, text)
-
-
-def _fixtures(cell: Cell, met: Engagement, stops: Stops) -> list[Violation]:
-    found = []
-    for number, (low, high) in enumerate(cell.workpiece.fixture_boxes, 1):
-        deep = np.where(_over(met, low, high, cell.tool.radii.max()), high[2] - met.position[:, 2], 0.0)
-        text = f"the tool enters fixture {number} at point {{point}}, {{deep}} mm below its top"
-        found += stops("in the fixture", deep > 0.0, deep, 0.0, text, f"fixture {number}")
-    return found
-
-
-def _plunges(met: Engagement, stops: Stops) -> list[Violation]:
-    """Steep ways down into material of a cutter that has no edge in its middle; the depth is that of the whole way."""
+def _plunges(met: Engagement) -> tuple[np.ndarray, np.ndarray]:
+    """Steep ways down into material: depth of the whole way so far [m] and whether it is one, (m,) each."""
     move = np.diff(met.position, axis=0, prepend=met.position[:1])
     steep = -move[:, 2] > PLUNGE * np.linalg.norm(move, axis=1)
     over = steep & (met.core > 0.0)
     so_far = np.cumsum(np.where(over, met.core, 0.0))
-    deep = so_far - np.maximum.accumulate(np.where(over, 0.0, so_far))
-    text = "the cutter plunges {deep} mm into material at point {point}, but it is not centre-cutting"
-    return stops("plunge", over, deep, 0.0, text)
+    return so_far - np.maximum.accumulate(np.where(over, 0.0, so_far)), over

@@ -6,25 +6,21 @@ import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simulate
 from kr270_milling.cell.plant import Plant
 from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.limiting import Limited
 from kr270_milling.decision.check import Checked, check
+from kr270_milling.decision.findings import Violation, violation
 from kr270_milling.decision.part.assessment import PartAssessment, assess_all
-from kr270_milling.decision.path_limits import Violation
 from kr270_milling.decision.tolerance import Judgement, judge
-from kr270_milling.decision.verdict import SAMPLES, Verdict, alternatives, monte_carlo
+from kr270_milling.decision.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, monte_carlo
 
 __all__ = [
     "BUDGET", "NO_METHOD", "USUAL_BUDGET", "Compensation", "Decision", "VerdictOrder", "compensate", "decide",
     "limit_sentence",
 ]  # fmt: skip
-
-NO_METHOD = "none"  #: run the path as it was programmed
 
 
 @dataclass(frozen=True)
@@ -92,7 +88,7 @@ class VerdictOrder:
     asked_for: bool = False  #: whether it may take BUDGET, else USUAL_BUDGET or nothing
     compare: bool = True  #: whether other methods are looked at
     seed: int = 1
-    estimate: Callable[[int, float], None] | None = None  #: is told how many plants in how many seconds are to come
+    estimate: Callable[[int, float], None] = lambda *_: None  #: is told how many plants in how many seconds are to come
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,16 +138,15 @@ def _verdict(cell: Cell, original: ScoredPass, revised: ScoredPass, order: Verdi
     if not order.asked_for and original.result.wall_time > LONGEST_PASS:
         return None
     others = alternatives(cell, original, revised.name) if order.compare else {}
-    rng, budget = np.random.default_rng(order.seed), BUDGET if order.asked_for else USUAL_BUDGET
     return monte_carlo(
-        cell, cell.target(), revised.reference, rng, order.samples, budget=budget, give_up=not order.asked_for,
-        seed=order.seed, progress=report, estimate=order.estimate, method=revised.name, others=others,
+        cell, revised.reference, order.samples, order.seed, budget=BUDGET if order.asked_for else USUAL_BUDGET,
+        give_up=not order.asked_for, progress=report, estimate=order.estimate, method=revised.name, others=others,
     )  # fmt: skip
 
 
 def _limited(part: Limited, by: Compensator) -> Violation:
-    allowed = part.wanted - part.missing
-    return Violation("correction limited", part.worst, part.wanted, allowed, "warning", limit_sentence(part, by))
+    said = limit_sentence(part, by)
+    return violation("correction limited", part.wanted, part.wanted - part.missing, part.worst, said=said)
 
 
 def limit_sentence(part: Limited, by: Compensator) -> str:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.decision.findings import stretches
 from kr270_milling.simulation.milling_pass import PassResult
 
 __all__ = ["Stability", "stability_of"]
@@ -53,7 +54,7 @@ def stability_of(cell: Cell, result: PassResult) -> Stability:
     feed_per_tooth = cell.feed_rate * period
     limit = max(CHATTERS, GRID_NOISE * cell.stock.grid_step / max(feed_per_tooth, 1e-12))
     worst, grows, seconds = np.nan, False, result.time
-    for first, last in _stretches(result.volume > 0.0):
+    for first, last in stretches(result.volume > 0.0):
         time = seconds[first:last]
         teeth = np.arange(time[0], time[-1], period)
         if teeth.size < FEWEST_TEETH:
@@ -66,9 +67,3 @@ def stability_of(cell: Cell, result: PassResult) -> Stability:
     if np.isnan(worst):
         return Stability("no statement", np.nan, limit)
     return Stability("chatter" if grows or worst > limit else "stable", float(worst), limit)
-
-
-def _stretches(cutting: np.ndarray) -> list[tuple[int, int]]:
-    """Ranges [first, last) of periods in which the tool cuts without a break."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], cutting.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

@@ -10,7 +10,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decision.part.assessment import PartAssessment, assess
 
-__all__ = ["Judgement", "judge", "judge_part", "judge_straight_cut"]
+__all__ = ["Judgement", "judge", "judge_part"]
 
 
 @dataclass(frozen=True)
@@ -50,29 +50,29 @@ def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Ju
 
     part: its assessment, if it is known already.
     """
-    return judge_part(cell, part or assess(cell, ran)) if cell.path.file else judge_straight_cut(cell, ran)
+    return judge_part(cell, part or assess(cell, ran)) if cell.path.file else _judge_straight_cut(cell, ran)
 
 
 def judge_part(cell: Cell, part: PartAssessment) -> Judgement:
     """Walls and floors of every feature against its own tolerance."""
     rows: list[tuple[float, float, str | None]] = []
     for row in part.rows:
-        allowed = cell.part.of(row.name)
-        rows += [(row.max_wall, allowed[0], row.name), (row.max_floor, allowed[1], row.name)]
+        wall, floor = cell.part.of(row.name)
+        rows += [(row.max_wall, wall, row.name), (row.max_floor, floor, row.name)]
     return _judge(part.whole.max_wall, part.whole.max_floor, rows)
 
 
-def judge_straight_cut(cell: Cell, ran: ScoredPass) -> Judgement:
-    """The fully engaged part of a straight cut: its side is the wall, its height the floor."""
+def _judge_straight_cut(cell: Cell, ran: ScoredPass) -> Judgement:
+    """The fully engaged part: its side is the wall, its height the floor."""
     result = ran.result
     engaged = result.time >= cell.full_engagement - 1e-9
     wall = ran.scores.max_deviation
     floor = float(np.max(np.abs((result.actual - result.target)[engaged, 2]), initial=0.0))
-    allowed = cell.part.of()
-    return _judge(wall, floor, [(wall, allowed[0], None), (floor, allowed[1], None)])
+    return _judge(wall, floor, list(zip((wall, floor), cell.part.of(), (None, None), strict=True)))
 
 
 def _judge(wall: float, floor: float, rows: list[tuple[float, float, str | None]]) -> Judgement:
+    """rows: error, tolerance, feature."""
     rows = [row for row in rows if not np.isnan(row[0])]
     judged = [row for row in rows if row[1] > 0.0]
     if not judged:

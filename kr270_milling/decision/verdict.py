@@ -19,7 +19,18 @@ from kr270_milling.compensation.methods import METHODS
 from kr270_milling.decision.samples import coarser, perturbed, run_sample
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["HELPS", "INDIFFERENT", "TRACKED", "UNTRUSTED", "Verdict", "alternatives", "judge", "monte_carlo"]
+__all__ = [
+    "HELPS",
+    "INDIFFERENT",
+    "NO_METHOD",
+    "SAMPLES",
+    "TRACKED",
+    "UNTRUSTED",
+    "Verdict",
+    "alternatives",
+    "judge",
+    "monte_carlo",
+]
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
 LEVELS = (0.05, 0.5, 0.95)
@@ -28,7 +39,7 @@ FEWEST = 8
 SAME = 0.1  #: changes of the largest deviation by less than this share are none
 FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
 TRACKED = "learned, with a tracker"  #: passes of the plant itself are measured and learned from
-NONE = "none"  #: run the path as it was programmed
+NO_METHOD = "none"  #: run the path as it was programmed
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +63,7 @@ class Verdict:
         "none" where no method makes the part better by 10 %.
         """
         before = self.original[:, 0]
-        sound = {NONE: _high(before) * (1.0 - SAME)}
+        sound = {NO_METHOD: _high(before) * (1.0 - SAME)}
         for name, rows in self.methods.items():
             if name != TRACKED and judge(before[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
                 sound[name] = _high(rows)
@@ -66,26 +77,30 @@ class Verdict:
 
     def bands(self, which: str) -> dict[str, tuple[float, ...]]:
         """5, 50 and 95 % of the largest and of the static deviation [m]; which: "original" or "compensated"."""
-        rows = getattr(self, which)
-        rows = rows[np.isfinite(rows).all(axis=1)]
-        if not len(rows):
-            return {"max": (np.nan,) * 3, "static": (np.nan,) * 3}
-        quantiles = np.quantile(rows, LEVELS, axis=0).T.tolist()
-        return {"max": tuple(quantiles[0]), "static": tuple(quantiles[1])}
+        return {name: _band(rows) for name, rows in zip(("max", "static"), getattr(self, which).T, strict=True)}
 
     def as_dict(self) -> dict:
         """For JSON; each band is 5, 50, 95 %."""
-        found = {"verdict": self.word, "reason": self.reason, "samples": len(self.original), "seed": self.seed,
-                 "failed": int(np.isnan(self.compensated).any(axis=1).sum())}  # fmt: skip
-        found["recommended_method"] = self.recommended
-        found["methods"] = {
-            name: [1e3 * float(v) for v in np.nanquantile(rows, LEVELS)] if np.isfinite(rows).any() else [np.nan] * 3
-            for name, rows in {NONE: self.original[:, 0], **self.methods}.items()
+        methods = {NO_METHOD: self.original[:, 0], **self.methods}
+        return {
+            "verdict": self.word,
+            "reason": self.reason,
+            "samples": len(self.original),
+            "seed": self.seed,
+            "failed": int(np.isnan(self.compensated).any(axis=1).sum()),
+            "recommended_method": self.recommended,
+            "methods": {name: [1e3 * value for value in _band(rows)] for name, rows in methods.items()},
+            **{
+                which: {f"{k}_deviation_mm": [1e3 * v for v in band] for k, band in self.bands(which).items()}
+                for which in ("original", "compensated")
+            },
         }
-        for which in ("original", "compensated"):
-            bands = {f"{name}_deviation_mm": [1e3 * v for v in band] for name, band in self.bands(which).items()}
-            found[which] = bands
-        return found
+
+
+def _band(rows: np.ndarray) -> tuple[float, ...]:
+    """5, 50 and 95 % of rows (n,), NaN left out."""
+    known = rows[np.isfinite(rows)]
+    return tuple(np.quantile(known, LEVELS).tolist()) if known.size else (np.nan,) * 3
 
 
 def _high(rows: np.ndarray) -> float:
@@ -130,59 +145,56 @@ def _tracked(cell: Cell, plant: Cell) -> float:
 
 def monte_carlo(
     cell: Cell,
-    target: Trajectory,
     revised: Trajectory,
-    rng: np.random.Generator,
     samples: int = SAMPLES,
+    seed: int = 1,
     *,
     budget: float = np.inf,
     give_up: bool = False,
-    seed: int | None = None,
     progress: Callable[[int, int], None] | None = None,
-    estimate: Callable[[int, float], None] | None = None,
+    estimate: Callable[[int, float], None] = lambda *_: None,
     method: str = "compensated",
     others: dict[str, Trajectory] | None = None,
 ) -> Verdict | None:
-    """Run ``samples`` plants drawn from ``cell.uncertainty`` along the target and along the revised trajectory.
+    """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
     budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8; give_up: None is
-    returned where 8 take longer as well. estimate(plants, seconds) is told then what is to come. seed: only noted.
+    returned where 8 take longer as well. progress(done, plants) and estimate(plants, seconds) are told what is to come.
     method: the name of the revised trajectory; others: trajectories of other methods, to recommend one; with them the
     first 8 plants of a straight cut also learn from their own passes. The plants run in as many threads as there are
     cores; the numbers do not depend on how many.
     """
     if not samples >= 1:
         raise ParameterError("samples", samples, "a whole number of at least 1")
-    scored_from = None if cell.path.file else cell.full_engagement
-    nominal = coarser(cell) if cell.path.file else cell
+    progress = progress or (lambda *_: None)
+    target, straight, cores = cell.target(), not cell.path.file, _cores()
+    nominal, scored_from = (cell, cell.full_engagement) if straight else (coarser(cell), None)
     references = {method: revised, **(others or {})}
+    rng = np.random.default_rng(seed)
     plants = [perturbed(nominal, rng) for _ in range(samples)]
 
     def run(k: int) -> tuple[np.ndarray, float | None]:
         rows = run_sample(plants[k], target, (target, *references.values()), scored_from)
-        tracks = others and not cell.path.file and k < FEWEST
+        tracks = others and straight and k < FEWEST
         return rows, _tracked(cell, plants[k]) if tracks else None
 
-    start, cores = time.perf_counter(), _cores()
+    start = time.perf_counter()
     found = [run(0)]
     each = (time.perf_counter() - start) / cores
     count = min(samples, max(FEWEST, int(min(budget / each, samples))))
     if give_up and count * each > budget:
         return None
-    if estimate is not None:
-        estimate(count, count * each)
+    estimate(count, count * each)
     pool = ThreadPoolExecutor(cores)
     try:
         for row in pool.map(run, range(1, count)):
-            if progress is not None:
-                progress(len(found), count)
+            progress(len(found), count)
             found.append(row)
             if len(found) >= FEWEST and time.perf_counter() - start > budget:
                 break
     finally:  # after an interrupt only the plants that run are waited for
         pool.shutdown(cancel_futures=True)
-    if progress is not None:
-        progress(len(found), len(found))
+    progress(len(found), len(found))
     rows = np.stack([row for row, _ in found])
     methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
     tracked = [value for _, value in found if value is not None]

@@ -14,7 +14,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main
 from kr270_milling.decision.check import check
-from kr270_milling.decision.check_arm import arm_violations
+from kr270_milling.decision.path_limits import arm_violations
 from kr270_milling.robot import pose
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.trajectory.trajectory_csv import write_csv
@@ -60,7 +60,7 @@ def test_every_finding_has_the_line_of_its_point(cell, ran):
     assert first.what == "spindle torque" and first.where.line in (6, 7, 9)  # the cutting moves of the file
     assert f"(line {first.where.line})" in first.text and first.where.feature in ("leg", "arc")
     place = cell.target().position[first.where.point - 1]
-    assert first.where.position == pytest.approx(place.tolist())
+    assert first.where.position_mm == pytest.approx((1e3 * place).tolist())
 
 
 def test_out_of_reach_names_all_points_that_are(cell):

@@ -83,13 +83,13 @@ def test_the_part_of_a_pass_is_that_of_its_own_map_and_of_another_sweep(tmp_path
     result = simulate(cell).result
     again = machined(cell, result.tool)
     write_stl(tmp_path / "swept.stl", again, again.map_heights())
-    monkeypatch.setattr("kr270_milling.decision.part.stl.machined", None)  # nothing is swept
+    monkeypatch.setattr("kr270_milling.decision.part.workpiece.machined", None)  # nothing is swept
     write_part(tmp_path / "part.stl", cell, result)
     assert (tmp_path / "part.stl").read_bytes() == (tmp_path / "swept.stl").read_bytes()
 
 
 def test_a_large_part_is_written_as_finely_as_the_size_of_the_file_allows(cut, tmp_path, monkeypatch):
-    monkeypatch.setattr("kr270_milling.decision.part.stl.MOST_TRIANGLES", 20_000)
+    monkeypatch.setattr("kr270_milling.decision.part.workpiece.MOST_TRIANGLES", 20_000)
     assert 10_000 < write_stl(tmp_path / "part.stl", cut) <= 20_000
 
 

@@ -10,7 +10,7 @@ from milled_part import HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.decision.part import heights_at, ideal_part, machined, surface
 from kr270_milling.decision.part.course import Course, course
-from kr270_milling.decision.part.walls import IdealWalls, Marks, remaining_walls
+from kr270_milling.decision.part.surface import IdealWalls, Marks, remaining_walls
 
 MM, UM = 1e-3, 1e-6
 

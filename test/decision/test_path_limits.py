@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from kr270_milling.decision.findings import violations
 from kr270_milling.decision.path_limits import (
     axis_reversals,
     corner_blending,
     correction_per_tick,
     correction_size,
-    exceeding,
-    joint_accelerations,
-    joint_speeds,
+    joint_rate_violations,
 )
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory
 
@@ -25,15 +24,15 @@ def shifted(lateral) -> Trajectory:
 
 
 def test_neighbours_that_exceed_make_one_finding_named_by_the_worst():
-    first, second = exceeding("k", [0, 2, 3, 2, 0, 1.5, 1.0], 1.0, "it", "N")
+    first, second = violations("spindle torque", np.array([0, 2, 3, 2, 0, 1.5, 1.0]), 1.0)
     assert (first.point, first.value, first.limit, first.severity) == (3, 3.0, 1.0, "stop")
-    assert "points 2 to 4" in first.sentence and "3 N at point 3" in first.sentence
+    assert "points 2 to 4" in first.sentence and "3 N m at point 3" in first.sentence
     assert second.point == 6 and "(point 6)" in second.sentence
 
 
 def test_what_is_not_a_number_is_a_finding_and_what_equals_the_limit_is_none():
-    assert exceeding("k", [0.0, np.nan], 1.0, "it", "N")[0].point == 2
-    assert exceeding("k", [1.0, 1.0], 1.0, "it", "N") == []
+    assert violations("spindle torque", np.array([0.0, np.nan]), 1.0)[0].point == 2
+    assert violations("spindle torque", np.array([1.0, 1.0]), 1.0) == []
 
 
 def test_a_large_correction_is_found_at_its_point():
@@ -87,11 +86,11 @@ def test_no_blending_where_the_tool_stops_or_the_distance_is_nothing():
 
 
 def test_joint_speeds_and_accelerations_are_found_by_axis_and_point():
-    time_ns = np.arange(5) * 10**8
+    time, none = np.arange(5) * 0.1, np.full(6, np.inf)
     joints = np.zeros((5, 6))
     joints[:, 2] = [0, 0, 0.2, 0.2, 0.2]  # 2 rad/s between points 2 and 3, 20 rad/s^2 at both
-    (fast,) = joint_speeds(time_ns, joints, np.full(6, 1.9))
+    (fast,) = joint_rate_violations(time, joints, np.full(6, 1.9), none)
     assert fast.point == 3 and "axis 3" in fast.sentence and fast.value == pytest.approx(2.0)
-    (hard,) = joint_accelerations(time_ns, joints, np.full(6, 19.0), at_rest=False)
+    (hard,) = joint_rate_violations(time, joints, none, np.full(6, 19.0), at_rest=False)
     assert hard.point in (2, 3) and hard.value == pytest.approx(20.0)
-    assert joint_speeds(time_ns, joints, np.full(6, 2.1)) == []
+    assert joint_rate_violations(time, joints, np.full(6, 2.1), none) == []

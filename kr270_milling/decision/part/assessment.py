@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from functools import cached_property
 
 import numpy as np
 
@@ -18,46 +19,37 @@ __all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all"]
 QUANTILE = 0.95
 
 
+def _shown(key: str, scale: float = 1e6):
+    """A field that is written under another key, in another unit."""
+    return field(metadata={"key": key, "scale": scale})
+
+
 @dataclass(frozen=True)
 class FeatureRow:
-    """One feature, or the whole part. Magnitudes; NaN where there is nothing to measure.
+    """One feature, or the whole part. Magnitudes in SI units; NaN where there is nothing to measure.
 
     The deviation is that of the tool while it cuts. A deviation on ground that is cut away later does not stay on the
     part: walls and floor only count what remains.
     """
 
     name: str
-    cut_length: float  #: [m] of the path on which material was removed
-    max_normal: float  #: deviation to the side of the path while cutting [m]
-    mean_normal: float
-    quantile_normal: float  #: 95 % of the time it is smaller
-    max_vertical: float
-    max_wall: float  #: error of the walls that remain [m]
-    mean_wall: float
-    max_floor: float  #: error of the floor that remains [m]
-    mean_floor: float
-    max_force: float  #: mean of an exchange period [N]
-    max_torque: float  #: [N m]
-    max_power: float  #: [W]
+    cut_length: float = _shown("cut_length_mm", 1e3)  #: of the path on which material was removed
+    max_normal: float = _shown("max_normal_um")  #: deviation to the side of the path while cutting
+    mean_normal: float = _shown("mean_normal_um")
+    quantile_normal: float = _shown("q95_normal_um")  #: 95 % of the time it is smaller
+    max_vertical: float = _shown("max_vertical_um")
+    max_wall: float = _shown("max_wall_error_um")  #: error of the walls that remain
+    mean_wall: float = _shown("mean_wall_error_um")
+    max_floor: float = _shown("max_floor_error_um")  #: error of the floor that remains
+    mean_floor: float = _shown("mean_floor_error_um")
+    max_force: float = _shown("max_force_n", 1.0)  #: mean of an exchange period
+    max_torque: float = _shown("max_torque_n_m", 1.0)
+    max_power: float = _shown("max_power_w", 1.0)
 
     def as_dict(self) -> dict:
         """Keys end in their unit."""
-        um = 1e6
-        return {
-            "feature": self.name,
-            "cut_length_mm": self.cut_length * 1e3,
-            "max_normal_um": self.max_normal * um,
-            "mean_normal_um": self.mean_normal * um,
-            "q95_normal_um": self.quantile_normal * um,
-            "max_vertical_um": self.max_vertical * um,
-            "max_wall_error_um": self.max_wall * um,
-            "mean_wall_error_um": self.mean_wall * um,
-            "max_floor_error_um": self.max_floor * um,
-            "mean_floor_error_um": self.mean_floor * um,
-            "max_force_n": self.max_force,
-            "max_torque_n_m": self.max_torque,
-            "max_power_w": self.max_power,
-        }
+        values = {f.metadata["key"]: getattr(self, f.name) * f.metadata["scale"] for f in fields(self)[1:]}
+        return {"feature": self.name, **values}
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +64,37 @@ class PartAssessment:
     torque: np.ndarray  #: of the spindle [N m], (n + 1,)
     power: np.ndarray  #: [W], (n + 1,)
     surface: Surface
-    rows: tuple[FeatureRow, ...]  #: the features in the order of the path, those that cut
-    whole: FeatureRow
+
+    @cached_property
+    def rows(self) -> tuple[FeatureRow, ...]:
+        """The features in the order of the path, those that cut."""
+        every = (self._row(name, self.path.feature == k, k) for k, name in enumerate(self.path.features))
+        return tuple(row for row in every if row.cut_length > 0.0)
+
+    @cached_property
+    def whole(self) -> FeatureRow:
+        return self._row("whole part", np.ones(self.cutting.size, bool), None)
+
+    def _row(self, name: str, here: np.ndarray, feature: int | None) -> FeatureRow:
+        mine, left = self.cutting & here, self.surface
+        normal = np.abs(self.deviation[mine, 1])
+        wall = np.abs(left.walls.error if feature is None else left.walls.error[left.walls.feature == feature])
+        floor = np.abs(left.floors.errors(feature))
+        return FeatureRow(
+            name=name,
+            cut_length=float(np.diff(self.path.distance, prepend=0.0)[mine].sum()),
+            max_normal=_of(np.max, normal),
+            mean_normal=_of(np.mean, normal),
+            quantile_normal=_of(lambda values: np.quantile(values, QUANTILE), normal),
+            max_vertical=_of(np.max, np.abs(self.deviation[mine, 2])),
+            max_wall=_of(np.max, wall),
+            mean_wall=_of(np.mean, wall),
+            max_floor=_of(np.max, floor),
+            mean_floor=_of(np.mean, floor),
+            max_force=_of(np.max, self.force[mine]),
+            max_torque=_of(np.max, self.torque[mine]),
+            max_power=_of(np.max, self.power[mine]),
+        )
 
     def table(self) -> list[dict]:
         """One dict for each feature that cuts, and the last for the whole part; keys end in their unit."""
@@ -81,29 +102,32 @@ class PartAssessment:
 
     def as_dict(self) -> dict:
         """For JSON."""
-        walls = self.surface.walls
         return {
             "name": self.name,
             "features": [row.as_dict() for row in self.rows],
             "whole_part": self.whole.as_dict(),
-            "wall_points": int(walls.error.size),
+            "wall_points": int(self.surface.walls.error.size),
             "floor_resolution_um": self.surface.floor_resolution * 1e6,
         }
 
 
+def _of(measure, values: np.ndarray) -> float:
+    return float(measure(values)) if values.size else np.nan
+
+
 def assess(cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None) -> PartAssessment:
     """Assess a pass of a cell; ideal: the part that the target itself leaves, if it is known already."""
-    result = ran.result
-    path = course(cell, result.time_ns)
-    deviation = deviations(path, result.actual - result.target)
-    force = np.linalg.norm(result.wrench[:, :3], axis=1)
-    power = result.torque * cell.tool.spindle_speed
-    left = surface(cell, path, result.target, result.actual, ideal, result.heights)
-    series = (path, deviation, result.volume > 0.0, force, result.torque, power, left)
-    features = range(len(path.features))
-    every = [_row(name, series, k) for k, name in zip(features, path.features, strict=True)]
-    rows = tuple(row for row in every if row.cut_length > 0.0)
-    return PartAssessment(ran.name, *series, rows, _row("whole part", series, None))
+    result, path = ran.result, course(cell, ran.result.time_ns)
+    return PartAssessment(
+        ran.name,
+        path,
+        deviations(path, result.actual - result.target),
+        result.volume > 0.0,
+        np.linalg.norm(result.wrench[:, :3], axis=1),
+        result.torque,
+        result.torque * cell.tool.spindle_speed,
+        surface(cell, path, result.target, result.actual, ideal, result.heights),
+    )
 
 
 def assess_all(cell: Cell, passes: Sequence[ScoredPass]) -> tuple[PartAssessment, ...]:
@@ -113,34 +137,3 @@ def assess_all(cell: Cell, passes: Sequence[ScoredPass]) -> tuple[PartAssessment
     same = [np.array_equal(p.result.target, first.target) for p in passes]
     with ThreadPoolExecutor(2) as pool:  # the sweep of a workpiece runs without the interpreter's lock
         return tuple(pool.map(lambda p, s: assess(cell, p, ideal if s else None), passes, same))
-
-
-def _row(name: str, series: tuple, feature: int | None) -> FeatureRow:
-    path, deviation, cutting, force, torque, power, left = series
-    mine = cutting if feature is None else cutting & (path.feature == feature)
-    normal, walls = np.abs(deviation[mine, 1]), left.walls
-    wall = np.abs(walls.error if feature is None else walls.error[walls.feature == feature])
-    floor = np.abs(left.floors.errors(feature))
-    return FeatureRow(
-        name=name,
-        cut_length=float(np.diff(path.distance, prepend=0.0)[mine].sum()),
-        max_normal=_largest(normal),
-        mean_normal=_mean(normal),
-        quantile_normal=float(np.quantile(normal, QUANTILE)) if normal.size else np.nan,
-        max_vertical=_largest(np.abs(deviation[mine, 2])),
-        max_wall=_largest(wall),
-        mean_wall=_mean(wall),
-        max_floor=_largest(floor),
-        mean_floor=_mean(floor),
-        max_force=_largest(force[mine]),
-        max_torque=_largest(torque[mine]),
-        max_power=_largest(power[mine]),
-    )
-
-
-def _largest(values: np.ndarray) -> float:
-    return float(values.max()) if values.size else np.nan
-
-
-def _mean(values: np.ndarray) -> float:
-    return float(values.mean()) if values.size else np.nan
