@@ -99,7 +99,7 @@ def _postures() -> dict:
     import numpy as np
 
     from kr270_milling.base.record import find_file
-    from kr270_milling.robot import loaded_stiffness
+    from kr270_milling.robot import equilibrium, stiffness
     from kr270_milling.robot.analysis import read_arm
 
     arm, mount = read_arm(find_file("paper.yaml"))
@@ -108,5 +108,7 @@ def _postures() -> dict:
     q = around + rng.uniform(-0.2, 0.2, (POSTURES, 6))
     wrench = np.tile([100.0, 200.0, -50.0, 1.0, 2.0, 3.0], (POSTURES, 1))
     matrices = rng.uniform(-1.0, 1.0, (POSTURES, 6, 6))
-    wall, yardstick = _turns(lambda: loaded_stiffness(arm, mount, q, wrench), lambda: np.linalg.svd(matrices))
+    wall, yardstick = _turns(
+        lambda: stiffness(equilibrium(arm, mount, q, wrench), arm), lambda: np.linalg.svd(matrices)
+    )
     return {"us_per_posture": wall / POSTURES * 1e6, "postures_over_yardstick": wall / yardstick}

@@ -22,7 +22,7 @@ from kr270_milling.identification.intervals import half_interval, robust_varianc
 from kr270_milling.identification.measurements import Measurements
 from kr270_milling.identification.outcome import Outcome, figure_of, points
 from kr270_milling.identification.problem import Problem
-from kr270_milling.robot.compensator import Compensator
+from kr270_milling.robot.arm import Compensator
 
 __all__ = ["Fit", "TooFewError", "compliance_outcome", "fit", "sentences"]
 

@@ -20,8 +20,7 @@ from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import specs
 from kr270_milling.identification.measurements import Measurements
-from kr270_milling.robot.arm import Arm, Mount
-from kr270_milling.robot.compensator import Compensator
+from kr270_milling.robot.arm import Arm, Compensator, Mount
 from kr270_milling.robot.kinematics import LinkFrames, forward, jacobian_at
 from kr270_milling.robot.loads import GRAVITY, link_loads, load_hessian, load_torque
 

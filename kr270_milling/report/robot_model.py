@@ -10,8 +10,7 @@ import numpy as np
 from kr270_milling.base.frames import rotation_from_abc
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, commanded_joints
-from kr270_milling.robot.solids import COLOURS
-from kr270_milling.robot.urdf import urdf
+from kr270_milling.robot.urdf import COLOURS, urdf
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Link", "Mesh", "RobotModel", "links_of", "robot_model"]

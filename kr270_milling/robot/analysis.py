@@ -10,10 +10,9 @@ from scipy.spatial.transform import Rotation
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import Record, build, read_tree
 from kr270_milling.robot.arm import BARE, Arm, Mount
-from kr270_milling.robot.elastostatics import compliance, rotate_matrix, stiffness
-from kr270_milling.robot.equilibrium import equilibrium
+from kr270_milling.robot.elastostatics import compliance, equilibrium, stiffness
 from kr270_milling.robot.errors import ConditionError
-from kr270_milling.robot.kinematics import pose
+from kr270_milling.robot.kinematics import pose, rotate_matrix
 from kr270_milling.robot.mass import MODELS, cartesian_mass, mode_frequencies
 
 __all__ = ["analyse", "read_arm"]

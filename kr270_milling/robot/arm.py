@@ -1,4 +1,4 @@
-"""The arm and what is mounted on its flange, as parameter records.
+"""The arm, its gravity compensator and what is mounted on its flange, as parameter records.
 
 [KUKA signs] A1 turns about -z, A2 and A3 about +y, A4 about -x, A5 about +y, A6 about -x; at zero the arm is stretched
 horizontally forward. The chain from ``base_link`` to ``flange``::
@@ -17,13 +17,89 @@ import numpy as np
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter
-from kr270_milling.robot.compensator import NO_COMPENSATOR, Compensator
 
-__all__ = ["Arm", "Mount", "BARE", "AXES"]
+__all__ = ["AXES", "BARE", "NO_COMPENSATOR", "Arm", "Compensator", "Mount", "moment_slope"]
 
 #: direction of each joint axis in the frame of the link that it turns, (6, 3)
 AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 0, 0]], float)
 AXES.setflags(write=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Compensator(Record):
+    """YAML ``arm.compensator``: a spring between links 1 and 2, a second spring of joint 2; stiffness 0: there is none.
+
+    It is hinged to link 1 at A = (a_x, a_z), seen from axis 2 in the plane of the arm (x forward, z up), and to the
+    upper arm at B = L (cos q2, -sin q2), on the line from axis 2 to axis 3. Its length is
+
+        s^2 = |B - A|^2 = a_x^2 + a_z^2 + L^2 - 2 L (a_x cos q2 - a_z sin q2),   ds/dq2 = L (a_x sin q2 + a_z cos q2)/s.
+
+    Its energy E = k (s - s_0)^2 / 2 depends on q2 alone, so the only joint that it loads is joint 2, with
+
+        M_c = -dE/dq2 = -k (s - s_0) ds/dq2,
+        dM_c/dq2 = -k [(ds/dq2)^2 + (s - s_0) d2s/dq2^2],   d2s/dq2^2 = [L (a_x cos q2 - a_z sin q2) - (ds/dq2)^2] / s.
+
+    With the joint's own spring K_2 this is the posture-dependent spring K_2 - dM_c/dq2 of [Klimchik2013b]: with
+    a = |A|, psi the angle at axis 2 between A and B, and eta = (s_0/s) (a L sin(psi)^2 / s^2 - cos(psi)) + cos(psi),
+    the equivalent spring of joint 2 is K_2 + k a L eta. The free length follows from the force F_0 that pulls in the
+    spring where the upper arm stands upright (q2 = -90 deg), its preload: s_0 = s(-90 deg) - F_0 / k.
+    """
+
+    stiffness: float = parameter(0.0, unit="n_per_mm", low=0.0, high=1e5, text="k of the spring; 0: no compensator")
+    preload: float = parameter(0.0, unit="n", low=-1e6, high=1e6, text="pull of the spring with the upper arm upright")
+    base_x: float = parameter(
+        -0.3, unit="mm", low=-3000.0, high=3000.0, text="a_x, its hinge on link 1 in front of axis 2"
+    )
+    base_z: float = parameter(0.1, unit="mm", low=-3000.0, high=3000.0, text="a_z, its hinge on link 1 above axis 2")
+    arm_length: float = parameter(
+        0.15, unit="mm", above=0.0, high=3000.0, text="L, from axis 2 to its hinge on the upper arm, toward axis 3"
+    )
+
+    def check(self) -> None:
+        if not abs(np.hypot(self.base_x, self.base_z) - self.arm_length) > 1e-3:
+            allowed = "a hinge farther from axis 2, or nearer, than arm_length_mm, so that the spring keeps a length"
+            raise ParameterError("base_x_mm", 1e3 * self.base_x, allowed)
+
+    @property
+    def present(self) -> bool:
+        return self.stiffness > 0.0
+
+    def length(self, cosine, sine):
+        """s [m] from cosine and sine of q2."""
+        across = self.base_x**2 + self.base_z**2 + self.arm_length**2
+        return np.sqrt(across - 2 * self.arm_length * (self.base_x * cosine - self.base_z * sine))
+
+    @property
+    def free_length(self) -> float:
+        """s_0 [m]; negative for a strong preload, as a gas spring has it."""
+        return float(self.length(0.0, -1.0)) - self.preload / self.stiffness
+
+    def moment(self, cosine, sine):
+        """M_c on joint 2 [N m], of a spring that is present."""
+        s = self.length(cosine, sine)
+        slope = self.arm_length * (self.base_x * sine + self.base_z * cosine) / s
+        return -self.stiffness * (s - self.free_length) * slope
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        """k, s_0, a_x, a_z, L."""
+        return self.stiffness, self.free_length, self.base_x, self.base_z, self.arm_length
+
+    def moment_slope(self, cosine, sine):
+        """dM_c/dq2 [N m/rad]; 0 without a spring."""
+        return moment_slope(self.numbers, cosine, sine) if self.present else np.zeros_like(cosine)
+
+
+def moment_slope(spring, cosine, sine):
+    """dM_c/dq2 [N m/rad]; spring: ``Compensator.numbers``. Plain arithmetic, so that batches of postures compile it."""
+    k, s_0, a_x, a_z, length = spring
+    s = np.sqrt(a_x**2 + a_z**2 + length**2 - 2 * length * (a_x * cosine - a_z * sine))
+    slope = length * (a_x * sine + a_z * cosine) / s
+    bend = (length * (a_x * cosine - a_z * sine) - slope**2) / s
+    return -k * (slope**2 + (s - s_0) * bend)
+
+
+NO_COMPENSATOR = Compensator()
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,7 @@ import numpy as np
 from kr270_milling.base.frames import Pose
 from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
+from kr270_milling.robot.kinematics import elbow_and_reach
 
 __all__ = ["BRANCHES", "branches", "inverse", "inverse_near", "check_limits"]
 
@@ -187,8 +188,7 @@ def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
 
 def _branch_of(arm: Arm, q: np.ndarray) -> tuple[float, float]:
     """Shoulder and elbow sign of a posture (6,)."""
-    beta = arm.elbow_offset - q[2]
-    radius = arm.a1 + arm.a2 * np.cos(q[1]) + arm.forearm * np.cos(beta - q[1])
+    beta, radius = elbow_and_reach(arm, q)
     return (1.0 if radius >= 0 else -1.0), (1.0 if _wrapped(beta) <= 0 else -1.0)
 
 

@@ -16,8 +16,8 @@ from kr270_milling.base.frames import Pose
 from kr270_milling.robot.arm import AXES, Arm, Mount
 from kr270_milling.robot.errors import SingularityError
 
-__all__ = ["LinkFrames", "forward", "pose", "jacobian", "jacobian_at", "singularity_measures", "check_regular",
-           "status_turn", "cross"]  # fmt: skip
+__all__ = ["LinkFrames", "check_regular", "cross", "elbow_and_reach", "forward", "jacobian", "jacobian_at", "pose",
+           "rotate_matrix", "singularity_measures", "status_turn"]  # fmt: skip
 
 #: number of the coordinate axis that each joint turns about, and KUKA's sign
 TURNS = [(int(np.argmax(np.abs(axis))), float(axis.sum())) for axis in AXES]
@@ -47,6 +47,17 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     out[..., 1] = az * bx - ax * bz
     out[..., 2] = ax * by - ay * bx
     return out
+
+
+def rotate_matrix(matrix: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """A stiffness, compliance or mass matrix over stacked 3-vectors, (..., 3 n, 3 n), in other axes, same point.
+
+    rotation (..., 3, 3) maps coordinates in the matrix's axes to the new axes: base to tool is ``pose.rotation.T``.
+    """
+    turn = np.zeros(np.broadcast_shapes(rotation.shape[:-2], matrix.shape[:-2]) + matrix.shape[-2:])
+    for k in range(0, matrix.shape[-1], 3):
+        turn[..., k : k + 3, k : k + 3] = rotation
+    return turn @ matrix @ np.swapaxes(turn, -1, -2)
 
 
 def forward(arm: Arm, mount: Mount, q) -> LinkFrames:
@@ -100,6 +111,12 @@ def jacobian_at(frames: LinkFrames, point: np.ndarray, joints: int = 6) -> np.nd
     return jacobian
 
 
+def elbow_and_reach(arm: Arm, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angle of the forearm against the upper arm, counted upwards [rad], and x of the wrist centre before A1 [m]."""
+    beta = arm.elbow_offset - q[..., 2]
+    return beta, arm.a1 + arm.a2 * np.cos(q[..., 1]) + arm.forearm * np.cos(beta - q[..., 1])
+
+
 def singularity_measures(arm: Arm, q) -> np.ndarray:
     """(..., 3): shoulder, elbow, wrist; each is 0 in its singularity and at most about 1.
 
@@ -107,8 +124,7 @@ def singularity_measures(arm: Arm, q) -> np.ndarray:
     (here as a share of a2 + forearm), the sine of the angle between upper arm and forearm, the sine of A5.
     """
     q = np.asarray(q, float)
-    beta = arm.elbow_offset - q[..., 2]
-    radius = arm.a1 + arm.a2 * np.cos(q[..., 1]) + arm.forearm * np.cos(beta - q[..., 1])
+    beta, radius = elbow_and_reach(arm, q)
     shoulder = np.abs(radius) / (arm.a2 + arm.forearm)
     return np.stack([shoulder, np.abs(np.sin(beta)), np.abs(np.sin(q[..., 4]))], -1)
 
@@ -130,8 +146,7 @@ def status_turn(arm: Arm, q) -> tuple[np.ndarray, np.ndarray]:
     counts as not negative, so that rounding does not decide.
     """
     q = np.asarray(q, float)
-    beta = arm.elbow_offset - q[..., 2]
-    radius = arm.a1 + arm.a2 * np.cos(q[..., 1]) + arm.forearm * np.cos(beta - q[..., 1])
+    beta, radius = elbow_and_reach(arm, q)
     status = (radius < -1e-9) + 2 * (beta <= 1e-9) + 4 * (q[..., 4] < -1e-9)
     turn = np.sum((q < -1e-9) * (1 << np.arange(6)), -1)
     return status, turn

@@ -1,6 +1,6 @@
 """What weighs on the joint springs: torque of the wrench and of the link weights (6), and its derivative (14), (15).
 
-An arm with a gravity compensator (``compensator.py``) has its moment on joint 2 as well, wherever the weights count.
+An arm with a gravity compensator has its moment on joint 2 as well, wherever the weights count.
 
 Wrenches are force and moment on the tool at the tool point, constant in base_link axes, translations first [N, N m].
 """
@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.robot.arm import Arm, Mount
-from kr270_milling.robot.compensator import NO_COMPENSATOR, Compensator
+from kr270_milling.robot.arm import NO_COMPENSATOR, Arm, Compensator, Mount
 from kr270_milling.robot.kinematics import LinkFrames, cross
 
 __all__ = ["GRAVITY", "LinkLoads", "link_loads", "load_torque", "load_hessian", "moment_arms"]

@@ -12,12 +12,13 @@ import numpy as np
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.robot.arm import Arm, Mount
-from kr270_milling.robot.kinematics import LinkFrames, check_regular, forward, jacobian_at
-from kr270_milling.robot.rigid_mass import POINT, rigid_joint_mass
+from kr270_milling.robot.kinematics import LinkFrames, check_regular, cross, forward, jacobian_at, rotate_matrix
 
-__all__ = ["MODELS", "beam_mass", "assembled_mass", "joint_mass", "cartesian_mass", "mode_frequencies"]
+__all__ = ["MODELS", "assembled_mass", "beam_mass", "cartesian_mass", "joint_mass", "mode_frequencies", "own_inertia",
+           "rigid_joint_mass", "spatial_inertia"]  # fmt: skip
 
 MODELS = ("lumped", "consistent", "rigid")
+POINT = 1e-9  #: a link shorter than this [m] is a point mass in its end node
 
 
 def beam_mass(mass: float, length: float, rho_i_p: float, rho_i_y: float, rho_i_z: float) -> np.ndarray:
@@ -53,8 +54,7 @@ def _link_mass(arm: Arm, j: int) -> np.ndarray:
         return np.diag([0.0] * 6 + [mass] * 3 + [0.0] * 3)
     per_length = mass * radius**2 / length  # thin tube: I_p = A r^2, I_y = I_z = A r^2 / 2
     beam = beam_mass(mass, length, per_length, per_length / 2, per_length / 2)
-    turn = np.kron(np.eye(4), _axes_along(vector / length))
-    return turn @ beam @ turn.T
+    return rotate_matrix(beam, _axes_along(vector / length))
 
 
 def _axes_along(x: np.ndarray) -> np.ndarray:
@@ -72,21 +72,13 @@ def assembled_mass(arm: Arm, mount: Mount, frames: LinkFrames) -> np.ndarray:
     total = np.zeros(frames.axes.shape[:-2] + (42, 42))
     for j in range(6):
         span = slice(6 * j, 6 * j + 12)
-        total[..., span, span] += _turned(_link_mass(arm, j), frames.rotations[..., j, :, :])
+        total[..., span, span] += rotate_matrix(_link_mass(arm, j), frames.rotations[..., j, :, :])
     offset = np.zeros((3, 6))  # velocity of the mass centre from that of the flange, in flange axes
     offset[:, :3] = np.eye(3)
     offset[:, 3:] = np.cross(np.eye(3), mount.mass_centre).T  # omega x r
     rider = mount.mass * offset.T @ offset
-    total[..., 36:, 36:] += _turned(rider, frames.rotations[..., 5, :, :])
+    total[..., 36:, 36:] += rotate_matrix(rider, frames.rotations[..., 5, :, :])
     return total
-
-
-def _turned(matrix: np.ndarray, rotation: np.ndarray) -> np.ndarray:
-    """A matrix over stacked 3-vectors from link axes to base axes."""
-    turn = np.zeros(rotation.shape[:-2] + matrix.shape)
-    for k in range(0, len(matrix), 3):
-        turn[..., k : k + 3, k : k + 3] = rotation
-    return turn @ matrix @ np.swapaxes(turn, -1, -2)
 
 
 def joint_mass(arm: Arm, mount: Mount, q) -> np.ndarray:
@@ -95,6 +87,63 @@ def joint_mass(arm: Arm, mount: Mount, q) -> np.ndarray:
     nodes = [jacobian_at(frames, frames.nodes[..., j, :], j) for j in range(7)]
     jacobians = np.concatenate(nodes, -2)
     return np.swapaxes(jacobians, -1, -2) @ assembled_mass(arm, mount, frames) @ jacobians
+
+
+def own_inertia(arm: Arm, j: int) -> np.ndarray:
+    """Inertia (3, 3) [kg m^2] of link j = 0..5 about its mass centre, in the axes of its frame.
+
+    A thin tube of length L and radius r: m r^2 along it, m (L^2 / 12 + r^2 / 2) across it.
+    """
+    vector, mass, radius = arm.link_vectors[j], arm.link_mass[j], arm.link_section_radius[j]
+    length = np.linalg.norm(vector)
+    if length < POINT:
+        return np.zeros((3, 3))
+    along = np.outer(vector, vector) / length**2
+    return mass * radius**2 * along + mass * (length**2 / 12 + radius**2 / 2) * (np.eye(3) - along)
+
+
+def spatial_inertia(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+    """(..., 6, 6) about the origin: [[m 1, -m c x], [m c x, I - m c x c x]] for a mass centre c (..., 3) [m].
+
+    inertia: (..., 3, 3) about the mass centre; v . (this) . v is twice the kinetic energy.
+    """
+    crossing = cross(np.asarray(centre)[..., None, :], np.eye(3))  # rows c x e_k: the matrix of c x, transposed
+    out = np.zeros(inertia.shape[:-2] + (6, 6))
+    out[..., :3, :3] = mass * np.eye(3)
+    out[..., :3, 3:] = mass * crossing
+    out[..., 3:, :3] = -mass * crossing
+    out[..., 3:, 3:] = inertia - mass * crossing @ crossing
+    return out
+
+
+def _bodies(arm: Arm, mount: Mount, frames: LinkFrames) -> list[np.ndarray]:
+    """Spatial inertia (..., 6, 6) of what rides on each joint alone: its link, on joint 6 spindle and tool too."""
+    found = []
+    for j in range(6):
+        start, turn = frames.nodes[..., j, :], frames.rotations[..., j, :, :]
+        centre = start + arm.link_mass_centre[j] * (frames.nodes[..., j + 1, :] - start)
+        found.append(spatial_inertia(arm.link_mass[j], centre, turn @ own_inertia(arm, j) @ np.swapaxes(turn, -1, -2)))
+    turn = frames.rotations[..., 5, :, :]
+    rider = turn @ np.diag(mount.inertia) @ np.swapaxes(turn, -1, -2)
+    found[5] = found[5] + spatial_inertia(mount.mass, frames.mass_centre, rider)
+    return found
+
+
+def rigid_joint_mass(arm: Arm, mount: Mount, q) -> np.ndarray:
+    """M_theta [kg m^2/rad^2], (..., 6, 6), of the composite-rigid-body algorithm: M_ij = S_i^T I_max(i,j) S_j.
+
+    S_j is the velocity (v, omega) of the body point at the origin of base_link, base axes, of a body that joint j turns
+    by 1 rad/s, I_j the inertia of all bodies that joint j moves: thin tubes, and spindle and tool on joint 6.
+    """
+    frames = forward(arm, mount, q)
+    screws = np.concatenate([cross(frames.nodes[..., :6, :], frames.axes), frames.axes], -1)  # S_j, (..., 6, 6)
+    mass = np.zeros(screws.shape)
+    composite = np.zeros(screws.shape)
+    for j, body in reversed(list(enumerate(_bodies(arm, mount, frames)))):
+        composite = composite + body
+        carried = np.einsum("...ij,...j->...i", composite, screws[..., j, :])
+        mass[..., j, : j + 1] = mass[..., : j + 1, j] = np.einsum("...ki,...i->...k", screws[..., : j + 1, :], carried)
+    return mass
 
 
 def cartesian_mass(arm: Arm, mount: Mount, q, model: str = "lumped") -> np.ndarray:

@@ -10,8 +10,7 @@ import numpy as np
 from numba import njit
 
 from kr270_milling.base.frames import Pose
-from kr270_milling.robot.arm import Arm, Mount
-from kr270_milling.robot.compensator import moment_slope
+from kr270_milling.robot.arm import Arm, Mount, moment_slope
 from kr270_milling.robot.inverse import STRAIGHT
 
 __all__ = ["along_path", "postures", "whole_turns"]
@@ -31,7 +30,7 @@ def postures(arm: Arm, mount: Mount, place: Pose, force: np.ndarray, gravity: bo
     c = arm.compensator
     spring: tuple[float, ...] = (0.0,) * 5
     if gravity and c.present:
-        spring = tuple(map(float, (c.stiffness, c.free_length, c.base_x, c.base_z, c.arm_length)))
+        spring = tuple(map(float, c.numbers))
     middle = 0.5 * float(arm.joint_lower[3] + arm.joint_upper[3])
     count = len(place.position)
     q, way = np.full((count, 8, 6), np.nan), np.full((count, 8, 3), np.nan)

@@ -18,7 +18,7 @@ from kr270_milling.identification.plan import Bench, Candidates, Planner, candid
 from kr270_milling.identification.problem import Problem
 from kr270_milling.identification.signals import Signals
 from kr270_milling.robot.analysis import read_arm
-from kr270_milling.robot.compensator import Compensator
+from kr270_milling.robot.arm import Compensator
 
 FILE = find_file("test_piece.yaml")
 ARM, MOUNT = read_arm(FILE)

@@ -109,7 +109,7 @@ def test_a_bare_arm_cannot_tell_joint_6_and_says_so_with_null_as_its_interval(ca
     rng = np.random.default_rng(8)
     from kr270_milling.base.record import find_file
     from kr270_milling.robot.analysis import read_arm
-    from kr270_milling.robot.equilibrium import equilibrium
+    from kr270_milling.robot.elastostatics import equilibrium
 
     arm, mount = read_arm(find_file("kr270_2.yaml"))
     for _ in range(12):

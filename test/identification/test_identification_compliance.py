@@ -13,8 +13,8 @@ from kr270_milling.base.record import find_file
 from kr270_milling.identification.compliance import TooFewError, fit, sentences
 from kr270_milling.identification.problem import Problem, SoftArmError
 from kr270_milling.robot.analysis import read_arm
-from kr270_milling.robot.compensator import Compensator
-from kr270_milling.robot.equilibrium import equilibrium
+from kr270_milling.robot.arm import Compensator
+from kr270_milling.robot.elastostatics import equilibrium
 
 
 @pytest.fixture

@@ -10,8 +10,8 @@ import pytest
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.robot.analysis import read_arm
-from kr270_milling.robot.compensator import Compensator
-from kr270_milling.robot.equilibrium import equilibrium
+from kr270_milling.robot.arm import Compensator
+from kr270_milling.robot.elastostatics import equilibrium
 from kr270_milling.robot.kinematics import forward
 from kr270_milling.robot.loads import link_loads, load_hessian, load_torque
 

@@ -21,7 +21,7 @@ from kr270_milling.robot import (
     rigid_joint_mass,
 )
 from kr270_milling.robot.analysis import read_arm
-from kr270_milling.robot.rigid_mass import own_inertia, spatial_inertia
+from kr270_milling.robot.mass import own_inertia, spatial_inertia
 
 ARM = read_arm(find_file("kr270_2.yaml"))[0].replace(link_mass_centre=np.array([0.4, 0.3, 0.6, 0.45, 0.5, 0.7]))
 MOUNT = Mount(

@@ -11,7 +11,7 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cli import main
 from kr270_milling.robot import compliance, equilibrium, pose
-from kr270_milling.robot.compensator import NO_COMPENSATOR, Compensator
+from kr270_milling.robot.arm import NO_COMPENSATOR, Compensator
 from kr270_milling.simulation.arm_model import modal_models
 from kr270_milling.studies.placements import Course, Placements, moved_cell
 from kr270_milling.studies.postures import whole_turns
