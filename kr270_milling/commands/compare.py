@@ -57,7 +57,8 @@ def _measured(args):
     """What the recording has of both topics."""
     from kr270_milling.bag.reader import Recording
     from kr270_milling.identification.comparison import Pass, Series
-    from kr270_milling.identification.sensor import Sensor, force_series, pose_series, turn_of
+    from kr270_milling.identification.cuts import Sensor, force_series, turn_of
+    from kr270_milling.identification.signals import pose_series
 
     with Recording(args.recording) as recording:
         last = [topic.rpartition("/")[2] for topic in recording.topics()] + list(recording.topics())

@@ -30,8 +30,13 @@ def run(args) -> Answer:
     from kr270_milling.base.record import find_file
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.commands.identify import identified
-    from kr270_milling.identification.mode_result import mode_outcome
-    from kr270_milling.identification.modes import by_compliance, by_hammer, find_modes, tool_compliance
+    from kr270_milling.identification.modes import (
+        by_compliance,
+        by_hammer,
+        find_modes,
+        mode_outcome,
+        tool_compliance,
+    )
     from kr270_milling.identification.signals import read_signals
 
     signals = read_signals(args.recording, args.topic).window(args.start, args.stop)

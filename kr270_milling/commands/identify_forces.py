@@ -29,10 +29,8 @@ def add_arguments(parser) -> None:
 def run(args) -> Answer:
     from kr270_milling.base.record import find_file
     from kr270_milling.commands.identify import identified
-    from kr270_milling.identification.cuts import read_cuts
-    from kr270_milling.identification.force_result import force_outcome
-    from kr270_milling.identification.forces import OneFeedError, fit_fractional, fit_linear_edge
-    from kr270_milling.identification.sensor import Sensor, turn_of
+    from kr270_milling.identification.cuts import Sensor, read_cuts, turn_of
+    from kr270_milling.identification.forces import OneFeedError, fit_fractional, fit_linear_edge, force_outcome
 
     tool, down = _tool(args)
     turn = turn_of(args.sensor_abc)

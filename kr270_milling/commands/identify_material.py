@@ -19,8 +19,7 @@ def run(args) -> Answer:
 
     from kr270_milling.base.errors import InputError
     from kr270_milling.commands.identify import identified
-    from kr270_milling.identification.force_result import linear_edge_sections
-    from kr270_milling.identification.forces import NAMES, SCALE, find_material, materials
+    from kr270_milling.identification.forces import NAMES, SCALE, find_material, law_sections, materials
     from kr270_milling.identification.outcome import Outcome
 
     rows = find_material(args.name) if args.name else materials()
@@ -33,7 +32,7 @@ def run(args) -> Answer:
     if args.out:
         if not args.name or not 1 <= args.row <= len(rows):
             raise InputError("--out", f"needs one material, and a --row from 1 to {len(rows)}")
-        sections = linear_edge_sections(rows[args.row - 1].values, np.full(6, np.nan))
+        sections = law_sections("linear_edge", rows[args.row - 1].values, np.full(6, np.nan))
     columns = ["material", "cutter", *(name.split("_n_")[0] for name in NAMES)]
     shown = [[m.name, m.cutter, *("-" if np.isnan(v) else f"{v:g}" for v in m.values / SCALE)] for m in rows]
     sources = [f"{m.name}, {m.cutter}, {m.lubrication} [source: {m.source}]" for m in rows] if args.name else []

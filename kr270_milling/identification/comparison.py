@@ -8,15 +8,16 @@ import numpy as np
 from scipy.signal import fftconvolve
 
 from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.identification.signals import resampled
 from kr270_milling.simulation.scores import path_deviation, ringing_frequency
 
-__all__ = [
-    "Channel", "Comparison", "Line", "NoOverlapError", "Pass", "Series", "best_lag", "compare", "line_through",
-    "resampled", "smoothed",
-]  # fmt: skip
+__all__ = ["Channel", "Comparison", "NoOverlapError", "Pass", "Series", "best_lag", "compare", "line_through"]
 
 LEAST_OVERLAP = 0.6  #: share of the shorter series that both must have in common
 LEAST_LIKENESS = 0.5  #: below it two series are not of the same pass
+AGREES = 0.1  #: gains within it need no new identification: coefficients scatter by as much from batch to batch
+RINGS_ALIKE = 0.05  #: share of the frequency
+SURE = 2.0  #: standard deviations
 
 
 class NoOverlapError(MillingError):
@@ -40,13 +41,7 @@ class Line:
     residual: float  #: root mean square
 
 
-def resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
-    """On an even grid from the first to the last time, (m, columns)."""
-    grid = time[0] + step * np.arange(int((time[-1] - time[0]) / step + 1e-9) + 1)
-    return np.stack([np.interp(grid, time, column) for column in values.T], -1)
-
-
-def smoothed(values: np.ndarray, count: int) -> np.ndarray:
+def _smoothed(values: np.ndarray, count: int) -> np.ndarray:
     """Moving mean over ``count`` samples, the same length; the ends are means of fewer."""
     kernel = np.ones((max(1, count), 1))
     weight = fftconvolve(np.ones((len(values), 1)), kernel, "same", axes=0)
@@ -83,11 +78,6 @@ def line_through(measured: np.ndarray, simulated: np.ndarray, independent: int) 
     spread = np.sum((simulated - simulated.mean()) ** 2) * independent / len(simulated)
     sigma = np.sqrt(np.mean(left**2) / max(spread, 1e-300))
     return Line(float(gain), float(sigma), float(offset), float(np.sqrt(np.mean(left**2))))
-
-
-AGREES = 0.1  #: gains within it need no new identification: coefficients scatter by as much from batch to batch
-RINGS_ALIKE = 0.05  #: share of the frequency
-SURE = 2.0  #: standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,10 +137,10 @@ def compare(measured: Pass, simulated: Pass, target, feed, revolution: float) ->
         channels.append(_channel("deviation", "m", time[inside], theirs, ours, revolution))
         both = {"measured": theirs, "simulated": ours}
         count = _count(time, revolution)
-        ringing = {k: ringing_frequency(time[inside], smoothed(v[:, None], count)[:, 0]) for k, v in both.items()}
+        ringing = {k: ringing_frequency(time[inside], _smoothed(v[:, None], count)[:, 0]) for k, v in both.items()}
     if not channels:
         raise InputError("compare", "the recording has neither a force nor a place of the tool to compare")
-    return Comparison(channels, lags, ringing, advice(channels, ringing))
+    return Comparison(channels, lags, ringing, _advice(channels, ringing))
 
 
 def _count(time: np.ndarray, revolution: float) -> int:
@@ -186,18 +176,21 @@ def _places(measured: Series, simulated: Series) -> tuple[float, np.ndarray]:
 
 def _channel(name: str, unit: str, time, measured, simulated, revolution: float) -> Channel:
     count = _count(time, revolution)
-    both = smoothed(np.column_stack([measured, simulated]), count)
+    both = _smoothed(np.column_stack([measured, simulated]), count)
     line = line_through(both[:, 0], both[:, 1], max(3, len(time) // count))
     return Channel(name, unit, time, np.asarray(measured), np.asarray(simulated), line)
 
 
-def advice(channels: list[Channel], ringing: dict) -> list[str]:
+def _advice(channels: list[Channel], ringing: dict) -> list[str]:
     """What to identify anew, in sentences."""
     said = []
     largest = max((float(np.abs(c.simulated).mean()) for c in channels if c.unit == "N"), default=0.0)
     forces = [c for c in channels if c.unit == "N" and np.abs(c.simulated).mean() > 0.2 * largest]
     off = [c for c in forces if _differs(c.line, 1.0)]
-    said += [f"{c.name} is {_gain(c.line)} times the simulated one: `identify forces`" for c in off]
+    said += [
+        f"{c.name} is {c.line.gain:.2f} +- {SURE * c.line.gain_sigma:.2f} times the simulated one: `identify forces`"
+        for c in off
+    ]
     deviation = next((c for c in channels if c.name == "deviation"), None)
     if deviation is not None:
         weights = [float(np.abs(c.simulated).mean()) for c in forces]
@@ -219,7 +212,3 @@ def advice(channels: list[Channel], ringing: dict) -> list[str]:
 def _differs(line: Line, expected: float) -> bool:
     away = abs(line.gain - expected)
     return away > AGREES * max(expected, 0.1) and away > SURE * line.gain_sigma
-
-
-def _gain(line: Line) -> str:
-    return f"{line.gain:.2f} +- {SURE * line.gain_sigma:.2f}"

@@ -26,19 +26,31 @@ from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import specs
 from kr270_milling.base.table import read_table
-from kr270_milling.cutting.laws import KLIMCHIK2012, FractionalLaw, fractional
+from kr270_milling.cutting.laws import KLIMCHIK2012, FractionalLaw, LinearEdgeLaw, fractional
+from kr270_milling.decision.samples import AXIAL, SCATTERED
 from kr270_milling.identification.cuts import Cuts
 from kr270_milling.identification.intervals import MixedUpError, half_interval, scatter, solve
+from kr270_milling.identification.outcome import Outcome, points
 
 __all__ = [
-    "FILE", "NAMES", "TOWARD_PART", "Coefficients", "FractionalFit", "Material", "OneFeedError", "find_material",
-    "fit_fractional", "fit_linear_edge", "fractional_mean_forces", "materials", "mean_forces",
+    "NAMES", "LawFit", "Material", "OneFeedError", "find_material", "fit_fractional", "fit_linear_edge",
+    "force_outcome", "fractional_mean_forces", "law_sections", "materials", "mean_forces",
 ]  # fmt: skip
 
-#: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON and file units [N/m^2, N/m per file unit]
+#: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON, in the order and the units of LinearEdgeLaw
 NAMES = ("k_tc_n_per_mm2", "k_te_n_per_mm", "k_rc_n_per_mm2", "k_re_n_per_mm", "k_ac_n_per_mm2", "k_ae_n_per_mm")
-SCALE = np.array([1e6, 1e3, 1e6, 1e3, 1e6, 1e3])
+LAWS = {"linear_edge": specs(LinearEdgeLaw), "fractional": specs(FractionalLaw)}
+SCALE = np.array([spec.scale for spec in LAWS["linear_edge"]])  #: [N/m^2, N/m per file unit]
 TOWARD_PART, INTO_HOLDER = -1.0, 1.0  #: s of F_z
+POINTS = np.polynomial.legendre.leggauss(48)
+#: k_0, h_s, r, k_r [N/m for 1 mm of depth, m]
+START = np.array([getattr(KLIMCHIK2012, spec.name) for spec in LAWS["fractional"][:4]])
+BOUNDS = np.array([1e3, 1e-7, 0.0, 0.0]) / START, np.array([1e9, 1e-2, 1.0, 10.0]) / START
+FILE = "materials.csv"
+COLUMNS = ("material", "cutter", "lubrication", *NAMES, "reference")
+SOURCE = "Chinese Journal of Mechanical Engineering (2021), doi 10.1186/s10033-021-00536-9, table 5"
+COLOURS = {"x": "#1f77b4", "y": "#d62728", "z": "#2ca02c"}
+SYMBOLS = {"measured": "circle-open", "linear edge": "line-ew-open", "fractional": "x-thin-open"}
 
 
 class OneFeedError(MillingError):
@@ -54,23 +66,49 @@ class OneFeedError(MillingError):
 
 
 @dataclass(frozen=True, eq=False)
-class Coefficients:
-    """What the cuts say; NaN: not measured."""
+class LawFit:
+    """What the cuts say of one force law; NaN: not measured, infinite half widths: the data cannot tell.
 
+    linear_edge: K_tc, K_te, K_rc, K_re, K_ac, K_ae [N/m^2, N/m]; fractional: k_0, h_s, r, k_r, k_a [N/m for 1 mm of
+    depth, m], k_a above 0 where the axial force pulls the tool toward the part.
+    """
+
+    law: str
     cuts: Cuts
-    values: np.ndarray  #: K_tc, K_te, K_rc, K_re, K_ac, K_ae [N/m^2, N/m], (6,)
-    half_widths: np.ndarray  #: of their 95 % intervals, (6,)
-    residuals: np.ndarray  #: measured less modelled [N], (n, 3)
+    values: np.ndarray  #: (p,)
+    half_widths: np.ndarray  #: of their 95 % intervals, (p,)
+    modelled: np.ndarray  #: mean forces [N], (n, 3)
     axial: float = TOWARD_PART  #: s of F_z, from the sign of what was measured
 
     @property
-    def residual_rms(self) -> float:
-        """[N], of what was measured."""
-        return float(np.sqrt(np.nanmean(self.residuals**2)))
+    def residuals(self) -> np.ndarray:
+        """Measured less modelled [N], (n, 3)."""
+        return self.cuts.force - self.modelled
+
+    def rms(self, axes: int = 3) -> float:
+        """Of the residuals [N]; 2 axes: of F_x and F_y."""
+        return float(np.sqrt(np.nanmean(self.residuals[:, :axes] ** 2)))
+
+    def as_dict(self) -> dict:
+        """Values and half widths in units of the parameter file."""
+        fields = LAWS[self.law]
+        keys = NAMES if self.law == "linear_edge" else [spec.key for spec in fields]
+        scale = np.array([spec.scale for spec in fields])
+        values, widths = (
+            dict(zip(keys, (numbers / scale).tolist(), strict=True)) for numbers in (self.values, self.half_widths)
+        )
+        return {**values, "ci95": widths}
+
+    def table(self, name: str, axes: int) -> tuple[str, list[str], list[list[str]]]:
+        """Title, columns, rows."""
+        shown = self.as_dict()
+        rows = [[key, *("-" if np.isnan(v) else f"{v:.{d}g}" for v, d in ((shown[key], 5), (width, 3)))]
+                for key, width in shown["ci95"].items()]  # fmt: skip
+        return f"{name} law, residual {self.rms(axes):.3g} N RMS", ["coefficient", "value", "95 % +-"], rows
 
 
 def mean_forces(cuts: Cuts, values, axial: float = TOWARD_PART) -> np.ndarray:
-    """Mean forces on the tool [N], (n, 3), workpiece axes; values and axial as in Coefficients."""
+    """Mean forces on the tool [N], (n, 3), workpiece axes, by the linear-edge law; values and axial as in LawFit."""
     return _design(cuts, axial) @ np.nan_to_num(np.asarray(values, float))
 
 
@@ -93,7 +131,7 @@ def _design(cuts: Cuts, axial: float) -> np.ndarray:
     return share[:, None, None] * np.moveaxis(np.array(rows), -1, 0)
 
 
-def fit_linear_edge(cuts: Cuts) -> Coefficients:
+def fit_linear_edge(cuts: Cuts) -> LawFit:
     """The linear-edge law; raises OneFeedError. The axial pair only where fz was measured in two cuts at least."""
     axial = INTO_HOLDER if np.nansum(cuts.force[:, 2]) > 0.0 else TOWARD_PART
     design = _design(cuts, axial)
@@ -108,37 +146,7 @@ def fit_linear_edge(cuts: Cuts) -> Coefficients:
             values[columns], widths[columns] = solve(a, cuts.force[:, axes][used] / weight, cuts.sigma_known)
         except MixedUpError:
             raise OneFeedError(cuts.feeds, len(cuts)) from None
-    residuals = cuts.force - mean_forces(cuts, values, axial)
-    return Coefficients(cuts, values, widths, residuals, axial)
-
-
-POINTS = np.polynomial.legendre.leggauss(48)
-LOWEST = np.array([1e3, 1e-7, 0.0, 0.0])
-HIGHEST = np.array([1e9, 1e-2, 1.0, 10.0])
-
-
-@dataclass(frozen=True, eq=False)
-class FractionalFit:
-    """k_0, h_s, r, k_r, k_a [N/m for 1 mm of depth, m] with their 95 % half widths; infinite: the data cannot tell.
-
-    k_a is above 0 where the axial force pulls the tool toward the part, and NaN where fz was not measured.
-    """
-
-    cuts: Cuts
-    values: np.ndarray  #: (5,)
-    half_widths: np.ndarray  #: (5,)
-    residuals: np.ndarray  #: measured less modelled [N], (n, 3)
-
-    @property
-    def residual_rms(self) -> float:
-        """[N], of F_x and F_y."""
-        return float(np.sqrt(np.nanmean(self.residuals[:, :2] ** 2)))
-
-    def as_dict(self) -> dict:
-        """In units of the parameter file."""
-        keys = [(spec.key, spec.scale) for spec in specs(FractionalLaw)]
-        values = {key: float(v / scale) for (key, scale), v in zip(keys, self.values, strict=True)}
-        return {**values, "ci95": {key: float(w / s) for (key, s), w in zip(keys, self.half_widths, strict=True)}}
+    return LawFit("linear_edge", cuts, values, widths, mean_forces(cuts, values, axial), axial)
 
 
 def fractional_mean_forces(cuts: Cuts, values) -> np.ndarray:
@@ -157,30 +165,25 @@ def fractional_mean_forces(cuts: Cuts, values) -> np.ndarray:
     return np.stack([f_x, f_y, -k_a * np.sum(weight * tangential, axis=1)], -1)
 
 
-def fit_fractional(cuts: Cuts, start: FractionalLaw | None = None) -> FractionalFit:
-    """Non-linear least squares from the coefficients of ``start``. Raises OneFeedError for fewer than 3 feeds."""
+def fit_fractional(cuts: Cuts) -> LawFit:
+    """Non-linear least squares from the coefficients of [Klimchik2012]. Raises OneFeedError for fewer than 3 feeds."""
     if cuts.feeds < 3 or 2 * len(cuts) <= 4:
         raise OneFeedError(cuts.feeds, len(cuts))
-    law = start or KLIMCHIK2012
-    scale = np.array([law.stiffness, law.specific_chip_thickness, max(law.ratio, 0.1), max(law.radial_ratio, 0.1)])
-    first = np.array([law.stiffness, law.specific_chip_thickness, law.ratio, law.radial_ratio]) / scale
 
     def left(x):
-        return ((fractional_mean_forces(cuts, x * scale) - cuts.force)[:, :2] / cuts.sigma[:, None]).ravel()
+        return ((fractional_mean_forces(cuts, x * START) - cuts.force)[:, :2] / cuts.sigma[:, None]).ravel()
 
-    first = np.clip(first, LOWEST / scale + 1e-9, HIGHEST / scale - 1e-9)
-    solved = least_squares(left, first, bounds=(LOWEST / scale, HIGHEST / scale), x_scale="jac", xtol=1e-12, ftol=1e-12)
+    solved = least_squares(left, np.ones(4), bounds=BOUNDS, x_scale="jac", xtol=1e-12, ftol=1e-12)
     freedom = 2 * len(cuts) - 4
     variance = scatter(2 * solved.cost, freedom, cuts.sigma_known)
     quantile = half_interval(freedom, cuts.sigma_known)
     _, singular, turned = np.linalg.svd(solved.jac, full_matrices=False)
     with np.errstate(divide="ignore"):
         inverse = (turned.T / np.where(singular > 1e-9 * singular[0], singular, 0.0) ** 2) @ turned
-    widths = quantile * np.sqrt(variance * np.diag(inverse)) * scale
-    ratio, width = _axial(cuts, solved.x * scale)
-    values = np.append(solved.x * scale, ratio)
-    residuals = cuts.force - fractional_mean_forces(cuts, values)
-    return FractionalFit(cuts, values, np.append(np.nan_to_num(widths, nan=np.inf), width), residuals)
+    widths = np.nan_to_num(quantile * np.sqrt(variance * np.diag(inverse)) * START, nan=np.inf)
+    ratio, width = _axial(cuts, solved.x * START)
+    values = np.append(solved.x * START, ratio)
+    return LawFit("fractional", cuts, values, np.append(widths, width), fractional_mean_forces(cuts, values))
 
 
 def _axial(cuts: Cuts, values: np.ndarray) -> tuple[float, float]:
@@ -193,9 +196,89 @@ def _axial(cuts: Cuts, values: np.ndarray) -> tuple[float, float]:
     return float(ratio[0]), float(width[0])
 
 
-FILE = "materials.csv"
-COLUMNS = ("material", "cutter", "lubrication", *NAMES, "reference")
-SOURCE = "Chinese Journal of Mechanical Engineering (2021), doi 10.1186/s10033-021-00536-9, table 5"
+def law_sections(law: str, values, half_widths, axial: float = TOWARD_PART) -> dict:
+    """The groups of a parameter file: the law with its coefficients, and how well they are known for the verdict.
+
+    ``uncertainty.force_coefficients`` is there if all that the verdict draws are known; those of the axial force follow
+    where they were measured.
+    """
+    group, relative = {}, {}
+    for spec, value, width in zip(LAWS[law], values, half_widths, strict=True):
+        if np.isnan(value):
+            continue
+        relative[spec.name] = width / 1.96 / max(abs(value), 1e-300)
+        value = value * axial / TOWARD_PART if spec.name.startswith("axial") else max(value, 0.0)
+        known = "" if np.isnan(width) else f"95 % +- {width / spec.scale:.3g}"
+        group[spec.key] = (float(value / spec.scale), known)
+    sections = {"cutting": {"law": law, law: group}}
+    drawn = [*SCATTERED[law], *(AXIAL[law] if set(AXIAL[law]) <= set(relative) else ())]
+    spread = np.array([relative.get(name, np.nan) for name in drawn])
+    if np.isfinite(spread).all():
+        shown = np.clip(spread, 1e-4, 1.0).tolist()
+        sections["uncertainty"] = {"force_coefficients": (shown, "standard deviations from the same fit")}
+    return sections
+
+
+def force_outcome(found: LawFit, bent: LawFit | None, law: str, source: str) -> Outcome:
+    """Everything that ``identify forces`` says.
+
+    found: the linear-edge law; bent: the fractional one; law: of the parameter file; source: name of the file of cuts.
+    """
+    result = found.as_dict() | {
+        "axial_force": "toward the part" if found.axial == TOWARD_PART else "into the holder",
+        "residual_rms_n": found.rms(),
+        "residuals_n": found.residuals.tolist(),
+        "cuts": len(found.cuts),
+    }
+    tables = [found.table("Linear-edge", 3)]
+    if bent is not None:
+        tables.append(bent.table("Fractional", 2))
+        result["fractional"] = {**bent.as_dict(), "residual_rms_n": bent.rms(2)}
+    chosen = bent if bent is not None and law == "fractional" else found
+    sections = law_sections(chosen.law, chosen.values, chosen.half_widths, chosen.axial)
+    title = f"Force coefficients from {len(found.cuts)} cuts, {source}"
+    use = "name this file in `includes`, and take `cutting` out of the cell"
+    said = _sentences(found, bent)
+    return Outcome("forces", title, result, tables, said, lambda: _figures(found, bent), sections, use)
+
+
+def _sentences(found: LawFit, bent: LawFit | None) -> list[str]:
+    """What the numbers mean."""
+    said = []
+    if np.isnan(found.values[4]):
+        said.append("K_ac and K_ae: fz_n was not measured")
+    elif found.axial != TOWARD_PART:
+        said.append("the axial force pushes the tool into its holder: the YAML file has it with a minus")
+    for name, value, width in zip(NAMES, found.values / SCALE, found.half_widths / SCALE, strict=True):
+        if width > abs(value):
+            said.append(f"{name.split('_n_')[0]}: the interval reaches beyond zero, cut at more feeds or deeper")
+        elif value < 0.0:
+            said.append(f"{name.split('_n_')[0]} is negative: look at the signs and at the sense of rotation")
+    if bent is not None:
+        straight, curved = found.rms(2), bent.rms(2)
+        better = "the fractional law" if curved < 0.9 * straight else "the linear-edge law"
+        said.append(f"residual {straight:.3g} N (linear edge), {curved:.3g} N (fractional): use {better}")
+    return said
+
+
+def _figures(found: LawFit, bent: LawFit | None) -> list:
+    """Forces and models over the feed, residuals; a colour a component, a symbol a law."""
+    cuts = found.cuts
+    feed, per_depth = 1e3 * cuts.feed_per_tooth, 1e-3 / cuts.depth[:, None]
+    fits = {"linear edge": found} | ({"fractional": bent} if bent is not None else {})
+    forces = {"measured": cuts.force} | {law: one.modelled for law, one in fits.items()}
+
+    def by_component(rows_of_laws: dict) -> dict:
+        return {f"F_{axis} {law}": (feed, column) for law, rows in rows_of_laws.items()
+                for axis, column in zip("xyz", rows.T, strict=True)}  # fmt: skip
+
+    shown = by_component({law: rows * per_depth for law, rows in forces.items()})
+    residuals = by_component({law: one.residuals for law, one in fits.items()})
+    style = {f"F_{axis} {law}": (colour, SYMBOLS[law]) for law in forces for axis, colour in COLOURS.items()}
+    return [
+        points("Mean forces over the feed", "feed per tooth [mm]", "mean per mm of depth [N]", shown, (), style),
+        points("Residuals", "feed per tooth [mm]", "measured less modelled [N]", residuals, (), style),
+    ]
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,18 +27,21 @@ from scipy.optimize import nnls
 
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.cell.cell import Cell
+from kr270_milling.identification.outcome import Outcome, points
 from kr270_milling.identification.signals import AXES, Signals
 from kr270_milling.robot import compliance, equilibrium, rotate_matrix
 
 __all__ = [
-    "Mode", "NoModeError", "by_compliance", "by_hammer", "find_modes", "impulse_response", "log_decrement",
-    "tool_compliance",
+    "Mode", "NoModeError", "by_compliance", "by_hammer", "find_modes", "mode_outcome", "tool_compliance",
 ]  # fmt: skip
 
 MOST_SAMPLES = 1200  #: of the pencil; longer ones are thinned after a low-pass
 SHARE = 1e-3  #: of the strongest singular value: below is noise
 MOST_DAMPED = 0.5
 FAINT = 0.02  #: share of the strongest mode's energy below which a pole is none of the machine
+POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
+TOGETHER = 0.2  #: relative difference of both damping ratios up to which they confirm each other
+COLUMNS = ("mode", "[Hz]", "damping [%]", "by decrement", "energy [%]", "shape x y z rx ry rz")
 
 
 class NoModeError(MillingError):
@@ -53,14 +56,24 @@ class NoModeError(MillingError):
 class Mode:
     """One mode of a linear machine."""
 
-    frequency: float  #: undamped [Hz]
-    damping_ratio: float
-    shape: np.ndarray  #: of the channels, (channels,), the largest is 1
-    amplitude: float  #: of its largest channel at the start, in the signal's unit
-    decrement: float  #: damping ratio by the logarithmic decrement; NaN where another mode is too near
-    share: float  #: of the energy of all modes
     pole: complex  #: s_k [1/s]
     residues: np.ndarray  #: R_k of each channel, complex (channels,)
+    share: float  #: of the energy of all modes
+    decrement: float  #: damping ratio by the logarithmic decrement; NaN where another mode is too near
+
+    @property
+    def frequency(self) -> float:
+        """Undamped [Hz]."""
+        return float(np.abs(self.pole) / (2 * np.pi))
+
+    @property
+    def damping_ratio(self) -> float:
+        return float(-self.pole.real / np.abs(self.pole))
+
+    @property
+    def shape(self) -> np.ndarray:
+        """Of the channels, (channels,), the largest is 1."""
+        return np.real(self.residues / self.residues[np.argmax(np.abs(self.residues))])
 
 
 def find_modes(signals: Signals, low: float, high: float, most: int = 6) -> list[Mode]:
@@ -70,28 +83,24 @@ def find_modes(signals: Signals, low: float, high: float, most: int = 6) -> list
         data = impulse_response(signals, signals.force)
     data, step = _thinned(data, signals.step, high)
     poles = _poles(data, step, 2 * most + 2)
-    shown = (np.abs(poles) > 2 * np.pi * low) & (np.abs(poles) < 2 * np.pi * high) & (poles.imag > 0)
-    damping = -poles.real / np.abs(poles)
-    shown &= (damping > 0.0) & (damping < MOST_DAMPED)
+    frequency, damping = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
+    shown = (frequency > low) & (frequency < high) & (poles.imag > 0) & (damping > 0.0) & (damping < MOST_DAMPED)
     residues = _residues(data, step, poles)
     energy = np.sum(np.abs(residues) ** 2, 1) / np.maximum(2 * np.abs(poles.real), 1e-12)
     shown &= energy > FAINT * energy[shown].max(initial=0.0)
     if not shown.any():
         raise NoModeError(low, high)
-    order = np.flatnonzero(shown)[np.argsort(np.abs(poles[shown]))][:most]
-    total = energy[order].sum()
-    return [_mode(poles, residues, energy, k, order, total, data, step) for k in order]
-
-
-def _mode(poles, residues, energy, k, order, total, data, step) -> Mode:
-    largest = int(np.argmax(np.abs(residues[k])))
-    shape = np.real(residues[k] / residues[k, largest])
-    frequency, damping = float(np.abs(poles[k]) / (2 * np.pi)), float(-poles[k].real / np.abs(poles[k]))
-    others = [abs(np.abs(poles[i]) / (2 * np.pi) - frequency) for i in order if i != k]
-    room = min(others, default=frequency)
-    decrement = log_decrement(data[:, largest], step, frequency, min(0.5 * frequency, 0.45 * room), damping)
-    amplitude, share = float(2 * np.abs(residues[k, largest])), float(energy[k] / total)
-    return Mode(frequency, damping, shape, amplitude, decrement, share, complex(poles[k]), residues[k])
+    order = np.flatnonzero(shown)[np.argsort(frequency[shown])][:most]
+    modes = []
+    for k in order:
+        others = np.abs(frequency[order[order != k]] - frequency[k])
+        room = others.min() if others.size else frequency[k]
+        largest = data[:, np.argmax(np.abs(residues[k]))]
+        band = min(0.5 * frequency[k], 0.45 * room)
+        decrement = log_decrement(largest, step, float(frequency[k]), band, float(damping[k]))
+        share = float(energy[k] / energy[order].sum())
+        modes.append(Mode(complex(poles[k]), residues[k], share, decrement))
+    return modes
 
 
 def impulse_response(signals: Signals, force: np.ndarray) -> np.ndarray:
@@ -154,9 +163,6 @@ def log_decrement(channel: np.ndarray, step: float, frequency: float, band: floa
     return float(-slope / (2 * np.pi * frequency))
 
 
-POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
-
-
 def by_hammer(modes: list[Mode], signals: Signals, axis: str, quantity: str = "displacement") -> np.ndarray:
     """(n, 6) [kg^-1/2]; axis: of the hammer's force, one of the channels; signals in SI units. Raises InputError."""
     if signals.force is None or axis not in signals.names:
@@ -167,9 +173,8 @@ def by_hammer(modes: list[Mode], signals: Signals, axis: str, quantity: str = "d
         share = 2j * mode.pole.imag * residues
         square = float(share[drive].real)
         if not square > 0.0:
-            raise InputError(
-                "--hammer", f"the mode at {mode.frequency:.4g} Hz moves against the force: check the signs"
-            )
+            reason = f"the mode at {mode.frequency:.4g} Hz moves against the force: check the signs"
+            raise InputError("--hammer", reason)
         shapes.append(signals.along_axes(share.real / np.sqrt(square)))
     return np.array(shapes)
 
@@ -188,9 +193,8 @@ def by_compliance(modes: list[Mode], signals: Signals, soft: np.ndarray) -> np.n
     squares, _ = nnls((softness / omega[:, None] ** 2).T / np.abs(target).max(), target / np.abs(target).max())
     if not np.all(squares > 0.0):
         lost = modes[int(np.argmin(squares))].frequency
-        raise InputError(
-            "--cell", f"the mode at {lost:.4g} Hz has no part in the compliance there: use a hammer, or --modes"
-        )
+        reason = f"the mode at {lost:.4g} Hz has no part in the compliance there: use a hammer, or --modes"
+        raise InputError("--cell", reason)
     return np.sqrt(squares)[:, None] * directions
 
 
@@ -199,3 +203,71 @@ def tool_compliance(cell: Cell) -> np.ndarray:
     q = cell.joints(cell.target())[0]
     bent = equilibrium(cell.arm, cell.mount, q, gravity=cell.dynamics.gravity)
     return rotate_matrix(compliance(bent, cell.arm), cell.workpiece.pose.rotation.T)
+
+
+def mode_outcome(modes: list[Mode], signals: Signals, shapes: np.ndarray | None, title: str) -> Outcome:
+    """Everything that ``identify damping`` says; shapes: mass-normalised ones, (n, 6), if there are any."""
+    scaled = [{}] * len(modes) if shapes is None else [{"mass_normalised_shape": s} for s in shapes.tolist()]
+    duration = len(signals.values) * signals.step
+    result: dict = {
+        "modes": [
+            {
+                "frequency_hz": mode.frequency,
+                "damping_ratio": mode.damping_ratio,
+                "damping_ratio_log_decrement": mode.decrement,
+                "confirmed": bool(abs(mode.decrement / mode.damping_ratio - 1.0) < TOGETHER),
+                "shape": signals.along_axes(mode.shape).tolist(),
+                "share_of_energy": mode.share,
+                **more,
+            }
+            for mode, more in zip(modes, scaled, strict=True)
+        ],
+        "duration_s": duration,
+        "samples_per_s": 1 / signals.step,
+        "channels": list(signals.names),
+    }
+    said = [f"{duration:.3g} s at {1 / signals.step:.4g} samples a second"]
+    if not all(mode["confirmed"] for mode in result["modes"]):
+        said.append("the decrement does not confirm each damping ratio: modes are near each other, or ring too briefly")
+    if shapes is None:
+        said.append("the shapes are not scaled: a hammer (--hammer) or the compliance of a cell (--cell) does it")
+    rows = []
+    for i, mode in enumerate(result["modes"], 1):
+        ratios = [f"{100 * mode[key]:.2f}" for key in ("damping_ratio", "damping_ratio_log_decrement")]
+        shape = " ".join(f"{v:.2f}" for v in mode["shape"])
+        rows.append([str(i), f"{mode['frequency_hz']:.3f}", *ratios, f"{100 * mode['share_of_energy']:.0f}", shape])
+    use = "name this file in `includes`, or copy what you need"
+    sections = _sections(modes, shapes)
+    return Outcome("modes", title, result, [(title, COLUMNS, rows)], said, lambda: _figures(signals), sections, use)
+
+
+def _sections(modes: list[Mode], shapes: np.ndarray | None) -> dict:
+    """``dynamics.modes`` of a parameter file with mass-normalised shapes (n, 6); without them one damping ratio."""
+    if shapes is None:
+        mean = sum(mode.share * mode.damping_ratio for mode in modes)
+        return {"dynamics": {"damping_ratio": (float(mean), "mean over the modes, by energy")}}
+    rows = [
+        {
+            "frequency_hz": mode.frequency,
+            "damping_ratio": (mode.damping_ratio, f"logarithmic decrement {mode.decrement:.3g}"),
+            "shape": shape.tolist(),
+        }
+        for mode, shape in zip(modes, shapes, strict=True)
+    ]
+    return {"dynamics": {"follow_pose": ("false", "modes are of one posture"), "modes": rows}}
+
+
+def _figures(signals: Signals) -> list:
+    """The signal and its spectrum."""
+    time = signals.step * np.arange(len(signals.values))
+    data = signals.values - signals.values.mean(0)
+    frequency = np.fft.rfftfreq(len(data), signals.step)
+    spectrum = np.abs(np.fft.rfft(data, axis=0)) * 2 / len(data)
+    thin = slice(None, None, max(1, len(time) // 4000))
+    shown = frequency < min(200.0, frequency[-1])
+    by_channel = {name: (time[thin], data[thin, i]) for i, name in enumerate(signals.names)}
+    spectra = {name: (frequency[shown], spectrum[shown, i]) for i, name in enumerate(signals.names)}
+    return [
+        points("Signal", "time [s]", "as recorded", by_channel, signals.names),
+        points("Spectrum", "frequency [Hz]", "as recorded", spectra, signals.names),
+    ]

@@ -1,4 +1,4 @@
-"""Vibrations to find modes in: channels over time from a CSV table, a recording or a UFF file, on an even time grid."""
+"""Channels over time: topics of recordings; vibrations out of CSV tables, recordings and UFF files, evenly sampled."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError
+from kr270_milling.bag.reader import Recording
+from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.table import read_table
-from kr270_milling.identification.sensor import read_topic
-from kr270_milling.messages.series import FIXED
+from kr270_milling.messages.series import FIXED, series
 
-__all__ = ["AXES", "Signals", "read_signals"]
+__all__ = ["AXES", "Signals", "pose_series", "read_signals", "read_topic", "resampled"]
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 FORCE = "force_n"
@@ -57,6 +57,12 @@ def read_signals(path, topic: str = "deflection") -> Signals:
     return _from_uff(path) if suffix in UFF else _from_recording(path, topic)
 
 
+def resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
+    """On an even grid from the first to the last time, (m, columns), by straight lines."""
+    grid = time[0] + step * np.arange(int((time[-1] - time[0]) / step + 1e-6) + 1)
+    return np.stack([np.interp(grid, time, column) for column in values.T], -1)
+
+
 def _even(source, time: np.ndarray, table: np.ndarray) -> tuple[float, np.ndarray]:
     """The step and the table on an even grid of it; gaps are bridged by straight lines."""
     order = np.argsort(time, kind="stable")
@@ -67,8 +73,7 @@ def _even(source, time: np.ndarray, table: np.ndarray) -> tuple[float, np.ndarra
     step = float(np.median(steps[steps > 0.0]))
     if steps.max() > 10 * step:
         raise InputError(source, f"has a gap of {steps.max():.3g} s where samples come every {step:.3g} s")
-    grid = time[0] + step * np.arange(int(np.floor((time[-1] - time[0]) / step + 1e-6)) + 1)
-    return step, np.stack([np.interp(grid, time, column) for column in table.T], -1)
+    return step, resampled(time, table, step)
 
 
 def _from_table(path) -> Signals:
@@ -105,9 +110,36 @@ def _from_uff(path) -> Signals:
     if not histories:
         raise InputError(path, "holds no time history (data set 58, function type 1)")
     length = min(len(s["data"]) for s in histories)
-    names = tuple(AXES[abs(int(s["rsp_dir"])) - 1] if 1 <= abs(int(s["rsp_dir"])) <= 6 else f"channel {i}"
-                  for i, s in enumerate(histories))  # fmt: skip
-    signs = [-1.0 if int(s["rsp_dir"]) < 0 else 1.0 for s in histories]
-    table = np.stack([sign * np.real(s["data"][:length]) for sign, s in zip(signs, histories, strict=True)], -1)
+    directions = [int(s["rsp_dir"]) for s in histories]
+    names = tuple(AXES[abs(d) - 1] if 1 <= abs(d) <= 6 else f"channel {i}" for i, d in enumerate(directions))
+    data = [np.real(s["data"][:length]) for s in histories]
+    table = np.stack(data, -1) * np.where(np.array(directions) < 0, -1.0, 1.0)
     step, values = _even(path, np.asarray(histories[0]["x"], float)[:length], table)
     return Signals(step, values, names)
+
+
+def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds of the stamps (n,), ascending, and the numbers (n, columns) of a topic of one of these types.
+
+    name: full, or the last part where only one topic ends so. Raises RecordingError.
+    """
+    with Recording(path) as recording:
+        topics = recording.topics()
+        found = [name] if name in topics else [topic for topic in topics if topic.rpartition("/")[2] == name]
+        if len(found) != 1:
+            what = f"has several topics {name} ({', '.join(found)})" if found else f"has no topic {name}"
+            raise RecordingError(recording.path, f"{what}; it holds {', '.join(sorted(topics)) or 'nothing'}")
+        if topics[found[0]].type not in kinds:
+            what = f"{found[0]} is of type {topics[found[0]].type}, not {' or '.join(sorted(kinds))}"
+            raise RecordingError(recording.path, what)
+        read = series(recording, found[0])
+    if len(read.stamp) < 2:
+        raise RecordingError(path, f"{found[0]} has no two messages")
+    stamp, first = np.unique(read.stamp, return_index=True)
+    return stamp * 1e-9, read.values[first]
+
+
+def pose_series(path, topic: str) -> tuple[np.ndarray, np.ndarray]:
+    """Seconds of the stamps, (n,), and places [m], (n, 3)."""
+    time, values = read_topic(path, topic, ("geometry_msgs/msg/PoseStamped",))
+    return time, values[:, :3]

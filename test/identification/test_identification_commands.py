@@ -11,7 +11,7 @@ from test_identification_forces import TRUE, cuts, measured
 
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.cli import main
-from kr270_milling.identification.sensor import Sensor, mean_force
+from kr270_milling.identification.cuts import Sensor, mean_force
 from kr270_milling.messages.codec import serialise
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"

@@ -11,13 +11,13 @@ import pytest
 from kr270_milling.base.errors import InputError
 from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
 from kr270_milling.identification.cuts import Cuts, engagement, read_cuts
-from kr270_milling.identification.force_result import linear_edge_sections
 from kr270_milling.identification.forces import (
     OneFeedError,
     find_material,
     fit_fractional,
     fit_linear_edge,
     fractional_mean_forces,
+    law_sections,
     materials,
     mean_forces,
 )
@@ -100,7 +100,7 @@ def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_says_s
     some.force[:, 2] *= -1.0
     found = fit_linear_edge(some)
     assert found.values == pytest.approx(TRUE) and found.axial == 1.0
-    sections = linear_edge_sections(found.values, found.half_widths, found.axial)
+    sections = law_sections("linear_edge", found.values, found.half_widths, found.axial)
     assert sections["cutting"]["linear_edge"]["axial_cutting_n_per_mm2"][0] == pytest.approx(-222.0)
     spreads = sections["uncertainty"]["force_coefficients"][0]  # the verdict scatters the axial ones by what is known
     assert spreads == pytest.approx(np.clip(found.half_widths / 1.96 / found.values, 1e-4, 1.0))
@@ -132,7 +132,7 @@ def test_the_fractional_law_is_found_and_told_from_the_other():
     found = fit_fractional(some)
     assert np.all(np.abs(found.values - paper) < 1.5 * found.half_widths)
     assert np.all(found.half_widths < 0.2 * paper)
-    assert found.residual_rms < 0.5 * fit_linear_edge(some).residual_rms
+    assert found.rms(2) < 0.5 * fit_linear_edge(some).rms(2)
 
 
 @pytest.mark.parametrize(
