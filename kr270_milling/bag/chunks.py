@@ -5,14 +5,13 @@ from __future__ import annotations
 import zlib
 from array import array
 from collections import Counter, OrderedDict
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import lz4.frame
 import numpy as np
 import zstandard
 from mcap.opcode import Opcode
-from numpy.lib.stride_tricks import sliding_window_view
 
 from kr270_milling.bag.structure import HEAD, LIMIT, MESSAGE, Damage, Part, exactly, inner
 
@@ -20,7 +19,6 @@ __all__ = ["CACHE", "READ", "Chunk", "Entry", "Messages", "Unpacker"]
 
 CACHE = 32 * 1024 * 1024  # [bytes] of unpacked chunks that are remembered, and as many that are sorted by time
 MOST, MOST_DEFINITIONS = 1_000_000, 10_000  # records in a chunk, and those that define schemas and channels
-ROWS, ROW_BYTES = 4096, 4 * 1024 * 1024  # of a table of messages
 # Work on a file is counted in rounded costs on one core and bounded by the file's size: a pass through a recording of
 # this package costs 0.05 us a byte, and 27 kB can be made to unfold into 9,000,000 messages.
 FREE, PER_BYTE = 5e6, 20.0  # [us], [us/byte]
@@ -52,15 +50,14 @@ class Chunk(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """One message of a chunk; its bytes are those from ``begin`` to ``end``."""
+    """One message of a file."""
 
-    log_time: int
-    chunk: int  # offset in the file
-    begin: int
-    end: int
-    channel: int
+    log_time: int  # [ns]
     publish_time: int
+    channel: int
     sequence: int
+    place: tuple[int, int]  # offset of the chunk, offset in the unpacked chunk
+    data: bytes
 
 
 class Messages:
@@ -68,8 +65,8 @@ class Messages:
 
     def __init__(self, data: bytes, chunk: Chunk):
         self.data, self.offset = data, chunk.offset
-        self.places, self.times = array("I"), array("Q")  #: of each message: offset in the bytes, log time [ns]
-        self.counts: Counter[int] = Counter()  #: channel -> messages
+        #: of each message: offset in the bytes, log time [ns], channel
+        self.places, self.times, self.channels = array("I"), array("Q"), array("H")
         self.definitions: list = []  #: mcap's Schema and Channel records
         self.records = 0
         for kind, at, end in inner(data, chunk.offset):
@@ -78,49 +75,27 @@ class Messages:
                 _, _, channel, _, log_time, _ = MESSAGE.unpack_from(data, at)
                 self.places.append(at)
                 self.times.append(log_time)
-                self.counts[channel] += 1
+                self.channels.append(channel)
             elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self.definitions.append(Part(kind, chunk.offset, data[at:end]).record())
             if self.records > MOST or len(self.definitions) > MOST_DEFINITIONS:
                 reason = f"a chunk holds more than {MOST} records or {MOST_DEFINITIONS} definitions"
                 raise Damage(reason, chunk.offset)
+        self.counts = Counter(self.channels)  #: channel -> messages
+        self.cost = len(data) + 14 * len(self.times)  #: [bytes] that this takes in memory
 
     def __len__(self) -> int:
         return len(self.times)
 
-    @property
-    def cost(self) -> int:
-        """[bytes] that this takes in memory."""
-        return len(self.data) + 12 * len(self)
-
     def entry(self, k: int) -> Entry:
         """The message number k of the file's order."""
         at = self.places[k]
-        _, size, channel, sequence, log_time, publish = MESSAGE.unpack_from(self.data, at)
-        return Entry(log_time, self.offset, at + MESSAGE.size, at + HEAD.size + size, channel, publish, sequence)
+        _, size, channel, sequence, log_time, publish_time = MESSAGE.unpack_from(self.data, at)
+        data = self.data[at + MESSAGE.size : at + HEAD.size + size]
+        return Entry(log_time, publish_time, channel, sequence, (self.offset, at), data)
 
-    def table(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of every message its channel, (n,), and as an index has it, log time [ns] and place, (n, 2)."""
-        raw, places = np.frombuffer(self.data, np.uint8), np.frombuffer(self.places, np.uint32)
-        channel = raw[places + HEAD.size] + 256 * raw[places + HEAD.size + 1].astype(np.uint16)
-        return channel, np.stack([np.frombuffer(self.times, np.uint64), places.astype(np.uint64)], axis=1)
-
-    def alike(self, channels: Collection[int]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Log times [ns] (k,) and contents (k, length) of some channels' messages, in their order: tables of messages
-        of one length, of up to 4096 rows or 4 MB."""
-        channel, index = self.table()
-        rows = index[np.isin(channel, list(channels))].astype(np.int64)
-        raw = np.frombuffer(self.data, np.uint8)
-        size = sliding_window_view(raw, 8)[rows[:, 1] + 1].view("<i8")[:, 0] + HEAD.size - MESSAGE.size
-        begin, borders = 0, np.append(np.flatnonzero(np.diff(size)) + 1, len(rows))
-        while begin < len(rows):
-            width = int(size[begin])
-            behind = begin + min(ROWS, max(1, ROW_BYTES // max(1, width)))
-            end = min(behind, int(borders[np.searchsorted(borders, begin, side="right")]))
-            first = rows[begin:end, 1] + MESSAGE.size
-            contents = sliding_window_view(raw, width)[first] if width else np.empty((len(first), 0), np.uint8)
-            yield rows[begin:end, 0], contents
-            begin = end
+    def __iter__(self) -> Iterator[Entry]:
+        return map(self.entry, range(len(self)))
 
     def by_time(self) -> Iterator[tuple[int, int]]:
         """Log time [ns] and number of every message in the order of the times; holds 12 bytes a message."""

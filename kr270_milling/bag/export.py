@@ -20,7 +20,7 @@ from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
-from kr270_milling.messages.decode import plain
+from kr270_milling.messages.definitions import plain
 from kr270_milling.messages.series import FIXED, batches
 from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
 

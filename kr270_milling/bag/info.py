@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from kr270_milling.bag.gaps import SHARED, GapCounter, Passes
-from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.reader import RawMessage, Recording, Topic
+from kr270_milling.bag.stamps import SHARED, GapCounter, Passes
 from kr270_milling.base.errors import one_line
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.definitions import starts_with_stamp
@@ -15,20 +15,9 @@ __all__ = ["info", "info_text"]
 
 def info(recording: Recording, progress: Callable[[int, int], None] | None = None) -> dict:
     """Duration, counts, rates, bytes and gaps per topic, metadata, attachments and versions; reads all messages."""
-    topics = recording.topics()
-    stamped = {
-        name for name, about in topics.items()
-        if about.schema_encoding == "ros2msg" and about.type not in SHARED
-        and starts_with_stamp(about.schema)
-    }  # fmt: skip
-    counters = {name: GapCounter() for name in stamped}
-    sizes = dict.fromkeys(topics, 0)
-    spans = {name: _Span() for name in topics}
+    topics = {name: _Counted(about) for name, about in recording.topics().items()}
     for number, message in enumerate(recording.messages(as_written=True)):
-        sizes[message.topic] += len(message.data)
-        spans[message.topic].add(message.log_time)
-        if message.topic in stamped and (stamp := stamp_of(message.data)) is not None:
-            counters[message.topic].add(stamp)
+        topics[message.topic].add(message)
         if progress and number % 10_000 == 0:
             progress(number, recording.count)
     first, last = recording.first_log_time, recording.last_log_time
@@ -40,43 +29,48 @@ def info(recording: Recording, progress: Callable[[int, int], None] | None = Non
         start_ns=first,
         end_ns=last,
         duration_s=((last or 0) - (first or 0)) / 1e9 if recording.count else 0.0,
-        topics={name: _topic(about, sizes[name], spans[name], counters.get(name)) for name, about in topics.items()},
-        missing=sum(counter.missing for counter in counters.values()),
+        topics={name: topic.as_dict() for name, topic in topics.items()},
+        missing=sum(topic.gaps.missing for topic in topics.values()),
         metadata={k: v for k, v in recording.metadata().items() if k != "rosbag2"},
         attachments=[dict(name=a.name, media_type=a.media_type, size_bytes=a.size) for a in recording.attachments],
-        profile=recording.profile,
+        profile=recording.profile or "",
         library=recording.library,
     )
 
 
-class _Span:
-    """How long the messages of a topic take, each pass for itself."""
+class _Counted:
+    """The messages of a topic: bytes, gaps, and how long they take, each pass for itself."""
 
-    def __init__(self):
-        self._passes, self._before = Passes(), 0
-        self._first: int | None = None
-        self._last = 0
+    def __init__(self, about: Topic):
+        self._about = about
+        self._stamped = about.schema_encoding == "ros2msg" and about.type not in SHARED
+        self._stamped = self._stamped and starts_with_stamp(about.schema)
+        self.gaps = GapCounter()
+        self._passes = Passes()
+        self._size = 0
+        self._before = self._first = self._last = 0  # [ns], duration of the passes before, log times of this one
+        self._empty = True
 
-    def add(self, log_time: int) -> None:
-        if self._passes.begins(log_time):
-            self._before, self._first = self.length, None
-        self._last = log_time if self._first is None else max(self._last, log_time)
-        self._first = log_time if self._first is None else min(self._first, log_time)
+    def add(self, message: RawMessage) -> None:
+        time = message.log_time
+        if self._passes.begins(time) or self._empty:
+            self._before += self._last - self._first
+            self._first = self._last = time
+            self._empty = False
+        self._first, self._last = min(self._first, time), max(self._last, time)
+        self._size += len(message.data)
+        if self._stamped and (stamp := stamp_of(message.data)) is not None:
+            self.gaps.add(stamp)
 
-    @property
-    def length(self) -> int:
-        """[ns]"""
-        return self._before + (0 if self._first is None else self._last - self._first)
-
-    def rate(self, count: int) -> float | None:
-        """[Hz], of ``count`` messages."""
-        return (count - 1 - self._passes.number) / (self.length / 1e9) if self.length else None
-
-
-def _topic(about, size: int, span: _Span, counter: GapCounter | None) -> dict:
-    rate = span.rate(about.count)
-    gaps = counter.finish().as_dict() if counter else None
-    return dict(type=about.type, count=about.count, size_bytes=size, rate_hz=rate, gaps=gaps)
+    def as_dict(self) -> dict:
+        duration, periods = self._before + self._last - self._first, self._about.count - 1 - self._passes.number
+        return dict(
+            type=self._about.type,
+            count=self._about.count,
+            size_bytes=self._size,
+            rate_hz=periods / (duration / 1e9) if duration else None,
+            gaps=self.gaps.finish().as_dict() if self._stamped else None,
+        )
 
 
 def info_text(data: dict) -> str:

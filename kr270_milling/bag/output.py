@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import errno
 import os
+from collections.abc import Sized
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, cast
@@ -31,14 +31,15 @@ class Output:
 
     No buffer of our own: what mcap's writer gave was written to the kernel and survives a SIGKILL. The first error of
     the file system ends the file behind the last whole record, and every later call raises the same RecordingError.
+    waiting: messages that were not given yet, and are lost then as well.
     """
 
-    def __init__(self, directory: Path, name: str, chunk_size: int):
+    def __init__(self, directory: Path, name: str, chunk_size: int, waiting: Sized):
         self.path = directory / f"{plain_name(directory, name)}.mcap"
         self.error: RecordingError | None = None
         self.count = self.kept = 0  #: messages given, and those of them that are in the file
-        self.position = 0  #: end of the last piece that was written whole; a piece is one or more whole records
-        self._chunks = 0
+        self._waiting = waiting
+        self._position = 0  # end of the last piece that was written whole; a piece is one or more whole records
         self._file: int | None = self._create()
         # the checksum over the whole data section shows a flipped bit also outside of the chunks
         self.mcap = Writer(cast(IO[bytes], self), chunk_size, CompressionType.ZSTD, enable_data_crcs=True)
@@ -58,78 +59,55 @@ class Output:
             raise RecordingError(self.path, f"cannot be created: {error.strerror}") from error
 
     @property
-    def _descriptor(self) -> int:
-        if self._file is None:
-            raise OSError(errno.EBADF, "the file is closed")
-        return self._file
-
-    @property
     def is_open(self) -> bool:
         return self._file is not None
 
     # what mcap's Writer asks of a stream
 
     def write(self, data) -> int:
-        view, done = memoryview(data), 0
-        while done < len(view):
-            done += os.write(self._descriptor, view[done:])
-        self.position += done
-        self._chunks += bool(done) and view[0] == Opcode.CHUNK
+        file, view, done = self.check(), memoryview(data), 0
+        try:
+            while done < len(view):
+                done += os.write(file, view[done:])
+        except OSError as error:
+            lost = self.count - self.kept + len(self._waiting)
+            self.error = RecordingError(
+                self.path,
+                f"writing ended with an error ({error.strerror or error}); {self.kept} messages in {self._position} "
+                f"bytes are safe, the last {lost} are lost",
+            )
+            with suppress(OSError):
+                os.ftruncate(file, self._position)
+            self._close()
+            raise self.error from error
+        self._position += done
+        if view and view[0] == Opcode.CHUNK:
+            self.kept = self.count
         return done
 
     def tell(self) -> int:
-        return self.position
+        return self._position
 
     def flush(self) -> None:
         """Nothing waits here."""
 
     # what the recording asks
 
-    def check(self) -> None:
-        """Raise where nothing can be written any more."""
-        if self.error is not None:
-            raise self.error
+    def check(self) -> int:
+        """The file; raises where nothing can be written any more."""
         if self._file is None:
-            raise RecordingError(self.path, "the recording is closed")
-
-    def run(self, call, *args, waiting: int = 0):
-        """Run a call of mcap's writer; at the first error keep the whole records and never write again.
-
-        waiting: messages that were not given yet, and are lost then as well.
-        """
-        self.check()
-        chunks = self._chunks
-        try:
-            result = call(*args)
-        except OSError as error:
-            if self._chunks != chunks:  # the chunk is in, only its index is not
-                self.kept = self.count
-            self._give_up(error, waiting)
-        if self._chunks != chunks:
-            self.kept = self.count
-        return result
+            raise self.error or RecordingError(self.path, "the recording is closed")
+        return self._file
 
     def add_message(self, channel: int, log_time: int, data, publish_time: int, sequence: int) -> None:
         self.check()
         self.count += 1
-        self.run(self.mcap.add_message, channel, log_time, data, publish_time, sequence)
+        self.mcap.add_message(channel, log_time, data, publish_time, sequence)
 
     def close_chunk(self) -> None:
         """Put every message that was given into the file."""
         if self.is_open and self.kept < self.count:
-            self.run(self.mcap.flush)
-            self.kept = self.count
-
-    def _give_up(self, error: OSError, waiting: int) -> None:
-        text = (
-            f"writing ended with an error ({error.strerror or error}); {self.kept} messages in {self.position} bytes "
-            f"are safe, the last {self.count - self.kept + waiting} are lost"
-        )
-        with suppress(OSError):
-            os.ftruncate(self._descriptor, self.position)
-        self._close()
-        self.error = RecordingError(self.path, text)
-        raise self.error from error
+            self.mcap.flush()
 
     def _close(self) -> None:
         file, self._file = self._file, None
@@ -139,7 +117,7 @@ class Output:
 
     def finish(self, name: str, data: bytes) -> None:
         """End the file, and write a small one under ``name`` beside it, in place of whatever has that name."""
-        self.run(self.mcap.finish)
+        self.mcap.finish()
         self._close()
         beside = self.path.with_name(name)
         try:

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 from kr270_milling.bag.bagmeta import read_qos
-from kr270_milling.bag.gaps import SHARED, Passes
 from kr270_milling.bag.play_options import MOST, PlayOptions
 from kr270_milling.bag.reader import BEGIN, END, Place, RawMessage, Recording
+from kr270_milling.bag.stamps import SHARED, Passes
 from kr270_milling.base.errors import InputError
-from kr270_milling.messages.decode import Topic
+from kr270_milling.messages.definitions import Topic
 
 __all__ = ["Part", "PlayClock", "is_latched", "opening", "parts", "passage", "span"]
 
@@ -57,14 +57,14 @@ def _beginnings(recording: Recording) -> Iterator[tuple[Place, int, int]]:
     """Place, smallest and largest log time of every pass: one begins with the first topic whose time goes back to 0."""
     types = {name: about.type for name, about in recording.topics().items()}
     passes = {name: Passes() for name, kind in types.items() if kind not in SHARED}
-    topics = {number: channel.topic for number, channel in recording.contents.channels.items()}
+    topics = {number: channel.topic for number, channel in recording.channels.items()}
     begin, first, last, number = BEGIN, None, 0, 0
     with recording.sentences():
-        for entry, _ in recording.entries(recording.chunks, True):
+        for entry in recording.entries(recording.chunks, True):
             topic, log_time = topics[entry.channel], entry.log_time
             if topic in passes and passes[topic].begins(log_time) and passes[topic].number > number:
                 yield begin, first or 0, last
-                begin, first, last, number = (entry.chunk, entry.begin), None, 0, number + 1
+                begin, first, last, number = entry.place, None, 0, number + 1
             first, last = log_time if first is None else min(first, log_time), max(last, log_time)
     if first is not None:
         yield begin, first, last

@@ -10,25 +10,28 @@ import contextlib
 import heapq
 import os
 import stat
-import zlib
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Channel, Schema
 
-from kr270_milling.bag.chunks import CACHE, READ, Chunk, Entry, Messages, Unpacker
-from kr270_milling.bag.contents import Contents
-from kr270_milling.bag.structure import FOOTER_SIZE, MAGIC, SMALL, Damage, checksum, exactly, footer, parts
+from kr270_milling.bag.chunks import CACHE, READ, Chunk, Entry, Unpacker
+from kr270_milling.bag.structure import HEAD, MAGIC, SMALL, Damage, Part, checksum, exactly, parts
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.messages.decode import Topic, make_decoder
+from kr270_milling.messages.definitions import Topic, make_decoder
 
-__all__ = ["BEGIN", "END", "Place", "RawMessage", "Recording", "Topic", "find_file", "open_file"]
+__all__ = ["BEGIN", "END", "FOOTER_SIZE", "Attachment", "Place", "RawMessage", "Recording", "Topic", "find_file"]
 
 Place = tuple[int, float]  # of a message in its file: offset of the chunk, offset in the unpacked chunk
 BEGIN, END = (0, 0), (2**64, 0)  # no message stands before and none behind
+FOOTER_SIZE = HEAD.size + 20 + len(MAGIC)  # with the magic behind it
+MOST_DEFINED = 32 * 1024 * 1024  # [bytes] of names, definitions and metadata that are held
+ENTRY = 150  # [bytes] that Python takes for an entry of a small record or mapping
+MOST_CHUNKS = 250_000  # some 40 MB of places; 70 hours of a recorder that closes one every second
+NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
 
 
 class RawMessage(NamedTuple):
@@ -38,6 +41,16 @@ class RawMessage(NamedTuple):
     log_time: int
     publish_time: int
     data: bytes
+
+
+class Attachment(NamedTuple):
+    """What is attached, how many bytes it has, and where its record is."""
+
+    name: str
+    media_type: str
+    size: int
+    offset: int
+    end: int
 
 
 def find_file(path) -> Path:
@@ -51,7 +64,7 @@ def find_file(path) -> Path:
     return files[0]
 
 
-def open_file(path: Path):
+def _open(path: Path):
     """A regular file, opened to be read. Raises RecordingError."""
     try:
         file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe must not make us wait
@@ -72,22 +85,28 @@ class Recording:
 
     def __init__(self, path, progress: Callable[[int, int], None] | None = None):
         self.path = find_file(path)
-        self.stream = open_file(self.path)
+        self.stream = _open(self.path)
         self.size = os.fstat(self.stream.fileno()).st_size
         self.unpack = Unpacker(self.stream, self.size)
-        self.contents = Contents()
-        self.chunks = self.contents.chunks
-        self.attachments = self.contents.attachments
+        self.profile: str | None = None  #: None: there is no header
+        self.library = ""
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.chunks: list[Chunk] = []
+        self.attachments: list[Attachment] = []
+        self.counts: Counter[int] | None = None  #: channel -> messages; None: the file does not say it
         self.cut_off = True
+        self.data_crc = 0
         self.data_end = len(MAGIC)  #: offset behind the last whole record of the data section
+        self._metadata: dict[str, dict[str, str]] = {}
+        self._defined = 0  # [bytes]
         try:
             with self.sentences():
                 self._read(progress)
         except RecordingError:
             self.close()
             raise
-        self.profile, self.library = self.contents.profile, self.contents.library
-        self._topics = self.contents.topics()
+        self._topics = self._list_topics()
 
     @contextlib.contextmanager
     def sentences(self) -> Iterator[None]:
@@ -103,61 +122,124 @@ class Recording:
         with self.sentences():
             self.unpack.spend(work, 0)
 
+    # what the file says it holds
+
     def _read(self, progress) -> None:
         begin = self.stream.read(len(MAGIC))
         if begin != MAGIC:
             cut = begin and MAGIC.startswith(begin)
             raise Damage("the file ends in its first bytes" if cut else "this is not an MCAP file", 0)
-        end = footer(self.stream, self.size)
-        summary = self._read_summary(end) if end and end.summary_start else self.size
-        self._read_data(summary, finished=end is not None)
-        if self.contents.counts is None or not set(self.contents.counts) <= set(self.contents.channels):
-            self._survey(progress)
-        if self.cut_off and end is not None:
-            raise Damage("a record claims more bytes than the file has", self.data_end)
-
-    def _read_summary(self, end) -> int:
-        """Schemas, channels and counts from the end of the file; returns where the summary begins."""
-        at, start = self.size - FOOTER_SIZE, end.summary_start
-        if not len(MAGIC) <= start <= at or at - start > SMALL:
-            raise Damage("the footer points to an impossible place", at)
-        summary = exactly(self.stream, start, at + 25 - start)  # the checksum includes the footer up to itself
-        if end.summary_crc and zlib.crc32(summary) != end.summary_crc:
-            raise Damage("the summary at the end does not fit its checksum", start)
-        self.contents.take_summary(self.stream, start, at)
-        return start
-
-    def _read_data(self, end: int, finished: bool) -> None:
-        """Where everything is; the messages themselves are not read."""
-        for part in parts(self.stream, len(MAGIC), end):
-            self.contents.take(part)
+        end = self._read_summary()
+        for part in parts(self.stream, len(MAGIC), end or self.size):
+            self._take(part)
             if part.type == Opcode.DATA_END:
-                self.cut_off = not finished
+                self.cut_off = not end
                 break
             self.data_end = part.end
         if self.data_end == len(MAGIC):
             raise Damage("the file ends before its header", self.data_end)
         # messages beside chunks are rare: in most files they are another record, with a flipped bit in its type
         mixed = len({chunk.type for chunk in self.chunks}) == 2
-        crc = self.contents.data_crc
-        if mixed and not self.cut_off and crc and checksum(self.stream, self.data_end) != crc:
+        if mixed and not self.cut_off and self.data_crc not in (0, checksum(self.stream, 0, self.data_end)):
             raise Damage("the data do not fit the checksum at their end", self.data_end)
+        if self.counts is None or not set(self.counts) <= set(self.channels):
+            self._survey(progress)
+        if self.cut_off and end:
+            raise Damage("a record claims more bytes than the file has", self.data_end)
+
+    def _read_summary(self) -> int:
+        """Schemas, channels and counts from the end of the file, if it ends as a writer ends it; where that begins."""
+        at = self.size - FOOTER_SIZE
+        end = exactly(self.stream, at, FOOTER_SIZE) if at >= len(MAGIC) else b""
+        if not end.startswith(HEAD.pack(Opcode.FOOTER, 20)) or not end.endswith(MAGIC):
+            return 0
+        footer = Part(Opcode.FOOTER, at, end[: -len(MAGIC)]).record()
+        start = footer.summary_start
+        if start:
+            if not len(MAGIC) <= start <= at or at - start > SMALL:
+                raise Damage("the footer points to an impossible place", at)
+            for part in parts(self.stream, start, at):
+                if part.type in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+                    self._take(part)
+            if footer.summary_crc not in (0, checksum(self.stream, start, at + 25)):  # with the footer up to itself
+                raise Damage("the summary at the end does not fit its checksum", start)
+        return start or at
+
+    def _take(self, part: Part) -> None:
+        """One record of the top level. Raises Damage, also where a file defines more than is bearable."""
+        kind = part.type
+        if kind in (Opcode.CHUNK, Opcode.MESSAGE):
+            if len(self.chunks) == MOST_CHUNKS:
+                raise Damage(f"the file has more than {MOST_CHUNKS} chunks", part.offset)
+            self.chunks.append(Chunk.of(part))
+        elif kind == Opcode.HEADER:
+            header = part.record()
+            self.profile, self.library = header.profile, header.library
+        elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self._define(part.record(), part.offset)
+        elif kind == Opcode.ATTACHMENT:
+            record = part.record()
+            self._bear(ENTRY + len(record.name), part.offset)
+            about = Attachment(record.name, record.media_type, len(record.data), part.offset, part.end)
+            self.attachments.append(about)
+        elif kind == Opcode.METADATA:
+            record = part.record()
+            self._bear(len(part.data) + ENTRY * len(record.metadata), part.offset)
+            self._metadata[record.name] = record.metadata
+        elif kind == Opcode.STATISTICS:
+            self.counts = Counter(part.record().channel_message_counts)
+        elif kind == Opcode.DATA_END:
+            self.data_crc = part.record().data_section_crc
+
+    def _define(self, record: Schema | Channel, offset: int) -> None:
+        """Take a Schema or a Channel; one that was there already is replaced."""
+        known: dict = self.schemas if isinstance(record, Schema) else self.channels
+        if known.get(record.id) == record:
+            return
+        if isinstance(record, Schema):
+            size = len(record.data) + len(record.name)
+        else:
+            size = len(record.topic) + sum(ENTRY + len(key) + len(value) for key, value in record.metadata.items())
+        self._bear(ENTRY + size, offset)
+        known[record.id] = record
+
+    def _bear(self, size: int, offset: int) -> None:
+        self._defined += size
+        if self._defined > MOST_DEFINED:
+            raise Damage(f"names, definitions and metadata take more than {MOST_DEFINED} bytes", offset)
 
     def _survey(self, progress) -> None:
         """Look through all chunks of a file without a summary: channels and counts."""
-        counts: Counter[int] = Counter()
+        self.counts = Counter()
         for chunk in self.chunks:
-            found = self.unpack(chunk)
-            for record in found.definitions:
-                self.contents.define(record, chunk.offset)
-            counts.update(found.counts)
+            self.counts += self._defined_in(chunk).counts
             if progress:
                 progress(chunk.offset + chunk.size, self.size)
-        self.contents.counts = counts
+
+    def _defined_in(self, chunk: Chunk):
+        """The messages of a chunk, after its definitions were taken."""
+        found = self.unpack(chunk)
+        for record in found.definitions:
+            self._define(record, chunk.offset)
+        return found
+
+    def _list_topics(self) -> dict[str, Topic]:
+        found: dict[str, Topic] = {}
+        counts = self.counts or Counter()
+        texts = {number: schema.data.decode("utf-8", "replace") for number, schema in self.schemas.items()}
+        for number, channel in self.channels.items():
+            schema = self.schema_of(channel)
+            count = counts[number] + (found[channel.topic].count if channel.topic in found else 0)
+            text = texts.get(channel.schema_id, "")
+            about = Topic(schema.name, count, channel.message_encoding, text, schema.encoding, channel.metadata)
+            found[channel.topic] = about
+        return found
+
+    # what it holds, for its readers
 
     @property
     def count(self) -> int:
-        return (self.contents.counts or Counter()).total()
+        return (self.counts or Counter()).total()
 
     @property
     def first_log_time(self) -> int | None:
@@ -171,71 +253,56 @@ class Recording:
         """Topic name -> what it carries, in the order of first appearance. Channels of one topic are one topic."""
         return self._topics
 
+    def schema_of(self, channel: Channel) -> Schema:
+        return self.schemas.get(channel.schema_id, NO_SCHEMA)
+
     def metadata(self) -> dict[str, dict[str, str]]:
         """Record name -> entries; of several records with one name the last."""
-        return dict(self.contents.metadata)
+        return dict(self._metadata)
 
     def attachment(self, name: str) -> bytes:
         for about in self.attachments:
             if about.name == name:
                 with self.sentences():
-                    (part,) = parts(self.stream, about.offset, about.end)
-                    return part.attached()
+                    return self.attached(about)
         raise RecordingError(self.path, f"nothing named {name!r} is attached")
+
+    def attached(self, about: Attachment) -> bytes:
+        """The bytes of an attachment. Raises Damage where they do not fit their checksum."""
+        (part,) = parts(self.stream, about.offset, about.end)
+        return part.attached().data
 
     def messages(
         self, topics: Collection[str] | None = None, start: int | None = None, end: int | None = None, *,
-        as_written: bool = False, within: tuple[Place, Place] | None = None,
+        as_written: bool = False, within: tuple[Place, Place] = (BEGIN, END),
     ) -> Iterator[RawMessage]:  # fmt: skip
         """All messages, or those of some topics with ``start`` <= log time < ``end`` [ns]. In log-time order; a file
         that is cut off in its own order, and any file ``as_written``, so that its passes stay apart. within: the place
         of the first message and the one behind the last."""
         low, high = start or 0, 2**64 if end is None else end
-        first, behind = within or (BEGIN, END)
-        names = {n: c.topic for n, c in self.contents.channels.items() if topics is None or c.topic in topics}
+        first, behind = within
+        names = {n: c.topic for n, c in self.channels.items() if topics is None or c.topic in topics}
         chunks = [c for c in self.chunks if c.last_time >= low and c.first_time < high
                   and first[0] <= c.offset <= behind[0]]  # fmt: skip
         with self.sentences():
-            for entry, found in self.entries(chunks, as_written):
-                if not low <= entry.log_time < high or not first <= (entry.chunk, entry.begin) < behind:
-                    continue
-                if entry.channel in names:
-                    data = found.data[entry.begin : entry.end]
-                    yield RawMessage(names[entry.channel], entry.log_time, entry.publish_time, data)
+            for entry in self.entries(chunks, as_written):
+                if entry.channel in names and low <= entry.log_time < high and first <= entry.place < behind:
+                    yield RawMessage(names[entry.channel], entry.log_time, entry.publish_time, entry.data)
 
-    def tables(self, topics: Collection[str]) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-        """Topic, log times [ns] (k,) and contents (k, length) of messages, each topic's as they were written.
+    def entries(self, chunks: list[Chunk], as_written: bool) -> Iterator[Entry]:
+        """Every message of some chunks. Raises Damage."""
+        for entry in self._by_place(chunks) if self.cut_off or as_written else self._by_time(chunks):
+            if entry.channel not in self.channels:
+                raise Damage(f"a message belongs to channel {entry.channel}, which is not defined", entry.place[0])
+            yield entry
 
-        All topics come out of one pass through the file. Raises RecordingError.
-        """
-        numbers = {t: {n for n, c in self.contents.channels.items() if c.topic == t} for t in topics}
-        with self.sentences():
-            for chunk in self.chunks:
-                found = self.unpack(chunk)
-                self.unpack.spend(READ * len(found), chunk.offset)
-                for channel in found.counts.keys() - self.contents.channels:
-                    raise Damage(f"a message belongs to channel {channel}, which is not defined", chunk.offset)
-                for topic, channels in numbers.items():
-                    for times, table in found.alike(channels):
-                        yield topic, times, table
-
-    def entries(self, chunks: list[Chunk], as_written: bool) -> Iterator[tuple[Entry, Messages]]:
-        """Every message of some chunks and the chunk that it is in. Raises Damage."""
-        merged = not self.cut_off and not as_written
-        for found, k in self._by_time(chunks) if merged else self._by_place(chunks):
-            entry = found.entry(k)
-            if entry.channel not in self.contents.channels:
-                raise Damage(f"a message belongs to channel {entry.channel}, which is not defined", entry.chunk)
-            yield entry, found
-
-    def _by_place(self, chunks: list[Chunk]) -> Iterator[tuple[Messages, int]]:
+    def _by_place(self, chunks: list[Chunk]) -> Iterator[Entry]:
         for chunk in chunks:
             found = self.unpack(chunk)
             self.unpack.spend(READ * len(found), chunk.offset)
-            for k in range(len(found)):
-                yield found, k
+            yield from found
 
-    def _by_time(self, chunks: list[Chunk]) -> Iterator[tuple[Messages, int]]:
+    def _by_time(self, chunks: list[Chunk]) -> Iterator[Entry]:
         """By log times. A chunk is opened when its first time has come; of one that waits for its next message only
         the order is held, and it is unpacked again where it was forgotten meanwhile."""
         # the next message of each
@@ -251,7 +318,7 @@ class Recording:
                 if held > bearable:
                     raise Damage("its chunks overlap in time so much that their messages cannot be sorted", offset)
             else:
-                yield found, k
+                yield found.entry(k)
             following = next(rest, None)
             if following is None:
                 heapq.heappop(lanes)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 from mcap.opcode import Opcode
 
-from kr270_milling.bag.chunks import Chunk, Unpacker
-from kr270_milling.bag.contents import Contents
-from kr270_milling.bag.reader import Recording, find_file, open_file
-from kr270_milling.bag.structure import FOOTER_SIZE, MAGIC, Damage, Part, footer, next_chunk, parts
+from kr270_milling.bag.chunks import Chunk
+from kr270_milling.bag.reader import Recording, find_file
+from kr270_milling.bag.structure import MAGIC, Damage, Part, exactly, next_chunk, parts
 from kr270_milling.bag.verify import findings
 from kr270_milling.bag.writer import BagWriter, MessageRefused
 from kr270_milling.base.errors import RecordingError
@@ -22,9 +22,9 @@ from kr270_milling.base.errors import RecordingError
 __all__ = ["Recovered", "recover"]
 
 KNOWN = frozenset(range(0x01, 0x10))  # the record types of the format
-WRITE = 10.0  # [us] of work on a message
 PRIVATE = 0x80  # types from here on belong to applications
 HOLDING = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.METADATA, Opcode.MESSAGE_INDEX)  # they hold lengths of their own
+WRITE = 10.0  # [us] of work on a message
 
 
 @dataclass
@@ -65,9 +65,9 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
         raise RecordingError(target, "exists already and is not overwritten")
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        with open_file(file) as stream, BagWriter(part, target.name) as writer:
-            rescue = _Rescue(stream, writer, file)
-            rescue.run(progress)
+        with contextlib.closing(Salvage(file)) as rest, BagWriter(part, target.name) as writer:
+            _copy(rest, writer, progress)
+            lost_messages = rest.lost_messages(writer.count)
         with Recording(part) as copy:
             result = _described(copy)
         os.rename(part, target)
@@ -76,8 +76,8 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return replace(
-        result, source=str(file), directory=str(target), whole=whole is not None and not rescue.dropped,
-        lost_bytes=rescue.lost_bytes, lost_messages=rescue.lost_messages, dropped=rescue.dropped, damage=damage,
+        result, source=str(file), directory=str(target), whole=whole is not None and not rest.dropped,
+        lost_bytes=rest.lost_bytes, lost_messages=lost_messages, dropped=rest.dropped, damage=damage,
     )  # fmt: skip
 
 
@@ -106,70 +106,37 @@ def _described(recording: Recording) -> Recovered:
     )
 
 
-class _Rescue:
-    """The walk through a source that may be damaged anywhere."""
+class Salvage(Recording):
+    """A file that may be damaged anywhere, with what can be read of it; ``dropped`` says what cannot."""
 
-    def __init__(self, stream, writer: BagWriter, file: Path):
-        self.stream, self.writer, self.file = stream, writer, file
-        self.size = os.fstat(stream.fileno()).st_size
-        self.unpack, self.contents = Unpacker(stream, self.size), Contents()
-        self.numbers: dict[int, int] = {}  # channel in the source -> channel in the copy
-        self.lost_bytes = 0
-        self.lost_messages: int | None = None
+    def _read(self, progress) -> None:
         self.dropped: list[str] = []
-        self._lost: Counter[str] = Counter()  # reason -> messages
+        self.lost_bytes = 0
         self._ended = False
-
-    def run(self, progress) -> None:
-        self._read_summary()
-        empty = True
-        for part, found in self._records():
-            try:
-                self._copy(part, found)
-                empty = empty and part.type not in (Opcode.HEADER, Opcode.MESSAGE, *HOLDING[:3])
-            except Damage as damage:
-                self._drop(part.offset, part.end, damage.reason)
-            if progress:
-                progress(part.end, self.size)
-        if empty:
-            raise RecordingError(self.file, "nothing in it can be recovered")
-        for number in self.contents.channels:  # a topic without messages belongs to the recording too
-            self._number(number)
-        self.dropped += [f"{count} messages {reason}" for reason, count in self._lost.items()]
-        if self.contents.counts is not None:
-            self.lost_messages = max(self.contents.counts.total() - self.writer.count, 0)
-        elif self._ended and not self.dropped:
-            self.lost_messages = 0
-        dropped = "\n".join(self.dropped) or "nothing"
-        self.writer.add_metadata("recovered", {"source": self.file.name, "dropped": dropped})
-
-    def _read_summary(self) -> None:
-        """Channels and counts from the end of the file, if it is there: they help where a chunk is lost."""
-        end = footer(self.stream, self.size)
         try:
-            if end is not None and end.summary_start >= len(MAGIC):
-                self.contents.take_summary(self.stream, end.summary_start, self.size - FOOTER_SIZE)
+            self._read_summary()  # it helps where a chunk with definitions is lost
         except Damage as damage:
             self.dropped.append(f"the summary: {damage.reason}")
+        self._walk()
+        self.chunks = [chunk for chunk in self.chunks if self._is_whole(chunk)]
+        if self.profile is None and not (self.chunks or self.attachments or self._metadata):
+            raise Damage("nothing in it can be recovered", 0)
 
-    def _records(self) -> Iterator[tuple[Part, object]]:
-        """The records of the data section; behind a place that makes no sense from the next chunk on."""
-        self.stream.seek(0)
+    def _walk(self) -> None:
+        """Take the records of the data section; behind a place that makes no sense go on with the next chunk."""
         begin = len(MAGIC)
-        if self.stream.read(begin) != MAGIC:
+        if exactly(self.stream, 0, min(begin, self.size)) != MAGIC:
             self.dropped.append("the first bytes are not those of an MCAP file")
             begin = next_chunk(self.stream, 0, self.size)
         while begin < self.size:
             end = begin
             for part in parts(self.stream, begin, self.size):
                 try:
-                    found = self._taken(part)
+                    self._take(part)
                 except Damage as damage:
                     if part.type not in KNOWN or part.type in HOLDING:
                         break  # its length may be wrong too, so that nobody knows where the next one begins
                     self._drop(part.offset, part.end, damage.reason)
-                else:
-                    yield part, found
                 end = part.end
                 if part.type == Opcode.DATA_END:
                     self._ended = True
@@ -178,47 +145,67 @@ class _Rescue:
             if end < self.size:
                 self._drop(end, begin, f"no whole record up to byte {begin}")
 
-    def _taken(self, part: Part):
+    def _take(self, part: Part) -> None:
         if part.type not in KNOWN and part.type < PRIVATE:
             raise Damage("a record is of no known type", part.offset)
         index = part.type == Opcode.MESSAGE_INDEX
         if index and int.from_bytes(part.data[11:15], "little") + 15 != len(part.data):
             raise Damage("an index of messages has an impossible length", part.offset)
-        return self.contents.take(part)
+        if part.type == Opcode.ATTACHMENT:
+            part.attached()
+        super()._take(part)
+
+    def _is_whole(self, chunk: Chunk) -> bool:
+        try:
+            self._defined_in(chunk)
+        except Damage as damage:
+            self.drop(chunk, damage)
+            return False
+        return True
+
+    def drop(self, chunk: Chunk, damage: Damage) -> None:
+        self._drop(chunk.offset, chunk.offset + chunk.size, damage.reason)
 
     def _drop(self, begin: int, end: int, reason: str) -> None:
         self.lost_bytes += end - begin
         self.dropped.append(f"{end - begin} bytes at byte {begin}: {reason}")
 
-    def _copy(self, part: Part, found) -> None:
-        if isinstance(found, Chunk):
-            self._messages(found)
-        elif part.type == Opcode.ATTACHMENT:
-            self.writer.add_attachment(found.name, part.attached())
-        elif part.type == Opcode.METADATA and found.name != "rosbag2":  # the copy gets its own
-            self.writer.add_metadata(found.name, found.metadata)
+    def lost_messages(self, written: int) -> int | None:
+        """How many, as far as the file tells how many it had."""
+        if self.counts is not None:
+            return max(self.counts.total() - written, 0)
+        return 0 if self._ended and not self.dropped else None
 
-    def _messages(self, chunk: Chunk) -> None:
-        found = self.unpack(chunk)
-        self.unpack.spend(WRITE * len(found), chunk.offset)
-        for record in found.definitions:
-            self.contents.define(record, chunk.offset)
-        for entry in map(found.entry, range(len(found))):
-            if entry.channel not in self.contents.channels:
-                self._lost[f"of channel {entry.channel}, whose definition is lost"] += 1
+
+def _copy(source: Salvage, writer: BagWriter, progress: Callable[[int, int], None] | None) -> None:
+    """Write everything that can be read."""
+    for about in source.attachments:
+        writer.add_attachment(about.name, source.attached(about))
+    for name, values in source.metadata().items():
+        if name != "rosbag2":  # the copy gets its own
+            writer.add_metadata(name, values)
+    numbers = {}  # of a channel in the source: that in the copy
+    for number, channel in source.channels.items():
+        schema = source.schema_of(channel)
+        parsed = (schema.name, schema.encoding, schema.data)
+        numbers[number] = writer.add_channel(channel.topic, parsed, channel.message_encoding, channel.metadata)
+    lost: Counter[str] = Counter()
+    for chunk in source.chunks:
+        try:
+            found = source.unpack(chunk)
+            source.unpack.spend(WRITE * len(found), chunk.offset)
+        except Damage as damage:
+            source.drop(chunk, damage)
+            continue
+        for entry in found:
+            if entry.channel not in numbers:
+                lost[f"of channel {entry.channel}, whose definition is lost"] += 1
                 continue
             try:
-                self.writer.write_raw(self._number(entry.channel), found.data[entry.begin : entry.end],
-                                      entry.publish_time, entry.log_time, entry.sequence)  # fmt: skip
+                writer.write_raw(numbers[entry.channel], entry.data, entry.publish_time, entry.log_time, entry.sequence)
             except MessageRefused as refused:
-                self._lost[f"that {refused.reason}"] += 1
-
-    def _number(self, channel: int) -> int:
-        """The channel in the copy for one of the source."""
-        if channel not in self.numbers:
-            about = self.contents.channels[channel]
-            schema = self.contents.schema_of(about)
-            self.numbers[channel] = self.writer.add_channel(
-                about.topic, (schema.name, schema.encoding, schema.data), about.message_encoding, about.metadata
-            )
-        return self.numbers[channel]
+                lost[f"that {refused.reason}"] += 1
+        if progress:
+            progress(chunk.offset + chunk.size, source.size)
+    source.dropped += [f"{count} messages {reason}" for reason, count in lost.items()]
+    writer.add_metadata("recovered", {"source": source.path.name, "dropped": "\n".join(source.dropped) or "nothing"})

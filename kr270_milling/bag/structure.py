@@ -18,14 +18,10 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
 
-__all__ = [
-    "FOOTER_SIZE", "HEAD", "LIMIT", "MAGIC", "MESSAGE", "Damage", "Part", "checksum", "exactly", "footer", "inner",
-    "next_chunk", "parts",
-]  # fmt: skip
+__all__ = ["HEAD", "LIMIT", "MAGIC", "MESSAGE", "Damage", "Part", "checksum", "exactly", "inner", "next_chunk", "parts"]
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
-FOOTER_SIZE = HEAD.size + 20 + len(MAGIC)  # with the magic behind it
 MESSAGE = struct.Struct("<BQHIQQ")  # type and length; channel, sequence, log time, publish time
 LIMIT = 256 * 1024 * 1024  # [bytes] of one attachment, one message or one chunk, packed and unpacked
 SMALL = 32 * 1024 * 1024  # [bytes] of any other record
@@ -68,24 +64,23 @@ class Part(NamedTuple):
 
     def record(self):
         """As mcap's record. Raises Damage."""
-        stream, builder = Strict(self.data), RecordBuilder()
         try:
-            record = next(StreamReader(stream, skip_magic=True, emit_chunks=True).records)
+            record = next(StreamReader(Strict(self.data), skip_magic=True, emit_chunks=True).records)
         except (McapError, struct.error, UnicodeDecodeError):
             reason = "a record ends in the middle of a field or has a name that is not UTF-8 text"
             raise Damage(reason, self.offset) from None
         if self.type in LARGE:
-            record.write(builder)
+            record.write(builder := RecordBuilder())
             if builder.count != len(self.data):
                 raise Damage("a record has lengths that do not agree", self.offset)
         return record
 
-    def attached(self) -> bytes:
-        """The bytes of an attachment, held against their checksum. Raises Damage."""
+    def attached(self):
+        """mcap's Attachment, held against its checksum. Raises Damage."""
         record, crc = self.record(), int.from_bytes(self.data[-4:], "little")
         if crc and zlib.crc32(self.data[HEAD.size : -4]) != crc:
             raise Damage(f"the attachment {record.name} does not fit its checksum", self.offset)
-        return record.data
+        return record
 
 
 def parts(stream, begin: int, end: int) -> Iterator[Part]:
@@ -110,15 +105,6 @@ def parts(stream, begin: int, end: int) -> Iterator[Part]:
         begin = behind
 
 
-def footer(stream, size: int):
-    """mcap's Footer of a file that ends as a writer ends it; None of another one."""
-    at = size - FOOTER_SIZE
-    end = exactly(stream, at, FOOTER_SIZE) if at >= len(MAGIC) else b""
-    if not end.startswith(HEAD.pack(Opcode.FOOTER, 20)) or not end.endswith(MAGIC):
-        return None
-    return Part(Opcode.FOOTER, at, end[: -len(MAGIC)]).record()
-
-
 def exactly(stream, begin: int, size: int) -> bytes:
     """The bytes of a file from an offset on."""
     stream.seek(begin)
@@ -128,11 +114,11 @@ def exactly(stream, begin: int, size: int) -> bytes:
     return data
 
 
-def checksum(stream, end: int) -> int:
-    """Of everything before an offset, as the end of the data states it."""
+def checksum(stream, begin: int, end: int) -> int:
+    """CRC-32 of the bytes between two offsets."""
     crc = 0
-    for begin in range(0, end, RUN):
-        crc = zlib.crc32(exactly(stream, begin, min(RUN, end - begin)), crc)
+    for at in range(begin, end, RUN):
+        crc = zlib.crc32(exactly(stream, at, min(RUN, end - at)), crc)
     return crc
 
 

@@ -9,9 +9,10 @@ from collections.abc import Callable
 import numpy as np
 import yaml
 from mcap.opcode import Opcode
+from mcap.records import ChunkIndex
 
-from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.structure import FOOTER_SIZE, HEAD, MAGIC, Damage, Part, checksum, parts
+from kr270_milling.bag.reader import FOOTER_SIZE, Recording
+from kr270_milling.bag.structure import HEAD, MAGIC, Damage, Part, checksum, parts
 
 __all__ = ["findings"]
 
@@ -41,92 +42,93 @@ class _Walk:
         self.found: list[str] = []
         self.counts: Counter[int] = Counter()
         self.chunks = {chunk.offset: chunk for chunk in recording.chunks}
-        self.indexed: dict[int, list] = {}  # chunk -> what its entry in the index of chunks must say
+        self.indexes: dict[int, ChunkIndex] = {}  # chunk -> what the summary must say of it
+        self.index: ChunkIndex | None = None  # of the chunk whose indexes of messages follow
+        self.expected: dict[int, np.ndarray] = {}  # channel -> log time and offset of its messages that lack an index
 
-    def guard(self, call, *args):
-        """The result of a call, or None and one more sentence."""
+    def guard(self, call: Callable, *args) -> None:
+        """A call whose damage becomes one more sentence."""
         try:
-            return call(*args)
+            call(*args)
         except Damage as damage:
             self.found.append(f"{damage.reason} (at byte {damage.offset})")
-            return None
 
     def run(self, progress) -> None:
         recording, end = self.recording, self.recording.data_end
-        chunk: int | None = None
-        expected: dict = {}
         for part in parts(self.stream, len(MAGIC), end):
             if part.type == Opcode.MESSAGE_INDEX:
-                self.guard(self._check_index, part, chunk, expected)
+                self.guard(self._check_index, part)
                 continue
-            self.guard(self._check_left_out, chunk, expected)
-            chunk, expected = None, {}
+            self.guard(self._end_of_chunk)
             if part.type == Opcode.ATTACHMENT:
                 self.guard(part.attached)
             elif part.offset in self.chunks:
-                chunk, expected = part.offset, self.guard(self._messages, part) or {}
+                self.guard(self._begin_of_chunk, part)
             if progress:
                 progress(part.end, recording.size)
-        self.guard(self._check_left_out, chunk, expected)
-        crc = recording.contents.data_crc
-        if crc and not recording.cut_off and checksum(self.stream, end) != crc:
+        self.guard(self._end_of_chunk)
+        if recording.cut_off:
+            return
+        if recording.data_crc not in (0, checksum(self.stream, 0, end)):
             self.found.append("the data do not fit the checksum at their end")
-        if not recording.cut_off:
-            self._check_summary(end)
+        if +self.counts != +(recording.counts or Counter()):
+            self.found.append("the counts of messages at the end are not those of the messages")
+        behind = end + HEAD.size + 4  # of the record that ends the data
+        for part in parts(self.stream, behind, recording.size):
+            self.guard(self._check_summary, part, behind)
 
-    def _messages(self, part: Part) -> dict[int, np.ndarray]:
-        """Channel -> (log time, offset) of its messages in a chunk."""
+    def _begin_of_chunk(self, part: Part) -> None:
         if part.type == Opcode.CHUNK:
             record = part.record()
-            self.indexed[part.offset] = [
-                len(part.data), record.message_start_time, record.message_end_time, record.compression,
-                len(record.data), record.uncompressed_size, {},
-            ]  # fmt: skip
+            self.index = self.indexes[part.offset] = ChunkIndex(
+                chunk_length=len(part.data),
+                chunk_start_offset=part.offset,
+                compression=record.compression,
+                compressed_size=len(record.data),
+                message_end_time=record.message_end_time,
+                message_index_length=0,
+                message_index_offsets={},
+                message_start_time=record.message_start_time,
+                uncompressed_size=record.uncompressed_size,
+            )
         found = self.recording.unpack(self.chunks[part.offset])
         self.counts += found.counts
-        unknown = set(found.counts) - set(self.recording.contents.channels)
+        unknown = set(found.counts) - set(self.recording.channels)
         if unknown:
             raise Damage(f"messages belong to channel {min(unknown)}, which is not defined", part.offset)
-        channel, rows = found.table()
-        return {number: rows[channel == number] for number in found.counts}
+        channels = np.array(found.channels)
+        rows = np.stack([np.array(found.times), np.array(found.places, np.uint64)], axis=1)
+        self.expected = {number: rows[channels == number] for number in found.counts}
 
-    def _check_index(self, part: Part, chunk: int | None, expected: dict[int, np.ndarray]) -> None:
-        if chunk not in self.indexed or len(part.data) < INDEX.size:
+    def _check_index(self, part: Part) -> None:
+        if self.index is None or len(part.data) < INDEX.size:
             raise Damage("an index of messages belongs to no chunk", part.offset)
         _, _, channel, size = INDEX.unpack_from(part.data)
         if size != len(part.data) - INDEX.size or size % 16:
             raise Damage("an index of messages has an impossible length", part.offset)
-        rows, messages = np.frombuffer(part.data, "<u8", offset=INDEX.size).reshape(-1, 2), expected.pop(channel, None)
-        self.indexed[chunk][-1][channel] = part.offset
-        if messages is None and not len(rows):
-            return
-        if messages is None or not np.array_equal(_sorted(rows), _sorted(messages)):
+        self.index.message_index_offsets[channel] = part.offset
+        self.index.message_index_length += len(part.data)
+        rows = np.frombuffer(part.data, "<u8", offset=INDEX.size).reshape(-1, 2)
+        if not np.array_equal(_sorted(rows), _sorted(self.expected.pop(channel, np.empty((0, 2), np.uint64)))):
             raise Damage("an index points to other messages than its chunk holds", part.offset)
 
-    def _check_left_out(self, chunk: int | None, expected: dict) -> None:
-        if expected and chunk in self.indexed and self.indexed[chunk][-1]:
-            raise Damage(f"a chunk has no index for channel {min(expected)}", chunk)
+    def _end_of_chunk(self) -> None:
+        index, expected = self.index, self.expected
+        self.index, self.expected = None, {}
+        if index is not None and index.message_index_offsets and expected:
+            raise Damage(f"a chunk has no index for channel {min(expected)}", index.chunk_start_offset)
 
-    def _check_summary(self, end: int) -> None:
-        """The index of chunks and the counts, against what is there."""
+    def _check_summary(self, part: Part, behind: int) -> None:
+        """The index of a chunk, against what is there, and the footer; behind: where the summary begins."""
         at = self.recording.size - FOOTER_SIZE
-        behind = end + HEAD.size + 4  # of the record that ends the data
-        if +self.counts != +(self.recording.contents.counts or Counter()):
-            self.found.append("the counts of messages at the end are not those of the messages")
-        for part in parts(self.stream, behind, self.recording.size):
-            if part.type == Opcode.CHUNK_INDEX:
-                self.guard(self._check_chunk_index, part)
-            elif part.offset == at and part.record().summary_start != (0 if behind == at else behind):
-                self.found.append(f"the footer does not point to the end of the data (at byte {at})")
-
-    def _check_chunk_index(self, part: Part) -> None:
-        index = part.record()
-        if index.chunk_start_offset not in self.indexed:
-            raise Damage("the index of chunks points to a place without a chunk", part.offset)
-        says = [index.chunk_length, index.message_start_time, index.message_end_time, index.compression,
-                index.compressed_size, index.uncompressed_size, index.message_index_offsets]  # fmt: skip
-        if says != self.indexed[index.chunk_start_offset]:
-            raise Damage("the index of chunks says another thing than the chunk", part.offset)
+        if part.type == Opcode.CHUNK_INDEX:
+            index = part.record()
+            if index.chunk_start_offset not in self.indexes:
+                raise Damage("the index of chunks points to a place without a chunk", part.offset)
+            if index != self.indexes[index.chunk_start_offset]:
+                raise Damage("the index of chunks says another thing than the chunk", part.offset)
+        elif part.offset == at and part.record().summary_start != (0 if behind == at else behind):
+            raise Damage("the footer does not point to the end of the data", at)
 
 
 def _sorted(rows: np.ndarray) -> np.ndarray:

@@ -11,9 +11,8 @@ from pathlib import Path
 
 from kr270_milling import __version__
 from kr270_milling.bag import bagmeta
-from kr270_milling.bag.gaps import SHARED, GapCounter
-from kr270_milling.bag.logtime import LogTimes
 from kr270_milling.bag.output import Output
+from kr270_milling.bag.stamps import SHARED, GapCounter, LogTimes
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.definitions import definition, starts_with_stamp, type_hash
@@ -74,20 +73,21 @@ class BagWriter:
         chunk_period: float = CHUNK_PERIOD,
     ):
         self.directory = Path(os.path.abspath(directory))
-        self.output = Output(self.directory, self.directory.name if name is None else name, chunk_size)
+        self._waiting: deque[tuple[Channel, bytes, int, int | None]] = deque()
+        name = self.directory.name if name is None else name
+        self.output = Output(self.directory, name, chunk_size, self._waiting)
         self.topics: dict[str, int] = {}
         self.channels: dict[int, Channel] = {}
         self.start: int | None = None  #: [ns], smallest and largest log time
         self.end = 0
         self._chunk_period = chunk_period
-        self._last_tick: float | None = None
+        self._last_chunk: float | None = None  # [s]
         self._times = LogTimes(start_time)
-        self._waiting: deque[tuple[Channel, bytes, int, int | None]] = deque()
         self._waiting_size = 0  # [bytes]
-        self._waiting_since: float | None = None
+        self._waiting_since: float | None = None  # [s]
         self._custom = {"kr270_milling_version": __version__, **{k: str(v) for k, v in (metadata or {}).items()}}
         self._schemas: dict[tuple, int] = {}
-        self._run(self.output.mcap.start, "ros2", f"kr270_milling/{__version__}")
+        self.output.mcap.start("ros2", f"kr270_milling/{__version__}")
         self.add_metadata("kr270_milling", self._custom)
         for attached, content in (attachments or {}).items():
             self.add_attachment(attached, content)
@@ -101,16 +101,13 @@ class BagWriter:
         """Messages that were given to the file."""
         return self.output.count
 
-    def _run(self, call, *args):
-        return self.output.run(call, *args, waiting=len(self._waiting))
-
     def add_attachment(self, name: str, content: bytes | str) -> None:
         data = content.encode() if isinstance(content, str) else bytes(content)
         kind = "application/yaml" if name.endswith((".yaml", ".yml")) else "application/octet-stream"
-        self._run(self.output.mcap.add_attachment, 0, 0, name, kind, data)
+        self.output.mcap.add_attachment(0, 0, name, kind, data)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
-        self._run(self.output.mcap.add_metadata, name, {str(k): str(v) for k, v in values.items()})
+        self.output.mcap.add_metadata(name, {str(k): str(v) for k, v in values.items()})
 
     def add_topic(self, topic: str, type_name: str, qos: Iterable = (), period_ns: int | None = None) -> int:
         """Prepare a topic with an installed message type; qos: its publishers' profiles (see describe_qos).
@@ -130,9 +127,10 @@ class BagWriter:
         self, topic: str, schema: tuple[str, str, bytes], encoding: str, about: dict, period_ns: int | None = None
     ) -> int:
         """Prepare a channel as it is given: schema (name, encoding, data), message encoding, channel metadata."""
+        self.output.check()
         if schema not in self._schemas:
-            self._schemas[schema] = self._run(self.output.mcap.register_schema, *schema) if schema[0] else 0
-        number = self._run(self.output.mcap.register_channel, topic, encoding, self._schemas[schema], about)
+            self._schemas[schema] = self.output.mcap.register_schema(*schema) if schema[0] else 0
+        number = self.output.mcap.register_channel(topic, encoding, self._schemas[schema], about)
         stamped = schema[1] == "ros2msg" and starts_with_stamp(schema[2].decode("utf-8", "replace"))
         profiles = bagmeta.read_qos(about.get("offered_qos_profiles", ""))
         kind, digest = schema[0], about.get("topic_type_hash", "")
@@ -151,11 +149,15 @@ class BagWriter:
         stamp = stamp_of(data, channel.stamped)
         if log_time is None:
             log_time = self._times.of(channel.type, stamp, publish_time)
-        if log_time is None:
-            self._wait(channel, data, publish_time, stamp)
+        if log_time is not None:
+            self._release(log_time)
+            self._append(channel, data, publish_time, log_time, channel.count, stamp)
             return
-        self._release(log_time)
-        self._append(channel, data, publish_time, log_time, channel.count, stamp)
+        self._waiting.append((channel, data, publish_time, stamp))
+        self._waiting_size += len(data)
+        if self._waiting_size > HOLD_SIZE:  # bounded, for a graph in which no stamp comes
+            self._release()
+            self.flush()
 
     def write_raw(self, channel_id: int, data: bytes, publish_time: int, log_time: int, sequence: int) -> None:
         """Append a message with everything given. Raises MessageRefused, RecordingError."""
@@ -168,14 +170,6 @@ class BagWriter:
             if not 0 <= time < 2**63:
                 channel.refused += 1
                 raise MessageRefused(self.path, f"have the time {time} ns, which is none between 1970 and 2262")
-
-    def _wait(self, channel: Channel, data: bytes, publish_time: int, stamp: int | None) -> None:
-        """Keep a message until a stamp has told the time; bounded, for a graph in which none comes."""
-        self._waiting.append((channel, data, publish_time, stamp))
-        self._waiting_size += len(data)
-        if self._waiting_size > HOLD_SIZE:
-            self._release()
-            self.flush()
 
     def _release(self, first: int = 0) -> None:
         """Append what was waiting, in its order. Where no stamp has come, log times begin at ``first``, or are publish
@@ -205,15 +199,14 @@ class BagWriter:
     def tick(self, now: float) -> None:
         """Close the chunk when it is ``chunk_period`` old, and wait no longer than HOLD_PERIOD for a first stamp;
         now [s]: any clock that does not go back."""
-        if self._waiting and (self._waiting_since is None or now < self._waiting_since):
-            self._waiting_since = now
-        if self._waiting and self._waiting_since is not None and now - self._waiting_since >= HOLD_PERIOD:
-            self._release()
-            self.flush()
-        if self._last_tick is None or now < self._last_tick:
-            self._last_tick = now
-        if now - self._last_tick >= self._chunk_period:
-            self._last_tick = now
+        if self._waiting:
+            self._waiting_since = min(now, now if self._waiting_since is None else self._waiting_since)
+            if now - self._waiting_since >= HOLD_PERIOD:
+                self._release()
+                self.flush()
+        self._last_chunk = min(now, now if self._last_chunk is None else self._last_chunk)
+        if now - self._last_chunk >= self._chunk_period:
+            self._last_chunk = now
             self.flush()
 
     def flush(self) -> None:

@@ -10,11 +10,9 @@ import functools
 import struct
 from collections.abc import Callable
 
-import numpy as np
-
 from kr270_milling.base.units import SECOND
 
-__all__ = ["Cursor", "pack_stamped", "places_behind_header", "stamp_of", "unpack_stamped"]
+__all__ = ["Cursor", "pack_stamped", "stamp_of", "unpack_stamped"]
 
 STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 FRAME_AT = 16  #: offset of the frame's name in a message that begins with a Header; its length stands before it
@@ -54,26 +52,18 @@ def pack_stamped(stamp_ns: int, frame: str, values: list[float]) -> bytes:
     return pack(LITTLE, stamp_ns // SECOND, stamp_ns % SECOND, len(name), name, *values)
 
 
-def unpack_stamped(data: bytes, count: int) -> tuple[int, str, np.ndarray]:
-    """Stamp [ns], frame and the ``count`` doubles of such a message; raises ValueError where it is none."""
+def unpack_stamped(data: bytes, count: int, alone: bool = False) -> tuple[int, str, list[float]]:
+    """Stamp [ns], frame and the ``count`` doubles of such a message; raises ValueError where it is none.
+
+    alone: nothing may stand behind it but padding.
+    """
     layout = _layout(data[:2], data[12:FRAME_AT], count)
     if len(data) < layout.size:
         raise ValueError("the message ends too early")
+    if alone and len(data) >= layout.size + 8:
+        raise ValueError("the message is longer than its type")
     _, seconds, nanoseconds, _, frame, *values = layout.unpack_from(data)
-    return seconds * SECOND + nanoseconds, frame[:-1].decode(), np.array(values)
-
-
-def places_behind_header(data: bytes, count: int) -> tuple[str, slice, slice]:
-    """Byte order, where the frame's name stands, and where the ``count`` doubles that end such a message.
-
-    Raises ValueError where it is shorter, or longer by more than padding.
-    """
-    layout = _layout(data[:2], data[12:FRAME_AT], count)
-    end = layout.size
-    if not end <= len(data) < end + 8:
-        raise ValueError("the message has another length than its type")
-    name = layout.unpack_from(data)[4]
-    return layout.format[0], slice(FRAME_AT, FRAME_AT + len(name[:-1])), slice(end - 8 * count, end)
+    return seconds * SECOND + nanoseconds, frame[:-1].decode("utf-8", "replace"), values
 
 
 class Cursor:

@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -24,37 +23,15 @@ from kr270_milling.base.samples import (
 )
 from kr270_milling.base.units import SECOND
 from kr270_milling.messages.cdr import pack_stamped, unpack_stamped
-from kr270_milling.messages.definitions import store_of
+from kr270_milling.messages.definitions import deserialise, store_of
 from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
 from kr270_milling.simulation.admission import TOOL, WORKPIECE, MessageError
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = [
-    "deserialise", "from_bytes", "named", "pose_from_bytes", "read_message", "serialise", "time_fields", "to_bytes",
+    "deserialise", "from_bytes", "named", "pose_from_bytes", "serialise", "time_fields", "to_bytes",
     "trajectory_from_bytes", "type_of", "wrench_from_bytes",
 ]  # fmt: skip
-
-
-def deserialise(type_name: str, data: bytes):
-    """A message as an object with its fields as attributes. Raises ValueError where the bytes are no such message."""
-    return read_message(store_of(type_name), type_name, data)
-
-
-def read_message(store, type_name: str, data: bytes):
-    """The same with the types of a given store.
-
-    Bytes behind the last field are let pass: rmw_fastrtps leaves up to 76 there, more than rosbags' own check allows.
-    """
-    from rosbags.serde import SerdeError
-
-    if len(data) < 4 or data[0] != 0 or data[1] > 1:
-        raise ValueError("not plain CDR of version 1")
-    about = store.get_msgdef(type_name)
-    read = about.deserialize_cdr_le if data[1] else about.deserialize_cdr_be
-    try:
-        return read(data[4:], 0, about.cls, store)[0]
-    except (SerdeError, IndexError, ValueError, struct.error) as error:
-        raise ValueError(f"is not a {type_name}: {error}") from None
 
 
 def serialise(type_name: str, fields: Mapping) -> bytes:
@@ -111,7 +88,8 @@ def _stamped(type_name: str, record: Callable, *widths: int) -> Kind:
         return pack_stamped(sample[0], sample[1], values if first == count else values + sample[3].tolist())
 
     def read(data: bytes):
-        stamp, frame, values = unpack_stamped(data, count)
+        stamp, frame, numbers = unpack_stamped(data, count)
+        values = np.array(numbers)
         return record(stamp, frame, *((values,) if first == count else (values[:first], values[first:])))
 
     return Kind(type_name, write, read)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kr270_milling.bag.gaps import GapCounter, Passes
+from kr270_milling.bag.stamps import GapCounter, Passes
 from kr270_milling.messages.codec import deserialise, to_bytes, type_of
 
 __all__ = ["Channel", "Difference", "difference"]

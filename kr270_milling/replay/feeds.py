@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 
-from kr270_milling.bag.gaps import Passes
+from kr270_milling.bag.stamps import Passes
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import MOST_STEPS, Cell
 from kr270_milling.cell.protocols import cut_protocol, robot_protocol

@@ -19,7 +19,7 @@ from kr270_milling.messages.series import series
 
 def test_definitions_that_a_chunk_unfolds_are_bounded(tmp_path, monkeypatch):
     """60 MB of them in every chunk of 60 kB were all held."""
-    monkeypatch.setattr("kr270_milling.bag.contents.MOST_DEFINED", 100_000)
+    monkeypatch.setattr("kr270_milling.bag.reader.MOST_DEFINED", 100_000)
     with open(tmp_path / "a.mcap", "wb") as stream:
         writer = Writer(stream, repeat_schemas=False, use_statistics=False)
         writer.start("ros2")
@@ -44,7 +44,7 @@ def test_the_number_of_records_in_a_chunk_is_bounded(tmp_path, monkeypatch, kind
 
 def test_the_number_of_chunks_is_bounded(tmp_path, monkeypatch):
     path = write_mcap(tmp_path / "a.mcap", poses(range(20)), chunk_size=100)
-    monkeypatch.setattr("kr270_milling.bag.contents.MOST_CHUNKS", 10)
+    monkeypatch.setattr("kr270_milling.bag.reader.MOST_CHUNKS", 10)
     with pytest.raises(RecordingError, match="more than 10 chunks"):
         Recording(path)
 

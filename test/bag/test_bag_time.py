@@ -80,7 +80,7 @@ def read_all(path, directory) -> None:
 
 
 @pytest.mark.parametrize(("make", "count"), [
-    (many_messages, 30_000), (many_layouts, 3000), (many_topics, 50), (many_texts, 15_000), (many_definitions, 40),
+    (many_messages, 30_000), (many_layouts, 15_000), (many_topics, 50), (many_texts, 15_000), (many_definitions, 40),
 ])  # fmt: skip
 def test_work_that_the_size_of_a_file_does_not_explain_is_refused(tmp_path, monkeypatch, make, count):
     """With a two-hundredth of the allowance; with all of it the same file is read."""

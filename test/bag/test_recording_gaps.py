@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kr270_milling.bag.gaps import GapCounter
+from kr270_milling.bag.stamps import GapCounter
 
 
 def count(stamps, period=None) -> GapCounter:

@@ -6,8 +6,8 @@ import numpy as np
 from test_recording_samples import DIAGNOSTICS, PATH, POSE, TEXT, make, path, pose, raw
 
 from kr270_milling.bag import writer as module
-from kr270_milling.bag.logtime import YEAR, LogTimes
 from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.stamps import YEAR, LogTimes
 from kr270_milling.bag.writer import BagWriter
 
 WALL = 1_800_000_000 * 10**9  # [ns], in 2027

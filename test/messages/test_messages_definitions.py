@@ -14,8 +14,16 @@ from test_recording_samples import TOPICS, raw, sample
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages import definitions
-from kr270_milling.messages.decode import Topic, make_decoder, plain
-from kr270_milling.messages.definitions import definition, starts_with_stamp, store_for, store_of, type_hash
+from kr270_milling.messages.definitions import (
+    Topic,
+    definition,
+    make_decoder,
+    plain,
+    starts_with_stamp,
+    store_for,
+    store_of,
+    type_hash,
+)
 
 KINDS = sorted(set(TOPICS.values()))
 
