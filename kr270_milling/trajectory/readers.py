@@ -39,7 +39,7 @@ def read_points(path) -> Toolpath:
             rotation = rotation_from_abc([values["a"], values["b"], values["c"]])
             builder.quaternion = tuple(quaternion_from_rotation(rotation).tolist())
         builder.move(point, values["feed"], len(builder) == 0, number)
-    return builder.build(table.lines[-1])
+    return builder.build()
 
 
 GCODE = (".nc", ".gcode", ".ngc", ".tap", ".cnc", ".mpf", ".spf", ".ncc", ".eia", ".iso", ".txt")

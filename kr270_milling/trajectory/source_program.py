@@ -54,6 +54,11 @@ class ProgramTool:
         known += [f"{1e3 * self.diameter:g} mm"] if self.diameter else []
         return f"{self.name} ({', '.join(known)})" if known else self.name
 
+    def completed(self, other: ProgramTool) -> ProgramTool:
+        """With what another description of the tool says where this one says nothing."""
+        words = self.description or other.description
+        return ProgramTool(self.name, words, self.diameter or other.diameter, self.teeth or other.teeth)
+
 
 @dataclass(frozen=True)
 class SourceProgram:

@@ -12,10 +12,13 @@ from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.trajectory.source_program import SourceProgram
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, slerp
 
-__all__ = ["REACH", "TOP", "PathBuilder", "Toolpath", "ToolpathError"]
+__all__ = ["REACH", "TOP", "PathBuilder", "Toolpath", "ToolpathError", "cut_features"]
 
 #: [m] no coordinate of a part in a robot cell is larger; beyond it the unit must be wrong
 REACH = 100.0
+
+
+NO_PROGRAM = SourceProgram()
 
 
 class ToolpathError(MillingError):
@@ -42,7 +45,7 @@ class Toolpath:
     curvature: np.ndarray  #: [1/m], (n,), in the xy plane, positive counterclockwise seen from +z; 0: straight
     spindle_speed: np.ndarray  #: [rad/s], (n,), clockwise, negative: counterclockwise; 0: off or not given
     quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tool0 in the workpiece frame at the end of each block
-    program: SourceProgram = SourceProgram()  #: what the source says beside its moves
+    program: SourceProgram = NO_PROGRAM  #: what the source says beside its moves
 
     def __post_init__(self):
         position = np.array(self.position, float)
@@ -118,54 +121,29 @@ TOP = math.inf
 #: more blocks than this cannot be meant (a full circle of 100 m radius within 2 um has 16,000)
 MOST_BLOCKS = 20_000_000
 MOST_FEATURES = 200  #: a part with more of them is named by something that is no feature
+#: columns of the blocks while they are collected
+COLUMNS: dict[str, int | slice] = {
+    "position": slice(0, 3), "quaternion": slice(3, 7), "feed": 7, "curvature": 8, "spindle_speed": 9, "rapid": 10,
+    "line": 11, "feature": 12,
+}  # fmt: skip
 
 
 class PathBuilder:
-    """Moves that go nowhere are left out; a feature without a cutting move is none.
-
-    After a retract or a tool change the tool travels at the top height.
-    """
+    """Collects blocks; moves that go nowhere are left out, a feature without a cutting move is none."""
 
     def __init__(self, source):
         self.source = source
+        self.line = 1  #: that is read
         self.features: dict[str, int] = {"": 0}
-        self.feature = 0
-        self.spindle_speed = 0.0
+        self.feature = 0  #: that the moves make
+        self.spindle_speed = 0.0  #: [rad/s]
         self.quaternion = TOOL_DOWN
-        self.active = True  #: whether the tool in the spindle is the one whose path is wanted
-        self.away = False  #: whether the tool was taken away since the last move
-        self._positions = array("d")
-        self._turns = array("d")
-        self._numbers = array("d")  # feed, curvature, spindle speed per block
-        self._marks = array("q")  # rapid, line, feature per block
-        self._last = None
+        self.last: tuple[float, float, float] | None = None  #: where the last move went
+        self._last_quaternion = TOOL_DOWN
+        self._blocks = array("d")
 
     def __len__(self) -> int:
-        return len(self._marks) // 3
-
-    @property
-    def last(self) -> tuple[float, float, float] | None:
-        """Where the last move went."""
-        return self._last and self._last[0]
-
-    def rapid(self, end: tuple, line: int) -> None:
-        """Go to a point; nothing is recorded until X, Y and Z are known."""
-        if not self.active or any(map(math.isnan, end)):
-            return
-        if self.last is not None and (self.away or self.last[2] == TOP):
-            self.move((*self.last[:2], TOP), 0.0, True, line)
-            self.move((*end[:2], TOP), 0.0, True, line)
-        self.away = False
-        self.move(end, 0.0, True, line)
-
-    def cut(self, start: tuple, ends: list, feed: float, line: int, curvature: float = 0.0) -> None:
-        """Feed through points, from a start that is known."""
-        if not self.active:
-            return
-        if self.last != start or self.away:
-            self.rapid(start, line)
-        for end in ends:
-            self.move(end, feed, False, line, curvature)
+        return len(self._blocks) // 13
 
     def name_feature(self, name: str) -> None:
         """The moves that follow make this feature."""
@@ -173,72 +151,43 @@ class PathBuilder:
 
     def move(self, position: tuple[float, float, float], feed: float, rapid: bool, line: int, curvature=0.0) -> None:
         """Append one block; position [m], feed [m/s], curvature [1/m]."""
-        here = (position, self.quaternion)
-        if here == self._last:
+        self.line = line
+        if position == self.last:
+            if self.quaternion != self._last_quaternion:
+                raise InputError(self.source, "the tool turns without moving; that has no feed", line)
             return
         if len(self) >= MOST_BLOCKS:
             raise InputError(self.source, f"the path has more than {MOST_BLOCKS} blocks", line)
-        if self._last is not None and position == self._last[0]:
-            raise InputError(self.source, "the tool turns without moving; that has no feed", line)
-        self._last = here
-        self._positions.extend(position)
-        self._turns.extend(self.quaternion)
-        self._numbers.extend((feed, curvature, self.spindle_speed))
-        self._marks.extend((rapid, line, self.feature))
+        self.last, self._last_quaternion = position, self.quaternion
+        numbers = (feed, curvature, self.spindle_speed, rapid, line, self.feature)
+        self._blocks.extend((*position, *self.quaternion, *numbers))
 
-    def cutting_speeds(self) -> dict[float, int]:
-        """Spindle speeds [rad/s] of the cutting moves, each with the first line that it holds in."""
-        rapid, line, _ = self._columns()
-        cutting = np.flatnonzero(rapid == 0)
-        speeds, first = np.unique(np.frombuffer(self._numbers).reshape(-1, 3)[cutting, 2], return_index=True)
-        order = np.argsort(first)
-        return dict(zip(speeds[order].tolist(), line[cutting[first[order]]].tolist(), strict=True))
+    def columns(self) -> dict[str, np.ndarray]:
+        """The blocks so far, by the names of the fields of a Toolpath."""
+        blocks = np.frombuffer(self._blocks).reshape(-1, 13)
+        return {name: blocks[:, column] for name, column in COLUMNS.items()}
 
-    def cutting_feeds(self) -> tuple[float, ...]:
-        """[m/s], of the cutting moves, ascending."""
-        rapid, _, _ = self._columns()
-        return tuple(np.unique(np.frombuffer(self._numbers).reshape(-1, 3)[rapid == 0, 0]).tolist())
-
-    def cut_features(self) -> tuple[str, ...]:
-        """Names of the features with cutting moves, without the unnamed one, in the order of the program."""
-        rapid, _, feature = self._columns()
-        names = list(self.features)
-        return tuple(names[k] for k in np.unique(feature[rapid == 0]) if k)[:MOST_FEATURES]
-
-    def build(self, last_line: int, program: SourceProgram | None = None) -> Toolpath:
+    def build(self, program: SourceProgram = NO_PROGRAM) -> Toolpath:
         """The path; raises InputError where it never moves."""
-        position = np.frombuffer(self._positions).reshape(-1, 3)
-        rapid, line, feature = self._columns()
-        kept = np.ones(len(position), bool)
-        if not np.isfinite(position[:, 2]).all():
-            position, kept = self._lifted(position)
-        if kept.sum() < 2:
-            raise InputError(self.source, "the path never moves", int(line[0]) if len(line) else last_line)
-        numbers = np.frombuffer(self._numbers).reshape(-1, 3)[kept]
-        features, feature = self._named(rapid[kept], feature[kept])
-        return Toolpath(
-            position=position[kept], feed=numbers[:, 0], rapid=rapid[kept], line=line[kept], feature=feature,
-            features=features, curvature=numbers[:, 1], spindle_speed=numbers[:, 2],
-            quaternion=np.frombuffer(self._turns).reshape(-1, 4)[kept], program=program or SourceProgram(),
-        )  # fmt: skip
-
-    def _columns(self) -> np.ndarray:
-        """rapid, line, feature, (3, n)."""
-        return np.frombuffer(self._marks, np.int64).reshape(-1, 3).T
-
-    def _lifted(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Positions with the top height for infinite ones, and which blocks still lead somewhere."""
-        height = position[:, 2]
-        finite = height[np.isfinite(height)]
-        top = finite.max() if finite.size else 0.0
-        lifted = np.column_stack([position[:, :2], np.where(np.isfinite(height), height, top)])
-        moves = np.any(np.diff(lifted, axis=0) != 0, axis=1)
-        return lifted, np.concatenate([[True], moves])
-
-    def _named(self, rapid: np.ndarray, feature: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-        """Names of the features that cut, "" first, and the index of each block into them."""
-        names = list(self.features)
-        cut = [k for k in np.unique(feature[rapid == 0]).tolist() if k][:MOST_FEATURES]
-        index = np.zeros(len(names), np.int64)
+        columns = self.columns()
+        position, away = columns["position"], np.isinf(columns["position"][:, 2])
+        if away.any():
+            position = position.copy()
+            position[away, 2] = 0.0 if away.all() else position[~away, 2].max()
+            moves = np.append(True, np.any(np.diff(position, axis=0) != 0, axis=1))
+            columns = {name: values[moves] for name, values in (columns | {"position": position}).items()}
+        line, feature = columns["line"], columns["feature"].astype(np.int64)
+        if len(line) < 2:
+            raise InputError(self.source, "the path never moves", int(line[0]) if len(line) else self.line)
+        cut = cut_features(columns)
+        index = np.zeros(len(self.features), np.int64)
         index[cut] = np.arange(1, len(cut) + 1)
-        return ("", *(names[k] for k in cut)), index[feature]
+        names = list(self.features)
+        columns["feature"] = index[feature]
+        return Toolpath(**columns, features=("", *(names[k] for k in cut)), program=program)
+
+
+def cut_features(columns: dict[str, np.ndarray]) -> list[int]:
+    """Numbers of the features with cutting moves, without the unnamed one, in the order of the program."""
+    numbers = np.unique(columns["feature"][columns["rapid"] == 0]).astype(int).tolist()
+    return [k for k in numbers if k][:MOST_FEATURES]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kr270_milling.trajectory.gcode import read_gcode
-from kr270_milling.trajectory.gcode.cycles import CLEARANCE, Cycle, strokes
+from kr270_milling.trajectory.machine import CLEARANCE, Cycle
 
 START = "G0 X0 Y0 Z10\n"
 
@@ -30,7 +30,7 @@ def millimetres(path) -> list[list[float]]:
 
 
 def test_pecks_end_at_the_bottom_and_start_a_clearance_above_the_last_one():
-    path = strokes(Cycle(83, 10e-3, 2e-3, -5e-3, 3e-3))
+    path = Cycle(83, 10e-3, 2e-3, -5e-3, 3e-3).strokes()
     depths = [z for z, rapid in path if not rapid]
     np.testing.assert_allclose(depths, [-1e-3, -4e-3, -5e-3])
     np.testing.assert_allclose([z for z, rapid in path if rapid], [
@@ -38,13 +38,13 @@ def test_pecks_end_at_the_bottom_and_start_a_clearance_above_the_last_one():
 
 
 def test_chips_are_broken_by_a_short_way_back():
-    path = strokes(Cycle(73, 10e-3, 2e-3, -5e-3, 3e-3))
+    path = Cycle(73, 10e-3, 2e-3, -5e-3, 3e-3).strokes()
     np.testing.assert_allclose([z for z, rapid in path if rapid], [-1e-3 + CLEARANCE, -4e-3 + CLEARANCE, 2e-3])
 
 
 def test_a_bore_is_left_at_the_feed_and_a_drill_rapidly():
-    assert [rapid for _, rapid in strokes(Cycle(85, 10e-3, 2e-3, -5e-3))] == [False, False]
-    assert [rapid for _, rapid in strokes(Cycle(82, 10e-3, 2e-3, -5e-3))] == [False, True]
+    assert [rapid for _, rapid in Cycle(85, 10e-3, 2e-3, -5e-3).strokes()] == [False, False]
+    assert [rapid for _, rapid in Cycle(82, 10e-3, 2e-3, -5e-3).strokes()] == [False, True]
 
 
 def test_g98_returns_to_where_the_cycle_was_called_and_g99_to_r(read):

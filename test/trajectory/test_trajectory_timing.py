@@ -78,7 +78,7 @@ def test_any_path_is_run_forward_within_all_limits(moves, tolerance):
         chord = np.linalg.norm(point[:2] - last)
         builder.move(point, feed, rapid, 3, 1.5 / chord if bent and chord > 1e-6 else 0.0)
         last = np.array(point[:2])
-    path = builder.build(3)
+    path = builder.build()
     timed = time_path(path, Timing(controller_step=0.01, corner_tolerance=tolerance))
     assert np.all(np.diff(timed.distance) >= -1e-15)
     for order, limit in ((2, 2.0), (3, 20.0)):
@@ -198,7 +198,7 @@ def test_the_tool_turns_evenly_along_a_block():
     builder.move((0.0, 0.0, 0.0), 0.0, True, 1)
     builder.quaternion = (np.cos(0.1), 0.0, np.sin(0.1), 0.0)
     builder.move((0.1, 0.0, 0.0), 0.05, False, 2)
-    timed = time_path(builder.build(2), Timing())
+    timed = time_path(builder.build(), Timing())
     angle = np.arctan2(timed.trajectory.quaternion[:, 2], timed.trajectory.quaternion[:, 0])
     np.testing.assert_allclose(angle, 0.1 * timed.distance / 0.1, atol=1e-12)
 

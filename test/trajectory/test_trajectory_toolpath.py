@@ -19,12 +19,12 @@ def corner() -> PathBuilder:
 
 
 def test_lengths_follow_the_arcs_and_not_their_chords():
-    path = corner().build(3)
+    path = corner().build()
     np.testing.assert_allclose(path.block_length, [0, 0.01, 0.01 * np.pi / 2])
 
 
 def test_points_on_the_path_lie_on_the_arc_with_its_tangent():
-    path = corner().build(3)
+    path = corner().build()
     position, tangent, _ = path.on_path(np.array([0.0, 0.005, 0.01, 0.01 + 0.01 * np.pi / 6, path.length]))
     angle = np.pi / 6
     on_arc = [0.01 + 0.01 * np.sin(angle), 0.01 - 0.01 * np.cos(angle), 0]
@@ -35,19 +35,19 @@ def test_points_on_the_path_lie_on_the_arc_with_its_tangent():
 def test_the_tangent_of_a_helix_climbs():
     builder = corner()
     builder.move((0.01, 0.02, 0.01), 0.02, False, 4, 100.0)
-    _, tangent, _ = builder.build(4).on_path(np.array([0.01 + 0.01 * np.pi / 2 + 1e-9]))
+    _, tangent, _ = builder.build().on_path(np.array([0.01 + 0.01 * np.pi / 2 + 1e-9]))
     np.testing.assert_allclose(tangent[0, 2], 1 / np.hypot(1, np.pi / 2), rtol=1e-6)
 
 
 def test_blocks_are_found_by_their_distance():
-    path = corner().build(3)
+    path = corner().build()
     assert path.block_at([-1.0, 0.0, 0.0099, 0.0101, 9.0]).tolist() == [1, 1, 1, 2, 2]
 
 
 def test_moves_to_where_the_tool_is_are_left_out():
     builder = corner()
     builder.move((0.02, 0.01, 0.0), 0.5, False, 9)
-    assert len(builder.build(9)) == 3
+    assert len(builder.build()) == 3
 
 
 def test_a_turn_on_the_spot_is_refused():
@@ -69,7 +69,7 @@ def test_a_turn_on_the_spot_is_refused():
 )
 def test_a_path_that_cannot_be_run_is_refused_with_its_block(change, index):
     names = ("position", "feed", "rapid", "line", "feature", "features", "curvature", "spindle_speed", "quaternion")
-    path = corner().build(3)
+    path = corner().build()
     with pytest.raises(ToolpathError) as caught:
         Toolpath(**{name: getattr(path, name) for name in names} | change)
     assert caught.value.index == index
