@@ -12,6 +12,7 @@ setup(
     package_data={
         package: [
             "py.typed",
+            "cell/draft.yaml",
             "report/page/*.html",
             "report/page/*.css",
             "report/page/*.js",

@@ -1,45 +1,115 @@
-"""One milling cell: its parameter file, and the models that it makes."""
+"""One milling cell: its parameter file as records, what they must agree in, and the models that they make."""
 
 from __future__ import annotations
 
 import functools
 import math
 import pathlib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from kr270_milling.bag.recorded_path import find_tool_path
+from kr270_milling.bag.recorded_path import find_tool_path, is_recording
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
-from kr270_milling.base.record import build, override, read_tree
-from kr270_milling.cell.path import fed_path, read_program, straight_cut, within_joint_limits
-from kr270_milling.cell.plausibility import MOST_STEPS, check_postures
-from kr270_milling.cell.records import Parameters, Path, Workpiece
-from kr270_milling.cutting import Cut
-from kr270_milling.robot import inverse_near, pose
+from kr270_milling.base.record import Record, build, override, parameter, read_tree
+from kr270_milling.cell.path import (
+    MOST_STEPS,
+    check_effort,
+    check_postures,
+    fed_path,
+    read_program,
+    straight_cut,
+    within_joint_limits,
+)
+from kr270_milling.cell.sections import Limits, Part, Path, Program, Uncertainty, Workpiece
+from kr270_milling.compensation.parameters import Compensation
+from kr270_milling.cutting import Cut, Cutting, Stock, Tool
+from kr270_milling.robot import Arm, Mount, inverse_near, pose
 from kr270_milling.simulation.arm_model import arm_model, modal_models
 from kr270_milling.simulation.dynamics import ArmModel, ModalModel
-from kr270_milling.simulation.exchange import Clock
+from kr270_milling.simulation.exchange import Clock, Exchange, Publish
+from kr270_milling.simulation.imperfections import Imperfections
+from kr270_milling.simulation.parameters import Dynamics
 from kr270_milling.simulation.reference_motion import approach
 from kr270_milling.trajectory.source_program import SourceProgram
-from kr270_milling.trajectory.timing import TimedPath
+from kr270_milling.trajectory.timing import TimedPath, Timing
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["MOST_STEPS", "Cell", "Path", "Workpiece", "read_cell", "with_program"]
-
+__all__ = ["Cell", "read_cell", "with_program"]
 
 SAME_PLACE = 1e-3  #: [mm], [deg]
 
 
-@dataclass(frozen=True, eq=False)
-class Cell(Parameters):
-    """The records of a parameter file with what follows from them; lengths in metres, workpiece axes."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Cell(Record):
+    """The whole parameter file with what follows from it; lengths in metres, workpiece axes."""
+
+    start_joints: np.ndarray = parameter(
+        [], unit="deg", low=-720.0, high=720.0, text="where the path starts, six joints: workpiece.at_start_joints"
+    )
+    posture_hint: np.ndarray = parameter(
+        [], unit="deg", low=-720.0, high=720.0, text="six joints near those of the path: they choose the branch"
+    )
+    arm: Arm
+    mount: Mount
+    workpiece: Workpiece
+    tool: Tool
+    cutting: Cutting
+    stock: Stock
+    path: Path
+    dynamics: Dynamics
+    exchange: Exchange
+    compensation: Compensation
+    publish: Publish = field(default_factory=Publish)
+    timing: Timing = field(default_factory=Timing)
+    program: Program = field(default_factory=Program)
+    limits: Limits = field(default_factory=Limits)
+    uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    part: Part = field(default_factory=Part)
+    imperfections: Imperfections = field(default_factory=Imperfections)
 
     def __post_init__(self):
         super().__post_init__()
         if not self.workpiece.xyz.size or not self.workpiece.abc.size:  # at the start joints
             object.__setattr__(self, "workpiece", self.placed())
+
+    def check(self) -> None:
+        turn = 2.0 * np.pi / self.exchange.micro_step
+        if abs(turn - round(turn)) > 1e-6:
+            raise ParameterError("exchange.micro_step_deg", np.degrees(self.exchange.micro_step), "a whole part of 360")
+        self._check_posture()
+        if self.tool.spindle_speed > 0.0:
+            self.exchange.clock(self.tool.spindle_speed)
+        elif not self.path.file or is_recording(self.path.file):
+            raise ParameterError("tool.spindle_speed_rpm", 0.0, "above 0 where no program says it")
+        if self.path.file:
+            return
+        duration = self.path.length / self.path.feed_rate
+        steps = duration / min(self.exchange.period, self.timing.controller_step)
+        if not steps <= MOST_STEPS:
+            allowed = f"faster: the pass would take {steps:.3g} steps, more than {MOST_STEPS:g}"
+            raise ParameterError("path.feed_rate_m_per_min", self.path.feed_rate * 60.0, allowed)
+        check_effort(self.exchange, self.tool, self.stock, duration)
+
+    def _check_posture(self) -> None:
+        """Six joints, once: where the path starts, or near it."""
+        placed = self.workpiece.at_start_joints
+        for key, value in (("start_joints_deg", self.start_joints), ("posture_hint_deg", self.posture_hint)):
+            if value.size not in (0, 6):
+                raise ParameterError(key, np.degrees(value).tolist(), "six joint positions")
+        if placed and not (self.path.length and self.path.feed_rate):
+            allowed = "false without a straight cut in path; give xyz_mm and abc_deg"
+            raise ParameterError("workpiece.at_start_joints", True, allowed)
+        if placed and not self.start_joints.size:
+            raise ParameterError("start_joints_deg", [], "six joint positions for workpiece.at_start_joints")
+        if not self.posture.size:
+            raise ParameterError("posture_hint_deg", None, "six joint positions (or give start_joints_deg)")
+
+    @property
+    def posture(self) -> np.ndarray:
+        """Joint positions [rad], (6,), at the start of the path or near them; they choose the branch."""
+        return self.start_joints if self.start_joints.size else self.posture_hint
 
     def __repr__(self) -> str:
         cut = self.path.file.rpartition("/")[2] or f"straight cut of {1e3 * self.path.length:g} mm"
@@ -86,20 +156,26 @@ class Cell(Parameters):
         tool = Pose(position, rotation_from_quaternion(quaternion))
         return inverse_near(self.arm, self.mount, self.workpiece.pose @ tool, self.posture)
 
+    def joints_along(self, reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
+        """Joint positions [rad], (n, 6), that command a trajectory at stamps (n,) [ns]."""
+        return self.joints_at(reference.sample(stamps), reference.sample_orientation(stamps))
+
     @functools.cached_property
     def modal_model(self) -> ModalModel:
         """Modes at the posture where the target trajectory starts, in workpiece axes."""
-        start = self.joints(self.target())[:1]
-        return modal_models(self.arm, self.mount, self.dynamics, self.workpiece.pose, start)[0]
+        return self.modes_at(self.joints(self.target())[:1])[0]
+
+    def modes_at(self, joints: np.ndarray) -> list[ModalModel]:
+        """Modes at postures (n, 6) [rad], in workpiece axes."""
+        return modal_models(self.arm, self.mount, self.dynamics, self.workpiece.pose, joints)
 
     def arm_model(self, reference: Trajectory) -> ArmModel:
         """Eq. (1) over one exchange period, at the posture where the reference starts or along all of it."""
         between, stamps = self._postures(reference)
-        joints = self.joints_at(reference.sample(stamps), reference.sample_orientation(stamps))
-        models = modal_models(self.arm, self.mount, self.dynamics, self.workpiece.pose, joints)
-        dynamics, period = self.dynamics, self.exchange.period
-        before = approach(self.target())
-        return arm_model(models, dynamics.damping_ratio, period, between, dynamics.reference_inertia, before)
+        models = self.modes_at(self.joints_along(reference, stamps))
+        dynamics, before = self.dynamics, approach(self.target())
+        ratio, inertia = dynamics.damping_ratio, dynamics.reference_inertia
+        return arm_model(models, ratio, self.exchange.period, between, inertia, before)
 
     def _postures(self, reference: Trajectory) -> tuple[int, np.ndarray]:
         """Exchange periods between two modelled postures, and the stamps [ns] of the postures."""

@@ -11,18 +11,19 @@ import numpy as np
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import Plant
-from kr270_milling.cell.response import arm_response
 from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.mirror import Mirror, mirror
+from kr270_milling.compensation.response import ArmResponse
 from kr270_milling.compensation.revision import PassRecord
+from kr270_milling.simulation.dynamics import ModalModel
 from kr270_milling.simulation.imperfections import Imperfections
 from kr270_milling.simulation.milling_pass import PassResult, run_pass
 from kr270_milling.simulation.scores import Scores, score
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = [
-    "ScoredPass", "commanded_joints", "compensated", "compensator", "expected_deviations", "joint_ranges", "mean_force",
-    "mirrored", "pass_record", "record_of", "scored", "simulate", "strayed",
+    "ScoredPass", "arm_response", "commanded_joints", "compensated", "compensator", "expected_deviations",
+    "joint_ranges", "mean_force", "pass_record", "record_of", "scored", "simulate",
 ]  # fmt: skip
 
 
@@ -113,6 +114,40 @@ def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Co
         lambda t: record_of(cell, simulate(cell, t)),
         lambda t, time_ns, shift: strayed(cell, t, time_ns, shift),
     )
+
+
+def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
+    """The modes of the arm on each segment of the target, at one posture or along the path, as the pass has them."""
+    models, posture = [cell.modal_model], np.zeros(len(target) - 1, int)  # posture: number of a segment's model
+    if cell.dynamics.follow_pose:
+        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target.position, axis=0), axis=1))])
+        place = np.rint(0.5 * (way[1:] + way[:-1]) / cell.dynamics.posture_spacing).astype(int)
+        _, first, posture = np.unique(place, return_index=True, return_inverse=True)
+        middle = (target.time_ns[1:] + target.time_ns[:-1])[first] // 2
+        models = cell.modes_at(cell.joints_along(target, middle))
+    ratios = [np.broadcast_to(cell.dynamics.damping_ratio if m.damping is None else m.damping, m.frequency.shape)
+              for m in models]  # fmt: skip
+    after = np.append(posture[1:], posture[-1])
+
+    def along(rows) -> np.ndarray:
+        return np.ascontiguousarray(np.stack(rows)[posture])
+
+    return ArmResponse(
+        frequency=along([model.frequency for model in models]),
+        damping=along(ratios),
+        inward=along([(model.shape.T @ model.mass @ model.reference)[:, :3] for model in models]),
+        outward=along([(model.output @ model.shape)[:3] for model in models]),
+        push=along([model.shape.T @ model.force for model in models]),
+        carry=np.array([_carry(models[k], models[n]) for k, n in zip(posture.tolist(), after.tolist(), strict=True)]),
+        moves=cell.dynamics.reference_inertia,
+    )
+
+
+def _carry(before: ModalModel, after: ModalModel) -> np.ndarray:
+    """The displacement stays from one posture to the next: u_after = Phi_after^T M_after Phi_before u_before."""
+    if before is after:
+        return np.eye(before.frequency.size)
+    return after.shape.T @ after.mass @ before.shape
 
 
 def expected_deviations(cell: Cell, references: Sequence[Trajectory]) -> list[float]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import Record, Spec, specs
-from kr270_milling.cell.records import Parameters
+from kr270_milling.cell.cell import Cell
 
 __all__ = ["keys_of"]
 
@@ -18,7 +18,7 @@ TYPES = {
 }  # fmt: skip
 
 
-def keys_of(section: str = "", record: type[Record] = Parameters) -> list[dict]:
+def keys_of(section: str = "", record: type[Record] = Cell) -> list[dict]:
     """The keys of a section, such as ``tool`` or ``cutting.linear_edge``, or of all; raises InputError for another.
 
     Of each: key as --set takes it, type, unit, low, high, above (exclusive lower bound), choices, size of a list

@@ -44,7 +44,7 @@ def imperfect_course(cell: Cell, reference: Trajectory, number: int) -> Trajecto
     if how.backlash.any():
         stamps = cell.clock.stamp(np.arange(cell.clock.steps(reference.duration_ns) + 1))
         stamps[-1] = max(int(stamps[-2]) + 1, min(int(stamps[-1]), reference.duration_ns))
-        joints = cell.joints_at(reference.sample(stamps), reference.sample_orientation(stamps))
+        joints = cell.joints_along(reference, stamps)
         moves = cell.workpiece.pose.rotation.T @ jacobian(cell.arm, cell.mount, joints)[:, :3]
         reference = backlash_course(reference, stamps, joints, moves, how.backlash)
     if not how.repeatability:

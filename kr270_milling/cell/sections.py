@@ -1,4 +1,4 @@
-"""Sections of the parameter file that describe the job: limits, tolerances, robot programs, uncertainty."""
+"""Sections of the parameter file that describe the job: where and what to cut, limits, tolerances, robot programs."""
 
 from __future__ import annotations
 
@@ -8,10 +8,82 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.bag.recorded_path import is_recording
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.base.record import Record, parameter
+from kr270_milling.base.frames import Pose
+from kr270_milling.base.record import Record, parameter, specs
 
-__all__ = ["Limits", "Part", "Program", "Uncertainty"]
+__all__ = ["Limits", "Part", "Path", "Program", "Uncertainty", "Workpiece"]
+
+
+@dataclass(frozen=True, eq=False)
+class Workpiece(Record):
+    """YAML ``workpiece``: where the part is clamped."""
+
+    xyz: np.ndarray = parameter(
+        [], unit="mm", low=-1e5, high=1e5, text="origin of the workpiece frame on base_link, three numbers"
+    )
+    abc: np.ndarray = parameter(
+        [], unit="deg", low=-360.0, high=360.0, text="its orientation, KUKA A, B, C, three numbers"
+    )
+    at_start_joints: bool = parameter(
+        False, text="place it so that start_joints_deg put the tool where the straight cut starts; xyz, abc follow"
+    )
+    fixtures: np.ndarray = parameter(
+        [], unit="mm", low=-1e5, high=1e5,
+        text="boxes that the tool must not enter, workpiece frame: x, y, z of both corners, one box after the other",
+    )  # fmt: skip
+
+    def check(self) -> None:
+        for key, given in (("xyz_mm", 1e3 * self.xyz), ("abc_deg", np.degrees(self.abc))):
+            if given.size != 3 and (given.size or not self.at_start_joints):
+                allowed = "three numbers (or, for a straight cut, give at_start_joints: true instead)"
+                raise ParameterError(key, given.tolist() or None, allowed)
+        if self.fixtures.size % 6:
+            raise ParameterError("fixtures_mm", (1e3 * self.fixtures).tolist(), "six numbers for each box")
+
+    @property
+    def fixture_boxes(self) -> np.ndarray:
+        """Lower and upper corner of each box [m], (n, 2, 3), workpiece frame."""
+        return np.sort(self.fixtures.reshape(-1, 2, 3), axis=1)
+
+    @property
+    def pose(self) -> Pose:
+        """workpiece -> base_link."""
+        return Pose.from_abc(self.xyz, self.abc)
+
+
+@dataclass(frozen=True, eq=False)
+class Path(Record):
+    """YAML ``path``: a tool path file, or a straight cut along +x of the workpiece frame."""
+
+    file: str = parameter(
+        "", text="G-code, APT/CL, CSV of points or a recording of a path, workpiece frame; empty: a straight cut"
+    )
+    topic: str = parameter("", text="of a recording: where its path is, if several topics hold one")
+    tool: str = parameter("", text="of a program with several tools: whose moves are run, as T1")
+    start: np.ndarray = parameter(
+        [0.0, 0.0], unit="mm", size=2, low=-1e5, high=1e5, text="straight cut: x, y of the tool tip at the start"
+    )
+    depth_of_cut: float = parameter(0.0, unit="mm", low=0.0, high=100.0, text="straight cut: a_p below the stock's top")
+    length: float = parameter(0.0, unit="mm", low=0.0, high=10000.0, text="straight cut: its length")
+    feed_rate: float = parameter(
+        0.0, unit="m_per_min", low=0.0, high=60.0,
+        text="feed rate v_f of a straight cut, a program without F, or a recorded path whose poses have one stamp",
+    )  # fmt: skip
+
+    radial_immersion: float = parameter(
+        1.0, above=0.0, high=1.0, text="stability: width of the cut, a share of the diameter"
+    )
+    mode: str = parameter("slot", choices=("slot", "up", "down"), text="stability: sense of a cut that is no slot")
+
+    def check(self) -> None:
+        if self.topic and not is_recording(self.file):
+            raise ParameterError("topic", self.topic, "empty where path.file is no recording (.mcap)")
+        for spec in specs(Path):
+            if not self.file and spec.kind is float and not getattr(self, spec.name) > 0.0:
+                value = getattr(self, spec.name) / spec.scale
+                raise ParameterError(spec.key, value, "above 0 for a straight cut (or give path.file)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +110,8 @@ class Limits(Record):
         0.5, above=0.0, high=10.0, text="share of the correction that the blending of LIN motions may round off"
     )
     rapid_contact: float = parameter(
-        20e-6, unit="um", low=0.0, high=1e4,
-        text="deepest contact of a rapid move beyond the spring-back of the arm",
-    )  # fmt: skip
+        20e-6, unit="um", low=0.0, high=1e4, text="deepest contact of a rapid move beyond the spring-back of the arm"
+    )
     below_stock: float = parameter(
         0.0, unit="mm", low=0.0, high=1e3, text="how far the tool may go below the stock, into a sacrificial plate"
     )
@@ -84,9 +155,6 @@ def _feature(text: str) -> tuple[str, float]:
     return name, value
 
 
-TEMPLATES = ("spindle_on", "spindle_off", "coolant_on", "coolant_off")
-
-
 @dataclass(frozen=True, eq=False)
 class Program(Record):
     """Names, motions and the machine's own commands of the robot programs."""
@@ -116,13 +184,12 @@ class Program(Record):
 
     def check(self) -> None:
         if not re.fullmatch(r"[A-Z][A-Z0-9_]{0,15}", self.name):  # with _ORG_001 the 24 characters of a KRL name
-            allowed = "1 to 16 characters of A-Z, 0-9 and _, the first a letter"
-            raise ParameterError("name", self.name, allowed)
+            raise ParameterError("name", self.name, "1 to 16 characters of A-Z, 0-9 and _, the first a letter")
         if not re.fullmatch(r"[A-Z$][A-Z0-9_$]{0,23}", self.home):
             raise ParameterError("home", self.home, "the name of an axis position, A-Z, 0-9, _ and $")
         if self.home_angles.size not in (0, 6):
             raise ParameterError("home_angles_deg", np.degrees(self.home_angles).tolist(), "empty or six angles")
-        for key in TEMPLATES:
+        for key in ("spindle_on", "spindle_off", "coolant_on", "coolant_off"):
             for line in getattr(self, key):
                 if not re.fullmatch(r"[ -~]{1,200}", line):
                     raise ParameterError(key, line, "lines of 1 to 200 printable ASCII characters")
@@ -154,7 +221,7 @@ class Uncertainty(Record):
         low=0.0,
         high=1.0,
         text="share of the plants whose reference moves the motor side, as every real arm's does",
-    )
+    )  # fmt: skip
     # ISO 9283, 0.06 mm: data sheet of the KR 270; noise: a laser tracker at some metres; backlash: half a minute of arc
     repeatability: float = parameter(60e-6, unit="um", low=0.0, high=1e4, text="largest repeatability of a plant")
     pose_noise: float = parameter(10e-6, unit="um", low=0.0, high=1e4, text="largest noise of a measured position")

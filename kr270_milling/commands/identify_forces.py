@@ -52,7 +52,7 @@ def _tool(args):
 
     from kr270_milling.base.errors import InputError
     from kr270_milling.base.record import build, find_file, read_tree
-    from kr270_milling.cell.records import Workpiece
+    from kr270_milling.cell.sections import Workpiece
     from kr270_milling.cutting.tool import Tool
 
     tree: dict = {}

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterable
 
 from kr270_milling.bag.stamps import Passes
 from kr270_milling.base.samples import PoseSample, WrenchSample
-from kr270_milling.cell.cell import MOST_STEPS, Cell
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.protocols import cut_protocol, robot_protocol
 from kr270_milling.replay.compare import Channel
 from kr270_milling.simulation.protocol import Output

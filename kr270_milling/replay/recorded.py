@@ -13,8 +13,9 @@ import numpy as np
 
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import MillingError, RecordingError
-from kr270_milling.cell.cell import MOST_STEPS, Cell
+from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
+from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_course
 from kr270_milling.messages.codec import trajectory_from_bytes
 from kr270_milling.messages.series import Series, several

@@ -45,7 +45,7 @@ class RobotModels:
     clock_every: int
     arm_model: Callable[[Trajectory], ArmModel]
     course: Callable[[Trajectory, int], Trajectory]  #: reference, number of the pass -> where the motors take the tool
-    joints_at: Callable[[np.ndarray, np.ndarray], np.ndarray]  #: positions (n, 3), quaternions (n, 4) -> (n, 6) [rad]
+    joints_along: Callable[[Trajectory, np.ndarray], np.ndarray]  #: reference, stamps (n,) [ns] -> (n, 6) [rad]
     description: str  #: URDF
     warn_correction: float  #: share of the feed per tooth above which a correction is large
     tooth_rate: float  #: teeth that pass in a second [1/s]
@@ -74,7 +74,7 @@ class RobotProtocol:
         course = models.course(reference, self.passes)
         side = RobotSide(models.arm_model(reference), models.clock, course, models.iterations)
         stamps = side.stamps[:: models.joints_every]  # the encoders stand on the motors' side
-        self._joints = models.joints_at(reference.sample(stamps), reference.sample_orientation(stamps))
+        self._joints = models.joints_along(reference, stamps)
         self.side = side
         self._step = 0
         self._asked = 0

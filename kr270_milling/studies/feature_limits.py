@@ -14,7 +14,6 @@ import numpy as np
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decision.check_cut import engagement
 from kr270_milling.decision.part.course import course
-from kr270_milling.simulation.arm_model import modal_models
 from kr270_milling.studies.lobes import Lobe, lobe_at, modes_of
 from kr270_milling.studies.placements import about_z
 
@@ -59,7 +58,7 @@ def _limit(cell: Cell, arm: bool, time_ns: int, heading: float) -> Lobe:
     run, model = cell.target(), None
     if arm:
         place, turn = (sample(np.array([time_ns])) for sample in (run.sample, run.sample_orientation))
-        model = modal_models(cell.arm, cell.mount, cell.dynamics, cell.workpiece.pose, cell.joints_at(place, turn))[0]
+        model = cell.modes_at(cell.joints_at(place, turn))[0]
     modes = modes_of(cell, arm, model)
     shape = modes.shape @ about_z(np.array([heading]))[0]  # rows: Rz(-heading) phi
     return lobe_at(cell, dataclasses.replace(modes, shape=shape), cell.tool.spindle_speed)

@@ -8,7 +8,7 @@ from kr270_milling.base.errors import ConfigError, MillingError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cell.plausibility import MOST_VISITS, check_effort, check_postures, sinking
+from kr270_milling.cell.path import MOST_VISITS, check_effort, check_postures, sinking
 
 FILE = find_file("paper.yaml")
 CELL = read_cell(FILE)

@@ -10,9 +10,8 @@ import pytest
 import yaml
 
 from kr270_milling.base.record import Record, flatten, specs
-from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.keys import keys_of
-from kr270_milling.cell.records import Parameters
 from kr270_milling.cli import main
 
 PROGRAMS = Path(__file__).parents[1] / "trajectory" / "programs"
@@ -113,7 +112,7 @@ def leaves(record: type[Record]) -> int:
 def test_every_parameter_has_a_key_with_a_meaning():
     found = keys_of()
     names = {key["key"] for key in found}
-    assert len(found) == leaves(Parameters) == len(names)
+    assert len(found) == leaves(Cell) == len(names)
     assert all(key["text"] or key["choices"] for key in found)
     shipped = flatten(read_cell(TEST_PIECE.with_suffix(".yaml")))
     rest = names - set(shipped)
