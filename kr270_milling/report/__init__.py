@@ -5,20 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
+from kr270_milling.base.record import flatten
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decision.part import PartAssessment, assess_all
-from kr270_milling.report.charts_compare import comparison_charts
-from kr270_milling.report.charts_pass import pass_charts
-from kr270_milling.report.charts_setup import setup_charts
-from kr270_milling.report.decision_block import DecisionBlock, ReportTable, decision_block, judged
-from kr270_milling.report.linked import linked
-from kr270_milling.report.page.page import render
+from kr270_milling.report import tables as texts
+from kr270_milling.report.assumptions import assumptions
+from kr270_milling.report.decision_block import DecisionBlock, asked, decision_block, finding_rows, judged, tiles
+from kr270_milling.report.linked import linked, part_surface
+from kr270_milling.report.page import page
 from kr270_milling.report.robot_model import robot_model
-from kr270_milling.report.series import inside, write_series
-from kr270_milling.report.surface_map import part_surface
+from kr270_milling.report.series import write_series
+from kr270_milling.report.straight_cut import charts_of
+from kr270_milling.report.tables import ReportTable
 
 __all__ = ["DecisionBlock", "ReportTable", "decision_block", "write_report", "write_series"]
 
@@ -48,33 +51,59 @@ def write_report(
     """
     if not passes:
         raise InputError(title, "a report needs at least one pass")
-    place = inside(directory)
+    file, timed = cell.path.file, cell.timed_path
     parts = parts or assess_all(cell, passes)
     decision = decision or judged(cell, passes, parts)
-    text = render(
-        cell, passes, parts, _data(cell, passes, parts, paper, program), title=title, source=source, command=command,
-        date=date, paper=paper, decision=decision, more=tables,
-    )  # fmt: skip
-    write_files({place / "report.html": (text,)})
-    return place / "report.html"
-
-
-def _data(cell: Cell, passes, parts, paper: bool, program: str | None) -> dict:
-    """What the page's scripts draw."""
-    charts = setup_charts(cell)
-    if not cell.path.file:
-        charts += [*pass_charts(cell, passes[0]), *comparison_charts(cell, passes, parts)]
-    sizes = [t.whole.max_normal for t in parts] if cell.path.file else [p.scores.max_deviation for p in passes]
-    best = min(range(len(passes)), key=lambda k: sizes[k])
-    return {
-        "linked": linked(cell, passes, parts, program),
+    names = [p.name for p in passes]
+    sizes = [part.whole.max_normal for part in parts] if file else [p.scores.max_deviation for p in passes]
+    best = int(np.argmin(sizes))
+    pictures, robot, charts = (
+        linked(cell, passes, parts, program),
+        robot_model(cell, passes[best]),
+        charts_of(cell, passes, parts),
+    )
+    data = {  # what the page's scripts draw
+        "linked": pictures,
         "surface": part_surface(parts),
-        "robot": robot_model(cell, passes[best]),
+        "robot": robot,
         "charts": charts,
         "paper": paper,
         "best": best,
         "tolerance_um": [1e6 * allowed for allowed in cell.part.of()],
         "stock_mm": [*(cell.stock.min * 1e3), *(cell.stock.max * 1e3)],
         "engaged_s": cell.full_engagement,
-        "part": bool(cell.path.file),
+        "part": bool(file),
     }
+    text = page.page_text(
+        page.HERE / "report.html",
+        page.SCRIPTS,
+        title=title,
+        cell=cell,
+        timed=timed,
+        path_file=Path(file).name,
+        speed_rpm=cell.tool.spindle_speed * 30 / np.pi,
+        source=Path(source).name,
+        command=command,
+        date=date,
+        paper=paper,
+        paper_source=texts.PAPER,
+        names=names,
+        asked=asked(cell, passes),
+        tiles=tiles(decision, names, sizes),
+        findings=finding_rows(decision),
+        scores=texts.part_scores(parts) if file else texts.line_scores(passes, paper),
+        features=texts.feature_table(parts) if file else None,
+        more=[texts.typographic(t) for t in tables if t.rows],
+        details=texts.details(passes),
+        inputs=texts.input_rows(cell, robot.joints[0]),
+        warning=texts.warning(cell, passes),
+        assumptions=assumptions(cell, paper),
+        configuration=[(key, texts.shown(value, key)) for key, value in flatten(cell).items()],
+        charts=charts,
+        has_source=bool(pictures.source),
+        data=page.to_json(data),
+    )
+    path = Path(directory) / "report.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_files({path: (text,)})
+    return path

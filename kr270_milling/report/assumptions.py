@@ -6,6 +6,7 @@ Only what affects the run at hand is listed; values are those of the cell, never
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -35,12 +36,10 @@ def mode_frequencies(cell: Cell) -> dict[str, np.ndarray]:
     start = cell.joints(cell.target())[:1]
     found = {}
     for name in MODELS:
-        dynamics = cell.dynamics.replace(mass_model=name)
-        try:
+        with contextlib.suppress(MillingError):
+            dynamics = cell.dynamics.replace(mass_model=name)
             (model,) = modal_models(cell.arm, cell.mount, dynamics, cell.workpiece.pose, start)
-        except MillingError:
-            continue
-        found[name] = model.frequency / (2 * np.pi)
+            found[name] = model.frequency / (2 * np.pi)
     return found
 
 
@@ -48,7 +47,8 @@ def assumptions(cell: Cell, paper: bool) -> list[Assumption]:
     """The rows that hold for this cell; with ``paper`` also those about the paper's text and Table 2."""
     rows: list[Assumption] = []
     passing = cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth
-    per_tooth = cell.feed_rate / passing
+    per_tooth, law = cell.feed_rate / passing, cell.cutting.fractional
+    u = per_tooth / law.specific_chip_thickness
     modes = mode_frequencies(cell).items()
     jinja2.Template(TEXT.read_text(encoding="utf-8"), undefined=jinja2.StrictUndefined).render(
         row=lambda *texts: rows.append(Assumption(*map(str, texts))),
@@ -57,17 +57,10 @@ def assumptions(cell: Cell, paper: bool) -> list[Assumption]:
         passing=passing,
         per_tooth=per_tooth,
         force=float(cell.cutting.force_per_depth(per_tooth)[0]) * 1e-3,
-        printed=_as_printed(cell, per_tooth),
+        printed=law.stiffness * (u + law.ratio * u * u) / (1 + u) * 1e-6,  # (26) to the letter, [kN] for 1 mm of depth
         helix=np.degrees(cell.tool.helix),
         micro_step=np.degrees(cell.exchange.micro_step),
         modes="; ".join(f"{name}: {', '.join(f'{f:.2f}' for f in hz[:3])} Hz" for name, hz in modes),
         way=cell.path.length if cell.timed_path is None else cell.timed_path.toolpath.length,
     )
     return rows
-
-
-def _as_printed(cell: Cell, h: float) -> float:
-    """(26) to the letter, [kN] for 1 mm of depth."""
-    law = cell.cutting.fractional
-    u = h / law.specific_chip_thickness
-    return law.stiffness * (u + law.ratio * u * u) / (1 + u) * 1e-3 * 1e-3

@@ -1,4 +1,4 @@
-"""The pictures that are linked by place: everything that is known at each station of the passes of one path."""
+"""The pictures that are linked by place: everything that is known at each station of the passes, and the part."""
 
 from __future__ import annotations
 
@@ -12,27 +12,26 @@ from scipy.ndimage import binary_closing
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decision.part import PartAssessment
-from kr270_milling.report.stations import stations
+from kr270_milling.report.charts import envelope_index, stations
 
-__all__ = ["Linked", "PassSeries", "SourceLine", "linked"]
+__all__ = ["Linked", "PartSurface", "PassSeries", "PassSurface", "SourceLine", "linked", "part_surface"]
 
 LONGEST = 160  #: characters of a source line
 MOST_LINES = 4000  #: of the source; beyond it only those on which a station lies
+MOST_CELLS = 120  #: of the part's map along its longer side
+WALL_BUCKETS = 400
 
 
 @dataclass(frozen=True, eq=False)
 class PassSeries:
-    """One pass at the stations."""
+    """One pass at the stations, (k,) each; NaN beyond its end."""
 
     name: str
-    side: np.ndarray  #: deviation to the left of the path [um], (k,)
-    height: np.ndarray  #: deviation upwards [um], (k,)
-    force: np.ndarray  #: magnitude of the mean over an exchange period [N], (k,)
-    correction: np.ndarray  #: reference minus target, to the left of the path [um], (k,)
-    lift: np.ndarray  #: the same, upwards [um], (k,)
-
-    def at(self, rows: np.ndarray) -> PassSeries:
-        return PassSeries(self.name, *(values[rows] for values in list(vars(self).values())[1:]))
+    side: np.ndarray  #: deviation to the left of the path [um]
+    height: np.ndarray  #: deviation upwards [um]
+    force: np.ndarray  #: magnitude of the mean over an exchange period [N]
+    correction: np.ndarray  #: reference minus target, to the left of the path [um]
+    lift: np.ndarray  #: the same, upwards [um]
 
 
 @dataclass(frozen=True)
@@ -66,23 +65,20 @@ def linked(
 ) -> Linked:
     """Thin the passes to their common stations; the largest deviation and force of every pass are among them.
 
-    Passes that were cut off are NaN beyond their end.
+    program: text of the tool path file, where it is not there any more.
     """
-    longest = max(range(len(passes)), key=lambda i: len(passes[i].result.time_ns))
-    time_ns, path = passes[longest].result.time_ns, parts[longest].path
+    result, part = max(zip((p.result for p in passes), parts, strict=True), key=lambda both: len(both[0].time_ns))
+    time_ns, target, path = result.time_ns, result.target, part.path
     cutting = np.zeros(time_ns.size, bool)
     series = []
-    for one, part in zip(passes, parts, strict=True):
+    for one, assessed in zip(passes, parts, strict=True):
         rows = np.searchsorted(one.result.time_ns, time_ns)
         known = rows < one.result.time_ns.size
         known[known] = one.result.time_ns[rows[known]] == time_ns[known]
-        series.append(_series(one, part, rows, known))
-        cutting[known] |= part.cutting[rows[known]]
-    shown = [np.where(cutting, values, np.nan) for one in series for values in (one.side, one.force)]
-    chosen = stations(shown)
-    engaged = passes[longest].result.time >= cell.full_engagement - 1e-9
-    target, timed = passes[longest].result.target, cell.timed_path
-    knots = cell.target().time_ns
+        series.append(np.where(known, _series(one, assessed)[:, np.where(known, rows, 0)], np.nan))
+        cutting[known] |= assessed.cutting[rows[known]]
+    chosen = stations([np.where(cutting, values, np.nan) for side, _, force, *_ in series for values in (side, force)])
+    engaged, timed, knots = result.time >= cell.full_engagement - 1e-9, cell.timed_path, cell.target().time_ns
     line = np.zeros(time_ns.size, np.int64) if timed is None else timed.toolpath.line[timed.block_at(time_ns)]
     return Linked(
         time=time_ns[chosen] * 1e-9,
@@ -96,7 +92,7 @@ def linked(
         features=tuple(path.features),
         cutting=_joined(cutting, cell)[chosen].astype(np.int64),
         scored=(cutting & engaged)[chosen].astype(np.int64),
-        passes=tuple(s.at(chosen) for s in series),
+        passes=tuple(PassSeries(p.name, *rows[:, chosen]) for p, rows in zip(passes, series, strict=True)),
         source=_source(cell, line[chosen], program),
         source_name=Path(cell.path.file).name if cell.path.file else "",
     )
@@ -108,18 +104,12 @@ def _joined(cutting: np.ndarray, cell: Cell) -> np.ndarray:
     return binary_closing(np.pad(cutting, turn + 1), np.ones(turn + 1, bool))[turn + 1 : -turn - 1] | cutting
 
 
-def _series(one: ScoredPass, part: PartAssessment, rows: np.ndarray, known: np.ndarray) -> PassSeries:
-    """Not yet thinned, at all times of the longest pass."""
-    left = part.path.left
+def _series(one: ScoredPass, part: PartAssessment) -> np.ndarray:
+    """The rows of PassSeries at all times of the pass, (5, n)."""
     shift = one.result.reference - one.result.target
-    columns = (
-        part.deviation[:, 1] * 1e6,
-        part.deviation[:, 2] * 1e6,
-        part.force,
-        np.sum(shift[:, :2] * left, axis=1) * 1e6,
-        shift[:, 2] * 1e6,
-    )
-    return PassSeries(one.name, *(np.where(known, values[np.where(known, rows, 0)], np.nan) for values in columns))
+    across = np.sum(shift[:, :2] * part.path.left, axis=1)
+    _, side, height = part.deviation.T * 1e6
+    return np.stack([side, height, part.force, across * 1e6, shift[:, 2] * 1e6])
 
 
 def _source(cell: Cell, used: np.ndarray, program: str | None) -> tuple[SourceLine, ...]:
@@ -134,3 +124,63 @@ def _source(cell: Cell, used: np.ndarray, program: str | None) -> tuple[SourceLi
     lines = program.splitlines()
     wanted = range(1, len(lines) + 1) if len(lines) <= MOST_LINES else np.unique(used[used > 0]).tolist()
     return tuple(SourceLine(n, lines[n - 1][:LONGEST]) for n in wanted if n <= len(lines))
+
+
+@dataclass(frozen=True, eq=False)
+class PassSurface:
+    """Errors that one pass leaves; positive: material is left standing."""
+
+    name: str
+    floor: np.ndarray  #: [um], (b, a), rows along y; NaN: no floor
+    wall: np.ndarray  #: [um], (w,), at the walls of PartSurface
+
+
+@dataclass(frozen=True, eq=False)
+class PartSurface:
+    """The part as machined, thinned for a picture; axes of the workpiece frame [mm]."""
+
+    x: np.ndarray  #: (a,)
+    y: np.ndarray  #: (b,)
+    z: np.ndarray  #: height of the part, (b, a)
+    wall_x: np.ndarray  #: (w,)
+    wall_y: np.ndarray
+    wall_z: np.ndarray  #: of the upper edge
+    passes: tuple[PassSurface, ...]
+
+
+def part_surface(parts: Sequence[PartAssessment]) -> PartSurface:
+    """The surfaces of all passes on one thinned grid; each cell shows its largest floor error."""
+    floors, walls = parts[0].surface.floors, parts[0].surface.walls
+    share = max(1, -(-max(floors.height.shape) // MOST_CELLS))
+    x, y = (np.nanmean(_blocks(axis[None], 1, share), axis=-1)[0] * 1e3 for axis in (floors.x, floors.y))
+    height = np.nanmean(_blocks(floors.height, share, share), axis=-1) * 1e3
+    errors = [part.surface.walls.error for part in parts]
+    same = [error for error in errors if error.size == walls.error.size]
+    chosen = np.unique(np.concatenate([envelope_index(error, WALL_BUCKETS) for error in same]))
+    place = walls.position[chosen] * 1e3
+    place[:, 2] += walls.height[chosen] * 1e3
+    unknown = np.full(chosen.size, np.nan)
+    passes = tuple(
+        PassSurface(
+            part.name,
+            _largest(_blocks(part.surface.floors.error, share, share)).T * 1e6,
+            error[chosen] * 1e6 if error.size == walls.error.size else unknown,
+        )
+        for part, error in zip(parts, errors, strict=True)
+    )
+    return PartSurface(x, y, height.T, *place.T, passes)
+
+
+def _blocks(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """Blocks of rows x columns cells, (b, a, rows * columns); those at the far edges are filled up with NaN."""
+    down, across = -(-values.shape[0] // rows), -(-values.shape[1] // columns)
+    padded = np.full((down * rows, across * columns), np.nan)
+    padded[: values.shape[0], : values.shape[1]] = values
+    return padded.reshape(down, rows, across, columns).transpose(0, 2, 1, 3).reshape(down, across, -1)
+
+
+def _largest(blocks: np.ndarray) -> np.ndarray:
+    """The value of the largest magnitude, with its sign; NaN where there is none."""
+    size = np.where(np.isnan(blocks), -1.0, np.abs(blocks))
+    best = np.argmax(size, axis=-1)
+    return np.take_along_axis(blocks, best[..., None], axis=-1)[..., 0]

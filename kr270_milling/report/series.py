@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
@@ -17,7 +16,7 @@ from kr270_milling.simulation.scores import path_deviation
 from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.trajectory.trajectory_csv import write_csv
 
-__all__ = ["deviation_of", "file_names", "inside", "series_lines", "series_rows", "write_series"]
+__all__ = ["deviation_of", "file_names", "series_lines", "series_rows", "write_series"]
 
 #: the unit is in the name: s, mm, deg, N; times have nine decimals
 COLUMNS = (
@@ -37,25 +36,12 @@ def deviation_of(result: PassResult, target: Trajectory) -> np.ndarray:
     return path_deviation(result.actual, result.target, target.sample_velocity(result.time_ns))
 
 
-def inside(directory, *names: str) -> Path:
-    """A directory below ``directory``, made if need be; raises InputError where a link would lead out of it."""
-    path = Path(directory)
-    path.mkdir(parents=True, exist_ok=True)
-    for name in names:
-        path = path / name
-        if path.is_symlink() or (path.exists() and not path.is_dir()):
-            raise InputError(path, "must be a directory of its own to write into, not a link or a file")
-        path.mkdir(exist_ok=True)
-    return path
-
-
 def file_names(names: Sequence[str]) -> list[str]:
     """One harmless and different file name stem for each pass name."""
     stems: list[str] = []
     for name in names:
-        stem = re.sub(r"[^A-Za-z0-9-]+", "_", name)[:60].strip("_") or "pass"
+        stem = unique = re.sub(r"[^A-Za-z0-9-]+", "_", name)[:60].strip("_") or "pass"
         number = 2
-        unique = stem
         while unique.lower() in (s.lower() for s in stems):
             unique, number = f"{stem}_{number}", number + 1
         stems.append(unique)
@@ -67,7 +53,8 @@ def write_series(directory, cell: Cell, passes: Sequence[ScoredPass]) -> list[Pa
 
     Returns the paths, first those of the series. Each file appears whole or not at all.
     """
-    place, target = inside(directory), cell.target()
+    place, target = Path(directory), cell.target()
+    place.mkdir(parents=True, exist_ok=True)
     series, references = [], []
     for stem, one in zip(file_names([p.name for p in passes]), passes, strict=True):
         series.append(place / f"{stem}.csv")

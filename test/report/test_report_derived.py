@@ -1,4 +1,4 @@
-"""report.derived: micro-step forces, spectra."""
+"""report.charts and report.straight_cut: micro-step forces, spectra, walls."""
 
 from __future__ import annotations
 
@@ -9,13 +9,8 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.decision.part import assess_all
-from kr270_milling.report.charts_compare import comparison_charts
-from kr270_milling.report.derived import (
-    amplitude_spectrum,
-    micro_step_forces,
-    moving_mean,
-    thinned_spectrum,
-)
+from kr270_milling.report.charts import amplitude_spectrum, moving_mean, thinned_spectrum
+from kr270_milling.report.straight_cut import machined_profile, micro_step_forces
 
 
 def test_micro_step_forces_average_to_the_wrench_of_each_exchange_period():
@@ -57,7 +52,7 @@ def test_both_walls_of_a_slot_are_shown_where_the_tool_was_pushed_to():
     """Positive is to the left of the feed, on the left wall (cut too deep) as on the right one (material left)."""
     cell = read_cell(find_file("paper.yaml"), ["path.length_mm=20.0", "stock.grid_step_um=40.0"])
     ran = simulate(cell)
-    chart = comparison_charts(cell, [ran], assess_all(cell, [ran]))[-1]
+    chart = machined_profile(assess_all(cell, [ran]))[0]
     assert [panel.title for panel in chart.panels] == ["left wall", "right wall"]
     for panel in chart.panels:
         (shown,) = panel.curves

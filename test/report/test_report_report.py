@@ -20,7 +20,7 @@ from kr270_milling.report import ReportTable, write_report
 from kr270_milling.report.assumptions import assumptions, mode_frequencies
 from kr270_milling.report.decision_block import Answer, DecisionBlock
 from kr270_milling.report.page.page import plotly_script
-from kr270_milling.report.payload import fixed
+from kr270_milling.report.tables import fixed
 
 SHORT = ["path.length_mm=12.0", "stock.grid_step_um=40.0"]
 WORDS = dict(title="A pass", source="/elsewhere/some one/paper.yaml", command="kr270_milling demo", date="2025-01-02")

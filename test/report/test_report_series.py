@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import os
-
 import numpy as np
 import pytest
 
-from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
-from kr270_milling.report.series import COLUMNS, deviation_of, file_names, inside, write_series
+from kr270_milling.report.series import COLUMNS, deviation_of, file_names, write_series
 from kr270_milling.trajectory.trajectory_csv import read_csv
 
 
@@ -78,13 +75,3 @@ def test_file_names_are_plain_and_different_even_without_regard_to_case():
     names = file_names(["a b", "a/b", "A_B", "", "..", "x" * 300, "Ω"])
     assert len({n.lower() for n in names}) == len(names)
     assert all(n.strip("_") and set(n) <= set("abAB_x0123456789pas") and len(n) <= 64 for n in names)
-
-
-def test_a_link_below_the_directory_is_not_followed(tmp_path):
-    elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
-    out = tmp_path / "out"
-    out.mkdir()
-    os.symlink(elsewhere, out / "figures")
-    with pytest.raises(InputError, match="figures"):
-        inside(out, "figures")

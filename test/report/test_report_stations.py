@@ -1,4 +1,4 @@
-"""report.stations and report.linked: thinned to what can be seen, no maximum lost."""
+"""report.charts and report.linked: thinned to what can be seen, no maximum lost."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from milled_part import POCKET, small_cell
 
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.decision.part import assess_all
-from kr270_milling.report.linked import linked
-from kr270_milling.report.stations import envelope_index, stations
-from kr270_milling.report.surface_map import MOST_CELLS, part_surface
+from kr270_milling.report.charts import envelope_index, stations
+from kr270_milling.report.linked import MOST_CELLS, linked, part_surface
 from kr270_milling.simulation.scores import path_deviation
 
 

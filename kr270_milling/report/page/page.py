@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
+import base64
+import dataclasses
 import functools
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
 import jinja2
+import numpy as np
 from markupsafe import Markup
 
 from kr270_milling import __version__
-from kr270_milling.base.record import flatten
-from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.decision.part import PartAssessment
-from kr270_milling.report.assumptions import assumptions
-from kr270_milling.report.decision_block import DecisionBlock, ReportTable
-from kr270_milling.report.page import tables
-from kr270_milling.report.page.first_screen import asked, finding_rows, tiles
-from kr270_milling.report.paper import PAPER
-from kr270_milling.report.payload import to_json
-from kr270_milling.report.symbols import SYMBOLS
 
-__all__ = ["SCRIPTS", "plotly_script", "render", "script_text"]
+__all__ = ["BASE_SCRIPT", "SCRIPTS", "page_text", "plotly_script", "to_json"]
 
 HERE = Path(__file__).parent
-#: in the order in which the page runs them
-SCRIPTS = ("base.js", "place.js", "maps.js", "series.js", "source.js", "part.js", "robot.js", "charts.js", "start.js")
+BASE_SCRIPT = HERE / "base.js"
+#: of the report, in the order in which the page runs them
+SCRIPTS = (BASE_SCRIPT, *(
+    HERE / f"{name}.js" for name in ("place", "maps", "series", "source", "part", "robot", "charts", "start")
+))  # fmt: skip
+LONG = 12  #: a longer row is packed
 
 
 @functools.cache
@@ -34,45 +31,47 @@ def plotly_script() -> Markup:
     """plotly.min.js as the plotly package ships it."""
     import plotly
 
-    text = (Path(plotly.__file__).parent / "package_data" / "plotly.min.js").read_text(encoding="utf-8")
-    return Markup(text.replace("</script", "<\\/script"))
+    return Markup(
+        _text(Path(plotly.__file__).parent / "package_data" / "plotly.min.js").replace("</script", "<\\/script")
+    )
 
 
-def script_text(names: Sequence[str] = SCRIPTS) -> Markup:
-    """Our own scripts, one after the other."""
-    return Markup("\n".join((HERE / name).read_text(encoding="utf-8") for name in names))
-
-
-def render(
-    cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment], data: dict, *, decision: DecisionBlock,
-    more: Sequence[ReportTable], title: str, source: str, command: str, date: str, paper: bool,
-) -> str:  # fmt: skip
-    """The whole HTML text, every text from outside escaped; data: what the scripts draw."""
-    text = (HERE / "report.html").read_text(encoding="utf-8")
-    strict = jinja2.StrictUndefined
-    return jinja2.Template(text, autoescape=True, undefined=strict, trim_blocks=True, lstrip_blocks=True).render(
-        title=title,
+def page_text(template: Path, scripts: Sequence[Path], **values) -> str:
+    """The whole HTML text in the report's style, with plotly and our own scripts; other texts are escaped."""
+    options = dict(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    return jinja2.Template(_text(template), **options).render(
         version=__version__,
-        paper=paper,
-        paper_source=PAPER,
-        asked=asked(cell, passes),
-        tiles=tiles(decision, passes, parts if cell.path.file else ()),
-        findings=finding_rows(decision),
-        scores=tables.part_scores(parts) if cell.path.file else tables.line_scores(passes, paper),
-        features=tables.feature_table(parts) if cell.path.file else None,
-        more=[tables.typographic(t) for t in more if t.rows],
-        run=tables.run_rows(cell, source, command, date),
-        inputs=tables.input_rows(cell, data["robot"].joints[0]),
-        details=tables.detail_rows(cell, passes),
-        warning=tables.warning(cell, passes),
-        assumptions=assumptions(cell, paper),
-        configuration=[(key, tables.shown(value, key)) for key, value in flatten(cell).items()],
-        symbols=SYMBOLS,
-        charts=data["charts"],
-        has_source=bool(data["linked"].source),
-        names=[p.name for p in passes],
-        style=Markup((HERE / "report.css").read_text(encoding="utf-8")),
+        style=Markup(_text(HERE / "report.css")),
         plotly=plotly_script(),
-        scripts=script_text(),
-        data=Markup(to_json(data)),
-    )  # fmt: skip
+        scripts=Markup("\n".join(map(_text, scripts))),
+        **values,
+    )
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+def to_json(value) -> Markup:
+    """JSON for a ``<script>`` element: nothing in it can end the element; what is not finite is null.
+
+    Long rows become ``{"f32": base64, "shape": [...]}``, whole numbers ``i32``: little-endian, read into typed arrays.
+    """
+    text = json.dumps(_plain(value), allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+    return Markup(text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026"))
+
+
+def _plain(value):
+    if dataclasses.is_dataclass(value):
+        value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray) and value.size > LONG:
+        kind, dtype = ("i32", "<i4") if value.dtype.kind in "iub" else ("f32", "<f4")
+        raw = np.ascontiguousarray(value, dtype).tobytes()
+        return {kind: base64.b64encode(raw).decode(), "shape": list(value.shape)}
+    if isinstance(value, (np.ndarray, np.generic)):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
