@@ -55,6 +55,7 @@ def _turns(ours: Callable[[], object], yardstick: Callable[[], object]) -> tuple
 def _pass() -> dict:
     """The paper's pass, 1 deg micro-steps, 10 um grid."""
     import resource
+    import statistics
 
     from kr270_milling.base.record import find_file
     from kr270_milling.cell.cell import read_cell
@@ -64,11 +65,16 @@ def _pass() -> dict:
     start = time.perf_counter()
     result = simulate(cell).result
     first = time.perf_counter() - start
-    wall, yardstick = _turns(lambda: simulate(cell), lambda: plain(cell, result.micro_steps))
+    walls = []
+    job, yardstick = _turns(
+        lambda: walls.append(simulate(cell).result.wall_time), lambda: plain(cell, result.micro_steps)
+    )
+    wall = statistics.median(walls[1:])  # of the pass alone: the yardstick neither makes its workpiece nor scores
     return {
         "us_per_step": wall / result.micro_steps * 1e6,
         "steps": result.micro_steps,
         "pass_wall_s": wall,
+        "job_wall_s": job,
         "pass_yardstick_s": yardstick,
         "pass_over_yardstick": wall / yardstick,
         "real_time_factor": float(result.time[-1]) / wall,

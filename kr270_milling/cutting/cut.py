@@ -8,8 +8,9 @@ import numpy as np
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cutting.grid import TILE, GridError, Stock, levels_in_window
+from kr270_milling.cutting.lanes import LANES
 from kr270_milling.cutting.laws import Cutting
-from kr270_milling.cutting.state import FAILED, LEVEL_SUM, TILES, log_size, make_log, make_params, make_state
+from kr270_milling.cutting.state import FAILED, LEVEL_SUM, NODES_CUT, TILES, log_size, make_log, make_params, make_state
 from kr270_milling.cutting.sweep import NO_FORCES, sweep, sweep_along, undo
 from kr270_milling.cutting.tool import Tool
 
@@ -88,7 +89,7 @@ class Cut:
         if n > self._room[0] or distance > self._room[1]:
             self._room = max(n, self._room[0]), max(2.0 * distance, self._room[1])
             size = log_size(self.params, *self._room)
-            if size > self.state.log_level.size:
+            if size > self.state.log_level.size - LANES:
                 self.state = self.state._replace(**make_log(size))
 
     def touch(self, most: int = 1 << 26) -> None:
@@ -99,12 +100,12 @@ class Cut:
     def restore(self) -> None:
         """Take the last sweep back, once. Raises UndoError."""
         if not undo(self.state):
-            raise UndoError(self.state.log_level.size)
+            raise UndoError(self.state.log_level.size - LANES)
 
     @property
     def removed_area(self) -> float:
         """Area that was cut into so far, at whatever depth [m^2]."""
-        return np.count_nonzero(self.state.pool[: self.tiles * TILE**2]) * self.params.spacing**2
+        return int(self.state.ints[NODES_CUT]) * self.params.spacing**2
 
     @property
     def removed_volume(self) -> float:

@@ -11,24 +11,28 @@ import math
 import numpy as np
 
 from kr270_milling.cutting.compiled import compiled, inlined
-from kr270_milling.cutting.state import FAILED, LOG_LOST, LOGGED, LOGGED_RUNS, TALLIED, TILES
+from kr270_milling.cutting.lanes import LANES, lower_lanes
+from kr270_milling.cutting.state import BLOCK, FAILED, LOG_LOST, LOGGED, LOGGED_RUNS, TALLIED, TILES
 
 SLACK = 1e-9
+COLUMNS = np.arange(float(BLOCK))
 VECTOR = 32  # nodes from which on it pays to look first whether anything is left
 
 
 @inlined
 def tally_log(ints, old, tally, level):
-    """Add to tally what the log holds since the last call: nodes, sum of level differences; the lowest level."""
-    count, deficit, lowest = np.uint32(0), np.uint64(0), np.uint16(level)
+    """Add to tally what the log holds since the last call: nodes, sum of level differences, lowest level, new nodes."""
+    count, new, deficit, lowest = np.uint32(0), np.uint32(0), np.uint64(0), np.uint16(level)
     for n in range(np.uint64(ints[TALLIED]), np.uint64(ints[LOGGED])):
         k = min(old[n], np.uint16(level))
         count += np.uint32(k < np.uint16(level))
+        new += np.uint32(k == 0)
         deficit += np.uint64(np.uint16(level) - k)
         lowest = min(lowest, k)
     tally[0] += np.int64(count)
     tally[1] += np.int64(deficit)
     tally[2] = min(tally[2], np.int64(lowest))
+    tally[3] += np.int64(new)
     ints[TALLIED] = ints[LOGGED]
 
 
@@ -41,7 +45,7 @@ def _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level):
         slot = table[ix >> 8, j >> 8]
         if slot < 0:
             slot = np.int32(ints[TILES])
-            if (np.int64(slot) + 1) << 16 > pool.size:
+            if ((np.int64(slot) + 1) << 16) + LANES > pool.size:
                 ints[FAILED] = 1
                 return
             table[ix >> 8, j >> 8] = slot
@@ -50,7 +54,7 @@ def _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level):
         j += length
         if length >= VECTOR and not _any_above(pool, start, length, level):
             continue
-        if ints[LOGGED] + length > old.size or ints[LOGGED_RUNS] == runs.shape[0]:
+        if ints[LOGGED] + length + LANES > old.size or ints[LOGGED_RUNS] == runs.shape[0]:
             tally_log(ints, old, tally, level)
             ints[LOGGED] = ints[LOGGED_RUNS] = ints[TALLIED] = 0
             ints[LOG_LOST] = 1
@@ -64,10 +68,10 @@ def _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level):
 @inlined
 def _lower(pool, old, start, logged, length, level):
     """The innermost loop; unsigned numbers, because an index that cannot count from the end costs less."""
-    for i in range(length):
-        k = pool[start + i]
-        old[logged + i] = k
-        pool[start + i] = max(k, level)
+    done, lanes = np.uint64(0), np.uint64(LANES)
+    while done < length:
+        lower_lanes(pool, start + done, old, logged + done, np.uint16(min(length - done, lanes)), level)
+        done += lanes
 
 
 @inlined
@@ -118,29 +122,28 @@ def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny
         ia = max(ia, math.ceil(u1 - SLACK))
     else:
         ib = min(ib, math.floor(u1 + SLACK))
-    pool, table, ints, runs, old, tally = s.pool, s.table, s.ints, s.log_runs, s.log_level, s.tally
-    for ix in range(ia, ib + 1):
-        square = radius * radius - (ix - cx) * (ix - cx)
-        if square < 0.0:
-            continue
-        half = math.sqrt(square)
-        lo, hi = max(low, cy - half), min(high, cy + half)
-        if my > 0.0:
-            lo = max(lo, (base - mx * ix) * inverse)
-        elif my < 0.0:
-            hi = min(hi, (base - mx * ix) * inverse)
-        line0, line1 = v0 + (ix - u0) * slope0, v1 + (ix - u1) * slope1
-        if side0 > 0.0:
-            lo = max(lo, line0)
-        elif side0 < 0.0:
-            hi = min(hi, line0)
-        if side1 > 0.0:
-            lo = max(lo, line1)
-        elif side1 < 0.0:
-            hi = min(hi, line1)
-        ja, jb = max(math.ceil(lo - SLACK), 0), min(math.floor(hi + SLACK), ny - 1)
-        if ja <= jb:
-            _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level)
+    # A line that bounds the sector from one side only is moved to infinity on the other.
+    low_base, high_base = 0.0 if my > 0.0 else -math.inf, 0.0 if my < 0.0 else math.inf
+    low0, high0 = 0.0 if side0 > 0.0 else -math.inf, 0.0 if side0 < 0.0 else math.inf
+    low1, high1 = 0.0 if side1 > 0.0 else -math.inf, 0.0 if side1 < 0.0 else math.inf
+    pool, table, ints, runs, old, tally, spans = s.pool, s.table, s.ints, s.log_runs, s.log_level, s.tally, s.spans
+    for first in range(ia, ib + 1, BLOCK):
+        count = min(BLOCK, ib + 1 - first)
+        for n in range(count):  # without a branch, so that it is compiled to vector instructions
+            x = first + COLUMNS[n]
+            square = radius * radius - (x - cx) * (x - cx)
+            half = math.sqrt(max(square, 0.0))
+            over = (base - mx * x) * inverse
+            line0, line1 = v0 + (x - u0) * slope0, v1 + (x - u1) * slope1
+            lo = max(max(low, cy - half), max(max(low_base + over, low0 + line0), low1 + line1))
+            hi = min(min(high, cy + half), min(min(high_base + over, high0 + line0), high1 + line1))
+            lo, hi = min(lo, ny + 1.0), max(hi, -2.0)  # what a 32-bit number can hold
+            spans[0, n] = max(np.int32(np.ceil(lo - SLACK)), np.int32(0))
+            spans[1, n] = min(np.int32(np.floor(hi + SLACK)), np.int32(ny - 1)) if square >= 0.0 else np.int32(-1)
+        for n in range(count):
+            ja, jb = np.int64(spans[0, n]), np.int64(spans[1, n])
+            if ja <= jb:
+                _clear_column(pool, table, ints, runs, old, tally, first + n, ja, jb, level)
 
 
 @compiled

@@ -9,6 +9,7 @@ import numpy as np
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.cutting.grid import MAX_TILES, TILE, Stock, tile_count
+from kr270_milling.cutting.lanes import LANES
 from kr270_milling.cutting.laws import Cutting
 from kr270_milling.cutting.tool import Tool
 
@@ -25,10 +26,13 @@ FLOOR = 6  # every node well inside the tool is cut at least to this level
 FAILED = 7  # 1: no tile left
 TALLIED = 8  # levels of the log that are in the tally
 LOGGED_RUNS = 9  # runs of nodes in the undo log
-INTS = 10
+NODES_CUT = 10  # nodes cut into so far, at whatever depth
+INTS = 11
 # Places in State.floats
 LEVEL_SUM = 0  # depth removed, summed over the nodes [m]
 FLOATS = 1
+
+BLOCK = 64  # columns of a sector whose ends are computed together
 
 
 class Params(NamedTuple):
@@ -71,8 +75,9 @@ class State(NamedTuple):
     saved_ints: np.ndarray  # as they were before the last sweep
     saved_floats: np.ndarray
     log_runs: np.ndarray  # int32, (any, 2): first node and length of each run of nodes visited in the last sweep
-    log_level: np.ndarray  # uint16: the nodes' levels before, run after run
-    tally: np.ndarray  # int64, (3,): scratch of one tooth and micro-step: nodes, level differences, lowest level
+    log_level: np.ndarray  # uint16: the levels of these nodes before, run after run; LANES of it are only for overhang
+    spans: np.ndarray  # int32, (2, BLOCK): scratch: first and last node of each column of a sector
+    tally: np.ndarray  # int64, (4,): of one tooth and micro-step: nodes, level differences, lowest level, new nodes
     chips: np.ndarray  # (teeth,): largest chip thickness of each tooth in the last sweep [m]
     loads: np.ndarray  # (power of 2, 6): F_x, F_y, F_z, M_x, M_y, torque in a micro-step, at its number modulo the size
     saved_loads: np.ndarray  # as they were before the last sweep, if edges lag
@@ -132,7 +137,7 @@ def log_size(params: Params, n: int, distance: float) -> int:
 
 def make_log(size: int) -> dict:
     """The fields of State that hold the undo log; address space only, until it is written."""
-    return {"log_runs": np.empty((size // 4, 2), np.int32), "log_level": np.empty(size, np.uint16)}
+    return {"log_runs": np.empty((size // 4, 2), np.int32), "log_level": np.empty(size + LANES, np.uint16)}
 
 
 def make_state(params: Params, stock: Stock, size: int = 1 << 22) -> State:
@@ -143,7 +148,7 @@ def make_state(params: Params, stock: Stock, size: int = 1 << 22) -> State:
     ints = np.zeros(INTS, np.int64)
     ints[NEXT_STEP] = ints[RUN] = ints[FLOOR] = -1
     return State(
-        pool=np.zeros(min(tiles[0] * tiles[1], MAX_TILES) * TILE**2, np.uint16),
+        pool=np.zeros(min(tiles[0] * tiles[1], MAX_TILES) * TILE**2 + LANES, np.uint16),
         table=np.full(tiles, -1, np.int32),
         history=np.zeros((1 << (params.window + params.steps + 8).bit_length(), 3)),
         ints=ints,
@@ -151,7 +156,8 @@ def make_state(params: Params, stock: Stock, size: int = 1 << 22) -> State:
         saved_ints=ints.copy(),
         saved_floats=np.zeros(FLOATS),
         **make_log(size),
-        tally=np.zeros(3, np.int64),
+        spans=np.zeros((2, BLOCK), np.int32),
+        tally=np.zeros(4, np.int64),
         chips=np.zeros(len(params.radii)),
         loads=loads,
         saved_loads=np.zeros_like(loads),

@@ -17,6 +17,7 @@ from kr270_milling.cutting.state import (
     LOGGED,
     LOGGED_RUNS,
     NEXT_STEP,
+    NODES_CUT,
     RUN,
     RUN_LEVEL,
     TALLIED,
@@ -199,7 +200,7 @@ def _tooth(s, p, i, step, x0, y0, x1, y1, moved, depth, level, whole, path):
         if inner >= radius + 2.0 * moved:
             return 0.0, 0.0
         whole = inner < NEAR * p.shortest
-    s.tally[0] = s.tally[1] = 0
+    s.tally[0] = s.tally[1] = s.tally[3] = 0
     s.tally[2] = level
     u0, v0 = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale
     u1, v1 = (x1 - p.origin_x) * scale, (y1 - p.origin_y) * scale
@@ -238,6 +239,7 @@ def _chip(s, p, i, step, dx, dy, depth, level):
         along = p.sense * (dy * c - dx * d) / (p.radii[i] * p.micro_step)
         h /= max(1.0 + along, JUMP)  # a centre that jumps may outrun the tooth
     s.floats[LEVEL_SUM] += total
+    s.ints[NODES_CUT] += s.tally[3]
     s.chips[i] = max(s.chips[i], h)
     return h, height
 

@@ -15,6 +15,7 @@ from numba import njit
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cutting import Cut, GridError, UndoError, sweep, undo
 from kr270_milling.cutting.grid import TILE
+from kr270_milling.cutting.lanes import LANES
 from kr270_milling.cutting.state import FAILED, LEVEL_SUM
 from kr270_milling.simulation.dynamics import ArmModel, advance
 from kr270_milling.simulation.exchange import Clock
@@ -188,7 +189,7 @@ def run_pass(
         if cut.state.ints[FAILED]:
             raise GridError(cut.state.pool.size // TILE**2)
         if not whole:
-            raise UndoError(cut.state.log_level.size)
+            raise UndoError(cut.state.log_level.size - LANES)
         _refuse_flight(stamps[first : last + 1], out[1][first : last + 1])
         if progress is not None:
             progress(last, n)

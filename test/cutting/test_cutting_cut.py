@@ -11,6 +11,7 @@ from cuttings import PAPER_LAW, profile
 
 from kr270_milling.cutting import AL7075_T6, Cut, Cutting, GridError, Stock, SweepError, Tool, UndoError
 from kr270_milling.cutting.grid import TILE
+from kr270_milling.cutting.lanes import LANES
 
 FEED = 0.5e-3  # [m] per revolution
 Z = -1e-3
@@ -122,7 +123,7 @@ def test_memory_follows_the_area_cut():
 
 def test_running_out_of_tiles_says_so():
     cut = new_cut()
-    cut.state = cut.state._replace(pool=cut.state.pool[: 4 * TILE**2].copy())
+    cut.state = cut.state._replace(pool=cut.state.pool[: 4 * TILE**2 + LANES].copy())
     with pytest.raises(GridError, match="4 tiles"):
         cut.sweep([-10e-3, 0.0, Z], [10e-3, 0.0, Z], 0, 14400)
 
