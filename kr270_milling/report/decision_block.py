@@ -72,7 +72,8 @@ def judged(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessm
 def _block(before: Judgement, after: Judgement | None, checked: Checked | None, method="", verdict="") -> DecisionBlock:
     stability = checked.stability.text.removeprefix("stability: ") if checked and checked.stability else ""
     may_be_run, findings = (checked.may_be_run, checked.findings) if checked else (None, ())
-    return DecisionBlock(_answer(before), after and _answer(after), may_be_run, method, verdict, stability, findings)
+    compensated = _answer(after) if after else None
+    return DecisionBlock(_answer(before), compensated, may_be_run, method, verdict, stability, findings)
 
 
 def _answer(judged: Judgement) -> Answer:

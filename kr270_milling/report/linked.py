@@ -157,8 +157,8 @@ def part_surface(parts: Sequence[PartAssessment]) -> PartSurface:
     errors = [part.surface.walls.error for part in parts]
     same = [error for error in errors if error.size == walls.error.size]
     chosen = np.unique(np.concatenate([envelope_index(error, WALL_BUCKETS) for error in same]))
-    place = walls.position[chosen] * 1e3
-    place[:, 2] += walls.height[chosen] * 1e3
+    wall_x, wall_y, wall_z = walls.position[chosen].T * 1e3
+    top = wall_z + walls.height[chosen] * 1e3
     unknown = np.full(chosen.size, np.nan)
     passes = tuple(
         PassSurface(
@@ -168,7 +168,7 @@ def part_surface(parts: Sequence[PartAssessment]) -> PartSurface:
         )
         for part, error in zip(parts, errors, strict=True)
     )
-    return PartSurface(x, y, height.T, *place.T, passes)
+    return PartSurface(x, y, height.T, wall_x, wall_y, top, passes)
 
 
 def _blocks(values: np.ndarray, rows: int, columns: int) -> np.ndarray:

@@ -230,7 +230,7 @@ def _deviations(cell: Cell, passes: Sequence[ScoredPass], shade) -> Chart:
     """All passes on one scale, and the compensated ones on their own, Fig. 15."""
     target = cell.target()
     curves = [curve(p.name, p.result.time, deviation_of(p.result, target) * 1e6, k) for k, p in enumerate(passes)]
-    rows = [("all passes", curves, passes, None)]
+    rows: list[tuple] = [("all passes", curves, passes, None)]
     if len(passes) > 1:
         again = [Curve(c.name, c.x, c.y, c.colour, legend=False) for c in curves[1:]]
         reach = 1.15e6 * max(p.scores.max_deviation for p in passes[1:])

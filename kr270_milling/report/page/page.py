@@ -38,8 +38,8 @@ def plotly_script() -> Markup:
 
 def page_text(template: Path, scripts: Sequence[Path], **values) -> str:
     """The whole HTML text in the report's style, with plotly and our own scripts; other texts are escaped."""
-    options = dict(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
-    return jinja2.Template(_text(template), **options).render(
+    text, strict = _text(template), jinja2.StrictUndefined
+    return jinja2.Template(text, autoescape=True, undefined=strict, trim_blocks=True, lstrip_blocks=True).render(
         version=__version__,
         style=Markup(_text(HERE / "report.css")),
         plotly=plotly_script(),
