@@ -10,6 +10,7 @@ import yaml
 
 from kr270_milling.base import parameter_file as config_file
 from kr270_milling.base.errors import ConfigError
+from kr270_milling.base.units import SECOND
 
 __all__ = ["bag_information", "describe_qos", "qos_text", "read_qos", "yaml_text"]
 
@@ -29,23 +30,23 @@ DEFAULT_QOS = dict(
 )
 
 
-def describe_qos(profile=None) -> dict:
+def describe_qos(profile) -> dict:
     """One QoS profile as rosbag2 writes it: from a mapping (missing keys take the default, durations are in ns or
     already {sec, nsec}), or from an object with the attributes of rclpy's QoSProfile."""
-    if profile is None or isinstance(profile, Mapping):
-        given = dict(profile or {})
-        unknown = sorted(set(given) - set(DEFAULT_QOS))
+    if isinstance(profile, Mapping):
+        unknown = sorted(set(profile) - set(DEFAULT_QOS))
         if unknown:
             raise KeyError(f"{', '.join(unknown)} is no part of a QoS profile")
+        given = {**DEFAULT_QOS, **profile}
     else:
         given = {key: getattr(profile, key) for key in DEFAULT_QOS}
-    return {key: _plain(key, given.get(key, default)) for key, default in DEFAULT_QOS.items()}
+    return {key: _plain(key, given[key]) for key in DEFAULT_QOS}
 
 
 def _plain(key: str, value):
     if key in DURATIONS and not isinstance(value, Mapping):
-        nanoseconds = int(getattr(value, "nanoseconds", value))
-        return dict(sec=nanoseconds // 10**9, nsec=nanoseconds % 10**9)
+        seconds, nanoseconds = divmod(int(getattr(value, "nanoseconds", value)), SECOND)
+        return dict(sec=seconds, nsec=nanoseconds)
     return value.name.lower() if hasattr(value, "name") else value
 
 
@@ -78,21 +79,22 @@ def read_qos(text: str) -> list[dict]:
     return profiles if isinstance(profiles, list) and all(isinstance(p, dict) for p in profiles) else []
 
 
-def _topic_information(channel) -> dict:
-    about = dict(
-        name=channel.topic,
-        type=channel.type,
-        serialization_format=channel.encoding,
-        offered_qos_profiles=channel.qos,
-        type_description_hash=channel.hash,
-    )
-    return dict(topic_metadata=about, message_count=channel.count)
-
-
 def bag_information(file_name: str, channels: Iterable, start: int, end: int, custom: dict[str, str]) -> dict:
     """The content of ``metadata.yaml`` for one MCAP file; channels: as the writer has them; start, end: first and last
     log time [ns], of which only a file with messages has any."""
-    topics = [_topic_information(channel) for channel in channels]
+    topics = [
+        dict(
+            topic_metadata=dict(
+                name=channel.topic,
+                type=channel.type,
+                serialization_format=channel.encoding,
+                offered_qos_profiles=channel.qos,
+                type_description_hash=channel.hash,
+            ),
+            message_count=channel.count,
+        )
+        for channel in channels
+    ]
     count = sum(topic["message_count"] for topic in topics)
     begins = {"nanoseconds_since_epoch": start if count else INFINITE}
     lasts = {"nanoseconds": end - start if count else 0}

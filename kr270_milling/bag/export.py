@@ -9,8 +9,9 @@ import io
 import itertools
 import json
 import math
+import operator
 import re
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -21,21 +22,24 @@ from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
 from kr270_milling.messages.definitions import plain
-from kr270_milling.messages.series import FIXED, batches
+from kr270_milling.messages.series import FIXED, stamped
 from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
 
-__all__ = ["Exported", "export_csv", "export_parquet", "tables"]
+__all__ = ["Exported", "export_csv", "export_parquet", "rows"]
 
 MAX_FILES = 100  # of one topic; a new one begins where the columns change
-Table = tuple[list[str], list]  # column names; columns of equal length
-TIMES = ["log_time_ns", "stamp_ns", "frame_id"]
-POINT = ([f"position_{a}_m" for a in "xyz"] + [f"orientation_{a}" for a in "xyzw"],
-         [f"velocity_{a}_m_per_s" for a in "xyz"] + [f"angular_velocity_{a}_rad_per_s" for a in "xyz"],
-         [f"acceleration_{a}_m_per_s2" for a in "xyz"] + [f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"],
-)  # fmt: skip
+ROWS, TEXT_BYTES = 1024, 1024 * 1024  # that are written to Parquet at once
+Row = tuple[list[str], list]  # names of the columns, cells
+POINT = [
+    *(f"position_{a}_m" for a in "xyz"),
+    *(f"orientation_{a}" for a in "xyzw"),
+    *(f"velocity_{a}_m_per_s" for a in "xyz"),
+    *(f"angular_velocity_{a}_rad_per_s" for a in "xyz"),
+    *(f"acceleration_{a}_m_per_s2" for a in "xyz"),
+    *(f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"),
+]
 JOINTS = "sensor_msgs/msg/JointState"
 TWIST = "geometry_msgs/msg/TwistStamped"
-ROWS, ROW_BYTES = 1024, 1024 * 1024  # of messages in one table; as Python's numbers and texts they take far more
 
 
 @dataclass
@@ -87,15 +91,14 @@ def _export(recording: Recording, directory, topics, progress, write: Callable, 
 def _export_topic(recording: Recording, topic: str, directory: Path, write, suffix: str, result: Exported) -> None:
     """A topic's files: one, and a further one each time the columns change. They appear when all are written."""
     files: list[Path] = []
-    found = tables(recording, topic, recording.topics()[topic].type)
     try:
         with staged(directory) as (draft, _):
-            for names, alike in itertools.groupby(found, key=lambda table: table[0]):
+            for columns, alike in itertools.groupby(rows(recording, topic), key=operator.itemgetter(0)):
                 if len(files) == MAX_FILES:
                     raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
                 files.append(_free_path(directory, topic, suffix, [*result.files, *files]))
                 with open(draft / files[-1].name, "xb") as stream:
-                    write(stream, names, (columns for _, columns in alike))
+                    write(stream, columns, (cells for _, cells in alike))
     except RecordingError as error:
         result.refused[topic] = str(error)
     else:
@@ -111,87 +114,83 @@ def _free_path(directory: Path, topic: str, suffix: str, taken: list[Path]) -> P
     return path
 
 
-def _write_csv(stream, names: list[str], tables: Iterator[list]) -> None:
+def _write_csv(stream, columns: list[str], rows: Iterable[list]) -> None:
     with io.TextIOWrapper(stream, encoding="utf-8", newline="") as text:
         writer = csv.writer(text)
-        writer.writerow(names)
-        for columns in tables:
-            # Python's numbers print as the shortest text that reads back to the same bits
-            lists = [column.tolist() if isinstance(column, np.ndarray) else column for column in columns]
-            writer.writerows(zip(*lists, strict=True))
+        writer.writerow(columns)
+        writer.writerows(rows)  # numbers as the shortest text that reads back to the same bits
 
 
-def _write_parquet(stream, names: list[str], tables: Iterator[list]) -> None:
+def _write_parquet(stream, columns: list[str], rows: Iterable[list]) -> None:
     import pyarrow.parquet
 
     with contextlib.ExitStack() as stack:
         writer = None
-        for columns in tables:
+        for table in _tables(rows):
             schema = writer.schema if writer else None
-            table = pyarrow.table(dict(zip(names, map(list, columns), strict=True)), schema=schema)
-            writer = writer or stack.enter_context(pyarrow.parquet.ParquetWriter(stream, table.schema))
-            writer.write_table(table)
+            group = pyarrow.table(dict(zip(columns, map(list, zip(*table, strict=True)), strict=True)), schema=schema)
+            writer = writer or stack.enter_context(pyarrow.parquet.ParquetWriter(stream, group.schema))
+            writer.write_table(group)
 
 
-def tables(recording: Recording, topic: str, type_name: str) -> Iterator[Table]:
-    """The messages of a topic as tables; a new one may have other columns. Raises RecordingError."""
-    if type_name in FIXED:
-        return _series_tables(recording, topic, type_name)
-    if type_name == TRAJECTORY:
-        return _trajectory_tables(recording, topic)
-    return _any_tables(recording, topic, _joint_cells if type_name == JOINTS else lambda message: _flat(plain(message)))
+def _tables(rows: Iterable[list]) -> Iterator[list[list]]:
+    """Rows together, up to 1024 of them or 1 MB of text."""
+    table: list[list] = []
+    size = 0
+    for row in rows:
+        table.append(row)
+        size += sum(len(cell) for cell in row if isinstance(cell, str))
+        if len(table) == ROWS or size > TEXT_BYTES:
+            yield table
+            table, size = [], 0
+    if table:
+        yield table
 
 
-def _series_tables(recording: Recording, topic: str, type_name: str) -> Iterator[Table]:
-    columns = [f"{name}_{unit}" if unit else name for name, unit in _units(type_name, topic)]
-    for rows in batches(recording, topic):
-        yield TIMES + columns, [rows.log_time, rows.stamp, rows.frame_ids, *rows.values.T]
+def rows(recording: Recording, topic: str) -> Iterator[Row]:
+    """The messages of a topic as rows; each may have other columns. Raises RecordingError."""
+    kind = recording.topics()[topic].type
+    if kind in FIXED:
+        return _series_rows(recording, topic, kind)
+    if kind == TRAJECTORY:
+        return _trajectory_rows(recording, topic)
+    return _any_rows(recording, topic, _joint_cells if kind == JOINTS else lambda message: _flat(plain(message)))
 
 
-def _units(type_name: str, topic: str) -> list[tuple[str, str]]:
-    if type_name != TWIST:
-        return FIXED[type_name]
-    # a deflection is a displacement in the message of a velocity
-    units = ("m", "rad") if topic.split("/")[-1] == "deflection" else ("m_per_s", "rad_per_s")
-    return [(name, units[name.startswith("angular")]) for name, _ in FIXED[TWIST]]
+def _series_rows(recording: Recording, topic: str, kind: str) -> Iterator[Row]:
+    units = FIXED[kind]
+    if kind == TWIST:  # a deflection is a displacement in the message of a velocity
+        deflection = topic.split("/")[-1] == "deflection"
+        linear, angular = ("m", "rad") if deflection else ("m_per_s", "rad_per_s")
+        units = [(name, linear if name.startswith("linear") else angular) for name, _ in units]
+    columns = ["log_time_ns", "stamp_ns", "frame_id", *(f"{name}_{unit}" if unit else name for name, unit in units)]
+    for log_time, stamp, frame, numbers in stamped(recording, topic):
+        yield columns, [log_time, stamp, frame, *numbers]
 
 
-def _trajectory_tables(recording: Recording, topic: str) -> Iterator[Table]:
+def _trajectory_rows(recording: Recording, topic: str) -> Iterator[Row]:
     """One row per point; the columns of a body carry its name if there are several."""
     for number, message in enumerate(recording.messages([topic], as_written=True)):
         try:
             found = read_trajectory(message.data)
         except ValueError as error:
             raise RecordingError(recording.path, f"a message on {topic} is not a {TRAJECTORY}: {error}") from error
-        count = len(found.time)
+        prefixes = [f"{_word(name)}_" if len(found.names) > 1 else "" for name in found.names]
         columns = ["message", "stamp_ns", "frame_id", "time_from_start_ns"]
-        values = [[number] * count, [found.stamp] * count, [found.frame_id] * count, found.time]
-        for j, name in enumerate(found.names):
-            prefix = f"{_word(name)}_" if len(found.names) > 1 else ""
-            pose = np.hstack([found.position[:, j], found.quaternion[:, j]])
-            for names, part in zip(POINT, (pose, found.velocity[:, j], found.acceleration[:, j]), strict=True):
-                columns += [prefix + column for column in names]
-                values += list(part.T)
-        yield columns, values
+        columns += [prefix + name for prefix in prefixes for name in POINT]
+        bodies = np.concatenate([found.position, found.quaternion, found.velocity, found.acceleration], axis=2)
+        for time, body in zip(found.time.tolist(), bodies, strict=True):
+            yield columns, [number, found.stamp, found.frame_id, time, *body.ravel().tolist()]
 
 
-def _any_tables(recording: Recording, topic: str, cells_of: Callable[[object], dict]) -> Iterator[Table]:
-    """Any other type, row by row."""
-    rows: list[list] = []
-    columns: list[str] = []
-    size = 0
+def _any_rows(recording: Recording, topic: str, cells_of: Callable[[object], dict]) -> Iterator[Row]:
+    """Any other type."""
     for message, decoded in recording.decoded([topic], as_written=True):
         try:
             cells = {"log_time_ns": message.log_time, **cells_of(decoded)}
         except ValueError as error:
             raise RecordingError(recording.path, f"a message on {topic} {error}") from error
-        if rows and (columns != list(cells) or len(rows) == ROWS or size + len(message.data) > ROW_BYTES):
-            yield columns, list(zip(*rows, strict=True))
-            rows, size = [], 0
-        columns, size = list(cells), size + len(message.data)
-        rows.append(list(cells.values()))
-    if rows:
-        yield columns, list(zip(*rows, strict=True))
+        yield list(cells), list(cells.values())
 
 
 def _joint_cells(state) -> dict:

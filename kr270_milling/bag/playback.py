@@ -5,22 +5,21 @@ The nodes may be started again while one recorder runs, and then time begins aga
 
 from __future__ import annotations
 
+import functools
+import itertools
 from collections.abc import Iterator
-from dataclasses import dataclass
-from weakref import WeakKeyDictionary
+from typing import NamedTuple
 
 from kr270_milling.bag.bagmeta import read_qos
 from kr270_milling.bag.play_options import MOST, PlayOptions
-from kr270_milling.bag.reader import BEGIN, END, Place, RawMessage, Recording
+from kr270_milling.bag.reader import BEGIN, END, Place, RawMessage, Recording, Topic
 from kr270_milling.bag.stamps import SHARED, Passes
 from kr270_milling.base.errors import InputError
-from kr270_milling.messages.definitions import Topic
 
 __all__ = ["Part", "PlayClock", "is_latched", "opening", "parts", "passage", "span"]
 
 
-@dataclass(frozen=True)
-class Part:
+class Part(NamedTuple):
     """One pass."""
 
     within: tuple[Place, Place]  #: place of its first message and the one behind its last
@@ -29,45 +28,29 @@ class Part:
     shift: int  #: [ns], what brings its log times behind those of the pass before
 
 
-_known: WeakKeyDictionary[Recording, tuple[Part, ...]] = WeakKeyDictionary()
-
-
+@functools.lru_cache(maxsize=8)
 def parts(recording: Recording) -> tuple[Part, ...]:
-    """The passes in the order of the file; a recording without any is one part. Raises RecordingError."""
-    if recording not in _known:
-        _known[recording] = _find(recording)
-    return _known[recording]
-
-
-def _find(recording: Recording) -> tuple[Part, ...]:
+    """The passes in the order of the file: one begins with the first topic whose time goes back to 0. A recording
+    without any is one part, as is one on a clock that does not begin at 0. Raises RecordingError."""
     whole = Part((BEGIN, END), recording.first_log_time or 0, recording.last_log_time or 0, 0)
-    if whole.first > 0:  # on a clock that does not begin at 0 no pass begins there either
+    if whole.first > 0 or not recording.count:
         return (whole,)
-    found: list[Part] = []
-    shift = 0
-    begins = list(_beginnings(recording))
-    ends = [*(begin for begin, _, _ in begins[1:]), END]
-    for (begin, first, last), end in zip(begins, ends, strict=True):
-        found.append(Part((begin, end), first, last, shift))
-        shift += last + 1
-    return tuple(found) or (whole,)
-
-
-def _beginnings(recording: Recording) -> Iterator[tuple[Place, int, int]]:
-    """Place, smallest and largest log time of every pass: one begins with the first topic whose time goes back to 0."""
-    types = {name: about.type for name, about in recording.topics().items()}
-    passes = {name: Passes() for name, kind in types.items() if kind not in SHARED}
-    topics = {number: channel.topic for number, channel in recording.channels.items()}
-    begin, first, last, number = BEGIN, None, 0, 0
+    passes = {name: Passes() for name, about in recording.topics().items() if about.type not in SHARED}
+    spans: list[tuple[Place, int, int]] = []  # place of the first message, smallest and largest log time
+    begin, first, last = BEGIN, 2**63, 0
     with recording.sentences():
         for entry in recording.entries(recording.chunks, True):
-            topic, log_time = topics[entry.channel], entry.log_time
-            if topic in passes and passes[topic].begins(log_time) and passes[topic].number > number:
-                yield begin, first or 0, last
-                begin, first, last, number = entry.place, None, 0, number + 1
-            first, last = log_time if first is None else min(first, log_time), max(last, log_time)
-    if first is not None:
-        yield begin, first, last
+            counted, time = passes.get(recording.channels[entry.channel].topic), entry.log_time
+            if counted and counted.begins(time) and counted.number > len(spans):
+                spans.append((begin, first, last))
+                begin, first, last = entry.place, time, time
+            first, last = min(first, time), max(last, time)
+    spans.append((begin, first, last))
+    found, shift = [], 0
+    for (begin, first, last), (end, *_) in zip(spans, [*spans[1:], (END,)], strict=True):
+        found.append(Part((begin, end), first, last, shift))
+        shift += last + 1
+    return tuple(found)
 
 
 class PlayClock:
@@ -133,15 +116,10 @@ def passage(recording: Recording, start: int, end: int, topics: set[str]) -> Ite
     latched = _latched(recording, topics)
     for part in parts(recording):
         begin, behind = max(start - part.shift, part.first), end - part.shift
-        for message in _of_part(recording, part.within, begin, behind, topics, latched):
+        if begin >= behind:
+            continue
+        at_first = recording.messages(latched, start=begin, end=begin + 1, within=part.within) if latched else ()
+        rest = (m for m in recording.messages(topics, start=begin, end=behind, within=part.within)
+                if m.log_time > begin or m.topic not in latched)  # fmt: skip
+        for message in itertools.chain(at_first, rest):
             yield message._replace(log_time=message.log_time + part.shift)
-
-
-def _of_part(recording: Recording, within, begin: int, end: int, topics: set[str], latched: set[str]):
-    if begin >= end:
-        return
-    if latched:
-        yield from recording.messages(latched, start=begin, end=begin + 1, within=within)
-    for message in recording.messages(topics, start=begin, end=end, within=within):
-        if message.log_time > begin or message.topic not in latched:
-            yield message

@@ -110,7 +110,7 @@ class BagWriter:
         self.output.mcap.add_metadata(name, {str(k): str(v) for k, v in values.items()})
 
     def add_topic(self, topic: str, type_name: str, qos: Iterable = (), period_ns: int | None = None) -> int:
-        """Prepare a topic with an installed message type; qos: its publishers' profiles (see describe_qos).
+        """Prepare a topic with an installed message type; qos: its publishers' profiles, as describe_qos takes them.
 
         period_ns: the time between its stamps, if known, for the counting of gaps. A known topic is left as it is.
         """
@@ -119,8 +119,7 @@ class BagWriter:
             if known != type_name:
                 raise RecordingError(self.path, f"{topic} is recorded as {known} and cannot be {type_name} as well")
             return self.topics[topic]
-        profiles = bagmeta.qos_text(bagmeta.describe_qos(profile) for profile in qos)
-        about = {"offered_qos_profiles": profiles, "topic_type_hash": type_hash(type_name)}
+        about = {"offered_qos_profiles": bagmeta.qos_text(qos), "topic_type_hash": type_hash(type_name)}
         return self.add_channel(topic, (type_name, "ros2msg", definition(type_name).encode()), "cdr", about, period_ns)
 
     def add_channel(

@@ -12,9 +12,8 @@ import numpy as np
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import unpack_stamped
 
-__all__ = ["FIXED", "Series", "batches", "series", "several"]
+__all__ = ["FIXED", "Series", "series", "several", "stamped"]
 
-ROWS, ROW_BYTES = 4096, 4 * 1024 * 1024  # of one table
 BEARABLE, MOST_UNFOLDED = 64 * 1024 * 1024, 50  # [bytes] of a series, and what it may take beside, in sizes of the file
 #: type -> (column, unit) of the numbers behind its header
 FIXED = {
@@ -25,15 +24,6 @@ FIXED = {
     # the deflection: a small displacement and rotation in place of velocities
     "geometry_msgs/msg/TwistStamped": [(f"linear_{a}", "") for a in "xyz"] + [(f"angular_{a}", "") for a in "xyz"],
 }
-
-
-class Rows(NamedTuple):
-    """Consecutive messages: times [ns] and frames, one each, and a table of doubles (n, columns)."""
-
-    log_time: list[int]
-    stamp: list[int]
-    frame_ids: list[str]
-    values: np.ndarray
 
 
 class Series(NamedTuple):
@@ -75,27 +65,14 @@ def several(recording, topics: Sequence[str], others: Mapping[str, Callable[[byt
     return found
 
 
-def batches(recording, topic: str) -> Iterator[Rows]:
-    """The messages of a topic as they were written, in tables of up to 4096 rows or 4 MB.
+def stamped(recording, topic: str) -> Iterator[tuple[int, int, str, list[float]]]:
+    """Log time [ns], stamp [ns], frame and numbers of every message of a topic as they were written.
 
     Raises RecordingError where one is not what its type says.
     """
     width = _width(recording, topic)
-    rows: list[tuple] = []
-    size = 0  # [bytes]
     for message in recording.messages([topic], as_written=True):
-        if rows and (len(rows) == ROWS or size + len(message.data) > ROW_BYTES):
-            yield _table(rows)
-            rows, size = [], 0
-        rows.append((message.log_time, *_unpacked(recording, message, width)))
-        size += len(message.data)
-    if rows:
-        yield _table(rows)
-
-
-def _table(rows: list[tuple]) -> Rows:
-    log_time, stamp, frame_ids, values = map(list, zip(*rows, strict=True))
-    return Rows(log_time, stamp, frame_ids, np.array(values))
+        yield message.log_time, *_unpacked(recording, message, width)
 
 
 def _width(recording, topic: str) -> int:

@@ -6,6 +6,7 @@ import dataclasses
 import os
 import struct
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -40,15 +41,14 @@ class Difference:
 
 
 class Recorded(NamedTuple):
-    order: tuple
-    number: int  #: in the recording
-    stamp: int
+    order: tuple[int, int]  # pass and stamp [ns]
+    index: int
     data: bytes
     refused: bool
 
 
 class Expected(NamedTuple):
-    order: tuple
+    order: tuple[int, int]
     record: object
     due: bool
 
@@ -68,9 +68,9 @@ class Channel:
         self.repeated = 0  #: the same message once more: a retry
         self.given = 0  #: taken as they are, because their cause is not in the recording
         self.refused = 0  #: that no node can have used
-        self.abandoned = 0  #: of a pass that could not be recomputed to its end
         self.first: Difference | None = None
-        self.holes = GapCounter()  #: told by the recorded stamps alone
+        self._abandoned = 0  # recorded in a pass that could not be recomputed to its end
+        self._holes = GapCounter()  # told by the recorded stamps alone
         self._recorded: deque[Recorded] = deque()
         self._expected: deque[Expected] = deque()
         self._recorded_passes = Passes()
@@ -87,8 +87,8 @@ class Channel:
         self._index += 1
         if not refused:
             self._recorded_passes.begins(stamp)
-            self.holes.add(stamp)
-        self._recorded.append(Recorded((self._recorded_passes.number, stamp), self._index, stamp, data, refused))
+            self._holes.add(stamp)
+        self._recorded.append(Recorded((self._recorded_passes.number, stamp), self._index, data, refused))
         self._match()
 
     def take(self, data: bytes) -> None:
@@ -100,28 +100,26 @@ class Channel:
     def expected(self, stamp: int, record, due: bool = True) -> None:
         """Take the next record of the protocol; due: it belongs in the recording, which else may leave it out."""
         self._expected_passes.begins(stamp)
+        number = self._expected_passes.number
         if due:
-            self._ends[self._expected_passes.number] = stamp
-        self._expected.append(Expected((self._expected_passes.number, stamp), record, due))
+            self._ends[number] = stamp
+        self._expected.append(Expected((number, stamp), record, due))
         self._match()
 
     def abandon(self) -> None:
         """What waits will not be recomputed: another pass begins."""
-        self.abandoned += len(self._recorded)
+        self._abandoned += len(self._recorded)
         self._recorded.clear()
-
-    @property
-    def waiting(self) -> int:
-        """Recorded messages that nothing recomputed has come for."""
-        return len(self._recorded) + self.abandoned
 
     def _match(self) -> None:
         while self._recorded and self._expected:
             recorded, expected = self._recorded[0], self._expected[0]
             alike = recorded.order == expected.order
-            if alike and difference(expected.record, recorded.data) is None:
+            found = difference(expected.record, recorded.data) if alike else ("the message", "there", None)
+            if found is None:
                 self.compared += 1
-                self._next(both=True)
+                self._last = self._recorded.popleft().data
+                self._last_expected = self._expected.popleft()
             elif recorded.refused:
                 self.refused += 1
                 self._recorded.popleft()
@@ -129,9 +127,15 @@ class Channel:
                 self._miss(tail=recorded.order[0] > expected.order[0])
             elif recorded.data == self._last:
                 self.repeated += 1
-                self._next(both=False)
+                self._recorded.popleft()
             else:
-                self._differ(recorded, expected if alike else None)
+                self.differing += 1
+                self._last = self._recorded.popleft().data
+                if alike:
+                    self.compared += 1
+                    self._last_expected = self._expected.popleft()
+                order = (*recorded.order, self.rank)
+                self.first = self.first or Difference(self.topic, recorded.index, recorded.order[1], *found, order)
 
     def _miss(self, tail: bool) -> None:
         """The next expected message is not in the recording; a repeated answer need not be there."""
@@ -146,21 +150,6 @@ class Channel:
         else:
             self._skipped += 1
 
-    def _next(self, both: bool) -> None:
-        self._last = self._recorded.popleft().data
-        if both:
-            self._last_expected = self._expected.popleft()
-
-    def _differ(self, recorded: Recorded, expected: Expected | None) -> None:
-        found = None if expected is None else difference(expected.record, recorded.data)
-        field, there, expected_value = found or ("the message", "there", None)
-        self.compared += expected is not None
-        self.differing += 1
-        self._next(both=expected is not None)
-        if self.first is None:
-            order = (*recorded.order, self.rank)
-            self.first = Difference(self.topic, recorded.number, recorded.stamp, field, there, expected_value, order)
-
     def finish(self) -> None:
         """No more will come: what is repeated at the end is not waiting for anything, what is not there is missing."""
         while self._recorded and (self._recorded[0].refused or self._recorded[0].data == self._last):
@@ -169,12 +158,17 @@ class Channel:
             self.repeated += not refused
         while self._expected:
             self._miss(tail=True)
-        self.holes.finish()
+        self._holes.finish()
+
+    @property
+    def waiting(self) -> int:
+        """Recorded messages that nothing recomputed has come for."""
+        return len(self._recorded) + self._abandoned
 
     @property
     def leftover(self) -> int | None:
-        """Stamp [ns] of the first recorded message that nothing recomputed has come for."""
-        return self._recorded[0].stamp if self._recorded else None
+        """Stamp [ns] of the first of them that is not abandoned."""
+        return self._recorded[0].order[1] if self._recorded else None
 
     def lacking(self, under_way: int, done: bool, iterations: int = 1) -> int:
         """Recomputed messages that the recording should have: no hole in its stamps tells of them, and they were not
@@ -182,7 +176,7 @@ class Channel:
         iterations: messages of one stamp."""
         whole = self._expected_passes.number if done else -1
         ends = sum(number == whole or stamp < self._ends[number] - under_way for number, stamp in self._tails)
-        return ends + max(0, self._skipped - iterations * self.holes.missing)
+        return ends + max(0, self._skipped - iterations * self._holes.missing)
 
     def as_dict(self) -> dict:
         return dict(compared=self.compared, differing=self.differing, missing=self.missing, repeated=self.repeated,
@@ -202,25 +196,27 @@ def difference(record, data: bytes) -> tuple | None:
         message = deserialise(type_name, data)
     except ValueError as error:
         return "the message", str(error), "readable"
-    return _difference("", message, deserialise(type_name, expected))
+    for (field, a), (_, b) in zip(_fields("", message), _fields("", deserialise(type_name, expected)), strict=False):
+        if _bits(a) == _bits(b):
+            continue
+        if isinstance(a, str) and max(len(a), len(b)) > EXCERPT:
+            at = len(os.path.commonprefix([a, b]))
+            return f"{field}, from character {at} on,", a[at : at + EXCERPT], b[at : at + EXCERPT]
+        return field, a, b
+    return None
 
 
-def _difference(path: str, a, b) -> tuple | None:
-    if dataclasses.is_dataclass(a):
-        names = [field.name for field in dataclasses.fields(a)]
-        pairs = [(f"{path}.{name}".lstrip("."), getattr(a, name), getattr(b, name)) for name in names]
-    elif isinstance(a, (list, np.ndarray)):
-        if len(a) != len(b):
-            return f"length of {path}", len(a), len(b)
-        if isinstance(a, np.ndarray):
-            a, b = ([] if x.tobytes() == y.tobytes() else x.tolist() for x, y in ((a, b), (b, a)))
-        pairs = [(f"{path}[{i}]", x, y) for i, (x, y) in enumerate(zip(a, b, strict=True))]
-    elif isinstance(a, str) and max(len(a), len(b)) > EXCERPT and a != b:
-        at = len(os.path.commonprefix([a, b]))
-        return f"{path}, from character {at} on,", a[at : at + EXCERPT], b[at : at + EXCERPT]
+def _fields(path: str, value) -> Iterator[tuple[str, object]]:
+    """Name and value of every number and text in a message, and the lengths of its lists before these."""
+    if dataclasses.is_dataclass(value):
+        for field in dataclasses.fields(value):
+            yield from _fields(f"{path}.{field.name}".lstrip("."), getattr(value, field.name))
+    elif isinstance(value, (list, np.ndarray)):
+        yield f"length of {path}", len(value)
+        for i, item in enumerate(value if isinstance(value, list) else value.tolist()):
+            yield from _fields(f"{path}[{i}]", item)
     else:
-        return None if _bits(a) == _bits(b) else (path, a, b)
-    return next((found for pair in pairs if (found := _difference(*pair)) is not None), None)
+        yield path, value
 
 
 def _bits(value):

@@ -18,7 +18,6 @@ __all__ = ["MOST_AHEAD", "CutFeed", "RobotFeed"]
 MOST_AHEAD = 10  # exchange periods that a message may stand before its cause in the file
 
 Stop = Callable[[int, str], None]  # (stamp [ns], reason)
-Lack = tuple[int, str]  # the stamp [ns] and the reason of a stop
 
 
 class Feed:
@@ -32,7 +31,7 @@ class Feed:
         self._stop = stop
         self._thinned = cell.thinned_steps
         self._passes = Passes()
-        self._lack: Lack | None = None
+        self._lack: tuple[int, str] | None = None  # the stamp [ns] and the reason of a stop
 
     def _publish(self, outputs: Iterable[Output]) -> None:
         for name, record in outputs:
@@ -58,9 +57,8 @@ class RobotFeed(Feed):
 
     def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
         super().__init__(cell, channels, stop)
-        self.protocol = robot_protocol(
-            cell, deflection_every=1
-        )  # all deflections: what was published is compared, also if all
+        # all deflections: what was published is compared, also if it was all of them
+        self.protocol = robot_protocol(cell, deflection_every=1)
         self._begun = False
         self._same_stamp: list[WrenchSample] = []
 
@@ -92,9 +90,12 @@ class RobotFeed(Feed):
         answers than iterations tell of it, equal to the ones before them."""
         samples, self._same_stamp = self._same_stamp, []
         surplus = len(samples) - self.cell.exchange.iterations
+        same = [one.frame == other.frame and one.wrench.tobytes() == other.wrench.tobytes()
+                for one, other in zip(samples, samples[1:], strict=False)]  # fmt: skip
+        same.append(False)
         for i, sample in enumerate(samples):
             asked_again = 0
-            while asked_again < surplus and _same_wrench(samples, i + asked_again):
+            while asked_again < surplus and same[i + asked_again]:
                 asked_again += 1
             surplus -= asked_again
             self._take(sample, asked_again)
@@ -123,13 +124,6 @@ class RobotFeed(Feed):
             self._stop(stamp, "the recording begins in the middle of a pass, whose state is not known")
         else:
             self._publish(self.protocol.start())
-
-
-def _same_wrench(samples: list[WrenchSample], i: int) -> bool:
-    if i + 1 >= len(samples):
-        return False
-    one, other = samples[i : i + 2]
-    return one.frame == other.frame and one.wrench.tobytes() == other.wrench.tobytes()
 
 
 class CutFeed(Feed):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.samples import PoseSample, WrenchSample
@@ -104,15 +104,25 @@ class CompensatorFeed:
         self.target = target
         self.known = False
 
-    def pose(self, sample: PoseSample) -> None:
-        """The next tool_pose, one that can be used."""
-        if sample.stamp == 0 and (self.protocol.stamp_ns > 0 or self.revisions):
+    def sample(self, sample: PoseSample | WrenchSample) -> None:
+        """The next tool_pose or wrench, one that can be used."""
+        is_pose = isinstance(sample, PoseSample)
+        if is_pose and sample.stamp == 0 and (self.protocol.stamp_ns > 0 or self.revisions):
             self._compare()
-        self._feed(sample, CompensatorProtocol.pose)
-
-    def wrench(self, sample: WrenchSample) -> None:
-        """The next wrench, one that can be used."""
-        self._feed(sample, CompensatorProtocol.wrench)
+        protocol = self.protocol
+        if sample.stamp >= protocol.end_ns and protocol.under_way and self._without is None:
+            if not self.known:
+                self._restore()
+            self._without = protocol.twin()
+        if is_pose and self._without is not None:
+            self._without.pose(sample)
+        try:
+            revised = protocol.pose(sample) if is_pose else protocol.wrench(sample)
+        except MillingError:  # no revision is possible: the live node told so, and published none
+            self._without = None
+            return
+        if revised:
+            self._revised([protocol])
 
     def revised_by(self, method: str) -> Compensator:
         """What another method makes of the complete pass."""
@@ -127,22 +137,6 @@ class CompensatorFeed:
         """No more will come."""
         if self._published or self.protocol.at_end or self.revisions:
             self._compare()
-
-    def _feed(self, sample, how: Callable[[CompensatorProtocol, Any], list]) -> None:
-        protocol = self.protocol
-        if sample.stamp >= protocol.end_ns and protocol.under_way and self._without is None:
-            if not self.known:
-                self._restore()
-            self._without = protocol.twin()
-        if how is CompensatorProtocol.pose and self._without is not None:
-            self._without.pose(sample)
-        try:
-            revised = how(protocol, sample)
-        except MillingError:  # no revision is possible: the live node told so, and published none
-            self._without = None
-            return
-        if revised:
-            self._revised([protocol])
 
     def _revised(self, revisions: list[CompensatorProtocol]) -> None:
         """The pass is complete: with what the live node may go on."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,7 +38,14 @@ OUTPUTS = {
 }
 TYPES = {**OUTPUTS, "target_trajectory": OUTPUTS["reference_trajectory"]}
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
-WITHOUT_STAMP = ("robot_description", "joint_trajectory")
+WITH_STAMP = ("tool_pose", "wrench", "deflection", "joint_states", "clock", "workpiece")
+#: what the nodes take, and how they read it; each raises MillingError
+INPUTS: dict[str, Callable] = {
+    "tool_pose": lambda data: checked_pose(pose_from_bytes(data)),
+    "wrench": lambda data: checked_wrench(wrench_from_bytes(data)),
+    "reference_trajectory": trajectory_from_bytes,
+    "target_trajectory": trajectory_from_bytes,
+}
 
 
 @dataclass(frozen=True)
@@ -76,77 +83,56 @@ class Robot:
 
     def hear(self, name: str, data: bytes) -> None:
         """The next message of one of the robot's topics, as an input and as an output."""
-        stamp = 0 if name in WITHOUT_STAMP else stamp_of(data) or 0
-        if name == "tool_pose":
-            self.channels[name].recorded(stamp, data, refused=not self._pose(data))
-        elif name == "wrench":
-            self.channels[name].recorded(stamp, data, refused=not self._wrench(data))
-        elif name == "workpiece":
+        stamp = (stamp_of(data) or 0) if name in WITH_STAMP else 0
+        refused = name in INPUTS and not self._use(name, data)
+        if name == "workpiece":
             self.cut.workpiece(stamp, data)
-        elif name in ("reference_trajectory", "target_trajectory"):
-            self._trajectory(name, data)
         elif name == "robot_description" and self.foreign:
             self.channels[name].take(data)
-        else:
+        elif name in self.channels and (refused or name != "reference_trajectory"):  # that one the compensator compares
             if name == "robot_description":
                 self.robot.description()
-            self.channels[name].recorded(stamp, data)
+            self.channels[name].recorded(stamp, data, refused)
+
+    def _use(self, name: str, data: bytes) -> bool:
+        """Whether the nodes can have used it; what they refused live is refused here, and all goes on."""
+        try:
+            record = INPUTS[name](data)
+            if name == "tool_pose":
+                if self.revises:
+                    self._tell_compensator(name, record, data)
+                self.cut.pose(record)
+        except MillingError:
+            return False
+        if name == "wrench":
+            self.robot.wrench(record)
+        elif name == "reference_trajectory":
+            self.robot.reference(record)
+        if name != "tool_pose" and (self.revises or name != "wrench"):
+            self._tell_compensator(name, record, data)
+        return True
+
+    def _tell_compensator(self, name: str, record, data: bytes) -> None:
+        feed = self.compensator
+        if feed is None:
+            return
+        if name == "reference_trajectory":
+            feed.reference(data)
+        elif name == "target_trajectory":
+            feed.new_target(record)
+        else:
+            feed.sample(record)
 
     def hear_compensator(self, name: str, data: bytes) -> None:
         """The same for the compensator alone."""
         with contextlib.suppress(MillingError):
-            if self.compensator is None:
-                return
-            if name == "tool_pose":
-                self.compensator.pose(checked_pose(pose_from_bytes(data)))
-            elif name == "wrench":
-                self.compensator.wrench(checked_wrench(wrench_from_bytes(data)))
-            elif name == "reference_trajectory":
-                self.compensator.reference(data)
-            elif name == "target_trajectory":
-                self.compensator.new_target(trajectory_from_bytes(data))
-
-    def _pose(self, data: bytes) -> bool:
-        """Whether the nodes can have used it; what they refused live is refused here, and all goes on."""
-        try:
-            sample = checked_pose(pose_from_bytes(data))
-            if self.compensator is not None and self.revises:
-                self.compensator.pose(sample)
-            self.cut.pose(sample)
-        except MillingError:
-            return False
-        return True
-
-    def _wrench(self, data: bytes) -> bool:
-        try:
-            sample = checked_wrench(wrench_from_bytes(data))
-        except MillingError:
-            return False
-        self.robot.wrench(sample)
-        if self.compensator is not None and self.revises:
-            self.compensator.wrench(sample)
-        return True
-
-    def _trajectory(self, name: str, data: bytes) -> None:
-        try:
-            run = trajectory_from_bytes(data)
-        except MillingError:
-            if name in self.channels:
-                self.channels[name].recorded(0, data, refused=True)
-            return
-        if name == "reference_trajectory":
-            self.robot.reference(run)
-            if self.compensator is not None:
-                self.compensator.reference(data)
-        elif self.compensator is not None:
-            self.compensator.new_target(run)
+            if name in INPUTS:
+                self._tell_compensator(name, INPUTS[name](data), data)
 
     def finish(self) -> None:
         """No more will come."""
-        self.robot.finish()
-        self.cut.finish()
-        if self.compensator is not None:
-            self.compensator.finish()
+        for feed in filter(None, (self.robot, self.cut, self.compensator)):
+            feed.finish()
         for channel in self.channels.values():
             channel.finish()
 
@@ -160,20 +146,24 @@ class Robots:
     def __init__(self, recording: Recording, later: frozenset[Path] = frozenset()):
         self.recording = recording
         self.cell = cell_of(recording)
-        plant = plant_of(recording, self.cell)
+        cells = self.cell, plant_of(recording, self.cell)
         self._names = self._find_topics()
         self._diagnostics = {
             topic: recording.decoder(topic)
             for topic, about in recording.topics().items()
             if topic.endswith("/diagnostics") and about.type == DIAGNOSTICS
         }
-        firsts, openings = self._first_references(), self._opening_reports()
+        firsts, openings = self._look_ahead()
         self.robots: dict[str, Robot] = {}
         for namespace in sorted({namespace for namespace, _ in self._names.values()}):
             with self._usable(f"{namespace}/reference_trajectory"):
-                channels = self._channels(namespace)
+                channels = {
+                    name: Channel(topic, list(OUTPUTS).index(name))
+                    for topic, (ns, name) in self._names.items()
+                    if ns == namespace and name in OUTPUTS
+                }
                 first = firsts.get(namespace)
-                robot = Robot((self.cell, plant), namespace, channels, first, openings.get(namespace))
+                robot = Robot(cells, namespace, channels, first, openings.get(namespace))
                 feed = robot.compensator
                 if first is not None and feed is not None:
                     if feed.method == "learned" and is_first_version(recording):
@@ -185,48 +175,40 @@ class Robots:
 
     def _find_topics(self) -> dict[str, tuple[str, str]]:
         """Topic -> (namespace, name), of the topics that have the right name and type."""
-        found = {}
-        for topic, about in self.recording.topics().items():
+        topics, found = self.recording.topics(), {}
+        for topic, about in topics.items():
             namespace, _, name = topic.rpartition("/")
             if TYPES.get(name) == about.type and about.encoding == "cdr" and about.count:
                 found[topic] = namespace, name
         robots = {ns for ns, name in found.values() if name in ("tool_pose", "wrench", "reference_trajectory")}
         if not robots:
             raise RecordingError(self.recording.path, "holds no tool_pose, wrench or reference_trajectory to recompute")
-        if len(robots) == 1 and (min(robots), "clock") not in found.values() and self._is_of_one_robot("/clock"):
-            found.update({t: (min(robots), n) for t, (_, n) in found.items() if t == "/clock"})
+        # up to version 0.1.0 robots in namespaces shared one ``/clock``; its publishers stand in the recording
+        shared = "/clock" in found and len(robots) == 1 and (min(robots), "clock") not in found.values()
+        if shared and len(read_qos(topics["/clock"].metadata.get("offered_qos_profiles", ""))) < 2:
+            found["/clock"] = min(robots), "clock"
         return {t: place for t, place in found.items() if place[0] in robots}
 
-    def _is_of_one_robot(self, topic: str) -> bool:
-        """Up to version 0.1.0 robots in namespaces shared one ``/clock``; its publishers stand in the recording."""
-        about = self.recording.topics().get(topic)
-        return about is not None and len(read_qos(about.metadata.get("offered_qos_profiles", ""))) < 2
-
-    def _channels(self, namespace: str) -> dict[str, Channel]:
-        ranks = list(OUTPUTS)
-        return {
-            name: Channel(topic, ranks.index(name))
-            for topic, (ns, name) in self._names.items()
-            if ns == namespace and name in OUTPUTS
-        }
-
-    def _first_references(self) -> dict[str, bytes]:
-        """What was latched when the recording began; it may stand behind the first messages of the pass."""
+    def _look_ahead(self) -> tuple[dict[str, bytes], dict[str, Report]]:
+        """By namespace, the reference that was latched when the recording began, which may stand behind the first
+        messages of the pass, and the first report of the compensator."""
         firsts: dict[str, bytes] = {}
-        topics = {t: ns for t, (ns, name) in self._names.items() if name == "reference_trajectory"}
-        for message in in_file_order(self.recording):
-            if message.topic in topics:
-                firsts.setdefault(topics[message.topic], message.data)
-                if len(firsts) == len(topics):
-                    break
-        return firsts
+        openings: dict[str, Report] = {}
+        references = {t: ns for t, (ns, name) in self._names.items() if name == "reference_trajectory"}
+        for message in self.recording.messages({*references, *self._diagnostics}, as_written=True):
+            if message.topic in references:
+                firsts.setdefault(references[message.topic], message.data)
+            else:
+                for namespace, report in self._reports(message):
+                    openings.setdefault(namespace, report)
+        return firsts, openings
 
-    def _opening_reports(self) -> dict[str, Report]:
-        found: dict[str, Report] = {}
-        for _, array in self.recording.decoded(set(self._diagnostics), as_written=True):
-            for namespace, report in _reports_in(array):
-                found.setdefault(namespace, report)
-        return found
+    def _reports(self, message) -> Iterator[tuple[str, Report]]:
+        """Namespace of a compensator and what it told, out of a message of diagnostics."""
+        for status in self._diagnostics[message.topic](message.data).status:
+            report = read_report({entry.key: entry.value for entry in status.values})
+            if report is not None:
+                yield status.name.rpartition("/")[0], report
 
     def feed(self, progress=None, hear: Callable[[Robot, str, bytes], None] = Robot.hear) -> None:
         """All messages in the order of the file; ``hear`` takes those of a robot."""
@@ -236,7 +218,7 @@ class Robots:
                 with self._usable(message.topic):
                     hear(self.robots[namespace], name, message.data)
             elif message.topic in self._diagnostics:
-                for namespace, report in _reports_in(self._diagnostics[message.topic](message.data)):
+                for namespace, report in self._reports(message):
                     feed = self.robots[namespace].compensator if namespace in self.robots else None
                     if feed is not None:
                         feed.report = report
@@ -273,10 +255,3 @@ def _look_back(recording: Recording, namespace: str, run: bytes, feed: Compensat
                 robots.feed(None, Robot.hear_compensator)
                 if feed.goes_on_from(robots.robots[namespace].compensator):
                     return
-
-
-def _reports_in(array):
-    for status in array.status:
-        report = read_report({entry.key: entry.value for entry in status.values})
-        if report is not None:
-            yield status.name.rpartition("/")[0], report
