@@ -67,7 +67,7 @@ class Messages:
         self.data, self.offset = data, chunk.offset
         #: of each message: offset in the bytes, log time [ns], channel
         self.places, self.times, self.channels = array("I"), array("Q"), array("H")
-        self.definitions: list = []  #: mcap's Schema and Channel records
+        self.definitions: list[Part] = []  #: schemas and channels
         self.records = 0
         for kind, at, end in inner(data, chunk.offset):
             self.records += 1
@@ -77,7 +77,7 @@ class Messages:
                 self.times.append(log_time)
                 self.channels.append(channel)
             elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self.definitions.append(Part(kind, chunk.offset, data[at:end]).record())
+                self.definitions.append(Part(kind, chunk.offset, data[at:end]))
             if self.records > MOST or len(self.definitions) > MOST_DEFINITIONS:
                 reason = f"a chunk holds more than {MOST} records or {MOST_DEFINITIONS} definitions"
                 raise Damage(reason, chunk.offset)

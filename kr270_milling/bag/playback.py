@@ -47,7 +47,8 @@ def parts(recording: Recording) -> tuple[Part, ...]:
             first, last = min(first, time), max(last, time)
     spans.append((begin, first, last))
     found, shift = [], 0
-    for (begin, first, last), (end, *_) in zip(spans, [*spans[1:], (END,)], strict=True):
+    ends = [*(place for place, _, _ in spans[1:]), END]
+    for (begin, first, last), end in zip(spans, ends, strict=True):
         found.append(Part((begin, end), first, last, shift))
         shift += last + 1
     return tuple(found)

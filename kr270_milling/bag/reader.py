@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Metadata, Schema
 
 from kr270_milling.bag.chunks import CACHE, READ, Chunk, Entry, Unpacker
 from kr270_milling.bag.structure import HEAD, MAGIC, SMALL, Damage, Part, checksum, exactly, parts
@@ -25,7 +25,7 @@ from kr270_milling.messages.definitions import Topic, make_decoder
 
 __all__ = ["BEGIN", "END", "FOOTER_SIZE", "Attachment", "Place", "RawMessage", "Recording", "Topic", "find_file"]
 
-Place = tuple[int, float]  # of a message in its file: offset of the chunk, offset in the unpacked chunk
+Place = tuple[int, int]  # of a message in its file: offset of the chunk, offset in the unpacked chunk
 BEGIN, END = (0, 0), (2**64, 0)  # no message stands before and none behind
 FOOTER_SIZE = HEAD.size + 20 + len(MAGIC)  # with the magic behind it
 MOST_DEFINED = 32 * 1024 * 1024  # [bytes] of names, definitions and metadata that are held
@@ -98,7 +98,7 @@ class Recording:
         self.cut_off = True
         self.data_crc = 0
         self.data_end = len(MAGIC)  #: offset behind the last whole record of the data section
-        self._metadata: dict[str, dict[str, str]] = {}
+        self._metadata: dict[str, Metadata] = {}
         self._defined = 0  # [bytes]
         try:
             with self.sentences():
@@ -166,7 +166,8 @@ class Recording:
         return start or at
 
     def _take(self, part: Part) -> None:
-        """One record of the top level. Raises Damage, also where a file defines more than is bearable."""
+        """One record of the top level, or a definition. Raises Damage, also where a file defines more than is
+        bearable."""
         kind = part.type
         if kind in (Opcode.CHUNK, Opcode.MESSAGE):
             if len(self.chunks) == MOST_CHUNKS:
@@ -175,33 +176,27 @@ class Recording:
         elif kind == Opcode.HEADER:
             header = part.record()
             self.profile, self.library = header.profile, header.library
-        elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self._define(part.record(), part.offset)
+        elif kind in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
+            self._define(part)
         elif kind == Opcode.ATTACHMENT:
             record = part.record()
             self._bear(ENTRY + len(record.name), part.offset)
-            about = Attachment(record.name, record.media_type, len(record.data), part.offset, part.end)
-            self.attachments.append(about)
-        elif kind == Opcode.METADATA:
-            record = part.record()
-            self._bear(len(part.data) + ENTRY * len(record.metadata), part.offset)
-            self._metadata[record.name] = record.metadata
+            self.attachments.append(Attachment(record.name, record.media_type, len(record.data), part.offset, part.end))
         elif kind == Opcode.STATISTICS:
             self.counts = Counter(part.record().channel_message_counts)
         elif kind == Opcode.DATA_END:
             self.data_crc = part.record().data_section_crc
 
-    def _define(self, record: Schema | Channel, offset: int) -> None:
-        """Take a Schema or a Channel; one that was there already is replaced."""
-        known: dict = self.schemas if isinstance(record, Schema) else self.channels
-        if known.get(record.id) == record:
-            return
-        if isinstance(record, Schema):
-            size = len(record.data) + len(record.name)
-        else:
-            size = len(record.topic) + sum(ENTRY + len(key) + len(value) for key, value in record.metadata.items())
-        self._bear(ENTRY + size, offset)
-        known[record.id] = record
+    def _define(self, part: Part) -> None:
+        """Take a schema, a channel or metadata; one that was there already is replaced."""
+        record = part.record()
+        key = record.name if part.type == Opcode.METADATA else record.id
+        known: dict = self._metadata
+        if part.type != Opcode.METADATA:
+            known = self.schemas if part.type == Opcode.SCHEMA else self.channels
+        if known.get(key) != record:
+            self._bear(len(part.data) + ENTRY * (1 + len(getattr(record, "metadata", ()))), part.offset)
+            known[key] = record
 
     def _bear(self, size: int, offset: int) -> None:
         self._defined += size
@@ -219,8 +214,8 @@ class Recording:
     def _defined_in(self, chunk: Chunk):
         """The messages of a chunk, after its definitions were taken."""
         found = self.unpack(chunk)
-        for record in found.definitions:
-            self._define(record, chunk.offset)
+        for part in found.definitions:
+            self._define(part)
         return found
 
     def _list_topics(self) -> dict[str, Topic]:
@@ -258,7 +253,7 @@ class Recording:
 
     def metadata(self) -> dict[str, dict[str, str]]:
         """Record name -> entries; of several records with one name the last."""
-        return dict(self._metadata)
+        return {name: record.metadata for name, record in self._metadata.items()}
 
     def attachment(self, name: str) -> bytes:
         for about in self.attachments:
@@ -334,7 +329,7 @@ class Recording:
                 decoders[message.topic] = self.decoder(message.topic)
             yield message, decoders[message.topic](message.data)
 
-    def decoder(self, topic: str) -> Callable[[bytes], object]:
+    def decoder(self, topic: str) -> Callable[[bytes], Any]:
         """A function from the bytes of a topic's messages to an object; raises RecordingError where it cannot."""
         return make_decoder(self, topic)
 

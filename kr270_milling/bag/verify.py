@@ -11,8 +11,9 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 
+from kr270_milling.bag.chunks import Chunk
 from kr270_milling.bag.reader import FOOTER_SIZE, Recording
-from kr270_milling.bag.structure import HEAD, MAGIC, Damage, Part, checksum, parts
+from kr270_milling.bag.structure import HEAD, Damage, Part, checksum, parts
 
 __all__ = ["findings"]
 
@@ -27,24 +28,17 @@ def findings(recording: Recording, progress: Callable[[int, int], None] | None =
 
     A file whose writer left out a checksum or an index is whole without it. Nothing is raised for damage.
     """
-    walk = _Walk(recording)
-    if recording.cut_off:
-        walk.found.append("it is cut off: its writer did not finish it")
-    walk.guard(walk.run, progress)
-    return (walk.found + _metadata_file(recording))[:MOST]
+    check = _Check(recording)
+    check.guard(check.run, progress)
+    return (check.found + _metadata_file(recording))[:MOST]
 
 
-class _Walk:
-    """Once through the file, record by record."""
-
+class _Check:
     def __init__(self, recording: Recording):
         self.recording, self.stream = recording, recording.stream
         self.found: list[str] = []
         self.counts: Counter[int] = Counter()
-        self.chunks = {chunk.offset: chunk for chunk in recording.chunks}
         self.indexes: dict[int, ChunkIndex] = {}  # chunk -> what the summary must say of it
-        self.index: ChunkIndex | None = None  # of the chunk whose indexes of messages follow
-        self.expected: dict[int, np.ndarray] = {}  # channel -> log time and offset of its messages that lack an index
 
     def guard(self, call: Callable, *args) -> None:
         """A call whose damage becomes one more sentence."""
@@ -55,19 +49,14 @@ class _Walk:
 
     def run(self, progress) -> None:
         recording, end = self.recording, self.recording.data_end
-        for part in parts(self.stream, len(MAGIC), end):
-            if part.type == Opcode.MESSAGE_INDEX:
-                self.guard(self._check_index, part)
-                continue
-            self.guard(self._end_of_chunk)
-            if part.type == Opcode.ATTACHMENT:
-                self.guard(part.attached)
-            elif part.offset in self.chunks:
-                self.guard(self._begin_of_chunk, part)
+        for about in recording.attachments:
+            self.guard(recording.attached, about)
+        for chunk in recording.chunks:
+            self.guard(self._check_chunk, chunk)
             if progress:
-                progress(part.end, recording.size)
-        self.guard(self._end_of_chunk)
+                progress(chunk.offset + chunk.size, recording.size)
         if recording.cut_off:
+            self.found.insert(0, "it is cut off: its writer did not finish it")
             return
         if recording.data_crc not in (0, checksum(self.stream, 0, end)):
             self.found.append("the data do not fit the checksum at their end")
@@ -77,58 +66,59 @@ class _Walk:
         for part in parts(self.stream, behind, recording.size):
             self.guard(self._check_summary, part, behind)
 
-    def _begin_of_chunk(self, part: Part) -> None:
-        if part.type == Opcode.CHUNK:
-            record = part.record()
-            self.index = self.indexes[part.offset] = ChunkIndex(
-                chunk_length=len(part.data),
-                chunk_start_offset=part.offset,
-                compression=record.compression,
-                compressed_size=len(record.data),
-                message_end_time=record.message_end_time,
-                message_index_length=0,
-                message_index_offsets={},
-                message_start_time=record.message_start_time,
-                uncompressed_size=record.uncompressed_size,
-            )
-        found = self.recording.unpack(self.chunks[part.offset])
+    def _check_chunk(self, chunk: Chunk) -> None:
+        """Its messages, and the indexes of them that follow it."""
+        found = self.recording.unpack(chunk)
         self.counts += found.counts
         unknown = set(found.counts) - set(self.recording.channels)
         if unknown:
-            raise Damage(f"messages belong to channel {min(unknown)}, which is not defined", part.offset)
-        channels = np.array(found.channels)
+            raise Damage(f"messages belong to channel {min(unknown)}, which is not defined", chunk.offset)
+        if chunk.type != Opcode.CHUNK:
+            return
+        offsets, behind = {}, chunk.offset + chunk.size
+        channels, lacking = np.array(found.channels), set(found.counts)
         rows = np.stack([np.array(found.times), np.array(found.places, np.uint64)], axis=1)
-        self.expected = {number: rows[channels == number] for number in found.counts}
-
-    def _check_index(self, part: Part) -> None:
-        if self.index is None or len(part.data) < INDEX.size:
-            raise Damage("an index of messages belongs to no chunk", part.offset)
-        _, _, channel, size = INDEX.unpack_from(part.data)
-        if size != len(part.data) - INDEX.size or size % 16:
-            raise Damage("an index of messages has an impossible length", part.offset)
-        self.index.message_index_offsets[channel] = part.offset
-        self.index.message_index_length += len(part.data)
-        rows = np.frombuffer(part.data, "<u8", offset=INDEX.size).reshape(-1, 2)
-        if not np.array_equal(_sorted(rows), _sorted(self.expected.pop(channel, np.empty((0, 2), np.uint64)))):
-            raise Damage("an index points to other messages than its chunk holds", part.offset)
-
-    def _end_of_chunk(self) -> None:
-        index, expected = self.index, self.expected
-        self.index, self.expected = None, {}
-        if index is not None and index.message_index_offsets and expected:
-            raise Damage(f"a chunk has no index for channel {min(expected)}", index.chunk_start_offset)
+        for part in parts(self.stream, behind, self.recording.data_end):
+            if part.type != Opcode.MESSAGE_INDEX:
+                break
+            channel, index = _message_index(part)
+            offsets[channel], behind = part.offset, part.end
+            if not np.array_equal(_sorted(index), _sorted(rows[channels == channel])):
+                raise Damage("an index points to other messages than its chunk holds", part.offset)
+            lacking.discard(channel)
+        if offsets and lacking:
+            raise Damage(f"a chunk has no index for channel {min(lacking)}", chunk.offset)
+        (part,) = parts(self.stream, chunk.offset, chunk.offset + chunk.size)
+        record = part.record()
+        self.indexes[chunk.offset] = ChunkIndex(
+            chunk_length=chunk.size,
+            chunk_start_offset=chunk.offset,
+            compression=record.compression,
+            compressed_size=len(record.data),
+            message_end_time=chunk.last_time,
+            message_index_length=behind - chunk.offset - chunk.size,
+            message_index_offsets=offsets,
+            message_start_time=chunk.first_time,
+            uncompressed_size=chunk.unpacked,
+        )
 
     def _check_summary(self, part: Part, behind: int) -> None:
         """The index of a chunk, against what is there, and the footer; behind: where the summary begins."""
         at = self.recording.size - FOOTER_SIZE
-        if part.type == Opcode.CHUNK_INDEX:
-            index = part.record()
-            if index.chunk_start_offset not in self.indexes:
-                raise Damage("the index of chunks points to a place without a chunk", part.offset)
-            if index != self.indexes[index.chunk_start_offset]:
-                raise Damage("the index of chunks says another thing than the chunk", part.offset)
-        elif part.offset == at and part.record().summary_start != (0 if behind == at else behind):
+        if part.type == Opcode.CHUNK_INDEX and part.record() != self.indexes.get(part.record().chunk_start_offset):
+            raise Damage("the index of chunks says another thing than the chunk", part.offset)
+        if part.offset == at and part.record().summary_start != (0 if behind == at else behind):
             raise Damage("the footer does not point to the end of the data", at)
+
+
+def _message_index(part: Part) -> tuple[int, np.ndarray]:
+    """Channel of an index of messages, and log time and place of each of them, (n, 2)."""
+    if len(part.data) < INDEX.size:
+        raise Damage("an index of messages has an impossible length", part.offset)
+    _, _, channel, size = INDEX.unpack_from(part.data)
+    if size != len(part.data) - INDEX.size or size % 16:
+        raise Damage("an index of messages has an impossible length", part.offset)
+    return channel, np.frombuffer(part.data, "<u8", offset=INDEX.size).reshape(-1, 2)
 
 
 def _sorted(rows: np.ndarray) -> np.ndarray:

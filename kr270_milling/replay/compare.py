@@ -42,7 +42,7 @@ class Difference:
 
 class Recorded(NamedTuple):
     order: tuple[int, int]  # pass and stamp [ns]
-    index: int
+    number: int  # of the message on its topic
     data: bytes
     refused: bool
 
@@ -134,8 +134,11 @@ class Channel:
                 if alike:
                     self.compared += 1
                     self._last_expected = self._expected.popleft()
-                order = (*recorded.order, self.rank)
-                self.first = self.first or Difference(self.topic, recorded.index, recorded.order[1], *found, order)
+                self.first = self.first or self._difference(recorded, *found)
+
+    def _difference(self, recorded: Recorded, field: str, there: object, expected: object) -> Difference:
+        order = (*recorded.order, self.rank)
+        return Difference(self.topic, recorded.number, recorded.order[1], field, there, expected, order)
 
     def _miss(self, tail: bool) -> None:
         """The next expected message is not in the recording; a repeated answer need not be there."""
@@ -199,7 +202,7 @@ def difference(record, data: bytes) -> tuple | None:
     for (field, a), (_, b) in zip(_fields("", message), _fields("", deserialise(type_name, expected)), strict=False):
         if _bits(a) == _bits(b):
             continue
-        if isinstance(a, str) and max(len(a), len(b)) > EXCERPT:
+        if isinstance(a, str) and isinstance(b, str) and max(len(a), len(b)) > EXCERPT:
             at = len(os.path.commonprefix([a, b]))
             return f"{field}, from character {at} on,", a[at : at + EXCERPT], b[at : at + EXCERPT]
         return field, a, b

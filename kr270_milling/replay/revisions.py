@@ -106,18 +106,17 @@ class CompensatorFeed:
 
     def sample(self, sample: PoseSample | WrenchSample) -> None:
         """The next tool_pose or wrench, one that can be used."""
-        is_pose = isinstance(sample, PoseSample)
-        if is_pose and sample.stamp == 0 and (self.protocol.stamp_ns > 0 or self.revisions):
+        if isinstance(sample, PoseSample) and sample.stamp == 0 and (self.protocol.stamp_ns > 0 or self.revisions):
             self._compare()
         protocol = self.protocol
         if sample.stamp >= protocol.end_ns and protocol.under_way and self._without is None:
             if not self.known:
                 self._restore()
             self._without = protocol.twin()
-        if is_pose and self._without is not None:
+        if isinstance(sample, PoseSample) and self._without is not None:
             self._without.pose(sample)
         try:
-            revised = protocol.pose(sample) if is_pose else protocol.wrench(sample)
+            revised = protocol.pose(sample) if isinstance(sample, PoseSample) else protocol.wrench(sample)
         except MillingError:  # no revision is possible: the live node told so, and published none
             self._without = None
             return

@@ -131,8 +131,10 @@ class Robot:
 
     def finish(self) -> None:
         """No more will come."""
-        for feed in filter(None, (self.robot, self.cut, self.compensator)):
-            feed.finish()
+        self.robot.finish()
+        self.cut.finish()
+        if self.compensator is not None:
+            self.compensator.finish()
         for channel in self.channels.values():
             channel.finish()
 
