@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
-import tempfile
+import uuid
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -29,21 +29,15 @@ def staged(directory) -> Iterator[tuple[Path, Callable[[str | Path], Path]]]:
             raise InputError(final, "is a file, but must be a directory to write into")
         # inside of one that exists: it may be a mount point, to which nothing moves from outside
         place = final if final.is_dir() else final.parent
-        draft = Path(tempfile.mkdtemp(prefix=f".{final.name}.", suffix=".part", dir=place))
+        draft = place / f".{final.name}.{uuid.uuid4().hex}.part"
+        draft.mkdir()
     except OSError as error:
         raise InputError(final, f"cannot be written into ({error.strerror})") from None
-    draft.chmod(0o777 & ~_umask())
     try:
         yield draft, lambda path: final / Path(path).relative_to(draft)
         _move(draft, final)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0o022)
-    os.umask(mask)
-    return mask
 
 
 def _move(draft: Path, final: Path) -> None:

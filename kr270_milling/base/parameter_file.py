@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import sysconfig
 import typing
 from pathlib import Path
 
-from kr270_milling.base.columns import as_lists
 from kr270_milling.base.errors import ConfigError
 
 __all__ = ["find_file", "merge", "override", "parse", "read_tree", "read_yaml", "refusal"]
@@ -31,36 +31,27 @@ def read_tree(path) -> dict:
     Each file is read once, however often it is named. Raises ConfigError, also for more than MOST_INCLUDES names in
     all the files together and for more than MOST_DEPTH files that include one another.
     """
-    return _Includes().merged(Path(path), ())
+    return _merged(Path(path), (), {}, [])
 
 
-class _Includes:
-    """The files of one parameter tree: what each says, and how many names of files were met."""
-
-    def __init__(self):
-        self._trees: dict[Path, dict] = {}
-        self._named = 0
-
-    def merged(self, path: Path, above: tuple[Path, ...]) -> dict:
-        """The merged tree of a file; above: the files that lead to it."""
-        place = path.resolve()
-        if place not in self._trees:
-            self._trees[place] = self._read(path, (*above, place))
-        return self._trees[place]
-
-    def _read(self, path: Path, chain: tuple[Path, ...]) -> dict:
-        includes, tree = _content(path)
-        self._named += len(includes)
-        if self._named > MOST_INCLUDES or (includes and len(chain) > MOST_DEPTH):
-            most = f"at most {MOST_INCLUDES} names of files in all, {MOST_DEPTH} deep"
-            raise ConfigError(path, "includes", len(includes), most)
-        merged: dict = {}
-        for name in includes:
-            included = find_file(name, path.parent)
-            if included.resolve() in chain:
-                raise ConfigError(path, "includes", name, "free of circles")
-            merged = merge(merged, self.merged(included, chain))
-        return merge(merged, tree)
+def _merged(path: Path, above: tuple[Path, ...], trees: dict[Path, dict], named: list[str]) -> dict:
+    """above: the files that lead to this one; trees: what was read so far; named: all names of files so far."""
+    place = path.resolve()
+    if place in trees:
+        return trees[place]
+    includes, tree = _content(path)
+    named += includes
+    if len(named) > MOST_INCLUDES or (includes and len(above) >= MOST_DEPTH):
+        most = f"at most {MOST_INCLUDES} names of files in all, {MOST_DEPTH} deep"
+        raise ConfigError(path, "includes", len(includes), most)
+    merged: dict = {}
+    for name in includes:
+        included = find_file(name, path.parent)
+        if included.resolve() in (*above, place):
+            raise ConfigError(path, "includes", name, "free of circles")
+        merged = merge(merged, _merged(included, (*above, place), trees, named))
+    trees[place] = merge(merged, tree)
+    return trees[place]
 
 
 def _content(path: Path) -> tuple[list[str], dict]:
@@ -75,7 +66,26 @@ def _content(path: Path) -> tuple[list[str], dict]:
     includes = tree.pop("includes", [])
     if not isinstance(includes, list) or not all(isinstance(i, str) for i in includes):
         raise refusal(path, "includes", includes, "a list of file names")
-    return includes, as_lists(tree, path)
+    return includes, _as_lists(tree, path)
+
+
+def _as_lists(tree, file, key: str = ""):
+    """The tree with every list of groups as one group of lists, row after row; raises ConfigError.
+
+    ``[{a: 1.0}, {a: 2.0}]`` is to a ROS node ``{a: [1.0, 2.0]}``.
+    """
+    if isinstance(tree, dict):
+        return {name: _as_lists(value, file, f"{key}.{name}".lstrip(".")) for name, value in tree.items()}
+    if not isinstance(tree, list) or not tree or not all(isinstance(row, dict) for row in tree):
+        return tree
+    sizes = [{name: len(value) if isinstance(value, list) else 0 for name, value in row.items()} for row in tree]
+    if any(size != sizes[0] for size in sizes):
+        raise ConfigError(file, key, None, "must have the same keys in every group, with as many numbers each")
+    columns: dict[str, list] = {name: [] for name in tree[0]}
+    for row in tree:
+        for name, value in row.items():
+            columns[name] += value if isinstance(value, list) else [value]
+    return columns
 
 
 def read_yaml(path: Path):
@@ -157,7 +167,7 @@ def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, froze
         parsed = parse(value, "--set", key)
         for part in reversed(key.split(".")):
             parsed = {part: parsed}
-        tree = merge(tree, typing.cast(dict, as_lists(parsed, "--set")))
+        tree = merge(tree, typing.cast(dict, _as_lists(parsed, "--set")))
         keys.add(key)
     return tree, frozenset(keys)
 
@@ -170,16 +180,11 @@ def find_file(name: str, beside: Path | None = None) -> Path:
     places = [Path(name)] if beside is None else [beside / name]
     if Path(name).parent in (Path("."), Path("config")):
         places += [directory / Path(name).name for directory in shipped_directories()]
-    for place in filter(_is_file, places):
-        return place
+    for place in places:
+        with contextlib.suppress(OSError, ValueError):  # too long, in a folder that is not ours, a zero byte in it
+            if place.is_file():
+                return place
     raise ConfigError(name, "", None, f"is no such file (looked at {', '.join(str(p) for p in places)})")
-
-
-def _is_file(place: Path) -> bool:
-    try:
-        return place.is_file()
-    except (OSError, ValueError):  # too long, in a folder that is not ours to look into, a zero byte in it
-        return False
 
 
 def shipped_directories() -> list[Path]:

@@ -35,14 +35,14 @@ class Spec:
 
     name: str
     kind: type  # float, int, bool, str, np.ndarray (of floats), tuple (of strings) or a Record
-    unit: str
-    text: str
-    low: float
-    high: float
-    above: float  # exclusive lower bound
-    choices: tuple[str, ...]
-    size: int | None  # of an array; None: any
-    default: typing.Any
+    default: typing.Any  # in SI; MISSING: there is none
+    unit: str = ""
+    text: str = ""
+    low: float = -math.inf  # bounds in the file's unit
+    high: float = math.inf
+    above: float = -math.inf  # exclusive lower bound
+    choices: tuple[str, ...] = ()
+    size: int | None = None  # of an array; None: any
 
     @property
     def key(self) -> str:
@@ -68,53 +68,111 @@ class Spec:
         number = "a whole number" if self.kind is int else "a finite number"
         if self.kind is np.ndarray:
             number = f"a list of {'' if self.size is None else f'{self.size} '}finite numbers"
-        bounds = [f"above {self.above:g}" if self.above > -math.inf else "",
-                  f"at least {self.low:g}" if self.low > -math.inf else "",
-                  f"at most {self.high:g}" if self.high < math.inf else ""]  # fmt: skip
-        return " ".join([number, " and ".join(b for b in bounds if b)]).strip()
+        bounds = (("above", self.above), ("at least", self.low), ("at most", self.high))
+        limits = " and ".join(f"{word} {bound:g}" for word, bound in bounds if math.isfinite(bound))
+        return f"{number} {limits}".strip()
+
+    def read(self, value):
+        """What a file says as the very type that is asked for, in the file's unit; raises ValueError.
+
+        A whole number is taken where a float is due.
+        """
+        if self.kind is float:
+            return _number(value)
+        if self.kind in (tuple, np.ndarray):
+            if not isinstance(value, list) or (self.kind is tuple and not all(isinstance(v, str) for v in value)):
+                raise ValueError
+            return value if self.kind is tuple else [_number(v) for v in value]
+        if type(value) is not self.kind:
+            raise ValueError
+        return value
+
+    def to_si(self, value):
+        """A value that was read, in SI."""
+        if self.kind is np.ndarray:
+            return np.array(value, float) * self.scale
+        return value * self.scale if self.kind is float else value
+
+    def to_file(self, value):
+        """A value in SI as a file says it."""
+        if self.kind is np.ndarray:
+            return (value / self.scale).tolist()
+        if self.kind is float:
+            return float(value / self.scale)
+        return list(value) if self.kind is tuple else value
+
+    def checked(self, value):
+        """The value (SI), if it is allowed, arrays read-only; raises ParameterError."""
+        if self.kind is np.ndarray:
+            value = np.array(value, float)
+            value.setflags(write=False)
+        elif self.kind is tuple:
+            value = tuple(value)
+        if not (self._allows(value) or (self.optional and math.isnan(value))):
+            raise ParameterError(self.key, _readable(self.to_file(value)), self.allowed)
+        return value
+
+    def _allows(self, value) -> bool:
+        """Whether the value (SI) has the right type and size and is within its bounds.
+
+        The bounds are turned into SI as a value of the file is, by one product, which keeps the order of two numbers: a
+        value that is within them in the file's unit is within them here, to the last digit.
+        """
+        if self.choices and not set(value if self.kind is tuple else [value]) <= set(self.choices):
+            return False
+        if self.kind is np.ndarray and (value.ndim != 1 or self.size not in (None, value.size)):
+            return False
+        if self.kind is int:
+            whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
+            return whole and abs(value) < 2**63 and self.low <= value <= self.high and value > self.above
+        if self.kind not in (float, np.ndarray):
+            return True
+        values = np.atleast_1d(np.asarray(value, float))
+        low, high, above = self.low * self.scale, self.high * self.scale, self.above * self.scale
+        return bool(np.all(np.isfinite(values) & (values >= low) & (values <= high) & (values > above)))
 
 
-def parameter(
-    default=dataclasses.MISSING,
-    *,
-    text: str,
-    unit: str = "",
-    low: float = -math.inf,
-    high: float = math.inf,
-    above: float = -math.inf,
-    choices: tuple[str, ...] = (),
-    size: int | None = None,
-):
-    """A dataclass field that a parameter file may set; ``default`` is in SI, the bounds are in ``unit``."""
-    meta = dict(unit=unit, text=text, low=low, high=high, above=above, choices=choices, size=size)
+def _number(value) -> float:
+    # YAML 1.1 reads 1e-5 as a text, the ROS parser as a number
+    known = type(value) in (str, float) or (type(value) is int and abs(value) < 2**63)
+    number = float(value) if known else math.nan
+    if math.isnan(number):
+        raise ValueError
+    return number
+
+
+def _readable(value):
+    """Without the digits that the way to SI and back may have added."""
+    if isinstance(value, list):
+        return [_readable(v) for v in value]
+    return float(f"{value:.14g}") if isinstance(value, float) else value
+
+
+def parameter(default=dataclasses.MISSING, **about):
+    """A dataclass field that a parameter file may set; ``default`` is in SI.
+
+    about: ``text`` and, where they apply, unit, low, high, above, choices and size of its ``Spec``.
+    """
     if isinstance(default, (list, np.ndarray)):
         values = tuple(default)
-        return dataclasses.field(default_factory=lambda: np.array(values, float), metadata=meta)
-    return dataclasses.field(default=default, metadata=meta)
+        return dataclasses.field(default_factory=lambda: np.array(values, float), metadata=about)
+    return dataclasses.field(default=default, metadata=about)
 
 
-_SPECS: dict[type, tuple[Spec, ...]] = {}  # found once for each class
+_SPECS: dict[type, tuple[Spec, ...]] = {}  # made once for each class
 
 
 def specs(record: type[Record]) -> tuple[Spec, ...]:
     """The parameters of a record class in their order; a field that is itself a Record has ``kind`` that class."""
     if record not in _SPECS:
-        _SPECS[record] = _specs(record)
+        hints = typing.get_type_hints(record)
+        made = []
+        for field in dataclasses.fields(record):
+            default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
+            kind = typing.get_origin(hints[field.name]) or hints[field.name]
+            made.append(Spec(field.name, kind, default, **field.metadata))
+        _SPECS[record] = tuple(made)
     return _SPECS[record]
-
-
-def _specs(record: type[Record]) -> tuple[Spec, ...]:
-    hints = typing.get_type_hints(record)
-    found = []
-    for field in dataclasses.fields(record):
-        default = field.default
-        if field.default_factory is not dataclasses.MISSING:
-            default = field.default_factory()
-        meta = field.metadata or dict(unit="", text="", low=-math.inf, high=math.inf, above=-math.inf, choices=(),
-                                      size=None)  # fmt: skip
-        kind = typing.get_origin(hints[field.name]) or hints[field.name]
-        found.append(Spec(name=field.name, kind=kind, default=default, **meta))
-    return tuple(found)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -127,9 +185,8 @@ class Record:
 
     def __post_init__(self):
         for spec in specs(type(self)):
-            value = getattr(self, spec.name)
             if not issubclass(spec.kind, Record):
-                object.__setattr__(self, spec.name, _checked(spec, value))
+                object.__setattr__(self, spec.name, spec.checked(getattr(self, spec.name)))
         self.check()
 
     def check(self) -> None:
@@ -151,49 +208,8 @@ def _given(record: Record) -> dict:
     return getattr(record, "_in_file_units", {})
 
 
-def _checked(spec: Spec, value):
-    if spec.kind is np.ndarray:
-        value = np.array(value, float)
-        value.setflags(write=False)
-    elif spec.kind is tuple:
-        value = tuple(value)
-    if not (_allowed(spec, value) or (spec.optional and math.isnan(value))):
-        raise ParameterError(spec.key, _readable(spec, value), spec.allowed)
-    return value
-
-
-def _readable(spec: Spec, value):
-    """In the file's unit, without the digits that the way to SI and back may have added."""
-    if spec.kind is np.ndarray:
-        return [float(f"{v:.14g}") for v in (value / spec.scale).ravel().tolist()]
-    return float(f"{value / spec.scale:.14g}") if spec.kind is float else value
-
-
-def _allowed(spec: Spec, value) -> bool:
-    """Whether the value (SI) has the right type and size and is within its bounds.
-
-    The bounds are turned into SI as a value of the file is, by one product, which keeps the order of two numbers: a
-    value that is within them in the file's unit is within them here, to the last digit.
-    """
-    if spec.choices and not set(value if spec.kind is tuple else [value]) <= set(spec.choices):
-        return False
-    if spec.kind is np.ndarray and (value.ndim != 1 or spec.size not in (None, value.size)):
-        return False
-    if spec.kind is int:
-        whole = isinstance(value, numbers.Integral) and not isinstance(value, bool)
-        return whole and abs(value) < 2**63 and spec.low <= value <= spec.high and value > spec.above
-    if spec.kind not in (float, np.ndarray):
-        return True
-    values = np.atleast_1d(np.asarray(value, float))
-    low, high, above = spec.low * spec.scale, spec.high * spec.scale, spec.above * spec.scale
-    return bool(np.all(np.isfinite(values) & (values >= low) & (values <= high) & (values > above)))
-
-
 def build(record: type[Record], tree: dict, file="", prefix: str = ""):
-    """A record from the nested dict of a parameter file.
-
-    A whole number may stand where a float is due. Raises ConfigError for unknown, missing and unusable keys.
-    """
+    """A record from the nested dict of a parameter file; raises ConfigError for unknown, missing, unusable keys."""
     if not isinstance(tree, dict):
         raise refusal(file, prefix.rstrip("."), tree, "a group of keys")
     known = {s.key: s for s in specs(record)}
@@ -202,66 +218,23 @@ def build(record: type[Record], tree: dict, file="", prefix: str = ""):
             near = difflib.get_close_matches(str(key), known, 1)
             hint = f"; did you mean {near[0]}?" if near else f"; known here: {', '.join(known)}"
             raise ConfigError(file, f"{prefix}{key}", None, "is not a known key" + hint)
-    values = {}
+    values, given = {}, {}
     for key, spec in known.items():
-        path = prefix + key
         if issubclass(spec.kind, Record):
             if key in tree or spec.default is dataclasses.MISSING:
-                values[spec.name] = build(spec.kind, tree.get(key, {}), file, path + ".")
+                values[spec.name] = build(spec.kind, tree.get(key, {}), file, f"{prefix}{key}.")
         elif key in tree:
-            values[spec.name] = _from_file(spec, tree[key], file, path)
+            try:
+                given[spec.name] = spec.read(tree[key])
+            except ValueError:
+                raise refusal(file, prefix + key, tree[key], spec.allowed) from None
+            values[spec.name] = spec.to_si(given[spec.name])
         elif spec.default is dataclasses.MISSING:
-            raise ConfigError(file, path, None, f"is missing; it must be {spec.allowed} ({spec.text})")
+            raise ConfigError(file, prefix + key, None, f"is missing; it must be {spec.allowed} ({spec.text})")
     try:
-        made = record(**values)
+        return _keep(record(**values), given)
     except ParameterError as error:
         raise refusal(file, prefix + error.key, error.value, error.allowed) from None
-    return _keep(made, {s.name: _plain(tree[key]) for key, s in known.items() if key in tree and _has_unit(s)})
-
-
-def _from_file(spec: Spec, value, file, path: str):
-    """The value in SI, of the very type that the spec asks for; a whole number is taken where a float is due."""
-    refuse = refusal(file, path, value, spec.allowed)
-    if spec.kind in (bool, str):
-        if type(value) is not spec.kind:
-            raise refuse
-        return value
-    if spec.kind is tuple:
-        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-            raise refuse
-        return tuple(value)
-    if spec.kind is int:
-        if type(value) is not int:
-            raise refuse
-        return value
-    if spec.kind is float:
-        return _number(value, refuse) * spec.scale
-    if not isinstance(value, list):
-        raise refuse
-    return np.array([_number(v, refuse) * spec.scale for v in value], float)
-
-
-def _number(value, refuse: ConfigError) -> float:
-    number = math.nan
-    if isinstance(value, str):  # YAML 1.1 reads 1e-5 as a text, the ROS parser as a number
-        try:
-            number = float(value)
-        except ValueError:
-            raise refuse from None
-    elif type(value) is float or (type(value) is int and abs(value) < 2**63):
-        number = float(value)
-    if math.isnan(number):
-        raise refuse
-    return number
-
-
-def _has_unit(spec: Spec) -> bool:
-    return spec.kind in (float, np.ndarray)
-
-
-def _plain(value):
-    """A number or a list of them as floats: a file may write 1e-5, which YAML reads as a text."""
-    return [float(v) for v in value] if isinstance(value, list) else float(value)
 
 
 def tree_of(record: Record) -> dict:
@@ -272,14 +245,8 @@ def tree_of(record: Record) -> dict:
         value = getattr(record, spec.name)
         if issubclass(spec.kind, Record):
             tree[spec.key] = tree_of(value)
-        elif spec.optional and math.isnan(value):
-            continue
-        elif _has_unit(spec):
-            tree[spec.key] = given[spec.name] if spec.name in given else (value / spec.scale)
-            if isinstance(tree[spec.key], (np.ndarray, np.generic)):
-                tree[spec.key] = tree[spec.key].tolist()
-        else:
-            tree[spec.key] = list(value) if spec.kind is tuple else value
+        elif not (spec.optional and math.isnan(value)):
+            tree[spec.key] = given[spec.name] if spec.name in given else spec.to_file(value)
     return tree
 
 
