@@ -43,9 +43,8 @@ def run(args) -> Answer:
     from kr270_milling.base.errors import ParameterError
     from kr270_milling.base.record import find_file
     from kr270_milling.cell.cell import read_cell
-    from kr270_milling.studies.best import Summary, write_cells, write_picture
     from kr270_milling.studies.engine import Study, content, run_chunks
-    from kr270_milling.studies.placements import Placements, course_of
+    from kr270_milling.studies.placements import Placements, Summary, course_of, write_cells, write_picture
 
     source = find_file(args.cell).resolve()
     cell = read_cell(source, args.set)

@@ -76,8 +76,7 @@ def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
     from kr270_milling.base.files import staged
     from kr270_milling.messages.codec import to_bytes
     from kr270_milling.messages.trajectory import TRAJECTORY
-    from kr270_milling.studies.best import write_cell
-    from kr270_milling.studies.placements import place_of
+    from kr270_milling.studies.placements import place_of, write_cell
     from kr270_milling.trajectory.trajectory_csv import write_csv
 
     changes = {"path": {"file": RECORDING}, "workpiece": place_of(cell.workpiece.pose),

@@ -51,7 +51,7 @@ def run(args) -> Answer:
 
 
 def _along(args, cell) -> Answer:
-    from kr270_milling.studies.feature_limits import feature_limits
+    from kr270_milling.studies.lobes import feature_limits
 
     rows = [one.as_dict() for one in feature_limits(cell, not args.no_arm)]
     columns = ["feature", "deepest cut [mm]", "limit [mm]", "chatter [Hz]", "stable"]

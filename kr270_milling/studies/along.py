@@ -70,7 +70,7 @@ class Turns:
         cell, course = self.cell, self.course
         n, s = turn.shape
         tool = cell.workpiece.pose @ Pose(course.position, course.rotation)
-        rotation = tool.rotation[:, None] @ about_z(turn.ravel()).reshape(n, s, 3, 3)
+        rotation = tool.rotation[:, None] @ about_z(turn)
         place = Pose(np.repeat(tool.position, s, axis=0), rotation.reshape(-1, 3, 3))
         force, feed = (vectors @ cell.workpiece.pose.rotation.T for vectors in (course.force, course.feed))
         q, way = postures(cell.arm, cell.mount, place, np.repeat(force, s, axis=0), cell.dynamics.gravity)

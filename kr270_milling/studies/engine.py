@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import itertools
 import json
 import math
@@ -25,7 +26,7 @@ from kr270_milling.base.record import read_tree
 from kr270_milling.cell.cell import Cell
 from kr270_milling.programs.files import source_hash
 
-__all__ = ["EngineError", "Study", "content", "run_chunks"]
+__all__ = ["EngineError", "Rows", "Study", "content", "run_chunks"]
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
 ALONE = 4.0  #: [s] of work that is done before a local cluster is up
@@ -55,6 +56,35 @@ LOCAL = {
 
 class EngineError(MillingError):
     """The extra libraries are missing, or the scheduler does not answer."""
+
+
+class Rows:
+    """The rows of a study; a worker makes any chunk of them from its number alone."""
+
+    chunk: int  #: rows a file
+
+    def __len__(self) -> int:
+        raise NotImplementedError
+
+    def columns(self, first: int, last: int) -> dict:
+        """The columns of the rows of the numbers first to last."""
+        raise NotImplementedError
+
+    @property
+    def chunks(self) -> int:
+        """Number of files."""
+        return -(-len(self) // self.chunk)
+
+    def __call__(self, number: int) -> bytes:
+        """The Parquet bytes of one chunk."""
+        import pyarrow as pa
+        from pyarrow import parquet
+
+        first = number * self.chunk
+        sink = io.BytesIO()
+        table = pa.table(self.columns(first, min(first + self.chunk, len(self))))
+        parquet.write_table(table, sink, compression="zstd")
+        return sink.getvalue()
 
 
 class Study:
@@ -112,15 +142,13 @@ def run_chunks(
     EngineError where Dask is missing, or the scheduler cannot be reached, has no worker or goes away.
     """
     missing, start = study.missing(count), time.monotonic()
-    done = count - len(missing)
     if scheduler is None:
         if len(missing) > SEVERAL:
             _prepare(rows_of)
-        alone = _alone(study, missing, rows_of)
-        done += alone
-        missing = missing[alone:]
+        missing = missing[_alone(study, missing, rows_of) :]
     if not missing:
         return time.monotonic() - start
+    done = count - len(missing)
     with _client(scheduler) as client:
         try:
             for number, data in _made(client, f"{study.folder.name}-{uuid.uuid4().hex}", missing, rows_of):
@@ -190,18 +218,13 @@ def _client(scheduler: str | None) -> Iterator:
         from dask.distributed import Client, LocalCluster
     except ImportError:
         raise EngineError("studies need Dask and Arrow: pip install 'kr270_milling[studies]'") from None
-    with dask.config.set(QUIET if scheduler else QUIET | LOCAL):
-        if scheduler:
-            try:
-                client = Client(scheduler, timeout=ANSWER)
-            except (OSError, ValueError) as error:
-                raise EngineError(f"the scheduler {scheduler} does not answer: {error}") from None
-            with client:
-                yield client
-            return
-        cluster = LocalCluster(
+    with dask.config.set(QUIET if scheduler else QUIET | LOCAL), contextlib.ExitStack() as stack:
+        where = scheduler or stack.enter_context(LocalCluster(
             n_workers=os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",
             scheduler_kwargs={"dashboard": False}, host="127.0.0.1", silence_logs="CRITICAL",
-        )  # fmt: skip
-        with cluster, Client(cluster) as client:
-            yield client
+        ))  # fmt: skip
+        try:
+            client = Client(where, timeout=ANSWER)
+        except (OSError, ValueError) as error:
+            raise EngineError(f"the scheduler {scheduler} does not answer: {error}") from None
+        yield stack.enter_context(client)

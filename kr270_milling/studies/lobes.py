@@ -1,7 +1,13 @@
-"""Stability lobes of a cell: limit depth of cut and chatter frequency over spindle speed."""
+"""Stability of a cell: limit depth of cut and chatter frequency over spindle speed, and of each feature along its path.
+
+Along the path the arm is looked at in several postures of a feature, and in each the cut goes in the direction of the
+feed there: the modes are turned into axes with x along the feed, which is where the engagement of the teeth is counted
+from.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -12,16 +18,23 @@ import numpy as np
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cutting.laws import axial_per_depth, force_per_depth
+from kr270_milling.decision.check_cut import engagement as engagement_along
+from kr270_milling.decision.part.course import course
+from kr270_milling.identification.cuts import engagement
 from kr270_milling.simulation.dynamics import ModalModel
 from kr270_milling.studies.monodromy import Modes, directional_matrices, multipliers
+from kr270_milling.studies.placements import about_z
 
-__all__ = ["Lobe", "engagement_angles", "limit_depth", "lobe_at", "lobes", "modes_of"]
+__all__ = ["FeatureLimit", "Lobe", "feature_limits", "limit_depth", "lobes", "modes_of"]
 
 DEPTHS = np.geomspace(1e-6, 0.1, 26)  #: [m], between which the first loss of stability is looked for
 HALVINGS = 12  #: of such an interval, a factor of 1.6: to 0.01 % of the depth
 NODES = 40, 200  #: least and most nodes of a tooth period
 PER_PERIOD = 32  #: nodes in a period of the fastest mode
 SMALL_STEP = 1e-3  #: share of the chip thickness over which the force law is differentiated
+THREADS = 2
+PLACES = 5  #: of each feature
+CUTS = 1e-6  #: [m] of depth, less is rounding
 
 
 @dataclass(frozen=True)
@@ -60,46 +73,30 @@ def modes_of(cell: Cell, arm: bool = True, model: ModalModel | None = None) -> M
     return Modes(np.concatenate(frequency), np.concatenate(ratio), np.concatenate(shape))
 
 
-def engagement_angles(immersion: float, mode: str) -> tuple[float, float]:
-    """Entry and exit [rad] from where a full slot is entered; immersion: radial, a share of the diameter."""
-    if mode == "slot" or immersion >= 1.0:
-        return 0.0, math.pi
-    width = math.acos(1.0 - 2.0 * immersion)
-    return (0.0, width) if mode == "up" else (math.pi - width, math.pi)
-
-
 def lobes(
-    cell: Cell,
-    speeds: Sequence[float],
-    arm: bool = True,
-    threads: int = 2,
-    progress: Callable[[int, int], None] | None = None,
+    cell: Cell, speeds: Sequence[float], arm: bool = True, progress: Callable[[int, int], None] | None = None
 ) -> list[Lobe]:
     """Limit depth at each spindle speed [rad/s], for the immersion of ``path`` and the feed per tooth of the cell."""
     modes = modes_of(cell, arm)
-    gradients = _gradients(cell)
-
-    def one(speed: float) -> Lobe:
-        return lobe_at(cell, modes, speed, gradients)
-
     found = []
-    with ThreadPoolExecutor(threads) as pool:
-        for lobe in pool.map(one, speeds):
+    with ThreadPoolExecutor(THREADS) as pool:
+        for lobe in pool.map(lambda speed: _lobe_at(cell, modes, speed), speeds):
             found.append(lobe)
             if progress is not None:
                 progress(len(found), len(speeds))
     return found
 
 
-def lobe_at(cell: Cell, modes: Modes, speed: float, gradients=None) -> Lobe:
+def _lobe_at(cell: Cell, modes: Modes, speed: float) -> Lobe:
     """The limit depth at one spindle speed [rad/s]; modes: in axes with x along the feed."""
     tool = cell.tool
     if tool.pitch.size and np.ptp(tool.pitch) > 1e-9:
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: its lobes are those of tau")
-    angles = engagement_angles(cell.path.radial_immersion, cell.path.mode)
+    mode = "slot" if cell.path.radial_immersion >= 1.0 else cell.path.mode
+    entry, leave = (angle + 0.5 * math.pi for angle in engagement(mode, cell.path.radial_immersion, 1.0))
     delay = 2.0 * math.pi / (speed * tool.teeth)
     nodes = int(np.clip(PER_PERIOD * delay * modes.frequency.max() / (2.0 * math.pi), *NODES))
-    matrices = directional_matrices(gradients or _gradients(cell), tool.sense, tool.teeth, *angles, nodes)
+    matrices = directional_matrices(_gradients(cell), tool.sense, tool.teeth, entry, leave, nodes)
     return Lobe(speed, *limit_depth(modes, matrices, delay))
 
 
@@ -146,3 +143,44 @@ def _gradients(cell: Cell):
         return (t1 - t0) / (2 * step), (r1 - r0) / (2 * step), (a1 - a0) / (2 * step)
 
     return gradients
+
+
+@dataclass(frozen=True)
+class FeatureLimit:
+    """One feature of the path."""
+
+    name: str
+    depth: float  #: deepest cut of the program [m]
+    limit: Lobe  #: the least of its places
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return {"feature": self.name, "depth_mm": 1e3 * self.depth, **self.limit.as_dict(),
+                "stable": self.depth < self.limit.depth_limit}  # fmt: skip
+
+
+def feature_limits(cell: Cell, arm: bool = True) -> list[FeatureLimit]:
+    """The limit depth of each feature that cuts, in the order of the path."""
+    met = engagement_along(cell, 0.0)
+    time_ns = np.minimum(np.round(1e9 * met.time).astype(np.int64), cell.target().duration_ns)
+    path = course(cell, time_ns)
+    cutting = (met.depth > CUTS) & ~met.rapid
+    found = []
+    for number in dict.fromkeys(path.feature[cutting].tolist()):
+        rows = np.flatnonzero(cutting & (path.feature == number))
+        some = rows[np.linspace(0, len(rows) - 1, PLACES).astype(int)]
+        limits = [_limit(cell, arm, int(time_ns[k]), float(path.heading[k])) for k in dict.fromkeys(some.tolist())]
+        least = min(limits, key=lambda lobe: lobe.depth_limit)
+        found.append(FeatureLimit(path.features[number], float(met.depth[rows].max()), least))
+    return found
+
+
+def _limit(cell: Cell, arm: bool, time_ns: int, heading: float) -> Lobe:
+    """At the posture of a time, with the feed at the angle ``heading`` [rad] from x of the workpiece."""
+    run, model = cell.target(), None
+    if arm:
+        place, turn = (sample(np.array([time_ns])) for sample in (run.sample, run.sample_orientation))
+        model = cell.modes_at(cell.joints_at(place, turn))[0]
+    modes = modes_of(cell, arm, model)
+    shape = modes.shape @ about_z(heading)  # rows: Rz(-heading) phi
+    return _lobe_at(cell, dataclasses.replace(modes, shape=shape), cell.tool.spindle_speed)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+from scipy.linalg import expm
 
 __all__ = ["Modes", "directional_matrices", "multipliers"]
 
@@ -61,51 +62,46 @@ def multipliers(modes: Modes, matrices: np.ndarray, depth: float, delay: float) 
     Of more than 2 KRYLOV states only the KRYLOV Ritz values of Arnoldi's method: the multipliers of a delay die out
     toward 0, so the largest, which tell stability, are among them to rounding.
     """
-    step = delay / len(matrices)
-    rows, loads = _advance(modes, step), depth * matrices
+    rows, shape, loads = _advance(modes, delay / len(matrices)), modes.shape, depth * matrices
+    # F = B (u - u_delayed) at the end of a step, where u = free + gain F: F = B (1 - gain B)^-1 (free - u_delayed)
+    gain = (shape[:, :2].T * rows[:, 0, 3]) @ shape
+    ends = np.roll(loads, -1, axis=0)
+    ends = ends @ np.linalg.inv(np.eye(2) - gain @ ends)
     size = 2 * (len(modes.frequency) + len(matrices))
-    if size <= 2 * KRYLOV:
-        return np.linalg.eigvals(_period(rows, modes.shape, loads, np.eye(size)))
-    return np.linalg.eigvals(_arnoldi(rows, modes.shape, loads, KRYLOV))
+    if size > 2 * KRYLOV:
+        return np.linalg.eigvals(_arnoldi(rows, shape, loads, ends, size, KRYLOV))
+    return np.linalg.eigvals(np.column_stack([_period(rows, shape, loads, ends, start) for start in np.eye(size)]))
 
 
 def _advance(modes: Modes, step: float) -> np.ndarray:
     """Rows of (q, q') after a step: from q, q', force at its start, force at its end; (n, 2, 4).
 
-    For q'' + 2 zeta w q' + w^2 q = f0 + (f1 - f0) t / h the particular solution is f0 / w^2 + (f1 - f0) / (h w^2)
-    (t - 2 zeta / w); the rest is the free motion from what it leaves at t = 0.
+    They stand in exp(A w h) of (q, q' / w, f / w^2, df / w^2), q'' = f - w^2 q - 2 zeta w q', f' = df / h.
     """
-    w, z, h = modes.frequency, modes.damping_ratio, step
-    damped = w * np.sqrt(1.0 - z * z)
-    decay, c, s = np.exp(-z * w * h), np.cos(damped * h), np.sin(damped * h)
-    a11, a12 = decay * (c + z * w / damped * s), decay * s / damped
-    a21, a22 = -decay * w * w / damped * s, decay * (c - z * w / damped * s)
-    lag, slope = 2.0 * z / w, 1.0 / (h * w * w)
-    # a ramp f = t / h from rest: particular (t - lag) slope, so free motion starts with (lag slope, -slope)
-    end = (h - lag) * slope + a11 * lag * slope - a12 * slope
-    end_rate = slope + a21 * lag * slope - a22 * slope
-    held, held_rate = (1.0 - a11) / w**2, -a21 / w**2
-    return np.stack(
-        [np.stack([a11, a12, held - end, end], -1), np.stack([a21, a22, held_rate - end_rate, end_rate], -1)], 1
-    )
+    w, n = modes.frequency, len(modes.frequency)
+    system = np.zeros((n, 4, 4))
+    system[:, 0, 1] = w * step
+    system[:, 1, :3] = (w * step)[:, None] * np.stack([-np.ones(n), -2.0 * modes.damping_ratio, np.ones(n)], -1)
+    system[:, 2, 3] = 1.0
+    unit = w[:, None] ** [0, 1, 2, 2]
+    rows = unit[:, :2, None] * expm(system)[:, :2] / unit[:, None]
+    rows[..., 2] -= rows[..., 3]  # from f and df to the forces at both ends
+    return rows
 
 
 @njit(cache=True, nogil=True)
-def _arnoldi(rows, shape, matrices, count):
+def _arnoldi(rows, shape, loads, ends, size, count):
     """H = V^T M V (count, count), V an orthonormal basis of v, M v, M^2 v, ...; M the map of one tooth period."""
-    size = 2 * (shape.shape[0] + matrices.shape[0])
     basis, small = np.zeros((count + 1, size)), np.zeros((count + 1, count))
-    for i in range(size):
-        basis[0, i] = np.cos(1.0 * i * i)  # a part of everything
-    basis[0] /= np.sqrt(np.sum(basis[0] ** 2))
+    start = np.cos(np.arange(size) ** 2.0)  # a part of everything
+    basis[0] = start / np.linalg.norm(start)
     for k in range(count):
-        image = _period(rows, shape, matrices, basis[k].copy().reshape(size, 1))[:, 0]
+        image = _period(rows, shape, loads, ends, basis[k])
         for _ in range(2):  # twice is enough
-            for j in range(k + 1):
-                share = np.sum(basis[j] * image)
-                small[j, k] += share
-                image = image - share * basis[j]
-        length = np.sqrt(np.sum(image**2))
+            share = basis[: k + 1] @ image
+            small[: k + 1, k] += share
+            image = image - share @ basis[: k + 1]
+        length = np.linalg.norm(image)
         if length < 1e-14:
             return small[: k + 1, : k + 1].copy()
         small[k + 1, k] = length
@@ -114,70 +110,43 @@ def _arnoldi(rows, shape, matrices, count):
 
 
 @njit(cache=True, nogil=True)
-def _period(rows, shape, matrices, start):
-    """Columns of the state (q (n), q' (n), u of the last period at its m nodes (m, 2), oldest first) after m steps."""
-    n, m = shape.shape[0], matrices.shape[0]
-    size = start.shape[1]
-    state = start[: 2 * n].copy()
-    past = np.zeros((2 * m, 2, size))  # u at the nodes: m of the period before, then those of this one
+def _period(rows, shape, loads, ends, start):
+    """The state (q (n), q' (n), u of the last period at its m nodes (m, 2), oldest first) after m steps."""
+    n, m = shape.shape[0], loads.shape[0]
+    q, rate = start[:n].copy(), start[n : 2 * n].copy()
+    past = np.zeros((2 * m, 2))  # u at the nodes: m of the period before, then those of this one
+    past[:m] = start[2 * n :].copy().reshape(m, 2)
     for k in range(m):
-        for j in range(2):
-            past[k, j] = start[2 * n + 2 * k + j]
-    force, free = np.zeros(3), np.zeros(2)
-    new_state = np.zeros((2 * n, size))
-    gain = np.zeros((2, 3))  # u at the end of a step from the force there
-    for j in range(2):
-        for i in range(3):
-            for mode in range(n):
-                gain[j, i] += shape[mode, j] * rows[mode, 0, 3] * shape[mode, i]
-    for k in range(m):
-        here, there = matrices[k], matrices[(k + 1) % m]
-        s00 = 1.0 - (gain[0, 0] * there[0, 0] + gain[0, 1] * there[1, 0] + gain[0, 2] * there[2, 0])
-        s01 = -(gain[0, 0] * there[0, 1] + gain[0, 1] * there[1, 1] + gain[0, 2] * there[2, 1])
-        s10 = -(gain[1, 0] * there[0, 0] + gain[1, 1] * there[1, 0] + gain[1, 2] * there[2, 0])
-        s11 = 1.0 - (gain[1, 0] * there[0, 1] + gain[1, 1] * there[1, 1] + gain[1, 2] * there[2, 1])
-        determinant = s00 * s11 - s01 * s10
-        for column in range(size):
-            now0, now1 = 0.0, 0.0
-            for mode in range(n):
-                now0 += shape[mode, 0] * state[mode, column]
-                now1 += shape[mode, 1] * state[mode, column]
-            d0, d1 = now0 - past[k, 0, column], now1 - past[k, 1, column]
-            for i in range(3):
-                force[i] = here[i, 0] * d0 + here[i, 1] * d1
-            free[:] = 0.0
-            for mode in range(n):
-                load = shape[mode, 0] * force[0] + shape[mode, 1] * force[1] + shape[mode, 2] * force[2]
-                q = rows[mode, 0, 0] * state[mode, column] + rows[mode, 0, 1] * state[n + mode, column]
-                q += rows[mode, 0, 2] * load
-                rate = rows[mode, 1, 0] * state[mode, column] + rows[mode, 1, 1] * state[n + mode, column]
-                new_state[mode, column] = q
-                new_state[n + mode, column] = rate + rows[mode, 1, 2] * load
-                free[0] += shape[mode, 0] * q
-                free[1] += shape[mode, 1] * q
-            # u = free + gain F_end with F_end = B_end (u - u_delayed)
-            if k + 1 < m:
-                old0, old1 = past[k + 1, 0, column], past[k + 1, 1, column]
-            else:
-                old0, old1 = past[m, 0, column], past[m, 1, column]
-            b0, b1 = 0.0, 0.0
-            for i in range(3):
-                delayed = there[i, 0] * old0 + there[i, 1] * old1
-                b0 += gain[0, i] * delayed
-                b1 += gain[1, i] * delayed
-            r0, r1 = free[0] - b0, free[1] - b1
-            u0, u1 = (s11 * r0 - s01 * r1) / determinant, (s00 * r1 - s10 * r0) / determinant
-            for i in range(3):
-                force[i] = there[i, 0] * (u0 - old0) + there[i, 1] * (u1 - old1)
-            for mode in range(n):
-                load = shape[mode, 0] * force[0] + shape[mode, 1] * force[1] + shape[mode, 2] * force[2]
-                new_state[mode, column] += rows[mode, 0, 3] * load
-                new_state[n + mode, column] += rows[mode, 1, 3] * load
-            past[m + k, 0, column], past[m + k, 1, column] = now0, now1
-        state, new_state = new_state, state
-    result = np.zeros(start.shape)
-    result[: 2 * n] = state
-    for k in range(m):
-        for j in range(2):
-            result[2 * n + 2 * k + j] = past[m + k, j]
-    return result
+        past[m + k, 0], past[m + k, 1] = _tip(shape, q)
+        x, y, z = _force(loads[k], past[m + k], past[k])
+        for i in range(n):
+            load = shape[i, 0] * x + shape[i, 1] * y + shape[i, 2] * z
+            before = q[i]
+            q[i] = rows[i, 0, 0] * before + rows[i, 0, 1] * rate[i] + rows[i, 0, 2] * load
+            rate[i] = rows[i, 1, 0] * before + rows[i, 1, 1] * rate[i] + rows[i, 1, 2] * load
+        x, y, z = _force(ends[k], _tip(shape, q), past[k + 1])
+        for i in range(n):
+            load = shape[i, 0] * x + shape[i, 1] * y + shape[i, 2] * z
+            q[i] += rows[i, 0, 3] * load
+            rate[i] += rows[i, 1, 3] * load
+    return np.concatenate((q, rate, past[m:].copy().reshape(2 * m)))
+
+
+@njit(cache=True, nogil=True)
+def _tip(shape, q):
+    """u, the sum of phi_i q_i, along x and y."""
+    x, y = 0.0, 0.0
+    for i in range(len(q)):
+        x += shape[i, 0] * q[i]
+        y += shape[i, 1] * q[i]
+    return x, y
+
+
+@njit(cache=True, nogil=True)
+def _force(matrix, u, delayed):
+    x, y = u[0] - delayed[0], u[1] - delayed[1]
+    return (
+        matrix[0, 0] * x + matrix[0, 1] * y,
+        matrix[1, 0] * x + matrix[1, 1] * y,
+        matrix[2, 0] * x + matrix[2, 1] * y,
+    )

@@ -11,33 +11,39 @@ times sqrt(s_k^2 + s_F^2), one standard deviation of ``uncertainty``.
 from __future__ import annotations
 
 import dataclasses
-import io
 import math
+import os
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
+from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_abc, rotation_from_quaternion
+from kr270_milling.base.include import write_include
+from kr270_milling.base.parameter_file import merge, override, shipped_directories
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.identification.outcome import figure_of, write_page
 from kr270_milling.robot import cartesian_mass, jacobian
 from kr270_milling.robot.inverse import branches
 from kr270_milling.robot.mass import mode_frequencies
 from kr270_milling.simulation.milling_pass import PassResult
+from kr270_milling.studies.engine import Rows
 from kr270_milling.studies.postures import along_path, postures, whole_turns
 
-__all__ = ["COLUMNS", "Course", "Placements", "about_z", "course_at", "course_of", "moved_cell", "place_of"]
+__all__ = [
+    "Course", "Placements", "Summary", "about_z", "course_at", "course_of", "moved_cell", "place_of", "write_cell",
+    "write_cells", "write_picture",
+]  # fmt: skip
 
 SINGULAR = 1e-6  #: measure of a posture below which no Jacobian is inverted
 PLACES = 24  #: along the path at which the error of each placement is looked at
 BLOCK = 1000  #: placements at a time, some 20 MB of postures
 REST = 12  #: over the whole path, approach and all, for reach and limits
 MARGIN = np.radians(0.5)  #: to the joint limits, for what is between the places
-COLUMNS = (
-    "x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", "feasible", "reachable", "within_limits",
-    "singularity", "lowest_mode_hz", "compliance_um_per_n", "error_max_um", "error_mean_um", "compensated_max_um",
-    "compensated_mean_um",
-)  # fmt: skip
+PLACE = {"x_mm": 1e3, "y_mm": 1e3, "z_mm": 1e3, "turn_deg": 180.0 / np.pi, "tool_turn_deg": 180.0 / np.pi}
+SHOWN = {"error_max_um": "error before compensation [um]", "compensated_max_um": "after it, one sigma [um]",
+         "lowest_mode_hz": "lowest mode [Hz]", "singularity": "distance to a singularity"}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +84,8 @@ def course_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> Course:
 
 
 @dataclass(frozen=True, eq=False)
-class Placements:
-    """A grid of placements; a worker makes any chunk of rows from its number alone."""
+class Placements(Rows):
+    """A grid of placements, each with 8 rows, one a branch."""
 
     cell: Cell
     course: Course
@@ -94,22 +100,20 @@ class Placements:
     def __len__(self) -> int:
         return math.prod(len(axis) for axis in self.axes)
 
-    @property
-    def chunks(self) -> int:
-        """Number of files."""
-        return -(-len(self) // self.chunk)
-
     def placements(self, first: int, last: int) -> np.ndarray:
         """x, y, z [m], turn [rad], turn of the tool [rad] of the numbers first to last, (n, 5)."""
         places = np.unravel_index(np.arange(first, last), [len(axis) for axis in self.axes])
         return np.column_stack([axis[i] for axis, i in zip(self.axes, places, strict=True)])
 
-    def __call__(self, number: int) -> bytes:
-        """The Parquet bytes of one chunk."""
-        first = number * self.chunk
-        chosen = self.placements(first, min(first + self.chunk, len(self)))
+    def columns(self, first: int, last: int) -> dict[str, np.ndarray]:
+        chosen = self.placements(first, last)
         parts = [self.rows(part) for part in np.array_split(chosen, -(-len(chosen) // BLOCK))]
-        return _parquet(chosen, {name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
+        places = np.repeat(chosen * list(PLACE.values()), 8, axis=0).T
+        return {
+            **dict(zip(PLACE, places, strict=True)),
+            "branch": np.tile(np.arange(8), len(chosen)),
+            **{name: np.concatenate([part[name] for part in parts]).ravel() for name in parts[0]},
+        }
 
     def rows(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
         """The measures of placements (n, 5), each (n, 8): one a branch."""
@@ -165,30 +169,16 @@ class Placements:
         return np.where(chosen, found, np.nan)
 
 
-def about_z(angle: np.ndarray) -> np.ndarray:
-    """Turns about z by angles (n,) [rad], (n, 3, 3)."""
-    c, s, zero = np.cos(angle), np.sin(angle), np.zeros(len(angle))
-    return np.stack([np.stack([c, -s, zero], -1), np.stack([s, c, zero], -1), np.stack([zero, zero, zero + 1], -1)], 1)
-
-
-def _parquet(chosen: np.ndarray, rows: dict[str, np.ndarray]) -> bytes:
-    import pyarrow as pa
-    import pyarrow.parquet as parquet
-
-    shown = chosen * [1e3, 1e3, 1e3, 180.0 / np.pi, 180.0 / np.pi]
-    columns = {name: np.repeat(shown[:, i], 8) for i, name in enumerate(COLUMNS[:5])}
-    columns["branch"] = np.tile(np.arange(8), len(chosen))
-    columns |= {name: values.reshape(-1) for name, values in rows.items()}
-    sink = io.BytesIO()
-    parquet.write_table(pa.table({name: pa.array(columns[name]) for name in COLUMNS}), sink, compression="zstd")
-    return sink.getvalue()
+def about_z(angle) -> np.ndarray:
+    """Turns about z by angles (...) [rad], (..., 3, 3)."""
+    return rotation_from_abc(np.asarray(angle)[..., None] * [1.0, 0.0, 0.0])
 
 
 def moved_cell(cell: Cell, course: Course, row: dict) -> dict:
     """What a parameter file must say for a placement: workpiece, mount, posture hint; lengths in mm, angles in deg."""
-    turn = about_z(np.radians([row["turn_deg"]]))[0]
-    frame = Pose(np.array([row["x_mm"], row["y_mm"], row["z_mm"]]) * 1e-3, turn @ cell.workpiece.pose.rotation)
-    tool_turn = about_z(np.radians([row["tool_turn_deg"]]))[0]
+    origin = np.array([row["x_mm"], row["y_mm"], row["z_mm"]]) * 1e-3
+    frame = Pose(origin, about_z(np.radians(row["turn_deg"])) @ cell.workpiece.pose.rotation)
+    tool_turn = about_z(np.radians(row["tool_turn_deg"]))
     mount = Pose(cell.mount.pose.position, cell.mount.pose.rotation @ tool_turn.T)
     middle = len(course.position) // 2
     place = frame @ Pose(course.position[middle], course.rotation[middle] @ tool_turn)
@@ -213,3 +203,82 @@ def _abc(pose: Pose) -> list[float]:
 
 def _listed(values: np.ndarray) -> list[float]:
     return [float(f"{v:.9f}") + 0.0 for v in values.tolist()]
+
+
+class Summary:
+    """What is told of all rows, gathered chunk by chunk so that memory does not grow with them."""
+
+    def __init__(self, x: np.ndarray, y: np.ndarray, count: int):
+        self.x, self.y, self.count = np.unique(1e3 * x), np.unique(1e3 * y), count
+        self.rows = self.feasible = 0
+        self.best: list[dict] = []  #: the placements of the smallest largest error, the best branch of each
+        #: of the row with the least error at each x and y, (y, x)
+        self.maps = {name: np.full((len(self.y), len(self.x)), np.nan) for name in SHOWN}
+
+    def add(self, table) -> None:
+        """One chunk, an Arrow table."""
+        usable = table.filter(table["feasible"]).sort_by("error_max_um")
+        for row in usable.slice(0, 8 * self.count).to_pylist():
+            self._enter(row)
+        # the least error of a place is entered last, and stays
+        column = {name: usable[name].to_numpy()[::-1] for name in ("x_mm", "y_mm", *SHOWN)}
+        x, y = np.searchsorted(self.x, column["x_mm"]), np.searchsorted(self.y, column["y_mm"])
+        lower = ~(self.maps["error_max_um"][y, x] <= column["error_max_um"])
+        for name, shown in self.maps.items():
+            shown[y[lower], x[lower]] = column[name][lower]
+        self.rows, self.feasible = self.rows + table.num_rows, self.feasible + usable.num_rows
+
+    def _enter(self, row: dict) -> None:
+        names = ("x_mm", "y_mm", "z_mm", "turn_deg")
+        rivals = [one for one in self.best if all(one[name] == row[name] for name in names)]
+        if rivals and rivals[0]["error_max_um"] <= row["error_max_um"]:
+            return
+        others = [one for one in self.best if one not in rivals]
+        self.best = sorted([*others, row], key=lambda one: one["error_max_um"])[: self.count]
+
+
+def write_cells(folder, source: Path, settings, cell: Cell, course: Course, rows: list[dict]) -> list[Path]:
+    """A parameter file for each row, which includes ``source`` and moves workpiece, mount and posture."""
+    written = []
+    for number, row in enumerate(rows, 1):
+        note = (f"Placement {number} of the map: largest static error across the feed {row['error_max_um']:.1f} um "
+                f"before, {row['compensated_max_um']:.1f} um after compensation (predicted, one sigma)")  # fmt: skip
+        written.append(Path(folder) / f"best_{number}.yaml")
+        write_cell(written[-1], source, settings, cell, moved_cell(cell, course, row), note)
+    return written
+
+
+def write_cell(path: Path, source: Path, settings, cell: Cell, changes: dict, note: str) -> None:
+    """A parameter file that includes ``source``, with the ``key=value`` texts of the command line and the changes.
+
+    changes: as of ``moved_cell``, its posture as ``posture_deg``.
+    """
+    sections = merge(override({}, settings)[0], {key: value for key, value in changes.items() if key != "posture_deg"})
+    sections["start_joints_deg" if cell.start_joints.size else "posture_hint_deg"] = changes["posture_deg"]
+    if not cell.workpiece.at_start_joints:
+        sections["workpiece"].pop("at_start_joints", None)
+    write_include(path, {"includes": [_included(source, path.parent)], **sections}, [note], digits=12)
+
+
+def _included(source: Path, folder: Path) -> str:
+    """A shipped file by its name, any other as seen from the folder of the new file."""
+    if any(source.parent.samefile(place) for place in shipped_directories()):
+        return source.name
+    return os.path.relpath(source, folder.resolve())
+
+
+def write_picture(folder, summary: Summary) -> Path:
+    """Heat maps over x and y, with the best placements."""
+    best = [[row[name] for row in summary.best] for name in ("x_mm", "y_mm")]
+    star = {"symbol": "star", "size": 11, "color": "red"}
+    figures = []
+    for title, shown in zip(SHOWN.values(), summary.maps.values(), strict=True):
+        figure = figure_of(title, "x [mm]", "y [mm]")
+        figure.add_heatmap(x=summary.x, y=summary.y, z=shown, colorscale="Viridis", colorbar={"thickness": 12})
+        figure.add_scatter(x=best[0], y=best[1], mode="markers", name="best placements", marker=star, showlegend=False)
+        figures.append(figure)
+    said = ["each field shows the z, the turns and the branch with the least error there; the stars are the best "
+            "placements, and nothing is drawn where the path is out of reach or of the joints' limits"]  # fmt: skip
+    names = ["x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", *SHOWN]
+    rows = [[f"{row[name]:.4g}" for name in names] for row in summary.best]
+    return write_page(Path(folder) / "map.html", "Where to clamp the part", said, [("Best", names, rows)], figures)

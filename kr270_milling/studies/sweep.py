@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import functools
-import io
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,10 +15,16 @@ from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import mean_force, simulate
 from kr270_milling.cell.keys import keys_of
 from kr270_milling.simulation.exchange import Exchange
+from kr270_milling.studies.engine import Rows
 
 __all__ = ["Axis", "Sweep", "parse_axis"]
 
 MOST_ROWS = 10_000_000
+SPEED, PERIOD = "tool.spindle_speed_rpm", "exchange.period_ms"
+SCORES = (
+    "static_deviation_um", "max_deviation_um", "mean_fx_n", "mean_fy_n", "mean_fz_n", "max_torque_n_m",
+    "max_power_w", "removed_volume_mm3", "duration_s",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -60,9 +65,16 @@ def _value(text: str) -> float | str:
         return text
 
 
+def _text(value: float | str) -> str:
+    """As a parameter file would have it; a whole number stands for a float, too."""
+    if isinstance(value, str):
+        return value
+    return str(int(value)) if value.is_integer() else repr(value)
+
+
 @dataclass(frozen=True)
-class Sweep:
-    """All rows of a study; a worker makes any chunk of them from its number alone."""
+class Sweep(Rows):
+    """Keys, scores, and the sentence of what failed, for each combination of values."""
 
     cell: str  #: file
     settings: tuple[str, ...]  #: ``key=value`` for all rows
@@ -75,26 +87,20 @@ class Sweep:
         if self.chunk == 0:
             object.__setattr__(self, "chunk", max(1, min(8, len(self) // 64), len(self) // 20_000))
         known = [row["key"] for row in keys_of()]
-        for axis in self.axes:
-            if axis.key not in known:  # else every row would say so
-                near = "".join(f"; did you mean {name}?" for name in difflib.get_close_matches(axis.key, known, 1))
-                raise ParameterError("--vary", axis.key, f"a key of a cell{near}")
-        if not 1 <= self.chunk <= 100_000:
-            raise ParameterError("--chunk", self.chunk, "from 1 to 100000")
+        keys = [axis.key for axis in self.axes]
+        for key in keys:
+            if key not in known:  # else every row would say so
+                near = "".join(f"; did you mean {name}?" for name in difflib.get_close_matches(key, known, 1))
+                raise ParameterError("--vary", key, f"a key of a cell{near}")
         if self.samples is not None and not 1 <= self.samples <= MOST_ROWS:
             raise ParameterError("--samples", self.samples, f"from 1 to {MOST_ROWS}")
         if len(self) > MOST_ROWS:
-            raise ParameterError("--vary", [axis.key for axis in self.axes], f"at most {MOST_ROWS} combinations")
+            raise ParameterError("--vary", keys, f"at most {MOST_ROWS} combinations")
         if self.samples is not None and any(isinstance(v, str) for axis in self.axes for v in axis.values):
-            raise ParameterError("--vary", [axis.key for axis in self.axes], "numbers where --latin draws between them")
+            raise ParameterError("--vary", keys, "numbers where --latin draws between them")
 
     def __len__(self) -> int:
         return self.samples or math.prod(len(axis.values) for axis in self.axes)
-
-    @property
-    def chunks(self) -> int:
-        """Number of files."""
-        return -(-len(self) // self.chunk)
 
     def values(self, index: int) -> tuple:
         """The values of one row."""
@@ -103,10 +109,37 @@ class Sweep:
         places = np.unravel_index(index, [len(axis.values) for axis in self.axes])
         return tuple(axis.values[int(i)] for axis, i in zip(self.axes, places, strict=True))
 
-    def __call__(self, number: int) -> bytes:
-        """The Parquet bytes of one chunk: keys, scores, and the sentence of what failed."""
-        first = number * self.chunk
-        return _parquet(self, [_row(self, index) for index in range(first, min(first + self.chunk, len(self)))])
+    def columns(self, first: int, last: int) -> dict[str, list]:
+        rows = [self.row(index) for index in range(first, last)]
+        columns = {name: [row[name] for row in rows] for name in rows[0]}
+        mixed = [axis.key for axis in self.axes if any(isinstance(value, str) for value in axis.values)]
+        return columns | {key: list(map(str, columns[key])) for key in mixed}
+
+    def row(self, index: int) -> dict:
+        """One pass."""
+        chosen = dict(zip([axis.key for axis in self.axes], self.values(index), strict=True))
+        chosen |= self._period(chosen)
+        scores, error = dict.fromkeys(SCORES, math.nan), ""
+        try:
+            texts = (f"{key}={_text(value)}" for key, value in chosen.items())
+            scores = _scores(read_cell(Path(self.cell), (*self.settings, *texts)))
+        except MillingError as refusal:
+            error = str(refusal)
+        return {"index": index, **chosen, **scores, "error": error}
+
+    def _period(self, chosen: dict) -> dict[str, float]:
+        """The exchange period [ms] of a row whose spindle speed is varied and whose period is not.
+
+        It is the whole number of micro-steps that comes nearest to the period of the cell: most speeds do not fit that
+        one.
+        """
+        if SPEED not in chosen or PERIOD in chosen:
+            return {}
+        exchange, speed = _exchange(self), chosen[SPEED]
+        if not isinstance(speed, float) or not speed > 0.0:
+            return {PERIOD: 1e3 * exchange.period}  # the row says what is wrong with the speed
+        unit = math.degrees(exchange.micro_step) / (6.0 * speed)  # [s]; 1 rpm is 6 deg/s
+        return {PERIOD: 1e3 * unit * max(1, round(exchange.period / unit))}
 
 
 @functools.lru_cache(maxsize=1)
@@ -119,62 +152,9 @@ def _hypercube(sweep: Sweep) -> np.ndarray:
     return low + unit * (high - low)
 
 
-def _parquet(sweep: Sweep, rows: list[dict]) -> bytes:
-    import pyarrow as pa
-    import pyarrow.parquet as parquet
-
-    texts = {axis.key for axis in sweep.axes if any(isinstance(value, str) for value in axis.values)} | {"error"}
-    kinds = {name: pa.string() if name in texts else pa.float64() for name in rows[0]} | {"index": pa.int64()}
-    columns = {name: [str(row[name]) if name in texts else row[name] for row in rows] for name in rows[0]}
-    sink = io.BytesIO()
-    table = pa.table({name: pa.array(columns[name], kinds[name]) for name in columns})
-    parquet.write_table(table, sink, compression="zstd")
-    return sink.getvalue()
-
-
-def _text(value: float | str) -> str:
-    """As a parameter file would have it; a whole number stands for a float, too."""
-    if isinstance(value, str):
-        return value
-    return str(int(value)) if value.is_integer() else repr(value)
-
-
-def _row(sweep: Sweep, index: int) -> dict:
-    chosen = dict(zip([axis.key for axis in sweep.axes], sweep.values(index), strict=True))
-    chosen |= _period(sweep, chosen)
-    scores, error = dict.fromkeys(SCORES, math.nan), ""
-    try:
-        texts = (f"{key}={_text(value)}" for key, value in chosen.items())
-        scores = _scores(read_cell(Path(sweep.cell), (*sweep.settings, *texts)))
-    except MillingError as refusal:
-        error = str(refusal)
-    return {"index": index, **chosen, **scores, "error": error}
-
-
-def _period(sweep: Sweep, chosen: dict) -> dict[str, float]:
-    """The exchange period [ms] of a row whose spindle speed is varied and whose period is not.
-
-    It is the whole number of micro-steps that comes nearest to the period of the cell: most speeds do not fit that one.
-    """
-    if SPEED not in chosen or PERIOD in chosen:
-        return {}
-    exchange, speed = _exchange(sweep), chosen[SPEED]
-    if not isinstance(speed, float) or not speed > 0.0:
-        return {PERIOD: 1e3 * exchange.period}  # the row says what is wrong with the speed
-    unit = math.degrees(exchange.micro_step) / (6.0 * speed)  # [s]; 1 rpm is 6 deg/s
-    return {PERIOD: 1e3 * unit * max(1, round(exchange.period / unit))}
-
-
 @functools.lru_cache(maxsize=1)
 def _exchange(sweep: Sweep) -> Exchange:
     return read_cell(Path(sweep.cell), sweep.settings).exchange
-
-
-SPEED, PERIOD = "tool.spindle_speed_rpm", "exchange.period_ms"
-SCORES = (
-    "static_deviation_um", "max_deviation_um", "mean_fx_n", "mean_fy_n", "mean_fz_n", "max_torque_n_m",
-    "max_power_w", "removed_volume_mm3", "duration_s",
-)  # fmt: skip
 
 
 def _scores(cell: Cell) -> dict[str, float]:

@@ -68,7 +68,7 @@ def test_plan():
 
     def error(rows) -> float:
         found = fit(_campaign(choice, rows, rng))
-        return float(np.sum((displacements(found.arm, MOUNT, pose)[:, :3] - true) ** 2))
+        return float(np.sum((displacements(found.problem.arm_at(found.factors), MOUNT, pose)[:, :3] - true) ** 2))
 
     ours = np.mean([error(planned) for _ in range(60)])
     blind = np.mean([error(np.array([rng.choice(rows) for rows in kinds])) for _ in range(60)])

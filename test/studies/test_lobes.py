@@ -12,8 +12,7 @@ from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cli import main
-from kr270_milling.studies.feature_limits import _limit, feature_limits
-from kr270_milling.studies.lobes import engagement_angles, limit_depth, lobes, modes_of
+from kr270_milling.studies.lobes import _limit, feature_limits, limit_depth, lobes, modes_of
 from kr270_milling.studies.monodromy import Modes, directional_matrices, multipliers
 
 RPM = np.pi / 30.0
@@ -47,7 +46,7 @@ def test_the_limit_converges_with_the_square_of_the_step():
     modes, delay = modes_of(cell, arm=False), 60.0 / 9000 / TEETH
     limits = []
     for nodes in (40, 80, 160, 640):
-        angles = engagement_angles(0.5, "up")
+        angles = 0.0, 0.5 * np.pi
         matrices = directional_matrices(lambda s: (6e8 + 0 * s, 2e8 + 0 * s, 0 * s), -1.0, TEETH, *angles, nodes)
         limits.append(limit_depth(modes, matrices, delay)[0])
     errors = np.abs(np.array(limits[:3]) / limits[3] - 1.0)

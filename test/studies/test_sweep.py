@@ -10,7 +10,7 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.studies.engine import Study
-from kr270_milling.studies.sweep import Axis, Sweep, _row, parse_axis
+from kr270_milling.studies.sweep import Axis, Sweep, parse_axis
 
 pytest.importorskip("pyarrow")
 SHORT = ("path.length_mm=4", "stock.grid_step_um=40", "stock.max_mm=[4,12,0]")
@@ -67,11 +67,11 @@ def test_the_rows_are_plain_passes_whatever_the_chunk():
 def test_every_spindle_speed_runs_with_the_nearest_period_of_whole_micro_steps():
     """The cell has 0.5 ms, 24 steps of 1 deg at 8000 rpm; at 7400 rpm a step takes 1 / 44.4 ms: 22.2 of them."""
     made = Sweep(str(find_file("paper.yaml")), SHORT, (Axis("tool.spindle_speed_rpm", (7400.0, 8000.0, 0.0)),))
-    rows = [_row(made, index) for index in range(3)]
+    rows = [made.row(index) for index in range(3)]
     assert [row["exchange.period_ms"] for row in rows] == pytest.approx([22 / 44.4, 0.5, 0.5], rel=1e-12)
     assert [bool(row["error"]) for row in rows] == [False, False, True] and "spindle_speed" in rows[2]["error"]
     own = Sweep(made.cell, SHORT, (*made.axes, Axis("exchange.period_ms", (0.5,))))
-    assert "whole number of micro-steps" in _row(own, 0)["error"]  # what was asked for is not changed
+    assert "whole number of micro-steps" in own.row(0)["error"]  # what was asked for is not changed
 
 
 def test_a_folder_of_another_study_is_refused(tmp_path):
