@@ -19,8 +19,8 @@ LOADS, BALANCE = "robot/loads.py", "robot/elastostatics.py"
 MASS, LAWS, SWEEP = "robot/mass.py", "cutting/laws.py", "cutting/sweep.py"
 LOAD = "cutting/load.py"
 MOTION, MIRROR, REVISION = "simulation/dynamics.py", "compensation/mirror.py", "compensation/revision.py"
-REFERENCE, MEASURED = "simulation/reference_motion.py", "simulation/arm_model.py"
-RESPONSE, STAGES, LIFTED = "compensation/response.py", "compensation/stages.py", "compensation/lifted.py"
+MEASURED = "simulation/arm_model.py"
+RESPONSE, LIFTED = "compensation/response.py", "compensation/lifted.py"
 LEARNING = "compensation/learning.py"
 PLAY = "simulation/imperfections.py"
 TESTS = {
@@ -32,11 +32,9 @@ TESTS = {
     SWEEP: ["cutting_force", "cutting_cut", "cutting_wrench"],
     LOAD: ["cutting_force", "cutting_wrench"],
     MOTION: ["simulation_dynamics", "simulation_arm_model", "simulation_reference_inertia"],
-    REFERENCE: ["simulation_reference_inertia"],
     MIRROR: ["compensation_mirror"],
     REVISION: ["compensation_revision"],
     RESPONSE: ["compensation_response"],
-    STAGES: ["compensation_lifted"],
     LIFTED: ["compensation_lifted"],
     LEARNING: ["compensation_learning"],
     PLAY: ["simulation_imperfections"],
@@ -57,14 +55,14 @@ MUTATIONS = [
     ("(1) falling", MOTION, "[constant <<-|+>> rising for"),
     ("(1) corner", MOTION, "response(<<a12|0 * a12>>, a22)"),
     ("(1) components", MOTION, "model.shape.T @ <<model.mass @ |>>model.reference  # eta -> delta, r -> eta"),
-    ("(1) r'' at start", REFERENCE, "start = (6 * moved / period - <<4|2>> * v"),
-    ("(1) r'' at end", REFERENCE, "+ 2 * v + <<4|2>> * w) / period"),
-    ("(1) corner", REFERENCE, "np.hstack([(after <<-|+>> before)[:-1]"),
-    ("(1) approach", REFERENCE, "after[0] if approach is None else <<approach|after[0]>>"),
-    ("(1) rest at the end", REFERENCE, "after[stamps <<>=|>>> reference.duration_ns] = 0.0"),
-    ("(1) turning", REFERENCE, "(turned[1:] * turned[:-1]<<.inv()|>>)"),
-    ("(1) turning", REFERENCE, "as_rotvec() <</|*>> np.diff(reference.time)"),
-    ("(1) posture", REFERENCE, "total += (r <<+|->> f * "),
+    ("(1) r'' at start", MOTION, "start = (6 * moved / period - <<4|2>> * v"),
+    ("(1) r'' at end", MOTION, "+ 2 * v + <<4|2>> * w) / period"),
+    ("(1) corner", MOTION, "np.hstack([(after <<-|+>> before)[:-1]"),
+    ("(1) approach", MOTION, "after[0] if approach is None else <<approach|after[0]>>"),
+    ("(1) rest at the end", MOTION, "after[stamps <<>=|>>> reference.duration_ns] = 0.0"),
+    ("(1) turning", MOTION, "(turned[1:] * turned[:-1]<<.inv()|>>)"),
+    ("(1) turning", MOTION, "as_rotvec() <</|*>> np.diff(reference.time)"),
+    ("(1) posture", MOTION, "total += (r <<+|->> f * "),
     ("(7) weights", LOADS, "<<+|->> cross(masses, loads.gravity)"),
     ("(7) wrench", LOADS, "about_axis = cross(arms, force) <<+|->> moment"),
     ("(7) springs", BALANCE, "error = load_torque(frames, wrench[todo], loads, masses) - <<arm|2 * arm>>"),
@@ -150,8 +148,8 @@ MUTATIONS = [
     ("z / r damping", RESPONSE, "return cosine <<+|->> z * w * sine, sine"),
     ("delta = push / omega^2", RESPONSE, "added = np.stack([(1.0 <<-|+>> free[:, None, 0]) * static"),
     ("middle of a part", RESPONSE, "(start[:, 1] <<-|+>> end[:, 1]) / 8.0"),
-    ("lifted stop", STAGES, "given[k, j] = <<-|>>2.0 / time[k] ** 2"),
-    ("lifted corner", STAGES, "free[k, rate, :3] = <<|->>jump[k]"),
+    ("lifted stop", LIFTED, "given[k, j] = <<-|>>2.0 / time[k] ** 2"),
+    ("lifted corner", LIFTED, "free[k, rate, :3] = <<|->>jump[k]"),
     ("lifted cost to go", LIFTED, "gradient[:size] <<+|->> total[:size, size:] @ push[k]"),
     ("lifted policy", LIFTED, "later = total[:size, :size] <<+|->> total[:size, size:] @ policy[k]"),
     ("wrench on the path", LEARNING, "factor * (self._ideal <<-|+>> strayed)"),

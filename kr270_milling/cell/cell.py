@@ -23,15 +23,13 @@ from kr270_milling.cell.path import (
     within_joint_limits,
 )
 from kr270_milling.cell.sections import Limits, Part, Path, Program, Uncertainty, Workpiece
-from kr270_milling.compensation.parameters import Compensation
+from kr270_milling.compensation.compensator import Compensation
 from kr270_milling.cutting import Cut, Cutting, Stock, Tool
 from kr270_milling.robot import Arm, Mount, inverse_near, pose
-from kr270_milling.simulation.arm_model import arm_model, modal_models
-from kr270_milling.simulation.dynamics import ArmModel, ModalModel
+from kr270_milling.simulation.arm_model import Dynamics, arm_model, modal_models
+from kr270_milling.simulation.dynamics import ArmModel, ModalModel, approach
 from kr270_milling.simulation.exchange import Clock, Exchange, Publish
 from kr270_milling.simulation.imperfections import Imperfections
-from kr270_milling.simulation.parameters import Dynamics
-from kr270_milling.simulation.reference_motion import approach
 from kr270_milling.trajectory.source_program import SourceProgram
 from kr270_milling.trajectory.timing import TimedPath, Timing
 from kr270_milling.trajectory.trajectory import Trajectory

@@ -125,8 +125,6 @@ def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
         _, first, posture = np.unique(place, return_index=True, return_inverse=True)
         middle = (target.time_ns[1:] + target.time_ns[:-1])[first] // 2
         models = cell.modes_at(cell.joints_along(target, middle))
-    ratios = [np.broadcast_to(cell.dynamics.damping_ratio if m.damping is None else m.damping, m.frequency.shape)
-              for m in models]  # fmt: skip
     after = np.append(posture[1:], posture[-1])
 
     def along(rows) -> np.ndarray:
@@ -134,7 +132,7 @@ def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
 
     return ArmResponse(
         frequency=along([model.frequency for model in models]),
-        damping=along(ratios),
+        damping=along([model.ratios(cell.dynamics.damping_ratio) for model in models]),
         inward=along([(model.shape.T @ model.mass @ model.reference)[:, :3] for model in models]),
         outward=along([(model.output @ model.shape)[:3] for model in models]),
         push=along([model.shape.T @ model.force for model in models]),

@@ -6,7 +6,7 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.robot import jacobian
-from kr270_milling.simulation.imperfections import Imperfections, backlash_course
+from kr270_milling.simulation.imperfections import Imperfections, play
 from kr270_milling.simulation.milling_pass import PassResult, run_pass
 from kr270_milling.trajectory.trajectory import Trajectory
 
@@ -39,14 +39,21 @@ class Plant:
 
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int) -> Trajectory:
-    """Where the motors of a plant take the tool that is told to follow ``reference`` in its pass ``number``."""
+    """Where a plant without load has the tool that is told to follow ``reference`` in its pass ``number``.
+
+    Behind the play of the joints straight lines join the ends of the exchange periods.
+    """
     how = cell.imperfections
     if how.backlash.any():
         stamps = cell.clock.stamp(np.arange(cell.clock.steps(reference.duration_ns) + 1))
         stamps[-1] = max(int(stamps[-2]) + 1, min(int(stamps[-1]), reference.duration_ns))
         joints = cell.joints_along(reference, stamps)
         moves = cell.workpiece.pose.rotation.T @ jacobian(cell.arm, cell.mount, joints)[:, :3]
-        reference = backlash_course(reference, stamps, joints, moves, how.backlash)
+        lost = play(joints, how.backlash) - joints
+        # counted from where the pass begins, where the tool was touched off
+        shift = np.einsum("nij,nj->ni", moves, lost - lost[0])
+        turns = reference.sample_orientation(stamps)
+        reference = Trajectory(stamps, reference.sample(stamps) + shift, turns, None, reference.frame)
     if not how.repeatability:
         return reference
     return reference.with_position(reference.position + how.shift(number), reference.velocity)

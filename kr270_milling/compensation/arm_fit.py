@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from kr270_milling.compensation.response import ArmResponse
-from kr270_milling.compensation.segments import Segments
+from kr270_milling.compensation.response import ArmResponse, Segments
 
 __all__ = ["Evidence", "Identified", "fit"]
 

@@ -5,25 +5,57 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import make_lsq_spline
 
+from kr270_milling.base.record import Record, parameter
 from kr270_milling.compensation.arm_fit import Identified
 from kr270_milling.compensation.learning import Learner
-from kr270_milling.compensation.limiting import Limited
-from kr270_milling.compensation.methods import LIFTED
-from kr270_milling.compensation.parameters import Compensation
+from kr270_milling.compensation.lifted import Course
+from kr270_milling.compensation.methods import LIFTED, METHODS
 from kr270_milling.compensation.response import ArmResponse
-from kr270_milling.compensation.revision import PassRecord, corrected, held, revise
-from kr270_milling.compensation.stages import Course
+from kr270_milling.compensation.revision import Limited, PassRecord, corrected, held, revise
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Compensator", "noise_floor", "remaining_error"]
+__all__ = ["Compensation", "Compensator", "noise_floor", "remaining_error"]
 
 #: a pass that improves the largest error by less than this share, or by less than LEAST_STEP, ends the learning
 LEAST_GAIN = 0.01
 LEAST_STEP = 0.05e-6  #: [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Compensation(Record):
+    """YAML ``compensation``: how the reference trajectory is revised."""
+
+    method: str = parameter(text="how the revised trajectory is made", choices=METHODS)
+    relaxation: float = parameter(0.9, above=0.0, high=1.0, text="alpha of (32)")
+    sag_compensated: bool = parameter(True, text="the controller already compensates the sag under the link weights")
+    criterion: str = parameter(
+        "min_max", text="what 'learned' and 'inverse' minimise", choices=("min_max", "least_squares")
+    )
+    interpolation: str = parameter(
+        "spline", text="of 'inverse' and 'learned' between the knots", choices=("spline", "linear")
+    )
+    max_passes: int = parameter(12, low=1, high=1000, text="passes that 'learned' and ``repeat`` may take")
+    repeat: bool = parameter(
+        False, text="simulate and revise until the path error stops improving; 'learned' always does"
+    )
+    max_correction: float = parameter(
+        2e-3, unit="mm", above=0.0, high=50.0, text="largest correction that is let through"
+    )
+    # 0.1 mm in 12 ms is 8.3 mm/s, an eighth of the paper's feed: loads build up in a tenth of a second and ask for
+    # less, so what is faster is noise or a mistake. 12 ms is the interpolation cycle of a KR C4, 4 ms its fast one.
+    max_change_per_tick: float = parameter(
+        0.1e-3, unit="mm", above=0.0, high=50.0, text="largest change of the correction within one tick"
+    )
+    tick: float = parameter(12e-3, unit="ms", low=1.0, high=1000.0, text="cycle in which the controller takes it")
+
+    @property
+    def tick_ns(self) -> int:
+        return round(self.tick * 1e9)
 
 
 def remaining_error(target: Trajectory, ran: PassRecord) -> float:

@@ -16,11 +16,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from kr270_milling.compensation.arm_fit import Evidence, Identified, fit
-from kr270_milling.compensation.lifted import Lifted
-from kr270_milling.compensation.response import ArmResponse
+from kr270_milling.compensation.lifted import Course, Lifted
+from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
 from kr270_milling.compensation.revision import PassRecord, RevisionError
-from kr270_milling.compensation.segments import Segments, cubic_coefficients
-from kr270_milling.compensation.stages import Course
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Learner"]

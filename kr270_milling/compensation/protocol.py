@@ -11,9 +11,15 @@ import numpy as np
 from kr270_milling.base.samples import JointProgram, PoseSample, WrenchSample
 from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.revision import PassRecord
-from kr270_milling.simulation.admission import MessageError, checked_pose, checked_wrench, in_workpiece_axes
 from kr270_milling.simulation.exchange import Clock
-from kr270_milling.simulation.protocol import JOINT_NAMES, Output
+from kr270_milling.simulation.protocol import (
+    JOINT_NAMES,
+    MessageError,
+    Output,
+    checked_pose,
+    checked_wrench,
+    in_workpiece_axes,
+)
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["CompensatorModels", "CompensatorProtocol"]

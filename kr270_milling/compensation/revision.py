@@ -13,12 +13,12 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_banded
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.compensation.limiting import Limited, describe, limit_change, limit_size
 from kr270_milling.trajectory.trajectory import Trajectory, slerp
 
-__all__ = ["PassRecord", "RevisionError", "chord_error", "corrected", "held", "knot_rates", "revise"]
+__all__ = ["Limited", "PassRecord", "RevisionError", "chord_error", "corrected", "held", "knot_rates", "revise"]
 
 SAME_PLACE = 1e-8  #: [m], between two knots at rest: what rounding in a file moves
+NOTHING = 1e-9  #: [m] less missing of a correction is no limitation
 ROUNDS = 30  #: of tightening the limits at the knots until the spline between them keeps them too
 
 
@@ -55,13 +55,12 @@ class PassRecord:
         total = np.stack([np.bincount(nearest, w, knots_ns.size) for w in self.wrench.T], axis=1)
         return total / np.maximum(count, 1)[:, None]
 
-    def displacement(self, reference: Trajectory) -> np.ndarray:
-        """[m], (n, 3): what the load did to the reference that was run."""
-        return self.position - reference.sample(self.time_ns)
-
     def sampled_displacement(self, reference: Trajectory, knots_ns: np.ndarray) -> np.ndarray:
-        """[m], (k, 3): at the knots, each the mean over one revolution, so that no tooth passing is aliased."""
-        time, shift = self.time_ns.astype(float), self.displacement(reference)
+        """[m], (k, 3): what the load did to the reference that was run, at the knots.
+
+        Each is the mean over one revolution, so that no tooth passing is aliased.
+        """
+        time, shift = self.time_ns.astype(float), self.position - reference.sample(self.time_ns)
         steps = 0.5 * (shift[1:] + shift[:-1]) * np.diff(time)[:, None]
         area = np.concatenate([np.zeros((1, shift.shape[1])), np.cumsum(steps, axis=0)])
         knots = np.clip(knots_ns.astype(float), time[0], time[-1])
@@ -76,26 +75,54 @@ class PassRecord:
         return np.column_stack(means)
 
 
+@dataclass(frozen=True)
+class Limited:
+    """Neighbouring knots whose correction was limited; points are counted from 1, as in the robot program."""
+
+    kind: str  #: "size" or "change"
+    first: int  #: point
+    last: int  #: point
+    worst: int  #: point that lost most
+    time: float  #: [s], of the worst one
+    wanted: float  #: [m], size of the correction there
+    missing: float  #: [m], how much of it is not made
+
+    @property
+    def feed_share(self) -> float:
+        """Share of the programmed feed at which the limit would about hold, where the inertia of the arm asks for it.
+
+        A path that is run at the share f accelerates with f^2 and so does the correction c = r'' / omega^2; its change
+        in a tick goes with f^3.
+        """
+        made = max(0.0, 1.0 - self.missing / self.wanted) if self.wanted else 1.0
+        return made ** (1.0 / 2.0 if self.kind == "size" else 1.0 / 3.0)
+
+    @property
+    def sentence(self) -> str:
+        where = f"point {self.first}" if self.first == self.last else f"points {self.first} to {self.last}"
+        why = "is too large" if self.kind == "size" else "changes too fast"
+        return (
+            f"the correction {why} at {where}: {1e3 * self.missing:.4f} of {1e3 * self.wanted:.4f} mm are left out at "
+            f"point {self.worst} ({self.time:.3f} s)"
+        )
+
+
 def revise(
     method: str,
     target: Trajectory,
     reference: Trajectory,
     ran: PassRecord,
-    *,
-    max_correction: float = np.inf,
-    max_change: float = np.inf,
-    tick: float = 12e-3,
+    **limits: float,
 ) -> tuple[Trajectory, tuple[Limited, ...]]:
     """The next reference trajectory after a pass along ``reference``, and where its correction was limited.
 
     method: "linear" (the paper's: sampled displacement, straight lines between the knots) or "spline" (C2 through the
-    same knots).
-    max_correction [m] bounds the correction, max_change [m] its change within each tick [s] of the controller.
+    same knots). limits: those of ``corrected``.
     """
     if len(ran.time_ns) < 2 or not np.all(np.isfinite(ran.position)):
         raise RevisionError("a pass of at least two finite tool positions is needed to revise the reference")
     knots = -ran.sampled_displacement(reference, target.time_ns)
-    return corrected(target, knots, method, max_correction=max_correction, max_change=max_change, tick=tick)
+    return corrected(target, knots, method, **limits)
 
 
 def corrected(
@@ -112,6 +139,7 @@ def corrected(
     """The target with corrections (k, 3) [m] of its knots and, if given, orientations (k, 4) that go with them.
 
     rates: slopes (k, 3) [m/s] that the correction has at the knots as long as nothing of it is limited.
+    max_correction [m] bounds the correction, max_change [m] its change within each tick [s] of the controller.
 
     "linear" joins the knots by straight lines, as a controller runs LIN motions: on a curved target these are its
     chords (see ``chord_error``). "mirror" does so where the target does, else it is smooth like the others: the
@@ -129,14 +157,15 @@ def corrected(
         return knot_rates(target.time, knots, still) if smooth else None
 
     wanted = _held(target, given)
-    shorter = _smaller(target, limit_size(wanted, max_correction), slopes, max_correction, tick)
+    size = np.linalg.norm(wanted, axis=1, keepdims=True)
+    shorter = wanted * np.minimum(1.0, max_correction / np.maximum(size, 1e-300))
+    shorter = _smaller(target, shorter, slopes, max_correction, tick)
     knots = _slower(target, shorter, slopes, max_change, tick)
-    found = describe("size", target.time, wanted, shorter) + describe("change", target.time, shorter, knots)
+    found = _limited("size", target.time, wanted, shorter) + _limited("change", target.time, shorter, knots)
     slope = slopes(knots)
     velocity = None if slope is None else target.sample_velocity(target.time_ns) + slope
     turned = target.quaternion
     if quaternion is not None:
-        size = np.linalg.norm(wanted, axis=1, keepdims=True)
         share = np.linalg.norm(knots, axis=1, keepdims=True) / np.maximum(size, 1e-300)
         turned = slerp(target.quaternion, quaternion, np.where(size > 0, np.minimum(share, 1.0), 1.0))
     position = target.sample(target.time_ns) + knots
@@ -198,8 +227,45 @@ def _slower(target: Trajectory, given: np.ndarray, slopes, max_change: float, ti
             return knots
         for segment in (first, last) if tried else ():
             np.multiply.at(most, segment[over], 0.999 * max_change / change[over])
-        knots = limit_change(given, most)
+        knots = _limit_change(given, most)
     return knots * (max_change / change.max())  # a spline of the same shape is as steep as it is high
+
+
+def _limit_change(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Corrections (n, 3) [m] that change by no more than ``most`` (n - 1,) [m] from knot to knot.
+
+    The mean of what follows as fast as it may and of what starts as early as it must: without lag on the whole, and
+    unchanged where nothing is to be limited.
+    """
+    if np.all(np.linalg.norm(np.diff(knots, axis=0), axis=1) <= most):
+        return knots
+    return 0.5 * (_follow(knots, most) + _follow(knots[::-1], most[::-1])[::-1])
+
+
+def _follow(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
+    followed = knots.copy()
+    gaps = np.linalg.norm(np.diff(knots, axis=0), axis=1)
+    behind = False
+    for k in range(1, len(knots)):
+        if not behind and gaps[k - 1] <= most[k - 1]:
+            continue
+        gap = knots[k] - followed[k - 1]
+        length = float(np.sqrt(gap @ gap))
+        behind = length > most[k - 1]
+        if behind:
+            followed[k] = followed[k - 1] + gap * (most[k - 1] / length)
+    return followed
+
+
+def _limited(kind: str, time: np.ndarray, wanted: np.ndarray, made: np.ndarray) -> tuple[Limited, ...]:
+    """One Limited for each run of knots whose correction (n, 3) [m] was changed; time [s], (n,)."""
+    missing, size = np.linalg.norm(wanted - made, axis=1), np.linalg.norm(wanted, axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing > NOTHING, [0]]))).reshape(-1, 2)
+    worst = [start + int(np.argmax(missing[start:stop])) for start, stop in edges.tolist()]
+    return tuple(
+        Limited(kind, start + 1, stop, k + 1, float(time[k]), float(size[k]), float(missing[k]))
+        for (start, stop), k in zip(edges.tolist(), worst, strict=True)
+    )
 
 
 def knot_rates(time: np.ndarray, values: np.ndarray, resting: np.ndarray | None) -> np.ndarray:

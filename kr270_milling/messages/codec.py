@@ -25,7 +25,7 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.messages.cdr import pack_stamped, unpack_stamped
 from kr270_milling.messages.definitions import deserialise, store_of
 from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
-from kr270_milling.simulation.admission import TOOL, WORKPIECE, MessageError
+from kr270_milling.simulation.protocol import TOOL, WORKPIECE, MessageError
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = [

@@ -15,7 +15,7 @@ from kr270_milling.ros import topics
 from kr270_milling.ros.node import ERROR, LOST, OK, WARN, ManagedNode, guarded
 from kr270_milling.ros.parameters import declare_cell
 from kr270_milling.ros.spin import run_node
-from kr270_milling.simulation.admission import WORKPIECE
+from kr270_milling.simulation.protocol import WORKPIECE
 from kr270_milling.trajectory.trajectory import fingerprint
 
 __all__ = ["CompliantRobot", "main"]

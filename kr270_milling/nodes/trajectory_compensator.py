@@ -10,7 +10,7 @@ from std_srvs.srv import Trigger
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.protocols import compensator_protocol
-from kr270_milling.compensation.parameters import METHODS
+from kr270_milling.compensation.methods import METHODS
 from kr270_milling.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
 from kr270_milling.messages.viewer import path_bytes
 from kr270_milling.ros import topics

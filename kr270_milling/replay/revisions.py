@@ -11,7 +11,7 @@ from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.protocols import compensator_protocol
 from kr270_milling.compensation.compensator import Compensator
-from kr270_milling.compensation.parameters import METHODS
+from kr270_milling.compensation.methods import METHODS
 from kr270_milling.compensation.protocol import CompensatorProtocol
 from kr270_milling.messages.codec import to_bytes, trajectory_from_bytes
 from kr270_milling.replay.compare import Channel, difference

@@ -20,7 +20,7 @@ from kr270_milling.replay.attached import CELL, cell_of, in_file_order, is_first
 from kr270_milling.replay.compare import Channel
 from kr270_milling.replay.feeds import CutFeed, RobotFeed
 from kr270_milling.replay.revisions import CompensatorFeed, Report, read_report
-from kr270_milling.simulation.admission import checked_pose, checked_wrench
+from kr270_milling.simulation.protocol import checked_pose, checked_wrench
 
 __all__ = ["Robot", "Robots", "Stop"]
 

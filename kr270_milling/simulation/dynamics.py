@@ -5,21 +5,30 @@ with z = r + delta, M z'' + C (z' - r') + K (z - r) = F, so that -M r'' joins F 
 
 Components without inertia (rotations, in the lumped mass model) follow statically: they are condensed, never
 sliced. State of the others: ``[delta (r,), delta_dot (r,)]`` in workpiece axes.
+
+r has six components in workpiece axes: position [m], and a rotation [rad] whose rate is the angular velocity of the
+reference. Over one exchange period r'' is taken as linear in time, plus a jump of the velocity at its start, where the
+reference has a corner. So positions and velocities at the ends of the periods are met exactly, and a reference that is
+linear or cubic between them is met everywhere.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numba import njit
 from scipy.linalg import eigh
+from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.simulation.reference_motion import push, reference_motion
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["ArmModel", "ModalModel", "advance", "condense", "discretise", "discretise_reference", "modes"]
+__all__ = ["ArmModel", "ModalModel", "advance", "approach", "discretise", "discretise_reference", "modes", "push",
+           "reference_motion"]  # fmt: skip
+
+Side = Literal["left", "right"]
 
 
 class DynamicsError(MillingError):
@@ -39,6 +48,10 @@ class ModalModel:
     feedthrough: np.ndarray  #: static deflection of the components without inertia, (6, 6)
     reference: np.ndarray  #: r of the six components -> of the inertial ones, (r, 6)
     damping: np.ndarray | None = None  #: ratio of each mode, (r,); None: that of ``dynamics.damping_ratio``
+
+    def ratios(self, damping_ratio: float) -> np.ndarray:
+        """Damping ratio of each mode, (r,): its own, or damping_ratio for all."""
+        return np.broadcast_to(damping_ratio if self.damping is None else self.damping, self.frequency.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +125,7 @@ def modes(compliance: np.ndarray, mass: np.ndarray) -> ModalModel:
 def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[np.ndarray, ...]:
     """A (2r, 2r), B (2r, 6), P (6, 2r), Q (6, 6) over ``period`` [s] for a wrench held over it: exact for (1)."""
     w, r = model.frequency, model.frequency.size
-    a11, a12, a21, a22 = _free(w, _ratios(model, damping_ratio), period)
+    a11, a12, a21, a22 = _free(w, model.ratios(damping_ratio), period)
     to, back = model.shape, model.shape.T @ model.mass  # eta -> delta, delta -> eta
     transition = np.block([[to * a11 @ back, to * a12 @ back], [to * a21 @ back, to * a22 @ back]])
     modal_force = model.shape.T @ model.force
@@ -120,11 +133,7 @@ def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[
     return transition, held, np.hstack([model.output, np.zeros((6, r))]), model.feedthrough
 
 
-def _ratios(model: ModalModel, damping_ratio: float) -> float | np.ndarray:
-    return damping_ratio if model.damping is None else model.damping
-
-
-def _free(w: np.ndarray, z: float | np.ndarray, period: float) -> tuple[np.ndarray, ...]:
+def _free(w: np.ndarray, z: np.ndarray, period: float) -> tuple[np.ndarray, ...]:
     """a11, a12, a21, a22, each (r,), of the free vibration: (eta, eta') at the end from those at the start."""
     damped = w * np.sqrt(1.0 - z * z)
     decay, c, s = np.exp(-z * w * period), np.cos(damped * period), np.sin(damped * period)
@@ -139,7 +148,7 @@ def discretise_reference(model: ModalModel, damping_ratio: float, period: float)
     A jump of r' by v leaves z' as it was, so delta' jumps by -v. A modal force t / H leaves
     eta(H) = (1 - a12 / H - 2 zeta (1 - a11) / (omega H)) / omega^2, and eta'(H) is the derivative of its like.
     """
-    w, z, h = model.frequency, _ratios(model, damping_ratio), period
+    w, z, h = model.frequency, model.ratios(damping_ratio), period
     a11, a12, a21, a22 = _free(w, z, h)
     held = (1.0 - a11) / w**2, -a21 / w**2
     ramp = (1.0 - a12 / h - 2.0 * z * (1.0 - a11) / (w * h)) / w**2, (1.0 - a22 + 2.0 * z * a21 / w) / (w**2 * h)
@@ -150,6 +159,71 @@ def discretise_reference(model: ModalModel, damping_ratio: float, period: float)
 
     falling = [constant - rising for constant, rising in zip(held, ramp, strict=True)]  # from 1 to 0
     return np.hstack([response(a12, a22), response(*falling), response(*ramp)])
+
+
+def reference_motion(reference: Trajectory, stamps: np.ndarray, approach: np.ndarray | None = None) -> np.ndarray:
+    """(n, 18) over the n periods between the stamps [ns]: jump of r', r'' at the start, r'' at the end, six each.
+
+    A cubic over H from rate v to w that moves by p has r'' = (6 p / H - 4 v - 2 w) / H at its start and
+    (-6 p / H + 2 v + 4 w) / H at its end. approach: r' before the pass, (6,), as ``approach`` has it of the programmed
+    trajectory: a straight cut comes in at its feed rate. None: that of the reference itself.
+    """
+    period = np.diff(stamps)[:, None] * 1e-9
+    moved = np.hstack([np.diff(reference.sample(stamps), axis=0), _turns(reference, stamps)])
+    after, before = _rates(reference, stamps, "right"), _rates(reference, stamps, "left")
+    before[0] = after[0] if approach is None else approach
+    after[stamps >= reference.duration_ns] = 0.0  # then it rests
+    v, w = after[:-1], before[1:]
+    start = (6 * moved / period - 4 * v - 2 * w) / period
+    end = (-6 * moved / period + 2 * v + 4 * w) / period
+    return np.hstack([(after - before)[:-1], start, end])
+
+
+def approach(programmed: Trajectory) -> np.ndarray:
+    """r' (6,) with which a pass begins [m/s, rad/s]: the first of the programmed trajectory, without a correction."""
+    return _rates(programmed, np.zeros(1, np.int64), "right")[0]
+
+
+def _rates(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarray:
+    return np.hstack([reference.sample_velocity(stamps, side), _turning(reference, stamps, side)])
+
+
+def _turns(reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
+    """Rotation vectors (n, 3) [rad] of the reference over the periods, workpiece axes."""
+    if np.ptp(reference.quaternion, axis=0).max() == 0.0:
+        return np.zeros((stamps.size - 1, 3))
+    turned = Rotation.from_quat(reference.sample_orientation(stamps))
+    return (turned[1:] * turned[:-1].inv()).as_rotvec()
+
+
+def _turning(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarray:
+    """Angular velocity (n, 3) [rad/s] of the reference at the stamps, workpiece axes: constant between its knots."""
+    if np.ptp(reference.quaternion, axis=0).max() == 0.0:
+        return np.zeros((stamps.size, 3))
+    knots = Rotation.from_quat(reference.quaternion)
+    rates = (knots[1:] * knots[:-1].inv()).as_rotvec() / np.diff(reference.time)[:, None]
+    segment, _, _ = reference.locate(stamps, side)
+    return np.where(reference.moving(stamps)[:, None], rates[segment], 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def push(motion, response, steps_per_knot, out):
+    """Fill ``out`` (n, 2r): what the motion (n, 18) of the reference adds to the state at the end of each period.
+
+    response: R, (k, 2r, 18) at k postures, interpolated between two of them as in ``advance``.
+    """
+    knots, order = response.shape[0], response.shape[1]
+    for step in range(motion.shape[0]):
+        place = step / steps_per_knot
+        k = min(int(place), knots - 1)
+        m = min(k + 1, knots - 1)
+        f = min(place - k, 1.0) if m > k else 0.0
+        for i in range(order):
+            total = 0.0
+            for j in range(motion.shape[1]):
+                r = response[k, i, j]
+                total += (r + f * (response[m, i, j] - r)) * motion[step, j]
+            out[step, i] = total
 
 
 @njit(cache=True, error_model="numpy")

@@ -8,9 +8,8 @@ import numpy as np
 from numba import njit
 
 from kr270_milling.base.record import Record, parameter
-from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Imperfections", "backlash_course", "play"]
+__all__ = ["Imperfections", "play"]
 
 #: of a Maxwell-distributed distance with standard deviation 1 along each axis: mean 1.596 + 3 times its deviation 0.673
 REPEATABILITY_SPREAD = np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi)
@@ -77,15 +76,3 @@ def _first_sense(angle: np.ndarray) -> np.ndarray:
     moved = np.diff(angle, axis=0)
     first = np.argmax(moved != 0.0, axis=0)
     return -np.sign(moved[first, np.arange(angle.shape[1])])
-
-
-def backlash_course(reference: Trajectory, stamps: np.ndarray, joints: np.ndarray, jacobian: np.ndarray, width):
-    """The reference behind the play of the joints, as a trajectory with knots at the stamps [ns], (n,).
-
-    joints: (n, 6) [rad], those of the motors; jacobian: (n, 3, 6) of the tool's position in the reference's frame; the
-    play counts from where the pass begins, where the tool was touched off. Straight lines join the knots.
-    """
-    lost = play(joints, np.asarray(width, float)) - joints
-    shift = np.einsum("nij,nj->ni", jacobian, lost - lost[0])
-    position = reference.sample(stamps) + shift
-    return Trajectory(stamps, position, reference.sample_orientation(stamps), None, reference.frame)

@@ -85,15 +85,8 @@ class CompliantArm:
     def predict(self, wrench: np.ndarray | None = None) -> np.ndarray:
         """Deflection (6,) at the end of the next period under ``wrench``, or under that of the last period."""
         deflection = np.zeros(6)
-        advance(
-            self.step,
-            self.state,
-            self.wrench if wrench is None else wrench,
-            self.pushes,
-            self.model.arrays,
-            self._scratch,
-            deflection,
-        )
+        wrench = self.wrench if wrench is None else wrench
+        advance(self.step, self.state, wrench, self.pushes, self.model.arrays, self._scratch, deflection)
         return deflection
 
     def correct(self, wrench: np.ndarray) -> np.ndarray:

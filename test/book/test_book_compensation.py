@@ -13,12 +13,10 @@ from splines import spline
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
-from kr270_milling.compensation.lifted import Lifted
+from kr270_milling.compensation.lifted import Course, Lifted
 from kr270_milling.compensation.mirror import mirror
-from kr270_milling.compensation.response import ArmResponse
+from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
 from kr270_milling.compensation.revision import PassRecord, revise
-from kr270_milling.compensation.segments import Segments, cubic_coefficients
-from kr270_milling.compensation.stages import Course
 from kr270_milling.robot import equilibrium, pose
 from kr270_milling.trajectory.trajectory import Trajectory
 

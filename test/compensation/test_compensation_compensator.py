@@ -8,8 +8,7 @@ import pytest
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.compensation.compensator import Compensator, remaining_error
-from kr270_milling.compensation.parameters import Compensation
+from kr270_milling.compensation.compensator import Compensation, Compensator, remaining_error
 from kr270_milling.compensation.revision import PassRecord, RevisionError
 from kr270_milling.trajectory.trajectory import Trajectory
 

@@ -9,7 +9,7 @@ from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.cell.protocols import compensator_protocol
-from kr270_milling.simulation.admission import MessageError
+from kr270_milling.simulation.protocol import MessageError
 
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
 

@@ -10,8 +10,7 @@ from splines import spline
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import arm_response, simulate
-from kr270_milling.compensation.response import ArmResponse
-from kr270_milling.compensation.segments import Segments, cubic_coefficients
+from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
 from kr270_milling.trajectory.trajectory import Trajectory
 
 OMEGA, ZETA = 42.0, 0.04

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from kr270_milling.compensation.compensator import Compensator
-from kr270_milling.compensation.parameters import Compensation
+from kr270_milling.compensation.compensator import Compensation, Compensator
 from kr270_milling.compensation.revision import PassRecord, RevisionError, knot_rates, revise
 from kr270_milling.trajectory.trajectory import Trajectory
 

@@ -8,8 +8,7 @@ import pytest
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.robot import cartesian_mass, compliance, equilibrium, mode_frequencies
-from kr270_milling.simulation.arm_model import arm_model, modal_models
-from kr270_milling.simulation.parameters import Dynamics
+from kr270_milling.simulation.arm_model import Dynamics, arm_model, modal_models
 
 PAPER = read_cell(find_file("paper.yaml"))
 ZETA = 0.18

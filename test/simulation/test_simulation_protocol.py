@@ -8,8 +8,7 @@ import pytest
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.protocols import cut_protocol, robot_protocol
-from kr270_milling.simulation.admission import MessageError
-from kr270_milling.simulation.protocol import NoWorkpiece
+from kr270_milling.simulation.protocol import MessageError, NoWorkpiece
 from kr270_milling.simulation.sides import ExchangeError
 
 

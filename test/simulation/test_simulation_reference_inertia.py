@@ -12,10 +12,9 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.simulation.arm_model import arm_model
-from kr270_milling.simulation.dynamics import modes
+from kr270_milling.simulation.dynamics import approach, modes, push, reference_motion
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.simulation.milling_pass import CompliantArm
-from kr270_milling.simulation.reference_motion import INPUTS, approach, push, reference_motion
 from kr270_milling.simulation.sides import CuttingSide, RobotSide
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory
 
@@ -293,7 +292,7 @@ def test_a_straight_cut_does_not_know_the_term_and_a_bent_reference_does():
 
 def test_between_two_postures_the_response_goes_in_a_straight_line():
     rng = np.random.default_rng(4)
-    response, motion, found = rng.normal(size=(3, 4, INPUTS)), rng.normal(size=(11, INPUTS)), np.empty((11, 4))
+    response, motion, found = rng.normal(size=(3, 4, 18)), rng.normal(size=(11, 18)), np.empty((11, 4))
     push(motion, response, 4.0, found)
     between = interpolate.make_interp_spline(np.arange(3), response, 1)(np.minimum(np.arange(11) / 4.0, 2.0))
     np.testing.assert_allclose(found, np.einsum("nij,nj->ni", between, motion), rtol=1e-12)
