@@ -5,12 +5,13 @@ Forces of a recording are tared in an idle stretch and turned into workpiece axe
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError, RecordingError
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.frames import rotation_from_abc
 from kr270_milling.base.table import Table, read_table
 from kr270_milling.cutting.tool import Tool
@@ -65,66 +66,52 @@ class Cuts:
         return len(np.unique(np.round(self.feed_per_tooth, 9)))
 
 
-def engagement(mode: str, width: float, diameter: float) -> tuple[float, float]:
-    """Entry and exit angle [rad] of a tooth, from the feed direction in the sense of rotation.
+def engagement(mode, width, diameter: float) -> tuple[np.ndarray, np.ndarray]:
+    """Entry and exit angles [rad], (n,), of a tooth, from the feed direction in the sense of rotation.
 
     The chip thickness is h = f_z cos(phi). Up-milling begins at phi = -90 deg with h = 0 and ends where the width is
-    used up, sin(phi) = 2 width / diameter - 1; down-milling is its mirror image.
+    used up, sin(phi) = 2 width / diameter - 1; down-milling is its mirror image. mode: of MODES, (n,); width: (n,).
     """
-    limit = float(np.arcsin(np.clip(2.0 * width / diameter - 1.0, -1.0, 1.0)))
-    if mode == "slot":
-        return -np.pi / 2, np.pi / 2
-    return (-np.pi / 2, limit) if mode == "up" else (-limit, np.pi / 2)
+    mode, limit = np.asarray(mode), np.arcsin(np.clip(2.0 * width / diameter - 1.0, -1.0, 1.0))
+    return np.where(mode == "down", -limit, -np.pi / 2), np.where(mode == "up", limit, np.pi / 2)
 
 
-def read_cuts(path, tool: Tool, sensor: Sensor | None = None) -> Cuts:
+def read_cuts(path, tool: Tool, sensor: Sensor) -> Cuts:
     """A CSV file of cuts, one a row; the columns are COLUMNS. Raises InputError.
 
     A row without forces names a recording (beside the file) and the seconds of the cut in it.
     """
     table = read_table(path, COLUMNS, (*CUT[:2], "mode"))
     feed, depth = (1e-3 * table.number(name) for name in CUT[:2])
-    slots = np.array(table.texts("mode")) == "slot"
-    width = 1e-3 * table.number("width_mm", np.nan)
-    width = np.where(slots & np.isnan(width), tool.diameter, width)
     meant = (feed > 0.0) & (feed < 0.1) & (depth > 0.0) & (depth < 1.0)
     table.refuse(~meant, "feed per tooth and depth must be above 0 and in mm")
-    angles = [_angles(table, row, float(width[row]), tool.diameter) for row in range(len(table))]
-    force, sigma, known = _forces(table, sensor or Sensor(), tool.spindle_speed)
-    entry, leave = np.array(angles).T
-    return Cuts(tool, feed, depth, entry, leave, force, sigma, known)
-
-
-def _angles(table: Table, row: int, width: float, diameter: float) -> tuple[float, float]:
-    mode, line = table.texts("mode")[row], table.lines[row]
-    if mode not in MODES:
-        raise InputError(table.path, f"the mode is {mode[:20]!r}, but must be one of {', '.join(MODES)}", line)
-    most = diameter * (1.0 + 1e-6)
-    if not 0.0 < width <= most or (mode == "slot" and width < 0.99 * diameter):
-        right = "the tool's diameter in a slot" if mode == "slot" else "above 0 and at most the tool's diameter"
-        reason = f"the width is {1e3 * width:g} mm, but must be {right}, {1e3 * diameter:g} mm"
-        raise InputError(table.path, reason, line)
-    return engagement(mode, width, diameter)
-
-
-def _forces(table: Table, sensor: Sensor, spindle_speed: float) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Forces (n, 3), their standard deviations (n,), and whether these are known in all rows."""
-    force, sigma = table.numbers(FORCES, np.nan), table.number("sigma_n", np.nan)
-    recordings = table.texts("recording") if "recording" in table else [""] * len(table)
-    start, stop, tare, tared = (table.number(name, np.nan) for name in RECORDED[1:])
-    for row, line in enumerate(table.lines):
-        if recordings[row]:
-            file = Path(table.path).parent / recordings[row]
-            stretch = (tare[row], tared[row]) if np.isfinite([tare[row], tared[row]]).all() else None
-            if not start[row] < stop[row]:
-                raise InputError(table.path, "start_s must be before stop_s for a recording", line)
-            force[row], own = mean_force(file, sensor, (start[row], stop[row]), spindle_speed, stretch)
-            sigma[row] = own if np.isnan(sigma[row]) else sigma[row]
-        elif not np.isfinite(force[row, :2]).all():
-            raise InputError(table.path, "has neither fx_n and fy_n nor a recording", line)
+    mode, width = np.array(table.texts("mode")), 1e-3 * table.number("width_mm", np.nan)
+    slot = mode == "slot"
+    width = np.where(slot & np.isnan(width), tool.diameter, width)
+    table.refuse(~np.isin(mode, MODES), f"the mode must be one of {', '.join(MODES)}")
+    most = f"at most the tool's diameter, {1e3 * tool.diameter:g} mm"
+    table.refuse(~((width > 0.0) & (width <= tool.diameter * (1.0 + 1e-6))), f"the width must be above 0 and {most}")
+    table.refuse(slot & (width < 0.99 * tool.diameter), "the width must be the tool's diameter in a slot")
+    force, sigma = _forces(table, sensor, tool.spindle_speed)
     known = bool(np.isfinite(sigma).all())
     table.refuse(known & (sigma <= 0.0), "sigma_n must be above 0")
-    return force, sigma if known else np.ones(len(table)), known
+    angles = engagement(mode, width, tool.diameter)
+    return Cuts(tool, feed, depth, *angles, force, sigma if known else np.ones(len(table)), known)
+
+
+def _forces(table: Table, sensor: Sensor, spindle_speed: float) -> tuple[np.ndarray, np.ndarray]:
+    """Forces (n, 3) and their standard deviations (n,), of the table or else of the recordings that it names."""
+    force, sigma = table.numbers(FORCES, np.nan), table.number("sigma_n", np.nan)
+    recordings = np.array(table.texts("recording") if "recording" in table else [""] * len(table))
+    start, stop, tare, tared = (table.number(name, np.nan) for name in RECORDED[1:])
+    table.refuse((recordings == "") & ~np.isfinite(force[:, :2]).all(1), "has neither fx_n and fy_n nor a recording")
+    table.refuse((recordings != "") & ~(start < stop), "start_s must be before stop_s for a recording")
+    for row in np.flatnonzero(recordings != ""):
+        idle = (tare[row], tared[row]) if np.isfinite(tare[row] + tared[row]) else sensor.tare
+        file, window = Path(table.path).parent / recordings[row], (start[row], stop[row])
+        force[row], own = mean_force(file, dataclasses.replace(sensor, tare=idle), window, spindle_speed)
+        sigma[row] = own if np.isnan(sigma[row]) else sigma[row]
+    return force, sigma
 
 
 def force_series(path, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
@@ -134,9 +121,7 @@ def force_series(path, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     return time - time[0], sign * values[:, :3] @ sensor.rotation.T
 
 
-def mean_force(
-    path, sensor: Sensor, window: tuple[float, float], spindle_speed: float, tare: tuple[float, float] | None = None
-) -> tuple[np.ndarray, float]:
+def mean_force(path, sensor: Sensor, window: tuple[float, float], spindle_speed: float) -> tuple[np.ndarray, float]:
     """Mean force on the tool over the whole revolutions of a window [s], (3,) [N], and its standard deviation [N].
 
     The deviation comes from the means of the single revolutions. Raises RecordingError.
@@ -151,14 +136,15 @@ def mean_force(
     number = ((time[inside] - window[0]) / turn).astype(int)
     each = np.stack([np.bincount(number, column) for column in force[inside].T], -1) / np.bincount(number)[:, None]
     spread = np.sqrt(np.mean(each.var(0, ddof=1)) / len(each))
-    return each.mean(0) - _idle(path, sensor, time, force, tare or sensor.tare), float(max(spread, 1e-6))
+    return each.mean(0) - _idle(path, sensor, time, force), float(max(spread, 1e-6))
 
 
-def _idle(path, sensor: Sensor, time, force, stretch) -> np.ndarray:
+def _idle(path, sensor: Sensor, time, force) -> np.ndarray:
     """What the sensor shows without a cut, (3,) [N]."""
-    if stretch is None:
+    if sensor.tare is None:
         return sensor.mass * GRAVITY * sensor.down * (-1.0 if sensor.on_part else 1.0)
-    idle = (time >= stretch[0]) & (time < stretch[1])
+    start, stop = sensor.tare
+    idle = (time >= start) & (time < stop)
     if not idle.any():
-        raise RecordingError(path, f"has no message in the idle stretch {stretch[0]:g} to {stretch[1]:g} s")
+        raise RecordingError(path, f"has no message in the idle stretch {start:g} to {stop:g} s")
     return force[idle].mean(0)

@@ -13,6 +13,7 @@ the steps are small: J falls each time, and the limits hold throughout.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +29,7 @@ from kr270_milling.studies.postures import postures
 from kr270_milling.trajectory.timing import limit_by_joints
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["NoWayError", "Turns", "Way", "best_way", "constant_way", "find_way", "refined", "turned"]
+__all__ = ["NoWayError", "Turns", "Way", "constant_way", "find_way", "turned"]
 
 FINEST = 1e-4  #: [rad] of the last grid
 NEAR = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  #: steps about a way
@@ -78,31 +79,30 @@ class Turns:
         along = np.einsum("nsbi,ni->nsb", way, feed)[..., None] * feed[:, None, None]
         return q, np.linalg.norm(way - along, axis=-1)
 
-    @property
-    def room(self) -> np.ndarray:
-        """How far each joint may go between two places [rad], (6,)."""
-        return self.cell.arm.joint_speed_limit * self.step * (1 + 1e-9)
-
     def searched(self, branch: int, turn, q, error, period: float) -> Way | None:
         """The best way through states (n, s) of turn, (n, s, 6) of joints, (n, s) of errors; None: there is none."""
         arm = self.cell.arm
+        n, room = len(turn), arm.joint_speed_limit * self.step * (1 + 1e-9)  # [rad] from a place to the next
         inside = ((q >= arm.joint_lower) & (q <= arm.joint_upper)).all(-1) & np.isfinite(error)
-        n = len(turn)
         cost = np.where(inside, error**2 / n, np.inf)
         slope = self.weight**2 / (self.step**2 * n)
-        value, chosen = best_way(cost, np.nan_to_num(q), turn, self.room, slope, period)
+        value, chosen = _best_way(cost, np.nan_to_num(q), turn, room, slope, period)
         if not np.isfinite(value):
             return None
         rows = np.arange(n)
         found = turn[rows, chosen]
-        found = np.unwrap(found, period=period) if np.isfinite(period) else found
+        if np.isfinite(period):
+            found = np.unwrap(found, period=period)
         return Way(branch, found, q[rows, chosen], error[rows, chosen], float(np.sqrt(value)))
 
 
 def constant_way(turns: Turns, grid: np.ndarray) -> Way | None:
     """The best turn of the grid that is the same everywhere, within the same limits; None: there is none."""
-    found = [way for turn in grid if (way := _least(turns, np.array([turn])))]
-    return min(found, key=lambda way: way.value) if found else None
+    return _shortest(_least(turns, np.array([turn])) for turn in grid)
+
+
+def _shortest(ways: Iterable[Way | None]) -> Way | None:
+    return min(filter(None, ways), key=lambda way: way.value, default=None)
 
 
 def find_way(turns: Turns, grid: np.ndarray) -> Way:
@@ -115,38 +115,32 @@ def find_way(turns: Turns, grid: np.ndarray) -> Way:
     best = _least(turns, grid, period)
     if best is None:
         raise NoWayError(len(turns.course.position))
-    return refined(turns, best, step, (-np.inf, np.inf) if np.isfinite(period) else (grid[0], grid[-1]))
+    return _refined(turns, best, step, (-np.inf, np.inf) if np.isfinite(period) else (grid[0], grid[-1]))
 
 
 def _least(turns: Turns, grid: np.ndarray, period: float = np.inf) -> Way | None:
-    """The best way of all branches over a grid."""
-    q, error = turns.at(np.tile(grid, (len(turns.course.position), 1)))
-    ways = [way for b in range(8) if (way := _of_branch(turns, b, grid, q[:, :, b], error[:, :, b], period))]
-    return min(ways, key=lambda way: way.value) if ways else None
+    """The best way of all branches over a grid.
+
+    States: every turn of the grid with every whole turn of the joints that their limits may leave room for.
+    """
+    arm, n = turns.cell.arm, len(turns.course.position)
+    first = np.ceil((arm.joint_lower - np.pi) / (2 * np.pi)).astype(int)
+    last = np.floor((arm.joint_upper + np.pi) / (2 * np.pi)).astype(int)
+    wholes = 2 * np.pi * np.array(list(itertools.product(*map(range, first, last + 1))))
+    q, error = turns.at(np.tile(grid, (n, 1)))
+    turn, errors = np.tile(grid, (n, len(wholes))), np.tile(error, (1, len(wholes), 1))
+    states = ((q[:, None, :, b] + wholes[:, None]).reshape(n, -1, 6) for b in range(8))
+    return _shortest(turns.searched(b, turn, q_b, errors[..., b], period) for b, q_b in enumerate(states))
 
 
-def _of_branch(turns: Turns, branch: int, grid, q, error, period) -> Way | None:
-    """States: every turn of the grid with every whole turn of the joints that its limits leave room for."""
-    arm = turns.cell.arm
-    shifts = [2 * np.pi * np.arange(np.ceil((low - np.pi) / (2 * np.pi)), np.floor((high + np.pi) / (2 * np.pi)) + 1)
-              for low, high in zip(arm.joint_lower, arm.joint_upper, strict=True)]  # fmt: skip
-    states = [q + np.array(shift) for shift in itertools.product(*shifts)]
-    states = [one for one in states if ((one >= arm.joint_lower) & (one <= arm.joint_upper)).all(-1).any()]
-    if not states:
-        return None
-    turn, count = np.tile(grid, (len(q), len(states))), len(states)
-    return turns.searched(branch, turn, np.concatenate(states, 1), np.tile(error, (1, count)), period)
-
-
-def refined(turns: Turns, way: Way, step: float, ends: tuple[float, float]) -> Way:
+def _refined(turns: Turns, way: Way, step: float, ends: tuple[float, float]) -> Way:
     """The same way with ever smaller steps [rad] about it, within ``ends``."""
     for _ in range(ROUNDS):
         if step < FINEST:
             break
         turn = np.clip(way.turn[:, None] + step * NEAR, *ends)
         q, error = turns.at(turn)
-        q = q[:, :, way.branch]
-        q = way.q[:, None] + (q - way.q[:, None] + np.pi) % (2 * np.pi) - np.pi
+        q = way.q[:, None] + (q[:, :, way.branch] - way.q[:, None] + np.pi) % (2 * np.pi) - np.pi
         better = turns.searched(way.branch, turn, q, error[:, :, way.branch], np.inf)
         if better is None or not better.value < way.value * (1 - 1e-6):
             step /= 2
@@ -169,7 +163,7 @@ def turned(cell: Cell, time_ns: np.ndarray, way: Way) -> tuple[Trajectory, np.nd
 
 
 @njit(cache=True)
-def best_way(cost, q, turn, room, slope, period):
+def _best_way(cost, q, turn, room, slope, period):
     """The least sum of cost (n, s) and slope (psi' - psi)^2 along n places, and the chosen states (n,).
 
     No joint of q (n, s, 6) may go farther than ``room`` (6,) from a place to the next. psi is ``turn`` (n, s), its

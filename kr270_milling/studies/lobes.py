@@ -93,7 +93,7 @@ def _lobe_at(cell: Cell, modes: Modes, speed: float) -> Lobe:
     if tool.pitch.size and np.ptp(tool.pitch) > 1e-9:
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: its lobes are those of tau")
     mode = "slot" if cell.path.radial_immersion >= 1.0 else cell.path.mode
-    entry, leave = (angle + 0.5 * math.pi for angle in engagement(mode, cell.path.radial_immersion, 1.0))
+    entry, leave = (float(angle) + 0.5 * math.pi for angle in engagement(mode, cell.path.radial_immersion, 1.0))
     delay = 2.0 * math.pi / (speed * tool.teeth)
     nodes = int(np.clip(PER_PERIOD * delay * modes.frequency.max() / (2.0 * math.pi), *NODES))
     matrices = directional_matrices(_gradients(cell), tool.sense, tool.teeth, entry, leave, nodes)

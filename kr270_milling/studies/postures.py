@@ -26,17 +26,16 @@ def postures(arm: Arm, mount: Mount, place: Pose, force: np.ndarray, gravity: bo
     with C = J diag(c) J^T of the translations; where gravity is on, c of joint 2 has the gravity compensator's share,
     c_2 / (1 - c_2 dM_c/dq_2). NaN where out of reach.
     """
-    lengths = tuple(map(float, (arm.d1, arm.a1, arm.a2, arm.forearm, arm.elbow_offset, arm.d6)))
-    c = arm.compensator
+    flange = place @ mount.pose.inverse()
+    wrist = flange.position - arm.d6 * flange.rotation[..., 0]
+    lengths = tuple(map(float, (arm.d1, arm.a1, arm.a2, arm.forearm, arm.elbow_offset)))
     spring: tuple[float, ...] = (0.0,) * 5
-    if gravity and c.present:
-        spring = tuple(map(float, c.numbers))
+    if gravity and (c := arm.compensator).present:
+        spring = tuple(map(float, (c.stiffness, c.free_length, c.base_x, c.base_z, c.arm_length)))
     middle = 0.5 * float(arm.joint_lower[3] + arm.joint_upper[3])
-    count = len(place.position)
-    q, way = np.full((count, 8, 6), np.nan), np.full((count, 8, 3), np.nan)
-    unmount = _dense(mount.pose.rotation.T)
-    _fill(lengths, spring, middle, _dense(mount.xyz), unmount, _dense(arm.joint_compliance), _dense(place.position),
-          _dense(place.rotation), _dense(force), q, way)  # fmt: skip
+    q, way = np.full((len(wrist), 8, 6), np.nan), np.full((len(wrist), 8, 3), np.nan)
+    _fill(lengths, spring, middle, _dense(arm.joint_compliance), _dense(place.position), _dense(flange.rotation),
+          _dense(wrist), _dense(force), q, way)  # fmt: skip
     return q, way
 
 
@@ -51,19 +50,12 @@ def _wrapped(angle):
 
 
 @njit(cache=True, nogil=True)
-def _fill(lengths, spring, middle, tool, unmount, soft, position, rotation, force, q, way):
-    d1, a1, a2, forearm, elbow_offset, d6 = lengths
-    flange, wrist = np.empty((3, 3)), np.empty((3, 3))
-    for k in range(position.shape[0]):
-        for i in range(3):
-            for j in range(3):
-                flange[i, j] = 0.0
-                for h in range(3):
-                    flange[i, j] += rotation[k, i, h] * unmount[h, j]
-        p = position[k]
-        x = p[0] - flange[0, 0] * (tool[0] + d6) - flange[0, 1] * tool[1] - flange[0, 2] * tool[2]
-        y = p[1] - flange[1, 0] * (tool[0] + d6) - flange[1, 1] * tool[1] - flange[1, 2] * tool[2]
-        z = p[2] - flange[2, 0] * (tool[0] + d6) - flange[2, 1] * tool[1] - flange[2, 2] * tool[2]
+def _fill(lengths, spring, middle, soft, position, rotation, centre, force, q, way):
+    d1, a1, a2, forearm, elbow_offset = lengths
+    wrist = np.empty((3, 3))
+    for k in range(len(position)):
+        p, flange = position[k], rotation[k]
+        x, y, z = centre[k]
         height, far = z - d1, np.hypot(x, y)
         for shoulder in range(2):
             side = 1.0 - 2.0 * shoulder

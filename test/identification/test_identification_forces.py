@@ -10,7 +10,7 @@ import pytest
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
-from kr270_milling.identification.cuts import Cuts, engagement, read_cuts
+from kr270_milling.identification.cuts import Cuts, Sensor, engagement, read_cuts
 from kr270_milling.identification.forces import (
     OneFeedError,
     find_material,
@@ -151,7 +151,7 @@ def test_unusable_rows_are_refused_with_their_line(tmp_path, row, said):
     file = tmp_path / "cuts.csv"
     file.write_text(f"feed_per_tooth_mm,depth_mm,width_mm,mode,fx_n,fy_n,fz_n\n0.1,1,10,up,1,2,3\n{row}\n")
     with pytest.raises(InputError, match="line 3") as refused:
-        read_cuts(file, TOOL)
+        read_cuts(file, TOOL, Sensor())
     assert said in str(refused.value)
 
 
