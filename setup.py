@@ -13,6 +13,7 @@ setup(
         package: [
             "py.typed",
             "cell/draft.yaml",
+            "programs/*.txt",
             "report/page/*.html",
             "report/page/*.css",
             "report/page/*.js",

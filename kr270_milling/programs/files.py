@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,6 @@ from kr270_milling.base.frames import Pose, quaternion_from_rotation
 from kr270_milling.base.units import seconds
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
-from kr270_milling.cell.sections import Program
 from kr270_milling.programs import krl, krl_motion
 from kr270_milling.robot import pose, status_turn
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
@@ -30,22 +29,15 @@ __all__ = ["RSI_TICKS_NS", "as_commanded", "source_hash", "write_joint_table", "
 
 AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
 BESIDE = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  #: [m], of the approach beside the first point, tried in this order
+RSI_TICKS_NS = (4_000_000, 12_000_000)
+JOINT_NAMES = ("joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6")
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
 
 
 def write_programs(
-    directory,
-    cell: Cell,
-    original: Trajectory,
-    revised: Trajectory,
-    *,
-    method: str,
-    date: str,
-    motions: Sequence[str] | None = (),
-    source: str = "",
-    findings: Sequence[str] = (),
-    released: bool = True,
-) -> dict[str, list[Path]]:
+    directory, cell: Cell, original: Trajectory, revised: Trajectory, *, method: str, date: str,
+    motions: Sequence[str] | None = (), source: str = "", findings: Sequence[str] = (), released: bool = True,
+) -> dict[str, list[Path]]:  # fmt: skip
     """Write everything that a controller or a planner takes; returns the paths by kind.
 
     "krl_spline", "krl_lin": the modules of both programs, for each of ``motions`` (default: ``program.motion``; None:
@@ -59,38 +51,35 @@ def write_programs(
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
         raise InputError("method", f"{method[:40]!r} cannot be part of a file name")
     place = Path(directory)
-    joints = [commanded_joints(cell, run) for run in (original, revised)]
-    shown = [as_commanded(cell, run, q) for run, q in zip((original, revised), joints, strict=True)]
+    joints = commanded_joints(cell, original), commanded_joints(cell, revised)
+    commanded = as_commanded(cell, original, joints[0]), as_commanded(cell, revised, joints[1])
     program = cell.program if released else cell.program.replace(name=NOT_RELEASED)
     heading = krl.Heading(__version__, date, source, method, tuple(findings))
-    motions = () if motions is None else motions or (program.motion,)
-    label = f"{method}_{date[:10].replace('-', '')}_{krl.trajectory_hash(shown[1])[:8]}"
-    setup, origin = _setup(cell, *shown), _source(cell, len(original))
+    label = f"{method}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
+    setup, origin = _setup(cell, *commanded), _source(cell, len(original))
     files: dict[str, list[Path]] = {}
-    for motion in dict.fromkeys(motions):
+    programs = []
+    for motion in dict.fromkeys(() if motions is None else motions or (program.motion,)):
         folder = place / f"krl_{motion.lower()}_{label}"
         folder.mkdir(parents=True, exist_ok=True)
-        written = krl.write_krl(folder, program.replace(motion=motion), setup, shown[0], shown[1], heading, origin)
+        written = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, heading, origin)
         files[f"krl_{motion.lower()}"] = written
-    tick = cell.compensation.tick_ns
-    tick = tick if tick in RSI_TICKS_NS else RSI_TICKS_NS[-1]
-    files |= _tables(place, (original, revised), shown, joints, tick, label)
+        programs.append((motion, folder.name, len(written)))
+    tick_ns = cell.compensation.tick_ns
+    tick_ns = tick_ns if tick_ns in RSI_TICKS_NS else RSI_TICKS_NS[-1]
+    files["rsi"] = [place / f"rsi_offsets_{label}.csv"]
+    files["joints"] = [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"]
+    files["trajectory"] = [place / f"reference_{method}.csv"]
     files["manifest"] = [place / "MANIFEST.txt"]
-    write_files({files["manifest"][0]: _manifest(place, program, files, findings, tick, released)})
-    return files
-
-
-def _tables(place: Path, runs, shown, joints, tick_ns: int, label: str) -> dict[str, list[Path]]:
-    """label: method, date, hash."""
-    files = {
-        "rsi": [place / f"rsi_offsets_{label}.csv"],
-        "joints": [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"],
-        "trajectory": [place / f"reference_{label.rsplit('_', 2)[0]}.csv"],
-    }
-    write_rsi_table(files["rsi"][0], shown[0], shown[1], tick_ns)
-    for path, run, q in zip(files["joints"], runs, joints, strict=True):
+    write_rsi_table(files["rsi"][0], *commanded, tick_ns)
+    for path, run, q in zip(files["joints"], (original, revised), joints, strict=True):
         write_joint_table(path, run, q)
-    write_csv(files["trajectory"][0], runs[1], joints[1])
+    write_csv(files["trajectory"][0], revised, joints[1])
+    text = krl.filled(
+        "manifest.txt", released=released, programs=programs, name=program.name, files=files,
+        tick_ms=f"{tick_ns / 1e6:g}", findings=findings,
+    )  # fmt: skip
+    write_files({files["manifest"][0]: [text]})
     return files
 
 
@@ -112,7 +101,7 @@ def source_hash(cell: Cell) -> str:
         return ""
     digest = hashlib.sha256()
     with open(cell.path.file, "rb") as stream:
-        for block in iter(lambda: stream.read(1 << 20), b""):
+        while block := stream.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
 
@@ -125,15 +114,10 @@ KUKA_FLANGE = Pose.from_abc(np.zeros(3), [0.0, np.pi / 2, 0.0])
 def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
     """$TOOL is the mount, $BASE the workpiece."""
     safe_z = float(cell.stock.max[2]) + cell.program.safe_height
+    approaches = _approach(cell, original, safe_z), _approach(cell, revised, safe_z)
     mount, to_kuka = cell.mount, KUKA_FLANGE.inverse()
-    return krl.Setup(
-        tool=to_kuka @ mount.pose,
-        base=cell.workpiece.pose,
-        approaches=(_approach(cell, original, safe_z), _approach(cell, revised, safe_z)),
-        safe_z=safe_z,
-        load_mass=mount.mass,
-        load_centre=tuple(to_kuka.apply(mount.mass_centre).tolist()),
-    )
+    centre = tuple(to_kuka.apply(mount.mass_centre).tolist())
+    return krl.Setup(to_kuka @ mount.pose, cell.workpiece.pose, approaches, safe_z, mount.mass, centre)
 
 
 def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
@@ -167,69 +151,13 @@ def _source(cell: Cell, count: int) -> krl_motion.Source | None:
     return krl_motion.Source(timed.toolpath.line[timed.block], tuple(features[n] for n in numbers))
 
 
-def _manifest(
-    place: Path,
-    program: Program,
-    files: Mapping[str, Sequence[Path]],
-    findings: Sequence[str],
-    tick_ns: int,
-    released: bool,
-) -> list[str]:
-    """Lines of text; files: paths by kind, below ``place``; tick_ns: of the RSI table."""
-    lines = [
-        "Files for the controller, written by kr270_milling. A simulation result: verify it on the machine.\n",
-        "Names carry method, date and the hash of the corrected trajectory: files of one name belong together.\n",
-        "\n",
-    ]
-    if not released:
-        lines += ["NOT RELEASED: the check forbids to run this path. Its programs are for looking at.\n", "\n"]
-    for kind, paths in files.items():
-        if kind.startswith("krl_"):
-            lines += _program(place, program, kind, paths)
-    rsi, (first, second), (trajectory,) = files["rsi"][0].name, files["joints"], files["trajectory"]
-    lines += [
-        f"{rsi}: for RSI on top of the original program.\n",
-        f"  time_s: every {tick_ns / 1e6:g} ms from the start of the path, point 1. dX_mm, dY_mm, dZ_mm: correction\n",
-        "  along the axes of $BASE, the whole of it, not the step from the tick before. dA_deg, dB_deg, dC_deg: its\n",
-        "  turn about z, y', x'' of $BASE.\n",
-        f"{first.name}, {second.name}: for a joint trajectory controller, as programmed and corrected.\n",
-        "  time_s: from the start of the path. joint_a1_deg to joint_a6_deg: positions, signs as KUKA counts them.\n",
-        f"{trajectory.name}: the corrected trajectory for 'simulate --reference' and 'check --reference'.\n",
-        "  time_s, then mm, mm/s, deg; qx to qw: orientation of the tool in the workpiece frame.\n",
-        "\n",
-        "Findings of the check:\n",
-        *(f"  {line}\n" for line in findings or ["none were asked for"]),
-    ]
-    return lines
-
-
-def _program(place: Path, program: Program, kind: str, paths: Sequence[Path]) -> list[str]:
-    folder = paths[0].parent.relative_to(place)
-    name, motion = program.name, kind.removeprefix("krl_").upper()
-    return [
-        f"{folder}: {len(paths)} files, {motion} motions. Copy all of them to KRC:\\R1\\Program on the controller.\n",
-        f"  {name}_ORG runs the programmed path, {name}_CMP the corrected one; points have the same numbers.\n",
-        "  1. T1, 10 % override, spindle off, the tool well above the part (raise $BASE): ORG, then CMP.\n",
-        "  2. T1, 10 %, spindle on, an air cut at the height of the part: CMP.\n",
-        "  3. T1 at full height of the part with the spindle on, then AUT with rising override: CMP.\n",
-        "\n",
-    ]
-
-
-RSI_TICKS_NS = (4_000_000, 12_000_000)
-JOINT_NAMES = ("joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6")
-
-
 def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: int = RSI_TICKS_NS[0]) -> None:
     """The offsets at every RSI tick (4 or 12 ms): time_s, dX, dY, dZ [mm], dA, dB, dC [deg]."""
     if tick_ns not in RSI_TICKS_NS:
         raise TrajectoryError(f"RSI corrects every 4 or 12 ms, not every {tick_ns / 1e6:g} ms")
     time_ns, shift, turn = offsets(original, revised, tick_ns)
     rows = np.hstack([shift * 1e3, np.degrees(turn)]) + 0.0  # + 0.0 turns -0.0 into 0.0
-    lines = ["time_s,dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg\n"]
-    for time, row in zip(time_ns.tolist(), rows.tolist(), strict=True):
-        lines.append(f"{seconds(time)}," + ",".join(f"{v:.6f}" for v in row) + "\n")
-    write_files({path: lines})
+    _write_rows(path, "dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg", time_ns, rows, "{:.6f}".format)
 
 
 def write_joint_table(path, trajectory: Trajectory, joints) -> None:
@@ -237,7 +165,11 @@ def write_joint_table(path, trajectory: Trajectory, joints) -> None:
     table = np.degrees(np.asarray(joints, float))
     if table.shape != (len(trajectory), len(JOINT_NAMES)) or not np.isfinite(table).all():
         raise TrajectoryError("a joint table needs one finite value per knot and joint")
-    lines = ["time_s," + ",".join(f"{name}_deg" for name in JOINT_NAMES) + "\n"]
-    for time, row in zip(trajectory.time_ns.tolist(), table.tolist(), strict=True):
-        lines.append(f"{seconds(time)}," + ",".join(map(repr, row)) + "\n")
+    _write_rows(path, ",".join(f"{name}_deg" for name in JOINT_NAMES), trajectory.time_ns, table, repr)
+
+
+def _write_rows(path, names: str, time_ns: np.ndarray, rows: np.ndarray, text: Callable[[float], str]) -> None:
+    lines = [f"time_s,{names}\n"]
+    for time, row in zip(time_ns.tolist(), rows.tolist(), strict=True):
+        lines.append(f"{seconds(time)},{','.join(map(text, row))}\n")
     write_files({path: lines})

@@ -17,6 +17,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+import jinja2
 import numpy as np
 
 from kr270_milling.base.files import write_files
@@ -37,7 +38,7 @@ from kr270_milling.programs.krl_motion import (
 )
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
-__all__ = ["Approach", "Heading", "Setup", "trajectory_hash", "write_krl"]
+__all__ = ["Approach", "Heading", "Setup", "filled", "trajectory_hash", "write_krl"]
 
 KINDS = {"ORG": "original trajectory", "CMP": "compensated trajectory"}
 HEAD = ("&ACCESS RVP", "&REL 1", "&PARAM EDITMASK = *")
@@ -115,7 +116,7 @@ def write_krl(
     source = source or Source(np.zeros(len(original), int), ("",) * len(original))
     points, stops = point_numbers(program, original, revised), original.standing
     notes = {kind: heading.lines(program, kind, run) for kind, run in (("ORG", original), ("CMP", revised))}
-    head, foot = _head(program, setup), _foot(program)
+    head, foot = _head_and_foot(program, setup)
     most = program.line_limit - FRAME_LINES - max(map(len, notes.values())) - len(head) - len(foot)
     if most < 20:
         raise TrajectoryError(f"program.line_limit of {program.line_limit} lines has no room beside the heading")
@@ -168,45 +169,24 @@ def _places(program: Program, setup: Setup, kind: str, run: Trajectory) -> list[
     ]
 
 
-def _head(program: Program, setup: Setup) -> list[str]:
-    """Everything before the first motion along the path."""
+def _head_and_foot(program: Program, setup: Setup) -> list[list[str]]:
+    """Everything before the first motion along the path, and everything after the last one."""
     x, y, z = (number(1e3 * v, 3) for v in setup.load_centre)
-    load = f"$LOAD={{M {number(setup.load_mass, 3)},CM {{X {x},Y {y},Z {z},A 0.0,B 0.0,C 0.0}}}}"
-    return [
-        load if program.set_load else f"; set on the controller: {load}",
-        "; $BASE is that of a robot whose $ROBROOT is zero in $WORLD; on a pedestal or a rail set it by hand",
-        "BAS(#INITMOV,0)",
-        *_frame_of("TOOL", program.tool_number, setup.tool),
-        *_frame_of("BASE", program.base_number, setup.base),
-        "$IPO_MODE=#BASE",
-        "$ORI_TYPE=#VAR",
-        "$ADVANCE=3",
-        f"$APO.CDIS={number(1e3 * program.blend_distance, 4)}",
-        f"BAS(#VEL_PTP,{program.approach_speed_percent})",
-        f"PTP {program.home}",
-        *(program.spindle_on or ("; spindle on: by hand, or program.spindle_on",)),
-        *([f"WAIT SEC {number(program.spindle_run_up, 1)}"] if program.spindle_on and program.spindle_run_up else []),
-        *program.coolant_on,
-        "PTP XAPPROACH",
-        f"$VEL.CP={number(max(program.approach_feed, 1e-3), 3)}",
-        "LIN XP1",
-    ]
+    text = filled(
+        "main.txt",
+        program=program,
+        number=number,
+        load=f"$LOAD={{M {number(setup.load_mass, 3)},CM {{X {x},Y {y},Z {z},A 0.0,B 0.0,C 0.0}}}}",
+        tool=f"{{{frame_text(frame_row(setup.tool))}}}",
+        base=f"{{{frame_text(frame_row(setup.base))}}}",
+        approach_feed=number(max(program.approach_feed, 1e-3), 3),
+    )
+    return [part.splitlines() for part in text.split("\u00b6\n")]
 
 
-def _foot(program: Program) -> list[str]:
-    """Everything after the last motion along the path."""
-    return [
-        f"$VEL.CP={number(max(program.approach_feed, 1e-3), 3)}",
-        "LIN XRETRACT",
-        *program.coolant_off,
-        *(program.spindle_off or ("; spindle off: by hand, or program.spindle_off",)),
-        f"PTP {program.home}",
-    ]
-
-
-def _frame_of(name: str, index: int, pose: Pose) -> list[str]:
-    """$TOOL or $BASE by number, with the value that it must have, or by value."""
-    value = f"{{{frame_text(frame_row(pose))}}}"
-    if index:
-        return [f"; {name}_DATA[{index}] must be {value}", f"${name}={name}_DATA[{index}]"]
-    return [f"; ${name} by value, not one of the controller's {name}_DATA", f"${name}={value}"]
+def filled(template: str, **values) -> str:
+    """The text of a template of this folder."""
+    text = Path(__file__).with_name(template).read_text(encoding="utf-8")
+    return jinja2.Template(
+        text, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    ).render(**values)

@@ -22,6 +22,7 @@ __all__ = [
 ]  # fmt: skip
 
 WIDEST = 100  #: characters of a comment line
+EXTERNAL_AXES = ",".join(f"E{i} 0.0" for i in range(1, 7))
 
 
 def number(value: float, digits: int) -> str:
@@ -43,14 +44,12 @@ def frame_text(row: Sequence[float] | np.ndarray) -> str:
 
 def position_text(row: Sequence[float], status: int, turn: int) -> str:
     """An E6POS."""
-    external = ",".join(f"E{i} 0.0" for i in range(1, 7))
-    return f"{frame_text(row)},S {status},T {turn},{external}"
+    return f"{frame_text(row)},S {status},T {turn},{EXTERNAL_AXES}"
 
 
 def axis_text(degrees: Sequence[float]) -> str:
     """An E6AXIS."""
-    joints = ",".join(f"A{i} {number(v, 4)}" for i, v in enumerate(degrees, 1))
-    return f"{joints}," + ",".join(f"E{i} 0.0" for i in range(1, 7))
+    return ",".join(f"A{i} {number(v, 4)}" for i, v in enumerate(degrees, 1)) + f",{EXTERNAL_AXES}"
 
 
 def comments(texts: Iterable[str]) -> list[str]:
@@ -125,17 +124,15 @@ def motion_lines(program: Program, points: np.ndarray, piece, speed, stops, sour
     """SPLINE blocks from stop to stop, or LIN motions blended by C_DIS, over the points of one module."""
     lines: list[str] = []
     first, end = piece
-    open_block = False
+    rests = True
     for i in range(first, end):
-        k, ends = int(points[i]), bool(stops[points[i]]) or i == end - 1
+        k, starts, rests = int(points[i]), rests, bool(stops[points[i]]) or i == end - 1
+        feed, comment = f"$VEL.CP={number(speed[i], 3)}", source.comment(k, points[i - 1])
         if program.motion == "LIN":
-            blend = "" if ends or not program.blend_distance else " C_DIS"
-            lines += [*source.comment(k, points[i - 1]), f"$VEL.CP={number(speed[i], 3)}", f"LIN XP{k + 1}{blend}"]
-            continue
-        lines += [] if open_block else ["SPLINE"]
-        lines += [*source.comment(k, points[i - 1]), f"SPL XP{k + 1} WITH $VEL.CP={number(speed[i], 3)}"]
-        lines += ["ENDSPLINE"] if ends else []
-        open_block = not ends
+            blend = "" if rests or not program.blend_distance else " C_DIS"
+            lines += [*comment, feed, f"LIN XP{k + 1}{blend}"]
+        else:
+            lines += [*["SPLINE"] * starts, *comment, f"SPL XP{k + 1} WITH {feed}", *["ENDSPLINE"] * rests]
     return lines
 
 
