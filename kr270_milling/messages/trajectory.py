@@ -42,54 +42,42 @@ def read_trajectory(data: bytes) -> TrajectoryRecord:
     tables = [np.full((count, len(names), width), np.nan) for width in WIDTHS]
     done, window = 0, 16
     while done < count:
-        rows = _alike(cursor, done, min(window, count - done), times, tables)
+        points = _alike(cursor, len(names), min(window, count - done))
+        rows = slice(done, done + len(points))
+        times[rows] = points["seconds"].astype(np.int64) * 10**9 + points["nanoseconds"]
+        for k, table in enumerate(tables):
+            if points[f"values_{k}"].size:
+                table[rows] = points[f"values_{k}"]
         # as far ahead as it went well: a message made to change its layout all the time costs no more than its size
-        done, window = done + rows, 4 * window if rows == window else 16
+        done, window = rows.stop, 4 * window if len(points) == window else 16
     cursor.finish()
     for table in (times, *tables):
         table.setflags(write=False)
     return TrajectoryRecord(stamp_of(data), frame_id, names, times, *np.split(tables[0], [3], axis=2), *tables[1:])
 
 
-def _point(cursor: Cursor, bodies: int) -> tuple[list[tuple[int, int, int]], int]:
-    """Step over one point: (offset of the length, of the numbers, their count) per list, and where its time is."""
-    lists = []
-    for width in WIDTHS:
+def _alike(cursor: Cursor, bodies: int, window: int) -> np.ndarray:
+    """Step over the next point, and those of the next ``window`` that have the same layout: a table of them."""
+    begin, order = cursor.offset, cursor.order
+    fields: dict[str, tuple] = {}  # name -> type, offset in the point
+    for k, width in enumerate(WIDTHS):
         items = cursor.number("I")
-        length_at = cursor.offset - 4
+        fields[f"length_{k}"] = f"{order}u4", cursor.offset - 4 - begin
         if items not in (0, bodies):
             raise ValueError(f"a point has {items} entries for {bodies} names")
         if items:
             cursor.align(8)
-        lists.append((length_at, cursor.skip(8 * width * items), items))
+        fields[f"values_{k}"] = (f"{order}f8", (items, width)), cursor.skip(8 * width * items) - begin
     cursor.align(4)
-    return lists, cursor.skip(8)
-
-
-def _alike(cursor: Cursor, done: int, window: int, times: np.ndarray, tables: list[np.ndarray]) -> int:
-    """Read the next point, and with it those of the next ``window`` that have the same layout; how many these are."""
-    begin, data = cursor.offset, cursor.data
-    lists, time_at = _point(cursor, tables[0].shape[1])
+    fields["seconds"] = f"{order}i4", cursor.skip(4) - begin
+    fields["nanoseconds"] = f"{order}u4", cursor.skip(4) - begin
+    formats, offsets = zip(*fields.values(), strict=True)
     stride = cursor.offset - begin
-    rows = 1
-    if stride % 8 == 0:  # the next point's numbers then stand at the same distance
-        rows = min(window, (len(data) - begin) // stride)
-        table = np.frombuffer(data, np.uint8, rows * stride, begin).reshape(rows, stride)
-        same = np.ones(rows, bool)
-        for length_at, _, _ in lists:
-            at = length_at - begin
-            same &= (table[:, at : at + 4] == table[0, at : at + 4]).all(axis=1)
-        rows = rows if same.all() else int(np.argmin(same))
-    table = np.frombuffer(data, np.uint8, rows * stride, begin).reshape(rows, stride)
-
-    def read(offset: int, items: int, kind: str) -> np.ndarray:
-        at, size = offset - begin, np.dtype(kind).itemsize
-        return np.ascontiguousarray(table[:, at : at + items * size]).view(cursor.order + kind)
-
-    seconds, nanoseconds = read(time_at, 1, "i4")[:, 0], read(time_at + 4, 1, "u4")[:, 0]
-    times[done : done + rows] = seconds.astype(np.int64) * 10**9 + nanoseconds
-    for target, width, (_, offset, items) in zip(tables, WIDTHS, lists, strict=True):
-        if items:
-            target[done : done + rows] = read(offset, items * width, "f8").reshape(rows, items, width)
-    cursor.offset = begin + rows * stride
-    return rows
+    layout = np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": stride})
+    # where the stride is a multiple of 8 the next point's numbers stand at the same distance
+    rows = 1 if stride % 8 else min(window, (len(cursor.data) - begin) // stride)
+    points = np.frombuffer(cursor.data, layout, rows, begin)
+    other = np.any([points[f"length_{k}"] != points[f"length_{k}"][0] for k in range(len(WIDTHS))], axis=0)
+    points = points[: int(np.argmax(other))] if other.any() else points
+    cursor.offset = begin + len(points) * stride
+    return points
