@@ -169,9 +169,9 @@ class Channel:
         return len(self._recorded) + self._abandoned
 
     @property
-    def leftover(self) -> int | None:
+    def leftover(self) -> int:
         """Stamp [ns] of the first of them that is not abandoned."""
-        return self._recorded[0].order[1] if self._recorded else None
+        return self._recorded[0].order[1] if self._recorded else 0
 
     def lacking(self, under_way: int, done: bool, iterations: int = 1) -> int:
         """Recomputed messages that the recording should have: no hole in its stamps tells of them, and they were not

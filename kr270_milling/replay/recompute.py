@@ -18,7 +18,6 @@ from kr270_milling.replay.robots import Robot, Robots, Stop
 
 __all__ = ["Recomputed", "recompute"]
 
-
 EXCHANGE = ("tool_pose", "wrench")
 
 
@@ -49,37 +48,35 @@ class Recomputed:
         return "incomplete" if self.stops else "identical"
 
     def as_dict(self) -> dict:
-        first = self.first
         return dict(
             file=self.file,
             verdict=self.verdict,
             cut_off=self.cut_off,
             compared=self.compared,
             channels={topic: c.as_dict() for topic, c in self.channels.items()},
-            first_difference=first and dict(topic=first.topic, index=first.index, stamp_ns=first.stamp_ns,
-                                            field=first.field, recorded=first.recorded, recomputed=first.recomputed),
+            first_difference=self.first and {k: v for k, v in vars(self.first).items() if k != "order"},
             damage=list(self.damage),
-            stopped=[dict(robot=s.robot or "/", stamp_ns=s.stamp_ns, reason=s.reason) for s in self.stops],
+            stopped=[vars(stop) | {"robot": stop.robot or "/"} for stop in self.stops],
             recorded_version=self.version,
             version=__version__,
-        )  # fmt: skip
+        )
 
 
 def recompute(path, progress=None) -> Recomputed:
     """Recompute a recording; progress(messages done, of all). Raises RecordingError, ConfigError where that cannot
     be tried at all."""
     with Recording(path) as recording:
-        robots = Robots(recording)
-        robots.feed(progress)
-        channels = {c.topic: c for robot in robots.robots.values() for c in robot.channels.values()}
-        firsts = [c.first for c in channels.values() if c.first]
-        stops = [stop for robot in robots.robots.values() for stop in robot.stops]
-        for robot in robots.robots.values():
-            stops += _incomplete(robot, recording.cut_off)
+        found = Robots(recording)
+        found.feed(progress)
+        robots, cut_off = found.robots.values(), recording.cut_off
+        channels = {channel.topic: channel for robot in robots for channel in robot.channels.values()}
+        firsts = [channel.first for channel in channels.values() if channel.first]
+        first = min(firsts, key=lambda difference: difference.order, default=None)
+        stops = [stop for robot in robots for stop in robot.stops]
+        stops += [stop for robot in robots if not robot.stops for stop in _incomplete(robot, cut_off)]
         version = recording.metadata().get("kr270_milling", {}).get("kr270_milling_version", "")
-        first = min(firsts, key=lambda d: d.order, default=None)
-        damage = () if recording.cut_off else tuple(findings(recording))
-        return Recomputed(str(recording.path), recording.cut_off, channels, first, tuple(stops), version, damage)
+        damage = () if cut_off else tuple(findings(recording))
+        return Recomputed(str(recording.path), cut_off, channels, first, tuple(stops), version, damage)
 
 
 class Lack(Stop):
@@ -89,41 +86,30 @@ class Lack(Stop):
         return f"{self.robot or '/'}: {self.reason}"
 
 
-def _incomplete(robot: Robot, cut_off: bool) -> list[Stop]:
-    """Why the recompute of a robot is not complete, beyond the stops of its models.
+def _incomplete(robot: Robot, cut_off: bool) -> Iterator[Stop]:
+    """Why the recompute of a robot is not complete, although its models did not stop.
 
     Where a pass broke off, or the file, some periods may be under way: causes without effects, and the other way round.
     """
-    if robot.stops:
-        return []
+    namespace, exchange, done = robot.namespace, robot.cell.exchange, robot.robot.protocol.done
     names = [name for name, c in robot.channels.items() if c.waiting and not c.compared]
     if names:
-        return [Stop(robot.namespace, 0, f"the inputs of {', '.join(names)} are not in the recording")]
+        yield Stop(namespace, 0, f"the inputs of {', '.join(names)} are not in the recording")
+        return
     if not any(robot.channels[name].compared for name in EXCHANGE if name in robot.channels):
-        return [
-            Lack(robot.namespace, 0, "no pass is in the recording, so that no tool_pose and no wrench was compared")
-        ]
-    found = list(_left_over(robot, cut_off)) + ([] if cut_off else list(_lacking(robot)))
-    if not robot.revises:
-        reason = "learned was another algorithm in version 0.1.0: its references are taken as they were recorded"
-        found.append(Lack(robot.namespace, 0, reason))
-    return found
-
-
-def _left_over(robot, cut_off: bool) -> Iterator[Stop]:
-    iterations = robot.cell.exchange.iterations
-    allowed = 0 if robot.robot.protocol.done and not cut_off else MOST_AHEAD * iterations
+        yield Lack(namespace, 0, "no pass is in the recording, so that no tool_pose and no wrench was compared")
+        return
+    allowed = 0 if done and not cut_off else MOST_AHEAD * exchange.iterations
     for channel in robot.channels.values():
         if channel.waiting > allowed:
             reason = f"{channel.waiting} messages on {channel.topic} from {channel.leftover * 1e-9:.6f} s on were not "
-            yield Lack(robot.namespace, channel.leftover, reason + "compared, since no recorded input leads to them")
-
-
-def _lacking(robot) -> Iterator[Stop]:
-    exchange = robot.cell.exchange
+            yield Lack(namespace, channel.leftover, reason + "compared, since no recorded input leads to them")
     under_way = round(MOST_AHEAD * exchange.period * 1e9)
-    for name, channel in robot.channels.items():
-        count = channel.lacking(under_way, robot.robot.protocol.done, exchange.iterations if name in EXCHANGE else 1)
+    for name, channel in () if cut_off else robot.channels.items():
+        count = channel.lacking(under_way, done, exchange.iterations if name in EXCHANGE else 1)
         if count > (name == "joint_trajectory"):  # a recorder may be stopped right behind the reference it belongs to
             reason = f"{count} messages that belong on {channel.topic} are not in the recording"
-            yield Lack(robot.namespace, 0, reason + ", and no gap in the stamps tells of them")
+            yield Lack(namespace, 0, reason + ", and no gap in the stamps tells of them")
+    if not robot.revises:
+        reason = "learned was another algorithm in version 0.1.0: its references are taken as they were recorded"
+        yield Lack(namespace, 0, reason)

@@ -29,9 +29,8 @@ class Report(NamedTuple):
 
 def read_report(values: dict[str, str]) -> Report | None:
     """From the keys and values of a diagnostic status; None where it is not the compensator's."""
-    finished = {"True": True, "False": False}.get(values.get("finished", ""))
-    method = values.get("method", "")
-    return Report(method, finished) if method in METHODS and finished is not None else None
+    method, finished = values.get("method", ""), values.get("finished")
+    return Report(method, finished == "True") if method in METHODS and finished in ("True", "False") else None
 
 
 class CompensatorFeed:
@@ -48,12 +47,11 @@ class CompensatorFeed:
         self.report: Report | None = None
         self.on_pass: Callable[[CompensatorFeed, bytes | None], None] = lambda feed, published: None
         self.revisions: list[CompensatorProtocol] = []  #: of a complete pass, the likely one first
+        self.known = False  #: whether the state is the node's, and not made up from reports
         self._channels = channels
         self._stop = stop
-        self._opening = opening
-        self._given_method = cell.compensation.method
+        self._opening = opening or Report(cell.compensation.method, False)
         self._published: list[bytes] = []  # references that were recorded and not compared yet
-        self.known = False  # whether the state is the node's, and not made up from reports
         self._begun = False
         self._without: CompensatorProtocol | None = None  # the protocol as if the last wrench did not come
         self._undecided = False
@@ -61,16 +59,20 @@ class CompensatorFeed:
     @property
     def method(self) -> str:
         """The method that the node used, as it told, or that of the cell."""
-        report = self.report or self._opening
-        return report.method if report else self._given_method
+        return (self.report or self._opening).method
+
+    def _state(self, ran: Trajectory | None = None, finished: bool = False, method: str | None = None) -> Compensator:
+        """A compensator before any pass, or behind unknown passes that led to the reference ``ran``."""
+        state = self.protocol.models.compensator(self.target, method or self.method)
+        if ran is not None and not _same(state.reference, ran):
+            state.resume(ran, finished)
+        return state
 
     def begin(self, data: bytes) -> None:
         """The reference that the first pass runs; where it stands in the file does not matter."""
         run = trajectory_from_bytes(data, as_sent=True)
-        state = self.protocol.models.compensator(self.target, self.method)
-        self.known = _same(state.reference, run)
-        if not self.known:
-            state.resume(run)
+        state = self._state(run)
+        self.known = state.reference is not run
         self.protocol.resume(state)
 
     @property
@@ -93,7 +95,7 @@ class CompensatorFeed:
         """The next recorded reference; the first is the one that is run."""
         if not self._begun:
             self._begun = True
-            self._compare_with(data, next((c for c in self._unrevised() if _same_bytes(c, data)), None))
+            self._compare_with(data, _first_that_gives(data, self._unrevised()))
             return
         self._published.append(data)
         if self.revisions or not self.protocol.under_way:
@@ -123,19 +125,17 @@ class CompensatorFeed:
         if revised:
             self._revised([protocol])
 
-    def revised_by(self, method: str) -> Compensator:
-        """What another method makes of the complete pass."""
-        before, ran = self.revisions[0].last_pass
-        state = self.protocol.models.compensator(self.target, method)
-        if not _same(state.reference, before.reference):
-            state.resume(before.reference, before.finished)
-        state.revise(ran)
-        return state
-
     def finish(self) -> None:
         """No more will come."""
         if self._published or self.protocol.at_end or self.revisions:
             self._compare()
+
+    def revised_by(self, method: str) -> Compensator:
+        """What another method makes of the complete pass."""
+        before, ran = self.revisions[0].last_pass
+        state = self._state(before.reference, before.finished, method)
+        state.revise(ran)
+        return state
 
     def _revised(self, revisions: list[CompensatorProtocol]) -> None:
         """The pass is complete: with what the live node may go on."""
@@ -152,19 +152,13 @@ class CompensatorFeed:
 
     def _restore(self) -> None:
         """The state in which the node was before this pass ended, as far as the file tells."""
-        protocol = self.protocol
+        protocol, finished = self.protocol, self.report is not None and self.report.finished
         reference = protocol.begun.reference
-        state = protocol.models.compensator(self.target, self.method)
-        if _same(state.reference, reference):
-            protocol.compensator = state
-            return
-        finished = self.report is not None and self.report.finished
-        if state.repeats and not finished:
+        protocol.compensator = state = self._state(reference, finished)
+        if state.reference is reference and state.repeats and not finished:
             reason = "neither this recording nor one beside it holds the passes before this one"
             self._stop(protocol.end_ns, f"{reason}, from which {self.method} goes on")
             self._undecided = True
-        state.resume(reference, finished)
-        protocol.compensator = state
 
     def _compare(self) -> None:
         """The recorded references with those that follow from the pass before, if one is complete.
@@ -177,14 +171,17 @@ class CompensatorFeed:
         if self.revisions:
             self.on_pass(self, published[0] if published else None)
         for data in published:
-            found = next((c for c in self._candidates() if _same_bytes(c, data)), None)
+            found = _first_that_gives(data, self._candidates())
             differs = found is None and any(not r.missing + r.missing_wrenches for r in self.revisions)
             found = self.revisions[0] if differs else found
             self.known = found is not None
             self.protocol = found or self.protocol
             self._compare_with(data, found)
-            if found is None or differs:
-                self._go_on_from(trajectory_from_bytes(data, as_sent=True))
+            if found is None or differs:  # what is run next is what was sent, whatever led to it
+                sent = trajectory_from_bytes(data, as_sent=True)
+                state = self.protocol.begun if self.known else self._state(sent)
+                state.reference = sent
+                self.protocol.resume(state)
         self.revisions = []
 
     def _compare_with(self, data: bytes, found: CompensatorProtocol | None) -> None:
@@ -200,15 +197,6 @@ class CompensatorFeed:
             program = self.protocol.joint_program(trajectory_from_bytes(data, as_sent=True))
             self._channels["joint_trajectory"].expected(0, program)
 
-    def _go_on_from(self, reference: Trajectory) -> None:
-        """What is run next is what was sent, whatever led to it."""
-        state = self.protocol.begun
-        if not self.known:
-            state = self.protocol.models.compensator(self.target, self.method)
-            state.resume(reference)
-        state.reference = reference
-        self.protocol.resume(state)
-
     def _candidates(self) -> Iterator[CompensatorProtocol]:
         """States that the node may be in now, the likely one first."""
         yield from self.revisions
@@ -223,13 +211,14 @@ class CompensatorFeed:
     def _unrevised(self) -> Iterator[CompensatorProtocol]:
         """After a new target or a reset."""
         fresh = self.protocol.twin()
-        fresh.resume(fresh.models.compensator(self.target, self.method))
+        fresh.resume(self._state())
         yield fresh
+
+
+def _first_that_gives(data: bytes, protocols: Iterator[CompensatorProtocol]) -> CompensatorProtocol | None:
+    """The first protocol whose reference has the bits of a recorded one."""
+    return next((one for one in protocols if difference(one.begun.reference, data) is None), None)
 
 
 def _same(one: Trajectory, other: Trajectory) -> bool:
     return difference(one, to_bytes(other)) is None
-
-
-def _same_bytes(protocol: CompensatorProtocol, data: bytes) -> bool:
-    return difference(protocol.begun.reference, data) is None
