@@ -120,11 +120,9 @@ def read_path(data: bytes) -> PathRecord:
 
 def _toolpath(path: PathRecord, feed_rate: float) -> Toolpath:
     _expect_frame(path.frames[0], *filter(None, path.frames[1:]))  # a pose without one is in that of the message
-    _expect_points(path.position)
-    moves = np.any(np.diff(path.position, axis=0) != 0, axis=1)
-    kept = np.concatenate([[True], moves])
-    feed = np.append(0.0, _feeds(path, moves, feed_rate))[kept]
-    return _blocks(path.position[kept], _orientations(path.quaternion)[kept], feed)
+    kept = _moving(path.position)
+    feed = np.append(0.0, _feeds(path, kept[1:], feed_rate))
+    return _blocks(kept, path.position, _orientations(path.quaternion), feed, np.zeros(len(kept)))
 
 
 def _feeds(path: PathRecord, moves: np.ndarray, feed_rate: float) -> np.ndarray:
@@ -157,12 +155,12 @@ def _orientations(quaternion: np.ndarray) -> np.ndarray:
     if not np.isfinite(quaternion).all():
         raise ValueError("an orientation is not finite")
     x, y, z, w = quaternion.T
-    level = np.hypot(x, y) <= UPRIGHT
-    if level.all():
+    if np.all(np.hypot(x, y) <= UPRIGHT):
         return np.tile(TOOL_DOWN, (len(quaternion), 1))
     length = np.linalg.norm(quaternion, axis=1)
-    if not np.all(np.abs(length - 1.0) < 1e-3):
-        raise ValueError(f"the orientation of pose {int(np.argmax(~(np.abs(length - 1) < 1e-3))) + 1} has not length 1")
+    other = ~(np.abs(length - 1.0) < 1e-3)
+    if other.any():
+        raise ValueError(f"the orientation of pose {int(np.argmax(other)) + 1} has not length 1")
     up = w**2 + z**2 - x**2 - y**2 > 0.0  # z component of the z axis
     if up.any():
         raise ValueError(f"at pose {int(np.argmax(up)) + 1} the z axis, which tool0 has along the spindle away from "
@@ -175,16 +173,13 @@ def _timed(record: TrajectoryRecord) -> TimedPath:
     _expect_frame(record.frame_id)
     if record.names != (TOOL,):
         raise ValueError(f"is a trajectory of {', '.join(record.names) or 'nothing'} and not of {TOOL}")
-    velocity = record.velocity[:, 0, :3]
+    kept, velocity = _moving(record.position[:, 0]), record.velocity[:, 0, :3]
     none = np.isnan(velocity).all()
-    _expect_points(record.position[:, 0])
     run = Trajectory(record.time, record.position[:, 0], record.quaternion[:, 0], None if none else velocity)
-    moves = np.any(np.diff(run.position, axis=0) != 0, axis=1)
-    kept = np.concatenate([[True], moves])
     length = np.linalg.norm(np.diff(run.position, axis=0), axis=1)
-    feed = np.append(0.0, length / np.diff(run.time_ns) * 1e9)[kept]
-    bend = np.append(0.0, np.zeros(moves.size) if run.velocity is None else _bends(run, run.velocity))[kept]
-    path = _blocks(run.position[kept], run.quaternion[kept], feed, bend)
+    feed = np.append(0.0, length / np.diff(run.time_ns) * 1e9)
+    bend = np.append(0.0, np.zeros(length.size) if run.velocity is None else _bends(run, run.velocity))
+    path = _blocks(kept, run.position, run.quaternion, feed, bend)
     ends = np.cumsum(path.block_length)[np.cumsum(kept) - 1]
     return TimedPath(path, run, path.block_at(ends), ends, timed_by_source=True)
 
@@ -199,13 +194,13 @@ def _bends(run: Trajectory, velocity: np.ndarray) -> np.ndarray:
     return np.where(sharp, 0.0, 2 * np.sin(turn / 2) / np.where(chord > 0, chord, 1.0))
 
 
-def _blocks(position: np.ndarray, quaternion: np.ndarray, feed: np.ndarray, bend: np.ndarray | None = None) -> Toolpath:
-    if len(position) < 2:
-        raise ValueError("the path never moves")
-    none = np.zeros(len(position))
+def _blocks(kept: np.ndarray, position: np.ndarray, quaternion: np.ndarray, feed: np.ndarray, bend: np.ndarray
+            ) -> Toolpath:  # fmt: skip
+    """Of the points that are kept; the feed [m/s] and the curvature [1/m] are those up to each point."""
+    none = np.zeros(np.count_nonzero(kept))
     return Toolpath(
-        position=position, feed=feed, rapid=none, line=none, feature=none, features=("",),
-        curvature=none if bend is None else bend, spindle_speed=none, quaternion=quaternion,
+        position=position[kept], feed=feed[kept], rapid=none, line=none, feature=none, features=("",),
+        curvature=bend[kept], spindle_speed=none, quaternion=quaternion[kept],
     )  # fmt: skip
 
 
@@ -215,9 +210,12 @@ def _expect_frame(*frames: str) -> None:
         raise ValueError(f"the frame is {other[0][:40]!r}, but must be {WORKPIECE}")
 
 
-def _expect_points(position: np.ndarray) -> None:
-    if len(position) < 2:
-        raise ValueError("the path never moves")
+def _moving(position: np.ndarray) -> np.ndarray:
+    """Which points (n, 3) are the first one, or another than the one before, (n,)."""
     far = ~(np.abs(position).max(axis=1, initial=0.0) <= REACH)  # NaN is far
     if far.any():
         raise ValueError(f"point {int(np.argmax(far)) + 1} lies more than {REACH:g} m away, or nowhere; wrong unit?")
+    kept = np.any(np.diff(position, axis=0, prepend=np.inf) != 0, axis=1)
+    if np.count_nonzero(kept) < 2:
+        raise ValueError("the path never moves")
+    return kept

@@ -28,14 +28,14 @@ class Passes:
 class GapCounter:
     """Counts the holes in a series of stamps [ns].
 
-    period_ns: the time between two messages; None: learned, as the smallest of the first 20 differences, if these
-    are all multiples of it within a quarter and most of them are the period itself. A series that is not periodic
-    has no gaps. A stamp that goes back to 0 begins a new pass, which is counted like the one before; other backward
-    stamps, and repeated ones, are counted on their own and do not move the series.
+    The time between two messages is learned, as the smallest of the first 20 differences, if these are all multiples
+    of it within a quarter and most of them are the period itself. A series that is not periodic has no gaps. A stamp
+    that goes back to 0 begins a new pass, which is counted like the one before; other backward stamps, and repeated
+    ones, are counted on their own and do not move the series.
     """
 
-    def __init__(self, period_ns: int | None = None):
-        self.period_ns = period_ns  #: 0: there is none
+    def __init__(self):
+        self.period_ns: int | None = None  #: 0: there is none
         self.missing = self.gaps = self.repeated = self.backwards = 0
         self.last: int | None = None
         self.passes = Passes()
@@ -92,8 +92,8 @@ class LogTimes:
     first stamp there is no time to give (None), until ``begin`` says that no stamp is to be waited for.
     """
 
-    def __init__(self, latest: int | None = None):
-        self.latest = latest
+    def __init__(self):
+        self.latest: int | None = None
         self._offset: int | None = None  #: from log time to stamp; None: no stamp that tells has come yet
         self._by_wall = False
 

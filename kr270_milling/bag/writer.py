@@ -57,8 +57,7 @@ class BagWriter:
     line; they stand at the begin of the file, the package's version with them. The first error of the file system
     ends the file: what is in it stays readable, and every later call raises the same RecordingError. A message that
     cannot be recorded raises MessageRefused, is counted and harms nothing.
-    Messages without a stamp wait for the first stamp, to take it as their log time; start_time [ns]: they do not
-    wait, but have this log time until then.
+    Messages without a stamp wait for the first stamp, to take it as their log time.
     """
 
     def __init__(
@@ -68,9 +67,7 @@ class BagWriter:
         *,
         attachments: Mapping[str, bytes | str] | None = None,
         metadata: Mapping[str, object] | None = None,
-        start_time: int | None = None,
         chunk_size: int = CHUNK_SIZE,
-        chunk_period: float = CHUNK_PERIOD,
     ):
         self.directory = Path(os.path.abspath(directory))
         self._waiting: deque[tuple[Channel, bytes, int, int | None]] = deque()
@@ -80,9 +77,8 @@ class BagWriter:
         self.channels: dict[int, Channel] = {}
         self.start: int | None = None  #: [ns], smallest and largest log time
         self.end = 0
-        self._chunk_period = chunk_period
         self._last_chunk: float | None = None  # [s]
-        self._times = LogTimes(start_time)
+        self._times = LogTimes()
         self._waiting_size = 0  # [bytes]
         self._waiting_since: float | None = None  # [s]
         self._custom = {"kr270_milling_version": __version__, **{k: str(v) for k, v in (metadata or {}).items()}}
@@ -109,10 +105,10 @@ class BagWriter:
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         self.output.mcap.add_metadata(name, {str(k): str(v) for k, v in values.items()})
 
-    def add_topic(self, topic: str, type_name: str, qos: Iterable = (), period_ns: int | None = None) -> int:
+    def add_topic(self, topic: str, type_name: str, qos: Iterable = ()) -> int:
         """Prepare a topic with an installed message type; qos: its publishers' profiles, as describe_qos takes them.
 
-        period_ns: the time between its stamps, if known, for the counting of gaps. A known topic is left as it is.
+        A known topic is left as it is.
         """
         if topic in self.topics:
             known = self.channels[self.topics[topic]].type
@@ -120,11 +116,9 @@ class BagWriter:
                 raise RecordingError(self.path, f"{topic} is recorded as {known} and cannot be {type_name} as well")
             return self.topics[topic]
         about = {"offered_qos_profiles": bagmeta.qos_text(qos), "topic_type_hash": type_hash(type_name)}
-        return self.add_channel(topic, (type_name, "ros2msg", definition(type_name).encode()), "cdr", about, period_ns)
+        return self.add_channel(topic, (type_name, "ros2msg", definition(type_name).encode()), "cdr", about)
 
-    def add_channel(
-        self, topic: str, schema: tuple[str, str, bytes], encoding: str, about: dict, period_ns: int | None = None
-    ) -> int:
+    def add_channel(self, topic: str, schema: tuple[str, str, bytes], encoding: str, about: dict) -> int:
         """Prepare a channel as it is given: schema (name, encoding, data), message encoding, channel metadata."""
         self.output.check()
         if schema not in self._schemas:
@@ -132,8 +126,8 @@ class BagWriter:
         number = self.output.mcap.register_channel(topic, encoding, self._schemas[schema], about)
         stamped = schema[1] == "ros2msg" and starts_with_stamp(schema[2].decode("utf-8", "replace"))
         profiles = bagmeta.read_qos(about.get("offered_qos_profiles", ""))
-        kind, digest = schema[0], about.get("topic_type_hash", "")
-        self.channels[number] = Channel(number, topic, kind, encoding, profiles, digest, stamped, GapCounter(period_ns))
+        digest = about.get("topic_type_hash", "")
+        self.channels[number] = Channel(number, topic, schema[0], encoding, profiles, digest, stamped)
         self.topics.setdefault(topic, number)
         return number
 
@@ -196,7 +190,7 @@ class BagWriter:
                 self._times.latest = log_time
 
     def tick(self, now: float) -> None:
-        """Close the chunk when it is ``chunk_period`` old, and wait no longer than HOLD_PERIOD for a first stamp;
+        """Close the chunk when it is CHUNK_PERIOD old, and wait no longer than HOLD_PERIOD for a first stamp;
         now [s]: any clock that does not go back."""
         if self._waiting:
             self._waiting_since = min(now, now if self._waiting_since is None else self._waiting_since)
@@ -204,7 +198,7 @@ class BagWriter:
                 self._release()
                 self.flush()
         self._last_chunk = min(now, now if self._last_chunk is None else self._last_chunk)
-        if now - self._last_chunk >= self._chunk_period:
+        if now - self._last_chunk >= CHUNK_PERIOD:
             self._last_chunk = now
             self.flush()
 

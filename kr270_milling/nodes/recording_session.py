@@ -120,8 +120,7 @@ class RecordingSession:
             if len(types) != 1:
                 raise RecordingError(self.writer.path, f"{topic} has several types: {', '.join(types)}")
             kind = message_class(types[0])
-            periodic = 0 if types[0].startswith("diagnostic_msgs/") else None  # several nodes, each with its own stamps
-            self.writer.add_topic(topic, types[0], [p.qos_profile for p in publishers], periodic)
+            self.writer.add_topic(topic, types[0], [p.qos_profile for p in publishers])
         except (ImportError, NameRefused, RecordingError) as error:
             self._subscriptions[topic] = None
             self._node.report(WARN, f"{topic} is not recorded: {error}")

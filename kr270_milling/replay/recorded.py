@@ -94,9 +94,9 @@ def _read(recording: Recording, namespace: str | None) -> tuple[Trajectory, floa
     topic = topic_of(recording, "reference_trajectory", namespace)
     if recording.topics()[topic].type != TRAJECTORY:
         raise RecordingError(recording.path, f"{topic} is no trajectory")
-    runs: list[Trajectory] = []
+    runs: list[bytes] = []
     walls = [float("nan")]
-    others = {topic: lambda data: runs.extend([] if runs else [_trajectory(recording, topic, data)])}
+    others: dict = {topic: lambda data: runs.append(data) if not runs else None}
     if DIAGNOSTICS in recording.topics():
         decode = recording.decoder(DIAGNOSTICS)
         others[DIAGNOSTICS] = lambda data: walls.extend(_wall_times(decode(data)))
@@ -106,12 +106,8 @@ def _read(recording: Recording, namespace: str | None) -> tuple[Trajectory, floa
     passes = int(np.count_nonzero(found["deflection"].stamp == 0))  # published once an exchange
     if passes > 1:
         raise RecordingError(recording.path, f"holds {passes} passes; every pass needs a recording of its own")
-    return runs[0], walls[-1], found
-
-
-def _trajectory(recording: Recording, topic: str, data: bytes) -> Trajectory:
     try:
-        return trajectory_from_bytes(data)
+        return trajectory_from_bytes(runs[0]), walls[-1], found
     except MillingError as error:
         raise RecordingError(recording.path, f"a message on {topic} is no path of the tool: {error}") from error
 
@@ -165,22 +161,15 @@ def _program(recording: Recording, cell: Cell) -> str | None:
 
 
 def _result(cell: Cell, plant: Cell, run: Trajectory, steps: np.ndarray, rows: dict, wall: float) -> PassResult:
-    stamps = cell.clock.stamp(steps)
-    course, tool = run.sample(stamps), rows["tool_pose"][:, :3]
-    torque, volume, count, area, total, heights = _cut_again(plant, steps, tool)
+    """What no message carries (torque, volume, heights) from the recorded tool centres on a fresh workpiece; across a
+    hole in the recording the tool goes straight."""
+    stamps, tool = cell.clock.stamp(steps), rows["tool_pose"][:, :3]
+    course = run.sample(stamps)
     shift = course + rows["deflection"][:, :3] - tool
+    cut, counts = plant.cut(), steps * plant.clock.micro_steps
+    _, torque, volume = cut.along(tool, counts)
     return PassResult(
         stamps, cell.target().sample(stamps), course, tool, rows["deflection"], rows["wrench"],
-        np.sqrt(np.sum(shift**2, axis=1)), torque, volume, count, area, total, wall,
-        heights,
+        np.sqrt(np.sum(shift**2, axis=1)), torque, volume, int(counts[-1]), cut.removed_area, cut.removed_volume, wall,
+        cut.map_heights()[2],
     )  # fmt: skip
-
-
-def _cut_again(cell: Cell, steps: np.ndarray, tool: np.ndarray) -> tuple:
-    """What no message carries: torque (n + 1,), volume (n + 1,), micro-steps, area and volume in all, heights.
-
-    From the recorded tool centres on a fresh workpiece; across a hole in the recording the tool goes straight.
-    """
-    cut, counts = cell.cut(), steps * cell.clock.micro_steps
-    _, torque, volume = cut.along(tool, counts)
-    return torque, volume, int(counts[-1]), cut.removed_area, cut.removed_volume, cut.map_heights()[2]

@@ -16,7 +16,7 @@ from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
-from kr270_milling.replay.attached import CELL, cell_of, in_file_order, is_first_version, plant_of
+from kr270_milling.replay.attached import CELL, cell_of, is_first_version, plant_of
 from kr270_milling.replay.compare import Channel
 from kr270_milling.replay.feeds import CutFeed, RobotFeed
 from kr270_milling.replay.revisions import CompensatorFeed, Report, read_report
@@ -37,6 +37,7 @@ OUTPUTS = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
 }
 TYPES = {**OUTPUTS, "target_trajectory": OUTPUTS["reference_trajectory"]}
+FEED = 30.0  # [us] of work on a message that goes through the nodes' protocols
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 WITH_STAMP = ("tool_pose", "wrench", "deflection", "joint_states", "clock", "workpiece")
 #: what the nodes take, and how they read it; each raises MillingError
@@ -214,7 +215,12 @@ class Robots:
 
     def feed(self, progress=None, hear: Callable[[Robot, str, bytes], None] = Robot.hear) -> None:
         """All messages in the order of the file; ``hear`` takes those of a robot."""
-        for message in in_file_order(self.recording, progress):
+        count = self.recording.count
+        for done, message in enumerate(self.recording.messages(as_written=True), 1):
+            if done % 1000 == 0:
+                self.recording.spend(1000 * FEED)
+            if progress and (done % 1000 == 0 or done == count):
+                progress(done, count)
             if message.topic in self._names:
                 namespace, name = self._names[message.topic]
                 with self._usable(message.topic):

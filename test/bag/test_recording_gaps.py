@@ -8,7 +8,8 @@ from kr270_milling.bag.stamps import GapCounter
 
 
 def count(stamps, period=None) -> GapCounter:
-    counter = GapCounter(period)
+    counter = GapCounter()
+    counter.period_ns = period
     for stamp in stamps:
         counter.add(stamp)
     return counter.finish()
