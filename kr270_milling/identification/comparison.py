@@ -23,13 +23,6 @@ SURE = 2.0  #: standard deviations
 class NoOverlapError(MillingError):
     """The series do not resemble each other at any lag."""
 
-    def __init__(self, what: str, likeness: float):
-        self.what, self.likeness = what, likeness
-        super().__init__(
-            f"the measured {what} does not resemble the simulated one at any lag (best correlation {likeness:.2f}): "
-            "check the topic, the axes of the sensor and the cell"
-        )
-
 
 @dataclass(frozen=True)
 class Line:
@@ -126,59 +119,51 @@ def compare(measured: Pass, simulated: Pass, target, feed, revolution: float) ->
     channels: list[Channel] = []
     lags, ringing = {}, {}
     if measured.force is not None and simulated.force is not None:
-        lags["force"], found = _forces(measured.force, simulated.force, revolution)
-        channels += found
+        lags["force"], force = _aligned("force", measured.force, simulated.force, same_size=False)
+        inside = np.isfinite(force).all(1)
+        time, pairs = simulated.force.time[inside], zip(force[inside].T, simulated.force.values[inside].T, strict=True)
+        channels += [_channel(f"force {axis}", "N", time, theirs, ours, revolution)
+                     for axis, (theirs, ours) in zip("xyz", pairs, strict=True) if np.any(ours)]  # fmt: skip
     if measured.tool is not None and simulated.tool is not None:
-        time = simulated.tool.time
-        lags["pose"], place = _places(measured.tool, simulated.tool)
+        lags["pose"], place = _aligned("place of the tool", measured.tool, simulated.tool, same_size=True)
         inside = np.isfinite(place).all(1)
+        time, count = simulated.tool.time[inside], _count(simulated.tool.time, revolution)
         ours = path_deviation(simulated.tool.values, target, feed)[inside]
         theirs = path_deviation(place, target, feed)[inside]
-        channels.append(_channel("deviation", "m", time[inside], theirs, ours, revolution))
+        channels.append(_channel("deviation", "m", time, theirs, ours, revolution))
         both = {"measured": theirs, "simulated": ours}
-        count = _count(time, revolution)
-        ringing = {k: ringing_frequency(time[inside], _smoothed(v[:, None], count)[:, 0]) for k, v in both.items()}
+        ringing = {k: ringing_frequency(time, _smoothed(v[:, None], count)[:, 0]) for k, v in both.items()}
     if not channels:
         raise InputError("compare", "the recording has neither a force nor a place of the tool to compare")
     return Comparison(channels, lags, ringing, _advice(channels, ringing))
 
 
 def _count(time: np.ndarray, revolution: float) -> int:
+    """Samples of a revolution."""
     return max(1, round(revolution / float(np.median(np.diff(time)))))
 
 
-def _shift(what: str, measured: Series, simulated: Series, middle: np.ndarray, same_size: bool):
-    """Step [s], lag in steps and [s], and both on even grids, less ``middle``."""
+def _aligned(what: str, measured: Series, simulated: Series, same_size: bool) -> tuple[float, np.ndarray]:
+    """Lag [s], and the measured vectors at the simulated times, (n, 3), NaN where there are none."""
     step = float(np.median(np.diff(simulated.time)))
+    middle = simulated.values.mean(0) if same_size else 0.0  # squares of small numbers
     theirs, ours = (resampled(p.time, p.values, step) - middle for p in (measured, simulated))
     lag, likeness = best_lag(theirs, ours, same_size)
     if likeness < LEAST_LIKENESS:
-        raise NoOverlapError(what, likeness)
-    return step, lag, lag * step + float(measured.time[0] - simulated.time[0]), theirs, ours
-
-
-def _forces(measured: Series, simulated: Series, revolution: float) -> tuple[float, list[Channel]]:
-    step, lag, seconds, theirs, ours = _shift("force", measured, simulated, np.zeros(3), same_size=False)
-    first, last = max(0, -lag), min(len(ours), len(theirs) - lag)
-    time = simulated.time[0] + step * np.arange(first, last)
-    pairs = zip("xyz", theirs[first + lag : last + lag].T, ours[first:last].T, strict=True)
-    return seconds, [_channel(f"force {axis}", "N", time, a, b, revolution) for axis, a, b in pairs if np.any(b)]
-
-
-def _places(measured: Series, simulated: Series) -> tuple[float, np.ndarray]:
-    """Lag [s], and the measured places at the simulated times, NaN where there are none."""
-    middle = simulated.values.mean(0)  # squares of small numbers
-    seconds = _shift("place of the tool", measured, simulated, middle, same_size=True)[2]
+        raise NoOverlapError(
+            f"the measured {what} does not resemble the simulated one at any lag (best correlation {likeness:.2f}): "
+            "check the topic, the axes of the sensor and the cell"
+        )
+    seconds = lag * step + float(measured.time[0] - simulated.time[0])
     at = simulated.time + seconds
-    columns = [np.interp(at, measured.time, c, np.nan, np.nan) for c in measured.values.T]
-    return seconds, np.stack(columns, -1)
+    return seconds, np.stack([np.interp(at, measured.time, c, np.nan, np.nan) for c in measured.values.T], -1)
 
 
 def _channel(name: str, unit: str, time, measured, simulated, revolution: float) -> Channel:
     count = _count(time, revolution)
     both = _smoothed(np.column_stack([measured, simulated]), count)
     line = line_through(both[:, 0], both[:, 1], max(3, len(time) // count))
-    return Channel(name, unit, time, np.asarray(measured), np.asarray(simulated), line)
+    return Channel(name, unit, time, measured, simulated, line)
 
 
 def _advice(channels: list[Channel], ringing: dict) -> list[str]:

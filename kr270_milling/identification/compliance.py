@@ -36,10 +36,6 @@ COLUMNS = ("number", "arm file", "identified", "95 % +-", "told by the data")
 class TooFewError(MillingError):
     """Fewer numbers were measured than are sought."""
 
-    def __init__(self, measured: int, sought: int):
-        self.measured, self.sought = measured, sought
-        super().__init__(f"{measured} numbers cannot tell {sought} unknown ones; measure more loads or postures")
-
 
 @dataclass(frozen=True, eq=False)
 class Fit:
@@ -139,7 +135,8 @@ def _fitted(problem: Problem, reasons: dict[int, str], robust: bool) -> Fit:
     free = np.array([k not in reasons for k in range(len(x))])
     sought, measured = int(free.sum()), int(problem.finite.sum())
     if measured <= sought:
-        raise TooFewError(measured, sought)
+        reason = f"{measured} numbers cannot tell {sought} unknown ones; measure more loads or postures"
+        raise TooFewError(reason)
     for _ in range(ROUNDS):
         x = _solved(problem, x, free, weights)
         left = problem.weighted(problem.predict(x))

@@ -47,10 +47,6 @@ COLUMNS = ("mode", "[Hz]", "damping [%]", "by decrement", "energy [%]", "shape x
 class NoModeError(MillingError):
     """Nothing rings."""
 
-    def __init__(self, low: float, high: float):
-        self.low, self.high = low, high
-        super().__init__(f"nothing rings between {low:g} and {high:g} Hz with a damping ratio below {MOST_DAMPED}")
-
 
 @dataclass(frozen=True, eq=False)
 class Mode:
@@ -89,7 +85,8 @@ def find_modes(signals: Signals, low: float, high: float, most: int = 6) -> list
     energy = np.sum(np.abs(residues) ** 2, 1) / np.maximum(2 * np.abs(poles.real), 1e-12)
     shown &= energy > FAINT * energy[shown].max(initial=0.0)
     if not shown.any():
-        raise NoModeError(low, high)
+        reason = f"nothing rings between {low:g} and {high:g} Hz with a damping ratio below {MOST_DAMPED}"
+        raise NoModeError(reason)
     order = np.flatnonzero(shown)[np.argsort(frequency[shown])][:most]
     modes = []
     for k in order:

@@ -44,13 +44,6 @@ MODULE = "LOADTEST"
 SPEED = 10  #: [%] of the axis speeds
 
 
-class NoPostureError(MillingError):
-    """No posture has room for a load test."""
-
-    def __init__(self):
-        super().__init__("no posture of this arm keeps its tool above the floor and away from its base")
-
-
 @dataclass(frozen=True, eq=False)
 class Bench:
     """What there is to load and to see the arm with."""
@@ -104,7 +97,7 @@ def _postures(arm: Arm, mount: Mount, bench: Bench, count: int, seed: int) -> np
     fits &= np.hypot(*np.moveaxis(frames.nodes[:, 4, :2], -1, 0)) > bench.nearest
     fits &= (singularity_measures(arm, q)[:, 1:] > LEAST_MEASURE).all(1)
     if not fits.any():
-        raise NoPostureError
+        raise MillingError("no posture of this arm keeps its tool above the floor and away from its base")
     return q[fits][:count]
 
 

@@ -39,12 +39,6 @@ ROUNDS = 60
 class NoWayError(MillingError):
     """No turns keep the joints within their limits."""
 
-    def __init__(self, places: int):
-        super().__init__(
-            f"no turns of the tool at {places} places keep every joint within its range and its speed: "
-            "lower the feed, or move the workpiece"
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Way:
@@ -114,7 +108,10 @@ def find_way(turns: Turns, grid: np.ndarray) -> Way:
     period = 2 * np.pi if np.ptp(grid) + 1.5 * step > 2 * np.pi else np.inf
     best = _least(turns, grid, period)
     if best is None:
-        raise NoWayError(len(turns.course.position))
+        raise NoWayError(
+            f"no turns of the tool at {len(turns.course.position)} places keep every joint within its range and its "
+            "speed: lower the feed, or move the workpiece"
+        )
     return _refined(turns, best, step, (-np.inf, np.inf) if np.isfinite(period) else (grid[0], grid[-1]))
 
 
