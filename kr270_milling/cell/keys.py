@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -34,15 +35,15 @@ def keys_of(section: str = "", record: type[Record] = Cell) -> list[dict]:
     return chosen
 
 
-def _keys(record: type[Record], prefix: str):
+def _keys(record: type[Record], prefix: str) -> Iterator[dict]:
     for spec in specs(record):
         if issubclass(spec.kind, Record):
             yield from _keys(spec.kind, f"{prefix}{spec.key}.")
         else:
-            yield _key(spec, prefix)
+            yield _row(spec, prefix)
 
 
-def _key(spec: Spec, prefix: str) -> dict:
+def _row(spec: Spec, prefix: str) -> dict:
     required = spec.default is dataclasses.MISSING
     bounds = {name: getattr(spec, name) for name in ("low", "high", "above")}
     return {
@@ -60,7 +61,7 @@ def _key(spec: Spec, prefix: str) -> dict:
 
 
 def _range(spec: Spec) -> str:
-    """The allowed values in words; "" for all."""
+    """The allowed values in words; empty for all."""
     if spec.choices:
         return " | ".join(spec.choices)
     bounds = (">", spec.above), (">=", spec.low if math.isinf(spec.above) else math.inf), ("<=", spec.high)
@@ -68,9 +69,7 @@ def _range(spec: Spec) -> str:
 
 
 def _default(spec: Spec):
-    """In the unit of the file, without the digits of the way to SI and back; None where there is none."""
-    if spec.default is None:
-        return None
+    """In the unit of the file, without the digits of the way to SI and back."""
     if spec.kind is np.ndarray:
         return [float(f"{value / spec.scale:.12g}") for value in np.ravel(spec.default)]
     if spec.kind is float:

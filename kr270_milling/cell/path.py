@@ -159,63 +159,60 @@ def check_path(file: str, timed: TimedPath, tool: Tool, stock: Stock) -> None:
     path = timed.toolpath
     if path.rapid[1:].all():
         raise InputError(file, "has no cutting move: every block is a rapid one")
-    _check_spindle(file, path, tool)
-    _check_upright(file, path)
-    _check_stock(file, timed, tool, stock)
+    wrong = _other_spindle(path, tool) or _tilted(path) or _beside_stock(timed, tool, stock)
+    if wrong:
+        reason, block = wrong
+        raise InputError(file, reason, int(path.line[block]) or None)
 
 
-def _line(path: Toolpath, block: int) -> int | None:
-    return int(path.line[block]) or None
-
-
-def _check_spindle(file: str, path: Toolpath, tool: Tool) -> None:
-    """A programmed spindle, where there is one, must turn as that of the model does."""
+def _other_spindle(path: Toolpath, tool: Tool) -> tuple[str, int] | None:
+    """A programmed spindle, where there is one, must turn as that of the model does: else why not, and the block."""
     cutting = np.flatnonzero(~path.rapid[1:]) + 1
     speed = path.spindle_speed[cutting]
-    if not speed.any():
-        return
     other = np.abs(np.abs(speed) - tool.spindle_speed) > SAME_SPEED
+    if not speed.any():
+        return None
     if other.any():
         block = cutting[np.argmax(other)]
+        if path.spindle_speed[block] == 0.0:
+            return "a cutting move while the spindle is off", block
         rpm = 30.0 / np.pi * np.array([abs(path.spindle_speed[block]), tool.spindle_speed])
         reason = f"the spindle speed S{rpm[0]:.6g} is not the tool.spindle_speed_rpm of the cell, {rpm[1]:.6g}"
-        if path.spindle_speed[block] == 0.0:
-            reason = "a cutting move while the spindle is off"
-        raise InputError(file, reason, _line(path, block))
+        return reason, block
     turns = "clockwise (M3, CLW)" if speed[0] > 0 else "counterclockwise (M4, CCLW)"
-    if not turns.startswith(f"{tool.rotation} "):
-        reason = f"its spindle turns {turns}, but tool.rotation of the cell is {tool.rotation}"
-        raise InputError(file, reason, _line(path, cutting[0]))
+    if turns.startswith(f"{tool.rotation} "):
+        return None
+    return f"its spindle turns {turns}, but tool.rotation of the cell is {tool.rotation}", cutting[0]
 
 
-def _check_upright(file: str, path: Toolpath) -> None:
+def _tilted(path: Toolpath) -> tuple[str, int] | None:
     """The cut knows one tool axis, z of the workpiece."""
     axis = rotation_from_quaternion(path.quaternion)[:, :, 2]
     tilt = np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), -axis[:, 2])
     over = ~path.rapid & (tilt > UPRIGHT)
-    if over.any():
-        block = int(np.argmax(over))
-        reason = (
-            f"point {block + 1} of the path: the tool is tilted by {np.degrees(tilt[block]):.4g} deg, but the cut is "
-            f"that of a tool along z of the workpiece (within {np.degrees(UPRIGHT):g} deg)"
-        )
-        raise InputError(file, reason, _line(path, block))
+    if not over.any():
+        return None
+    block = int(np.argmax(over))
+    reason = (
+        f"point {block + 1} of the path: the tool is tilted by {np.degrees(tilt[block]):.4g} deg, but the cut is "
+        f"that of a tool along z of the workpiece (within {np.degrees(UPRIGHT):g} deg)"
+    )
+    return reason, block
 
 
-def _check_stock(file: str, timed: TimedPath, tool: Tool, stock: Stock) -> None:
+def _beside_stock(timed: TimedPath, tool: Tool, stock: Stock) -> tuple[str, int] | None:
     """A path that leaves the stock alone must be a mistake of placement, or of the unit."""
-    run, path = timed.trajectory, timed.toolpath
+    run = timed.trajectory
     step = tool.radius / 8 / max(float(np.max(run.feed(run.time_ns))), 1e-6)
     stamps = np.linspace(0, run.duration_ns, 2 + int(min(run.time[-1] / step, MOST_STEPS))).astype(np.int64)
     at, radius = run.sample(stamps), tool.radii.max()
     beside = np.maximum(np.maximum(stock.min - at, at - stock.max), 0.0)[:, :2]
     if np.any((np.hypot(*beside.T) < radius) & (at[:, 2] < stock.max[2])):
-        return
+        return None
     way, box = _extent(at.min(axis=0), at.max(axis=0)), _extent(stock.min, stock.max)
-    cutting = np.flatnonzero(~path.rapid[1:]) + 1
     hint = "check the datum and the unit (G20, G21)"
     reason = f"the tool never reaches the stock: it goes through {way} mm, the stock fills {box} mm; {hint}"
-    raise InputError(file, reason, _line(path, cutting[0]))
+    return reason, int(np.flatnonzero(~timed.toolpath.rapid[1:])[0]) + 1
 
 
 def _extent(low: np.ndarray, high: np.ndarray) -> str:

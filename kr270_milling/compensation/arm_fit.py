@@ -56,7 +56,7 @@ class Identified:
 class _Problem:
     """Residuals of one fit; its numbers are log gain, log softness, log factors of the modes, offset."""
 
-    def __init__(self, arm: ArmResponse, segments: Segments, path, approach, passes: list[Evidence], weight, noise):
+    def __init__(self, arm: ArmResponse, segments: Segments, path, approach, passes, weight, noise):
         self.arm, self.segments, self.path, self.approach = arm, segments, path, approach
         self.first, self.later = passes[0], passes[1:][-KEPT:]
         self.weight = weight[..., None]
@@ -113,7 +113,7 @@ class _Problem:
 
 
 def fit(
-    arm: ArmResponse, segments: Segments, path: np.ndarray, approach: np.ndarray, passes: list[Evidence],
+    arm: ArmResponse, segments: Segments, path: np.ndarray, approach: np.ndarray, passes: tuple[Evidence, ...],
     weight: np.ndarray, noise: float,
 ) -> tuple[ArmResponse, Identified | None]:  # fmt: skip
     """The arm that explains the passes, the uncorrected one first, and what of it was fitted.

@@ -128,7 +128,7 @@ class Compensator:
     def reset(self) -> None:
         """Back to the target itself."""
         self.reference = self.target
-        self.errors: list[float] = []  #: [m], remaining error of each pass
+        self.errors: tuple[float, ...] = ()  #: [m], remaining error of each pass
         self.limited: tuple[Limited, ...] = ()  #: where the correction of ``reference`` was limited
         self.finished = False
         self.note = ""  #: a sentence where no correction is made, or the model speaks against the one that is made
@@ -165,7 +165,7 @@ class Compensator:
         """The reference for the next pass, from the pass that was run along the present one."""
         if not self.errors and self.reference is self.target:
             self.first = ran
-        self.errors.append(remaining_error(self.target, ran))
+        self.errors += (remaining_error(self.target, ran),)
         if self.repeats and self._is_best(ran):
             self.finished = True
             _, self.reference, self.limited = self._best
@@ -176,37 +176,30 @@ class Compensator:
             self.learner = (self.learner or self.new_learner()).with_pass(ran, self.reference)
         self.reference, self.limited = self._revised(ran)
         if self.learner is not None:
-            self._refuse_worse()
+            self._refuse_worse(self.learner)
         return self.reference
 
     def _revised(self, ran: PassRecord) -> tuple[Trajectory, tuple[Limited, ...]]:
-        how = self.parameters
-        limits: dict = {
-            "max_correction": how.max_correction,
-            "max_change": how.max_change_per_tick,
-            "tick": how.tick,
-        }
+        how, target = self.parameters, self.target
+        limits = dict(max_correction=how.max_correction, max_change=how.max_change_per_tick, tick=how.tick)
         if self.learner is not None:
             values, rates = self.learner.correction()
-            return corrected(self.target, values, "linear" if rates is None else self.method, rates=rates, **limits)
+            return corrected(target, values, "linear" if rates is None else self.method, rates=rates, **limits)
         if self.method == "mirror" and self._mirror is not None:
-            modified = self._mirror(self.target, ran.mean_wrench(self.target.time_ns))
-            shift = modified.position - self.target.position
-            return corrected(self.target, shift, "mirror", quaternion=modified.quaternion, **limits)
-        return revise(self.method, self.target, self.reference, ran, **limits)
+            modified = self._mirror(target, ran.mean_wrench(target.time_ns))
+            shift = modified.position - target.position
+            return corrected(target, shift, "mirror", quaternion=modified.quaternion, **limits)
+        return revise(self.method, target, self.reference, ran, **limits)
 
-    def _refuse_worse(self) -> None:
+    def _refuse_worse(self, learner: Learner) -> None:
         """No correction whose predicted error is above that of no compensation."""
-        if self.learner is None:
-            return
-        predicted, none = self.learner.predicted(self.reference), self.learner.predicted(self.target)
-        if predicted <= none:
-            return
-        self.reference, self.limited = self.target, ()
-        self.note = (
-            f"{self.method} would leave {1e6 * predicted:.3g} um where no compensation leaves {1e6 * none:.3g} um: "
-            "no correction is made"
-        )
+        predicted, none = learner.predicted(self.reference), learner.predicted(self.target)
+        if predicted > none:
+            self.reference, self.limited = self.target, ()
+            self.note = (
+                f"{self.method} would leave {1e6 * predicted:.3g} um where no compensation leaves "
+                f"{1e6 * none:.3g} um: no correction is made"
+            )
 
     def new_learner(self) -> Learner:
         """One that knows the model alone."""

@@ -58,10 +58,9 @@ class Learner:
         self.segments = Segments.of(target.time_ns)
         self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
         self.identified: Identified | None = None
-        self.passes: list[Evidence] = []
-        self.expected = np.zeros(
-            (len(self.segments), self.segments.parts, 3)
-        )  #: [m], without a correction, on the path
+        self.passes: tuple[Evidence, ...] = ()
+        #: deviation on the path without a correction [m], (m, parts, 3)
+        self.expected = np.zeros((len(self.segments), self.segments.parts, 3))
         self._noise = 0.0  # [m], of the deviation of a part
         self._rough = 0.0  # [m], of it in ``expected``
 
@@ -72,24 +71,22 @@ class Learner:
     def with_pass(self, ran: PassRecord, reference: Trajectory) -> Learner:
         """One that has also learned from a pass along ``reference``."""
         learner = copy.copy(self)
-        learner.passes = list(self.passes)
-        learner.take(ran, reference)
+        learner.learn(ran, reference)
         return learner
 
-    def take(self, ran: PassRecord, reference: Trajectory) -> None:
-        """Learn from a pass along ``reference``."""
+    def learn(self, ran: PassRecord, reference: Trajectory) -> None:
+        """Take a pass along ``reference`` into account."""
         segments, time_ns = self.segments, ran.time_ns
         deviation = segments.middle(time_ns, ran.position - self.target.sample(time_ns))
-        self.passes.append(self._evidence(ran, self.cubic(reference), deviation))
+        last = self._evidence(ran, self.cubic(reference), deviation)
         self.scored = self._scored(ran)
         self._noise = ran.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
         weight = np.where(self.scored, 1.0, FREE)
-        self.arm, self.identified = fit(
-            self.model, segments, self.path, self.path[0, 1], self.passes, weight, self._noise
-        )
-        last = self.passes[-1]
+        passes = (*self.passes, last)
+        self.arm, self.identified = fit(self.model, segments, self.path, self.path[0, 1], passes, weight, self._noise)
         if last.wrench is not None and last.on_path is None:
-            self.passes[-1] = dataclasses.replace(last, on_path=self._on_path(last, last.wrench))
+            last = dataclasses.replace(last, on_path=self._on_path(last, last.wrench))
+        self.passes = (*self.passes, last)
         self.expected = self._expected()
 
     def expect(self) -> Learner:

@@ -74,13 +74,13 @@ class CompensatorProtocol:
 
     def choose(self, method: str) -> list[Output]:
         """Another method, from the pass along the target if there was one."""
-        made = _twin(self.begun)
+        made = copy.copy(self.begun)  # to leave this one as it is if that is refused
         made.choose(method)
         return self._go_on(made)
 
     def reset(self) -> list[Output]:
         """Back to the target itself."""
-        made = _twin(self.begun)
+        made = copy.copy(self.begun)
         made.reset()
         return self._go_on(made)
 
@@ -94,7 +94,7 @@ class CompensatorProtocol:
         """An independent one in the same state."""
         other = copy.copy(self)
         vars(other).update(
-            compensator=self.compensator and _twin(self.compensator),
+            compensator=copy.copy(self.compensator),
             _poses=dict(self._poses),
             _wrenches=dict(self._wrenches),
         )
@@ -184,7 +184,7 @@ class CompensatorProtocol:
         self.missing = _holes(stamps)
         self.missing_wrenches = _holes(np.array(sorted(self._wrenches)))
         self._await_pass(self.end_ns)  # this one is over, also if nothing can be made of it
-        made = _twin(self.begun)
+        made = copy.copy(self.begun)
         made.revise(self.ran)
         return self._go_on(made)
 
@@ -207,13 +207,6 @@ class CompensatorProtocol:
     def joint_program(self, reference: Trajectory) -> JointProgram:
         """What a controller of joints runs for a reference; raises MillingError where that is not possible."""
         return JointProgram("base_link", JOINT_NAMES, reference.time_ns, self.models.joints(reference))
-
-
-def _twin(made: Compensator) -> Compensator:
-    """One to try something with, and to leave this as it is if that is refused."""
-    twin = copy.copy(made)
-    twin.errors = list(made.errors)
-    return twin
 
 
 def _holes(stamps: np.ndarray) -> int:

@@ -5,8 +5,6 @@ Branch: shoulder (the wrist centre in front of axis 1 or behind it), elbow (bent
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
 from kr270_milling.base.frames import Pose
@@ -14,42 +12,14 @@ from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.robot.kinematics import elbow_and_reach
 
-__all__ = ["BRANCHES", "branches", "inverse", "inverse_near", "check_limits"]
+__all__ = ["BRANCHES", "branches", "inverse_near"]
 
 #: shoulder, elbow, wrist of the 8 branches, (8, 3)
 BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
 BRANCHES.setflags(write=False)
 STRAIGHT = 1e-12  #: sine of A5 below which the pose does not tell A4 from A6
+SLACK = 1e-12  #: [rad], of the joint limits: rounding
 TWO_PI = 2 * np.pi
-
-
-def inverse(arm: Arm, mount: Mount, pose: Pose) -> np.ndarray:
-    """Every posture [rad], (n, 6), within the joint limits that puts tool0 at one pose, whole turns included.
-
-    At A5 = 0, where A4 and A6 turn about one axis, A4 = 0 stands for all. Raises ReachError, and JointLimitError
-    for the branch that misses its limits by the least.
-    """
-    found, distance = branches(arm, mount, pose, np.zeros(6))
-    found = found[np.isfinite(found).all(-1)]
-    if not len(found):
-        raise ReachError(float(distance.min()), _reach(arm))
-    keep = np.ones(len(found), bool)
-    for i in range(1, len(found)):  # an elbow or a wrist that is straight gives the same posture twice
-        keep[i] = np.abs(_wrapped(found[:i] - found[i])).max(-1).min() > 1e-9
-    inside = np.concatenate([_whole_turns(arm, q) for q in found[keep]])
-    if not len(inside):
-        centred = _turned_to(found[keep], (arm.joint_lower + arm.joint_upper) / 2)
-        over = np.maximum(arm.joint_lower - centred, centred - arm.joint_upper).max(-1)
-        check_limits(arm, centred[int(np.argmin(over))])
-    return inside
-
-
-def _whole_turns(arm: Arm, q: np.ndarray) -> np.ndarray:
-    """All postures (n, 6) within the joint limits that differ from q, (6,), by whole turns."""
-    first = np.ceil((arm.joint_lower - q) / TWO_PI).astype(int)
-    last = np.floor((arm.joint_upper - q) / TWO_PI).astype(int)
-    turns = itertools.product(*[range(a, b + 1) for a, b in zip(first, last, strict=True)])
-    return q + TWO_PI * np.array(list(turns), float).reshape(-1, 6)
 
 
 def inverse_near(arm: Arm, mount: Mount, pose: Pose, near_q) -> np.ndarray:
@@ -62,22 +32,18 @@ def inverse_near(arm: Arm, mount: Mount, pose: Pose, near_q) -> np.ndarray:
     the answer to a limit.
     """
     near_q = np.asarray(near_q, float)
-    one_seed = near_q.ndim == 1 and pose.position.ndim == 2
-    if not one_seed:
+    if near_q.ndim == 1 and pose.position.ndim == 2:  # one seed for a path
+        q = _along(arm, mount, pose, near_q) if len(pose.position) else np.empty((0, 6))
+    else:
         shape = np.broadcast_shapes(pose.position.shape[:-1], near_q.shape[:-1])
         q = _nearest(arm, mount, pose, np.broadcast_to(near_q, shape + (6,)))
-    elif not len(pose.position):
-        return np.empty((0, 6))
-    else:
-        q = _along(arm, mount, pose, near_q)
-    check_limits(arm, q)
+    _check_limits(arm, q)
     return q
 
 
-def check_limits(arm: Arm, q: np.ndarray) -> None:
+def _check_limits(arm: Arm, q: np.ndarray) -> None:
     """Raise JointLimitError for the first posture (..., 6) [rad] with a joint out of its range."""
-    slack = 1e-12
-    bad = np.argwhere(~((q >= arm.joint_lower - slack) & (q <= arm.joint_upper + slack)))
+    bad = np.argwhere(~((q >= arm.joint_lower - SLACK) & (q <= arm.joint_upper + SLACK)))
     if len(bad):
         *index, joint = (int(i) for i in bad[0])
         limits = float(arm.joint_lower[joint]), float(arm.joint_upper[joint])
@@ -141,15 +107,10 @@ def _wrapped(angle):
     return angle - TWO_PI * np.round(angle / TWO_PI)
 
 
-def _turned_to(q, near):
-    """q plus whole turns, as near to ``near`` as can be."""
-    return near + _wrapped(q - near)
-
-
 def _nearest(arm: Arm, mount: Mount, pose: Pose, near_q: np.ndarray) -> np.ndarray:
     """For each pose the branch with the least sum of squares of joint angles from near_q, (..., 6)."""
     found, distance = branches(arm, mount, pose, near_q)
-    found = _turned_to(found, near_q[..., None, :])
+    found = near_q[..., None, :] + _wrapped(found - near_q[..., None, :])
     away = np.sum((found - near_q[..., None, :]) ** 2, -1)
     out = np.argwhere(~np.isfinite(away).any(-1))
     if len(out):

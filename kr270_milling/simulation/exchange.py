@@ -30,11 +30,8 @@ class Exchange(Record):
         if whole < 1 or abs(steps - whole) > 1e-6 * whole:
             unit = self.micro_step / spindle_speed * 1e3
             near = ", ".join(f"{n * unit:.9g}" for n in sorted({max(1, int(steps)), int(steps) + 1}))
-            raise ParameterError(
-                "exchange.period_ms",
-                self.period * 1e3,
-                f"a whole number of micro-steps at this spindle speed, for example {near}",
-            )
+            allowed = f"a whole number of micro-steps at this spindle speed, for example {near}"
+            raise ParameterError("exchange.period_ms", self.period * 1e3, allowed)
         return Clock(self.period, whole)
 
 

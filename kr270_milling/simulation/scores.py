@@ -17,9 +17,7 @@ class Scores:
     static_deviation: float  #: [m], mean over the last quarter of the pass; NaN for a tool path
     max_deviation: float  #: [m], largest magnitude from full engagement on
     low_frequency: float  #: [Hz], lowest lateral mode of the model; NaN for a tool path
-    ringing_frequency: (
-        float  #: [Hz], undamped frequency of the ringing found in the pass; NaN if it does not ring, or for a tool path
-    )
+    ringing_frequency: float  #: [Hz], undamped, of the pass; NaN if it does not ring, or for a tool path
     ringing_damping: float  #: its damping ratio
 
 
@@ -68,12 +66,8 @@ def score(
     deviation = path_deviation(actual, target, feed)
     engaged = time >= full_engagement - 1e-9
     engaged[-1] = True  # a pass that ends before it is engaged is scored at its end
-    ringing, damping = ringing_frequency(time[engaged], displacement[engaged]) if straight else (np.nan, np.nan)
-    static = np.mean(deviation[-max(1, deviation.size // 4) :]) if straight else np.nan
-    return Scores(
-        static_deviation=float(static),
-        max_deviation=float(np.max(np.abs(deviation[engaged]))),
-        low_frequency=low_frequency,
-        ringing_frequency=ringing,
-        ringing_damping=damping,
-    )
+    largest = float(np.max(np.abs(deviation[engaged])))
+    if not straight:
+        return Scores(np.nan, largest, low_frequency, np.nan, np.nan)
+    static = float(np.mean(deviation[-max(1, deviation.size // 4) :]))
+    return Scores(static, largest, low_frequency, *ringing_frequency(time[engaged], displacement[engaged]))

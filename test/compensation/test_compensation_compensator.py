@@ -67,7 +67,7 @@ def test_a_tool_in_the_air_is_not_scored_where_the_wrench_is_known():
 
 def test_before_any_pass_the_reference_is_the_target():
     found = compensator("learned")
-    assert found.reference is TARGET and found.errors == [] and not found.finished and found.first is None
+    assert found.reference is TARGET and found.errors == () and not found.finished and found.first is None
 
 
 @pytest.mark.parametrize("method", ["linear", "spline"])
@@ -138,7 +138,7 @@ def test_reset_goes_back_to_the_target_and_forgets_the_passes():
     found = compensator("learned")
     found.improve(pass_along(TARGET), pass_along)
     found.reset()
-    assert found.reference is TARGET and found.errors == [] and not found.finished and found.limited == ()
+    assert found.reference is TARGET and found.errors == () and not found.finished and found.limited == ()
 
 
 def test_another_method_goes_on_from_the_pass_along_the_target():

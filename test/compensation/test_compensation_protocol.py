@@ -98,7 +98,7 @@ def test_a_twin_goes_its_own_way(protocol, ran, short_cell):
     feed(protocol, most)
     twin = protocol.twin()
     assert_revised(twin.finish(), expected(short_cell, ran))
-    assert protocol.compensator.errors == [] and protocol.at_end
+    assert protocol.compensator.errors == () and protocol.at_end
     assert_revised(feed(protocol, [last]), expected(short_cell, ran))
 
 
