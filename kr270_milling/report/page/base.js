@@ -16,11 +16,15 @@ const KR = {};
     const [rows, columns] = value.shape;
     return Array.from({ length: rows }, (_, r) => flat.subarray(r * columns, (r + 1) * columns));
   }
-  KR.unpack = unpack;
   const element = document.getElementById("data");
   KR.data = element ? unpack(JSON.parse(element.textContent)) : {};
 
   KR.by = (id) => document.getElementById(id);
+  KR.make = (tag, ...content) => {
+    const element = document.createElement(tag);
+    element.append(...content);
+    return element;
+  };
   KR.printing = false;
   const dark = matchMedia("(prefers-color-scheme: dark)");
   KR.dark = () => dark.matches && !KR.printing;
@@ -56,6 +60,19 @@ const KR = {};
   KR.config = { responsive: true, displaylogo: false, displayModeBar: matchMedia("(hover: none)").matches ? false : "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
                 toImageButtonOptions: { format: "svg" } };
 
+  /* Number of the n-th axis in plotly's names; texts and lines that stand in a picture. */
+  KR.nth = (n) => (n ? n + 1 : "");
+  KR.note = (more) => ({ showarrow: false, ...more });
+  KR.heading = (text, x, n) => KR.note({ text: `<b>${text}</b>`, xref: x, yref: `y${KR.nth(n)} domain`, x: 0, y: 1, xanchor: "left", yanchor: "bottom" });
+  KR.area = (x0, x1, more) => ({ type: "rect", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, layer: "below",
+                                 fillcolor: KR.css("--shade"), line: { width: 0 }, ...more });
+  /* The row with the largest magnitude; -1 where there is none. */
+  KR.largest = (values, rows = values.keys()) => {
+    let best = -1;
+    for (const i of rows) if (Number.isFinite(values[i]) && !(Math.abs(values[i]) <= Math.abs(values[best]))) best = i;
+    return best;
+  };
+
   /* Every picture has draw(); those that show the place have mark(i) as well. */
   KR.pictures = [];
   KR.draw = (id, traces, layout) => {
@@ -68,13 +85,7 @@ const KR = {};
     if (KR.place !== undefined) KR.remark();
   };
 
-  KR.hasWebgl = (() => {
-    try {
-      return Boolean(document.createElement("canvas").getContext("webgl"));
-    } catch {
-      return false;
-    }
-  })();
+  KR.hasWebgl = Boolean(document.createElement("canvas").getContext("webgl"));
   KR.needsWebgl = (id) => {
     if (!KR.hasWebgl) KR.by(id).textContent = "This picture needs WebGL, which this browser does not offer.";
     return KR.hasWebgl;

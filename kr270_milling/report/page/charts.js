@@ -1,50 +1,37 @@
 /* The other charts: curves on panels, drawn when they come on the screen. */
 (() => {
-  const DASH = { dash: "dash", dot: "dot" };
-
   function trace(curve, n, chart) {
     const colour = KR.colour(curve.colour);
-    const axis = n ? n + 1 : "";
+    const axis = KR.nth(n);
     const found = { x: curve.x, y: curve.y, name: KR.plain(curve.name), xaxis: `x${axis}`, yaxis: `y${axis}`, mode: "lines",
       legendgroup: curve.name, showlegend: curve.legend && chart.panels.some((p) => p.curves.length > 1),
-      line: { color: colour, width: curve.look === "thin" ? 0.7 : 1.6, dash: DASH[curve.look] ?? "solid" },
+      line: { color: colour, width: curve.look === "thin" ? 0.7 : 1.6, dash: curve.look === "dash" ? "dash" : "solid" },
       opacity: curve.look === "thin" ? 0.55 : 1, text: Array.from(curve.y, (v) => KR.num(v, 3)),
       hovertemplate: "%{text}", };
     if (curve.look === "points") Object.assign(found, { mode: "markers", marker: { color: colour, size: 5 } });
     if (curve.look === "area") Object.assign(found, { fill: "toself", fillcolor: KR.css("--shade"), hoverinfo: "skip", hovertemplate: undefined });
     if (curve.text) {
       const last = curve.x.length - 1;
-      found.mode = "lines+text";
-      found.text = Array.from(curve.x, (_, i) => (i === last ? curve.text : ""));
-      found.textposition = curve.x.length > 1 ? "top center" : "middle center";
-      Object.assign(found, { hoverinfo: "skip", hovertemplate: undefined });
+      Object.assign(found, { mode: "lines+text", text: Array.from(curve.x, (_, i) => (i === last ? curve.text : "")),
+        textposition: last ? "top center" : "middle center", hoverinfo: "skip", hovertemplate: undefined });
     }
     return found;
   }
 
   function marks(panel, n, shapes, annotations) {
-    const x = `x${n ? n + 1 : ""}`;
-    const y = `y${n ? n + 1 : ""}`;
+    const [x, y] = [`x${KR.nth(n)}`, `y${KR.nth(n)}`];
     const grey = KR.css("--soft");
-    if (panel.title) {
-      annotations.push({ text: `<b>${panel.title}</b>`, showarrow: false, xref: `${x} domain`, yref: `${y} domain`, x: 0, y: 1,
-                         xanchor: "left", yanchor: "bottom" });
-    }
-    if (panel.shade) {
-      shapes.push({ type: "rect", xref: x, yref: `${y} domain`, x0: panel.shade[0], x1: panel.shade[1], y0: 0, y1: 1,
-                    layer: "below", fillcolor: KR.css("--shade"), line: { width: 0 } });
-    }
+    const line = { color: grey, width: 1, dash: "dot" };
+    const small = (more) => KR.note({ xanchor: "right", font: { size: 11, color: grey }, ...more });
+    if (panel.title) annotations.push(KR.heading(panel.title, `${x} domain`, n));
+    if (panel.shade) shapes.push(KR.area(...panel.shade, { xref: x, yref: `${y} domain` }));
     panel.uprights.forEach(([at, text], k) => {
-      shapes.push({ type: "line", xref: x, yref: `${y} domain`, x0: at, x1: at, y0: 0, y1: 1, line: { color: grey, width: 1, dash: "dot" } });
-      annotations.push({ text, showarrow: false, xref: x, yref: `${y} domain`, x: panel.log ? Math.log10(at) : at, y: 1 - 0.08 * k,
-                         xanchor: "right", yanchor: "top", font: { size: 11, color: grey } });
+      shapes.push({ type: "line", xref: x, yref: `${y} domain`, x0: at, x1: at, y0: 0, y1: 1, line });
+      annotations.push(small({ text, xref: x, yref: `${y} domain`, x: panel.log ? Math.log10(at) : at, y: 1 - 0.08 * k, yanchor: "top" }));
     });
     for (const [at, text] of panel.levels) {
-      shapes.push({ type: "line", xref: `${x} domain`, yref: y, x0: 0, x1: 1, y0: at, y1: at, line: { color: grey, width: 1, dash: "dot" } });
-      if (text) {
-        annotations.push({ text: KR.plain(text).replace("-", "\u2212"), showarrow: false, xref: `${x} domain`, yref: y, x: 1, y: at,
-                           xanchor: "right", yanchor: "bottom", font: { size: 11, color: grey } });
-      }
+      shapes.push({ type: "line", xref: `${x} domain`, yref: y, x0: 0, x1: 1, y0: at, y1: at, line });
+      if (text) annotations.push(small({ text: KR.plain(text).replace("-", "\u2212"), xref: `${x} domain`, yref: y, x: 1, y: at, yanchor: "bottom" }));
     }
   }
 
@@ -62,7 +49,7 @@
     const high = (1 - gapY * (rows - 1)) / rows;
     chart.panels.forEach((panel, n) => {
       const [row, column] = [Math.floor(n / columns), n % columns];
-      const key = n ? n + 1 : "";
+      const key = KR.nth(n);
       const ends = (range) => (range && panel.log ? range.map(Math.log10) : range ?? undefined);
       const top = 1 - row * (high + gapY);
       const kind = panel.log ? { type: "log", dtick: 1, exponentformat: "power", tickfont: { size: 10 } } : {};

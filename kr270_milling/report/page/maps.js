@@ -6,6 +6,7 @@
   const several = linked.passes.length > 1;
   const ids = several ? ["before", "after", "difference"] : ["before"];
   KR.shownPass = () => (several ? Number(KR.by("pass").value) : 0);
+  KR.commonScale = () => document.querySelector("input[name=scale]:checked")?.value === "common";
 
   const minus = (a, b) => a.map((v, i) => v - b[i]);
   const valuesOf = (id) => {
@@ -15,34 +16,26 @@
 
   /* Stations that a map draws: where the tool cuts and is scored, the largest value of each bucket is kept. */
   function chosen(values) {
-    const rows = [];
-    for (let i = 0; i < values.length; i++) if (linked.scored[i] && Number.isFinite(values[i])) rows.push(i);
+    const rows = [...values.keys()].filter((i) => linked.scored[i] && Number.isFinite(values[i]));
     if (rows.length <= 2 * BUCKETS) return rows;
     const step = linked.way[linked.way.length - 1] / BUCKETS;
     const best = new Map();
     for (const i of rows) {
       const bucket = Math.floor(linked.way[i] / step);
-      if (!best.has(bucket) || Math.abs(values[i]) > Math.abs(values[best.get(bucket)])) best.set(bucket, i);
+      best.set(bucket, KR.largest(values, [best.get(bucket) ?? i, i]));
     }
     return [...best.values()];
   }
-  const largest = (values, rows) => rows.reduce((m, i) => Math.max(m, Math.abs(values[i])), 0) || 1;
 
-  function extent() {
-    let [x0, y0, x1, y1] = [stock[0], stock[1], stock[3], stock[4]];
-    for (let i = 0; i < linked.x.length; i++) {
-      if (!linked.cutting[i]) continue;
-      x0 = Math.min(x0, linked.x[i]); x1 = Math.max(x1, linked.x[i]);
-      y0 = Math.min(y0, linked.y[i]); y1 = Math.max(y1, linked.y[i]);
-    }
-    const margin = 0.04 * Math.max(x1 - x0, y1 - y0);
-    return [x0 - margin, x1 + margin, y0 - margin, y1 + margin];
-  }
-  const [x0, x1, y0, y1] = extent();
+  const cuts = [...linked.x.keys()].filter((i) => linked.cutting[i]);
+  const [xs, ys] = [linked.x, linked.y].map((at, k) => [stock[k], stock[k + 3], ...cuts.map((i) => at[i])]);
+  const [left, right, low, high] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
+  const room = 0.04 * Math.max(right - left, high - low);
+  const [x0, x1, y0, y1] = [left - room, right + room, low - room, high + room];
   const flat = (y1 - y0) / (x1 - x0) < 0.45;
 
   function draw(id, values, rows, limit) {
-    const worst = rows.reduce((a, c) => (Math.abs(values[c]) > Math.abs(values[a]) ? c : a), rows[0]);
+    const worst = KR.largest(values, rows);
     const x = rows.map((i) => linked.x[i]);
     const y = rows.map((i) => linked.y[i]);
     const text = rows.map((i) => `${KR.num(values[i], 2)} µm<br>${KR.plain(linked.features[linked.feature[i]])}`
@@ -71,8 +64,8 @@
     });
     const element = KR.by(`map_${id}`);
     const name = id === "before" ? first.name : linked.passes[KR.shownPass()].name;
-    const title = id === "before" ? `${name}` : id === "after" ? `${name}` : `${name} minus ${first.name}`;
-    KR.by(`map_${id}_title`).textContent = `${title}: at most ${KR.num(rows.length ? Math.abs(values[worst]) : NaN, 1)} µm`;
+    const title = id === "difference" ? `${name} minus ${first.name}` : name;
+    KR.by(`map_${id}_title`).textContent = `${title}: at most ${KR.num(Math.abs(values[worst]), 1)} µm`;
     element.setAttribute("aria-label", `Tool path from above, deviation of ${title}; the largest is `
       + `${KR.num(values[worst], 1)} µm at x ${KR.num(linked.x[worst], 1)}, y ${KR.num(linked.y[worst], 1)} mm.`);
     return KR.draw(`map_${id}`, traces, layout);
@@ -81,9 +74,8 @@
   function drawAll() {
     const all = ids.map((id) => valuesOf(id));
     const rows = all.map(chosen);
-    const own = all.map((values, k) => largest(values, rows[k]));
-    const common = document.querySelector("input[name=scale]:checked").value === "common";
-    ids.forEach((id, k) => draw(id, all[k], rows[k], common ? Math.max(...own) : own[k]));
+    const own = all.map((values, k) => Math.abs(values[KR.largest(values, rows[k])]) || 1);
+    ids.forEach((id, k) => draw(id, all[k], rows[k], KR.commonScale() ? Math.max(...own) : own[k]));
   }
 
   function mark(i) {
@@ -94,16 +86,11 @@
 
   KR.startMaps = () => {
     if (flat) KR.by("maps").classList.add("flat", "one");
-    for (const id of ["before", "after", "difference"]) {
-      if (!ids.includes(id)) KR.by(`map_${id}`).closest("figure").remove();
-    }
     if (!several) {
       KR.by("maps").classList.add("one");
+      for (const id of ["map_after", "map_difference"]) KR.by(id).closest("figure").remove();
       KR.by("pass").closest("label").remove();
       KR.by("scale").remove();
-      const radio = document.createElement("input");
-      Object.assign(radio, { type: "radio", name: "scale", value: "own", checked: true, hidden: true });
-      document.body.append(radio);
     } else {
       KR.by("pass").options[0].remove();
       KR.by("pass").value = String(KR.data.best || 1);

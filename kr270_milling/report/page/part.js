@@ -5,29 +5,20 @@
   const floats = (rows) => rows.map((row) => Array.from(row, (v) => (Number.isFinite(v) ? v : 0)));
   let here = -1;
 
-  function largest(pass) {
-    let size = 0;
-    for (const row of pass.floor) for (const v of row) if (Math.abs(v) > size) size = Math.abs(v);
-    for (const v of pass.wall) if (Math.abs(v) > size) size = Math.abs(v);
-    return size || 1;
-  }
+  const largest = (pass) => Math.max(...[...pass.floor, pass.wall].map((row) => Math.abs(row[KR.largest(row)]) || 0)) || 1;
   function sizes() {
-    const x = surface.x[surface.x.length - 1] - surface.x[0];
-    const y = surface.y[surface.y.length - 1] - surface.y[0];
-    let low = Infinity;
-    let high = -Infinity;
-    for (const row of surface.z) for (const v of row) { low = Math.min(low, v); high = Math.max(high, v); }
+    const [x, y] = [surface.x, surface.y].map((at) => at[at.length - 1] - at[0]);
+    const heights = surface.z.flatMap((row) => [...row]);
+    const z = heights.reduce((a, b) => Math.max(a, b)) - heights.reduce((a, b) => Math.min(a, b));
     const longest = Math.max(x, y);
-    const times = Math.max(1, Math.round((FLATTEST * longest) / Math.max(high - low, 1e-6)));
-    return { x: x / longest, y: y / longest, z: ((high - low) * times) / longest, times, low, high };
+    const times = Math.max(1, Math.round((FLATTEST * longest) / Math.max(z, 1e-6)));
+    return { x: x / longest, y: y / longest, z: (z * times) / longest, times };
   }
 
   function draw() {
     if (!KR.hasWebgl || !KR.by("part").wanted) return null;
-    const k = KR.shownPass();
-    const pass = surface.passes[k];
-    const common = document.querySelector("input[name=scale]:checked").value === "common";
-    const limit = common ? Math.max(...surface.passes.map(largest)) : largest(pass);
+    const pass = surface.passes[KR.shownPass()];
+    const limit = KR.commonScale() ? Math.max(...surface.passes.map(largest)) : largest(pass);
     const size = sizes();
     const scale = KR.diverging();
     const place = KR.by("part").clientWidth > 600 ? { len: 0.7, x: 1, xanchor: "right" }

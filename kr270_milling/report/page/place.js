@@ -39,34 +39,16 @@
       const shift = Math.abs(one.correction[i]) > 0.005 ? `, shift ${KR.num(one.correction[i], 1)} µm` : "";
       parts.push([one.name, `${KR.num(one.side[i], 2)} µm, ${KR.num(one.force[i], 1)} N${shift}`]);
     }
-    KR.by("readout").replaceChildren(...parts.map(([label, value]) => {
-      const span = document.createElement("span");
-      const i = document.createElement("i");
-      const b = document.createElement("b");
-      i.textContent = label ? `${label} ` : "";
-      b.textContent = value;
-      span.append(i, b);
-      return span;
-    }));
+    KR.by("readout").replaceChildren(...parts.map(([label, value]) =>
+      KR.make("span", KR.make("i", label ? `${label} ` : ""), KR.make("b", value))));
   }
 
   /* The station with the largest deviation of the pass that is looked at, where it counts. */
-  KR.worst = (pass) => {
-    let best = 0;
-    let size = -1;
-    linked.passes[pass].side.forEach((v, i) => {
-      if (linked.scored[i] && Math.abs(v) > size) [best, size] = [i, Math.abs(v)];
-    });
-    return best;
-  };
+  const scored = [...linked.scored.keys()].filter((i) => linked.scored[i]);
+  KR.worst = (pass) => Math.max(0, KR.largest(linked.passes[pass].side, scored));
   KR.stationAt = (time) => {
-    let low = 0;
-    let high = count - 1;
-    while (low < high) {
-      const middle = (low + high) >> 1;
-      if (linked.time[middle] < time) low = middle + 1; else high = middle;
-    }
-    return low;
+    const found = linked.time.findIndex((t) => t >= time);
+    return found < 0 ? count - 1 : found;
   };
   /* Values where the tool cuts; null between two cuts, so that no line joins them. */
   KR.cut = (values) => Array.from(values, (v, i) => (linked.cutting[i] ? v : null));
@@ -91,11 +73,12 @@
     const inField = event.target.closest("input, select, textarea");
     if (event.ctrlKey || event.metaKey || event.altKey || inField) return;
     const step = event.shiftKey ? 10 : 1;
-    if (event.key === "ArrowRight") KR.go(KR.place + step);
-    else if (event.key === "ArrowLeft") KR.go(KR.place - step);
-    else if (event.key === "m" || event.key === "M") KR.go(KR.worst(KR.shownPass()));
-    else if (event.key === "p" || event.key === "P") play(playing === null);
-    else return;
+    const action = {
+      ArrowRight: () => KR.go(KR.place + step), ArrowLeft: () => KR.go(KR.place - step),
+      m: () => KR.go(KR.worst(KR.shownPass())), p: () => play(playing === null),
+    }[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (!action) return;
+    action();
     event.preventDefault();
   }
 
@@ -103,10 +86,9 @@
     const slider = KR.by("slider");
     slider.max = count - 1;
     slider.addEventListener("input", () => KR.go(Number(slider.value)));
-    KR.by("play").addEventListener("click", () => play(playing === null));
-    KR.by("back").addEventListener("click", () => KR.go(KR.place - 1));
-    KR.by("forth").addEventListener("click", () => KR.go(KR.place + 1));
-    KR.by("worst").addEventListener("click", () => KR.go(KR.worst(KR.shownPass())));
+    const clicks = { play: () => play(playing === null), back: () => KR.go(KR.place - 1), forth: () => KR.go(KR.place + 1),
+                     worst: () => KR.go(KR.worst(KR.shownPass())) };
+    for (const [id, action] of Object.entries(clicks)) KR.by(id).addEventListener("click", action);
     for (const button of document.querySelectorAll(".go")) {
       button.addEventListener("click", () => {
         KR.go(KR.stationOfPoint(Number(button.dataset.point)));
@@ -121,7 +103,6 @@
       const station = event.points.find((p) => p.customdata !== undefined)?.customdata;
       if (station !== undefined && playing === null) KR.go(station);
     };
-    element.on("plotly_hover", follow);
-    element.on("plotly_click", follow);
+    for (const event of ["plotly_hover", "plotly_click"]) element.on(event, follow);
   };
 })();

@@ -4,9 +4,9 @@
   const tolerance = { side: KR.data.tolerance_um[0], height: KR.data.tolerance_um[1] };
   const shown = (key, least) => linked.passes.some((p) => p[key].some((v, i) => linked.cutting[i] && Math.abs(v) > least));
   const ROWS = [
-    { key: "side", title: "deviation to the left [µm]", signed: true },
-    { key: "height", title: "deviation upwards [µm]", signed: true, least: 0.05 },
-    { key: "force", title: "force [N]" },
+    { key: "side", title: "deviation to the left [µm]", signed: true, gaps: true },
+    { key: "height", title: "deviation upwards [µm]", signed: true, gaps: true, least: 0.05 },
+    { key: "force", title: "force [N]", gaps: true },
     { key: "correction", title: "correction to the left [µm]", signed: true, least: 1e-3 },
     { key: "lift", title: "correction upwards [µm]", signed: true, least: 0.05 },
   ].filter((row) => row.least === undefined || shown(row.key, row.least));
@@ -19,11 +19,10 @@
     const stations = Array.from(at, (_, i) => i);
     const found = [];
     ROWS.forEach((row, r) => {
-      const axis = r ? r + 1 : "";
+      const axis = KR.nth(r);
       linked.passes.forEach((one, k) => {
         const values = one[row.key];
-        const gaps = row.key === "side" || row.key === "height" || row.key === "force";
-        const y = Array.from(values, (v, i) => (gaps && !linked.cutting[i] ? null : v));
+        const y = row.gaps ? KR.cut(values) : Array.from(values);
         found.push({ x: at, y, customdata: stations, name: r ? KR.plain(one.name) : `${KR.plain(one.name)}, at most ${KR.num(Math.abs(one.side[KR.worst(k)]), 1)} µm`, legendgroup: k, showlegend: r === 0,
           yaxis: `y${axis}`, xaxis: "x", mode: "lines", line: { color: KR.colour(k), width: row.key === "force" ? 0.8 : 1.4 },
           text: y.map((v) => KR.num(v, 2)), hovertemplate: "%{text}", connectgaps: false });
@@ -66,16 +65,14 @@
   function shapes(at) {
     const found = [{ type: "line", xref: "x", yref: "paper", x0: at[0], x1: at[0], y0: 0, y1: 1,
                      line: { color: KR.css("--accent"), width: 2 } }];
-    const shade = (x0, x1) => ({ type: "rect", xref: "x", yref: "paper", x0, x1, y0: 0, y1: 1, layer: "below",
-                                 fillcolor: KR.css("--shade"), line: { width: 0 } });
     if (KR.data.part) {
-      stretches().forEach(([a, b], n) => { if (n % 2) found.push(shade(at[a], at[b])); });
+      stretches().forEach(([a, b], n) => { if (n % 2) found.push(KR.area(at[a], at[b])); });
     } else if (engaged < linked.time[linked.time.length - 1]) {
-      found.push(shade(at[KR.stationAt(engaged)], at[at.length - 1]));
+      found.push(KR.area(at[KR.stationAt(engaged)], at[at.length - 1]));
     }
     ROWS.forEach((row, r) => {
       for (const y of tolerance[row.key] ? [tolerance[row.key], -tolerance[row.key]] : []) {
-        found.push({ type: "line", xref: "paper", yref: `y${r ? r + 1 : ""}`, x0: 0, x1: 1, y0: y, y1: y,
+        found.push({ type: "line", xref: "paper", yref: `y${KR.nth(r)}`, x0: 0, x1: 1, y0: y, y1: y,
                      line: { color: KR.css("--bad"), width: 1.5, dash: "dash" } });
       }
     });
@@ -83,35 +80,29 @@
   }
 
   function annotations(at) {
-    const note = (more) => ({ showarrow: false, font: { size: 12 }, ...more });
-    const found = ROWS.map((row, r) => note({ text: `<b>${row.title}</b>`, xref: "paper", yref: `y${r ? r + 1 : ""} domain`,
-      x: 0, y: 1, xanchor: "left", yanchor: "bottom" }));
+    const found = ROWS.map((row, r) => KR.heading(row.title, "paper", r));
     ROWS.forEach((row, r) => {
-      const allowed = tolerance[row.key];
-      if (!allowed) return;
-      found.push(note({ text: `tolerance ±${KR.num(allowed, 0)} µm`, xref: "paper", yref: `y${r ? r + 1 : ""}`, x: 1, y: allowed,
-                        xanchor: "right", yanchor: "bottom", font: { color: KR.css("--bad"), size: 11 } }));
+      const y = tolerance[row.key];
+      if (y) found.push(KR.note({ text: `tolerance ±${KR.num(y, 0)} µm`, xref: "paper", yref: `y${KR.nth(r)}`, x: 1, y,
+                                  xanchor: "right", yanchor: "bottom", font: { color: KR.css("--bad"), size: 11 } }));
     });
     const span = at[at.length - 1] - at[0];
     const wide = KR.by("series").clientWidth;
     for (const [a, b, name] of KR.data.part ? stretches() : []) {
       if (((at[b] - at[a]) / span) * wide < 7 * name.length) continue;
-      found.push(note({ text: KR.plain(name), xref: "x", yref: "paper", x: (at[a] + at[b]) / 2, y: 0, yanchor: "bottom",
-                        bgcolor: KR.css("--paper"), borderpad: 1, font: { size: 11, color: KR.css("--ink") } }));
+      found.push(KR.note({ text: KR.plain(name), xref: "x", yref: "paper", x: (at[a] + at[b]) / 2, y: 0, yanchor: "bottom",
+                           bgcolor: KR.css("--paper"), borderpad: 1, font: { size: 11, color: KR.css("--ink") } }));
     }
     return found;
   }
 
   /* Ends of a row's axis, with room for the marked values. */
   function reach(row) {
-    let [low, high] = [0, 0];
-    for (const one of linked.passes) {
-      one[row.key].forEach((v, i) => {
-        if (linked.cutting[i] || row.key === "correction" || row.key === "lift") [low, high] = [Math.min(low, v), Math.max(high, v)];
-      });
-    }
     const allowed = tolerance[row.key] ?? 0;
-    [low, high] = [Math.min(low, -allowed), Math.max(high, allowed)];
+    let [low, high] = [-allowed, allowed];
+    for (const one of linked.passes) {
+      one[row.key].forEach((v, i) => { if (linked.cutting[i] || !row.gaps) [low, high] = [Math.min(low, v), Math.max(high, v)]; });
+    }
     const room = (row.key === "side" ? 0.22 : 0.08) * (high - low || 1);
     return [row.signed ? low - room : 0, high + room];
   }
@@ -129,7 +120,7 @@
     ROWS.forEach((row, r) => {
       const top = 1 - r * (height + gap);
       const [low, high] = reach(row);
-      layout[`yaxis${r ? r + 1 : ""}`] = KR.axis("", { domain: [Math.max(0, top - height), top], zeroline: Boolean(row.signed),
+      layout[`yaxis${KR.nth(r)}`] = KR.axis("", { domain: [Math.max(0, top - height), top], zeroline: Boolean(row.signed),
         zerolinecolor: KR.css("--soft"), zerolinewidth: 1, nticks: 6, range: [low, high] });
     });
     const sizes = linked.passes.map((p, k) => `${p.name} ${KR.num(Math.abs(p.side[KR.worst(k)]), 1)} µm`).join(", ");

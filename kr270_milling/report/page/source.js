@@ -9,10 +9,9 @@
     const items = new Map();
     let last = 0;
     for (const { number, text } of linked.source) {
-      if (last && number > last + 1) list.append(Object.assign(document.createElement("li"), { textContent: "⋮", className: "none" }));
-      const item = document.createElement("li");
+      if (last && number > last + 1) list.append(Object.assign(KR.make("li", "⋮"), { className: "none" }));
+      const item = KR.make("li", text || " ");
       item.dataset.n = number;
-      item.textContent = text || " ";
       if (first.has(number)) item.addEventListener("click", () => KR.go(first.get(number)));
       else item.className = "none";
       items.set(number, item);

@@ -27,13 +27,7 @@
     waiting.clear();
   };
 
-  KR.startPlace();
-  KR.startMaps();
-  KR.startSeries();
-  KR.startSource();
-  KR.startPart();
-  KR.startRobot();
-  KR.startCharts();
+  for (const start of ["Place", "Maps", "Series", "Source", "Part", "Robot", "Charts"]) KR[`start${start}`]();
   KR.place = KR.worst(KR.shownPass());
   KR.remark();
 
