@@ -50,11 +50,33 @@ class Signals:
 
 
 def read_signals(path, topic: str = "deflection") -> Signals:
-    """A CSV table with time_s, any of x to rz and force_n; a recording; or a UFF file. Raises InputError."""
+    """A CSV table with time_s, any of x to rz and force_n; a recording; or a UFF file. Raises InputError.
+
+    Gaps are bridged by straight lines.
+    """
     suffix = Path(path).suffix.lower()
     if suffix == ".csv":
-        return _from_table(path)
-    return _from_uff(path) if suffix in UFF else _from_recording(path, topic)
+        table = read_table(path, COLUMNS, ("time_s",))
+        names = tuple(name for name in (*AXES, FORCE) if name in table)
+        if not set(names) & set(AXES):
+            raise InputError(path, f"has none of the columns {', '.join(AXES)}", 1)
+        time, values = table.number("time_s"), table.numbers(names)
+    elif suffix in UFF:
+        time, names, values = _read_uff(path)
+    else:
+        time, values = read_topic(path, topic, FIXED)
+        names = AXES[: 6 if values.shape[1] == 6 else 3]
+    order = np.argsort(time, kind="stable")
+    steps = np.diff(time[order])
+    if len(time) < FEWEST or not steps.any():
+        raise InputError(path, f"holds {len(time)} samples, but modes need at least {FEWEST}")
+    step = float(np.median(steps[steps > 0.0]))
+    if steps.max() > 10 * step:
+        raise InputError(path, f"has a gap of {steps.max():.3g} s where samples come every {step:.3g} s")
+    values = resampled(time[order], values[order, : len(names)], step)
+    if names[-1] == FORCE:
+        return Signals(step, values[:, :-1], names[:-1], values[:, -1])
+    return Signals(step, values, names)
 
 
 def resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
@@ -63,39 +85,8 @@ def resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
     return np.stack([np.interp(grid, time, column) for column in values.T], -1)
 
 
-def _even(source, time: np.ndarray, table: np.ndarray) -> tuple[float, np.ndarray]:
-    """The step and the table on an even grid of it; gaps are bridged by straight lines."""
-    order = np.argsort(time, kind="stable")
-    time, table = time[order], table[order]
-    steps = np.diff(time)
-    if len(time) < FEWEST or not steps.any():
-        raise InputError(source, f"holds {len(time)} samples, but modes need at least {FEWEST}")
-    step = float(np.median(steps[steps > 0.0]))
-    if steps.max() > 10 * step:
-        raise InputError(source, f"has a gap of {steps.max():.3g} s where samples come every {step:.3g} s")
-    return step, resampled(time, table, step)
-
-
-def _from_table(path) -> Signals:
-    table = read_table(path, COLUMNS, ("time_s",))
-    names = tuple(name for name in AXES if name in table)
-    if not names:
-        raise InputError(path, f"has none of the columns {', '.join(AXES)}", 1)
-    every = (*names, FORCE) if FORCE in table else names
-    step, values = _even(path, table.number("time_s"), table.numbers(every))
-    force = values[:, -1] if FORCE in table else None
-    return Signals(step, values[:, : len(names)], names, force)
-
-
-def _from_recording(path, name: str) -> Signals:
-    time, columns = read_topic(path, name, FIXED)
-    columns = columns[:, : 6 if columns.shape[1] == 6 else 3]
-    step, values = _even(path, time, columns)
-    return Signals(step, values, AXES[: columns.shape[1]])
-
-
-def _from_uff(path) -> Signals:
-    """Time histories (function type 1) of data set 58."""
+def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
+    """Seconds, names and values of the time histories (function type 1) of data set 58."""
     try:
         import pyuff
     except ModuleNotFoundError:
@@ -113,9 +104,8 @@ def _from_uff(path) -> Signals:
     directions = [int(s["rsp_dir"]) for s in histories]
     names = tuple(AXES[abs(d) - 1] if 1 <= abs(d) <= 6 else f"channel {i}" for i, d in enumerate(directions))
     data = [np.real(s["data"][:length]) for s in histories]
-    table = np.stack(data, -1) * np.where(np.array(directions) < 0, -1.0, 1.0)
-    step, values = _even(path, np.asarray(histories[0]["x"], float)[:length], table)
-    return Signals(step, values, names)
+    values = np.stack(data, -1) * np.where(np.array(directions) < 0, -1.0, 1.0)
+    return np.asarray(histories[0]["x"], float)[:length], names, values
 
 
 def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:

@@ -81,8 +81,8 @@ def _fill(lengths, spring, middle, soft, position, rotation, centre, force, q, w
                 s4, c4 = np.sin(q4), np.cos(q4)
                 q5 = np.arctan2(-(s4 * wrist[1, 0] + c4 * wrist[2, 0]), wrist[0, 0])
                 q6 = np.arctan2(c4 * wrist[1, 2] - s4 * wrist[2, 2], c4 * wrist[1, 1] - s4 * wrist[2, 1])
-                _set(q[k, both], q1, q2, q3, q4, q5, q6)
-                _set(q[k, both + 1], q1, q2, q3, _wrapped(q4 + np.pi), -q5, _wrapped(q6 + np.pi))
+                q[k, both] = q1, q2, q3, q4, q5, q6
+                q[k, both + 1] = q1, q2, q3, _wrapped(q4 + np.pi), -q5, _wrapped(q6 + np.pi)
                 c2 = soft[1]
                 if spring[0] > 0.0:
                     c2 /= 1.0 - c2 * _slope(spring, np.cos(q2), np.sin(q2))
@@ -98,11 +98,6 @@ def _fill(lengths, spring, middle, soft, position, rotation, centre, force, q, w
                 _add(gives, soft[4], s1 * c4 - c1 * s * s4, c1 * c4 + s1 * s * s4, -c * s4, u, v, w, force[k])
                 _add(gives, soft[5], -flange[0, 0], -flange[1, 0], -flange[2, 0], u, v, w, force[k])
                 way[k, both + 1] = gives
-
-
-@njit(cache=True, nogil=True)
-def _set(row, q1, q2, q3, q4, q5, q6):
-    row[0], row[1], row[2], row[3], row[4], row[5] = q1, q2, q3, q4, q5, q6
 
 
 @njit(cache=True, nogil=True)
@@ -174,5 +169,4 @@ def _reduce(lengths, lower, upper, q, way, feed, size, within, measures):
                 singular = min(singular, shoulder, abs(np.sin(beta)), abs(np.sin(angles[4])))
             if reached:
                 within[i, b] = whole_turns(q[i, :, b], lower, upper)
-                row = measures[i, b]
-                row[0], row[1], row[2], row[3] = singular, soft, largest, total / max(cuts, 1)
+                measures[i, b] = singular, soft, largest, total / max(cuts, 1)
