@@ -36,14 +36,13 @@ def run(args) -> Answer:
     turn = turn_of(args.sensor_abc)
     sensor = Sensor(args.topic, turn, args.sensor_on == "part", args.tare, args.sensor_mass_kg, down)
     cuts = read_cuts(find_file(args.cuts), tool, sensor)
-    found = fit_linear_edge(cuts)
+    fits = [fit_linear_edge(cuts)]
     try:
-        bent = fit_fractional(cuts)
+        fits.append(fit_fractional(cuts))
     except OneFeedError:
         if args.law == "fractional":
             raise
-        bent = None
-    return identified(args, force_outcome(found, bent, args.law, Path(args.cuts).name))
+    return identified(args, force_outcome(fits, args.law, Path(args.cuts).name))
 
 
 def _tool(args):

@@ -213,9 +213,8 @@ def compliance_outcome(found: Fit, pose: Measurements | None, source: str) -> Ou
     title = f"Joint compliances of {problem.arm.name} from {tests} load tests, {source}"
     residual = f"residual {1e6 * found.residual_rms:.2f} um RMS, normal with p = {found.normality:.2g}"
     rows = []
-    for name, *numbers, free in zip(
-        problem.names, problem.scale, found.values, found.half_widths, found.free, strict=True
-    ):
+    columns = zip(problem.names, problem.scale, found.values, found.half_widths, found.free, strict=True)
+    for name, *numbers, free in columns:
         unit = 1e6 if name.startswith("joint") else 1.0
         shown = [f"{unit * number:.4g}" if np.isfinite(number) else "-" for number in numbers]
         rows.append([name, *shown, "yes" if free else "no"])

@@ -85,9 +85,15 @@ class LawFit:
         """Measured less modelled [N], (n, 3)."""
         return self.cuts.force - self.modelled
 
-    def rms(self, axes: int = 3) -> float:
-        """Of the residuals [N]; 2 axes: of F_x and F_y."""
-        return float(np.sqrt(np.nanmean(self.residuals[:, :axes] ** 2)))
+    @property
+    def lateral_rms(self) -> float:
+        """Of the residuals of F_x and F_y [N]."""
+        return float(np.sqrt(np.nanmean(self.residuals[:, :2] ** 2)))
+
+    @property
+    def residual_rms(self) -> float:
+        """Of the residuals that were made least [N]: the fractional law has its axial ratio from a line of its own."""
+        return self.lateral_rms if self.law == "fractional" else float(np.sqrt(np.nanmean(self.residuals**2)))
 
     def as_dict(self) -> dict:
         """Values and half widths in units of the parameter file."""
@@ -99,12 +105,13 @@ class LawFit:
         )
         return {**values, "ci95": widths}
 
-    def table(self, name: str, axes: int) -> tuple[str, list[str], list[list[str]]]:
+    def table(self) -> tuple[str, list[str], list[list[str]]]:
         """Title, columns, rows."""
         shown = self.as_dict()
         rows = [[key, *("-" if np.isnan(v) else f"{v:.{d}g}" for v, d in ((shown[key], 5), (width, 3)))]
                 for key, width in shown["ci95"].items()]  # fmt: skip
-        return f"{name} law, residual {self.rms(axes):.3g} N RMS", ["coefficient", "value", "95 % +-"], rows
+        title = f"{self.law.replace('_', '-').capitalize()} law, residual {self.residual_rms:.3g} N RMS"
+        return title, ["coefficient", "value", "95 % +-"], rows
 
 
 def mean_forces(cuts: Cuts, values, axial: float = TOWARD_PART) -> np.ndarray:
@@ -219,30 +226,28 @@ def law_sections(law: str, values, half_widths, axial: float = TOWARD_PART) -> d
     return sections
 
 
-def force_outcome(found: LawFit, bent: LawFit | None, law: str, source: str) -> Outcome:
-    """Everything that ``identify forces`` says.
+def force_outcome(fits: list[LawFit], law: str, source: str) -> Outcome:
+    """What ``identify forces`` says of the linear-edge and then the fractional law, if both were fitted.
 
-    found: the linear-edge law; bent: the fractional one; law: of the parameter file; source: name of the file of cuts.
+    law: of the parameter file; source: name of the file with the cuts.
     """
+    found, *others = fits
     result = found.as_dict() | {
         "axial_force": "toward the part" if found.axial == TOWARD_PART else "into the holder",
-        "residual_rms_n": found.rms(),
+        "residual_rms_n": found.residual_rms,
         "residuals_n": found.residuals.tolist(),
         "cuts": len(found.cuts),
     }
-    tables = [found.table("Linear-edge", 3)]
-    if bent is not None:
-        tables.append(bent.table("Fractional", 2))
-        result["fractional"] = {**bent.as_dict(), "residual_rms_n": bent.rms(2)}
-    chosen = bent if bent is not None and law == "fractional" else found
+    result |= {bent.law: {**bent.as_dict(), "residual_rms_n": bent.residual_rms} for bent in others}
+    chosen = {one.law: one for one in fits}[law]
     sections = law_sections(chosen.law, chosen.values, chosen.half_widths, chosen.axial)
     title = f"Force coefficients from {len(found.cuts)} cuts, {source}"
     use = "name this file in `includes`, and take `cutting` out of the cell"
-    said = _sentences(found, bent)
-    return Outcome("forces", title, result, tables, said, lambda: _figures(found, bent), sections, use)
+    tables = [one.table() for one in fits]
+    return Outcome("forces", title, result, tables, _sentences(*fits), lambda: _figures(fits), sections, use)
 
 
-def _sentences(found: LawFit, bent: LawFit | None) -> list[str]:
+def _sentences(found: LawFit, bent: LawFit | None = None) -> list[str]:
     """What the numbers mean."""
     said = []
     if np.isnan(found.values[4]):
@@ -255,25 +260,25 @@ def _sentences(found: LawFit, bent: LawFit | None) -> list[str]:
         elif value < 0.0:
             said.append(f"{name.split('_n_')[0]} is negative: look at the signs and at the sense of rotation")
     if bent is not None:
-        straight, curved = found.rms(2), bent.rms(2)
+        straight, curved = found.lateral_rms, bent.lateral_rms
         better = "the fractional law" if curved < 0.9 * straight else "the linear-edge law"
         said.append(f"residual {straight:.3g} N (linear edge), {curved:.3g} N (fractional): use {better}")
     return said
 
 
-def _figures(found: LawFit, bent: LawFit | None) -> list:
+def _figures(fits: list[LawFit]) -> list:
     """Forces and models over the feed, residuals; a colour a component, a symbol a law."""
-    cuts = found.cuts
+    cuts = fits[0].cuts
     feed, per_depth = 1e3 * cuts.feed_per_tooth, 1e-3 / cuts.depth[:, None]
-    fits = {"linear edge": found} | ({"fractional": bent} if bent is not None else {})
-    forces = {"measured": cuts.force} | {law: one.modelled for law, one in fits.items()}
+    names = [one.law.replace("_", " ") for one in fits]
+    forces = {"measured": cuts.force} | {law: one.modelled for law, one in zip(names, fits, strict=True)}
 
     def by_component(rows_of_laws: dict) -> dict:
         return {f"F_{axis} {law}": (feed, column) for law, rows in rows_of_laws.items()
                 for axis, column in zip("xyz", rows.T, strict=True)}  # fmt: skip
 
     shown = by_component({law: rows * per_depth for law, rows in forces.items()})
-    residuals = by_component({law: one.residuals for law, one in fits.items()})
+    residuals = by_component({law: one.residuals for law, one in zip(names, fits, strict=True)})
     style = {f"F_{axis} {law}": (colour, SYMBOLS[law]) for law in forces for axis, colour in COLOURS.items()}
     return [
         points("Mean forces over the feed", "feed per tooth [mm]", "mean per mm of depth [N]", shown, (), style),

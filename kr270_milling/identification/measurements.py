@@ -63,7 +63,7 @@ def read_measurements(path, arm: Arm, mount: Mount) -> Measurements:
     inside = (q >= arm.joint_lower - 1e-9) & (q <= arm.joint_upper + 1e-9)
     table.refuse(~inside.all(1), "the posture is outside of the joint limits of the arm")
     wrench, application = _loads(table, mount)
-    reflector = np.where(_given(table, REFLECTOR)[:, None], 1e-3 * table.numbers(REFLECTOR, 0.0), mount.xyz)
+    reflector = _point(table, REFLECTOR, mount.xyz)
     shift = 1e-3 * table.numbers(SHIFT)
     table.refuse(np.abs(shift).max(1) > FARTHEST, f"a load moved the arm by more than {FARTHEST} m")
     tilt = 1e-3 * table.numbers(TILT, np.nan)
@@ -76,6 +76,11 @@ def _given(table: Table, names) -> np.ndarray:
     return np.isfinite(table.numbers(names, np.nan)).any(1)
 
 
+def _point(table: Table, names, default: np.ndarray) -> np.ndarray:
+    """[m], (n, 3), ``default`` in rows that have none of the columns."""
+    return np.where(_given(table, names)[:, None], 1e-3 * table.numbers(names, 0.0), default)
+
+
 def _loads(table: Table, mount: Mount) -> tuple[np.ndarray, np.ndarray]:
     """Wrench (n, 6), base axes, and the point where it acts (n, 3), flange frame; a mass hangs in its centre."""
     forced, weighed = _given(table, WRENCH), _given(table, MASS[:1])
@@ -86,10 +91,8 @@ def _loads(table: Table, mount: Mount) -> tuple[np.ndarray, np.ndarray]:
     wrench = np.where(forced[:, None], table.numbers(WRENCH, 0.0), 0.0)
     wrench[weighed, 2] = -GRAVITY * mass[weighed]
     table.refuse(~wrench.any(1), "the load is zero")
-    centre = 1e-3 * table.numbers(MASS[1:], 0.0)
-    hung = weighed & _given(table, MASS[1:])
-    point = np.where(_given(table, LOAD)[:, None], 1e-3 * table.numbers(LOAD, 0.0), mount.xyz)
-    return wrench, np.where(hung[:, None], centre, point)
+    point = _point(table, LOAD, mount.xyz)
+    return wrench, np.where(weighed[:, None], _point(table, MASS[1:], point), point)
 
 
 def _sigma(table: Table) -> tuple[np.ndarray, bool]:

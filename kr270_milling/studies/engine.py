@@ -224,7 +224,7 @@ def _client(scheduler: str | None) -> Iterator:
             scheduler_kwargs={"dashboard": False}, host="127.0.0.1", silence_logs="CRITICAL",
         ))  # fmt: skip
         try:
-            client = Client(where, timeout=ANSWER)
+            client = Client(where, timeout=ANSWER if scheduler else PATIENCE)
         except (OSError, ValueError) as error:
-            raise EngineError(f"the scheduler {scheduler} does not answer: {error}") from None
+            raise EngineError(f"the scheduler {where} does not answer: {error}") from None
         yield stack.enter_context(client)

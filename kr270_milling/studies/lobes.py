@@ -60,17 +60,18 @@ def modes_of(cell: Cell, arm: bool = True, model: ModalModel | None = None) -> M
     model: of the arm in another posture than where the path starts. Raises ParameterError where that leaves no mode.
     """
     tool = cell.tool.modes
-    frequency = [2.0 * np.pi * tool.frequency] if tool.frequency.size else []
-    ratio, shape = [tool.damping_ratio], [tool.shapes.reshape(-1, 3)]
-    if arm:
-        model = model or cell.modal_model
-        own = np.full(model.frequency.size, cell.dynamics.damping_ratio) if model.damping is None else model.damping
-        frequency.append(model.frequency)
-        ratio.append(own)
-        shape.append((model.output[:3] @ model.shape).T)
-    if not frequency:
+    own = Modes(2.0 * np.pi * tool.frequency, tool.damping_ratio, tool.shapes.reshape(-1, 3))
+    if not arm and not tool.frequency.size:
         raise ParameterError("tool.modes", [], "given where the arm is left out: there is no mode that could chatter")
-    return Modes(np.concatenate(frequency), np.concatenate(ratio), np.concatenate(shape))
+    if not arm:
+        return own
+    model = model or cell.modal_model
+    ratio = np.full(model.frequency.size, cell.dynamics.damping_ratio) if model.damping is None else model.damping
+    return Modes(
+        np.append(own.frequency, model.frequency),
+        np.append(own.damping_ratio, ratio),
+        np.vstack([own.shape, (model.output[:3] @ model.shape).T]),
+    )
 
 
 def lobes(

@@ -56,11 +56,11 @@ class Course:
     force: np.ndarray  #: mean cutting force on the tool [N], (m, 3)
 
 
-def course_of(cell: Cell, places: int = PLACES) -> Course:
+def course_of(cell: Cell) -> Course:
     """Places where the tool cuts in one pass of the cell, and REST over the whole path for its reach and limits."""
     result = simulate(cell).result
     cutting = np.flatnonzero(result.volume > 0.0)
-    chosen = cutting[np.linspace(0, len(cutting) - 1, places).astype(int)]
+    chosen = cutting[np.linspace(0, len(cutting) - 1, PLACES).astype(int)]
     rest = np.setdiff1d(np.linspace(0, len(result.volume) - 1, REST).astype(int), chosen)
     both = np.union1d(chosen, rest)
     course = course_at(cell, result, both)

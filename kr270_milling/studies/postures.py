@@ -131,7 +131,7 @@ def whole_turns(q, lower, upper):
     return within
 
 
-def along_path(arm: Arm, q: np.ndarray, way: np.ndarray, feed: np.ndarray, size: np.ndarray, margin: float = 0.0):
+def along_path(arm: Arm, q: np.ndarray, way: np.ndarray, feed: np.ndarray, size: np.ndarray, margin: float):
     """Measures of paths of m places, each (n, 8): within the limits, and (n, 8, 4): see below; q is unwrapped in place.
 
     q, way: (n, m, 8, 6) and (n, m, 8, 3) of ``postures``; feed: unit vectors (n, m, 3); size: of the force [N], (n, m),

@@ -132,7 +132,7 @@ def test_the_fractional_law_is_found_and_told_from_the_other():
     found = fit_fractional(some)
     assert np.all(np.abs(found.values - paper) < 1.5 * found.half_widths)
     assert np.all(found.half_widths < 0.2 * paper)
-    assert found.rms(2) < 0.5 * fit_linear_edge(some).rms(2)
+    assert found.lateral_rms < 0.5 * fit_linear_edge(some).lateral_rms
 
 
 @pytest.mark.parametrize(
