@@ -70,6 +70,6 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": ["kr270_milling = kr270_milling.cli:main"]
-        + [f"{node} = kr270_milling.nodes.start:{node}" for node in nodes]
+        + [f"{node} = kr270_milling.nodes.start:start" for node in nodes]
     },
 )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib
 import os
 import re
 import shlex
@@ -12,56 +11,10 @@ import signal
 import sys
 
 from kr270_milling import __version__
+from kr270_milling.commands.options import COMMANDS, add_command
 
 __all__ = ["main"]
 
-#: name -> (what it does, example)
-COMMANDS = {
-    "demo": ("run the paper's case: original pass and three compensations, table and report", "demo --out out"),
-    "init": ("print a first cell file for a program", "init --gcode config/test_piece.nc"),
-    "keys": ("list the keys of a cell file with unit, range, default and meaning", "keys tool"),
-    "run": (
-        "run the passes of a cell as ROS 2 nodes, each recorded to MCAP",
-        "run config/paper.yaml --method spline --out out",
-    ),
-    "simulate": ("simulate one pass of a cell", "simulate config/paper.yaml --set path.depth_of_cut_mm=1"),
-    "compensate": (
-        "revise the trajectory of a cell; tables, report and robot programs",
-        "compensate config/test_piece.yaml --out out",
-    ),
-    "check": ("say whether a path, or its corrected trajectory, may be run", "check config/test_piece.yaml"),
-    "stiffness": (
-        "pose, stiffness and natural frequencies of an arm at one posture",
-        "stiffness config/kr270_2.yaml --joints-deg 90,-50,120,180,25,180",
-    ),
-    "stability": (
-        "limit depth of cut and chatter frequency over spindle speed",
-        "stability config/paper.yaml --speeds 4000:12000:100",
-    ),
-    "map": (
-        "where to clamp the part and how to turn the tool: reach, limits and predicted error over placements",
-        "map config/test_piece.yaml --x 1200:1800:13 --y=-300:300:7 --tool-turn=-90:90:7",
-    ),
-    "sweep": (
-        "full passes with other values of any keys, on as many cores as there are",
-        "sweep config/paper.yaml --vary path.depth_of_cut_mm=0.2:1:0.2 --out sweep",
-    ),
-    "identify": (
-        "find compliances, force coefficients and modes from measurements of the own cell",
-        "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml",
-    ),
-    "compare": ("set a measured pass beside the simulated one", "compare out/original config/paper.yaml"),
-    "info": ("show what a recording holds", "info out/pass1"),
-    "replay": (
-        "play a recording back onto topics, recompute it bit for bit, or compensate from it",
-        "replay out/pass1 --recompute",
-    ),
-    "export": ("write the topics of a recording as tables", "export out/pass1 --csv tables"),
-    "report": ("make the report of one or several recordings", "report out"),
-    "watch": ("show a running graph, live, on a page of this host", "watch --port 8270"),
-    "recover": ("make a whole recording of one that was cut off or damaged", "recover out/pass1"),
-    "bench": ("time the sweep of the teeth and the stiffness model", "bench"),
-}
 EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
 
 
@@ -182,7 +135,7 @@ def _join_negative(argv: list[str]) -> list[str]:
 
 def _parser(argv: list[str]) -> argparse.ArgumentParser:
     width = max(map(len, COMMANDS)) + 2
-    listing = "\n".join(f"  {name:{width}}{text}" for name, (text, _) in COMMANDS.items())
+    listing = "\n".join(f"  {name:{width}}{command.text}" for name, command in COMMANDS.items())
     parser = argparse.ArgumentParser(
         prog="kr270_milling",
         description="Predict and compensate the compliance errors of robotic milling.",
@@ -192,16 +145,8 @@ def _parser(argv: list[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"kr270_milling {__version__}")
     sub = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     chosen = next((a for a in argv if not a.startswith("-")), None)
-    for name, (text, example) in COMMANDS.items():
-        description, epilog = text[0].upper() + text[1:] + ".", f"example: kr270_milling {example}"
-        command = sub.add_parser(name, description=description, epilog=epilog)
-        if name == chosen:
-            from kr270_milling.commands.options import add_json
-
-            module = importlib.import_module(f"kr270_milling.commands.{name}")
-            module.add_arguments(command)
-            add_json(command)
-            command.set_defaults(run=module.run)
+    for name, command in COMMANDS.items():
+        add_command(sub, name, command, filled=name == chosen)
     return parser
 
 

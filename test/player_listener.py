@@ -6,7 +6,7 @@ import argparse
 import time
 
 from kr270_milling.bag.play_options import PlayOptions
-from kr270_milling.nodes.play_arguments import add_play_arguments, play_options
+from kr270_milling.nodes.play_arguments import PLAY, play_options
 
 FIRST = ("/reference_trajectory", "/joint_trajectory")
 
@@ -14,7 +14,8 @@ FIRST = ("/reference_trajectory", "/joint_trajectory")
 def options(*words: str) -> PlayOptions:
     parser = argparse.ArgumentParser()
     parser.add_argument("file")
-    add_play_arguments(parser)
+    for names, how in PLAY:
+        parser.add_argument(*names, **how)
     return play_options(parser.parse_args(list(words)))
 
 

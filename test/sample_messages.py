@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+from ros_messages import to_msg
 
 from kr270_milling.base.samples import PoseSample, WrenchSample
-from kr270_milling.ros.messages import to_msg
 
 
 def pose_msg(stamp_ns: int, position, quaternion):

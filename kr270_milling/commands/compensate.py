@@ -5,49 +5,39 @@ Exit code 1 where the check finds that the revised path must not be run; then no
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 
-from kr270_milling.commands.console import Answer, Table, command_line, fixed, joints_text, now
-from kr270_milling.commands.options import add_cell, add_plant, option, plant_of
+import numpy as np
+
+from kr270_milling.base.files import staged
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.jobs import joint_ranges
+from kr270_milling.commands.console import (
+    Answer,
+    Table,
+    cell_of,
+    command_line,
+    fixed,
+    joints_text,
+    now,
+    plant_of,
+    table_of,
+    um,
+)
+from kr270_milling.commands.options import FEWEST_PLANTS, PLANTS
 from kr270_milling.commands.progress import progress
-from kr270_milling.compensation.methods import METHODS
-from kr270_milling.nodes.option_types import bounded
+from kr270_milling.compensation.revision import chord_error
+from kr270_milling.decision.compensation import VerdictOrder, compensate, limit_sentence
+from kr270_milling.decision.part import write_part
+from kr270_milling.programs.files import source_hash, write_programs
+from kr270_milling.report import ReportTable, decision_block, write_report
 
-SAMPLES, FEWEST = 32, 8  #: plants of the verdict
-
-
-def add_arguments(parser) -> None:
-    add_cell(parser)
-    add_plant(parser)
-    option(parser, "--method", "default: the cell's compensation.method", choices=METHODS)
-    option(parser, "--out DIR", "where everything goes", default="out")
-    krl = (
-        "motions of the robot programs; may be given twice (default: LIN for the method linear, which corrects in "
-        "straight lines, else the cell's program.motion)"
-    )
-    option(parser, "--krl", krl, choices=("LIN", "SPLINE"), action="append")
-    verdict = parser.add_mutually_exclusive_group()
-    plants = (
-        f"judge the compensation by N plants (default {SAMPLES}) drawn from the cell's uncertainty; by fewer, but at "
-        f"least {FEWEST}, where they take more than 5 minutes. Without this option: as many as take less than a "
-        f"minute, and none where {FEWEST} take longer"
-    )
-    option(verdict, "--verdict N", plants, bounded(1, 999_999, int), nargs="?", const=SAMPLES)
-    option(verdict, "--quick", f"a verdict of {FEWEST} plants, without a look at other methods", bool)
-    option(verdict, "--no-verdict", "no verdict: the model itself is what cuts", bool)
-    force = "write the programs of a path that must not be run all the same, marked NOT RELEASED in name and header"
-    option(parser, "--force", force, bool)
-    option(parser, "--seed N", "of the verdict's plants", bounded(1, 999_999, int), 1)
+DEVIATIONS = (("pass", "name", 2), ("static", "static_deviation_mm", um), ("max", "max_deviation_mm", um))
 
 
 def run(args) -> Answer:
-    from kr270_milling.base.files import staged
-    from kr270_milling.base.record import find_file
-    from kr270_milling.cell.cell import read_cell
-    from kr270_milling.decision.compensation import compensate
-
-    source = find_file(args.cell)
-    cell = read_cell(source, args.set)
+    source, cell = find_file(args.cell), cell_of(args)
     method = args.method or cell.compensation.method
     motions = args.krl or ["LIN" if method == "linear" else cell.program.motion]
     plant = plant_of(args, cell)
@@ -55,7 +45,7 @@ def run(args) -> Answer:
         motion = "LIN" if "LIN" in motions else motions[0]  # these are blended
         done = compensate(cell, method, plant=plant, motion=motion, verdict=_order(args), progress=progress)
         if not (done.verdict or args.no_verdict):
-            print(f"no verdict: {FEWEST} plants would take too long; --verdict runs them", file=sys.stderr)
+            print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
         found = _found(cell, done)
         found |= _write(draft, final, cell, done, motions, args, source)
     return Answer(found, _shown(cell, done, found, args), code=int(not done.checked.may_be_run))
@@ -63,11 +53,9 @@ def run(args) -> Answer:
 
 def _order(args):
     """The verdict that is wanted; None for none."""
-    from kr270_milling.decision.compensation import VerdictOrder
-
     if args.no_verdict:
         return None
-    samples = args.verdict or (FEWEST if args.quick else SAMPLES)
+    samples = args.verdict or (FEWEST_PLANTS if args.quick else PLANTS)
     return VerdictOrder(samples, args.verdict is not None, not args.quick, args.seed, _estimate)
 
 
@@ -79,8 +67,6 @@ def _estimate(plants: int, seconds: float) -> None:
 
 def _found(cell, done) -> dict:
     """What ``--json`` prints, but for the files."""
-    from kr270_milling.cell.jobs import joint_ranges
-
     original, revised = done.original, done.revised
     found = {"method": revised.name, "points": len(revised.reference)}
     found |= {k: v for k, v in revised.row().items() if k != "name"}
@@ -106,13 +92,6 @@ def _first_line(done) -> str:
 
 def _correction(cell, revised, by) -> dict:
     """How large the correction is, and what of it was not let through."""
-    import dataclasses
-
-    import numpy as np
-
-    from kr270_milling.compensation.revision import chord_error
-    from kr270_milling.decision.compensation import limit_sentence
-
     size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
     limited = [dataclasses.asdict(part) | {"sentence": limit_sentence(part, by)} for part in by.limited]
     found = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
@@ -127,8 +106,6 @@ def _correction(cell, revised, by) -> dict:
 
 def _write(draft, final, cell, done, motions, args, source) -> dict:
     """All files; their final paths by kind."""
-    from kr270_milling.programs.files import source_hash, write_programs
-
     date = now()
     checked, revised = done.checked, done.revised
     with progress("files"):
@@ -146,9 +123,6 @@ def _write(draft, final, cell, done, motions, args, source) -> dict:
 
 def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
     """Report with the error maps, and the part as it is predicted."""
-    from kr270_milling.decision.part import write_part
-    from kr270_milling.report import decision_block, write_report
-
     revised = done.revised
     title = f"{cell.path.file.rsplit('/', 1)[-1]}: before and after compensation ({revised.name})"
     report = write_report(
@@ -162,11 +136,6 @@ def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
 
 def _joints_table(cell, revised):
     """The posture that is commanded, for the report."""
-    import numpy as np
-
-    from kr270_milling.cell.jobs import joint_ranges
-    from kr270_milling.report import ReportTable
-
     columns = [
         *joint_ranges(cell, revised.reference).values(),
         *np.degrees([cell.arm.joint_lower, cell.arm.joint_upper]),
@@ -183,9 +152,7 @@ def _shown(cell, done, found: dict, args):
     if cell.path.file:
         yield _features(found["features"], found["method"])
     else:
-        scores = [(ran.name, ran.scores) for ran in (done.original, done.revised)]
-        rows = [[name, fixed(1e6 * s.static_deviation), fixed(1e6 * s.max_deviation)] for name, s in scores]
-        yield Table("Predicted path deviation [um]", ["pass", "static", "max"], rows)
+        yield table_of("Predicted path deviation [um]", DEVIATIONS, found["passes"])
     if found["note"]:
         yield found["note"]
     if found["identified"]:

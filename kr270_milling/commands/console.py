@@ -1,25 +1,28 @@
-"""How a command answers: as JSON, or as text and tables; how numbers and paths are printed."""
+"""What commands have in common: the cell that is asked about, and the answer as JSON or as text and tables."""
 
 from __future__ import annotations
 
+import datetime
 import json
 import math
 import shlex
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
+
+from kr270_milling.base.parameter_file import find_file
 
 __all__ = [
-    "Answer", "Table", "command_line", "fixed", "joints_text", "now", "output_directory", "print_json", "print_table",
-    "shown_path",
+    "Answer", "Table", "cell_of", "command_line", "fixed", "joints_text", "now", "output_directory", "plant_of",
+    "print_json", "print_table", "shown_path", "table_of", "um", "yes",
 ]  # fmt: skip
 
 WIDEST = 1000  # characters of a table
 
 
-@dataclass(frozen=True)
-class Table:
+class Table(NamedTuple):
     """As ``print_table`` takes it."""
 
     title: str
@@ -41,15 +44,56 @@ class Answer:
             print_json(self.found)
         for part in () if as_json else self.shown:
             if isinstance(part, Table):
-                print_table(part.title, part.columns, part.rows)
+                print_table(*part)
             else:
                 print(part)
         return self.code
 
 
+def cell_of(args):
+    """The cell of a command line with ``cell`` and ``--set``."""
+    from kr270_milling.cell.cell import read_cell
+
+    return read_cell(find_file(args.cell), args.set)
+
+
+def plant_of(args, cell):
+    """The plant of ``--plant`` and ``--noise-um``; None where the model itself cuts, and perfectly."""
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.plant import Plant
+
+    cuts = read_cell(find_file(args.plant)) if args.plant else cell
+    how = cuts.imperfections
+    if args.noise_um is not None:
+        how = how.replace(pose_noise=1e-6 * args.noise_um)
+    perfect = not (how.pose_noise or how.repeatability or how.backlash.any())
+    return None if perfect and not args.plant else Plant(cell, cuts, how)
+
+
+def table_of(title: str, columns: Sequence[tuple], rows: Iterable[Mapping]) -> Table:
+    """A table of records; columns: heading, key, and the decimals of the number or what makes a text of the value."""
+    texts = [[_text(row[key], how) for _, key, how in columns] for row in rows]
+    return Table(title, [heading for heading, *_ in columns], texts)
+
+
+def _text(value, how: int | Callable[[Any], str]) -> str:
+    if callable(how):
+        return how(value)
+    return value if isinstance(value, str) else fixed(value, how)
+
+
 def fixed(value: float, digits: int = 2) -> str:
     """A number with so many decimals; "-" for one that has no meaning (NaN)."""
     return "-" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def um(length_mm: float) -> str:
+    """A length [mm] in micrometres."""
+    return fixed(1e3 * length_mm)
+
+
+def yes(value: bool) -> str:
+    return "yes" if value else "no"
 
 
 def joints_text(joints: dict) -> str:
@@ -61,8 +105,6 @@ def joints_text(joints: dict) -> str:
 
 def now() -> str:
     """Date and time of a report, to the second."""
-    import datetime
-
     return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
 
 

@@ -6,12 +6,19 @@ which the paper leaves out and every real arm has.
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from pathlib import Path
 
-from kr270_milling.commands.console import Answer, Table, command_line, now
-from kr270_milling.commands.options import add_plant, option, plant_of
+from kr270_milling.base.files import staged
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import compensated, compensator, simulate
+from kr270_milling.commands.console import Answer, Table, command_line, now, plant_of
 from kr270_milling.commands.progress import progress
+from kr270_milling.commands.run import run_cell, summary
+from kr270_milling.report import ReportTable, write_report
+from kr270_milling.report.series import write_series
 
 METHODS = ("linear", "spline", "learned")
 INERTIA_METHODS = (*METHODS, "inverse")
@@ -22,19 +29,7 @@ WITH = ", with inertia"
 NEEDS = "learned and inverse need a tracker or the model: the encoders of the joints do not see the deflection"
 
 
-def add_arguments(parser) -> None:
-    option(parser, "--out DIR", "where report and series go", default="out")
-    option(parser, "--plain", "the plain loop, also where ROS is installed", bool)
-    add_plant(parser)
-
-
 def run(args) -> Answer:
-    import importlib.util
-
-    from kr270_milling.base.files import staged
-    from kr270_milling.base.record import find_file
-    from kr270_milling.cell.cell import read_cell
-
     source = find_file("paper.yaml")
     cell = read_cell(source)
     moving = read_cell(source, ["dynamics.reference_inertia=true"])
@@ -48,8 +43,6 @@ def run(args) -> Answer:
             second = _plain(moving, INERTIA_METHODS, plant_of(args, moving), WITH)
             report = final(_write(draft, cell, passes, second, source, args))
         return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": how})
-    from kr270_milling.commands.run import run_cell, summary
-
     found = run_cell(cell, METHODS, args.out)
     passes = [ran.scored for ran in found["passes"]]
     second = _plain(moving, INERTIA_METHODS, None, WITH)
@@ -59,8 +52,6 @@ def run(args) -> Answer:
 
 
 def _plain(cell, methods, plant, how: str = "") -> list:
-    from kr270_milling.cell.jobs import compensated, compensator, simulate
-
     with progress(f"original{how}") as report:
         passes = [simulate(cell, progress=report, plant=plant)]
     for method in methods:
@@ -72,9 +63,6 @@ def _plain(cell, methods, plant, how: str = "") -> list:
 
 def _write(directory, cell, passes, second, source, args):
     """Report and series; returns the path of the report."""
-    from kr270_milling.report import ReportTable, write_report
-    from kr270_milling.report.series import write_series
-
     rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
     table = ReportTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
     with progress("report"):

@@ -2,35 +2,21 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 from kr270_milling.base.errors import one_line
-from kr270_milling.commands.console import Answer, Table, output_directory
-from kr270_milling.commands.options import option
+from kr270_milling.commands.console import Answer, output_directory, table_of
 from kr270_milling.commands.progress import progress
-from kr270_milling.compensation.methods import METHODS
-from kr270_milling.nodes.play_arguments import add_play_arguments, play_options
+from kr270_milling.nodes.play_arguments import play_options
+from kr270_milling.replay.compensate import compensate
+from kr270_milling.replay.recompute import recompute
+from kr270_milling.ros.environment import require_ros
+from kr270_milling.trajectory.trajectory_csv import write_csv
 
 COUNTS = ("compared", "differing", "missing", "repeated", "given", "not_compared")
+COLUMNS = (("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in COUNTS))
 PUBLISHED: dict = {True: "identical to what the node published", False: "NOT what the node published",
                    None: "not to be compared with a recorded one"}  # fmt: skip
-
-
-def add_arguments(parser) -> None:
-    option(parser, "file FILE.mcap|DIR", "a recording")
-    what = parser.add_mutually_exclusive_group()
-    recompute = (
-        "no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is missing or is "
-        "left over, or the recompute cannot go on"
-    )
-    option(what, "--recompute", recompute, bool)
-    option(what, "--compensate", "no playback: the revised trajectory from the recorded pass", bool)
-    option(parser, "--method", "with --compensate: in place of the recorded method", choices=METHODS)
-    option(parser, "--out DIR", "with --compensate: write reference_trajectory.csv there")
-    add_play_arguments(parser.add_argument_group("playback (names as in ros2 bag play)"))
-    remapping = "remapping and namespace; the last"
-    option(parser, "--ros-args", remapping, default=[], nargs=argparse.REMAINDER)
 
 
 def run(args) -> Answer:
@@ -42,8 +28,6 @@ def run(args) -> Answer:
 
 
 def _play(args) -> Answer:
-    from kr270_milling.ros.environment import require_ros
-
     require_ros()
     from kr270_milling.nodes.player import play
 
@@ -53,14 +37,11 @@ def _play(args) -> Answer:
 
 
 def _recompute(args) -> Answer:
-    from kr270_milling.replay.recompute import recompute
-
     with progress("recomputing") as report:
         result = recompute(args.file, report)
     about = result.as_dict()
-    channels = sorted(result.channels.items())
-    rows = [[_shown(topic), *(str(count.as_dict()[name]) for name in COUNTS)] for topic, count in channels]
-    shown: list = [Table(result.file, ["topic", *(name.replace("_", " ") for name in COUNTS)], rows)]
+    rows = ({"topic": _shown(topic), **count.as_dict()} for topic, count in sorted(result.channels.items()))
+    shown: list = [table_of(result.file, COLUMNS, rows)]
     if result.cut_off:
         shown.append("The recording was cut off; what is there was compared.")
     shown += [*map(_shown, result.stops), *("damage: " + _shown(sentence) for sentence in result.damage)]
@@ -77,8 +58,6 @@ def _shown(value) -> str:
 
 
 def _compensate(args) -> Answer:
-    from kr270_milling.replay.compensate import compensate
-
     with progress("compensating") as report:
         found = compensate(args.file, args.method, report)
     files = [_write(args.out, revised) for revised in found] if args.out else [None] * len(found)
@@ -97,8 +76,6 @@ def _compensate(args) -> Answer:
 
 
 def _write(out: str, revised) -> Path:
-    from kr270_milling.trajectory.trajectory_csv import write_csv
-
     prefix = revised.robot.strip("/").replace("/", "_")
     path = output_directory(out) / f"{prefix + '_' if prefix else ''}reference_trajectory.csv"
     write_csv(path, revised.reference, revised.joints)

@@ -1,40 +1,31 @@
-"""``kr270_milling run``: the passes of a cell as ROS 2 nodes, each recorded to MCAP."""
+"""The commands that need ROS 2: ``run`` (the passes of a cell as nodes) and ``watch`` (a page of a running graph)."""
 
 from __future__ import annotations
 
+import json
 import sys
+import time
 from pathlib import Path
 
-from kr270_milling.commands.console import Answer, Table, fixed, shown_path
-from kr270_milling.commands.options import add_cell, add_plant, cell_of, option, plant_of
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.commands.console import Answer, cell_of, plant_of, shown_path, table_of, um
 from kr270_milling.commands.progress import progress
-from kr270_milling.compensation.methods import METHODS
-from kr270_milling.nodes.option_types import bounded
+from kr270_milling.ros.environment import require_ros
 
-COLUMNS = ("pass", "static [um]", "max [um]", "wall [s]", "x real time", "lost", "recording")
-
-
-def add_arguments(parser) -> None:
-    add_cell(parser)
-    add_plant(parser)
-    passes = "passes in all, with the original one (default: as many as needed)"
-    option(parser, "--passes N", passes, bounded(1, 1000, int))
-    option(parser, "--method", "how to compensate; may be given several times", choices=METHODS, action="append")
-    option(parser, "--out DIR", "for recordings, logs, cell.yaml", default="out")
-    option(parser, "--processes", "one process a node; else two nodes share one, which is quicker", bool)
-    option(parser, "--namespace NAME", "ROS namespace of the four nodes", default="")
+COLUMNS = (("pass", "name", 2), ("static [um]", "static_deviation_mm", um), ("max [um]", "max_deviation_mm", um),
+           ("wall [s]", "wall_s", 2), ("x real time", "real_time_factor", 2), ("lost", "messages_lost", 0),
+           ("recording", "recording", shown_path))  # fmt: skip
+LAST_LOOK = 1.0  #: [s] for an open page to take the last events
 
 
 def run(args) -> Answer:
-    from kr270_milling.ros.environment import require_ros
-
     require_ros()
     cell = cell_of(args)
     methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
     found = run_cell(cell, methods, args.out, args.passes, args.namespace, not args.processes, plant_of(args, cell))
-    rows = [_row(ran.row()) for ran in found["passes"]]
     up = f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(found['out'])}"
-    return Answer(summary(found), [Table("Path deviation, four nodes and a recorder", COLUMNS, rows), up])
+    told = summary(found)
+    return Answer(told, [table_of("Path deviation, four nodes and a recorder", COLUMNS, told["passes"]), up])
 
 
 def run_cell(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:
@@ -42,7 +33,6 @@ def run_cell(cell, methods, out, passes=None, namespace: str = "", composed: boo
 
     Returns graph_up_s, out (the directory used) and passes, a list of RanPass.
     """
-    from kr270_milling.base.errors import ParameterError
     from kr270_milling.graph.graph import Graph
     from kr270_milling.graph.plan import fresh_directory, run_plan
     from kr270_milling.ros.names import full_namespace
@@ -80,6 +70,28 @@ def summary(found: dict) -> dict:
     return {**found, "out": str(found["out"]), "passes": [ran.row() for ran in found["passes"]]}
 
 
-def _row(row: dict) -> list[str]:
-    numbers = [row["static_deviation_mm"] * 1e3, row["max_deviation_mm"] * 1e3, row["wall_s"], row["real_time_factor"]]
-    return [row["name"], *map(fixed, numbers), str(row["messages_lost"]), shown_path(row["recording"])]
+def watch(args) -> int:
+    """The address is printed while the page is served: nothing is left to say at the end."""
+    require_ros()
+    from kr270_milling.nodes.watcher import Watcher
+    from kr270_milling.ros.names import full_namespace
+    from kr270_milling.ros.spin import run_node
+    from kr270_milling.watch.page import page
+    from kr270_milling.watch.server import Events, serve
+
+    namespace = full_namespace(args.namespace, "--namespace") if args.namespace else ""
+    page()  # made before the first look
+    events = Events()
+    server = serve(events, args.host, args.port)
+    url = f"http://{args.host}:{server.server_port}/"
+    text = json.dumps({"url": url}) if args.json else f"live view: {url} (Ctrl-C ends it; it ends with the graph)"
+    print(text, flush=True)
+    try:
+        code = run_node(lambda **kwargs: Watcher(events, namespace, **kwargs), [])
+        if not events.ended:
+            events.tell({"kind": "end"})
+        time.sleep(LAST_LOOK)
+    finally:
+        server.shutdown()
+        server.server_close()
+    return code

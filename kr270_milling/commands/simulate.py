@@ -1,44 +1,42 @@
-"""``kr270_milling simulate``: one pass of a cell, as programmed or along a given reference."""
+"""``simulate``: one pass of a cell, as programmed or along a reference; ``check``: whether that may be run."""
 
 from __future__ import annotations
 
 import contextlib
 from pathlib import Path
 
-from kr270_milling.commands.console import Answer, Table, fixed, joints_text
-from kr270_milling.commands.options import add_cell, add_plant, cell_of, option, plant_of
+import numpy as np
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import staged
+from kr270_milling.cell import jobs
+from kr270_milling.commands.console import Answer, cell_of, joints_text, plant_of, table_of
 from kr270_milling.commands.progress import progress
+from kr270_milling.decision import check as decision
+from kr270_milling.decision.part import assess, write_part
+from kr270_milling.decision.stability import stability_of
+from kr270_milling.decision.tolerance import judge
+from kr270_milling.report.series import write_series
+from kr270_milling.trajectory.trajectory_csv import read_csv
 
 FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
-COLUMNS = {
-    "feature": "feature", "cut [mm]": "cut_length_mm", "max": "max_normal_um", "mean": "mean_normal_um",
-    "95 %": "q95_normal_um", "wall": "max_wall_error_um", "floor": "max_floor_error_um", "force [N]": "max_force_n",
-    "power [W]": "max_power_w",
-}  # fmt: skip
+FEATURES = "Deviation to the side of the path while cutting, and largest errors of what remains [um]"
+COLUMNS = (
+    ("feature", "feature", 1), ("cut [mm]", "cut_length_mm", 1), ("max", "max_normal_um", 1),
+    ("mean", "mean_normal_um", 1), ("95 %", "q95_normal_um", 1), ("wall", "max_wall_error_um", 1),
+    ("floor", "max_floor_error_um", 1), ("force [N]", "max_force_n", 1), ("power [W]", "max_power_w", 1),
+)  # fmt: skip
 
 
-def add_arguments(parser) -> None:
-    add_cell(parser)
-    add_plant(parser)
-    option(parser, "--reference FILE.csv", "run along this trajectory, as written by compensate")
-    option(parser, "--out DIR", "write the series of the pass here as CSV; of a tool path also the part as STL")
-
-
-def run(args) -> Answer:
-    from kr270_milling.base.files import staged
-    from kr270_milling.cell.jobs import simulate
-    from kr270_milling.decision.part import assess
-    from kr270_milling.decision.stability import stability_of
-    from kr270_milling.decision.tolerance import judge
-
+def simulate(args) -> Answer:
     cell = cell_of(args)
-    reference = _reference(cell, args.reference)
+    reference = None if args.reference is None else _reference(cell, args.reference)
+    name = "original" if reference is None else Path(args.reference).stem
     plant = plant_of(args, cell)
     with staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final):
         with progress("milling") as report:
-            name = "original" if reference is None else Path(args.reference).stem
-            ran = simulate(cell, reference, name, report, plant)
-        found = summary(cell, ran)
+            ran = jobs.simulate(cell, reference, name, report, plant)
+        found = _summary(cell, ran)
         stability = stability_of(cell, ran.result)
         found["stability"] = stability.as_dict()
         part = assess(cell, ran) if cell.path.file else None
@@ -47,9 +45,13 @@ def run(args) -> Answer:
         if part:
             found |= {key: value for key, value in part.as_dict().items() if key != "name"}
         if draft and final:
-            found["files"] = [str(final(path)) for path in _write(draft, cell, ran)]
+            files = write_series(draft, cell, [ran])
+            if cell.path.file:
+                files.append(draft / "part.stl")
+                write_part(files[-1], cell, ran.result)
+            found["files"] = [str(final(path)) for path in files]
     return Answer(found, [
-        *([_features(found)] if part else _scores(found)),
+        *([table_of(FEATURES, COLUMNS, (*found["features"], found["whole_part"]))] if part else _scores(found)),
         f"tolerance: {tolerance.words}",
         stability.text,
         joints_text(found["commanded_joints_deg"]),
@@ -57,6 +59,19 @@ def run(args) -> Answer:
         f"{found['steps']} micro-steps in {found['wall_s']:.3f} s, {found['real_time_factor']:.1f} x real time",
         *found.get("files", []),
     ])  # fmt: skip
+
+
+def check(args) -> Answer:
+    """Exit code 1 if the path must not be run."""
+    cell = cell_of(args)
+    reference = None if args.reference is None else read_csv(Path(args.reference))[0]
+    with progress("checking") as report:
+        checked = decision.check(cell, reference, args.motion, progress=report)
+        tolerance = judge(cell, checked.ran) if checked.ran else None
+    found = {"cell": args.cell, "reference": args.reference, **checked.as_dict()}
+    found["tolerance"] = tolerance and tolerance.as_dict()
+    words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
+    return Answer(found, [*words, *checked.lines()], code=int(not checked.may_be_run))
 
 
 def _scores(found: dict) -> list[str]:
@@ -70,35 +85,7 @@ def _scores(found: dict) -> list[str]:
     ]
 
 
-def _write(directory: Path, cell, ran) -> list[Path]:
-    """The series, and of a tool path the machined part."""
-    from kr270_milling.decision.part import write_part
-    from kr270_milling.report.series import write_series
-
-    files = write_series(directory, cell, [ran])
-    if cell.path.file:
-        files.append(directory / "part.stl")
-        write_part(files[-1], cell, ran.result)
-    return files
-
-
-def _features(found: dict) -> Table:
-    rows = [
-        [value if isinstance(value := row[key], str) else fixed(value, 1) for key in COLUMNS.values()]
-        for row in (*found["features"], found["whole_part"])
-    ]
-    title = "Deviation to the side of the path while cutting, and largest errors of what remains [um]"
-    return Table(title, list(COLUMNS), rows)
-
-
-def _reference(cell, path: str | None):
-    if path is None:
-        return None
-    import numpy as np
-
-    from kr270_milling.base.errors import InputError
-    from kr270_milling.trajectory.trajectory_csv import read_csv
-
+def _reference(cell, path: str):
     run, target = read_csv(Path(path))[0], cell.target()
     if run.duration_ns != target.duration_ns:
         both = f"{run.duration_ns * 1e-9:.9g} s, but the path of this cell {target.duration_ns * 1e-9:.9g} s"
@@ -109,20 +96,17 @@ def _reference(cell, path: str | None):
     return run
 
 
-def summary(cell, ran) -> dict:
-    """What ``--json`` prints of one pass."""
-    from kr270_milling.cell.jobs import joint_ranges, mean_force
-
+def _summary(cell, ran) -> dict:
     result = ran.result
     duration = float(result.time[-1])
     return {
         **ran.row(),
-        "commanded_joints_deg": joint_ranges(cell, ran.reference),
+        "commanded_joints_deg": jobs.joint_ranges(cell, ran.reference),
         "steps": result.micro_steps,
         "duration_s": duration,
         "wall_s": result.wall_time,
         "real_time_factor": duration / result.wall_time,
-        "mean_force_n": mean_force(result),
+        "mean_force_n": jobs.mean_force(result),
         "removed_area_mm2": result.removed_area * 1e6,
         "removed_volume_mm3": result.removed_volume * 1e9,
         "largest_correction_um": float(result.correction.max()) * 1e6,

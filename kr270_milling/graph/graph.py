@@ -14,13 +14,12 @@ from typing import Any
 
 from kr270_milling.base.process import exit_code
 from kr270_milling.cell.cell import Cell
-from kr270_milling.graph.arguments import recording_parameters, ros_arguments
+from kr270_milling.graph.arguments import recording_parameters, ros_arguments, write_cell
 from kr270_milling.graph.driver import Driver
 from kr270_milling.graph.hooks import Hooks
 from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unmatched
 from kr270_milling.graph.processes import Child, RunError, stop
 from kr270_milling.graph.watchdog import Watchdog
-from kr270_milling.ros.cell_file import write_cell
 from kr270_milling.ros.environment import keep_to_this_host
 from kr270_milling.ros.litter import remove_litter
 

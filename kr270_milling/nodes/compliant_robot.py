@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange
 from rclpy.timer import Timer
 
 from kr270_milling.base.samples import WrenchSample
@@ -14,11 +14,10 @@ from kr270_milling.messages.codec import trajectory_from_bytes, wrench_from_byte
 from kr270_milling.ros import topics
 from kr270_milling.ros.node import ERROR, LOST, OK, WARN, ManagedNode, guarded
 from kr270_milling.ros.parameters import declare_cell
-from kr270_milling.ros.spin import run_node
 from kr270_milling.simulation.protocol import WORKPIECE
 from kr270_milling.trajectory.trajectory import fingerprint
 
-__all__ = ["CompliantRobot", "main"]
+__all__ = ["CompliantRobot"]
 
 RETRY = 0.5  # [s] of the wall without an answer until the tool pose is published again
 LOOK = 0.1  # [s] of the wall between two looks whether answers come
@@ -35,8 +34,7 @@ class CompliantRobot(ManagedNode):
         self.protocol = robot_protocol(self.cell)
         about = "seconds of the pass in a second of the wall; 0: as fast as possible"
         limits = [FloatingPointRange(from_value=0.0, to_value=1e6)]
-        described = ParameterDescriptor(description=about, floating_point_range=limits, read_only=True)
-        self.pace = self.declare_parameter("pace", 0.0, described).value
+        self.pace = self.declared("pace", 0.0, about, floating_point_range=limits)
         self._pace_timer: Timer | None = None
         self._given_up = False
         self._listeners: tuple[int, ...] = ()
@@ -44,9 +42,8 @@ class CompliantRobot(ManagedNode):
         self._answered = time.monotonic()  # when a question was answered
         self._looked = time.monotonic()
         self.open_outlets("tool_pose", "deflection", "joint_states", "clock", "robot_description")
-        reference, wrench = topics.REFERENCE_TRAJECTORY, topics.WRENCH
-        self.create_subscription(reference.type, reference.name, self._on_reference, reference.qos, raw=True)
-        self._wrench = self.create_subscription(wrench.type, wrench.name, self._on_wrench, wrench.qos, raw=True)
+        self.hear(topics.REFERENCE_TRAJECTORY, self._on_reference)
+        self._wrench = self.hear(topics.WRENCH, self._on_wrench)
         self.create_timer(LOOK, self._watch_answer)
         self.report(OK, "unconfigured")
 
@@ -159,12 +156,3 @@ class CompliantRobot(ManagedNode):
 
     def watch(self) -> dict:
         return {"state": self.state, "pass_time_s": f"{self.stamp_ns * 1e-9:.6f}"}
-
-
-def main(args: list[str] | None = None) -> int:
-    """Console script ``compliant_robot``."""
-    return run_node(CompliantRobot, args)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

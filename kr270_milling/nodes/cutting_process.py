@@ -10,10 +10,9 @@ from kr270_milling.messages.codec import pose_from_bytes, trajectory_from_bytes
 from kr270_milling.ros import topics
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
 from kr270_milling.ros.parameters import declare_cell
-from kr270_milling.ros.spin import run_node
 from kr270_milling.simulation.protocol import NoWorkpiece
 
-__all__ = ["CuttingProcess", "main"]
+__all__ = ["CuttingProcess"]
 
 LOOK = 0.1  # [s] of the wall between two looks whether the robot is there
 
@@ -27,12 +26,10 @@ class CuttingProcess(ManagedNode):
         self.protocol = cut_protocol(self.cell)
         self._robots = 0
         self._silence = Silence()
-        self._waiting = False
         self._mapped = True  # the published map shows the part as it is
         self.open_outlets("wrench", "workpiece")
-        pose, reference = topics.TOOL_POSE, topics.REFERENCE_TRAJECTORY
-        self._pose = self.create_subscription(pose.type, pose.name, self._on_pose, pose.qos, raw=True)
-        self.create_subscription(reference.type, reference.name, self._on_reference, reference.qos, raw=True)
+        self._pose = self.hear(topics.TOOL_POSE, self._on_pose)
+        self.hear(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self.create_service(Trigger, "~/publish_workpiece", self._on_request)
         self.create_timer(LOOK, self._watch_robot)
         self.report(OK, "unconfigured")
@@ -66,15 +63,14 @@ class CuttingProcess(ManagedNode):
     def _on_pose(self, data: bytes) -> None:
         if not self.active:
             return
-        self._silence.heard()
+        again = self._silence.heard()
         self.send(self.protocol.pose(pose_from_bytes(data)))
         self._mapped = False
         self.stamp_ns = self.protocol.stamp_ns
         if self._robots == 0 and self.protocol.step == 1:
             self._robots = self._pose.get_publisher_count()
             self.report(OK, "cutting")
-        elif self._waiting:
-            self._waiting = False
+        elif again:
             self.report(OK, "cutting again")
 
     @guarded
@@ -93,8 +89,7 @@ class CuttingProcess(ManagedNode):
             self.report(ERROR, "the robot is gone in mid-pass: nobody publishes tool_pose any more")
         elif self._robots and robots > self._robots:
             self.report(ERROR, "another robot has come in mid-pass: was compliant_robot restarted? Begin a new pass")
-        elif silent > SILENT and not self._waiting:
-            self._waiting = True
+        elif self._silence.is_to_be_told(silent):
             self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: is the robot gone?")
 
     @guarded
@@ -119,12 +114,3 @@ class CuttingProcess(ManagedNode):
             "pass_time_s": f"{self.stamp_ns * 1e-9:.6f}",
             "removed_volume_m3": repr(float(side.cut.removed_volume)) if side else "",
         }
-
-
-def main(args: list[str] | None = None) -> int:
-    """Console script ``cutting_process``."""
-    return run_node(CuttingProcess, args)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 import sys
 import time
 
@@ -15,20 +16,13 @@ from std_srvs.srv import Trigger
 
 from kr270_milling.bag.bagmeta import read_qos
 from kr270_milling.bag.play_options import PlayOptions
-from kr270_milling.bag.playback import (
-    PlayClock,
-    is_latched,
-    opening,
-    passage,
-    span,
-)
+from kr270_milling.bag.playback import PlayClock, is_latched, opening, passage, span
 from kr270_milling.bag.reader import RawMessage, Recording
 from kr270_milling.base.errors import RecordingError, one_line
 from kr270_milling.base.process import end_process
-from kr270_milling.nodes.play_arguments import add_play_arguments, play_options
-from kr270_milling.ros.messages import stamp_from_ns
+from kr270_milling.nodes.play_arguments import PLAY, play_options
 from kr270_milling.ros.names import NameRefused, message_class, plain_topic
-from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded
+from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded, stamp_from_ns
 from kr270_milling.ros.spin import run_node
 
 __all__ = ["Player", "main", "play", "qos_of"]
@@ -54,8 +48,8 @@ class Player(ReportingNode):
             raise
         self._progress = progress
         self.done, self.count, self.rounds = False, 0, 0
-        for name, call in (("pause", self._pause), ("resume", self._resume), ("toggle_paused", self._toggle)):
-            self.create_service(Trigger, f"~/{name}", call)
+        for name, paused in (("pause", True), ("resume", False), ("toggle_paused", None)):
+            self.create_service(Trigger, f"~/{name}", functools.partial(self._set_paused, paused))
         self._begin_at = time.monotonic() + options.delay
         self._start()
         self._timer = self.create_timer(TICK, self._tick)
@@ -149,20 +143,13 @@ class Player(ReportingNode):
         else:
             self.done = True
 
-    def _set_paused(self, paused: bool, response):
+    def _set_paused(self, wanted: bool | None, _, response):
+        """wanted: None for the other state than now."""
+        paused = not self._pace.paused if wanted is None else wanted
         (self._pace.pause if paused else self._pace.resume)(time.monotonic())
         self.report(WARN if paused else OK, "paused" if paused else "playing")
         response.success = True
         return response
-
-    def _pause(self, _, response):
-        return self._set_paused(True, response)
-
-    def _resume(self, _, response):
-        return self._set_paused(False, response)
-
-    def _toggle(self, _, response):
-        return self._set_paused(not self._pace.paused, response)
 
     def watch(self) -> dict:
         return {"messages": getattr(self, "count", 0), "rounds": getattr(self, "rounds", 0)}
@@ -220,17 +207,13 @@ def play(options: PlayOptions, ros_args: list[str] | None = None, progress=None)
     return code, sum(player.count for player in players)
 
 
-def main(args: list[str] | None = None) -> int:
+def main() -> int:
     """Console script ``player``."""
-    words = sys.argv if args is None else ["player", *args]
     parser = argparse.ArgumentParser(
         prog="player", description="Play a recording back onto topics.", epilog="example: player out/pass1 --rate 0.5"
     )
     parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording")
-    add_play_arguments(parser)
-    code, _ = play(play_options(parser.parse_args(remove_ros_args(words)[1:])), words)
-    return end_process(code) if args is None else code
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())
+    for names, how in PLAY:
+        parser.add_argument(*names, **how)
+    code, _ = play(play_options(parser.parse_args(remove_ros_args(sys.argv)[1:])), sys.argv)
+    return end_process(code)

@@ -6,7 +6,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 
 from kr270_milling.bag.writer import BagWriter
@@ -15,9 +15,8 @@ from kr270_milling.nodes.recording_session import RecordingSession
 from kr270_milling.ros.drain import DRAIN_PERIOD
 from kr270_milling.ros.names import resolved_topic
 from kr270_milling.ros.node import OK, ReportingNode
-from kr270_milling.ros.spin import run_node
 
-__all__ = ["Recorder", "main"]
+__all__ = ["Recorder"]
 
 LOOK_AROUND = 0.1  # [s] between two looks for new topics and two looks at the chunk's age
 SETTLE = 20  # looks at most for what is still under way when a recording ends
@@ -33,17 +32,18 @@ class Recorder(ReportingNode):
         super().__init__("recorder", **kwargs)
         self._where = "parameters of " + self.get_fully_qualified_name()
         self.session: RecordingSession | None = None  #: of the file that is being written
-        asked = self._texts("topics", "names, relative or absolute, with * and ?; empty: every topic", read_only=True)
+        asked = self._texts("topics", "names, relative or absolute, with * and ?; empty: every topic")
         self._topics = [t if "*" in t or "?" in t else resolved_topic(self, t, f"{self._where}: topics") for t in asked]
         about = "also write, and publish, what viewers need and nobody else publishes: /tf, /tf_static, /markers"
-        self._viewers = self._declared("viewers", True, about, read_only=True)
+        self._viewers = self.declared("viewers", True, about)
         about = "record from the start; where false, from when directory is set"
-        autostart = self._declared("autostart", True, about, read_only=True)
+        autostart = self.declared("autostart", True, about)
         about = "the recording's directory, which must not hold one yet; set: end the recording and begin another"
-        directory = self._declared("directory", "", about)
-        self._texts("attach", "files to keep inside the recording")
-        self._declared("seed", "", "seed of the run, kept inside the recording")
-        self._declared("command", "", "command line to keep inside the recording; empty: that of the node")
+        directory = self.declared("directory", "", about, read_only=False)
+        self._texts("attach", "files to keep inside the recording", read_only=False)
+        self.declared("seed", "", "seed of the run, kept inside the recording", read_only=False)
+        about = "command line to keep inside the recording; empty: that of the node"
+        self.declared("command", "", about, read_only=False)
         if autostart and not directory:
             raise InputError(self._where, "directory is missing")
         if autostart:
@@ -54,12 +54,9 @@ class Recorder(ReportingNode):
         self.create_timer(LOOK_AROUND, self._look_around)
         self.create_timer(DRAIN_PERIOD, self._drain)
 
-    def _declared(self, name: str, default, about: str, **how):
-        return self.declare_parameter(name, default, ParameterDescriptor(description=about, **how)).value
-
     def _texts(self, name: str, about: str, **how) -> list[str]:
         """A parameter that may be one text, or several as a list or separated by commas."""
-        return _split(self._declared(name, "", about, dynamic_typing=True, **how))
+        return _split(self.declared(name, "", about, dynamic_typing=True, **how))
 
     def _begin(self, directory: str) -> None:
         command = self.get_parameter("command").value or shlex.join(sys.argv)
@@ -122,12 +119,3 @@ class Recorder(ReportingNode):
 def _split(value) -> list[str]:
     texts = value if isinstance(value, (list, tuple)) else str(value).split(",")
     return [text for text in (str(text).strip() for text in texts) if text]
-
-
-def main(args: list[str] | None = None) -> int:
-    """Console script ``recorder``."""
-    return run_node(Recorder, args)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

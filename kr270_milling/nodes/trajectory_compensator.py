@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from std_srvs.srv import Trigger
 
 from kr270_milling.base.parameter_file import find_file
@@ -17,10 +17,9 @@ from kr270_milling.ros import topics
 from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
 from kr270_milling.ros.parameters import declare_cell
-from kr270_milling.ros.spin import run_node
 from kr270_milling.trajectory.trajectory import fingerprint
 
-__all__ = ["TrajectoryCompensator", "main"]
+__all__ = ["TrajectoryCompensator"]
 
 METHOD = "compensation.method"
 TARGET = "the target itself"
@@ -39,21 +38,19 @@ class TrajectoryCompensator(ReportingNode):
         super().__init__("trajectory_compensator", **kwargs)
         self.cell = declare_cell(self, writable=(METHOD,))
         about = "parameter file of the simulated plant, whose tracker's noise is added to the poses; empty: none"
-        plant = self.declare_parameter("plant", "", ParameterDescriptor(description=about, read_only=True)).value
+        plant = self.declared("plant", "", about)
         self.protocol = compensator_protocol(self.cell, read_cell(find_file(plant)) if plant else None)
         about = "the cell file's path is the target until one is published"
-        described = ParameterDescriptor(description=about, read_only=True)
-        own = self.declare_parameter("use_cell_path", True, described).value
+        own = self.declared("use_cell_path", True, about)
         self.open_outlets("reference_trajectory", "joint_trajectory", "reference_path", "target_path")
-        target, pose, wrench = topics.TARGET_TRAJECTORY, topics.TOOL_POSE, topics.WRENCH
-        self.create_subscription(target.type, target.name, self._on_target, target.qos, raw=True)
+        self.hear(topics.TARGET_TRAJECTORY, self._on_target)
+        pose, wrench = topics.TOOL_POSE, topics.WRENCH
         self._pose = aside(self, pose.type, pose.name, self._on_pose, pose.qos)
         self._wrench = aside(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._revision = 0
         self._ended: float | None = None  # when the last pose came [s of the wall]
         self._silence = Silence()
-        self._waiting = False
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(LOOK, self._watch_pass)
         self.create_timer(DRAIN_PERIOD, self._drain)
@@ -81,14 +78,10 @@ class TrajectoryCompensator(ReportingNode):
             "finished": state.finished,
             "reference": fingerprint(state.reference),
         }
+        but = f", shortened by up to {state.cut_off * 1e6:.1f} um to the limit" if state.cut_off > 0.0 else ""
         if missing:
-            self.report(WARN, f"reference: {what}, of which {missing} poses were not heard", **told)
-        elif state.cut_off > 0.0:
-            self.report(
-                WARN, f"reference: {what}, shortened by up to {state.cut_off * 1e6:.1f} um to the limit", **told
-            )
-        else:
-            self.report(OK, f"reference: {what}", **told)
+            but = f", of which {missing} poses were not heard"
+        self.report(WARN if but else OK, f"reference: {what}{but}", **told)
 
     @guarded
     def _drain(self) -> None:
@@ -109,9 +102,7 @@ class TrajectoryCompensator(ReportingNode):
         if not self.protocol.under_way or sample.stamp != self.protocol.stamp_ns:
             return
         self.stamp_ns = sample.stamp
-        self._silence.heard()
-        if self._waiting:
-            self._waiting = False
+        if self._silence.heard():
             self.report(OK, "the pass goes on")
         self._ended = time.monotonic() if self.protocol.at_end else None
 
@@ -134,8 +125,7 @@ class TrajectoryCompensator(ReportingNode):
             if not what.get_publisher_count() and (what is self._pose or self.protocol.has_wrench):
                 self.report(ERROR, f"the pass broke off: nobody publishes {what.topic_name} any more")
                 return
-        if silent > SILENT and not self._waiting:
-            self._waiting = True
+        if self._silence.is_to_be_told(silent):
             self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: waiting for it")
 
     def _on_parameters(self, changes) -> SetParametersResult:
@@ -165,12 +155,3 @@ class TrajectoryCompensator(ReportingNode):
         response.success = bool(self._reset())
         response.message = "" if response.success else self.message
         return response
-
-
-def main(args: list[str] | None = None) -> int:
-    """Console script ``trajectory_compensator``."""
-    return run_node(TrajectoryCompensator, args)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

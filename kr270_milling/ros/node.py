@@ -6,6 +6,7 @@ import functools
 import os
 import time
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
@@ -14,12 +15,12 @@ from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.base.units import SECOND
 from kr270_milling.messages.codec import to_bytes
 from kr270_milling.ros import topics
 from kr270_milling.ros.drain import is_aside
-from kr270_milling.ros.messages import stamp_from_ns
 
-__all__ = ["LOST", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded"]
+__all__ = ["LOST", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded", "stamp_from_ns"]
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 REPORT_PERIOD = 0.2  # [s] of the wall; a partner's death must be told within 3 s
@@ -28,6 +29,10 @@ LOST = 4.0  # [s] of the wall after which one that must answer is given up; a bu
 HELD_UP = 0.5  # [s] between two looks after which it was us who did not listen
 HARDWARE = "simulated robot cell"  # of every status: no node of this package speaks for a machine
 OWN = ("/rosout", "/parameter_events")  # topics that every node has for itself
+
+
+def stamp_from_ns(ns: int) -> Time:
+    return Time(sec=ns // SECOND, nanosec=ns % SECOND)
 
 
 def guarded(callback):
@@ -52,10 +57,14 @@ class Silence:
     """Since when a partner has not been heard; a time in which this process did not listen does not count."""
 
     def __init__(self):
+        self._told = False
         self.heard()
 
-    def heard(self) -> None:
+    def heard(self) -> bool:
+        """Whether a silence that was told is over now."""
         self._last = self._looked = time.monotonic()
+        over, self._told = self._told, False
+        return over
 
     def look(self) -> float:
         """[s] of the wall; to be called several times a second."""
@@ -64,6 +73,11 @@ class Silence:
             self._last = now
         self._looked = now
         return now - self._last
+
+    def is_to_be_told(self, silent: float) -> bool:
+        """Whether a silence [s] has become so long; once for each."""
+        before, self._told = self._told, self._told or silent > SILENT
+        return self._told and not before
 
 
 class Reporting(Node):
@@ -84,6 +98,16 @@ class Reporting(Node):
         """On the monotonic clock: one on the node's own would stand still when the wall clock is set back."""
         kwargs = {"clock": Clock(clock_type=ClockType.STEADY_TIME), **kwargs}
         return super().create_timer(timer_period_sec, callback, *args, **kwargs)
+
+    def declared(self, name: str, default, about: str, read_only: bool = True, **how):
+        """Declare a parameter of the node itself; returns its value."""
+        return self.declare_parameter(
+            name, default, ParameterDescriptor(description=about, read_only=read_only, **how)
+        ).value
+
+    def hear(self, topic: topics.Topic, callback):
+        """Subscribe to the bytes of a topic."""
+        return self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=True)
 
     def open_outlets(self, *names: str) -> None:
         """Publishers for outputs of a protocol, by the names that it has for them."""
@@ -166,8 +190,7 @@ class ManagedNode(Reporting, LifecycleNode):
         self.start_reporting()
         self.active = False
         about = "configure and activate without being told to; for a node that is started by hand"
-        described = ParameterDescriptor(description=about, read_only=True)
-        self._autostart = self.declare_parameter("autostart", False, described).value
+        self._autostart = self.declared("autostart", False, about)
         self._start_timer = self.create_timer(0.01, self._start_alone) if self._autostart else None
 
     def _start_alone(self) -> None:

@@ -13,12 +13,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-__all__ = [
-    "BY_NAME", "CLOCK", "DEFLECTION", "DIAGNOSTICS", "JOINT_STATES", "JOINT_TRAJECTORY", "REFERENCE_PATH",
-    "REFERENCE_TRAJECTORY", "ROBOT_DESCRIPTION", "TARGET_PATH", "TARGET_TRAJECTORY", "TOOL_POSE", "Topic",
-    "WORKPIECE", "WRENCH",
-]  # fmt: skip
-
 #: the loop of one exchange: lockstep, one message in flight; the publisher keeps so many that a recorder which was
 #: held up for two seconds can still ask for what it has missed
 LOOP = QoSProfile(depth=20_000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
@@ -55,15 +49,9 @@ CLOCK = Topic(Clock, "clock", LOOP)  # of the robot's namespace: two robots have
 
 #: the topics of the protocols' outputs, by the names that these have for them
 BY_NAME = {
-    "tool_pose": TOOL_POSE,
-    "wrench": WRENCH,
-    "deflection": DEFLECTION,
-    "joint_states": JOINT_STATES,
-    "clock": CLOCK,
-    "workpiece": WORKPIECE,
-    "robot_description": ROBOT_DESCRIPTION,
-    "reference_trajectory": REFERENCE_TRAJECTORY,
-    "joint_trajectory": JOINT_TRAJECTORY,
-    "target_path": TARGET_PATH,
-    "reference_path": REFERENCE_PATH,
-}
+    topic.name: topic
+    for topic in (
+        TOOL_POSE, WRENCH, DEFLECTION, JOINT_STATES, CLOCK, WORKPIECE, ROBOT_DESCRIPTION, REFERENCE_TRAJECTORY,
+        JOINT_TRAJECTORY, TARGET_PATH, REFERENCE_PATH,
+    )
+}  # fmt: skip

@@ -17,7 +17,7 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cli import COMMANDS, main
 from kr270_milling.commands.bench import USUAL, plain
-from kr270_milling.nodes.option_types import numbers
+from kr270_milling.nodes.play_arguments import numbers
 
 ROOT = Path(__file__).resolve().parents[2]
 PAPER_POSTURE = "--joints-deg=90,-50,120,180,25,180"
@@ -59,14 +59,14 @@ def test_help_lists_every_command_without_importing_numpy():
     )
     assert ran.returncode == 0, ran.stderr
     assert "SUPPRESS" not in ran.stdout
-    for name, (text, _) in COMMANDS.items():
-        assert name in ran.stdout and text in ran.stdout
+    for name, command in COMMANDS.items():
+        assert name in ran.stdout and command.text in ran.stdout
 
 
 def test_the_program_alone_shows_the_list(capsys):
     assert main([]) == 0
     shown = capsys.readouterr().out
-    assert all(text in shown for text, _ in COMMANDS.values()) and "SUPPRESS" not in shown
+    assert all(command.text in shown for command in COMMANDS.values()) and "SUPPRESS" not in shown
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -83,7 +83,7 @@ def test_the_help_of_a_command_shows_an_example_without_importing_numpy(name):
 def test_the_example_of_a_command_is_one_that_it_takes(name):
     from kr270_milling.cli import _parser
 
-    words = COMMANDS[name][1].split()
+    words = COMMANDS[name].example.split()
     assert _parser(words).parse_args(words).command == name
 
 

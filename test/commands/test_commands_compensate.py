@@ -17,14 +17,13 @@ HEAD = "G21 S8000 M3\nG0 X-14 Y0 Z-0.5\n"
 @pytest.fixture
 def quick(monkeypatch):
     """Without the figures of the report, which are not what the test is about."""
-    from kr270_milling import report
 
     def page(directory, *_, **__):
         path = directory / "report.html"
         path.write_text("figures left out")
         return path
 
-    monkeypatch.setattr(report, "write_report", page)
+    monkeypatch.setattr("kr270_milling.commands.compensate.write_report", page)
 
 
 def command(tmp_path, *words: str, gcode: str | bytes = GCODE, sets=()) -> list[str]:

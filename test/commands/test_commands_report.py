@@ -10,8 +10,7 @@ import pass_recording as made
 from hostile import ask, refused
 
 from kr270_milling.cli import main
-from kr270_milling.commands.report import unique_names
-from kr270_milling.replay import recorded
+from kr270_milling.commands.recordings import unique_names
 from kr270_milling.replay.recorded import pass_from_recording
 
 pytestmark = made.needs_messages
@@ -64,7 +63,7 @@ def test_passes_of_two_paths_are_not_compared(tmp_path, monkeypatch):
     other = pass_from_recording(made.write(tmp_path / "c", made.one_pass("spline", passes=1)) / "c.mcap")
     shifted = dataclasses.replace(other.scored.result, wrench=other.scored.result.wrench + 1.0)
     other = dataclasses.replace(other, scored=dataclasses.replace(other.scored, result=shifted))
-    monkeypatch.setattr(recorded, "pass_from_recording", another_path)
+    monkeypatch.setattr("kr270_milling.commands.recordings.pass_from_recording", another_path)
     assert "is a pass of another path than" in refused("report", str(first), str(second))
 
 

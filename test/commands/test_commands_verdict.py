@@ -40,7 +40,7 @@ def compensate(tmp_path, capsys):
 
 
 def test_the_verdict_is_part_of_the_decision_unless_nobody_wants_it(compensate, monkeypatch):
-    monkeypatch.setattr("kr270_milling.commands.compensate.SAMPLES", 2)
+    monkeypatch.setattr("kr270_milling.commands.compensate.PLANTS", 2)
     found, _ = compensate("--method", "spline")
     assert found["verdict"]["samples"] == 2 and "inverse" in found["verdict"]["methods"]
     assert found["decision"]["verdict"] == found["verdict"]["verdict"]

@@ -230,8 +230,10 @@ def test_runner_that_was_held_up_itself_hears_the_reports_first():
 
 
 def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_path):
+    import ros_messages as messages
+
     from kr270_milling.nodes.cutting_process import CuttingProcess
-    from kr270_milling.ros import messages, topics
+    from kr270_milling.ros import topics
 
     cut = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     robot = world.partner("robot")

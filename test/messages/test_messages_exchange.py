@@ -12,10 +12,10 @@ pytest.importorskip("rclpy")
 
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
+from ros_messages import from_msg
 
 from kr270_milling.base.samples import PoseSample, TwistSample, WrenchSample
 from kr270_milling.messages.codec import pose_from_bytes, to_bytes, trajectory_from_bytes, wrench_from_bytes
-from kr270_milling.ros.messages import from_msg
 from kr270_milling.simulation.protocol import MessageError, checked_pose, checked_wrench, in_workpiece_axes
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 

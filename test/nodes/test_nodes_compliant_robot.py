@@ -6,10 +6,11 @@ from sample_messages import wrench_msg
 
 pytest.importorskip("rclpy")
 
+import ros_messages as messages
 from rclpy.lifecycle import TransitionCallbackReturn
 
 from kr270_milling.nodes.compliant_robot import CompliantRobot
-from kr270_milling.ros import messages, topics
+from kr270_milling.ros import topics
 
 ERROR, WARN = 2, 1
 NAME = "/compliant_robot"

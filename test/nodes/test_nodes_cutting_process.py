@@ -6,10 +6,11 @@ from sample_messages import pose_msg
 
 pytest.importorskip("rclpy")
 
+import ros_messages as messages
 from std_srvs.srv import Trigger
 
 from kr270_milling.nodes.cutting_process import CuttingProcess
-from kr270_milling.ros import messages, topics
+from kr270_milling.ros import topics
 from kr270_milling.simulation.sides import CuttingSide
 
 OK, WARN, ERROR = 0, 1, 2

@@ -7,12 +7,13 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from ros_messages import from_msg
+
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.nodes.compliant_robot import CompliantRobot
 from kr270_milling.nodes.cutting_process import CuttingProcess
 from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator
 from kr270_milling.ros import topics
-from kr270_milling.ros.messages import from_msg
 
 ERROR = 2
 

@@ -6,13 +6,14 @@ from sample_messages import pose_msg, wrench_msg
 
 pytest.importorskip("rclpy")
 
+import ros_messages as messages
 from rclpy.parameter import Parameter
 from std_srvs.srv import Trigger
 
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator
 from kr270_milling.robot.errors import ReachError
-from kr270_milling.ros import messages, topics
+from kr270_milling.ros import topics
 
 OK, WARN, ERROR = 0, 1, 2
 NAME = "/trajectory_compensator"

@@ -9,9 +9,9 @@ import pytest
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.cell.plant import Plant
+from kr270_milling.graph.arguments import cell_text
 from kr270_milling.replay.recompute import recompute
 from kr270_milling.replay.recorded import pass_from_recording
-from kr270_milling.ros.cell_file import cell_text
 
 pytestmark = made.needs_messages
 PASSES = ("original", "learned_1", "learned_2")

@@ -1,19 +1,14 @@
-"""Records as rclpy's message objects and back, for whoever has no bytes; and stamps."""
+"""Records as rclpy's message objects and back, for tests that speak to nodes."""
 
 from __future__ import annotations
 
-from builtin_interfaces.msg import Time
 from rclpy.serialization import deserialize_message, serialize_message
 
 from kr270_milling.base.units import SECOND
 from kr270_milling.messages.codec import from_bytes, to_bytes, type_of
 from kr270_milling.ros.names import message_class
 
-__all__ = ["from_msg", "ns_from_stamp", "stamp_from_ns", "to_msg"]
-
-
-def stamp_from_ns(ns: int) -> Time:
-    return Time(sec=ns // SECOND, nanosec=ns % SECOND)
+__all__ = ["from_msg", "ns_from_stamp", "to_msg"]
 
 
 def ns_from_stamp(stamp) -> int:

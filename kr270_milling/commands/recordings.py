@@ -1,0 +1,142 @@
+"""The commands about recordings: ``info``, ``export``, ``recover`` and ``report``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.bag import info as bag_info
+from kr270_milling.bag.export import export_csv, export_parquet
+from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.recover import recover as recover_file
+from kr270_milling.bag.verify import findings
+from kr270_milling.base.errors import InputError, one_line
+from kr270_milling.base.units import seconds
+from kr270_milling.commands.console import Answer, command_line, now, output_directory, table_of, um, yes
+from kr270_milling.commands.progress import progress
+from kr270_milling.replay.recorded import RecordedPass, pass_from_recording
+from kr270_milling.report import write_report
+from kr270_milling.report.series import write_series
+
+COLUMNS = (("pass", "name", 0), ("static [um]", "static_deviation_mm", um), ("max [um]", "max_deviation_mm", um),
+           ("lost", "messages_lost", 0), ("complete", "complete", yes))  # fmt: skip
+
+
+def info(args) -> Answer:
+    with progress("reading") as report, Recording(args.file, report) as recording:
+        damage = findings(recording, report) if args.verify else []
+        about = {"file": str(recording.path)} if damage else bag_info.info(recording, report)
+    shown = [f"{about['file']}: damaged; recover saves what can be read" if damage else bag_info.info_text(about)]
+    shown += ["  " + one_line(sentence) for sentence in damage]
+    if args.verify and not damage:
+        shown.append("whole: every checksum and index fits")
+    return Answer(about | ({"damage": damage} if args.verify else {}), shown, code=int(bool(damage)))
+
+
+def export(args) -> Answer:
+    """Exit code 1 where a topic cannot be exported."""
+    if not args.csv and not args.parquet:
+        raise InputError("export", "give --csv DIR or --parquet DIR")
+    files: list[Path] = []
+    refused: dict[str, str] = {}
+    with progress("exporting") as report, Recording(args.file, report) as recording:
+        for directory, write in ((args.csv, export_csv), (args.parquet, export_parquet)):
+            if directory:
+                written = write(recording, directory, args.topics, report)
+                files += written.files
+                refused |= written.refused
+        last = recording.last_log_time
+    about = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files, "refused": refused}
+    for sentence in () if args.json else refused.values():
+        print("not exported: " + one_line(sentence), file=sys.stderr)
+    cut = [f"{recording.path} was cut off; this is what it holds up to {seconds(last or 0)} s"]
+    return Answer(about, [*(cut if recording.cut_off else ()), *files], code=int(bool(refused)))
+
+
+def recover(args) -> Answer:
+    with progress("recovering") as report:
+        found = recover_file(args.file, args.out, report)
+    if found.whole and args.out is None:
+        return Answer(found.as_dict(), [f"{found.source}: is whole, nothing to recover; left as it is"])
+    state = "was whole already" if found.whole else f"{found.lost_bytes} bytes of it could not be used"
+    shown = [f"{found.source}: {state}"]
+    shown += ["  damage: " + one_line(sentence) for sentence in found.damage]
+    shown += ["  lost: " + one_line(sentence) for sentence in found.dropped]
+    if found.lost_messages:
+        shown.append(f"  {found.lost_messages} messages are lost")
+    return Answer(found.as_dict(), [*shown, f"{found.messages} messages in {found.directory}"])
+
+
+def report(args) -> Answer:
+    """Of one recording, or of several passes of one path on the same scales."""
+    places = [Path(place) for place in args.recordings]
+    found, copies = _read(places, args.namespace)
+    cell, passes = found[0].cell, [one.scored for one in found]
+    first = places[0]
+    directory = output_directory(args.out or (first if first.is_dir() else first.parent) / "report")
+    title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
+    with progress("report"):
+        page = write_report(
+            directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
+            program=found[0].program,
+        )  # fmt: skip
+        write_series(directory, cell, passes)
+    rows = [{**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete} for one in found]
+    about = {"passes": rows, "copies": copies, "report": str(page), "out": str(directory)}
+    return Answer(about, [
+        table_of("Path deviation, from the recordings", COLUMNS, rows),
+        *(f"skipped, a copy of another pass: {copy}" for copy in copies),
+        f"report: {page}",
+    ])  # fmt: skip
+
+
+def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedPass], list[str]]:
+    """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
+    paths = list(dict.fromkeys(path for place in places for path in _recordings(place)))
+    names = unique_names(paths)
+    found: list[RecordedPass] = []
+    copies: list[str] = []
+    with progress("reading") as tell, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
+        read = pool.map(lambda path, name: pass_from_recording(path, name, namespace), paths, names)
+        for number, (path, one) in enumerate(zip(paths, read, strict=True), 1):
+            tell(number, len(paths))
+            if any(_same(one.scored.result, other.scored.result) for other in found):
+                copies.append(str(path))
+                continue
+            target, first = one.cell.target(), (found or [one])[0].cell.target()
+            if not np.array_equal(target.time_ns, first.time_ns) or not np.allclose(target.position, first.position):
+                raise InputError(path, f"is a pass of another path than {paths[0]}: give each path a report of its own")
+            found.append(one)
+    return found, copies
+
+
+def _same(one, other) -> bool:
+    """Whether two recorded passes hold the same poses and wrenches: a copy, or what was recovered of one."""
+    return all(np.array_equal(getattr(one, key), getattr(other, key)) for key in ("time_ns", "tool", "wrench"))
+
+
+def unique_names(paths: Sequence[Path]) -> list[str]:
+    """The stem of each file, with its directories in front where stems are alike."""
+    names = [path.stem for path in paths]
+    for depth in range(1, 8):
+        if len(set(names)) == len(names):
+            break
+        names = [
+            "/".join((*path.parent.parts[-depth:], path.stem)) if names.count(name) > 1 else name
+            for path, name in zip(paths, names, strict=True)
+        ]
+    return names
+
+
+def _recordings(path: Path) -> list[Path]:
+    """The .mcap files of a file, a recording's directory or a directory of such, in the order of their writing."""
+    if path.is_file():
+        return [path]
+    found = sorted([*path.glob("*.mcap"), *path.glob("*/*.mcap")], key=lambda p: (p.stat().st_mtime_ns, p))
+    if not found:
+        raise InputError(path, "holds no recording (.mcap)" if path.is_dir() else "is no such file or directory")
+    return found

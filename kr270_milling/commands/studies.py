@@ -1,0 +1,167 @@
+"""The commands on all cores: ``map`` (where to clamp the part, how to turn the tool) and ``sweep`` (any keys)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.bag.writer import BagWriter
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.files import staged
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.commands.console import Answer, output_directory, table_of
+from kr270_milling.commands.progress import progress
+from kr270_milling.messages.codec import to_bytes
+from kr270_milling.messages.trajectory import TRAJECTORY
+from kr270_milling.studies import along as turning
+from kr270_milling.studies.engine import Study, content, run_chunks
+from kr270_milling.studies.placements import (
+    Placements,
+    Summary,
+    course_at,
+    course_of,
+    place_of,
+    write_cell,
+    write_cells,
+    write_picture,
+)
+from kr270_milling.studies.sweep import Sweep, parse_axis
+from kr270_milling.trajectory.trajectory_csv import write_csv
+
+MOST = 10_000_000
+BEST = 5  #: placements that are written as cells
+COLUMNS = tuple(
+    (key, key, "{:.4g}".format)
+    for key in ("x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", "error_max_um", "compensated_max_um")
+)
+TURNS = (-180.0, 180.0, 73)  #: [deg] along a path, where --tool-turn does not say otherwise
+RECORDING, TABLE, CELL = "along", "along.csv", "along.yaml"
+
+
+def place(args) -> Answer:
+    if args.along is not None:
+        return _along(args)
+    source = find_file(args.cell).resolve()
+    cell = read_cell(source, args.set)
+    here = [*(1e3 * cell.workpiece.xyz).tolist(), 0.0, 0.0]
+    given = [args.x, args.y, args.z, args.turn, args.tool_turn]
+    scales = [1e-3] * 3 + [np.pi / 180.0] * 2
+    axes = tuple(
+        scale * (np.array([value]) if axis is None else np.linspace(*axis))
+        for axis, value, scale in zip(given, here, scales, strict=True)
+    )
+    placements = Placements(cell, course_of(cell), axes, args.chunk)
+    if len(placements) > MOST:
+        raise ParameterError("map", len(placements), f"at most {MOST} placements in all")
+    plan = {"study": "map", "cell": content(source, cell), "set": args.set, "axes": given, "chunk": args.chunk}
+    study = Study(output_directory(args.out), plan)
+    made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
+    postures = 8 * args.chunk * len(placements.course.position)
+    with progress("map", unit="chunks", rate="postures", each=postures) as report:
+        seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
+    summary = Summary(axes[0], axes[1], BEST)
+    for table in study.tables(placements.chunks):
+        summary.add(table)
+    cells = write_cells(args.out, source, args.set, cell, placements.course, summary.best)
+    rate = made * summary.rows / seconds if seconds else None
+    found = {
+        "rows": summary.rows,
+        "rows_per_s": rate,
+        "postures_per_s": rate and rate * len(placements.course.position),
+        "feasible": summary.feasible,
+        "best": [row | {"cell": str(path)} for row, path in zip(summary.best, cells, strict=True)],
+        "picture": str(write_picture(args.out, summary)),
+        "out": args.out,
+    }
+    return Answer(found, [
+        table_of("Best placements: largest static error across the feed [um]", COLUMNS, found["best"]),
+        f"{found['rows']} rows, {found['feasible']} feasible: {found['out']}",
+        *(row["cell"] for row in found["best"]),
+        found["picture"],
+    ])  # fmt: skip
+
+
+def _along(args) -> Answer:
+    """Turn the tool about its axis along a path."""
+    if any(axis is not None for axis in (args.x, args.y, args.z, args.turn)):
+        raise ParameterError("--along", args.along, "without --x, --y, --z and --turn: the workpiece stays")
+    source = find_file(args.cell).resolve()
+    settings = [*args.set, *([f"path.file={Path(args.along).resolve()}"] if args.along else [])]
+    cell = read_cell(source, settings)
+    with progress("milling") as report:
+        ran = simulate(cell, progress=report).result
+    chosen = np.linspace(0, len(ran.time) - 1, min(args.places, len(ran.time))).astype(int)
+    step = float(ran.time[-1] - ran.time[0]) / (len(chosen) - 1)
+    turns = turning.Turns(cell, course_at(cell, ran, chosen), step, np.degrees(1e-6 * args.smooth))
+    grid = np.radians(np.linspace(*(args.tool_turn or TURNS)))
+    way, same, own = (
+        turning.find_way(turns, grid),
+        turning.constant_way(turns, grid),
+        turning.constant_way(turns, np.zeros(1)),
+    )
+    run, q = turning.turned(cell, ran.time_ns[chosen], way)
+    files = _write(Path(args.out), source, args.set, cell, run, q, way)
+    speed = np.abs(np.diff(q, axis=0)) / np.diff(run.time)[:, None] / cell.arm.joint_speed_limit
+    found = {
+        "rows": len(chosen),
+        "rows_per_s": None,
+        "branch": way.branch,
+        "criterion_um": 1e6 * way.value,
+        "criterion_constant_um": 1e6 * same.value if same else None,
+        "criterion_unturned_um": 1e6 * own.value if own else None,
+        "constant_turn_deg": float(np.degrees(same.turn[0])) if same else None,
+        "error_max_um": 1e6 * float(way.error.max()),
+        "error_max_constant_um": 1e6 * float(same.error.max()) if same else None,
+        "turn_deg": np.degrees([way.turn.min(), way.turn.max()]).tolist(),
+        "joint_speed_share": speed.max(axis=0).tolist(),
+        "slower": float(run.duration_ns / cell.target().duration_ns),
+        "best": [{"cell": str(files[0])}],
+        "files": [str(path) for path in files],
+    }
+    low, high = found["turn_deg"]
+    shown = [f"turning the tool from {low:.4g} to {high:.4g} deg along the path: {1e6 * way.value:.2f} um"]
+    for name, other in (("the best turn that stays the same", same), ("as it is", own)):
+        shown.append(f"{name}: " + (f"{1e6 * other.value:.2f} um" if other else "not within the limits of the joints"))
+    share = f"joints run at up to {100 * speed.max():.0f} % of their speeds"
+    return Answer(found, [
+        *shown,
+        "(root mean square of the static error across the feed and of what turning is worth by --smooth; what corners",
+        "and teeth shake is not in it: compare `simulate` of both cells)",
+        f"{share}, the path takes {found['slower']:.3f} times",
+        *files,
+    ])  # fmt: skip
+
+
+def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
+    """The turned trajectory as a recording, the cell that runs it, and a table with the joint angles."""
+    changes = {"path": {"file": RECORDING}, "workpiece": place_of(cell.workpiece.pose),
+               "posture_deg": np.degrees(q[0]).tolist()}  # fmt: skip
+    note = f"The tool turns about its axis along the path, from {np.degrees(way.turn[0]):.2f} deg on"
+    with staged(out) as (draft, final):
+        write_cell(draft / CELL, source, settings, cell, changes, note)
+        write_csv(draft / TABLE, run, q)
+        with BagWriter(draft / RECORDING) as writer:
+            writer.add_topic("/target_trajectory", TRAJECTORY)
+            writer.write("/target_trajectory", to_bytes(run), 0)
+        return [final(draft / name) for name in (CELL, TABLE, RECORDING)]
+
+
+def sweep(args) -> Answer:
+    """Full passes with other values of any keys, scores to Parquet."""
+    if args.latin != (args.samples is not None):
+        raise ParameterError("--samples", args.samples, "given together with --latin")
+    cell = find_file(args.cell).resolve()
+    hashed = content(cell, read_cell(cell, args.set))  # what no row could run is refused before anything is started
+    axes = tuple(parse_axis(text) for text in args.vary)
+    rows = Sweep(str(cell), tuple(args.set), axes, args.samples, args.seed, args.chunk)
+    plan = {"study": "sweep", "cell": hashed, "set": args.set, "vary": args.vary, "samples": args.samples,
+            "seed": args.seed, "chunk": args.chunk}  # fmt: skip
+    study = Study(output_directory(args.out), plan)
+    with progress("sweep", unit="chunks", rate="passes", each=rows.chunk) as report:
+        seconds = run_chunks(study, rows.chunks, rows, args.scheduler, report)
+    failed = sum(bool(text) for table in study.tables(rows.chunks, ["error"]) for text in table["error"].to_pylist())
+    found = {"rows": len(rows), "failed": failed, "out": args.out, "wall_s": seconds}
+    return Answer(found, [f"{len(rows)} rows, {failed} failed (column error), in {seconds:.1f} s: {args.out}"])
