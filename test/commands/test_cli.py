@@ -109,7 +109,7 @@ def test_a_call_that_is_not_understood_exits_with_2(capsys, words):
         (["simulate", "paper.yaml", "--set", "tool.teeth=0"], ["tool.teeth", "0", "at least 1"]),
         (["simulate", "paper.yaml", "--set", "tool.teeth"], ["key=value"]),
         (["simulate", "paper.yaml", "--set", "path.feed_rate_m_per_min=.nan"], ["feed_rate", "nan"]),
-        (["simulate", "kr270_2.yaml"], ["kr270_2.yaml", "is missing"]),
+        (["simulate", "kr270_2.yaml"], ["kr270_2.yaml", "workpiece.xyz_mm"]),
         (["simulate", "paper.yaml", "--reference", "none.csv"], ["none.csv"]),
     ],
 )
