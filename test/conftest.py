@@ -140,7 +140,7 @@ class World:
 
     def add(self, kind, *arguments: str, cell=None, directory: Path | None = None, **kwargs):
         """A node of this package; arguments as behind --ros-args; cell: its parameters."""
-        from kr270_milling.graph.arguments import write_cell
+        from kr270_milling.graph.processes import write_cell
 
         arguments = list(arguments)
         if cell is not None:

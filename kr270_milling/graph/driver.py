@@ -24,14 +24,8 @@ from kr270_milling.graph.processes import RunError
 from kr270_milling.ros import topics
 from kr270_milling.ros.leaving import leaving
 
-__all__ = ["Driver", "Status", "TRANSITIONS", "compatible"]
+__all__ = ["Driver", "Status", "compatible"]
 
-TRANSITIONS = {
-    "configure": Transition.TRANSITION_CONFIGURE,
-    "activate": Transition.TRANSITION_ACTIVATE,
-    "deactivate": Transition.TRANSITION_DEACTIVATE,
-    "cleanup": Transition.TRANSITION_CLEANUP,
-}
 ERROR = b"\x02"
 EXIT_FAILED = 2  # of a run that could not go on
 LEAVE = 10.0  # [s] to leave the graph
@@ -46,11 +40,6 @@ class Status:
     message: str
     values: dict[str, str]
     at: float
-
-    def counts(self, key: str) -> dict[str, int]:
-        """The values ``topic=count topic=count ...`` of ``listeners`` and ``heard``."""
-        pairs = (text.rpartition("=") for text in self.values.get(key, "").split())
-        return {topic: int(count) for topic, _, count in pairs}
 
 
 class Driver:
@@ -95,6 +84,11 @@ class Driver:
         status = self.status(node)
         return "" if status is None else status.values.get(key, "")
 
+    def counts(self, node: str, key: str) -> dict[str, int]:
+        """What a node last told as ``topic=number topic=number ...``: ``listeners``, ``heard``, stamps [ns]."""
+        pairs = (text.rpartition("=") for text in self.says(node, key).split())
+        return {topic: int(count) for topic, _, count in pairs}
+
     def silence(self, node: str, now: float) -> float:
         """Since when a node has not reported [s]; 0 for one that never did. now: of the monotonic clock."""
         status = self.status(node)
@@ -126,9 +120,6 @@ class Driver:
     def spin(self) -> None:
         self._executor.spin_once(timeout_sec=LOOK)
 
-    def _call(self, node: str, kind: type, service: str, request, what: str, deadline: float):
-        return self._finish(self._ask(node, kind, service, request, deadline), what, deadline)
-
     def _ask(self, node: str, kind: type, service: str, request, deadline: float) -> tuple:
         name = f"{self.name_of(self.addresses.get(node, node))}/{service}"
         if name not in self._clients:
@@ -153,7 +144,8 @@ class Driver:
         """Transitions (node, name) of several nodes at the same time."""
         asked = []
         for node, name in steps:
-            request = ChangeState.Request(transition=Transition(id=TRANSITIONS[name], label=name))
+            change = Transition(id=getattr(Transition, f"TRANSITION_{name.upper()}"), label=name)
+            request = ChangeState.Request(transition=change)
             asked.append(self._ask(node, ChangeState, "change_state", request, deadline))
         for (node, name), question in zip(steps, asked, strict=True):
             if not self._finish(question, name, deadline).success:
@@ -165,14 +157,10 @@ class Driver:
         """Set parameters of a node, one after another; raises RunError where one is refused."""
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = SetParameters.Request(parameters=parameters)
-        done = self._call(node, SetParameters, "set_parameters", request, f"setting {', '.join(values)}", deadline)
-        for result in done.results:
+        asked = self._ask(node, SetParameters, "set_parameters", request, deadline)
+        for result in self._finish(asked, f"setting {', '.join(values)}", deadline).results:
             if not result.successful:
                 raise RunError(node, result.reason)
-
-    def nodes(self) -> list[str]:
-        """Fully qualified names of all nodes seen, one that is there twice twice."""
-        return [f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces()]
 
     def ends(self, topic: str) -> tuple[list, list]:
         """Publishers and subscriptions of a fully qualified topic."""

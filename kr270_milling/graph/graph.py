@@ -14,12 +14,9 @@ from typing import Any
 
 from kr270_milling.base.process import exit_code
 from kr270_milling.cell.cell import Cell
-from kr270_milling.graph.arguments import recording_parameters, ros_arguments, write_cell
 from kr270_milling.graph.driver import Driver
-from kr270_milling.graph.hooks import Hooks
-from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT, unmatched
-from kr270_milling.graph.processes import Child, RunError, stop
-from kr270_milling.graph.watchdog import Watchdog
+from kr270_milling.graph.processes import Child, RunError, recording_parameters, ros_arguments, stop, write_cell
+from kr270_milling.graph.watchdog import COMPENSATOR, CUT, RECORDER, ROBOT, Hooks, Watchdog, unmatched
 from kr270_milling.ros.environment import keep_to_this_host
 from kr270_milling.ros.litter import remove_litter
 
@@ -263,14 +260,9 @@ class Graph:
 
     def _all_recorded(self) -> bool:
         """The recorder has the last message of robot and cut on each of their topics."""
-        sent = {**self._stamps(ROBOT, "sent_ns"), **self._stamps(CUT, "sent_ns")}
-        there = self._stamps(RECORDER, "latest_ns")
+        sent = {**self.driver.counts(ROBOT, "sent_ns"), **self.driver.counts(CUT, "sent_ns")}
+        there = self.driver.counts(RECORDER, "latest_ns")
         return bool(sent) and all(there.get(topic, -1) >= stamp for topic, stamp in sent.items())
-
-    def _stamps(self, node: str, key: str) -> dict[str, int]:
-        """Topic -> the last stamp [ns] that a node told."""
-        status = self.driver.status(node)
-        return status.counts(key) if status else {}
 
     def close(self, code: int = 0) -> None:
         """Stop everything; the recorder last, so that it has the others' last words.

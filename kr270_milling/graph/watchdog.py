@@ -1,19 +1,39 @@
-"""Whether a running graph can go on: processes that ended, errors, restarts, silence."""
+"""Whether a pass may start, who hears whom; whether it can go on: processes that ended, errors, restarts, silence."""
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Mapping
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.graph.driver import Driver
+from kr270_milling.graph.driver import Driver, compatible
 from kr270_milling.graph.processes import Child, RunError
 from kr270_milling.ros.node import LOST
 
-__all__ = ["LOST", "QUIET", "AlreadyRunning", "Watchdog"]
+__all__ = [
+    "COMPENSATOR", "CUT", "LOST", "QUIET", "RECORDER", "ROBOT", "AlreadyRunning", "Hooks", "Watchdog", "unmatched",
+]  # fmt: skip
+
+ROBOT, CUT, COMPENSATOR, RECORDER = "compliant_robot", "cutting_process", "trajectory_compensator", "recorder"
+
 
 QUIET = 1.0  # [s] without a report after which this is told
 HELD_UP = 0.5  # [s] between two looks of this process, after which the reports that wait are heard first
+
+
+class Hooks:
+    """The hooks of a run on the command line; a subclass overrides what it needs."""
+
+    def looked(self) -> None:
+        """Called some 50 times a second while something is waited for, before the graph looks at its processes."""
+
+    def pass_recorded(self) -> None:
+        """Called at the end of a pass, while its recorder is still there."""
+
+    def tell(self, sentence: str) -> None:
+        """What the user should know while the run goes on."""
+        print(f"kr270_milling: {sentence}", file=sys.stderr)
 
 
 class AlreadyRunning(MillingError):
@@ -74,3 +94,55 @@ class Watchdog:
             if silent > QUIET and name not in self._quiet:
                 self._tell(f"{name}: has not been heard of for {QUIET:g} s; waiting")
             (self._quiet.add if silent > QUIET else self._quiet.discard)(name)
+
+
+#: (publisher, topic) -> subscribers without which a pass is worth nothing
+NEEDED = {
+    (ROBOT, "tool_pose"): {CUT, COMPENSATOR, RECORDER},
+    (ROBOT, "deflection"): {RECORDER},
+    (ROBOT, "joint_states"): {RECORDER},
+    (ROBOT, "robot_description"): {RECORDER},
+    (ROBOT, "clock"): {RECORDER},
+    (CUT, "wrench"): {ROBOT, COMPENSATOR, RECORDER},
+    (CUT, "workpiece"): {RECORDER},
+    (COMPENSATOR, "reference_trajectory"): {ROBOT, CUT, RECORDER},
+    (COMPENSATOR, "joint_trajectory"): {RECORDER},
+    (COMPENSATOR, "target_path"): {RECORDER},
+    (COMPENSATOR, "reference_path"): {RECORDER},
+}
+
+
+def unmatched(driver: Driver, recorded: bool) -> str:
+    """What is not matched yet, in a few words; empty when a pass may start.
+
+    recorded: whether the recorder must be there; if not, it must be gone, so that the next one is not mistaken for it.
+    """
+    for (publisher, topic), subscribers in NEEDED.items():
+        wanted = subscribers if recorded else subscribers - {RECORDER}
+        if problem := _unmatched(driver, driver.name_of(topic), publisher, wanted, recorded):
+            return problem
+    return ""
+
+
+def _unmatched(driver: Driver, topic: str, publisher: str, wanted: set[str], recorded: bool) -> str:
+    publishers, subscriptions = driver.ends(topic)
+    ours = _of_graph(driver, publishers).get(publisher)
+    there = _of_graph(driver, subscriptions)
+    if ours is None:
+        return f"{publisher} does not publish {topic}"
+    if wanted - set(there):
+        return f"{topic} is not heard by {', '.join(sorted(wanted - set(there)))}"
+    if not recorded and RECORDER in there:
+        return f"the last recorder still listens to {topic}"
+    expected = sum(compatible(ours, s) for s in subscriptions)
+    if driver.counts(publisher, "listeners").get(topic, -1) != expected:
+        return f"{publisher} has not found every listener of {topic}"
+    for node in wanted:
+        if driver.counts(node, "heard").get(topic, -1) != sum(compatible(p, there[node]) for p in publishers):
+            return f"{node} has not found every publisher of {topic}"
+    return ""
+
+
+def _of_graph(driver: Driver, ends) -> dict[str, object]:
+    """The ends that belong to nodes of this namespace, by node."""
+    return {end.node_name: end for end in ends if end.node_namespace == driver.namespace}

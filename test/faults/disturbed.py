@@ -13,9 +13,8 @@ from typing import NamedTuple
 from faults.clock import SteppedClock
 from kr270_milling.cell.cell import Cell
 from kr270_milling.graph.graph import Graph
-from kr270_milling.graph.hooks import Hooks
-from kr270_milling.graph.matching import ROBOT
 from kr270_milling.graph.processes import Child
+from kr270_milling.graph.watchdog import ROBOT, Hooks
 from kr270_milling.ros.litter import remove_litter
 
 __all__ = ["Disturbed", "Told"]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from faults.disturbed import Disturbed
 from kr270_milling.bag.reader import find_file
 from kr270_milling.graph.graph import CELL, PLANNER
-from kr270_milling.graph.matching import COMPENSATOR, CUT, RECORDER, ROBOT
+from kr270_milling.graph.watchdog import COMPENSATOR, CUT, RECORDER, ROBOT
 
 __all__ = ["ENDS", "FAULTS", "GOES_ON", "Fault"]
 

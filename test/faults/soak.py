@@ -15,8 +15,8 @@ from faults.footprint import Footprint, footprint, slope
 from faults.rows import fault_cell
 from kr270_milling.bag.reader import Recording
 from kr270_milling.graph.graph import Graph
-from kr270_milling.graph.hooks import Hooks
 from kr270_milling.graph.processes import RunError
+from kr270_milling.graph.watchdog import Hooks
 from kr270_milling.ros.environment import child_environment
 
 __all__ = ["COLUMNS", "Growth", "run_soak"]

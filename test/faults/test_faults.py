@@ -28,9 +28,8 @@ from faults.soak import Growth
 from faults.trial import Trial, judge_words
 from kr270_milling.graph import graph, watchdog
 from kr270_milling.graph.graph import Graph
-from kr270_milling.graph.matching import RECORDER
 from kr270_milling.graph.processes import Child, RunError
-from kr270_milling.graph.watchdog import LOST, QUIET, Watchdog
+from kr270_milling.graph.watchdog import LOST, QUIET, RECORDER, Watchdog
 from kr270_milling.ros.drain import as_available, in_order
 
 PACKAGE = Path(__file__).resolve().parents[2] / "kr270_milling"

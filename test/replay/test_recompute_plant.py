@@ -9,7 +9,7 @@ import pytest
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.cell.plant import Plant
-from kr270_milling.graph.arguments import cell_text
+from kr270_milling.graph.processes import cell_text
 from kr270_milling.replay.recompute import recompute
 from kr270_milling.replay.recorded import pass_from_recording
 
@@ -69,7 +69,7 @@ def test_the_random_numbers_of_another_pass_are_a_difference(recordings, plant, 
 
 def test_a_run_attaches_the_plant_with_the_number_of_the_pass(plant, tmp_path):
     pytest.importorskip("rclpy")
-    from kr270_milling.graph.arguments import recording_parameters
+    from kr270_milling.graph.processes import recording_parameters
 
     (tmp_path / "log").mkdir()
     attached = recording_parameters(made.cell_of("learned"), tmp_path, "learned_2", plant)["attach"]

@@ -7,7 +7,7 @@ import yaml
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import Record, specs
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.graph.arguments import cell_text, write_cell
+from kr270_milling.graph.processes import cell_text, write_cell
 
 
 def values(record: Record) -> list:

@@ -9,7 +9,7 @@ from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.graph.arguments import cell_text
+from kr270_milling.graph.processes import cell_text
 from kr270_milling.simulation.arm_model import MeasuredModes, arm_model, measured_model
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.simulation.milling_pass import CompliantArm
