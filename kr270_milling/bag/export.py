@@ -25,7 +25,7 @@ from kr270_milling.messages.definitions import plain
 from kr270_milling.messages.series import FIXED, stamped
 from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
 
-__all__ = ["Exported", "export_csv", "export_parquet", "rows"]
+__all__ = ["Exported", "export", "rows"]
 
 MAX_FILES = 100  # of one topic; a new one begins where the columns change
 ROWS, TEXT_BYTES = 1024, 1024 * 1024  # that are written to Parquet at once
@@ -50,24 +50,15 @@ class Exported:
     refused: dict[str, str] = field(default_factory=dict)  #: topic -> sentence
 
 
-def export_csv(
-    recording: Recording, directory, topics: Collection[str] | None = None, progress: Callable | None = None
-) -> Exported:
-    """Write a CSV file per topic into a directory; progress(messages done, of all). A topic that cannot be read is
-    named in the result, and the others are written. Raises RecordingError for an unknown topic and a full disk."""
-    return _export(recording, directory, topics, progress, _write_csv, "csv")
-
-
-def export_parquet(
-    recording: Recording, directory, topics: Collection[str] | None = None, progress: Callable | None = None
-) -> Exported:
-    """The same as Parquet; raises RecordingError where pyarrow is not installed."""
-    if importlib.util.find_spec("pyarrow") is None:
+def export(
+    recording: Recording, directory, topics: Collection[str] | None = None, progress: Callable | None = None,
+    kind: str = "csv",
+) -> Exported:  # fmt: skip
+    """Write a file per topic into a directory; progress(messages done, of all); kind: "csv" or "parquet". A topic that
+    cannot be read is named in the result, and the others are written. Raises RecordingError for an unknown topic, a
+    full disk, and where pyarrow is not installed."""
+    if kind == "parquet" and importlib.util.find_spec("pyarrow") is None:
         raise RecordingError(directory, "Parquet needs the package pyarrow, which is not installed")
-    return _export(recording, directory, topics, progress, _write_parquet, "parquet")
-
-
-def _export(recording: Recording, directory, topics, progress, write: Callable, suffix: str) -> Exported:
     known = recording.topics()
     missing = sorted(set(topics or ()) - set(known))
     if missing:
@@ -77,7 +68,7 @@ def _export(recording: Recording, directory, topics, progress, write: Callable, 
         Path(directory).mkdir(parents=True, exist_ok=True)
         for topic, about in known.items():
             if about.count and (topics is None or topic in topics):
-                _export_topic(recording, topic, Path(directory), write, suffix, result)
+                _export_topic(recording, topic, Path(directory), kind, result)
             done += about.count
             if progress:
                 progress(done, recording.count)
@@ -88,7 +79,7 @@ def _export(recording: Recording, directory, topics, progress, write: Callable, 
     return result
 
 
-def _export_topic(recording: Recording, topic: str, directory: Path, write, suffix: str, result: Exported) -> None:
+def _export_topic(recording: Recording, topic: str, directory: Path, kind: str, result: Exported) -> None:
     """A topic's files: one, and a further one each time the columns change. They appear when all are written."""
     files: list[Path] = []
     try:
@@ -96,9 +87,9 @@ def _export_topic(recording: Recording, topic: str, directory: Path, write, suff
             for columns, alike in itertools.groupby(rows(recording, topic), key=operator.itemgetter(0)):
                 if len(files) == MAX_FILES:
                     raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
-                files.append(_free_path(directory, topic, suffix, [*result.files, *files]))
+                files.append(_free_path(directory, topic, kind, [*result.files, *files]))
                 with open(draft / files[-1].name, "xb") as stream:
-                    write(stream, columns, (cells for _, cells in alike))
+                    WRITERS[kind](stream, columns, (cells for _, cells in alike))
     except RecordingError as error:
         result.refused[topic] = str(error)
     else:
@@ -131,6 +122,9 @@ def _write_parquet(stream, columns: list[str], rows: Iterable[list]) -> None:
             group = pyarrow.table(dict(zip(columns, map(list, zip(*table, strict=True)), strict=True)), schema=schema)
             writer = writer or stack.enter_context(pyarrow.parquet.ParquetWriter(stream, group.schema))
             writer.write_table(group)
+
+
+WRITERS: dict[str, Callable] = {"csv": _write_csv, "parquet": _write_parquet}
 
 
 def _tables(rows: Iterable[list]) -> Iterator[list[list]]:

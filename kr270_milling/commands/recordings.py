@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.bag import info as bag_info
-from kr270_milling.bag.export import export_csv, export_parquet
+from kr270_milling.bag.export import export as export_files
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.recover import recover as recover_file
 from kr270_milling.bag.verify import findings
@@ -44,9 +44,9 @@ def export(args) -> Answer:
     files: list[Path] = []
     refused: dict[str, str] = {}
     with progress("exporting") as report, Recording(args.file, report) as recording:
-        for directory, write in ((args.csv, export_csv), (args.parquet, export_parquet)):
+        for directory, kind in ((args.csv, "csv"), (args.parquet, "parquet")):
             if directory:
-                written = write(recording, directory, args.topics, report)
+                written = export_files(recording, directory, args.topics, report, kind)
                 files += written.files
                 refused |= written.refused
         last = recording.last_log_time

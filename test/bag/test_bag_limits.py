@@ -11,7 +11,7 @@ from mcap.writer import IndexType, Writer
 from test_bag_unpack import BEGIN, chunk_record
 from test_recording_reader import poses, write_mcap
 
-from kr270_milling.bag.export import export_csv
+from kr270_milling.bag.export import export
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.series import series
@@ -61,7 +61,7 @@ def test_a_message_that_unfolds_into_millions_of_objects_is_not_decoded_and_its_
             writer.add_message(writer.register_channel(name, "cdr", schema), 0, payload, 0)
         writer.finish()
     with Recording(tmp_path / "a.mcap") as recording:
-        found = export_csv(recording, tmp_path / "csv")
+        found = export(recording, tmp_path / "csv")
     assert "more than 4194304 to be decoded" in found.refused["/many"]
     assert [file.name for file in found.files] == ["few.csv"]
 

@@ -10,7 +10,7 @@ from mcap.writer import IndexType, Writer
 from test_recording_reader import write_mcap
 
 from kr270_milling.bag import chunks
-from kr270_milling.bag.export import export_csv
+from kr270_milling.bag.export import export
 from kr270_milling.bag.info import info
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.recover import recover
@@ -75,7 +75,7 @@ def read_all(path, directory) -> None:
         info(recording)
         if recording.topics().get("/tool_pose"):
             series(recording, "/tool_pose")
-        for sentence in export_csv(recording, directory).refused.values():
+        for sentence in export(recording, directory).refused.values():
             raise RecordingError(path, sentence)
 
 

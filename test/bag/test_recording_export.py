@@ -25,8 +25,8 @@ from test_recording_samples import (
     time,
 )
 
-from kr270_milling.bag import export
-from kr270_milling.bag.export import export_csv, export_parquet
+from kr270_milling.bag import export as module
+from kr270_milling.bag.export import export
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import RecordingError
@@ -43,7 +43,7 @@ def tables(tmp_path_factory):
     directory = tmp_path_factory.mktemp("export")
     record(directory / "a", 5)
     with Recording(directory / "a") as recording:
-        files = export_csv(recording, directory / "csv").files
+        files = export(recording, directory / "csv").files
     return {file.stem: rows(file) for file in files}
 
 
@@ -85,7 +85,7 @@ def test_a_new_file_begins_where_the_joints_change(tmp_path):
         for i, names in enumerate([["a", "b"], ["a", "b"], ["c"]]):
             writer.write("/joint_states", raw(joints(i, [1.0] * len(names), names=names)), 0)
     with Recording(tmp_path / "a") as recording:
-        files = export_csv(recording, tmp_path / "csv").files
+        files = export(recording, tmp_path / "csv").files
     assert [f.name for f in files] == ["joint_states.csv", "joint_states_2.csv"]
     assert [len(rows(f)) for f in files] == [2, 1]
 
@@ -93,9 +93,9 @@ def test_a_new_file_begins_where_the_joints_change(tmp_path):
 def test_topics_can_be_chosen_and_unknown_ones_are_told(tmp_path):
     record(tmp_path / "a", 2)
     with Recording(tmp_path / "a") as recording:
-        assert [f.name for f in export_csv(recording, tmp_path / "csv", ["/wrench"]).files] == ["wrench.csv"]
+        assert [f.name for f in export(recording, tmp_path / "csv", ["/wrench"]).files] == ["wrench.csv"]
         with pytest.raises(RecordingError, match="/wrnch"):
-            export_csv(recording, tmp_path / "csv", ["/wrnch"])
+            export(recording, tmp_path / "csv", ["/wrnch"])
 
 
 def test_names_of_topics_do_not_lead_out_of_the_directory_and_do_not_collide(tmp_path):
@@ -108,7 +108,7 @@ def test_names_of_topics_do_not_lead_out_of_the_directory_and_do_not_collide(tmp
             writer.add_topic(topic, POSE)
             writer.write(topic, raw(pose(0, np.zeros(7))), 0)
     with Recording(tmp_path / "a") as recording:
-        files = export_csv(recording, tmp_path / "csv").files
+        files = export(recording, tmp_path / "csv").files
     assert sorted(f.name for f in files) == ["a_b.csv", "a_b_2.csv", "unnamed.csv", "victim.csv", "ä_b.csv"]
     assert all(f.parent == tmp_path / "csv" and len(rows(f)) == 1 for f in files)
     assert victim.read_text() == "mine"
@@ -127,7 +127,7 @@ def test_a_topic_that_cannot_be_decoded_is_named_and_the_others_are_written(tmp_
             writer.add_message(broken, 3, raw(make(TEXT, "x")) if step < 2 else b"\0\1\0\0\xff\xff\xff\xff", 3)
         writer.finish()
     with Recording(tmp_path / "a.mcap") as recording:
-        found = export_csv(recording, tmp_path / "csv")
+        found = export(recording, tmp_path / "csv")
     assert [file.name for file in found.files] == ["text.csv"] and len(rows(found.files[0])) == 3
     assert "only cdr with ros2msg" in found.refused["/thing"]
     assert "a message on /broken is not a std_msgs/msg/String" in found.refused["/broken"]
@@ -141,7 +141,7 @@ def test_progress_reaches_the_end(tmp_path):
     record(tmp_path / "a", 2)
     seen = []
     with Recording(tmp_path / "a") as recording:
-        export_csv(recording, tmp_path / "csv", progress=lambda *at: seen.append(at))
+        export(recording, tmp_path / "csv", progress=lambda *at: seen.append(at))
     assert seen[-1] == (20, 20)
 
 
@@ -150,11 +150,11 @@ def test_parquet_is_written_where_pyarrow_is_and_else_told(tmp_path):
     with Recording(tmp_path / "a") as recording:
         if importlib.util.find_spec("pyarrow") is None:
             with pytest.raises(RecordingError, match="pyarrow"):
-                export_parquet(recording, tmp_path / "parquet")
+                export(recording, tmp_path / "parquet", kind="parquet")
             return
         import pyarrow.parquet
 
-        files = export_parquet(recording, tmp_path / "parquet").files
+        files = export(recording, tmp_path / "parquet", kind="parquet").files
     table = pyarrow.parquet.read_table(next(f for f in files if f.stem == "tool_pose"))
     assert table["position_y_m"].to_pylist() == [step + 0.1 for step in range(5)]
 
@@ -162,12 +162,12 @@ def test_parquet_is_written_where_pyarrow_is_and_else_told(tmp_path):
 EXPORT = """
 import resource, sys
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.bag.export import export_csv
+from kr270_milling.bag.export import export
 from kr270_milling.bag.reader import Recording
 with Recording(sys.argv[1]) as recording:
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
     try:
-        export_csv(recording, sys.argv[2])
+        export(recording, sys.argv[2])
     except RecordingError as error:
         print(error)
 """
@@ -196,5 +196,5 @@ def test_large_messages_of_any_type_are_not_gathered_by_the_thousand(tmp_path):
         for _ in range(count):
             writer.write("/workpiece", data, 0)
     with Recording(tmp_path / "a") as recording:
-        found = [len(table) for table in export._tables(row for _, row in export.rows(recording, "/workpiece"))]
+        found = [len(table) for table in module._tables(row for _, row in module.rows(recording, "/workpiece"))]
     assert sum(found) == count and 1 < max(found) < 10  # 1 MB of text

@@ -9,7 +9,7 @@ import pytest
 from player_listener import options
 from test_recording_samples import DIAGNOSTICS, PERIOD, POSE, TEXT, WRENCH, header, make, pose, raw, record, wrench
 
-from kr270_milling.bag.export import export_csv
+from kr270_milling.bag.export import export
 from kr270_milling.bag.info import info
 from kr270_milling.bag.playback import opening, parts, passage, span
 from kr270_milling.bag.reader import Recording
@@ -77,7 +77,7 @@ def test_a_text_of_the_second_pass_has_the_time_of_the_second_pass(tmp_path):
 def test_series_and_tables_hold_one_pass_after_the_other(tmp_path):
     with write(tmp_path / "a") as recording:
         assert series(recording, "/wrench").values[:, 0].tolist() == list(range(2 * STEPS))
-        (file,) = export_csv(recording, tmp_path / "csv", ["/said"]).files
+        (file,) = export(recording, tmp_path / "csv", ["/said"]).files
     with open(file, newline="") as stream:
         assert [row["data"] for row in csv.DictReader(stream)] == ["pass 0", "pass 1"]
 

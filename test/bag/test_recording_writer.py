@@ -15,7 +15,7 @@ import yaml
 from test_recording_samples import PERIOD, POSE, TEXT, make, pose, raw, record
 
 from kr270_milling import __version__
-from kr270_milling.bag.export import export_csv
+from kr270_milling.bag.export import export
 from kr270_milling.bag.info import info
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.recover import recover
@@ -196,7 +196,7 @@ def test_a_killed_writer_loses_less_than_a_second_and_the_rest_is_read_exported_
         assert messages[-1].data == raw(pose((len(messages) - 1) * 200_000, np.arange(7) + len(messages) - 1))
         assert recording.last_log_time == messages[-1].log_time
         assert info(recording)["cut_off"] and info(recording)["missing"] == 0
-        [table] = export_csv(recording, tmp_path / "csv").files
+        [table] = export(recording, tmp_path / "csv").files
     assert len(table.read_text().splitlines()) == len(messages) + 1
     result = recover(tmp_path / "a")
     assert result.messages == len(messages) and not result.whole and result.attachments == ["cell.yaml"]
