@@ -35,6 +35,10 @@ class Chunk(NamedTuple):
     last_time: int
     unpacked: int  # [bytes]
 
+    @property
+    def end(self) -> int:
+        return self.offset + self.size
+
     @classmethod
     def of(cls, part: Part) -> Chunk:
         """What a chunk says of itself, without its messages. Raises Damage."""

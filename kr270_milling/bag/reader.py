@@ -209,7 +209,7 @@ class Recording:
         for chunk in self.chunks:
             self.counts += self._defined_in(chunk).counts
             if progress:
-                progress(chunk.offset + chunk.size, self.size)
+                progress(chunk.end, self.size)
 
     def _defined_in(self, chunk: Chunk):
         """The messages of a chunk, after its definitions were taken."""

@@ -13,7 +13,7 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from kr270_milling.bag.chunks import Chunk
-from kr270_milling.bag.reader import Recording, find_file
+from kr270_milling.bag.reader import Attachment, Recording, find_file
 from kr270_milling.bag.structure import MAGIC, Damage, Part, exactly, next_chunk, parts
 from kr270_milling.bag.verify import findings
 from kr270_milling.bag.writer import BagWriter, MessageRefused
@@ -118,7 +118,8 @@ class Salvage(Recording):
         except Damage as damage:
             self.dropped.append(f"the summary: {damage.reason}")
         self._walk()
-        self.chunks = [chunk for chunk in self.chunks if self._is_whole(chunk)]
+        self.attachments = [about for about in self.attachments if self._can_be_read(about, self.attached)]
+        self.chunks = [chunk for chunk in self.chunks if self._can_be_read(chunk, self._defined_in)]
         if self.profile is None and not (self.chunks or self.attachments or self._metadata):
             raise Damage("nothing in it can be recovered", 0)
 
@@ -136,14 +137,14 @@ class Salvage(Recording):
                 except Damage as damage:
                     if part.type not in KNOWN or part.type in HOLDING:
                         break  # its length may be wrong too, so that nobody knows where the next one begins
-                    self._drop(part.offset, part.end, damage.reason)
+                    self.drop(part.offset, part.end, damage.reason)
                 end = part.end
                 if part.type == Opcode.DATA_END:
                     self._ended = True
                     return
             begin = next_chunk(self.stream, end + 1, self.size)
             if end < self.size:
-                self._drop(end, begin, f"no whole record up to byte {begin}")
+                self.drop(end, begin, f"no whole record up to byte {begin}")
 
     def _take(self, part: Part) -> None:
         if part.type not in KNOWN and part.type < PRIVATE:
@@ -151,22 +152,17 @@ class Salvage(Recording):
         index = part.type == Opcode.MESSAGE_INDEX
         if index and int.from_bytes(part.data[11:15], "little") + 15 != len(part.data):
             raise Damage("an index of messages has an impossible length", part.offset)
-        if part.type == Opcode.ATTACHMENT:
-            part.attached()
         super()._take(part)
 
-    def _is_whole(self, chunk: Chunk) -> bool:
+    def _can_be_read(self, place: Attachment | Chunk, read: Callable) -> bool:
         try:
-            self._defined_in(chunk)
+            read(place)
         except Damage as damage:
-            self.drop(chunk, damage)
+            self.drop(place.offset, place.end, damage.reason)
             return False
         return True
 
-    def drop(self, chunk: Chunk, damage: Damage) -> None:
-        self._drop(chunk.offset, chunk.offset + chunk.size, damage.reason)
-
-    def _drop(self, begin: int, end: int, reason: str) -> None:
+    def drop(self, begin: int, end: int, reason: str) -> None:
         self.lost_bytes += end - begin
         self.dropped.append(f"{end - begin} bytes at byte {begin}: {reason}")
 
@@ -195,7 +191,7 @@ def _copy(source: Salvage, writer: BagWriter, progress: Callable[[int, int], Non
             found = source.unpack(chunk)
             source.unpack.spend(WRITE * len(found), chunk.offset)
         except Damage as damage:
-            source.drop(chunk, damage)
+            source.drop(chunk.offset, chunk.end, damage.reason)
             continue
         for entry in found:
             if entry.channel not in numbers:
@@ -206,6 +202,6 @@ def _copy(source: Salvage, writer: BagWriter, progress: Callable[[int, int], Non
             except MessageRefused as refused:
                 lost[f"that {refused.reason}"] += 1
         if progress:
-            progress(chunk.offset + chunk.size, source.size)
+            progress(chunk.end, source.size)
     source.dropped += [f"{count} messages {reason}" for reason, count in lost.items()]
     writer.add_metadata("recovered", {"source": source.path.name, "dropped": "\n".join(source.dropped) or "nothing"})

@@ -38,7 +38,7 @@ class _Check:
         self.recording, self.stream = recording, recording.stream
         self.found: list[str] = []
         self.counts: Counter[int] = Counter()
-        self.indexes: dict[int, ChunkIndex] = {}  # chunk -> what the summary must say of it
+        self.indexes: dict[int, ChunkIndex | None] = {}  # chunk -> what the summary must say of it; None: damaged
 
     def guard(self, call: Callable, *args) -> None:
         """A call whose damage becomes one more sentence."""
@@ -54,7 +54,7 @@ class _Check:
         for chunk in recording.chunks:
             self.guard(self._check_chunk, chunk)
             if progress:
-                progress(chunk.offset + chunk.size, recording.size)
+                progress(chunk.end, recording.size)
         if recording.cut_off:
             self.found.insert(0, "it is cut off: its writer did not finish it")
             return
@@ -68,6 +68,8 @@ class _Check:
 
     def _check_chunk(self, chunk: Chunk) -> None:
         """Its messages, and the indexes of them that follow it."""
+        if chunk.type == Opcode.CHUNK:
+            self.indexes[chunk.offset] = None
         found = self.recording.unpack(chunk)
         self.counts += found.counts
         unknown = set(found.counts) - set(self.recording.channels)
@@ -75,7 +77,7 @@ class _Check:
             raise Damage(f"messages belong to channel {min(unknown)}, which is not defined", chunk.offset)
         if chunk.type != Opcode.CHUNK:
             return
-        offsets, behind = {}, chunk.offset + chunk.size
+        offsets, behind = {}, chunk.end
         channels, lacking = np.array(found.channels), set(found.counts)
         rows = np.stack([np.array(found.times), np.array(found.places, np.uint64)], axis=1)
         for part in parts(self.stream, behind, self.recording.data_end):
@@ -88,7 +90,7 @@ class _Check:
             lacking.discard(channel)
         if offsets and lacking:
             raise Damage(f"a chunk has no index for channel {min(lacking)}", chunk.offset)
-        (part,) = parts(self.stream, chunk.offset, chunk.offset + chunk.size)
+        (part,) = parts(self.stream, chunk.offset, chunk.end)
         record = part.record()
         self.indexes[chunk.offset] = ChunkIndex(
             chunk_length=chunk.size,
@@ -96,7 +98,7 @@ class _Check:
             compression=record.compression,
             compressed_size=len(record.data),
             message_end_time=chunk.last_time,
-            message_index_length=behind - chunk.offset - chunk.size,
+            message_index_length=behind - chunk.end,
             message_index_offsets=offsets,
             message_start_time=chunk.first_time,
             uncompressed_size=chunk.unpacked,
@@ -105,9 +107,11 @@ class _Check:
     def _check_summary(self, part: Part, behind: int) -> None:
         """The index of a chunk, against what is there, and the footer; behind: where the summary begins."""
         at = self.recording.size - FOOTER_SIZE
-        if part.type == Opcode.CHUNK_INDEX and part.record() != self.indexes.get(part.record().chunk_start_offset):
-            raise Damage("the index of chunks says another thing than the chunk", part.offset)
-        if part.offset == at and part.record().summary_start != (0 if behind == at else behind):
+        if part.type == Opcode.CHUNK_INDEX:
+            index = part.record()
+            if self.indexes.get(index.chunk_start_offset, ()) not in (None, index):
+                raise Damage("the index of chunks says another thing than the chunk", part.offset)
+        elif part.offset == at and part.record().summary_start != (0 if behind == at else behind):
             raise Damage("the footer does not point to the end of the data", at)
 
 

@@ -117,3 +117,15 @@ def test_metadata_beside_the_file_that_counts_other_messages_is_told(whole, tmp_
         (tmp_path / "metadata.yaml").write_bytes(text)
         with Recording(tmp_path) as recording:
             assert told in findings(recording)[0]
+
+
+def test_a_damaged_attachment_costs_only_itself(tmp_path):
+    attached = {f"{name}.yaml": f"{name}: 1\n" * 9 for name in "abc"}
+    written = record(tmp_path / "r", 5, topics=["/tool_pose"], attachments=attached)
+    (file,) = (tmp_path / "r").glob("*.mcap")
+    damaged = bytearray(file.read_bytes())
+    damaged[places(damaged)["attachment"][1][1] - 10] ^= 4
+    file.write_bytes(damaged)
+    found = recover(tmp_path / "r")
+    assert found.attachments == ["a.yaml", "c.yaml"] and found.messages == len(written)
+    assert "attachment b.yaml" in found.dropped[0]
