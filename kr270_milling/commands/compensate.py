@@ -44,7 +44,7 @@ def run(args) -> Answer:
     with staged(args.out) as (draft, final):
         motion = "LIN" if "LIN" in motions else motions[0]  # these are blended
         done = compensate(cell, method, plant=plant, motion=motion, verdict=_order(args), progress=progress)
-        if not (done.verdict or args.no_verdict):
+        if not (done.decision.verdict or args.no_verdict):
             print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
         found = _found(cell, done)
         found |= _write(draft, final, cell, done, motions, args, source)
@@ -76,7 +76,7 @@ def _found(cell, done) -> dict:
     found |= _correction(cell, revised, done.by)
     found["features"] = {part.name: part.table() for part in done.parts}
     found["check"] = done.checked.as_dict()
-    found["verdict"] = done.verdict and done.verdict.as_dict()
+    found["verdict"] = done.decision.verdict and done.decision.verdict.as_dict()
     found["decision"] = done.decision.as_dict()
     return found
 

@@ -13,8 +13,8 @@ from kr270_milling.cell import jobs
 from kr270_milling.commands.console import Answer, cell_of, joints_text, plant_of, table_of
 from kr270_milling.commands.progress import progress
 from kr270_milling.decision import check as decision
+from kr270_milling.decision.check_cut import stability_of
 from kr270_milling.decision.part import assess, write_part
-from kr270_milling.decision.stability import stability_of
 from kr270_milling.decision.tolerance import judge
 from kr270_milling.report.series import write_series
 from kr270_milling.trajectory.trajectory_csv import read_csv

@@ -10,10 +10,9 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
-from kr270_milling.decision.check_cut import cut_violations
+from kr270_milling.decision.check_cut import Stability, cut_violations, stability_of
 from kr270_milling.decision.findings import SEVERITIES, Finding, Violation, gathered, violation
 from kr270_milling.decision.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
-from kr270_milling.decision.stability import Stability, stability_of
 from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 from kr270_milling.simulation.milling_pass import FLIGHT, PassError
 from kr270_milling.trajectory.source_program import SourceProgram

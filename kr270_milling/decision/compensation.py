@@ -12,13 +12,13 @@ from kr270_milling.cell.plant import Plant
 from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.revision import Limited
 from kr270_milling.decision.check import Checked, check
-from kr270_milling.decision.findings import Violation, violation
+from kr270_milling.decision.findings import violation
 from kr270_milling.decision.part.assessment import PartAssessment, assess_all
 from kr270_milling.decision.tolerance import Judgement, judge
 from kr270_milling.decision.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, monte_carlo
 
 __all__ = [
-    "BUDGET", "NO_METHOD", "USUAL_BUDGET", "Compensation", "Decision", "VerdictOrder", "compensate", "decide",
+    "BUDGET", "NO_METHOD", "USUAL_BUDGET", "Compensation", "Decision", "VerdictOrder", "compensate",
     "limit_sentence",
 ]  # fmt: skip
 
@@ -57,24 +57,6 @@ class Decision:
         }
 
 
-def decide(
-    cell: Cell,
-    original: ScoredPass,
-    revised: ScoredPass,
-    parts: tuple[PartAssessment, ...],
-    checked: Checked,
-    verdict: Verdict | None = None,
-) -> Decision:
-    """parts: assessments of both passes, empty for a straight cut; checked: of the revised path.
-
-    Without a verdict the method of the revised pass is recommended where it makes the part better.
-    """
-    before, after = map(lambda ran, part: judge(cell, ran, part), (original, revised), parts or (None, None))
-    better = revised.name if after.error < before.error else NO_METHOD
-    recommended = verdict.recommended if verdict else better
-    return Decision(before, after, checked.may_be_run, checked.count("warning"), recommended, verdict)
-
-
 BUDGET = 300.0  #: [s], of a verdict that is asked for; beyond it fewer plants are run
 USUAL_BUDGET = 50.0  #: [s], of one that nobody asks for; where 8 plants take longer it is left out
 LONGEST_PASS = USUAL_BUDGET / 2  #: [s]; after a longer one not even a first plant is tried
@@ -100,7 +82,6 @@ class Compensation:
     by: Compensator
     parts: tuple[PartAssessment, ...]  #: of both passes along a tool path
     checked: Checked  #: of the revised path
-    verdict: Verdict | None
     decision: Decision
 
 
@@ -126,11 +107,19 @@ def compensate(
         revised = compensated(cell, original, method, report, by, plant)
     with progress("surfaces"):
         parts = assess_all(cell, (original, revised)) if cell.path.file else ()
-    checked = check(cell, revised.reference, motion, ran=revised, more=(_limited(part, by) for part in by.limited))
+    limited = [
+        violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, said=limit_sentence(p, by))
+        for p in by.limited
+    ]
+    checked = check(cell, revised.reference, motion, ran=revised, more=limited)
     with progress("verdict") as report:
         judged = _verdict(cell, original, revised, verdict, report) if verdict else None
-    decision = decide(cell, original, revised, parts, checked, judged)
-    return Compensation(original, revised, by, parts, checked, judged, decision)
+    before, after = map(lambda ran, part: judge(cell, ran, part), (original, revised), parts or (None, None))
+    recommended = revised.name if after.error < before.error else NO_METHOD
+    if judged:
+        recommended = judged.recommended
+    decision = Decision(before, after, checked.may_be_run, checked.count("warning"), recommended, judged)
+    return Compensation(original, revised, by, parts, checked, decision)
 
 
 def _verdict(cell: Cell, original: ScoredPass, revised: ScoredPass, order: VerdictOrder, report) -> Verdict | None:
@@ -142,11 +131,6 @@ def _verdict(cell: Cell, original: ScoredPass, revised: ScoredPass, order: Verdi
         cell, revised.reference, order.samples, order.seed, budget=BUDGET if order.asked_for else USUAL_BUDGET,
         give_up=not order.asked_for, progress=report, estimate=order.estimate, method=revised.name, others=others,
     )  # fmt: skip
-
-
-def _limited(part: Limited, by: Compensator) -> Violation:
-    said = limit_sentence(part, by)
-    return violation("correction limited", part.wanted, part.wanted - part.missing, part.worst, said=said)
 
 
 def limit_sentence(part: Limited, by: Compensator) -> str:

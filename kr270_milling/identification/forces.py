@@ -27,7 +27,7 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import specs
 from kr270_milling.base.table import read_table
 from kr270_milling.cutting.laws import KLIMCHIK2012, FractionalLaw, LinearEdgeLaw, fractional
-from kr270_milling.decision.samples import AXIAL, SCATTERED
+from kr270_milling.decision.verdict import AXIAL, SCATTERED
 from kr270_milling.identification.cuts import Cuts
 from kr270_milling.identification.intervals import MixedUpError, half_interval, scatter, solve
 from kr270_milling.identification.outcome import Outcome, points

@@ -11,7 +11,7 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.decision.check import check
-from kr270_milling.decision.stability import stability_of
+from kr270_milling.decision.check_cut import stability_of
 from kr270_milling.studies.lobes import lobes
 
 #: an arm that chatters: one light mode across the feed

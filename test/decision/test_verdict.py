@@ -12,7 +12,6 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, compensator, expected_deviations, record_of, simulate
 from kr270_milling.compensation.compensator import remaining_error
-from kr270_milling.decision.samples import coarser, deviations, perturbed, run_sample
 from kr270_milling.decision.verdict import (
     HELPS,
     INDIFFERENT,
@@ -20,8 +19,12 @@ from kr270_milling.decision.verdict import (
     UNTRUSTED,
     Verdict,
     alternatives,
+    coarser,
+    deviations,
     judge,
     monte_carlo,
+    perturbed,
+    run_sample,
 )  # fmt: skip
 
 SHORT = ("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")
