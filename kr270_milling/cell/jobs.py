@@ -68,16 +68,11 @@ def simulate(
 def scored(cell: Cell, result: PassResult, low_frequency: float | None = None) -> Scores:
     """Against the path of the cell; low_frequency [Hz]: of the arm that ran, where that is another one."""
     feed = cell.target().sample_velocity(result.time_ns)
+    lowest = cell.low_frequency if low_frequency is None else low_frequency
     return score(
-        result.time,
-        result.actual,
-        result.target,
-        feed,
-        cell.full_engagement,
-        cell.low_frequency if low_frequency is None else low_frequency,
-        result.deflection[:, 1],
+        result.time, result.actual, result.target, feed, cell.full_engagement, lowest, result.deflection[:, 1],
         straight=not cell.path.file,
-    )
+    )  # fmt: skip
 
 
 def record_of(cell: Cell, ran: ScoredPass | PassResult) -> PassRecord:

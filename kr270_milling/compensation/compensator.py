@@ -14,9 +14,10 @@ from kr270_milling.base.record import Record, parameter
 from kr270_milling.compensation.arm_fit import Identified
 from kr270_milling.compensation.learning import Learner
 from kr270_milling.compensation.lifted import Course
+from kr270_milling.compensation.limiting import Bounds, Limited
 from kr270_milling.compensation.methods import LIFTED, METHODS
 from kr270_milling.compensation.response import ArmResponse
-from kr270_milling.compensation.revision import Limited, PassRecord, corrected, held, revise
+from kr270_milling.compensation.revision import PassRecord, corrected, held, revise
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Compensation", "Compensator", "noise_floor", "remaining_error"]
@@ -181,15 +182,15 @@ class Compensator:
 
     def _revised(self, ran: PassRecord) -> tuple[Trajectory, tuple[Limited, ...]]:
         how, target = self.parameters, self.target
-        limits = dict(max_correction=how.max_correction, max_change=how.max_change_per_tick, tick=how.tick)
+        bounds = Bounds(how.max_correction, how.max_change_per_tick, how.tick)
         if self.learner is not None:
             values, rates = self.learner.correction()
-            return corrected(target, values, "linear" if rates is None else self.method, rates=rates, **limits)
+            return corrected(target, values, "linear" if rates is None else self.method, bounds, rates=rates)
         if self.method == "mirror" and self._mirror is not None:
             modified = self._mirror(target, ran.mean_wrench(target.time_ns))
             shift = modified.position - target.position
-            return corrected(target, shift, "mirror", quaternion=modified.quaternion, **limits)
-        return revise(self.method, target, self.reference, ran, **limits)
+            return corrected(target, shift, "mirror", bounds, quaternion=modified.quaternion)
+        return revise(self.method, target, self.reference, ran, bounds)
 
     def _refuse_worse(self, learner: Learner) -> None:
         """No correction whose predicted error is above that of no compensation."""

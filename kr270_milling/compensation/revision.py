@@ -13,12 +13,12 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import solve_banded
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.compensation.limiting import UNBOUNDED, Bounds, Limited, describe, limit_change
 from kr270_milling.trajectory.trajectory import Trajectory, slerp
 
-__all__ = ["Limited", "PassRecord", "RevisionError", "chord_error", "corrected", "held", "knot_rates", "revise"]
+__all__ = ["PassRecord", "RevisionError", "chord_error", "corrected", "held", "knot_rates", "revise"]
 
 SAME_PLACE = 1e-8  #: [m], between two knots at rest: what rounding in a file moves
-NOTHING = 1e-9  #: [m] less missing of a correction is no limitation
 ROUNDS = 30  #: of tightening the limits at the knots until the spline between them keeps them too
 
 
@@ -75,71 +75,32 @@ class PassRecord:
         return np.column_stack(means)
 
 
-@dataclass(frozen=True)
-class Limited:
-    """Neighbouring knots whose correction was limited; points are counted from 1, as in the robot program."""
-
-    kind: str  #: "size" or "change"
-    first: int  #: point
-    last: int  #: point
-    worst: int  #: point that lost most
-    time: float  #: [s], of the worst one
-    wanted: float  #: [m], size of the correction there
-    missing: float  #: [m], how much of it is not made
-
-    @property
-    def feed_share(self) -> float:
-        """Share of the programmed feed at which the limit would about hold, where the inertia of the arm asks for it.
-
-        A path that is run at the share f accelerates with f^2 and so does the correction c = r'' / omega^2; its change
-        in a tick goes with f^3.
-        """
-        made = max(0.0, 1.0 - self.missing / self.wanted) if self.wanted else 1.0
-        return made ** (1.0 / 2.0 if self.kind == "size" else 1.0 / 3.0)
-
-    @property
-    def sentence(self) -> str:
-        where = f"point {self.first}" if self.first == self.last else f"points {self.first} to {self.last}"
-        why = "is too large" if self.kind == "size" else "changes too fast"
-        return (
-            f"the correction {why} at {where}: {1e3 * self.missing:.4f} of {1e3 * self.wanted:.4f} mm are left out at "
-            f"point {self.worst} ({self.time:.3f} s)"
-        )
-
-
 def revise(
-    method: str,
-    target: Trajectory,
-    reference: Trajectory,
-    ran: PassRecord,
-    **limits: float,
+    method: str, target: Trajectory, reference: Trajectory, ran: PassRecord, bounds: Bounds = UNBOUNDED
 ) -> tuple[Trajectory, tuple[Limited, ...]]:
     """The next reference trajectory after a pass along ``reference``, and where its correction was limited.
 
     method: "linear" (the paper's: sampled displacement, straight lines between the knots) or "spline" (C2 through the
-    same knots). limits: those of ``corrected``.
+    same knots).
     """
     if len(ran.time_ns) < 2 or not np.all(np.isfinite(ran.position)):
         raise RevisionError("a pass of at least two finite tool positions is needed to revise the reference")
     knots = -ran.sampled_displacement(reference, target.time_ns)
-    return corrected(target, knots, method, **limits)
+    return corrected(target, knots, method, bounds)
 
 
 def corrected(
     target: Trajectory,
     correction: np.ndarray,
     method: str,
+    bounds: Bounds = UNBOUNDED,
     *,
     quaternion: np.ndarray | None = None,
     rates: np.ndarray | None = None,
-    max_correction: float = np.inf,
-    max_change: float = np.inf,
-    tick: float = 12e-3,
 ) -> tuple[Trajectory, tuple[Limited, ...]]:
     """The target with corrections (k, 3) [m] of its knots and, if given, orientations (k, 4) that go with them.
 
     rates: slopes (k, 3) [m/s] that the correction has at the knots as long as nothing of it is limited.
-    max_correction [m] bounds the correction, max_change [m] its change within each tick [s] of the controller.
 
     "linear" joins the knots by straight lines, as a controller runs LIN motions: on a curved target these are its
     chords (see ``chord_error``). "mirror" does so where the target does, else it is smooth like the others: the
@@ -158,10 +119,10 @@ def corrected(
 
     wanted = _held(target, given)
     size = np.linalg.norm(wanted, axis=1, keepdims=True)
-    shorter = wanted * np.minimum(1.0, max_correction / np.maximum(size, 1e-300))
-    shorter = _smaller(target, shorter, slopes, max_correction, tick)
-    knots = _slower(target, shorter, slopes, max_change, tick)
-    found = _limited("size", target.time, wanted, shorter) + _limited("change", target.time, shorter, knots)
+    shorter = wanted * np.minimum(1.0, bounds.max_correction / np.maximum(size, 1e-300))
+    shorter = _smaller(target, shorter, slopes, bounds)
+    knots = _slower(target, shorter, slopes, bounds)
+    found = describe("size", target.time, wanted, shorter) + describe("change", target.time, shorter, knots)
     slope = slopes(knots)
     velocity = None if slope is None else target.sample_velocity(target.time_ns) + slope
     turned = target.quaternion
@@ -193,11 +154,12 @@ def _ticks(target: Trajectory, tick: float) -> np.ndarray:
     return np.rint(np.arange(0.0, target.time[-1] + tick, tick) * 1e9).astype(np.int64)
 
 
-def _smaller(target: Trajectory, given: np.ndarray, slopes, largest: float, tick: float) -> np.ndarray:
-    """Corrections [m] of which no tick sees more than ``largest`` [m]: a spline overshoots its shortened knots."""
+def _smaller(target: Trajectory, given: np.ndarray, slopes, bounds: Bounds) -> np.ndarray:
+    """Corrections [m] of which no tick sees more than is allowed: a spline overshoots its shortened knots."""
+    largest = bounds.max_correction
     if not np.isfinite(largest):
         return given
-    ticks = _ticks(target, tick)
+    ticks = _ticks(target, bounds.tick)
     before = np.clip(np.searchsorted(target.time_ns, ticks, side="right") - 1, 0, len(target) - 2)
     knots = given
     for _ in range(ROUNDS):
@@ -212,13 +174,14 @@ def _smaller(target: Trajectory, given: np.ndarray, slopes, largest: float, tick
     return knots * (largest / size.max())
 
 
-def _slower(target: Trajectory, given: np.ndarray, slopes, max_change: float, tick: float) -> np.ndarray:
-    """Corrections [m] of which no tick sees more than max_change [m]; slopes(knots): those of the spline, or None."""
+def _slower(target: Trajectory, given: np.ndarray, slopes, bounds: Bounds) -> np.ndarray:
+    """Corrections [m] that change by no more than is allowed in a tick; slopes(knots): those of the spline, or None."""
+    max_change = bounds.max_change
     if not np.isfinite(max_change):
         return given
-    ticks = _ticks(target, tick)
+    ticks = _ticks(target, bounds.tick)
     first, last = (target.locate(t)[0] for t in (ticks[:-1], np.minimum(ticks[1:], target.duration_ns) - 1))
-    knots, most = given, np.diff(target.time) * (max_change / tick)
+    knots, most = given, np.diff(target.time) * (max_change / bounds.tick)
     for tried in range(ROUNDS):
         run = target.with_position(knots, slopes(knots))
         change = np.linalg.norm(np.diff(run.sample(ticks), axis=0), axis=1)
@@ -227,45 +190,8 @@ def _slower(target: Trajectory, given: np.ndarray, slopes, max_change: float, ti
             return knots
         for segment in (first, last) if tried else ():
             np.multiply.at(most, segment[over], 0.999 * max_change / change[over])
-        knots = _limit_change(given, most)
+        knots = limit_change(given, most)
     return knots * (max_change / change.max())  # a spline of the same shape is as steep as it is high
-
-
-def _limit_change(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
-    """Corrections (n, 3) [m] that change by no more than ``most`` (n - 1,) [m] from knot to knot.
-
-    The mean of what follows as fast as it may and of what starts as early as it must: without lag on the whole, and
-    unchanged where nothing is to be limited.
-    """
-    if np.all(np.linalg.norm(np.diff(knots, axis=0), axis=1) <= most):
-        return knots
-    return 0.5 * (_follow(knots, most) + _follow(knots[::-1], most[::-1])[::-1])
-
-
-def _follow(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
-    followed = knots.copy()
-    gaps = np.linalg.norm(np.diff(knots, axis=0), axis=1)
-    behind = False
-    for k in range(1, len(knots)):
-        if not behind and gaps[k - 1] <= most[k - 1]:
-            continue
-        gap = knots[k] - followed[k - 1]
-        length = float(np.sqrt(gap @ gap))
-        behind = length > most[k - 1]
-        if behind:
-            followed[k] = followed[k - 1] + gap * (most[k - 1] / length)
-    return followed
-
-
-def _limited(kind: str, time: np.ndarray, wanted: np.ndarray, made: np.ndarray) -> tuple[Limited, ...]:
-    """One Limited for each run of knots whose correction (n, 3) [m] was changed; time [s], (n,)."""
-    missing, size = np.linalg.norm(wanted - made, axis=1), np.linalg.norm(wanted, axis=1)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing > NOTHING, [0]]))).reshape(-1, 2)
-    worst = [start + int(np.argmax(missing[start:stop])) for start, stop in edges.tolist()]
-    return tuple(
-        Limited(kind, start + 1, stop, k + 1, float(time[k]), float(size[k]), float(missing[k]))
-        for (start, stop), k in zip(edges.tolist(), worst, strict=True)
-    )
 
 
 def knot_rates(time: np.ndarray, values: np.ndarray, resting: np.ndarray | None) -> np.ndarray:

@@ -10,7 +10,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simulate
 from kr270_milling.cell.plant import Plant
 from kr270_milling.compensation.compensator import Compensator
-from kr270_milling.compensation.revision import Limited
+from kr270_milling.compensation.limiting import Limited
 from kr270_milling.decision.check import Checked, check
 from kr270_milling.decision.findings import violation
 from kr270_milling.decision.part.assessment import PartAssessment, assess_all

@@ -10,8 +10,8 @@ from scipy.interpolate import CubicSpline
 from test_compensation_response import one_mode
 
 from kr270_milling.compensation.lifted import Course, Lifted
+from kr270_milling.compensation.limiting import Limited
 from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
-from kr270_milling.compensation.revision import Limited
 
 KNOTS = np.cumsum([0, 50, 50, 30, 70, 50, 50, 20, 80, 50, 50, 50, 50]) * 1_000_000
 SEGMENTS = Segments(KNOTS, 8)

@@ -10,6 +10,7 @@ from small_part import GCODE, assignments, small_part
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.jobs import compensated, compensator, mirrored, record_of, simulate
 from kr270_milling.compensation.compensator import remaining_error
+from kr270_milling.compensation.limiting import Bounds
 from kr270_milling.compensation.mirror import loaded_pose
 from kr270_milling.compensation.revision import chord_error, corrected
 from kr270_milling.decision.path_limits import correction_per_tick, correction_size
@@ -132,7 +133,7 @@ def test_a_shortened_correction_turns_the_tool_by_the_same_share():
     line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.25)
     whole = (Rotation.from_rotvec([0, 2e-3, 0]) * Rotation.from_quat(TOOL_DOWN)).as_quat()
     shift = np.tile([0.0, 4e-4, 0.0], (len(line), 1))
-    run, limited = corrected(line, shift, "mirror", quaternion=np.tile(whole, (len(line), 1)), max_correction=1e-4)
+    run, limited = corrected(line, shift, "mirror", Bounds(1e-4), quaternion=np.tile(whole, (len(line), 1)))
     turned = Rotation.from_quat(run.quaternion) * Rotation.from_quat(TOOL_DOWN).inv()
     assert turned.as_rotvec() == pytest.approx(np.tile([0, 0.5e-3, 0], (len(line), 1)), abs=1e-9)
     (found,) = limited
@@ -164,7 +165,7 @@ def test_limits_hold_along_the_path_and_what_they_took_is_told(cell, passes, met
 def test_a_step_is_taken_half_before_and_half_after_so_that_it_does_not_lag():
     line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.012)
     step = np.outer(np.where(np.arange(len(line)) < 40, 0.0, 80e-6), [0.0, 1.0, 0.0])
-    run, (found,) = corrected(line, step, "linear", max_change=10e-6, tick=12e-3)
+    run, (found,) = corrected(line, step, "linear", Bounds(max_change=10e-6, tick=12e-3))
     y = run.position[:, 1]
     assert np.diff(y).max() == pytest.approx(10e-6) and np.all(np.diff(y) >= 0)
     assert y[:40] + y[79:39:-1] == pytest.approx(np.full(40, 80e-6)) and y[31] == 0 and y[33] > 0

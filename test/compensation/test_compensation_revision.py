@@ -7,6 +7,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from kr270_milling.compensation.compensator import Compensation, Compensator
+from kr270_milling.compensation.limiting import Bounds
 from kr270_milling.compensation.revision import PassRecord, RevisionError, knot_rates, revise
 from kr270_milling.trajectory.trajectory import Trajectory
 
@@ -216,8 +217,8 @@ def test_without_a_wrench_there_is_no_mean():
 @pytest.mark.parametrize("method", ["linear", "spline", "learned"])
 def test_a_limited_change_holds_in_every_tick_and_is_told(method):
     target, most, tick = line(), 6e-6, 12e-3
-    _, nothing = revise(method, target, target, ran(target, ringing), max_change=1e-3, tick=tick)
-    limited, found = revise(method, target, target, ran(target, ringing), max_change=most, tick=tick)
+    _, nothing = revise(method, target, target, ran(target, ringing), Bounds(max_change=1e-3, tick=tick))
+    limited, found = revise(method, target, target, ran(target, ringing), Bounds(max_change=most, tick=tick))
     stamps = np.arange(0, target.duration_ns, round(tick * 1e9) // 12)
     correction = limited.sample(stamps) - target.sample(stamps)
     assert nothing == () and np.linalg.norm(correction[12:] - correction[:-12], axis=1).max() < 1.05 * most

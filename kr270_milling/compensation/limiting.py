@@ -1,0 +1,92 @@
+"""Limits of the correction: its size, and its change from one tick of the controller to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["UNBOUNDED", "Bounds", "Limited", "describe", "limit_change"]
+
+NOTHING = 1e-9  #: [m] less missing of a correction is no limitation
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a correction is limited to."""
+
+    max_correction: float = np.inf  #: [m]
+    max_change: float = np.inf  #: [m], within each tick
+    tick: float = 12e-3  #: [s], of the controller
+
+
+UNBOUNDED = Bounds()
+
+
+@dataclass(frozen=True)
+class Limited:
+    """Neighbouring knots whose correction was limited; points are counted from 1, as in the robot program."""
+
+    kind: str  #: "size" or "change"
+    first: int  #: point
+    last: int  #: point
+    worst: int  #: point that lost most
+    time: float  #: [s], of the worst one
+    wanted: float  #: [m], size of the correction there
+    missing: float  #: [m], how much of it is not made
+
+    @property
+    def feed_share(self) -> float:
+        """Share of the programmed feed at which the limit would about hold, where the inertia of the arm asks for it.
+
+        A path that is run at the share f accelerates with f^2 and so does the correction c = r'' / omega^2; its change
+        in a tick goes with f^3.
+        """
+        made = max(0.0, 1.0 - self.missing / self.wanted) if self.wanted else 1.0
+        return made ** (1.0 / 2.0 if self.kind == "size" else 1.0 / 3.0)
+
+    @property
+    def sentence(self) -> str:
+        where = f"point {self.first}" if self.first == self.last else f"points {self.first} to {self.last}"
+        why = "is too large" if self.kind == "size" else "changes too fast"
+        return (
+            f"the correction {why} at {where}: {1e3 * self.missing:.4f} of {1e3 * self.wanted:.4f} mm are left out at "
+            f"point {self.worst} ({self.time:.3f} s)"
+        )
+
+
+def limit_change(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
+    """Corrections (n, 3) [m] that change by no more than ``most`` (n - 1,) [m] from knot to knot.
+
+    The mean of what follows as fast as it may and of what starts as early as it must: without lag on the whole, and
+    unchanged where nothing is to be limited.
+    """
+    if np.all(np.linalg.norm(np.diff(knots, axis=0), axis=1) <= most):
+        return knots
+    return 0.5 * (_follow(knots, most) + _follow(knots[::-1], most[::-1])[::-1])
+
+
+def _follow(knots: np.ndarray, most: np.ndarray) -> np.ndarray:
+    followed = knots.copy()
+    gaps = np.linalg.norm(np.diff(knots, axis=0), axis=1)
+    behind = False
+    for k in range(1, len(knots)):
+        if not behind and gaps[k - 1] <= most[k - 1]:
+            continue
+        gap = knots[k] - followed[k - 1]
+        length = float(np.sqrt(gap @ gap))
+        behind = length > most[k - 1]
+        if behind:
+            followed[k] = followed[k - 1] + gap * (most[k - 1] / length)
+    return followed
+
+
+def describe(kind: str, time: np.ndarray, wanted: np.ndarray, made: np.ndarray) -> tuple[Limited, ...]:
+    """One Limited for each run of knots whose correction (n, 3) [m] was changed; time [s], (n,)."""
+    missing, size = np.linalg.norm(wanted - made, axis=1), np.linalg.norm(wanted, axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], missing > NOTHING, [0]]))).reshape(-1, 2)
+    worst = [start + int(np.argmax(missing[start:stop])) for start, stop in edges.tolist()]
+    return tuple(
+        Limited(kind, start + 1, stop, k + 1, float(time[k]), float(size[k]), float(missing[k]))
+        for (start, stop), k in zip(edges.tolist(), worst, strict=True)
+    )
