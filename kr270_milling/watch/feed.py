@@ -24,7 +24,6 @@ class Feed:
 
     def __init__(self):
         self._target: Trajectory | None = None
-        self._programmed = False
         self._due = 0
         self._latest = -1
         self._force: np.ndarray | None = None
@@ -35,12 +34,9 @@ class Feed:
         """name: of the topic without its namespace. Raises MillingError, ValueError where the bytes are no message."""
         if name == "diagnostics":
             yield from self._report(data)
-        elif name == "target_trajectory":
-            self._target, self._programmed = trajectory_from_bytes(data), True
-        elif name == "reference_trajectory":
-            if not self._programmed and self._target is None:  # the first reference is the target itself
-                self._target = trajectory_from_bytes(data)
-        else:
+        elif name == "target_trajectory" or (name == "reference_trajectory" and self._target is None):
+            self._target = trajectory_from_bytes(data)  # the first reference is the target itself
+        elif name != "reference_trajectory":
             yield from self._exchange(name, data, stamp_of(data) or 0)
 
     def _exchange(self, name: str, data: bytes, stamp: int) -> Iterator[dict]:

@@ -30,8 +30,9 @@ class Events:
     def tell(self, event: dict) -> None:
         with self._changed:
             self._rows.append(json.dumps(event, allow_nan=False))
-            self._first += max(0, len(self._rows) - MOST)
-            del self._rows[: max(0, len(self._rows) - MOST)]
+            beyond = max(0, len(self._rows) - MOST)
+            self._first += beyond
+            del self._rows[:beyond]
             self.ended |= event.get("kind") == "end"
             self._changed.notify_all()
 
