@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import json
 import os
 import sysconfig
 import typing
@@ -11,7 +12,7 @@ from pathlib import Path
 
 from kr270_milling.base.errors import ConfigError
 
-__all__ = ["find_file", "merge", "override", "parse", "read_tree", "read_yaml", "refusal"]
+__all__ = ["find_file", "merge", "override", "parse", "read_tree", "read_yaml", "refusal", "write_include"]
 
 MOST_BYTES = 256 * 1024  # the YAML reader takes some seconds for them
 MOST_INCLUDES = 64  # names in all files together; to merge a file of MOST_BYTES takes some milliseconds
@@ -197,3 +198,46 @@ def shipped_directories() -> list[Path]:
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) + [sysconfig.get_path("data")]
     installed = [Path(p) / "share" / "kr270_milling" / "config" for p in prefixes if p]
     return [p for p in (*checkout, *installed) if p.is_dir()]
+
+
+def write_include(path, sections: dict, notes: list[str], digits: int = 6) -> Path:
+    """A ROS parameter file; sections: nested groups, a value is a number, a list, a text or (value, comment)."""
+    lines = [f"# {note}" for note in notes] + ["/**:", "  ros__parameters:"]
+    _write_group(lines, sections, 4, digits)
+    path = Path(path)
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def _write_group(lines: list[str], group: dict, indent: int, digits: int) -> None:
+    for key, value in group.items():
+        value, comment = value if isinstance(value, tuple) else (value, "")
+        comment = f"   # {comment}" if comment else ""
+        if isinstance(value, dict):
+            lines.append(f"{' ' * indent}{key}:{comment}")
+            _write_group(lines, value, indent + 2, digits)
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            lines.append(f"{' ' * indent}{key}:{comment}")
+            for item in value:
+                inner: list[str] = []
+                _write_group(inner, item, indent + 4, digits)
+                inner[0] = " " * (indent + 2) + "- " + inner[0].lstrip()
+                lines += inner
+        else:
+            lines.append(f"{' ' * indent}{key}: {_yaml_text(value, digits)}{comment}")
+
+
+def _yaml_text(value, digits: int) -> str:
+    """As the ROS parser reads it: a number with a point, or with a point and an exponent."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(json.dumps(v) if isinstance(v, str) else _yaml_text(v, digits) for v in value) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        text = f"{value:.{digits}g}"
+        if "e" in text:
+            mantissa, exponent = text.split("e")
+            return f"{mantissa if '.' in mantissa else mantissa + '.0'}e{exponent}"
+        return text if "." in text else text + ".0"
+    return str(value)

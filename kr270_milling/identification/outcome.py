@@ -11,7 +11,7 @@ import numpy as np
 
 from kr270_milling import __version__
 from kr270_milling.base.files import staged
-from kr270_milling.base.include import write_include
+from kr270_milling.base.parameter_file import write_include
 
 __all__ = ["Outcome", "figure_of", "points", "write_page"]
 

@@ -19,8 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_abc, rotation_from_quaternion
-from kr270_milling.base.include import write_include
-from kr270_milling.base.parameter_file import merge, override, shipped_directories
+from kr270_milling.base.parameter_file import merge, override, shipped_directories, write_include
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.identification.outcome import figure_of, write_page

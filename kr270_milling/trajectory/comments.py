@@ -82,27 +82,22 @@ def described_tool(comment: str, unit: float, changed: str | None = None) -> Pro
 
 
 def _diameter(comment: str, unit: float) -> float:
-    """[m]; 0 where the comment gives none."""
+    """[m]; 0 where the comment gives none, or a number that is no diameter of a cutter."""
     comment = comment.split("- ZMIN")[0]
     comment = re.sub(r"\|\s*[HD]\s*\d+\s*(?=\||$)", "|", comment)  # offset numbers of Mastercam
     comment = re.sub(r"DIA\. OFF\.\s*-\s*\d+", "", comment)
-    given = list(DIAMETER.finditer(comment))
-    if given:
+    diameter = 0.0
+    if given := list(DIAMETER.finditer(comment)):
         number, mark = given[-1].groups()
         scale = {"mm": 1e-3, "in": 0.0254, "inch": 0.0254, '"': 0.0254}.get((mark or "").lower(), unit)
-        return _plausible(float(number) * scale)
-    if before := BEFORE.search(comment):
-        return _plausible(float(before.group(1)) * unit)
-    if metric := METRIC.search(comment):
-        return _plausible(float(metric.group(1)) * 1e-3)
-    if fraction := FRACTION.search(comment):
+        diameter = float(number) * scale
+    elif before := BEFORE.search(comment):
+        diameter = float(before.group(1)) * unit
+    elif metric := METRIC.search(comment):
+        diameter = float(metric.group(1)) * 1e-3
+    elif fraction := FRACTION.search(comment):
         whole, above, below = fraction.groups()
-        return _plausible((int(whole or 0) + int(above) / max(int(below), 1)) * 0.0254)
-    if inches := INCH_MARK.search(comment):
-        return _plausible(float(inches.group(1)) * 0.0254)
-    return 0.0
-
-
-def _plausible(diameter: float) -> float:
-    """A number that is no diameter of a cutter is something else."""
+        diameter = (int(whole or 0) + int(above) / max(int(below), 1)) * 0.0254
+    elif inches := INCH_MARK.search(comment):
+        diameter = float(inches.group(1)) * 0.0254
     return diameter if 1e-5 < diameter <= 0.2 else 0.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from kr270_milling.base.errors import InputError
@@ -91,28 +90,22 @@ class ProgramError(InputError):
 
     def __init__(self, source, program: SourceProgram):
         self.program = program
-        kinds = _kinds(program.refused)
-        lines = [f"{source}, line {line}: {text}" for line, text in kinds]
-        self.listing = tuple(_first(lines, MOST_LINES, f"{source}: "))  #: one text for each kind, for a terminal
-        texts = [kinds[0][1], *(f"line {line}: {text}" for line, text in kinds[1:])]
-        super().__init__(source, " | ".join(_first(texts, MOST_KINDS)), program.refused[0].line)
+        kinds: dict[tuple[str, str], list[Refusal]] = {}
+        for refusal in program.refused:
+            kinds.setdefault((refusal.reason, refusal.advice), []).append(refusal)
+        texts = [(like[0].line, like[0].sentence + _lines_of(like[1:])) for like in kinds.values()]
+        more = len(texts) - MOST_LINES, len(texts) - MOST_KINDS
+        #: one text for each kind, for a terminal
+        self.listing = tuple(f"{source}, line {line}: {text}" for line, text in texts[:MOST_LINES])
+        self.listing += (f"{source}: and {more[0]} other kinds of words",) * (more[0] > 0)
+        sentence = " | ".join([texts[0][1], *(f"line {line}: {text}" for line, text in texts[1:MOST_KINDS])])
+        sentence += f" | and {more[1]} other kinds of words" * (more[1] > 0)
+        super().__init__(source, sentence, program.refused[0].line)
 
 
-def _first(texts: list[str], most: int, before: str = "") -> list[str]:
-    """So many of the texts, and how many more there are."""
-    return texts[:most] + [f"{before}and {len(texts) - most} other kinds of words"] * (len(texts) > most)
-
-
-def _kinds(refused: Iterable[Refusal]) -> list[tuple[int, str]]:
-    """First line and sentence of each kind of refused words; like ones are counted."""
-    kinds: dict[tuple[str, str], list[Refusal]] = {}
-    for refusal in refused:
-        kinds.setdefault((refusal.reason, refusal.advice), []).append(refusal)
-    return [(like[0].line, like[0].sentence + _more(like)) for like in kinds.values()]
-
-
-def _more(like: list[Refusal]) -> str:
-    if len(like) == 1:
+def _lines_of(others: list[Refusal]) -> str:
+    """Where else words of the same kind stand."""
+    if not others:
         return ""
-    shown = ", ".join(str(refusal.line) for refusal in like[1:4])
-    return f" (also line {shown}{f' and {len(like) - 4} more' if len(like) > 4 else ''})"
+    lines = ", ".join(str(refusal.line) for refusal in others[:3])
+    return f" (also line {lines}{f' and {len(others) - 3} more' if len(others) > 3 else ''})"

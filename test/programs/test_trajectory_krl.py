@@ -13,7 +13,7 @@ from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.cell.sections import Program
 from kr270_milling.programs.krl import Approach, Heading, Setup, trajectory_hash, write_krl
-from kr270_milling.trajectory.gcode import read_gcode
+from kr270_milling.trajectory.gcode.reader import read_gcode
 from kr270_milling.trajectory.timing import Timing, time_path
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kr270_milling.trajectory.gcode import read_gcode
+from kr270_milling.trajectory.gcode.reader import read_gcode
 from kr270_milling.trajectory.source_program import ProgramError
 
 PROGRAMS = Path(__file__).parent / "programs"

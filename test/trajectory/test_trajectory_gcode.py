@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.trajectory.gcode import read_gcode
+from kr270_milling.trajectory.gcode.reader import read_gcode
 from kr270_milling.trajectory.machine import CHORD
 from kr270_milling.trajectory.source_program import ProgramError
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kr270_milling.trajectory.profile import Ramps, peak_speeds, ramp_time, reachable, vertex_speeds
+from kr270_milling.trajectory.timing import Ramps, peak_speeds, ramp_time, reachable, vertex_speeds
 
 A, J = 2.0, 20.0
 speeds, lengths = st.floats(0, 1), st.floats(1e-6, 1)

@@ -11,7 +11,7 @@ from dialect_writers import DIALECTS, SPEED, Move, write
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from kr270_milling.trajectory.gcode import read_gcode
+from kr270_milling.trajectory.gcode.reader import read_gcode
 
 GRID = st.integers(-40_000, 40_000).map(lambda n: n / 1000)  # [mm]
 HEIGHT = st.integers(-5_000, 10_000).map(lambda n: n / 1000)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from small_part import path_error
 
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.trajectory.gcode import read_gcode
+from kr270_milling.trajectory.gcode.reader import read_gcode
 from kr270_milling.trajectory.timing import Timing, time_path
 from kr270_milling.trajectory.toolpath import PathBuilder, ToolpathError
 
