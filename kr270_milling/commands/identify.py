@@ -19,33 +19,12 @@ from kr270_milling.commands.console import Answer, Table, cell_of
 from kr270_milling.commands.progress import progress
 from kr270_milling.cutting.tool import Tool
 from kr270_milling.identification import comparison, modes
+from kr270_milling.identification import forces as laws
+from kr270_milling.identification import plan as load_tests
 from kr270_milling.identification.compliance import compliance_outcome, fit
 from kr270_milling.identification.cuts import Sensor, force_series, read_cuts, turn_of
-from kr270_milling.identification.forces import (
-    NAMES,
-    SCALE,
-    OneFeedError,
-    find_material,
-    fit_fractional,
-    fit_linear_edge,
-    force_outcome,
-    law_sections,
-    materials,
-)
 from kr270_milling.identification.measurements import read_measurements
 from kr270_milling.identification.outcome import Outcome, points
-from kr270_milling.identification.plan import (
-    CRITERIA,
-    Bench,
-    Planner,
-    at_posture,
-    blind_spots,
-    candidates,
-    in_order,
-    load_text,
-    read_test_pose,
-    write_plan,
-)
 from kr270_milling.identification.problem import Problem
 from kr270_milling.identification.signals import pose_series, read_signals
 from kr270_milling.robot.analysis import read_arm
@@ -68,7 +47,7 @@ def compliance(args) -> Answer:
     where = find_file(args.cell or args.arm)
     if args.cell:
         mount = read_arm(where)[1]
-    pose = at_posture(mount, np.radians(args.at)) if args.at else read_test_pose(where, mount)
+    pose = load_tests.at_posture(mount, np.radians(args.at)) if args.at else load_tests.read_test_pose(where, mount)
     if args.plan is not None:
         return _plan(args, arm, mount, pose)
     if args.measurements is None:
@@ -86,23 +65,23 @@ def _plan(args, arm, mount, pose) -> Answer:
             "--plan", "needs the posture where the arm is to mill: name --cell CELL.yaml or --at A1,...,A6"
         )
     point = mount.xyz if args.point is None else 1e-3 * np.array(args.point)
-    bench = Bench(point, args.mass_kg, args.pull_n, 1e-6 * args.noise_um)
-    choice = candidates(arm, mount, bench, args.postures, args.seed)
+    bench = load_tests.Bench(point, args.mass_kg, args.pull_n, 1e-6 * args.noise_um)
+    choice = load_tests.candidates(arm, mount, bench, args.postures, args.seed)
     if args.plan > len(choice.tests):
         raise InputError("--plan", f"asks for {args.plan} load tests, but only {len(choice.tests)} are possible here")
-    planner = Planner(arm, mount, choice, pose, not args.no_gravity)
+    planner = load_tests.Planner(arm, mount, choice, pose, not args.no_gravity)
     names = ("planned for the test pose", "A-optimal", "D-optimal")
-    designs = {name: planner.best(args.plan, c) for name, c in zip(names, CRITERIA, strict=True)}
+    designs = {name: planner.best(args.plan, c) for name, c in zip(names, load_tests.CRITERIA, strict=True)}
     rng = np.random.default_rng(args.seed)
     blind = sorted((planner.random(args.plan, rng) for _ in range(201)), key=lambda d: d.pose_error)
     best = designs[names[0]]
     designs["random (median of 201)"] = blind[100]
-    plan = in_order(choice.take(best.rows))
+    plan = load_tests.in_order(choice.take(best.rows))
     result: dict = {
-        "blind_spots": blind_spots(best.relative),
+        "blind_spots": load_tests.blind_spots(best.relative),
         "designs": [{"name": name, "error_um": 1e6 * d.pose_error, "relative": d.relative.tolist(),
                      "determinant": d.determinant} for name, d in designs.items()],
-        "tests": [{"joints_deg": np.degrees(q).tolist(), "wrench": w.tolist(), "load": load_text(plan, i)}
+        "tests": [{"joints_deg": np.degrees(q).tolist(), "wrench": w.tolist(), "load": load_tests.load_text(plan, i)}
                   for i, (q, w) in enumerate(zip(plan.tests.q, plan.tests.wrench, strict=True))],
     }  # fmt: skip
     if args.out:
@@ -110,7 +89,7 @@ def _plan(args, arm, mount, pose) -> Answer:
         notes = [f"load tests planned by kr270_milling {__version__}, {error}", *result["blind_spots"],
                  "measure the reflector without the load, then with it; dx, dy, dz: difference, base axes"]  # fmt: skip
         with staged(args.out) as (draft, final):
-            result["files"] = [str(final(path)) for path in write_plan(draft, plan, notes)]
+            result["files"] = [str(final(path)) for path in load_tests.write_plan(draft, plan, notes)]
     rows = [[name, f"{1e6 * d.pose_error:.3f}", f"{100 * d.relative.max():.1f}", f"{100 * d.determinant:.2f}"]
             for name, d in designs.items()]  # fmt: skip
     title = f"{args.plan} load tests: what 100 N at the cell's posture are known to (1 sigma)"
@@ -129,13 +108,13 @@ def forces(args) -> Answer:
     turn = turn_of(args.sensor_abc)
     sensor = Sensor(args.topic, turn, args.sensor_on == "part", args.tare, args.sensor_mass_kg, down)
     cuts = read_cuts(find_file(args.cuts), tool, sensor)
-    fits = [fit_linear_edge(cuts)]
+    fits = [laws.fit_linear_edge(cuts)]
     try:
-        fits.append(fit_fractional(cuts))
-    except OneFeedError:
+        fits.append(laws.fit_fractional(cuts))
+    except laws.OneFeedError:
         if args.law == "fractional":
             raise
-    return _answer(args, force_outcome(fits, args.law, Path(args.cuts).name))
+    return _answer(args, laws.force_outcome(fits, args.law, Path(args.cuts).name))
 
 
 def _tool(args):
@@ -172,19 +151,19 @@ def damping(args) -> Answer:
 
 def material(args) -> Answer:
     """Published force coefficients, as a table or as a file to include."""
-    rows = find_material(args.name) if args.name else materials()
+    rows = laws.find_material(args.name) if args.name else laws.materials()
     entries = [
         {"material": m.name, "cutter": m.cutter, "lubrication": m.lubrication, "source": m.source}
-        | dict(zip(NAMES, (m.values / SCALE).tolist(), strict=True))
+        | dict(zip(laws.NAMES, (m.values / laws.SCALE).tolist(), strict=True))
         for m in rows
     ]
     sections = None
     if args.out:
         if not args.name or not 1 <= args.row <= len(rows):
             raise InputError("--out", f"needs one material, and a --row from 1 to {len(rows)}")
-        sections = law_sections("linear_edge", rows[args.row - 1].values, np.full(6, np.nan))
-    columns = ["material", "cutter", *(name.split("_n_")[0] for name in NAMES)]
-    shown = [[m.name, m.cutter, *("-" if np.isnan(v) else f"{v:g}" for v in m.values / SCALE)] for m in rows]
+        sections = laws.law_sections("linear_edge", rows[args.row - 1].values, np.full(6, np.nan))
+    columns = ["material", "cutter", *(name.split("_n_")[0] for name in laws.NAMES)]
+    shown = [[m.name, m.cutter, *("-" if np.isnan(v) else f"{v:g}" for v in m.values / laws.SCALE)] for m in rows]
     sources = [f"{m.name}, {m.cutter}, {m.lubrication} [source: {m.source}]" for m in rows] if args.name else []
     name = (args.name or "").lower().replace(".", "_")
     table = (MATERIALS, columns, shown)

@@ -7,6 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 
 __all__ = ["Progress", "progress"]
 
@@ -14,22 +15,24 @@ LINE_PERIOD = 5.0  #: [s] between two lines
 LOOK_PERIOD = 0.2  #: [s] between two looks of the bar
 
 
+@dataclass
 class Progress:
     """Called with (done, total) where that is counted; a count that starts over belongs to the next pass.
 
     most: passes that there can be; unit, rate, each: the count is of ``unit``, with so many ``rate`` in each.
     """
 
-    def __init__(self, text: str, most: int | None = None, unit: str = "", rate: str = "", each: int = 1):
-        self.text = text
-        self.done = 0
-        self.total: int | None = None
-        self._most = most
-        self._unit = unit
-        self._rate = rate
-        self._each = each
+    text: str
+    most: int | None = None
+    unit: str = ""
+    rate: str = ""
+    each: int = 1
+    done: int = field(default=0, init=False)
+    total: int | None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
         self._number = 1
-        self._begin()
+        self.say(self.text)
 
     def _begin(self) -> None:
         self._start = time.monotonic()
@@ -37,7 +40,7 @@ class Progress:
 
     def __call__(self, done: int, total: int) -> None:
         if self.total is None:
-            self._before = done - 1 if self._unit else 0  # a study goes on where it stopped
+            self._before = done - 1 if self.unit else 0  # a study goes on where it stopped
         elif done < self.done:
             self._number += 1
             self._begin()
@@ -54,9 +57,9 @@ class Progress:
     @property
     def label(self) -> str:
         """What is done, with the number of the pass where there are several."""
-        if self._most is None:
+        if self.most is None:
             return self.text if self._number == 1 else f"{self.text}, pass {self._number}"
-        return f"{self.text}, pass {self._number} of at most {self._most}"
+        return f"{self.text}, pass {self._number} of at most {self.most}"
 
     @property
     def state(self) -> str:
@@ -66,15 +69,15 @@ class Progress:
             return f"{now:.0f} s so far"
         pace = (self.done - self._before) / max(now, 1e-9)
         left = f"{(self.total - self.done) / pace:.0f} s left"
-        if not self._unit:
+        if not self.unit:
             return f"{100 * self.done / self.total:.0f} %, {left}"
-        return f"{self.done} of {self.total} {self._unit}, {pace * self._each:.3g} {self._rate} a second, {left}"
+        return f"{self.done} of {self.total} {self.unit}, {pace * self.each:.3g} {self.rate} a second, {left}"
 
 
 @contextlib.contextmanager
-def progress(text: str, most: int | None = None, unit: str = "", rate: str = "", each: int = 1) -> Iterator[Progress]:
+def progress(text: str, most: int | None = None, **count) -> Iterator[Progress]:
     """Yields what a job calls to tell how far it is; see Progress."""
-    told = Progress(text, most, unit, rate, each)
+    told = Progress(text, most, **count)
     on_terminal = sys.stderr.isatty()
     ended = threading.Event()
     with _bar(told) if on_terminal else contextlib.nullcontext(lambda: _line(told)) as show:

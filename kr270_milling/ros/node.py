@@ -42,12 +42,9 @@ def guarded(callback):
     def wrapped(self, *args):
         try:
             return callback(self, *args)
-        except MillingError as error:
-            self.refused += 1
-            self.report(ERROR, str(error))
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is reported and ends the node
-            self.failure = f"{type(error).__name__} in {callback.__name__}: {error}"
-            self.report(ERROR, self.failure)
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is reported
+            self.refused += isinstance(error, MillingError)
+            self.fail(error, callback.__name__)
         return None
 
     return wrapped
@@ -133,6 +130,14 @@ class Reporting(Node):
             else:
                 logger.error(message)
             self.publish_report()
+
+    def fail(self, error: Exception, where: str) -> None:
+        """Report an error; one that is not ours ends the node."""
+        if isinstance(error, MillingError):
+            self.report(ERROR, str(error))
+        else:
+            self.failure = f"{type(error).__name__} in {where}: {error}"
+            self.report(ERROR, self.failure)
 
     def tell(self, **values) -> None:
         """Values for the next report, without another message."""
@@ -220,12 +225,8 @@ class ManagedNode(Reporting, LifecycleNode):
     def _transition(self, step, name: str) -> TransitionCallbackReturn:
         try:
             step()
-        except MillingError as error:
-            self.report(ERROR, str(error))
-            return TransitionCallbackReturn.FAILURE
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is reported and ends the node
-            self.failure = f"{type(error).__name__} in {name}: {error}"
-            self.report(ERROR, self.failure)
+        except Exception as error:  # noqa: BLE001 - whatever it is, it is reported
+            self.fail(error, name)
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
 
