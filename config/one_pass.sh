@@ -5,11 +5,16 @@ set -eu
 cell=${1:-$(dirname "$0")/paper.yaml}
 out=${2:-one_pass}
 log=$(mktemp)
+recorded=$(mktemp)
 nodes=()
-trap 'kill -TERM "${nodes[@]}" 2>/dev/null || true; wait; rm -f "$log"' EXIT
+trap 'kill -TERM "${nodes[@]}" 2>/dev/null || true; wait; cat "$recorded" >&2; rm -f "$log" "$recorded"' EXIT
 
-recorder --ros-args -p directory:="$out" -p attach:="$cell" &
+recorder --ros-args -p directory:="$out" -p attach:="$cell" 2>"$recorded" &
 nodes+=($!)
+until grep -q "recording to" "$recorded"; do # before there is anything that it could miss
+  kill -0 "${nodes[@]}" || { echo "the recorder ended" >&2; exit 1; }
+  sleep 0.1
+done
 trajectory_compensator --ros-args --params-file "$cell" 2>"$log" &
 nodes+=($!)
 milling_cell --ros-args --params-file "$cell" -p autostart:=true &

@@ -38,7 +38,7 @@ class CompliantRobot(ManagedNode):
         self._pace_timer: Timer | None = None
         self._given_up = False
         self._listeners: tuple[int, ...] = ()
-        self._changed = time.monotonic()  # when a listener came or went
+        self._unchanged = 0.0  # [s] of the wall since a listener came or went
         self._answered = time.monotonic()  # when a question was answered
         self._looked = time.monotonic()
         self.open_outlets("tool_pose", "deflection", "joint_states", "clock", "robot_description")
@@ -73,8 +73,8 @@ class CompliantRobot(ManagedNode):
     def _watch_answer(self) -> None:
         """Start the pass when everybody is there; ask again, and give up, when no answer comes."""
         side = self.protocol.side
-        settled = self._is_settled()
         held_up, self._looked = time.monotonic() - self._looked, time.monotonic()
+        settled = self._is_settled(held_up)
         if held_up > RETRY:
             self._answered = max(self._answered, self._looked)  # it was us who did not listen
         if not self.active or (side is not None and (side.done or self._given_up)):
@@ -96,13 +96,15 @@ class CompliantRobot(ManagedNode):
             self.report(WARN, begun if side.awaited_ns else "the cutting process is not active yet")
             self.send(self.protocol.repeat())
 
-    def _is_settled(self) -> bool:
-        """Nobody has come or gone for a while."""
+    def _is_settled(self, since: float) -> bool:
+        """Nobody has come or gone for a while, of which ``since`` [s] passed since the last look.
+
+        Of a long time without a look only the usual counts: what shares the process, or the core, was held up as well.
+        """
         listeners = tuple(outlet.get_subscription_count() for outlet in self.outlets.values())
-        if listeners != self._listeners:
-            self._listeners = listeners
-            self._changed = time.monotonic()
-        return time.monotonic() - self._changed >= SETTLE
+        self._unchanged = self._unchanged + min(since, 2.0 * LOOK) if listeners == self._listeners else 0.0
+        self._listeners = listeners
+        return self._unchanged >= SETTLE
 
     def _start(self) -> None:
         outputs = self.protocol.start()

@@ -10,8 +10,7 @@ from kr270_milling.trajectory.gcode.reader import read_gcode
 
 BLOCKS = 6_000
 WORD = re.compile(r"([A-Z])([-+]?[0-9]*\.?[0-9]+)")
-#: a reader that takes 25 us a block, on a machine that finds the words of one in 3.5 us
-MOST = 12.0  #: measured: 8 to 10 as the ratio of the least times, which other work on the machine changes little
+MOST = 12.0  #: measured: 7.5 to 8.7, as the ratio of the least times, which other work on the machine changes little
 
 
 def program() -> list[str]:
