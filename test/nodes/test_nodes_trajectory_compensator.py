@@ -222,7 +222,7 @@ def test_pass_whose_revision_is_refused_is_told_once_and_the_next_one_counts(mac
         machine.play(ran, range(ran.time_ns.size))
         machine.told.until(NAME, "would be 3.0000 m", ERROR)
         machine.world.step(0.7)
-    assert node.refused == 1 and node.protocol.compensator.errors == []
+    assert node.refused == 1 and node.protocol.compensator.errors == ()
     machine.play(ran, range(ran.time_ns.size))
     expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
     assert np.array_equal(machine.reference(1).position, expected.position)
