@@ -64,7 +64,7 @@ class Row:
         state = "complete" if whole == len(found) else "complete up to the fault"
         if self.fault.reaction != ENDS and whole < len(found):
             state = f"{len(found) - whole} not whole"
-        if any(r.behind_s > 0.05 for r in found):
+        elif any(r.behind_s > 0.05 for r in found):
             state = f"readable, ends at most {max(r.behind_s for r in found):.2f} s before the fault"
         return f"{state}{f', cut off {cut} times' if cut else ''}, {f'lost and counted: {lost}' if lost else 'no hole'}"
 
