@@ -64,9 +64,17 @@ def texts():
             yield path, content.decode("utf-8")
 
 
-def test_no_file_is_longer_than_400_lines():
-    long = {str(p.relative_to(ROOT)): t.count("\n") for p, t in texts() if p.suffix == ".py" and t.count("\n") > 400}
-    assert not long
+#: files that are still to be divided; no other one may become as long
+TO_DIVIDE = {
+    "kr270_milling/bag/reader.py", "kr270_milling/commands/options.py", "kr270_milling/decision/verdict.py",
+    "kr270_milling/identification/compliance.py", "kr270_milling/identification/forces.py",
+    "kr270_milling/trajectory/apt.py", "kr270_milling/trajectory/machine.py",
+}  # fmt: skip
+
+
+def test_no_file_is_longer_than_300_lines():
+    long = {str(p.relative_to(ROOT)): t.count("\n") for p, t in texts() if p.suffix == ".py" and t.count("\n") > 300}
+    assert set(long) == TO_DIVIDE and max(long.values()) <= 400, long
 
 
 #: pieces, so that this file does not hold what it looks for

@@ -13,7 +13,7 @@ from mcap.records import ChunkIndex
 
 from kr270_milling.bag.chunks import Chunk
 from kr270_milling.bag.reader import FOOTER_SIZE, Recording
-from kr270_milling.bag.structure import HEAD, Damage, Part, checksum, parts
+from kr270_milling.bag.structure import HEAD, MAGIC, Damage, Part, checksum, parts
 
 __all__ = ["findings"]
 
@@ -55,6 +55,8 @@ class _Check:
             self.guard(self._check_chunk, chunk)
             if progress:
                 progress(chunk.end, recording.size)
+        if not recording.data_crc:  # with one, this cannot go unseen
+            self.guard(self._check_stray_indexes, end)
         if recording.cut_off:
             self.found.insert(0, "it is cut off: its writer did not finish it")
             return
@@ -103,6 +105,14 @@ class _Check:
             message_start_time=chunk.first_time,
             uncompressed_size=chunk.unpacked,
         )
+
+    def _check_stray_indexes(self, end: int) -> None:
+        behind_chunk = False
+        for part in parts(self.stream, len(MAGIC), end):
+            is_index = part.type == Opcode.MESSAGE_INDEX
+            if is_index and not behind_chunk:
+                raise Damage("an index of messages belongs to no chunk", part.offset)
+            behind_chunk = part.type == Opcode.CHUNK or (is_index and behind_chunk)
 
     def _check_summary(self, part: Part, behind: int) -> None:
         """The index of a chunk, against what is there, and the footer; behind: where the summary begins."""

@@ -129,3 +129,22 @@ def test_a_damaged_attachment_costs_only_itself(tmp_path):
     found = recover(tmp_path / "r")
     assert found.attachments == ["a.yaml", "c.yaml"] and found.messages == len(written)
     assert "attachment b.yaml" in found.dropped[0]
+
+
+def test_an_index_of_messages_that_belongs_to_no_chunk_is_told_without_any_checksum(tmp_path):
+    path = tmp_path / "a.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=1, enable_data_crcs=False)
+        writer.start()
+        channel = writer.register_channel("/a", "cdr", writer.register_schema("a", "ros2msg", b""))
+        writer.add_message(channel, 1, b"\0\1\0\0abcd", 1)
+        writer.add_attachment(1, 1, "a.txt", "text/plain", b"a")
+        writer.finish()
+    with Recording(path) as recording:
+        end = recording.data_end
+    stray, data = struct.pack("<BQHI", 7, 6, channel, 0), path.read_bytes()
+    *places, _ = struct.unpack_from("<QQI", data, len(data) - 28)
+    footer = struct.pack("<QQI", *(place + len(stray) for place in places), 0)
+    path.write_bytes(data[:end] + stray + data[end:-28] + footer + data[-8:])
+    with Recording(path) as recording:
+        assert any("belongs to no chunk" in sentence for sentence in findings(recording))

@@ -10,7 +10,8 @@ from kr270_milling.trajectory.gcode.reader import read_gcode
 
 BLOCKS = 6_000
 WORD = re.compile(r"([A-Z])([-+]?[0-9]*\.?[0-9]+)")
-MOST = 12.0  #: measured: 7.5 to 8.7, as the ratio of the least times, which other work on the machine changes little
+#: a reader that takes 25 us a block, on a machine that finds the words of one in 3.5 us
+MOST = 7.0
 
 
 def program() -> list[str]:
@@ -31,8 +32,8 @@ def spent(job) -> float:
 def test_a_block_takes_a_few_times_what_finding_its_words_takes(tmp_path):
     lines = program()
     (tmp_path / "long.nc").write_text("\n".join(lines))
-    words, reading = [], []
-    for _ in range(5):  # the least of each: what else the machine does only adds
-        words.append(spent(lambda: [[(a, float(b)) for a, b in WORD.findall(line)] for line in lines]))
-        reading.append(spent(lambda: read_gcode(tmp_path / "long.nc")))
-    assert min(reading) < MOST * min(words), (reading, words)
+    ratios = []
+    for _ in range(3):
+        words = spent(lambda: [[(a, float(b)) for a, b in WORD.findall(line)] for line in lines])
+        ratios.append(spent(lambda: read_gcode(tmp_path / "long.nc")) / words)
+    assert min(ratios) < MOST, ratios
