@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import guvectorize
 
 from kr270_milling.base.frames import Pose
 from kr270_milling.robot.arm import AXES, Arm, Mount
@@ -37,16 +38,12 @@ class LinkFrames:
     mass_centre: np.ndarray  #: of spindle and tool [m], (..., 3)
 
 
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a x b over the last axis; several times as fast as numpy's for small batches."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    x = ay * bz - az * by
-    out = np.empty(x.shape + (3,))
-    out[..., 0] = x
-    out[..., 1] = az * bx - ax * bz
-    out[..., 2] = ax * by - ay * bx
-    return out
+@guvectorize(["(float64[:], float64[:], float64[:])"], "(n),(n)->(n)", cache=True)
+def cross(a, b, out):
+    """a x b over the last axis; in batches three times as fast as array operations, with the same bits."""
+    out[0] = a[1] * b[2] - a[2] * b[1]
+    out[1] = a[2] * b[0] - a[0] * b[2]
+    out[2] = a[0] * b[1] - a[1] * b[0]
 
 
 def rotate_matrix(matrix: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -69,20 +66,21 @@ def forward(arm: Arm, mount: Mount, q) -> LinkFrames:
     nodes = np.zeros(q.shape[:-1] + (7, 3))
     turned = np.broadcast_to(np.eye(3), q.shape[:-1] + (3, 3))
     for j, (k, sign) in enumerate(TURNS):
-        turned = _turn(turned, k, cosines[..., j, None], sign * sines[..., j, None], rotations[..., j, :, :])
+        turned = _turn(turned, k, cosines[..., j], sign * sines[..., j], rotations[..., j, :, :])
         nodes[..., j + 1, :] = nodes[..., j, :] + turned @ arm.link_vectors[j]
         np.multiply(sign, turned[..., k], out=axes[..., j, :])
     flange = Pose(nodes[..., 6, :], rotations[..., 5, :, :])
     return LinkFrames(rotations, nodes, axes, flange, flange @ mount.pose, flange.apply(mount.mass_centre))
 
 
+@guvectorize(["(float64[:, :], int64, float64, float64, float64[:, :])"], "(n,n),(),(),()->(n,n)", cache=True)
 def _turn(rotation, k, cosine, sine, out):
-    """rotation @ (turn about coordinate axis k), written to out."""
+    """rotation @ (turn about coordinate axis k)."""
     i, j = (k + 1) % 3, (k + 2) % 3
-    out[..., k] = rotation[..., k]
-    out[..., i] = cosine * rotation[..., i] + sine * rotation[..., j]
-    out[..., j] = cosine * rotation[..., j] - sine * rotation[..., i]
-    return out
+    for row in range(3):
+        out[row, k] = rotation[row, k]
+        out[row, i] = cosine * rotation[row, i] + sine * rotation[row, j]
+        out[row, j] = cosine * rotation[row, j] - sine * rotation[row, i]
 
 
 def pose(arm: Arm, mount: Mount, q) -> Pose:
