@@ -1,16 +1,25 @@
-"""The cell that cuts where it is not the cell that plans: same path and part, other arm, material and imperfections."""
+"""The cell that cuts where it is not the cell that plans: other arm, material, imperfections; from a file or drawn."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from kr270_milling.base.record import Record
 from kr270_milling.cell.cell import Cell
 from kr270_milling.robot import jacobian
 from kr270_milling.simulation.imperfections import Imperfections, play
 from kr270_milling.simulation.milling_pass import PassResult, run_pass
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Plant", "imperfect_course"]
+__all__ = ["SCATTERED", "SCATTERED_AXIAL", "Plant", "imperfect_course", "perturbed"]
+
+#: what scatters of each force law; the ratio of the slopes of the fractional one shapes it and is left alone
+SCATTERED = {
+    "fractional": ("stiffness", "specific_chip_thickness", "radial_ratio"),
+    "linear_edge": ("tangential_cutting", "tangential_edge", "radial_cutting", "radial_edge"),
+}
+#: and what scatters beside them where there is an axial force
+SCATTERED_AXIAL = {"fractional": ("axial_ratio",), "linear_edge": ("axial_cutting", "axial_edge")}
 
 
 class Plant:
@@ -57,3 +66,39 @@ def imperfect_course(cell: Cell, reference: Trajectory, number: int) -> Trajecto
     if not how.repeatability:
         return reference
     return reference.with_position(reference.position + how.shift(number), reference.velocity)
+
+
+def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
+    """A plant drawn from ``cell.uncertainty``: log-normal factors with median 1, a shifted stock, imperfections.
+
+    Frequencies scatter by the masses that move: stiffness has a factor of its own.
+
+    Where the part lies otherwise than thought, the robot runs its programme in the same place, so it is the stock that
+    moves under the path; by how much the postures differ is no matter. The size of the shift is limited to 3 standard
+    deviations. The imperfections are drawn evenly from none to what the uncertainties say, the backlash of all joints
+    alike.
+    """
+    how, law = cell.uncertainty, cell.cutting.law
+
+    def factors(spread: np.ndarray) -> np.ndarray:
+        return np.exp(np.sqrt(np.log1p(spread**2)) * rng.standard_normal(spread.size))
+
+    compliance = cell.arm.joint_compliance * factors(how.of_compliances())
+    axial = SCATTERED_AXIAL[law] if cell.cutting.axial else ()
+    names = (*SCATTERED[law], *axial)
+    coefficients: Record = getattr(cell.cutting, law)
+    scattered = zip(names, factors(how.of_coefficients(len(names), len(axial))), strict=True)
+    coefficients = coefficients.replace(**{name: float(getattr(coefficients, name) * f) for name, f in scattered})
+    damping = min(0.9, cell.dynamics.damping_ratio * float(factors(np.array([how.damping_ratio]))[0]))
+    frequency = float(factors(np.array([how.frequency]))[0])
+    moved = bool(rng.random() < how.reference_inertia)
+    shift = how.placement * np.clip(rng.standard_normal(3), -3.0, 3.0)
+    noise, repeatability, backlash = rng.random(3) * (how.pose_noise, how.repeatability, how.backlash)
+    return cell.replace(
+        arm=cell.arm.replace(joint_compliance=compliance, link_mass=cell.arm.link_mass / frequency**2),
+        mount=cell.mount.replace(mass=cell.mount.mass / frequency**2),
+        cutting=cell.cutting.replace(**{law: coefficients}),
+        dynamics=cell.dynamics.replace(damping_ratio=damping, reference_inertia=moved),
+        imperfections=Imperfections(noise, repeatability, np.full(6, backlash), int(rng.integers(2**31))),
+        stock=cell.stock.replace(min=cell.stock.min + shift, max=cell.stock.max + shift),
+    )

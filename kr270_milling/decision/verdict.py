@@ -13,18 +13,16 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kr270_milling.base.errors import MillingError, ParameterError
-from kr270_milling.base.record import Record
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, expected_deviations, record_of, simulate
-from kr270_milling.cell.plant import Plant, imperfect_course
+from kr270_milling.cell.plant import Plant, imperfect_course, perturbed
 from kr270_milling.compensation.methods import METHODS
-from kr270_milling.simulation.imperfections import Imperfections
 from kr270_milling.simulation.milling_pass import PassResult, run_pass
 from kr270_milling.simulation.scores import path_deviation
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["AXIAL", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "SCATTERED", "TRACKED", "UNTRUSTED", "Verdict",
-           "alternatives", "coarser", "deviations", "judge", "monte_carlo", "perturbed", "run_sample"]  # fmt: skip
+__all__ = ["HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "Verdict", "alternatives", "coarser",
+           "deviations", "judge", "monte_carlo", "run_sample"]  # fmt: skip
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
 LEVELS = (0.05, 0.5, 0.95)
@@ -34,13 +32,6 @@ SAME = 0.1  #: changes of the largest deviation by less than this share are none
 FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
 TRACKED = "learned, with a tracker"  #: passes of the plant itself are measured and learned from
 NO_METHOD = "none"  #: run the path as it was programmed
-#: what scatters of each force law; the ratio of the slopes of the fractional one shapes it and is left alone
-SCATTERED = {
-    "fractional": ("stiffness", "specific_chip_thickness", "radial_ratio"),
-    "linear_edge": ("tangential_cutting", "tangential_edge", "radial_cutting", "radial_edge"),
-}
-#: and what scatters beside them where there is an axial force
-AXIAL = {"fractional": ("axial_ratio",), "linear_edge": ("axial_cutting", "axial_edge")}
 LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones stay as they are
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
 
@@ -234,42 +225,6 @@ def judge(original: np.ndarray, compensated: np.ndarray, matters_above: float) -
     if middle > 1.0 - SAME:
         return INDIFFERENT, share
     return HELPS, share
-
-
-def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
-    """A plant drawn from ``cell.uncertainty``: log-normal factors with median 1, a shifted stock, imperfections.
-
-    Frequencies scatter by the masses that move: stiffness has a factor of its own.
-
-    Where the part lies otherwise than thought, the robot runs its programme in the same place, so it is the stock that
-    moves under the path; by how much the postures differ is no matter. The size of the shift is limited to 3 standard
-    deviations. The imperfections are drawn evenly from none to what the uncertainties say, the backlash of all joints
-    alike.
-    """
-    how, law = cell.uncertainty, cell.cutting.law
-
-    def factors(spread: np.ndarray) -> np.ndarray:
-        return np.exp(np.sqrt(np.log1p(spread**2)) * rng.standard_normal(spread.size))
-
-    compliance = cell.arm.joint_compliance * factors(how.of_compliances())
-    axial = AXIAL[law] if cell.cutting.axial else ()
-    names = (*SCATTERED[law], *axial)
-    coefficients: Record = getattr(cell.cutting, law)
-    scattered = zip(names, factors(how.of_coefficients(len(names), len(axial))), strict=True)
-    coefficients = coefficients.replace(**{name: float(getattr(coefficients, name) * f) for name, f in scattered})
-    damping = min(0.9, cell.dynamics.damping_ratio * float(factors(np.array([how.damping_ratio]))[0]))
-    frequency = float(factors(np.array([how.frequency]))[0])
-    moved = bool(rng.random() < how.reference_inertia)
-    shift = how.placement * np.clip(rng.standard_normal(3), -3.0, 3.0)
-    noise, repeatability, backlash = rng.random(3) * (how.pose_noise, how.repeatability, how.backlash)
-    return cell.replace(
-        arm=cell.arm.replace(joint_compliance=compliance, link_mass=cell.arm.link_mass / frequency**2),
-        mount=cell.mount.replace(mass=cell.mount.mass / frequency**2),
-        cutting=cell.cutting.replace(**{law: coefficients}),
-        dynamics=cell.dynamics.replace(damping_ratio=damping, reference_inertia=moved),
-        imperfections=Imperfections(noise, repeatability, np.full(6, backlash), int(rng.integers(2**31))),
-        stock=cell.stock.replace(min=cell.stock.min + shift, max=cell.stock.max + shift),
-    )
 
 
 def run_sample(

@@ -26,8 +26,8 @@ from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import specs
 from kr270_milling.base.table import read_table
+from kr270_milling.cell.plant import SCATTERED, SCATTERED_AXIAL
 from kr270_milling.cutting.laws import KLIMCHIK2012, FractionalLaw, LinearEdgeLaw, fractional
-from kr270_milling.decision.verdict import AXIAL, SCATTERED
 from kr270_milling.identification.cuts import Cuts
 from kr270_milling.identification.intervals import MixedUpError, half_interval, scatter, solve
 from kr270_milling.identification.outcome import Outcome, points
@@ -218,7 +218,7 @@ def law_sections(law: str, values, half_widths, axial: float = TOWARD_PART) -> d
         known = "" if np.isnan(width) else f"95 % +- {width / spec.scale:.3g}"
         group[spec.key] = (float(value / spec.scale), known)
     sections = {"cutting": {"law": law, law: group}}
-    drawn = [*SCATTERED[law], *(AXIAL[law] if set(AXIAL[law]) <= set(relative) else ())]
+    drawn = [*SCATTERED[law], *(SCATTERED_AXIAL[law] if set(SCATTERED_AXIAL[law]) <= set(relative) else ())]
     spread = np.array([relative.get(name, np.nan) for name in drawn])
     if np.isfinite(spread).all():
         shown = np.clip(spread, 1e-4, 1.0).tolist()

@@ -11,6 +11,7 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, compensator, expected_deviations, record_of, simulate
+from kr270_milling.cell.plant import perturbed
 from kr270_milling.compensation.compensator import remaining_error
 from kr270_milling.decision.verdict import (
     HELPS,
@@ -23,7 +24,6 @@ from kr270_milling.decision.verdict import (
     deviations,
     judge,
     monte_carlo,
-    perturbed,
     run_sample,
 )  # fmt: skip
 

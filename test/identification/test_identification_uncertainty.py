@@ -8,7 +8,7 @@ import pytest
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.decision.verdict import perturbed
+from kr270_milling.cell.plant import perturbed
 
 SPREADS = [0.01, 0.02, 0.04, 0.08, 0.16, 0.32]
 
