@@ -68,7 +68,7 @@ def texts():
 TO_DIVIDE = {
     "kr270_milling/bag/reader.py", "kr270_milling/commands/options.py",
     "kr270_milling/identification/compliance.py", "kr270_milling/identification/forces.py",
-    "kr270_milling/trajectory/apt.py", "kr270_milling/trajectory/machine.py",
+    "kr270_milling/trajectory/apt.py",
 }  # fmt: skip
 
 

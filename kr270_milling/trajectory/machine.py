@@ -6,11 +6,11 @@ Straight, on an arc of one of three planes, in a drilling cycle. A height of TOP
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from kr270_milling.trajectory.arcs import ArcError, centre_from_radius, flatten
+from kr270_milling.trajectory.drilling import Cycle
 from kr270_milling.trajectory.program_builder import ProgramBuilder
 from kr270_milling.trajectory.toolpath import REACH, TOP
 
@@ -29,39 +29,6 @@ CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
 FLAT = 1e4  #: [m], a radius beyond it cannot be meant
 REPEATS = 1000  #: holes that one block drills in a row
 START = "start with G0 X Y Z"
-#: [m] how far above the last depth a peck starts again: 0.01 inch, as in LinuxCNC
-CLEARANCE = 0.254e-3
-MOST_PECKS = 10_000
-
-
-@dataclass
-class Cycle:
-    """A drilling or boring cycle as its words define it, lengths in [m]; each hole repeats it."""
-
-    kind: int  #: 73, 81, 82, 83, 85, 86, 89
-    initial: float  #: height where the cycle was called
-    retract: float  #: R
-    bottom: float = math.nan  #: Z
-    peck: float = 0.0  #: Q, 0: in one stroke
-
-    def strokes(self) -> list[tuple[float, bool]]:
-        """Heights [m] that the tool goes to from R on, each with whether it goes there rapidly; the last is R again.
-
-        81, 82: in, out rapidly; 83: out to R after each peck; 73: back by the clearance; 85, 89: out at the feed.
-        """
-        if self.kind not in (73, 83) or not 0 < self.peck < self.retract - self.bottom:
-            return [(self.bottom, False), (self.retract, self.kind not in (85, 89))]
-        depth = self.retract
-        path: list[tuple[float, bool]] = []
-        while depth > self.bottom:
-            above = min(self.retract, depth + CLEARANCE)
-            if path:
-                path += [(above, True)] if self.kind == 73 else [(self.retract, True), (above, True)]
-            depth = max(self.bottom, depth - self.peck)
-            path.append((depth, False))
-            if len(path) > 3 * MOST_PECKS:
-                raise ValueError(f"the hole takes more than {MOST_PECKS} pecks; wrong Q?")
-        return [*path, (self.retract, True)]
 
 
 class Machine:
@@ -305,7 +272,7 @@ class Machine:
             self.program.refuse(word, str(error))
             return False
         height = max(self.position[2], cycle.retract)
-        self.program.rapid((self.position[0], self.position[1], height))
+        self.program.rapid((*self.position[:2], height))
         self.program.rapid((x, y, height))
         at = (x, y, cycle.retract)
         self.program.rapid(at)

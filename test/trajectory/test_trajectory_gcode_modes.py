@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from kr270_milling.trajectory.drilling import CLEARANCE, Cycle
 from kr270_milling.trajectory.gcode.reader import read_gcode
-from kr270_milling.trajectory.machine import CLEARANCE, Cycle
 
 START = "G0 X0 Y0 Z10\n"
 
