@@ -10,7 +10,6 @@ import time
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
@@ -23,7 +22,7 @@ from kr270_milling.base.process import end_process
 from kr270_milling.nodes.play_arguments import PLAY, play_options
 from kr270_milling.ros.names import NameRefused, message_class, plain_topic
 from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode, guarded, stamp_from_ns
-from kr270_milling.ros.spin import run_node
+from kr270_milling.ros.spin import own_arguments, run_node
 
 __all__ = ["Player", "main", "play", "qos_of"]
 
@@ -215,5 +214,5 @@ def main() -> int:
     parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording")
     for names, how in PLAY:
         parser.add_argument(*names, **how)
-    code, _ = play(play_options(parser.parse_args(remove_ros_args(sys.argv)[1:])), sys.argv)
+    code, _ = play(play_options(parser.parse_args(own_arguments())), sys.argv)
     return end_process(code)

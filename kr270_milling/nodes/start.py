@@ -52,13 +52,13 @@ def _node_class(name: str) -> type:
 
 def _several() -> list[str]:
     """The nodes that the command line of ``milling_cell`` names."""
-    from rclpy.utilities import remove_ros_args
+    from kr270_milling.ros.spin import own_arguments
 
     parser = argparse.ArgumentParser(prog="milling_cell", description="Run several nodes in one process.")
     parser.add_argument(
         "nodes", metavar="NODE", nargs="*", default=["compliant_robot", "cutting_process"], help=", ".join(CLASSES)
     )
-    names = parser.parse_args(remove_ros_args(sys.argv)[1:]).nodes
+    names = parser.parse_args(own_arguments()).nodes
     unknown = [name for name in names if name not in CLASSES]
     if unknown or len(set(names)) < len(names):
         parser.error(f"{unknown[0]!r} is none of {', '.join(CLASSES)}" if unknown else "each node may be named once")

@@ -13,6 +13,7 @@ from rclpy.context import Context
 from rclpy.exceptions import ParameterException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import remove_ros_args
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.process import end_process
@@ -20,10 +21,27 @@ from kr270_milling.ros.environment import PARENT, keep_to_this_host
 from kr270_milling.ros.leaving import leaving
 from kr270_milling.ros.litter import remove_litter
 
-__all__ = ["run_node", "run_nodes"]
+__all__ = ["own_arguments", "run_node", "run_nodes"]
 
 LEAVE = 3.0  # [s] of the wall to leave the graph
 STOPS = (signal.SIGINT, signal.SIGTERM)
+
+
+def own_arguments() -> list[str]:
+    """The words of this process's command line that are not for ROS.
+
+    Raises SystemExit with code 2, behind a sentence, where ROS refuses those that are for it.
+    """
+    try:
+        return remove_ros_args(sys.argv)[1:]
+    except Exception as error:  # noqa: BLE001 - as below
+        _tell(error)
+        raise SystemExit(2) from None
+
+
+def _tell(error: Exception) -> None:
+    """One line on standard error."""
+    print(f"{os.path.basename(sys.argv[0])}: {' '.join(str(error).split())}", file=sys.stderr)
 
 
 def run_node(make: Callable, args: list[str] | None = None) -> int:
@@ -65,18 +83,17 @@ def _run_nodes(makes: Sequence[Callable], args: list[str] | None, stop: list[int
     if PARENT not in os.environ:
         remove_litter()  # a runner did it
     context = Context()
-    program = os.path.basename(sys.argv[0])
     try:
         rclpy.init(args=args, context=context, signal_handler_options=SignalHandlerOptions.NO)
     except Exception as error:  # noqa: BLE001 - rclpy raises several of its own for arguments that it refuses
-        print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
+        _tell(error)
         return 2
     nodes: list = []
     try:
         for make in makes:
             nodes.append(make(context=context))
     except (MillingError, ParameterException) as error:
-        print(f"{program}: {' '.join(str(error).split())}", file=sys.stderr)
+        _tell(error)
         with leaving(2, LEAVE):
             context.try_shutdown()
         return 2

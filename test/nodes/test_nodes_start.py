@@ -80,3 +80,14 @@ def test_node_in_the_background_of_a_script_obeys_sigterm(ros_environment, tmp_p
             time.sleep(0.02)
         process.terminate()
         assert process.wait(20) == 0
+
+
+@pytest.mark.parametrize("words", [["-p", "x"], ["--params-file", "nowhere.yaml"], ["--unknown"]])
+@pytest.mark.parametrize("program", ["compliant_robot", "milling_cell", "player"])
+def test_arguments_that_ros_refuses_are_told_in_a_sentence(ros_environment, program, words):
+    command = [sys.executable, "-m", "kr270_milling.nodes", program, "--ros-args", *words]
+    ended = subprocess.run(command, cwd=ROOT, env=ros_environment, capture_output=True, text=True, timeout=60)
+    assert ended.returncode == 2
+    assert "Traceback" not in ended.stderr
+    last = ended.stderr.splitlines()[-1]
+    assert last.startswith(f"{program}: ") and words[-1] in last
