@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import heapq
 import zlib
 from array import array
 from collections import Counter, OrderedDict
@@ -113,6 +114,7 @@ class Unpacker:
 
     def __init__(self, stream, size: int, cache: int = CACHE):
         self._stream, self._limit = stream, cache
+        self._sorted = CACHE + 2 * size  # [bytes] that sorting by time may hold
         self.used = 0  #: [bytes] that are remembered
         self.left = FREE + PER_BYTE * size  #: [us] of work on this file
         self._remembered: OrderedDict[int, Messages] = OrderedDict()
@@ -135,6 +137,37 @@ class Unpacker:
         while self.used > self._limit and len(self._remembered) > 1:
             self.used -= self._remembered.popitem(last=False)[1].cost
         return found
+
+    def in_file_order(self, chunks: list[Chunk]) -> Iterator[Entry]:
+        """Every message of some chunks. Raises Damage."""
+        for chunk in chunks:
+            found = self(chunk)
+            self.spend(READ * len(found), chunk.offset)
+            yield from found
+
+    def in_time_order(self, chunks: list[Chunk]) -> Iterator[Entry]:
+        """The same by log times. A chunk is opened when its first time has come; of one that waits for its next message
+        only the order is held, and it is unpacked again where it was forgotten meanwhile."""
+        # the next message of each
+        lanes: list[tuple] = [(chunk.first_time, chunk.offset, -1, chunk, iter(())) for chunk in chunks]
+        heapq.heapify(lanes)
+        held = 0
+        while lanes:
+            _, offset, k, chunk, rest = lanes[0]
+            found = self(chunk)
+            if k < 0:
+                rest, held = found.by_time(), held + 12 * len(found)
+                self.spend(READ * len(found), offset)
+                if held > self._sorted:
+                    raise Damage("its chunks overlap in time so much that their messages cannot be sorted", offset)
+            else:
+                yield found.entry(k)
+            following = next(rest, None)
+            if following is None:
+                heapq.heappop(lanes)
+                held -= 12 * len(found)
+            else:
+                heapq.heapreplace(lanes, (following[0], offset, following[1], chunk, rest))
 
 
 def _messages(stream, chunk: Chunk) -> Messages:

@@ -7,27 +7,23 @@ beside the one that is being read.
 from __future__ import annotations
 
 import contextlib
-import heapq
 import os
-import stat
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
-from kr270_milling.bag.chunks import CACHE, READ, Chunk, Entry, Unpacker
-from kr270_milling.bag.structure import HEAD, MAGIC, SMALL, Damage, Part, checksum, exactly, parts
+from kr270_milling.bag.chunks import Chunk, Entry, Unpacker
+from kr270_milling.bag.structure import MAGIC, SMALL, Damage, Part, checksum, footer, mcap_file, open_to_read, parts
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.definitions import Topic, make_decoder
 
-__all__ = ["BEGIN", "END", "FOOTER_SIZE", "Attachment", "Place", "RawMessage", "Recording", "Topic", "find_file"]
+__all__ = ["BEGIN", "END", "Attachment", "Place", "RawMessage", "Recording", "Topic"]
 
 Place = tuple[int, int]  # of a message in its file: offset of the chunk, offset in the unpacked chunk
 BEGIN, END = (0, 0), (2**64, 0)  # no message stands before and none behind
-FOOTER_SIZE = HEAD.size + 20 + len(MAGIC)  # with the magic behind it
 MOST_DEFINED = 32 * 1024 * 1024  # [bytes] of names, definitions and metadata that are held
 ENTRY = 150  # [bytes] that Python takes for an entry of a small record or mapping
 MOST_CHUNKS = 250_000  # some 40 MB of places; 70 hours of a recorder that closes one every second
@@ -53,29 +49,6 @@ class Attachment(NamedTuple):
     end: int
 
 
-def find_file(path) -> Path:
-    """The MCAP file itself, or the one in a recording's directory."""
-    path = Path(path)
-    if not path.is_dir():
-        return path
-    files = sorted(path.glob("*.mcap"))
-    if len(files) != 1:
-        raise RecordingError(path, f"holds {len(files)} MCAP files where a recording has one")
-    return files[0]
-
-
-def _open(path: Path):
-    """A regular file, opened to be read. Raises RecordingError."""
-    try:
-        file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe must not make us wait
-    except (OSError, ValueError) as error:
-        raise RecordingError(path, f"cannot be read: {getattr(error, 'strerror', error)}") from error
-    if not stat.S_ISREG(os.fstat(file).st_mode):
-        os.close(file)
-        raise RecordingError(path, "is not a file")
-    return os.fdopen(file, "rb", buffering=65536)
-
-
 class Recording:
     """An open recording. ``cut_off`` tells that its writer did not finish it; then ``last_log_time`` is that of the
     last complete message. Raises RecordingError for what is no MCAP file or is damaged.
@@ -84,8 +57,8 @@ class Recording:
     """
 
     def __init__(self, path, progress: Callable[[int, int], None] | None = None):
-        self.path = find_file(path)
-        self.stream = _open(self.path)
+        self.path = mcap_file(path)
+        self.stream = open_to_read(self.path)
         self.size = os.fstat(self.stream.fileno()).st_size
         self.unpack = Unpacker(self.stream, self.size)
         self.profile: str | None = None  #: None: there is no header
@@ -149,19 +122,18 @@ class Recording:
 
     def _read_summary(self) -> int:
         """Schemas, channels and counts from the end of the file, if it ends as a writer ends it; where that begins."""
-        at = self.size - FOOTER_SIZE
-        end = exactly(self.stream, at, FOOTER_SIZE) if at >= len(MAGIC) else b""
-        if not end.startswith(HEAD.pack(Opcode.FOOTER, 20)) or not end.endswith(MAGIC):
+        last = footer(self.stream, self.size)
+        if last is None:
             return 0
-        footer = Part(Opcode.FOOTER, at, end[: -len(MAGIC)]).record()
-        start = footer.summary_start
+        at, record = last.offset, last.record()
+        start = record.summary_start
         if start:
             if not len(MAGIC) <= start <= at or at - start > SMALL:
                 raise Damage("the footer points to an impossible place", at)
             for part in parts(self.stream, start, at):
                 if part.type in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
                     self._take(part)
-            if footer.summary_crc not in (0, checksum(self.stream, start, at + 25)):  # with the footer up to itself
+            if record.summary_crc not in (0, checksum(self.stream, start, at + 25)):  # with the footer up to itself
                 raise Damage("the summary at the end does not fit its checksum", start)
         return start or at
 
@@ -286,40 +258,11 @@ class Recording:
 
     def entries(self, chunks: list[Chunk], as_written: bool) -> Iterator[Entry]:
         """Every message of some chunks. Raises Damage."""
-        for entry in self._by_place(chunks) if self.cut_off or as_written else self._by_time(chunks):
+        ordered = self.unpack.in_file_order if self.cut_off or as_written else self.unpack.in_time_order
+        for entry in ordered(chunks):
             if entry.channel not in self.channels:
                 raise Damage(f"a message belongs to channel {entry.channel}, which is not defined", entry.place[0])
             yield entry
-
-    def _by_place(self, chunks: list[Chunk]) -> Iterator[Entry]:
-        for chunk in chunks:
-            found = self.unpack(chunk)
-            self.unpack.spend(READ * len(found), chunk.offset)
-            yield from found
-
-    def _by_time(self, chunks: list[Chunk]) -> Iterator[Entry]:
-        """By log times. A chunk is opened when its first time has come; of one that waits for its next message only
-        the order is held, and it is unpacked again where it was forgotten meanwhile."""
-        # the next message of each
-        lanes: list[tuple] = [(chunk.first_time, chunk.offset, -1, chunk, iter(())) for chunk in chunks]
-        heapq.heapify(lanes)
-        held, bearable = 0, CACHE + 2 * self.size
-        while lanes:
-            _, offset, k, chunk, rest = lanes[0]
-            found = self.unpack(chunk)
-            if k < 0:
-                rest, held = found.by_time(), held + 12 * len(found)
-                self.unpack.spend(READ * len(found), offset)
-                if held > bearable:
-                    raise Damage("its chunks overlap in time so much that their messages cannot be sorted", offset)
-            else:
-                yield found.entry(k)
-            following = next(rest, None)
-            if following is None:
-                heapq.heappop(lanes)
-                held -= 12 * len(found)
-            else:
-                heapq.heapreplace(lanes, (following[0], offset, following[1], chunk, rest))
 
     def decoded(self, topics: Collection[str] | None = None, **limits) -> Iterator[tuple[RawMessage, Any]]:
         """Messages with their fields as attributes; the slow way for any type of the "ros2msg" kind."""

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.bag.reader import Recording, find_file
+from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.structure import mcap_file
 from kr270_milling.base import parameter_file as config_file
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import Cursor
@@ -45,7 +46,7 @@ def find_tool_path(name: str, beside: Path = Path()) -> Path:
     Raises ConfigError, RecordingError.
     """
     if os.path.isdir(beside / name):
-        return find_file(beside / name)
+        return mcap_file(beside / name)
     return config_file.find_file(name, beside)
 
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from kr270_milling.bag.chunks import Chunk
-from kr270_milling.bag.reader import Attachment, Recording, find_file
-from kr270_milling.bag.structure import MAGIC, Damage, Part, exactly, next_chunk, parts
+from kr270_milling.bag.reader import Attachment, Recording
+from kr270_milling.bag.structure import MAGIC, Damage, Part, exactly, mcap_file, next_chunk, parts
 from kr270_milling.bag.verify import findings
 from kr270_milling.bag.writer import BagWriter, MessageRefused
 from kr270_milling.base.errors import RecordingError
@@ -55,7 +55,7 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     The source is not touched. The target appears at once when it is complete; it must not exist before. A source that
     is whole is left alone: it is written again only where a target is named.
     """
-    file, place = find_file(source), Path(os.path.abspath(source))
+    file, place = mcap_file(source), Path(os.path.abspath(source))
     name = place.name if place.is_dir() else place.stem
     whole, damage = _judged(file)
     if whole and target is None:

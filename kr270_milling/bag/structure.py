@@ -1,4 +1,4 @@
-"""The records of an MCAP file, found without trusting any number in it [MCAP].
+"""The MCAP file of a recording and its records, found without trusting any number in it [MCAP].
 
 A record is one byte of type, eight bytes of length and its content. Every length is held against the file and a
 limit before anything of that size is read; the content is then read by mcap's StreamReader.
@@ -6,11 +6,14 @@ limit before anything of that size is read; the content is then read by mcap's S
 
 from __future__ import annotations
 
+import os
 import re
+import stat
 import struct
 import zlib
 from collections.abc import Iterator
 from io import BytesIO
+from pathlib import Path
 from typing import NamedTuple
 
 from mcap.data_stream import RecordBuilder
@@ -18,10 +21,16 @@ from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
 
-__all__ = ["HEAD", "LIMIT", "MAGIC", "MESSAGE", "Damage", "Part", "checksum", "exactly", "inner", "next_chunk", "parts"]
+from kr270_milling.base.errors import RecordingError
+
+__all__ = [
+    "FOOTER_SIZE", "HEAD", "LIMIT", "MAGIC", "MESSAGE", "SMALL", "Damage", "Part", "checksum", "exactly", "footer",
+    "inner", "mcap_file", "next_chunk", "open_to_read", "parts",
+]  # fmt: skip
 
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")
+FOOTER_SIZE = HEAD.size + 20 + len(MAGIC)  # with the magic behind it
 MESSAGE = struct.Struct("<BQHIQQ")  # type and length; channel, sequence, log time, publish time
 LIMIT = 256 * 1024 * 1024  # [bytes] of one attachment, one message or one chunk, packed and unpacked
 SMALL = 32 * 1024 * 1024  # [bytes] of any other record
@@ -83,6 +92,29 @@ class Part(NamedTuple):
         return record
 
 
+def mcap_file(path) -> Path:
+    """The MCAP file itself, or the one in a recording's directory. Raises RecordingError."""
+    path = Path(path)
+    if not path.is_dir():
+        return path
+    files = sorted(path.glob("*.mcap"))
+    if len(files) != 1:
+        raise RecordingError(path, f"holds {len(files)} MCAP files where a recording has one")
+    return files[0]
+
+
+def open_to_read(path: Path):
+    """A regular file, opened to be read. Raises RecordingError."""
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_NONBLOCK)  # a pipe must not make us wait
+    except (OSError, ValueError) as error:
+        raise RecordingError(path, f"cannot be read: {getattr(error, 'strerror', error)}") from error
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise RecordingError(path, "is not a file")
+    return os.fdopen(file, "rb", buffering=65536)
+
+
 def parts(stream, begin: int, end: int) -> Iterator[Part]:
     """The whole records between two offsets of a file; stops before the first one that is not all there.
 
@@ -103,6 +135,14 @@ def parts(stream, begin: int, end: int) -> Iterator[Part]:
             behind += HEAD.size + size
         yield Part(kind, begin, exactly(stream, begin, behind - begin))
         begin = behind
+
+
+def footer(stream, size: int) -> Part | None:
+    """The last record of a file of that size; None: it does not end as a writer ends it."""
+    at = size - FOOTER_SIZE
+    end = exactly(stream, at, FOOTER_SIZE) if at >= len(MAGIC) else b""
+    whole = end.startswith(HEAD.pack(Opcode.FOOTER, 20)) and end.endswith(MAGIC)
+    return Part(Opcode.FOOTER, at, end[: -len(MAGIC)]) if whole else None
 
 
 def exactly(stream, begin: int, size: int) -> bytes:

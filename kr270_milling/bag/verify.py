@@ -12,8 +12,8 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 
 from kr270_milling.bag.chunks import Chunk
-from kr270_milling.bag.reader import FOOTER_SIZE, Recording
-from kr270_milling.bag.structure import HEAD, MAGIC, Damage, Part, checksum, parts
+from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.structure import FOOTER_SIZE, HEAD, MAGIC, Damage, Part, checksum, parts
 
 __all__ = ["findings"]
 

@@ -93,7 +93,7 @@ def test_overlapping_chunks_are_merged_within_the_memory_for_chunks(tmp_path, mo
     with Recording(path) as recording:
         assert [m.log_time for m in recording.messages()] == list(range(2000))
         assert recording.unpack.used <= 50_000 + 50_000
-    monkeypatch.setattr("kr270_milling.bag.reader.CACHE", -1_000_000_000)
+    monkeypatch.setattr("kr270_milling.bag.chunks.CACHE", -1_000_000_000)
     with Recording(path) as recording:
         with pytest.raises(RecordingError, match="overlap in time so much"):
             list(recording.messages())

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from faults.disturbed import Disturbed
-from kr270_milling.bag.reader import find_file
+from kr270_milling.bag.structure import mcap_file
 from kr270_milling.graph.graph import CELL, PLANNER
 from kr270_milling.graph.watchdog import COMPENSATOR, CUT, RECORDER, ROBOT
 
@@ -74,7 +74,7 @@ def _restart(process: str):
 
 def _fill_disk(graph: Disturbed) -> Script:
     """The recorder may not write beyond the present size of its file, but for 20 kB."""
-    size = os.path.getsize(find_file(graph.recording)) + 20_000
+    size = os.path.getsize(mcap_file(graph.recording)) + 20_000
     graph.struck()
     resource.prlimit(graph.children[RECORDER].pid, resource.RLIMIT_FSIZE, (size, size))
     yield 0.0
