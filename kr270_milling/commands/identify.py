@@ -23,6 +23,7 @@ from kr270_milling.identification import forces as laws
 from kr270_milling.identification import plan as load_tests
 from kr270_milling.identification.compliance import compliance_outcome, fit
 from kr270_milling.identification.cuts import Sensor, force_series, read_cuts, turn_of
+from kr270_milling.identification.materials import find_material, materials
 from kr270_milling.identification.measurements import read_measurements
 from kr270_milling.identification.outcome import Outcome, points
 from kr270_milling.identification.problem import Problem
@@ -151,7 +152,7 @@ def damping(args) -> Answer:
 
 def material(args) -> Answer:
     """Published force coefficients, as a table or as a file to include."""
-    rows = laws.find_material(args.name) if args.name else laws.materials()
+    rows = find_material(args.name) if args.name else materials()
     entries = [
         {"material": m.name, "cutter": m.cutter, "lubrication": m.lubrication, "source": m.source}
         | dict(zip(laws.NAMES, (m.values / laws.SCALE).tolist(), strict=True))

@@ -16,16 +16,13 @@ thickness: its means are integrated, and its coefficients follow by non-linear l
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
 
-from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import specs
-from kr270_milling.base.table import read_table
 from kr270_milling.cell.plant import SCATTERED, SCATTERED_AXIAL
 from kr270_milling.cutting.laws import KLIMCHIK2012, FractionalLaw, LinearEdgeLaw, fractional
 from kr270_milling.identification.cuts import Cuts
@@ -33,8 +30,8 @@ from kr270_milling.identification.intervals import MixedUpError, half_interval, 
 from kr270_milling.identification.outcome import Outcome, points
 
 __all__ = [
-    "NAMES", "LawFit", "Material", "OneFeedError", "find_material", "fit_fractional", "fit_linear_edge",
-    "force_outcome", "fractional_mean_forces", "law_sections", "materials", "mean_forces",
+    "NAMES", "SCALE", "LawFit", "OneFeedError", "fit_fractional", "fit_linear_edge", "force_outcome",
+    "fractional_mean_forces", "law_sections", "mean_forces",
 ]  # fmt: skip
 
 #: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON, in the order and the units of LinearEdgeLaw
@@ -46,9 +43,6 @@ POINTS = np.polynomial.legendre.leggauss(48)
 #: k_0, h_s, r, k_r [N/m for 1 mm of depth, m]
 START = np.array([getattr(KLIMCHIK2012, spec.name) for spec in LAWS["fractional"][:4]])
 BOUNDS = np.array([1e3, 1e-7, 0.0, 0.0]) / START, np.array([1e9, 1e-2, 1.0, 10.0]) / START
-FILE = "materials.csv"
-COLUMNS = ("material", "cutter", "lubrication", *NAMES, "reference")
-SOURCE = "Chinese Journal of Mechanical Engineering (2021), doi 10.1186/s10033-021-00536-9, table 5"
 COLOURS = {"x": "#1f77b4", "y": "#d62728", "z": "#2ca02c"}
 SYMBOLS = {"measured": "circle-open", "linear edge": "line-ew-open", "fractional": "x-thin-open"}
 
@@ -284,37 +278,3 @@ def _figures(fits: list[LawFit]) -> list:
         points("Mean forces over the feed", "feed per tooth [mm]", "mean per mm of depth [N]", shown, (), style),
         points("Residuals", "feed per tooth [mm]", "measured less modelled [N]", residuals, (), style),
     ]
-
-
-@dataclass(frozen=True, eq=False)
-class Material:
-    """One row of the table."""
-
-    name: str
-    cutter: str
-    lubrication: str
-    values: np.ndarray  #: K_tc, K_te, K_rc, K_re, K_ac, K_ae [N/m^2, N/m], (6,), NaN: not given
-    source: str
-
-
-def materials() -> list[Material]:
-    """All rows."""
-    table = read_table(find_file(FILE), COLUMNS, COLUMNS)
-    values = table.numbers(NAMES, np.nan) * SCALE
-    texts = zip(*(table.texts(name) for name in ("material", "cutter", "lubrication", "reference")), strict=True)
-    return [
-        Material(name, cutter, cooling, row, f"{SOURCE}, reference [{reference}] there")
-        for (name, cutter, cooling, reference), row in zip(texts, values, strict=True)
-    ]
-
-
-def find_material(name: str) -> list[Material]:
-    """The rows of a material, in any case; raises InputError with the known ones."""
-    rows = materials()
-    found = [row for row in rows if row.name.lower() == name.lower()]
-    if not found:
-        known = sorted({row.name for row in rows})
-        near = difflib.get_close_matches(name, known, 1, 0.4)
-        hint = f"; did you mean {near[0]}?" if near else f"; it has {', '.join(known)}"
-        raise InputError(FILE, f"has no material {name[:40]!r}{hint}")
-    return found

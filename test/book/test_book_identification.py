@@ -12,7 +12,8 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cutting import Tool
 from kr270_milling.identification.compliance import fit
 from kr270_milling.identification.cuts import Cuts, engagement
-from kr270_milling.identification.forces import find_material, fit_linear_edge, mean_forces
+from kr270_milling.identification.forces import fit_linear_edge, mean_forces
+from kr270_milling.identification.materials import find_material
 from kr270_milling.identification.modes import find_modes
 from kr270_milling.identification.plan import Bench, Candidates, Planner, candidates, read_test_pose
 from kr270_milling.identification.problem import Problem

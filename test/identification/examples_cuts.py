@@ -10,7 +10,8 @@ import numpy as np
 from kr270_milling.base.table import write_table
 from kr270_milling.cutting import Tool
 from kr270_milling.identification.cuts import Cuts, engagement
-from kr270_milling.identification.forces import find_material, mean_forces
+from kr270_milling.identification.forces import mean_forces
+from kr270_milling.identification.materials import find_material
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 NOTES = [

@@ -13,12 +13,10 @@ from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
 from kr270_milling.identification.cuts import Cuts, Sensor, engagement, read_cuts
 from kr270_milling.identification.forces import (
     OneFeedError,
-    find_material,
     fit_fractional,
     fit_linear_edge,
     fractional_mean_forces,
     law_sections,
-    materials,
     mean_forces,
 )
 
@@ -153,13 +151,3 @@ def test_unusable_rows_are_refused_with_their_line(tmp_path, row, said):
     with pytest.raises(InputError, match="line 3") as refused:
         read_cuts(file, TOOL, Sensor())
     assert said in str(refused.value)
-
-
-def test_every_material_has_a_source_and_the_coefficients_of_the_milling_plane():
-    rows = materials()
-    assert len(rows) >= 6
-    for row in rows:
-        assert "10.1186/s10033-021-00536-9" in row.source and np.isfinite(row.values[:4]).all()
-    assert find_material("al7075-T6")[0].values[0] == pytest.approx(600.46e6)
-    with pytest.raises(InputError, match="has no material"):
-        find_material("wood")
