@@ -9,7 +9,7 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_abc
 from kr270_milling.base.record import UNITS
 from kr270_milling.base.table import read_table
-from kr270_milling.trajectory.apt import read_apt
+from kr270_milling.trajectory.apt.reader import read_apt
 from kr270_milling.trajectory.gcode.reader import read_gcode
 from kr270_milling.trajectory.toolpath import REACH, PathBuilder, Toolpath
 

@@ -7,7 +7,7 @@ import pytest
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.frames import rotation_from_quaternion
-from kr270_milling.trajectory.apt import read_apt
+from kr270_milling.trajectory.apt.reader import read_apt
 
 HEAD = "PARTNO TEST PIECE\nUNITS/MM\nSPINDL/8000,RPM,CLW\n"
 

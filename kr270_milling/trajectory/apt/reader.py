@@ -14,8 +14,9 @@ import re
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.text import read_lines, short, unended
+from kr270_milling.trajectory.apt.words import ADVICE, CENTRE, DATUM, FEEDS, LENGTHS, MILL, SILENT, SPINDLE_WORDS
 from kr270_milling.trajectory.comments import operation_name
-from kr270_milling.trajectory.machine import INCH, MM, Machine
+from kr270_milling.trajectory.machine import Machine
 from kr270_milling.trajectory.program_builder import ProgramBuilder
 from kr270_milling.trajectory.source_program import ProgramTool
 from kr270_milling.trajectory.toolpath import Toolpath
@@ -23,33 +24,9 @@ from kr270_milling.trajectory.trajectory import TOOL_DOWN
 
 __all__ = ["read_apt"]
 
-LENGTHS = {"MM": MM, "INCHES": INCH, "INCH": INCH, "IN": INCH, "CM": 1e-2}
-#: unit of FEDRAT -> length [m], None: that of UNITS, and whether it is per revolution
-FEEDS = {"MMPM": (MM, False), "IPM": (INCH, False), "PERMIN": (None, False), "MMPR": (MM, True), "IPR": (INCH, True),
-         "PERREV": (None, True)}  # fmt: skip
-#: words without effect on the path
-SILENT = frozenset({
-    "REMARK", "MACHIN", "COOLNT", "DISPLY", "PAINT", "INTOL", "OUTTOL", "TOLER", "END-OF-PATH", "STOP", "OPSTOP",
-    "OPSKIP", "DELAY", "DWELL", "REWIND", "SEQNO", "AUXFUN", "PREFUN", "INSERT", "LEADER", "CLEARP", "CLEARANCE",
-    "CHECK", "SETMODE", "MODE", "CATPROCESS", "OP", "TPRINT", "CAMERA", "HEAD", "ROTABL", "THICK", "ORIGIN", "LETTER",
-    "OVPLOT", "PIVOTZ", "RETRCT", "SAFETY", "SELECT", "SET", "MULTAX", "MCHTOL", "ARCSLP", "POSTN", "PLUNGE", "BREAK",
-})  # fmt: skip
-CENTRE = "let the CAM output the path of the tool's centre"
-MILL = "post CL data of a 3-axis mill: GOTO, CIRCLE, FEDRAT, RAPID"
-ARCS = "let the CAM output arcs as CIRCLE/ about z or as GOTO moves"
-DATUM = "let the CAM output coordinates of one system"
-MACROS = "let the CAM output CL data without macros, loops and geometry statements"
-ADVICE = {
-    "CYCLE": "let the CAM output drilling as GOTO moves", "THREAD": "leave threads out", "PROBE": "leave probing out",
-    **dict.fromkeys(("TLON", "INDIRV", "GOFWD", "NURBS", "ARCMOV", "MOVARC", "HELIX"), ARCS),
-    **dict.fromkeys(("TRACUT", "TRANS", "COPY", "CSYS", "ROTATE"), DATUM),
-    **dict.fromkeys(("LOOPST", "LOOPND", "MACRO", "CALL", "IF", "JUMPTO", "TERMAC"), MACROS),
-}  # fmt: skip
 WORD = re.compile(r"[A-Z][A-Z0-9 _-]*")
 LARGEST_CUTTER = 0.2  #: [m]
 FASTEST = 1e6  #: [rad/s]
-AXES5 = "the tool stands along z; post a 3-axis path"
-SPINDLE_WORDS = ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO", "RANGE")
 NO_END = "a CIRCLE/ without the GOTO/ of its end"
 
 
@@ -295,7 +272,7 @@ class _Reader(Machine):
     def _system(self, values: list[str]) -> None:
         """MSYS/: the coordinates are counted from one system of the machine, whichever it is."""
         if values != self.system and (self.system is not None or self.started):
-            raise StatementError("a second MSYS/; let the CAM output coordinates of one system")
+            raise StatementError(f"a second MSYS/; {DATUM}")
         self.system = values
         self.program.silent["MSYS"] += 1
 
@@ -317,6 +294,6 @@ def _tool_axis(axis: list[float]) -> tuple[float, float, float, float]:
         raise StatementError(f"the tool axis has the length {length:g} instead of 1")
     i, j, k = (v / length for v in axis)
     if k < -0.999:
-        raise StatementError(f"the tool comes from below; {AXES5}")
+        raise StatementError("the tool comes from below; the tool stands along z; post a 3-axis path")
     turn = Rotation.from_quat([-j, i, 0.0, 1 + k])  # the shortest from z to the axis
     return tuple((turn * Rotation.from_quat(TOOL_DOWN)).as_quat(canonical=True).tolist())

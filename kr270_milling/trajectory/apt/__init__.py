@@ -1,0 +1,1 @@
+"""APT source and CL text as Creo, NX and other CAM systems write it."""
