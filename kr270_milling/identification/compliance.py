@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
-from scipy.optimize import least_squares
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import specs
@@ -138,15 +137,15 @@ def _fitted(problem: Problem, reasons: dict[int, str], robust: bool) -> Fit:
         reason = f"{measured} numbers cannot tell {sought} unknown ones; measure more loads or postures"
         raise TooFewError(reason)
     for _ in range(ROUNDS):
-        x = _solved(problem, x, free, weights)
+        x = problem.solve(x, free, weights)
         left = problem.weighted(problem.predict(x))
         new = robust_weights(left) if robust else weights
-        scaled = problem if problem.measured.sigma_known else _with_estimated_sigma(problem, left, weights, sought)
+        scaled = problem if problem.measured.sigma_known else problem.with_estimated_sigma(left, weights, sought)
         done = np.abs(new - weights).max() < 1e-3 and np.allclose(scaled.measured.sigma, problem.measured.sigma, 1e-4)
         problem, weights = scaled, new
         if done:
             break
-    each = np.repeat(weights, 6)[problem.finite.ravel()]
+    each = problem.by_number(weights)
     residuals, a = problem.linearised(x)
     freedom = max(1, int((each > 0.0).sum() - sought))
     chi2 = float(np.sum(each * residuals**2))
@@ -157,43 +156,6 @@ def _fitted(problem: Problem, reasons: dict[int, str], robust: bool) -> Fit:
     covariance = _with_prior(np.linalg.inv(a[:, free].T @ a[:, free]) * variance, a * np.sqrt(each)[:, None], free)
     quantile = half_interval(freedom, problem.measured.sigma_known and not robust)
     return Fit(problem, x, reasons, covariance, quantile, weights, chi2 / freedom)
-
-
-def _solved(problem: Problem, start: np.ndarray, free: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """The factors of least weighted squares."""
-    if not free.any():
-        return start
-    root = np.sqrt(np.repeat(weights, 6)[problem.finite.ravel()])
-
-    def whole(part: np.ndarray) -> np.ndarray:
-        x = start.copy()
-        x[free] = part
-        return x
-
-    @functools.lru_cache(maxsize=1)  # residuals and derivatives of one place come from one evaluation
-    def linearised(part: bytes):
-        return problem.linearised(whole(np.frombuffer(part)))
-
-    def residuals(part):
-        return root * linearised(part.tobytes())[0]
-
-    def derivatives(part):
-        return root[:, None] * linearised(part.tobytes())[1][:, free]
-
-    return whole(least_squares(residuals, start[free], derivatives, method="lm", xtol=1e-8, ftol=1e-12).x)
-
-
-def _with_estimated_sigma(problem: Problem, left: np.ndarray, weights: np.ndarray, sought: int) -> Problem:
-    """Standard deviations so that translations and rotations scatter by 1 each; p / m of each is taken by the fit."""
-    sigma = problem.measured.sigma.copy()
-    share = 1.0 - sought / problem.finite.sum()
-    for part in (slice(0, 3), slice(3, 6)):
-        used = np.isfinite(left[:, part]) & (weights[:, None] > 0.0)
-        if used.any():
-            heavy = np.broadcast_to(weights[:, None], used.shape)[used]
-            square = np.sum(heavy * left[:, part][used] ** 2) / np.sum(heavy) / share
-            sigma[:, part] *= np.sqrt(max(square, 1e-24))
-    return dataclasses.replace(problem, measured=dataclasses.replace(problem.measured, sigma=sigma))
 
 
 def _with_prior(inverse: np.ndarray, a: np.ndarray, free: np.ndarray) -> np.ndarray:

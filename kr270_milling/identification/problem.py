@@ -1,4 +1,4 @@
-"""The least squares problem of load tests: which numbers are sought, weighted residuals and their derivatives.
+"""The least squares problem of load tests: sought numbers, weighted residuals, their derivatives, the solution.
 
 How far a load moves a reflector follows from the loaded model (6), (7). With C = diag(c) of the joint compliances, the
 springs bend by theta = C tau(q + theta), tau the torque of wrench, link weights and compensator. Derivation by one
@@ -11,9 +11,11 @@ Which numbers the data can tell follows from the singular values of the weighted
 from __future__ import annotations
 
 import dataclasses
+import functools
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import MillingError, ParameterError
@@ -127,6 +129,50 @@ class Problem:
         """A of other tests: translation of the reflector by the factors, in standard deviations, (k, 3, p)."""
         tests = dataclasses.replace(tests, displacement=np.zeros((len(tests), 6)))
         return dataclasses.replace(self, measured=tests).derivatives(x).reshape(len(tests), 6, -1)[:, :3]
+
+    # --- the fit ---
+
+    def by_number(self, weights: np.ndarray) -> np.ndarray:
+        """Weights of the tests, (n,), for each number that was measured, (m,)."""
+        return np.repeat(weights, 6)[self.finite.ravel()]
+
+    def solve(self, start: np.ndarray, free: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """The factors of least weighted squares, (p,); those that are not free, (p,) bool, stay as at the start."""
+        if not free.any():
+            return start
+        root = np.sqrt(self.by_number(weights))
+
+        def whole(part: np.ndarray) -> np.ndarray:
+            x = start.copy()
+            x[free] = part
+            return x
+
+        @functools.lru_cache(maxsize=1)  # residuals and derivatives of one place come from one evaluation
+        def linearised(part: bytes):
+            return self.linearised(whole(np.frombuffer(part)))
+
+        def residuals(part):
+            return root * linearised(part.tobytes())[0]
+
+        def derivatives(part):
+            return root[:, None] * linearised(part.tobytes())[1][:, free]
+
+        return whole(least_squares(residuals, start[free], derivatives, method="lm", xtol=1e-8, ftol=1e-12).x)
+
+    def with_estimated_sigma(self, left: np.ndarray, weights: np.ndarray, sought: int) -> Problem:
+        """Standard deviations so that residuals ``left``, (n, 6), of translations and of rotations scatter by 1 each.
+
+        p / m of each is taken by the fit of p = sought factors.
+        """
+        sigma = self.measured.sigma.copy()
+        share = 1.0 - sought / self.finite.sum()
+        for part in (slice(0, 3), slice(3, 6)):
+            used = np.isfinite(left[:, part]) & (weights[:, None] > 0.0)
+            if used.any():
+                heavy = np.broadcast_to(weights[:, None], used.shape)[used]
+                square = np.sum(heavy * left[:, part][used] ** 2) / np.sum(heavy) / share
+                sigma[:, part] *= np.sqrt(max(square, 1e-24))
+        return dataclasses.replace(self, measured=dataclasses.replace(self.measured, sigma=sigma))
 
     # --- the loaded model ---
 
