@@ -116,7 +116,9 @@ class Salvage(Recording):
         try:
             self._read_summary()  # it helps where a chunk with definitions is lost
         except Damage as damage:
+            self.counts = None  # any bit of them may be the wrong one
             self.dropped.append(f"the summary: {damage.reason}")
+        self._beside = len(self.dropped)  # what is lost so far holds no message
         self._walk()
         self.attachments = [about for about in self.attachments if self._can_be_read(about, self.attached)]
         self.chunks = [chunk for chunk in self.chunks if self._can_be_read(chunk, self._defined_in)]
@@ -170,7 +172,7 @@ class Salvage(Recording):
         """How many, as far as the file tells how many it had."""
         if self.counts is not None:
             return max(self.counts.total() - written, 0)
-        return 0 if self._ended and not self.dropped else None
+        return 0 if self._ended and len(self.dropped) == self._beside else None
 
 
 def _copy(source: Salvage, writer: BagWriter, progress: Callable[[int, int], None] | None) -> None:

@@ -148,3 +148,15 @@ def test_an_index_of_messages_that_belongs_to_no_chunk_is_told_without_any_check
     path.write_bytes(data[:end] + stray + data[end:-28] + footer + data[-8:])
     with Recording(path) as recording:
         assert any("belongs to no chunk" in sentence for sentence in findings(recording))
+
+
+def test_counts_in_a_damaged_summary_do_not_tell_what_is_lost(whole, tmp_path):
+    data, written, _ = whole
+    begin, end = places(data)["statistics"][0]
+    for bit in range(8 * (begin + 2), 8 * end, 37):
+        path = tmp_path / f"{bit}.mcap"
+        damaged = bytearray(data)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        found = recover(path)
+        assert found.messages == len(written) and found.lost_messages == 0
