@@ -193,14 +193,15 @@ class Robots:
         return {t: place for t, place in found.items() if place[0] in robots}
 
     def _look_ahead(self) -> tuple[dict[str, bytes], dict[str, Report]]:
-        """By namespace, the reference that was latched when the recording began, which may stand behind the first
-        messages of the pass, and the first report of the compensator."""
+        """By namespace, the first reference that the nodes can have taken, which was latched when the recording began
+        and may stand behind the first messages of the pass, and the first report of the compensator."""
         firsts: dict[str, bytes] = {}
         openings: dict[str, Report] = {}
         references = {t: ns for t, (ns, name) in self._names.items() if name == "reference_trajectory"}
         for message in self.recording.messages({*references, *self._diagnostics}, as_written=True):
             if message.topic in references:
-                firsts.setdefault(references[message.topic], message.data)
+                if references[message.topic] not in firsts and _is_usable(message.data):
+                    firsts[references[message.topic]] = message.data
             else:
                 for namespace, report in self._reports(message):
                     openings.setdefault(namespace, report)
@@ -243,6 +244,14 @@ class Robots:
         except (ValueError, OverflowError) as error:
             what = f"a message on {topic} cannot be used: {' '.join(str(error).split())}"
             raise RecordingError(self.recording.path, what) from error
+
+
+def _is_usable(reference: bytes) -> bool:
+    """Whether the nodes can have taken a reference trajectory."""
+    with contextlib.suppress(MillingError):
+        trajectory_from_bytes(reference)
+        return True
+    return False
 
 
 def _look_back(recording: Recording, namespace: str, run: bytes, feed: CompensatorFeed, later: frozenset[Path]) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pass_recording as made
 import pytest
@@ -45,6 +47,17 @@ def test_one_message_that_the_live_nodes_refused_does_not_spoil_a_recording(tmp_
     assert found.verdict == "identical", (found.first, found.stops)
     assert found.channels[f"/{topic}"].refused == 1
     assert found.channels["/wrench"].compared == found.channels["/deflection"].compared == STEPS
+
+
+@pytest.mark.parametrize("place", [0, 150])
+def test_a_reference_in_another_frame_does_not_spoil_a_recording_wherever_it_stands(tmp_path, place):
+    messages = list(made.one_pass())
+    foreign = dataclasses.replace(made.cell_of().target(), frame="base_link")
+    messages.insert(place, made.Message("reference_trajectory", to_bytes(foreign), 0))
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.verdict == "identical", (found.first, found.stops)
+    assert found.channels["/reference_trajectory"].refused == 1
+    assert found.channels["/wrench"].compared == STEPS
 
 
 @pytest.mark.parametrize("topic", ["wrench", "tool_pose"])
