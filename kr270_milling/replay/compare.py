@@ -164,6 +164,11 @@ class Channel:
         self._holes.finish()
 
     @property
+    def count(self) -> int:
+        """Recorded messages so far."""
+        return self._index + 1
+
+    @property
     def waiting(self) -> int:
         """Recorded messages that nothing recomputed has come for."""
         return len(self._recorded) + self._abandoned

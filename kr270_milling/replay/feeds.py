@@ -136,12 +136,16 @@ class CutFeed(Feed):
         self.protocol = cut_protocol(cell)
         ((_, self._fresh),) = self.protocol.configure()
         self._maps: list[tuple[int, bytes]] = []
+        self._latched = False  # the last map is that of a pass before the recording
 
     def pose(self, sample: PoseSample) -> None:
         """The next tool_pose; raises MillingError where the protocol refuses it."""
         if self._passes.begins(sample.stamp):
             self.end_pass()
             self.protocol.configure()
+        if self._latched and sample.stamp == 0:
+            self._latched = False
+            self._channels["workpiece"].expected(0, self._fresh)  # of this pass, which none can begin without
         next_step = self.protocol.step + 1
         if self.cell.clock.step(sample.stamp) > next_step and self._lack is None:
             begun = "the tool pose of this time is not in the recording"
@@ -155,18 +159,26 @@ class CutFeed(Feed):
     def workpiece(self, stamp: int, data: bytes) -> None:
         """A recorded map; it shows the fresh part at stamp 0, else the part behind the last pose that was answered.
 
-        It may stand a little before that pose in the file. One from far ahead is latched from the pass before.
+        It may stand a little before that pose in the file, or behind it. The first map may be latched from a pass
+        before. Where poses are missing, no map can be compared. The cut cannot have made any other one.
         """
         channel = self._channels["workpiece"]
-        ahead = stamp - self.protocol.stamp_ns
+        near, ahead = MOST_AHEAD * self.cell.exchange.period * 1e9, stamp - self.protocol.stamp_ns
+        in_pass = self.protocol.step >= 0 and self.cell.clock.step(stamp) >= 0
         if stamp == 0:
+            self._latched = False
             channel.expected(0, self._fresh)
             channel.recorded(0, data)
-        elif self.protocol.step >= 0 and 0 <= ahead <= MOST_AHEAD * self.cell.exchange.period * 1e9:
+        elif in_pass and 0 <= ahead <= near:
             self._maps.append((stamp, data))
             self._compare_maps()
-        else:
+        elif self.protocol.step < 0 and channel.count == 0:
+            self._latched = True
             channel.take(data)
+        elif self._lack is not None or (in_pass and -near <= ahead < 0):
+            channel.take(data)
+        else:
+            channel.recorded(stamp, data)
 
     def _compare_maps(self) -> None:
         while self._maps and self._maps[0][0] <= self.protocol.stamp_ns:

@@ -14,7 +14,7 @@ from pass_recording import STEPS, flip, force_offset
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import ConfigError, MillingError, RecordingError
 from kr270_milling.base.samples import Text
-from kr270_milling.cell.protocols import robot_protocol
+from kr270_milling.cell.protocols import cut_protocol, robot_protocol
 from kr270_milling.messages.codec import to_bytes
 from kr270_milling.replay.compensate import compensate
 from kr270_milling.replay.recompute import recompute
@@ -83,12 +83,27 @@ def test_a_changed_description_is_found_but_not_in_a_recording_of_another_versio
     assert found.verdict == "identical" and found.channels["/robot_description"].given == 1
 
 
+def fresh_map() -> list[made.Message]:
+    """What the cut publishes when it is configured, before every pass."""
+    return made.messages(cut_protocol(made.cell_of()).configure())
+
+
 def test_a_map_that_is_latched_from_the_pass_before_is_not_compared_with_this_one(tmp_path):
     messages = made.changed(made.one_pass(), "workpiece", 0, flip(-2000))
     latched = [m for m in messages if m.topic == "workpiece"]
-    found = recompute(made.write(tmp_path / "r", [*latched, *made.one_pass()]))
+    found = recompute(made.write(tmp_path / "r", [*latched, *fresh_map(), *made.one_pass()]))
     assert found.verdict == "identical"
-    assert (found.channels["/workpiece"].given, found.channels["/workpiece"].compared) == (1, 1)
+    assert (found.channels["/workpiece"].given, found.channels["/workpiece"].compared) == (1, 2)
+
+
+@pytest.mark.parametrize("index", [0, 1], ids=["of the fresh part", "of the finished part"])
+@pytest.mark.parametrize("byte", [4, 8])  # seconds and nanoseconds of the stamp
+def test_a_map_of_another_time_is_not_taken_for_granted(tmp_path, index, byte):
+    whole = [*fresh_map(), *made.one_pass()]
+    assert recompute(made.write(tmp_path / "whole", whole)).verdict == "identical"
+    found = recompute(made.write(tmp_path / "r", made.changed(whole, "workpiece", index, flip(byte, 5))))
+    assert found.verdict in ("incomplete", "different")
+    assert "/workpiece" in str(found.first or found.stops[0])
 
 
 @pytest.mark.parametrize("topic, who", [("wrench", "wrench"), ("tool_pose", "tool pose")])
