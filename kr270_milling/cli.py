@@ -11,7 +11,8 @@ import signal
 import sys
 
 from kr270_milling import __version__
-from kr270_milling.commands.options import COMMANDS, add_command
+from kr270_milling.commands.command import add_command
+from kr270_milling.commands.options import COMMANDS
 
 __all__ = ["main"]
 

@@ -11,7 +11,7 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.draft import draft_text, straight_text
 from kr270_milling.cell.keys import keys_of
 from kr270_milling.commands.console import Answer, Table
-from kr270_milling.commands.options import SIX_AXES
+from kr270_milling.commands.identify_options import SIX_AXES
 from kr270_milling.robot.analysis import analyse, read_arm
 from kr270_milling.trajectory.readers import read_toolpath
 

@@ -3,83 +3,16 @@
 from __future__ import annotations
 
 import argparse
-import functools
-import importlib
-from typing import NamedTuple
 
+from kr270_milling.commands.command import Group, command, option
+from kr270_milling.commands.identify_options import IDENTIFY, POSTURE, SENSOR_ABC, SENSOR_ON
 from kr270_milling.compensation.methods import METHODS
-from kr270_milling.nodes.play_arguments import PLAY, bounded, grid, numbers, stretch
+from kr270_milling.nodes.play_arguments import PLAY, bounded, grid, numbers
 
-__all__ = ["COMMANDS", "FEWEST_PLANTS", "LOBE_SPEEDS", "PLANTS", "add_command"]
+__all__ = ["COMMANDS", "FEWEST_PLANTS", "LOBE_SPEEDS", "PLANTS"]
 
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
 LOBE_SPEEDS = 60
-SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
-QUANTITIES = ("displacement", "velocity", "acceleration")
-
-
-class Group(NamedTuple):
-    """Options under a title of their own; without one only one of them may be given."""
-
-    title: str | None
-    options: tuple
-
-
-class Command(NamedTuple):
-    """run: module.function below ``commands``; note: behind the example; parts: sub-commands by name."""
-
-    run: str
-    example: str
-    text: str
-    options: tuple
-    note: str
-    parts: dict[str, Command]
-
-
-def command(run: str, example: str, text: str, *options, note: str = "", parts: dict | None = None) -> Command:
-    return Command(run, example, text, options, note, parts or {})
-
-
-def option(names: str, text: str, kind=None, default=None, **more) -> tuple[tuple[str, ...], dict]:
-    """Names and keywords for ``add_argument`` of "--seed N", of the switch "--robust" (kind bool) or of the argument
-    "cell CELL.yaml"; the help says the default."""
-    name, _, metavar = names.partition(" ")
-    if kind is bool:
-        return (name,), dict(action="store_true", help=text)
-    if default and "default" not in text:
-        text += f" (default: {default:g})" if isinstance(default, (int, float)) else f" (default: {default})"
-    return (name,), dict(metavar=metavar or None, type=kind, default=default, help=text, **more)
-
-
-def add_command(sub, name: str, of: Command, filled: bool = True, json_default=False, **more) -> None:
-    """Add a command to the sub-parsers ``sub``; with its own options only where it is the one that was chosen."""
-    epilog = f"example: kr270_milling {of.example}" + (f"\n{of.note}" if of.note else "")
-    parser = sub.add_parser(name, description=of.text[0].upper() + of.text[1:] + ".", epilog=epilog, **more)
-    if not filled:
-        return
-    _add(parser, of.options)
-    if of.parts:
-        below = parser.add_subparsers(dest="what", metavar="WHAT", required=True, help="each has --help and --json")
-        for key, part in of.parts.items():
-            add_command(below, key, part, json_default=argparse.SUPPRESS, help=part.text)
-    text = "print one JSON object to standard output"
-    parser.add_argument("--json", help=text, action="store_true", default=json_default)
-    parser.set_defaults(run=functools.partial(_run, of.run))
-
-
-def _run(place: str, args: argparse.Namespace):
-    """Only now is the command imported."""
-    module, _, function = place.rpartition(".")
-    return getattr(importlib.import_module(f"kr270_milling.commands.{module}"), function)(args)
-
-
-def _add(parser, options: tuple) -> None:
-    for one in options:
-        if isinstance(one, Group):
-            _add(parser.add_argument_group(one.title) if one.title else parser.add_mutually_exclusive_group(), one[1])
-        else:
-            parser.add_argument(*one[0], **one[1])
-
 
 CELL = (
     option("cell CELL.yaml", "cell file, also a shipped one by its name"),
@@ -100,74 +33,7 @@ RECORDING = option("file FILE.mcap|DIR", "a recording, also one that was cut off
 REFERENCE = option("--reference FILE.csv", "run along this trajectory, as written by compensate")
 SCHEDULER = option("--scheduler ADDRESS", "a running Dask scheduler, tcp://host:port")
 MOTIONS = ("LIN", "SPLINE")
-INCLUDE = option("--out DIR", "write YAML to include and report")
-SENSOR_ABC = numbers(3, most=720.0)
-POSTURE = numbers(6, most=720.0)
-
-IDENTIFY = {
-    "compliance": command(
-        "identify.compliance",
-        "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml --cell config/test_piece.yaml --out identified",
-        "joint compliances from load tests, or the load tests to make",
-        option("measurements MEASUREMENTS.csv", "one load test a row, see identification/README.md", nargs="?"),
-        option("--arm ARM.yaml", "arm or cell file to start from", required=True),
-        option("--cell CELL.yaml", "where the arm is to mill (default: --arm, if it is a cell file)"),
-        option("--at A1,...,A6", "posture there [deg]", POSTURE),
-        option("--no-gravity", "leave the link weights out", bool),
-        option("--robust", "take the weight from tests that contradict the others", bool),
-        option("--compensator NAMES", "also fit these of arm.compensator, as stiffness,preload", default=""),
-        Group("plan", (
-            option("--plan N", "choose the N load tests that tell most about the cell", bounded(1, 1000, int)),
-            option("--point X,Y,Z", "of load and reflector, flange frame [mm]", numbers(3, most=5e3)),
-            option("--mass-kg", "to hang; 0: none", bounded(0, 5000), 100.0),
-            option("--pull-n", "of a horizontal rope; 0: none", bounded(0, 50_000), 800.0),
-            option("--noise-um", "of a measured coordinate, 1 sigma", bounded(0.001, 1e5), 20.0),
-            option("--postures", "candidates to choose from", bounded(1, 50_000, int), 2000),
-            option("--seed", "of the candidates", bounded(0, 2**31, int), 1),
-        )),
-        option("--out DIR", "write YAML to include and report, or table and KRL of the plan"),
-    ),
-    "forces": command(
-        "identify.forces", "identify forces CUTS.csv --cell config/test_piece.yaml --out identified",
-        "force coefficients from mean forces of cuts, or from recordings of a sensor",
-        option("cuts CUTS.csv", "one cut a row, with its forces or a recording of them"),
-        option("--cell CELL.yaml", "its tool made the cuts"),
-        option("--teeth", "of the tool, instead of the cell's", int),
-        option("--diameter-mm", "of the tool, instead of the cell's", bounded(0, 1000)),
-        option("--rotation", "instead of the cell's", choices=("clockwise", "counterclockwise")),
-        option("--law", "for the YAML file", default="linear_edge", choices=("linear_edge", "fractional")),
-        Group("recordings of a sensor", (
-            option("--topic", "of type geometry_msgs/WrenchStamped", default="wrench"),
-            option("--spindle-speed-rpm", "instead of the cell's", bounded(0, 1e6)),
-            option("--tare START:STOP", "seconds of an idle stretch", stretch(0, 1e6)),
-            option("--sensor-abc A,B,C", "sensor in the workpiece [deg]", SENSOR_ABC),
-            option("--sensor-on", "a plate under the part: part", default="tool", choices=("tool", "part")),
-            option("--sensor-mass-kg", "that hangs on it, where there is no tare", bounded(0, 5000), 0.0),
-        )),
-        INCLUDE,
-    ),
-    "damping": command(
-        "identify.damping", "identify damping RECORDING --topic deflection --out identified",
-        "frequency and damping of the modes from a ring-down or an impact",
-        option("recording RECORDING", "recording, UFF file, or CSV with time_s, any of x y z rx ry rz, force_n"),
-        option("--topic", "of a recording", default="deflection"),
-        option("--from S", "seconds after the first sample", bounded(0, 1e6), dest="start"),
-        option("--to S", "seconds after the first sample", bounded(0, 1e6), dest="stop"),
-        option("--band LOW:HIGH", "[Hz] (default: 2:100)", stretch(0.01, 1e5), (2.0, 100.0)),
-        option("--modes N", "at most", bounded(1, 20, int), 6),
-        option("--quantity", "of the channels", default=QUANTITIES[0], choices=QUANTITIES),
-        option("--hammer", "direction of force_n: scales the shapes by the masses", choices=SIX_AXES),
-        option("--cell CELL.yaml", "scales the shapes by its compliance, where no hammer was"),
-        INCLUDE,
-    ),
-    "material": command(
-        "identify.material", "identify material Al7075-T6",
-        "published force coefficients of a material",
-        option("name NAME", "of a material; without it all are listed", nargs="?"),
-        option("--row", "which, where a material has several", int, 1),
-        option("--out DIR", "write YAML to include"),
-    ),
-}  # fmt: skip
+PLACES = grid(-1e5, 1e5, 1_000_000)
 
 COMMANDS = {
     "demo": command(
@@ -281,16 +147,11 @@ COMMANDS = {
         "studies.place", "map config/test_piece.yaml --x 1200:1800:13 --y=-300:300:7 --tool-turn=-90:90:7",
         "where to clamp the part and how to turn the tool: reach, limits and predicted error over placements",
         *CELL,
-        *(
-            option(f"--{name} LOW:HIGH:COUNT", text, grid(-1e5, 1e5, 1_000_000))
-            for name, text in {
-                "x": "[mm] of the workpiece's origin on base_link",
-                "y": "[mm] likewise",
-                "z": "[mm] likewise",
-                "turn": "[deg] of the workpiece about z of base_link, on top of the cell's",
-                "tool-turn": "[deg] of the tool about its own axis",
-            }.items()
-        ),
+        option("--x LOW:HIGH:COUNT", "[mm] of the workpiece's origin on base_link", PLACES),
+        option("--y LOW:HIGH:COUNT", "[mm] likewise", PLACES),
+        option("--z LOW:HIGH:COUNT", "[mm] likewise", PLACES),
+        option("--turn LOW:HIGH:COUNT", "[deg] of the workpiece about z of base_link, on top of the cell's", PLACES),
+        option("--tool-turn LOW:HIGH:COUNT", "[deg] of the tool about its own axis", PLACES),
         option("--out DIR", "where rows, cells and picture go", default="map"),
         SCHEDULER,
         option("--chunk N", "placements a file", bounded(1, 100_000, int), 500),
@@ -337,7 +198,7 @@ COMMANDS = {
         option("--force-topic", "WrenchStamped", default="wrench"),
         option("--pose-topic", "PoseStamped in workpiece axes", default="tool_pose"),
         option("--sensor-abc A,B,C", "force sensor in the workpiece [deg]", SENSOR_ABC),
-        option("--sensor-on", "a plate under the part: part", default="tool", choices=("tool", "part")),
+        SENSOR_ON,
         option("--out DIR", "write a report"),
     ),
     "info": command(
