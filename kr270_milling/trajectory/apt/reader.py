@@ -1,9 +1,8 @@
 """APT source and CL text in: one statement after the other.
 
-GOTO, GODLTA, FROM, CIRCLE before its GOTO, about an axis along z in the sense of Creo or of NX, RAPID, FEDRAT, SPINDL,
-UNITS, tools, FINI. Words that move nothing are counted; those that cannot be run are listed all at once. Without UNITS/
-the unit is mm. A comment, PPRINT or TOOL PATH names the feature that follows. A tool axis i, j, k points from the tip
-to the spindle; the tool turns about no more than it must.
+Words that move nothing are counted; those that cannot be run are listed all at once. Without UNITS/ the unit is mm.
+A CIRCLE stands before the GOTO of its end. A comment, PPRINT or TOOL PATH names the feature that follows. A tool axis
+i, j, k points from the tip to the spindle; the tool turns about no more than it must.
 """
 
 from __future__ import annotations
