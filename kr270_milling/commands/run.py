@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 from kr270_milling.base.errors import ParameterError
@@ -18,20 +20,25 @@ COLUMNS = (("pass", "name", 2), ("static [um]", "static_deviation_mm", um), ("ma
 LAST_LOOK = 1.0  #: [s] for an open page to take the last events
 
 
-def run(args) -> Answer:
+def run(args) -> int:
+    """Told while the nodes are still there: see ``running``."""
     require_ros()
     cell = cell_of(args)
     methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
-    found = run_cell(cell, methods, args.out, args.passes, args.namespace, not args.processes, plant_of(args, cell))
-    up = f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(found['out'])}"
-    told = summary(found)
-    return Answer(told, [table_of("Path deviation, four nodes and a recorder", COLUMNS, told["passes"]), up])
+    how = args.passes, args.namespace, not args.processes, plant_of(args, cell)
+    with running(cell, methods, args.out, *how) as found:
+        up = f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(found['out'])}"
+        told = summary(found)
+        shown = [table_of("Path deviation, four nodes and a recorder", COLUMNS, told["passes"]), up]
+        return Answer(told, shown).tell(args.json)
 
 
-def run_cell(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:
+@contextlib.contextmanager
+def running(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> Iterator[dict]:
     """Run a cell's passes, with the arm and the material of ``plant`` if there is one.
 
-    Returns graph_up_s, out (the directory used) and passes, a list of RanPass.
+    Yields graph_up_s, out (the directory used) and passes, a list of RanPass. The nodes are stopped at the end of the
+    block: the middleware may end this process while it leaves, so what is to be told or written belongs in the block.
     """
     from kr270_milling.graph.graph import Graph
     from kr270_milling.graph.plan import fresh_directory, run_plan
@@ -45,13 +52,13 @@ def run_cell(cell, methods, out, passes=None, namespace: str = "", composed: boo
     directory = fresh_directory(out)
     if directory != Path(out):
         print(f"{out} holds recordings already; this run writes to {directory}", file=sys.stderr)
-    with progress("compiling") as report:
-        _compile(cell)
-        report.say("starting the nodes")
-        with Graph(cell, directory, namespace, composed=composed, plant=cuts) as graph:
+    with contextlib.ExitStack() as until_told:
+        with progress("compiling") as report:
+            _compile(cell)
+            report.say("starting the nodes")
+            graph = until_told.enter_context(Graph(cell, directory, namespace, composed=composed, plant=cuts))
             ran = run_plan(graph, methods, passes, report.say)
-            report.say("stopping the nodes")
-        return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
+        yield {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
 
 
 def _compile(cell) -> None:

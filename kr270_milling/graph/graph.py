@@ -93,7 +93,7 @@ class Graph:
             self._driver = Driver(self._namespace, self.check)
             self._start(started)
         except BaseException as error:
-            self.close(exit_code(error))
+            self.close(error)
             raise
         return self
 
@@ -264,14 +264,15 @@ class Graph:
         there = self.driver.counts(RECORDER, "latest_ns")
         return bool(sent) and all(there.get(topic, -1) >= stamp for topic, stamp in sent.items())
 
-    def close(self, code: int = 0) -> None:
+    def close(self, error: BaseException | None = None) -> None:
         """Stop everything; the recorder last, so that it has the others' last words.
 
-        code: of this process, should the middleware block while it leaves.
+        error: what ends the run early; it is told first, and decides the exit code should the middleware block.
         """
+        self._hooks.leaving(error)
         try:
             if self._driver is not None:
-                self.driver.close(code)  # before the others leave
+                self.driver.close(exit_code(error))  # before the others leave
         finally:
             recorder = {child for node, child in self.children.items() if node == RECORDER}
             stop(set(self.children.values()) - recorder)
@@ -281,4 +282,4 @@ class Graph:
                 signal.signal(number, handler)
 
     def __exit__(self, kind, error, trace) -> None:
-        self.close(exit_code(error))
+        self.close(error)

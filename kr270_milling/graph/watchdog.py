@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.errors import MillingError, one_line
 from kr270_milling.graph.driver import Driver, compatible
 from kr270_milling.graph.processes import Child, RunError
 from kr270_milling.ros.node import LOST
@@ -33,7 +33,13 @@ class Hooks:
 
     def tell(self, sentence: str) -> None:
         """What the user should know while the run goes on."""
-        print(f"kr270_milling: {sentence}", file=sys.stderr)
+        print(f"kr270_milling: {one_line(sentence)}", file=sys.stderr)
+
+    def leaving(self, error: BaseException | None) -> None:
+        """Called before the graph is left, where the middleware may end this process and nothing be told any more."""
+        if isinstance(error, MillingError):
+            self.tell(str(error))
+            error.told = True
 
 
 class AlreadyRunning(MillingError):

@@ -32,8 +32,8 @@ def runner(ros_environment):
     """Starts runs; whatever a failed test leaves of them is ended."""
     started: list[subprocess.Popen] = []
 
-    def start(out, *arguments, sets=SHORT):
-        started.append(start_run(ros_environment, out, *arguments, sets=sets))
+    def start(out, *arguments, **how):
+        started.append(start_run(ros_environment, out, *arguments, **{"sets": SHORT, **how}))
         return started[-1]
 
     yield start
@@ -43,8 +43,8 @@ def runner(ros_environment):
         process.communicate()
 
 
-def start_run(environment, out, *arguments, sets):
-    command = [sys.executable, "-m", "kr270_milling.cli", "run", "paper.yaml", "--out", str(out), *arguments]
+def start_run(environment, out, *arguments, sets, program=("-m", "kr270_milling.cli")):
+    command = [sys.executable, *program, "run", "paper.yaml", "--out", str(out), *arguments]
     for assignment in sets:
         command += ["--set", assignment]
     return subprocess.Popen(
@@ -223,6 +223,30 @@ def test_killed_runner_leaves_no_orphans(runner, tmp_path):
     wait_until(lambda: not nodes_of(tmp_path), 30, "orphans are left")
     with Recording(tmp_path / "o" / "original") as recording:
         assert not recording.cut_off
+
+
+CRASHES = """
+import ctypes, sys
+from kr270_milling.cli import main
+from rclpy.node import Node
+Node.destroy_node = lambda node: ctypes.string_at(0)
+sys.argv[0] = "kr270_milling"
+main()
+"""
+
+
+@pytest.mark.parametrize("killed", ["", "recorder"])
+def test_what_came_out_is_told_though_the_middleware_crashes_while_the_run_leaves(runner, tmp_path, killed):
+    sets = LONG if killed else SHORT
+    process = runner(tmp_path / "o", "--passes", "1", "--json", sets=sets, program=("-c", CRASHES))
+    if killed:
+        os.kill(in_mid_pass(tmp_path / "o")[killed], signal.SIGKILL)
+    code, out, told = finished(process)
+    if killed:
+        assert code == 2 and not out and told.splitlines()[-1].endswith("was ended by SIGKILL")
+    else:
+        assert code == 0 and [row["name"] for row in json.loads(out)["passes"]] == ["original"], told
+    wait_until(lambda: not nodes_of(tmp_path), 30, "nodes are left")
 
 
 def test_second_graph_with_the_same_names_is_refused_and_does_not_disturb_the_first(runner, tmp_path):
