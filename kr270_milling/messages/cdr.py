@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import functools
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+
+import numpy as np
 
 from kr270_milling.base.units import SECOND
 
-__all__ = ["Cursor", "pack_stamped", "stamp_of", "unpack_stamped"]
+__all__ = ["Cursor", "layout_of", "pack_stamped", "stamp_of", "unpack_alike", "unpack_stamped"]
 
 STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
 FRAME_AT = 16  #: offset of the frame's name in a message that begins with a Header; its length stands before it
@@ -64,6 +66,23 @@ def unpack_stamped(data: bytes, count: int, alone: bool = False) -> tuple[int, s
         raise ValueError("the message is longer than its type")
     _, seconds, nanoseconds, _, frame, *values = layout.unpack_from(data)
     return seconds * SECOND + nanoseconds, frame[:-1].decode("utf-8", "replace"), values
+
+
+def layout_of(data: bytes) -> tuple[int, bytes, bytes]:
+    """What is the same in messages whose numbers stand in the same places: length, byte order, length of the frame."""
+    return len(data), data[:2], data[12:FRAME_AT]
+
+
+def unpack_alike(messages: Sequence[bytes], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Stamps [ns], (n,) int64, and doubles, (n, count), of messages with one ``layout_of``; as ``unpack_stamped``."""
+    unpack_stamped(messages[0], count, alone=True)
+    size, begin, frame = layout_of(messages[0])
+    order, first = "<" if begin[1] else ">", _layout(begin, frame, count).size - 8 * count
+    formats = [f"{order}i4", f"{order}u4", f"({count},){order}f8"]
+    fields = {"names": ["s", "ns", "values"], "formats": formats, "offsets": [4, 8, first], "itemsize": size}
+    kind: np.dtype = np.dtype(fields)  # type: ignore[call-overload]
+    table = np.frombuffer(b"".join(messages), kind)
+    return table["s"].astype(np.int64) * SECOND + table["ns"], table["values"].astype(float)
 
 
 class Cursor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from array import array
+import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.messages.cdr import unpack_stamped
+from kr270_milling.messages.cdr import layout_of, unpack_alike, unpack_stamped
 
 __all__ = ["FIXED", "Series", "series", "several", "stamped"]
 
 BEARABLE, MOST_UNFOLDED = 64 * 1024 * 1024, 50  # [bytes] of a series, and what it may take beside, in sizes of the file
+TOGETHER = 1024 * 1024  # [bytes] of messages
 #: type -> (column, unit) of the numbers behind its header
 FIXED = {
     "geometry_msgs/msg/PoseStamped": (
@@ -45,24 +46,48 @@ def several(recording, topics: Sequence[str], others: Mapping[str, Callable[[byt
     others: what takes each message of further topics. Raises RecordingError.
     """
     widths = {topic: _width(recording, topic) for topic in topics}
-    stamps = {topic: array("q") for topic in topics}
-    values = {topic: array("d") for topic in topics}
-    most = (BEARABLE + MOST_UNFOLDED * recording.size) // 8
+    rows = {topic: _Rows(recording, topic, width) for topic, width in widths.items()}
     for message in recording.messages({*topics, *others}, as_written=True):
-        topic = message.topic
-        if topic in others:
-            others[topic](message.data)
-            continue
-        stamp, _, numbers = _unpacked(recording, message, widths[topic])
-        stamps[topic].append(stamp)
-        values[topic].extend(numbers)
-        if len(values[topic]) > most:
-            size = f"{8 * most} bytes, {MOST_UNFOLDED} times the size of the file"
-            raise RecordingError(recording.path, f"{topic} unfolds into more than {size}")
-    found = [Series(np.array(stamps[t]), np.array(values[t]).reshape(-1, widths[t])) for t in topics]
-    for one in (one for pair in found for one in pair):
-        one.setflags(write=False)
-    return found
+        (others.get(message.topic) or rows[message.topic].add)(message.data)
+    return [rows[topic].series() for topic in topics]
+
+
+class _Rows:
+    """Gathers a topic. Messages of one layout that follow each other are taken apart together."""
+
+    def __init__(self, recording, topic: str, width: int):
+        self.recording, self.topic, self.width = recording, topic, width
+        self.most = (BEARABLE + MOST_UNFOLDED * recording.size) // 8  # numbers
+        self.layout: tuple = ()
+        self.waiting: list[bytes] = []
+        self.count = 0  # of numbers
+        self.stamps, self.values = [np.empty(0, np.int64)], [np.empty((0, width))]
+
+    def add(self, data: bytes) -> None:
+        if (layout := layout_of(data)) != self.layout or len(self.waiting) * len(data) > TOGETHER:
+            self._unpack()
+            self.layout = layout
+        self.waiting.append(data)
+
+    def _unpack(self) -> None:
+        if not self.waiting:
+            return
+        with _told(self.recording, self.topic):
+            stamps, values = unpack_alike(self.waiting, self.width)
+        self.waiting.clear()
+        self.stamps.append(stamps)
+        self.values.append(values)
+        self.count += values.size
+        if self.count > self.most:
+            size = f"{8 * self.most} bytes, {MOST_UNFOLDED} times the size of the file"
+            raise RecordingError(self.recording.path, f"{self.topic} unfolds into more than {size}")
+
+    def series(self) -> Series:
+        self._unpack()
+        found = Series(np.concatenate(self.stamps), np.concatenate(self.values))
+        for column in found:
+            column.setflags(write=False)
+        return found
 
 
 def stamped(recording, topic: str) -> Iterator[tuple[int, int, str, list[float]]]:
@@ -72,7 +97,9 @@ def stamped(recording, topic: str) -> Iterator[tuple[int, int, str, list[float]]
     """
     width = _width(recording, topic)
     for message in recording.messages([topic], as_written=True):
-        yield message.log_time, *_unpacked(recording, message, width)
+        with _told(recording, topic):
+            found = unpack_stamped(message.data, width, alone=True)
+        yield message.log_time, *found
 
 
 def _width(recording, topic: str) -> int:
@@ -84,9 +111,11 @@ def _width(recording, topic: str) -> int:
     return len(FIXED[about.type])
 
 
-def _unpacked(recording, message, width: int) -> tuple[int, str, list[float]]:
+@contextlib.contextmanager
+def _told(recording, topic: str) -> Iterator[None]:
+    """A ValueError of a message as a RecordingError."""
     try:
-        return unpack_stamped(message.data, width, alone=True)
+        yield
     except ValueError as error:
-        kind = recording.topics()[message.topic].type
-        raise RecordingError(recording.path, f"a message on {message.topic} is not a {kind}: {error}") from error
+        kind = recording.topics()[topic].type
+        raise RecordingError(recording.path, f"a message on {topic} is not a {kind}: {error}") from error
