@@ -277,37 +277,3 @@ def test_two_graphs_in_two_namespaces_run_at_once(runner, tmp_path, short_cell):
             assert not any(topic.startswith(f"/{other}/") for topic in recording.topics())
             assert f"/{name}/clock" in recording.topics() and "/clock" not in recording.topics()
         assert recompute(tmp_path / name / "original").verdict == "identical"
-
-
-@pytest.mark.parametrize(
-    "node, number", [("trajectory_compensator", signal.SIGINT), ("cutting_process", signal.SIGTERM)]
-)
-def test_node_by_hand_ends_with_0_on_a_signal(ros_environment, tmp_path, node, number):
-    from kr270_milling.base.parameter_file import find_file
-
-    command = [sys.executable, "-m", "kr270_milling.nodes", node, "--ros-args", "--params-file"]
-    log = tmp_path / "log"
-    with open(log, "w") as stream:
-        process = subprocess.Popen([*command, str(find_file("paper.yaml"))], env=ros_environment, stderr=stream)
-    wait_until(lambda: "]: " in log.read_text(), 20, "the node does not come up")
-    process.send_signal(number)
-    assert process.wait(30) == 0
-    assert "Traceback" not in log.read_text()
-
-
-BAD = [
-    ("tool.diameter_mm:=-1.0", "tool.diameter_mm"),
-    ("path.start_mm:=[0.0]", "path.start_mm"),
-]
-
-
-@pytest.mark.parametrize("assignment, key", BAD)
-def test_bad_parameter_ends_a_node_with_2_and_one_sentence(ros_environment, assignment, key):
-    from kr270_milling.base.parameter_file import find_file
-
-    command = [sys.executable, "-m", "kr270_milling.nodes", "cutting_process", "--ros-args"]
-    arguments = ["--params-file", str(find_file("paper.yaml")), "-p", assignment]
-    ran = subprocess.run([*command, *arguments], env=ros_environment, capture_output=True, text=True, timeout=30)
-    assert ran.returncode == 2
-    told = [line for line in ran.stderr.splitlines() if line.strip()]
-    assert len(told) == 1 and key in told[0]

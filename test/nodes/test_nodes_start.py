@@ -13,6 +13,7 @@ from ros_domain import running
 
 pytest.importorskip("rclpy")
 
+from kr270_milling.base.parameter_file import find_file
 from kr270_milling.graph.processes import Child
 from kr270_milling.nodes.start import NODES
 
@@ -91,3 +92,35 @@ def test_arguments_that_ros_refuses_are_told_in_a_sentence(ros_environment, prog
     assert "Traceback" not in ended.stderr
     last = ended.stderr.splitlines()[-1]
     assert last.startswith(f"{program}: ") and words[-1] in last
+
+
+@pytest.mark.parametrize(
+    "node, number", [("trajectory_compensator", signal.SIGINT), ("cutting_process", signal.SIGTERM)]
+)
+def test_node_by_hand_ends_with_0_on_a_signal(ros_environment, tmp_path, node, number):
+    command = [sys.executable, "-m", "kr270_milling.nodes", node, "--ros-args", "--params-file"]
+    log = tmp_path / "log"
+    command.append(str(find_file("paper.yaml")))
+    with open(log, "w") as stream, running(command, ros_environment, stderr=stream) as process:
+        while "]: " not in log.read_text():
+            assert process.poll() is None
+            time.sleep(0.02)
+        process.send_signal(number)
+        assert process.wait(30) == 0
+    assert "Traceback" not in log.read_text()
+
+
+BAD = [
+    ("tool.diameter_mm:=-1.0", "tool.diameter_mm"),
+    ("path.start_mm:=[0.0]", "path.start_mm"),
+]
+
+
+@pytest.mark.parametrize("assignment, key", BAD)
+def test_bad_parameter_ends_a_node_with_2_and_one_sentence(ros_environment, assignment, key):
+    command = [sys.executable, "-m", "kr270_milling.nodes", "cutting_process", "--ros-args"]
+    arguments = ["--params-file", str(find_file("paper.yaml")), "-p", assignment]
+    ran = subprocess.run([*command, *arguments], env=ros_environment, capture_output=True, text=True, timeout=30)
+    assert ran.returncode == 2
+    told = [line for line in ran.stderr.splitlines() if line.strip()]
+    assert len(told) == 1 and key in told[0]
