@@ -65,6 +65,7 @@ class Driver:
         self.addresses: dict[str, str] = {}  #: node -> the name under which its services are, where it has another
         self._clients: dict[str, Client] = {}
         self.namespace = self.node.get_namespace()
+        self.domain = self._context.get_domain_id()
 
     def name_of(self, node: str) -> str:
         """Fully qualified."""

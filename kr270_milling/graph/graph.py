@@ -6,6 +6,7 @@ import contextlib
 import functools
 import os
 import signal
+import socket
 import threading
 import time
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from kr270_milling.base.process import exit_code
 from kr270_milling.cell.cell import Cell
 from kr270_milling.graph.driver import Driver
 from kr270_milling.graph.processes import Child, RunError, recording_parameters, ros_arguments, stop, write_cell
-from kr270_milling.graph.watchdog import COMPENSATOR, CUT, RECORDER, ROBOT, Hooks, Watchdog, unmatched
+from kr270_milling.graph.watchdog import COMPENSATOR, CUT, RECORDER, ROBOT, Hooks, Watchdog, claim, unmatched
 from kr270_milling.ros.environment import keep_to_this_host
 from kr270_milling.ros.litter import remove_litter
 
@@ -67,6 +68,7 @@ class Graph:
         self.out = Path(out).resolve()
         self.extra = extra
         self._driver: Driver | None = None
+        self._claimed: socket.socket | None = None
         self.children: dict[str, Child] = {}
         self.passes = 0  #: that were recorded
         self.spawned: dict[str, tuple] = {}  #: name of a process -> its nodes, parameter file and further arguments
@@ -91,6 +93,7 @@ class Graph:
                 self._handlers[number] = signal.signal(number, lambda caught, _: self._signals.append(caught))
         try:
             self._driver = Driver(self._namespace, self.check)
+            self._claimed = claim(self.driver.domain, self.driver.namespace)
             self._start(started)
         except BaseException as error:
             self.close(error)
@@ -278,6 +281,8 @@ class Graph:
             stop(set(self.children.values()) - recorder)
             stop(recorder)
             remove_litter()
+            if self._claimed is not None:
+                self._claimed.close()
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import hashlib
+import socket
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -12,7 +15,8 @@ from kr270_milling.graph.processes import Child, RunError
 from kr270_milling.ros.node import LOST
 
 __all__ = [
-    "COMPENSATOR", "CUT", "LOST", "QUIET", "RECORDER", "ROBOT", "AlreadyRunning", "Hooks", "Watchdog", "unmatched",
+    "COMPENSATOR", "CUT", "LOST", "QUIET", "RECORDER", "ROBOT", "AlreadyRunning", "Hooks", "Watchdog", "claim",
+    "unmatched",
 ]  # fmt: skip
 
 ROBOT, CUT, COMPENSATOR, RECORDER = "compliant_robot", "cutting_process", "trajectory_compensator", "recorder"
@@ -51,6 +55,24 @@ class AlreadyRunning(MillingError):
             f"a node {node} already runs in this ROS domain: stop that graph first, or choose another --namespace or "
             "ROS_DOMAIN_ID"
         )
+
+
+def claim(domain: int, namespace: str) -> socket.socket:
+    """The node names of a graph, for one run on this host, until the socket is closed or its process ends.
+
+    Two runs that come up together have not heard of each other yet, and what the nodes of the second publish at once
+    would reach the first in mid-pass. So their names are also a name in the abstract space of Unix sockets, which the
+    kernel gives away once; where there is none, only the reports of the nodes tell. Raises AlreadyRunning.
+    """
+    held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    name = hashlib.sha256(f"{domain} {namespace}".encode()).hexdigest()
+    try:
+        held.bind(f"\0kr270_milling_{name}")
+    except OSError as error:
+        held.close()
+        if error.errno == errno.EADDRINUSE:
+            raise AlreadyRunning(f"{namespace.rstrip('/')}/{ROBOT}") from None
+    return held
 
 
 class Watchdog:

@@ -254,6 +254,7 @@ def test_second_graph_with_the_same_names_is_refused_and_does_not_disturb_the_fi
     in_mid_pass(tmp_path / "a")
     code, _, told = finished(runner(tmp_path / "b", "--passes", "1"))
     assert code == 2 and "already runs in this ROS domain" in told and told.count("\n") == 1
+    assert not list((tmp_path / "b" / "log").iterdir())  # what its nodes publish would reach the first
     done = list((tmp_path / "a").glob("*/metadata.yaml"))  # the pass in which the other came up is the next
     wait_until(lambda: len(list((tmp_path / "a").glob("*/metadata.yaml"))) > len(done) + 1, 60, "it stands still")
     first.send_signal(signal.SIGINT)
