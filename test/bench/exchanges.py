@@ -38,10 +38,10 @@ class Unrecorded(Graph):
         self.renew_workpiece()
 
 
-def bare() -> float:
-    """Round trips a second of two processes that compute nothing."""
+def bare(*on: str) -> float:
+    """Round trips a second of two processes that compute nothing; on: a command line that starts both."""
     environment = child_environment() | {"PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
-    command = [sys.executable, "-m", "bench.trips"]
+    command = [*on, sys.executable, "-m", "bench.trips"]
     with subprocess.Popen([*command, "answer"], env=environment) as other:
         try:
             asked = subprocess.run(
@@ -77,6 +77,7 @@ def bench_exchanges(rounds: int = 5) -> dict[str, list[float]]:
     cell = read_cell(find_file("paper.yaml"))
     kinds = {
         "bare round trips": bare,
+        "bare, on one core": lambda: bare("taskset", "-c", "0"),  # where ``run`` keeps robot and cut
         "separate, recorded": lambda: exchanges(cell, Graph, composed=False),
         "separate, not recorded": lambda: exchanges(cell, Unrecorded, composed=False),
         "composed, recorded": lambda: exchanges(cell, Graph, composed=True),
