@@ -163,7 +163,7 @@ class Compensator:
         return max((part.missing for part in self.limited if part.kind == "size"), default=0.0)
 
     def revise(self, ran: PassRecord) -> Trajectory:
-        """The reference for the next pass, from the pass that was run along the present one."""
+        """The reference for the next pass, from the pass that was run along the present one; raises RevisionError."""
         if not self.errors and self.reference is self.target:
             self.first = ran
         self.errors += (remaining_error(self.target, ran),)

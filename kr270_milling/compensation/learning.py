@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter1d
 from kr270_milling.compensation.arm_fit import Evidence, Identified, fit
 from kr270_milling.compensation.lifted import Course, Lifted
 from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
-from kr270_milling.compensation.revision import PassRecord, RevisionError
+from kr270_milling.compensation.revision import KnotsError, PassRecord, RevisionError
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Learner"]
@@ -65,7 +65,9 @@ class Learner:
         self._rough = 0.0  # [m], of it in ``expected``
 
     def cubic(self, reference: Trajectory) -> np.ndarray:
-        """Cubics of reference minus target, (m, 4, 3)."""
+        """Cubics of reference minus target, (m, 4, 3); raises KnotsError where their knots differ in time."""
+        if not np.array_equal(reference.time_ns, self.target.time_ns):
+            raise KnotsError(reference, self.target)
         return cubic_coefficients(reference.time_ns, reference.position, reference.velocity) - self.path
 
     def with_pass(self, ran: PassRecord, reference: Trajectory) -> Learner:

@@ -16,7 +16,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.compensation.limiting import UNBOUNDED, Bounds, Limited, describe, limit_change
 from kr270_milling.trajectory.trajectory import Trajectory, slerp
 
-__all__ = ["PassRecord", "RevisionError", "chord_error", "corrected", "held", "knot_rates", "revise"]
+__all__ = ["KnotsError", "PassRecord", "RevisionError", "chord_error", "corrected", "held", "knot_rates", "revise"]
 
 SAME_PLACE = 1e-8  #: [m], between two knots at rest: what rounding in a file moves
 ROUNDS = 30  #: of tightening the limits at the knots until the spline between them keeps them too
@@ -24,6 +24,18 @@ ROUNDS = 30  #: of tightening the limits at the knots until the spline between t
 
 class RevisionError(MillingError):
     """A pass from which no revision can be made."""
+
+
+class KnotsError(RevisionError):
+    """A pass along a reference trajectory whose knots stand at other times than the target's."""
+
+    def __init__(self, reference: Trajectory, target: Trajectory):
+        self.reference, self.target = reference, target
+        super().__init__(
+            f"the reference trajectory that was run ({len(reference)} knots in {reference.duration_ns * 1e-9:g} s) "
+            f"must have its knots at the times of the target's ({len(target)} in {target.duration_ns * 1e-9:g} s): "
+            "another target or another compensator led to it"
+        )
 
 
 @dataclass(frozen=True, eq=False)

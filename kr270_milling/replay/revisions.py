@@ -13,6 +13,7 @@ from kr270_milling.cell.protocols import compensator_protocol
 from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.methods import METHODS
 from kr270_milling.compensation.protocol import CompensatorProtocol
+from kr270_milling.compensation.revision import KnotsError
 from kr270_milling.messages.codec import to_bytes, trajectory_from_bytes
 from kr270_milling.replay.compare import Channel, difference
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -119,8 +120,10 @@ class CompensatorFeed:
             self._without.pose(sample)
         try:
             revised = protocol.pose(sample) if isinstance(sample, PoseSample) else protocol.wrench(sample)
-        except MillingError:  # no revision is possible: the live node told so, and published none
+        except MillingError as error:
             self._without = None
+            self._undecided = False
+            self._refused(error)
             return
         if revised:
             self._revised([protocol])
@@ -140,15 +143,23 @@ class CompensatorFeed:
     def _revised(self, revisions: list[CompensatorProtocol]) -> None:
         """The pass is complete: with what the live node may go on."""
         without, self._without = self._without, None
-        with contextlib.suppress(MillingError):
+        undecided, self._undecided = self._undecided, False
+        try:
             if without is not None and without.finish():
                 revisions = [*revisions, without]
+        except MillingError as error:
+            self._refused(error)
         if not revisions:
             return
-        self.revisions = [] if self._undecided else revisions
-        self._undecided = False
+        self.revisions = [] if undecided else revisions
         if self._published:
             self._compare()
+
+    def _refused(self, error: MillingError) -> None:
+        """No revision is possible: the live node told so, and published none. But with other knots than the target's
+        this is not the reference, or not the target, that the live node had."""
+        if isinstance(error, KnotsError):
+            self._stop(self.protocol.end_ns, str(error))
 
     def _restore(self) -> None:
         """The state in which the node was before this pass ended, as far as the file tells."""
@@ -169,7 +180,10 @@ class CompensatorFeed:
         if self.protocol.at_end and not self.revisions:  # the last wrench is not in the file
             self._revised([])
         if self.revisions:
-            self.on_pass(self, published[0] if published else None)
+            try:
+                self.on_pass(self, published[0] if published else None)
+            except MillingError as error:  # another method was asked, which cannot revise this pass
+                self._stop(self.protocol.end_ns, str(error))
         for data in published:
             found = _first_that_gives(data, self._candidates())
             differs = found is None and any(not r.missing + r.missing_wrenches for r in self.revisions)

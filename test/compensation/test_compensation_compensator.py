@@ -9,7 +9,7 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.compensation.compensator import Compensation, Compensator, remaining_error
-from kr270_milling.compensation.revision import PassRecord, RevisionError
+from kr270_milling.compensation.revision import KnotsError, PassRecord, RevisionError
 from kr270_milling.trajectory.trajectory import Trajectory
 
 KNOTS = np.arange(0, 1_200_000_001, 50_000_000)
@@ -68,6 +68,16 @@ def test_a_tool_in_the_air_is_not_scored_where_the_wrench_is_known():
 def test_before_any_pass_the_reference_is_the_target():
     found = compensator("learned")
     assert found.reference is TARGET and found.errors == () and not found.finished and found.first is None
+
+
+@pytest.mark.parametrize("knots", [2, 7, KNOTS.size])
+@pytest.mark.parametrize("method", ["inverse", "learned"])
+def test_nothing_is_learned_from_a_reference_with_other_knots(method, knots):
+    time = np.linspace(0, KNOTS[-1] - 100_000_000, knots).astype(np.int64)
+    found, other = compensator(method), Trajectory(time, TARGET.sample(time), (1.0, 0.0, 0.0, 0.0))
+    found.resume(other)
+    with pytest.raises(match=f"{knots} knots in 1.1 s.* the times of the target's .25 in 1.2 s"):
+        found.revise(pass_along(other))
 
 
 @pytest.mark.parametrize("method", ["linear", "spline"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 
+import numpy as np
 import pass_recording as made
 import pytest
 from pass_recording import STEPS, flip
@@ -11,6 +12,7 @@ from pass_recording import STEPS, flip
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.replay.compensate import compensate
 from kr270_milling.replay.recompute import recompute
+from kr270_milling.trajectory.trajectory import Trajectory
 
 pytestmark = made.needs_messages
 
@@ -73,6 +75,36 @@ def test_every_pass_of_learned_is_recomputed_with_the_recordings_beside_it(tmp_p
         assert found.channels["/reference_trajectory"].compared == 1 + (name == "c")
     shutil.rmtree(tmp_path / "c")
     assert recompute(tmp_path / "b").verdict == "incomplete"
+
+
+FOREIGN = np.linspace(0, 48_000_000, 7).astype(np.int64)  # [ns], knots; those of the pass end at 60 ms
+
+
+def with_reference_of_another(method: str, latched: bool) -> list:
+    """A pass and, latched before it or in the middle of one that broke off, what another compensator published."""
+    target, messages = made.cell_of(method).target(), list(made.one_pass(method))
+    other = Trajectory(FOREIGN, target.sample(FOREIGN), target.sample_orientation(FOREIGN))
+    before = [] if latched else messages[:200]
+    return [*before, made.Message("reference_trajectory", made.reference_data(other), 0), *messages[2:]]
+
+
+@pytest.mark.parametrize("latched", [True, False])
+@pytest.mark.parametrize("method", ["learned", "inverse"])
+def test_no_revision_follows_from_a_reference_with_other_knots_than_the_target(tmp_path, method, latched):
+    bag = made.write(tmp_path / "r", with_reference_of_another(method, latched), cell=made.cell_text(method))
+    found = recompute(bag)
+    told = [(stop.stamp_ns, "7 knots in 0.048 s" in stop.reason) for stop in found.stops]
+    assert found.verdict != "identical" and (48_000_000, True) in told
+    with pytest.raises(RecordingError, match="7 knots in 0.048 s.* at the times of the target's"):
+        compensate(bag)
+
+
+@pytest.mark.parametrize("last_wrench", [True, False])
+def test_a_method_that_cannot_revise_a_recorded_pass_says_why(tmp_path, last_wrench):
+    messages = with_reference_of_another("linear", latched=True)
+    messages = [m for m in messages if last_wrench or (m.topic, m.stamp) != ("wrench", 48_000_000)]
+    with pytest.raises(RecordingError, match="at the times of the target's"):
+        compensate(made.write(tmp_path / "r", messages), "inverse")
 
 
 def test_learned_keeps_its_reference_when_it_has_finished(tmp_path):
