@@ -51,13 +51,18 @@ class Feed:
 
 
 class RobotFeed(Feed):
-    """reference_trajectory and wrench in; tool_pose, deflection, joint_states and clock compared."""
+    """reference_trajectory and wrench in; tool_pose, deflection, joint_states and clock compared.
+
+    Every deflection is computed, whatever ``publish.every`` says, so those that were recorded more often are compared
+    too. joint_states must be those of ``publish.every``: the joint positions of a pass are made for all published
+    stamps at once, and behind a whole turn of a joint their last bit depends on which stamps these are
+    (``numpy.unwrap`` adds up rounded steps).
+    """
 
     outputs = ("tool_pose", "deflection", "joint_states", "clock")
 
     def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
         super().__init__(cell, channels, stop)
-        # all deflections: what was published is compared, also if it was all of them
         self.protocol = robot_protocol(cell, deflection_every=1)
         self._begun = False
         self._same_stamp: list[WrenchSample] = []

@@ -40,6 +40,14 @@ def test_a_recording_of_all_deflections_is_compared_in_full_whatever_its_cell_sa
     assert found.verdict == "identical" and found.channels["/deflection"].compared == STEPS
 
 
+def test_joint_states_must_come_as_often_as_the_cell_says(tmp_path):
+    """Their last bit may depend on how often that is: ``RobotFeed``."""
+    bag = made.write(tmp_path / "r", made.one_pass(every=1), cell=made.cell_text(every=0))
+    found = recompute(bag)
+    assert (found.first.topic, found.first.index, found.first.stamp_ns) == ("/joint_states", 1, 500_000)
+    assert {topic for topic, channel in found.channels.items() if channel.differing} == {"/joint_states"}
+
+
 def test_a_thinned_deflection_that_is_lost_or_changed_is_told(tmp_path):
     def lose(messages):
         return made.changed(messages, "deflection", 3, lambda data: None)
