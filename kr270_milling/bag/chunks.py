@@ -9,12 +9,11 @@ from collections import Counter, OrderedDict
 from collections.abc import Iterator
 from typing import NamedTuple
 
-import lz4.frame
 import numpy as np
-import zstandard
 from mcap.opcode import Opcode
 
-from kr270_milling.bag.structure import HEAD, LIMIT, MESSAGE, Damage, Part, exactly, inner
+from kr270_milling.bag.packing import Packed
+from kr270_milling.bag.structure import HEAD, LIMIT, MESSAGE, SMALL, Damage, Part, exactly, inner
 
 __all__ = ["CACHE", "READ", "Chunk", "Entry", "Messages", "Unpacker"]
 
@@ -43,15 +42,15 @@ class Chunk(NamedTuple):
     @classmethod
     def of(cls, part: Part) -> Chunk:
         """What a chunk says of itself, without its messages. Raises Damage."""
-        size = len(part.data)
+        size = part.size
         if part.type == Opcode.MESSAGE:
-            times = [MESSAGE.unpack_from(part.data, at)[4] for _, at, _ in inner(part.data, part.offset)]
+            data = part.data()
+            times = [MESSAGE.unpack_from(data, at)[4] for _, at, _ in inner(data, part.offset)]
             return cls(part.type, part.offset, size, min(times), max(times), size)
-        record = part.record()
-        if record.uncompressed_size > LIMIT:
-            raise Damage(f"a chunk claims {record.uncompressed_size} bytes, more than {LIMIT}", part.offset)
-        return cls(part.type, part.offset, size, record.message_start_time, record.message_end_time,
-                   record.uncompressed_size)  # fmt: skip
+        packed = Packed.of(part.stream, part.offset, size)
+        if packed.unpacked > LIMIT:
+            raise Damage(f"a chunk claims {packed.unpacked} bytes, more than {LIMIT}", part.offset)
+        return cls(part.type, part.offset, size, packed.first_time, packed.last_time, packed.unpacked)
 
 
 class Entry(NamedTuple):
@@ -68,11 +67,12 @@ class Entry(NamedTuple):
 class Messages:
     """The content of a chunk: its bytes, where the messages are, and the definitions that it introduces."""
 
-    def __init__(self, data: bytes, chunk: Chunk):
+    def __init__(self, data: bytes, chunk: Chunk, packed: Packed | None = None):
         self.data, self.offset = data, chunk.offset
+        self.packed = packed  #: None: there is no chunk around them
         #: of each message: offset in the bytes, log time [ns], channel
         self.places, self.times, self.channels = array("I"), array("Q"), array("H")
-        self.definitions: list[Part] = []  #: schemas and channels
+        self.definitions: list[tuple[int, int, int]] = []  #: schemas and channels: type, begin and end
         self.records = 0
         for kind, at, end in inner(data, chunk.offset):
             self.records += 1
@@ -82,7 +82,9 @@ class Messages:
                 self.times.append(log_time)
                 self.channels.append(channel)
             elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self.definitions.append(Part(kind, chunk.offset, data[at:end]))
+                if end - at > SMALL:
+                    raise Damage(f"a chunk has a definition of {end - at} bytes, more than {SMALL}", chunk.offset)
+                self.definitions.append((kind, at, end))
             if self.records > MOST or len(self.definitions) > MOST_DEFINITIONS:
                 reason = f"a chunk holds more than {MOST} records or {MOST_DEFINITIONS} definitions"
                 raise Damage(reason, chunk.offset)
@@ -131,19 +133,23 @@ class Unpacker:
             self._remembered.move_to_end(chunk.offset)
             return found
         self.spend(UNPACK * chunk.unpacked, chunk.offset)
+        self._forget(chunk.unpacked, 0)  # first, so that two large ones are never held
         found = self._remembered[chunk.offset] = _messages(self._stream, chunk)
-        self.spend(READ * found.records + DEFINE * len(found.definitions), chunk.offset)
         self.used += found.cost
-        while self.used > self._limit and len(self._remembered) > 1:
-            self.used -= self._remembered.popitem(last=False)[1].cost
+        self.spend(READ * found.records + DEFINE * len(found.definitions), chunk.offset)
+        self._forget(0, 1)
         return found
+
+    def _forget(self, size: int, most: int) -> None:
+        """Make room for so many bytes, but keep the last few."""
+        while self.used + size > self._limit and len(self._remembered) > most:
+            self.used -= self._remembered.popitem(last=False)[1].cost
 
     def in_file_order(self, chunks: list[Chunk]) -> Iterator[Entry]:
         """Every message of some chunks. Raises Damage."""
         for chunk in chunks:
-            found = self(chunk)
-            self.spend(READ * len(found), chunk.offset)
-            yield from found
+            self.spend(READ * len(self(chunk)), chunk.offset)
+            yield from self(chunk)  # no name holds it while the next one is unpacked
 
     def in_time_order(self, chunks: list[Chunk]) -> Iterator[Entry]:
         """The same by log times. A chunk is opened when its first time has come; of one that waits for its next message
@@ -168,37 +174,24 @@ class Unpacker:
                 held -= 12 * len(found)
             else:
                 heapq.heapreplace(lanes, (following[0], offset, following[1], chunk, rest))
+            del found  # before another one is unpacked
 
 
 def _messages(stream, chunk: Chunk) -> Messages:
     """Unpack one chunk and check it: size, checksum, the lengths in it, and that its times are those it announced."""
-    data, at = exactly(stream, chunk.offset, chunk.size), chunk.offset
+    at, packed = chunk.offset, None
     if chunk.type == Opcode.CHUNK:
-        record = Part(chunk.type, at, data).record()
-        data = _unpack(record, at)
-        if len(data) != record.uncompressed_size:
-            raise Damage(f"a chunk does not unpack to the {record.uncompressed_size} bytes that it announces", at)
-        if record.uncompressed_crc and zlib.crc32(data) != record.uncompressed_crc:
+        packed = Packed.of(stream, at, chunk.size)
+        data = packed.unpack(stream, at)
+        if len(data) != packed.unpacked:
+            raise Damage(f"a chunk does not unpack to the {packed.unpacked} bytes that it announces", at)
+        if packed.checksum and zlib.crc32(data) != packed.checksum:
             raise Damage("a chunk does not fit its checksum", at)
-    found = Messages(data, chunk)
+    else:
+        data = exactly(stream, at, chunk.size)
+    found = Messages(data, chunk, packed)
     if len(found) and (min(found.times), max(found.times)) != (chunk.first_time, chunk.last_time):
         raise Damage("a chunk holds other times than it says", at)
     if len(found) and chunk.last_time >= 2**63:
         raise Damage(f"a log time of {chunk.last_time} ns is beyond the year 2262", at)
     return found
-
-
-def _unpack(record, offset: int) -> bytes:
-    """The bytes of mcap's Chunk; at most one more than it announces, which mcap's breakup_chunk does not see to."""
-    most = record.uncompressed_size + 1
-    try:
-        if record.compression == "zstd":
-            with zstandard.ZstdDecompressor(max_window_size=LIMIT).stream_reader(record.data) as reader:
-                return reader.read(most)
-        if record.compression == "lz4":
-            return lz4.frame.LZ4FrameDecompressor().decompress(record.data, max_length=most)
-    except (zstandard.ZstdError, RuntimeError, EOFError) as error:
-        raise Damage("a chunk cannot be unpacked", offset) from error
-    if record.compression:
-        raise Damage(f"a chunk is packed with {record.compression[:16]!r}, which is not known here", offset)
-    return record.data

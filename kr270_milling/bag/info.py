@@ -16,10 +16,13 @@ __all__ = ["info", "info_text"]
 def info(recording: Recording, progress: Callable[[int, int], None] | None = None) -> dict:
     """Duration, counts, rates, bytes and gaps per topic, metadata, attachments and versions; reads all messages."""
     topics = {name: _Counted(about) for name, about in recording.topics().items()}
-    for number, message in enumerate(recording.messages(as_written=True)):
+    number = 0
+    for message in recording.messages(as_written=True):
         topics[message.topic].add(message)
         if progress and number % 10_000 == 0:
             progress(number, recording.count)
+        number += 1  # noqa: SIM113 - enumerate holds the message before while it makes the next
+        del message
     first, last = recording.first_log_time, recording.last_log_time
     return dict(
         file=str(recording.path),

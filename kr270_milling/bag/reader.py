@@ -1,7 +1,7 @@
 """A recording read back, in the order of its log times or, cut off or asked for, in the order of the file.
 
-Nothing is read at once that grows with the file: messages come one by one out of at most 64 MB of unpacked chunks
-beside the one that is being read.
+Nothing is read at once that grows with the file: messages come one by one out of one chunk, or out of several that take
+32 MB together, with at most 64 MB beside; packing.py says where zstd takes more.
 """
 
 from __future__ import annotations
@@ -16,7 +16,18 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema
 
 from kr270_milling.bag.chunks import Chunk, Entry, Unpacker
-from kr270_milling.bag.structure import MAGIC, SMALL, Damage, Part, checksum, footer, mcap_file, open_to_read, parts
+from kr270_milling.bag.structure import (
+    MAGIC,
+    SMALL,
+    Damage,
+    Part,
+    checksum,
+    footer,
+    mcap_file,
+    open_to_read,
+    parts,
+    record_of,
+)
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.definitions import Topic, make_decoder
 
@@ -149,7 +160,7 @@ class Recording:
             header = part.record()
             self.profile, self.library = header.profile, header.library
         elif kind in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
-            self._define(part)
+            self._define(kind, part.data(), part.offset)
         elif kind == Opcode.ATTACHMENT:
             record = part.record()
             self._bear(ENTRY + len(record.name), part.offset)
@@ -159,15 +170,15 @@ class Recording:
         elif kind == Opcode.DATA_END:
             self.data_crc = part.record().data_section_crc
 
-    def _define(self, part: Part) -> None:
+    def _define(self, kind: int, data: bytes, offset: int) -> None:
         """Take a schema, a channel or metadata; one that was there already is replaced."""
-        record = part.record()
-        key = record.name if part.type == Opcode.METADATA else record.id
+        record = record_of(data, offset)
+        key = record.name if kind == Opcode.METADATA else record.id
         known: dict = self._metadata
-        if part.type != Opcode.METADATA:
-            known = self.schemas if part.type == Opcode.SCHEMA else self.channels
+        if kind != Opcode.METADATA:
+            known = self.schemas if kind == Opcode.SCHEMA else self.channels
         if known.get(key) != record:
-            self._bear(len(part.data) + ENTRY * (1 + len(getattr(record, "metadata", ()))), part.offset)
+            self._bear(len(data) + ENTRY * (1 + len(getattr(record, "metadata", ()))), offset)
             known[key] = record
 
     def _bear(self, size: int, offset: int) -> None:
@@ -186,8 +197,8 @@ class Recording:
     def _defined_in(self, chunk: Chunk):
         """The messages of a chunk, after its definitions were taken."""
         found = self.unpack(chunk)
-        for part in found.definitions:
-            self._define(part)
+        for kind, at, end in found.definitions:
+            self._define(kind, found.data[at:end], chunk.offset)
         return found
 
     def _list_topics(self) -> dict[str, Topic]:
@@ -231,10 +242,10 @@ class Recording:
         for about in self.attachments:
             if about.name == name:
                 with self.sentences():
-                    return self.attached(about)
+                    return bytes(self.attached(about))
         raise RecordingError(self.path, f"nothing named {name!r} is attached")
 
-    def attached(self, about: Attachment) -> bytes:
+    def attached(self, about: Attachment) -> bytes | memoryview:
         """The bytes of an attachment. Raises Damage where they do not fit their checksum."""
         (part,) = parts(self.stream, about.offset, about.end)
         return part.attached().data
@@ -255,6 +266,7 @@ class Recording:
             for entry in self.entries(chunks, as_written):
                 if entry.channel in names and low <= entry.log_time < high and first <= entry.place < behind:
                     yield RawMessage(names[entry.channel], entry.log_time, entry.publish_time, entry.data)
+                del entry  # before the next one is made
 
     def entries(self, chunks: list[Chunk], as_written: bool) -> Iterator[Entry]:
         """Every message of some chunks. Raises Damage."""
@@ -263,6 +275,7 @@ class Recording:
             if entry.channel not in self.channels:
                 raise Damage(f"a message belongs to channel {entry.channel}, which is not defined", entry.place[0])
             yield entry
+            del entry
 
     def decoded(self, topics: Collection[str] | None = None, **limits) -> Iterator[tuple[RawMessage, Any]]:
         """Messages with their fields as attributes; the slow way for any type of the "ros2msg" kind."""

@@ -152,7 +152,7 @@ class Salvage(Recording):
         if part.type not in KNOWN and part.type < PRIVATE:
             raise Damage("a record is of no known type", part.offset)
         index = part.type == Opcode.MESSAGE_INDEX
-        if index and int.from_bytes(part.data[11:15], "little") + 15 != len(part.data):
+        if index and int.from_bytes(part.data()[11:15], "little") + 15 != part.size:
             raise Damage("an index of messages has an impossible length", part.offset)
         super()._take(part)
 
@@ -189,21 +189,26 @@ def _copy(source: Salvage, writer: BagWriter, progress: Callable[[int, int], Non
         numbers[number] = writer.add_channel(channel.topic, parsed, channel.message_encoding, channel.metadata)
     lost: Counter[str] = Counter()
     for chunk in source.chunks:
-        try:
-            found = source.unpack(chunk)
-            source.unpack.spend(WRITE * len(found), chunk.offset)
-        except Damage as damage:
-            source.drop(chunk.offset, chunk.end, damage.reason)
-            continue
-        for entry in found:
-            if entry.channel not in numbers:
-                lost[f"of channel {entry.channel}, whose definition is lost"] += 1
-                continue
-            try:
-                writer.write_raw(numbers[entry.channel], entry.data, entry.publish_time, entry.log_time, entry.sequence)
-            except MessageRefused as refused:
-                lost[f"that {refused.reason}"] += 1
+        _copy_chunk(source, writer, chunk, numbers, lost)
         if progress:
             progress(chunk.end, source.size)
     source.dropped += [f"{count} messages {reason}" for reason, count in lost.items()]
     writer.add_metadata("recovered", {"source": source.path.name, "dropped": "\n".join(source.dropped) or "nothing"})
+
+
+def _copy_chunk(source: Salvage, writer: BagWriter, chunk: Chunk, numbers: dict[int, int], lost: Counter[str]) -> None:
+    """Its messages; numbers: of a channel in the source: that in the copy; lost: reason -> messages."""
+    try:
+        found = source.unpack(chunk)
+        source.unpack.spend(WRITE * len(found), chunk.offset)
+    except Damage as damage:
+        source.drop(chunk.offset, chunk.end, damage.reason)
+        return
+    for entry in found:
+        if entry.channel not in numbers:
+            lost[f"of channel {entry.channel}, whose definition is lost"] += 1
+            continue
+        try:
+            writer.write_raw(numbers[entry.channel], entry.data, entry.publish_time, entry.log_time, entry.sequence)
+        except MessageRefused as refused:
+            lost[f"that {refused.reason}"] += 1

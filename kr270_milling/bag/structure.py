@@ -1,7 +1,8 @@
 """The MCAP file of a recording and its records, found without trusting any number in it [MCAP].
 
 A record is one byte of type, eight bytes of length and its content. Every length is held against the file and a
-limit before anything of that size is read; the content is then read by mcap's StreamReader.
+limit before anything of that size is read; the content is then read by mcap's StreamReader. That of a chunk is not
+(packing.py), as mcap copies it.
 """
 
 from __future__ import annotations
@@ -12,20 +13,21 @@ import stat
 import struct
 import zlib
 from collections.abc import Iterator
-from io import BytesIO
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, NamedTuple, cast
 
 from mcap.data_stream import RecordBuilder
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
+from mcap.records import Attachment, Schema
 from mcap.stream_reader import StreamReader
 
 from kr270_milling.base.errors import RecordingError
 
 __all__ = [
-    "FOOTER_SIZE", "HEAD", "LIMIT", "MAGIC", "MESSAGE", "SMALL", "Damage", "Part", "checksum", "exactly", "footer",
-    "inner", "mcap_file", "next_chunk", "open_to_read", "parts",
+    "FOOTER_SIZE", "HEAD", "LIMIT", "MAGIC", "MESSAGE", "ODD", "SMALL", "UNEVEN", "Damage", "Part", "checksum",
+    "exactly", "footer", "inner", "mcap_file", "next_chunk", "open_to_read", "parts", "record_of",
 ]  # fmt: skip
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -37,6 +39,8 @@ SMALL = 32 * 1024 * 1024  # [bytes] of any other record
 LARGE = (Opcode.CHUNK, Opcode.ATTACHMENT, Opcode.MESSAGE)
 RUN = 1024 * 1024  # [bytes]; messages outside of chunks are taken together up to this size
 BEFORE_NAME = 9 + 8 + 8 + 8 + 4  # [bytes] of a chunk before the name of its compression
+ODD = "a record ends in the middle of a field or has a name that is not UTF-8 text"
+UNEVEN = "a record has lengths that do not agree"
 CHUNK_MARK = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
 
 
@@ -49,15 +53,32 @@ class Damage(ValueError):
         super().__init__(reason)
 
 
-class Strict(BytesIO):
-    """Bytes that mcap cannot read over the end of."""
+class Strict:
+    """Bytes that mcap cannot read over the end of; what it reads is no copy of them."""
 
-    def read(self, size: int | None = -1, /) -> bytes:
-        size = len(self.getbuffer()) - self.tell() if size is None or size < 0 else size
-        data = super().read(min(size, 2**31))  # Python itself takes no size beyond 2^63
-        if len(data) != size:
+    def __init__(self, data: bytes):
+        self._view, self._at = memoryview(data), 0
+
+    def read(self, size: int) -> memoryview:
+        begin, self._at = self._at, self._at + size
+        if self._at > len(self._view):
             raise EndOfFile
-        return data
+        return self._view[begin : self._at]
+
+
+def record_of(data: bytes, offset: int):
+    """A record but a chunk as mcap's; the data of an Attachment are a view of its bytes. Raises Damage."""
+    try:
+        record = next(StreamReader(cast(IO[bytes], Strict(data)), skip_magic=True).records)
+    except (McapError, struct.error, UnicodeDecodeError):
+        raise Damage(ODD, offset) from None
+    if isinstance(record, Schema):
+        record.data = bytes(record.data)
+    if isinstance(record, Attachment):
+        replace(record, data=b"").write(builder := RecordBuilder())
+        if builder.count + len(record.data) != len(data):
+            raise Damage(UNEVEN, offset)
+    return record
 
 
 class Part(NamedTuple):
@@ -65,29 +86,26 @@ class Part(NamedTuple):
 
     type: int
     offset: int
-    data: bytes  # all of it
+    size: int  # [bytes] of all of it
+    stream: IO[bytes]
 
     @property
     def end(self) -> int:
-        return self.offset + len(self.data)
+        return self.offset + self.size
+
+    def data(self) -> bytes:
+        """All of it, out of the file. Raises Damage."""
+        return exactly(self.stream, self.offset, self.size)
 
     def record(self):
         """As mcap's record. Raises Damage."""
-        try:
-            record = next(StreamReader(Strict(self.data), skip_magic=True, emit_chunks=True).records)
-        except (McapError, struct.error, UnicodeDecodeError):
-            reason = "a record ends in the middle of a field or has a name that is not UTF-8 text"
-            raise Damage(reason, self.offset) from None
-        if self.type in LARGE:
-            record.write(builder := RecordBuilder())
-            if builder.count != len(self.data):
-                raise Damage("a record has lengths that do not agree", self.offset)
-        return record
+        return record_of(self.data(), self.offset)
 
-    def attached(self):
-        """mcap's Attachment, held against its checksum. Raises Damage."""
-        record, crc = self.record(), int.from_bytes(self.data[-4:], "little")
-        if crc and zlib.crc32(self.data[HEAD.size : -4]) != crc:
+    def attached(self) -> Attachment:
+        """As mcap's record, held against its checksum. Raises Damage."""
+        data = self.data()
+        record, crc = record_of(data, self.offset), int.from_bytes(data[-4:], "little")
+        if crc and zlib.crc32(memoryview(data)[HEAD.size : -4]) != crc:
             raise Damage(f"the attachment {record.name} does not fit its checksum", self.offset)
         return record
 
@@ -133,7 +151,7 @@ def parts(stream, begin: int, end: int) -> Iterator[Part]:
             if following != Opcode.MESSAGE or behind + HEAD.size + size > min(end, begin + RUN):
                 break
             behind += HEAD.size + size
-        yield Part(kind, begin, exactly(stream, begin, behind - begin))
+        yield Part(kind, begin, behind - begin, stream)
         begin = behind
 
 
@@ -142,7 +160,7 @@ def footer(stream, size: int) -> Part | None:
     at = size - FOOTER_SIZE
     end = exactly(stream, at, FOOTER_SIZE) if at >= len(MAGIC) else b""
     whole = end.startswith(HEAD.pack(Opcode.FOOTER, 20)) and end.endswith(MAGIC)
-    return Part(Opcode.FOOTER, at, end[: -len(MAGIC)]) if whole else None
+    return Part(Opcode.FOOTER, at, len(end) - len(MAGIC), stream) if whole else None
 
 
 def exactly(stream, begin: int, size: int) -> bytes:

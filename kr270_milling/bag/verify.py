@@ -77,28 +77,27 @@ class _Check:
         unknown = set(found.counts) - set(self.recording.channels)
         if unknown:
             raise Damage(f"messages belong to channel {min(unknown)}, which is not defined", chunk.offset)
-        if chunk.type != Opcode.CHUNK:
+        if found.packed is None:
             return
         offsets, behind = {}, chunk.end
-        channels, lacking = np.array(found.channels), set(found.counts)
-        rows = np.stack([np.array(found.times), np.array(found.places, np.uint64)], axis=1)
+        times, places = np.frombuffer(found.times, np.uint64), np.frombuffer(found.places, np.uint32)
+        channels, lacking = np.frombuffer(found.channels, np.uint16), set(found.counts)
         for part in parts(self.stream, behind, self.recording.data_end):
             if part.type != Opcode.MESSAGE_INDEX:
                 break
             channel, index = _message_index(part)
             offsets[channel], behind = part.offset, part.end
-            if not np.array_equal(_sorted(index), _sorted(rows[channels == channel])):
+            here = channels == channel
+            if not _same(index, np.stack([times[here], places[here].astype(np.uint64)], axis=1)):
                 raise Damage("an index points to other messages than its chunk holds", part.offset)
             lacking.discard(channel)
         if offsets and lacking:
             raise Damage(f"a chunk has no index for channel {min(lacking)}", chunk.offset)
-        (part,) = parts(self.stream, chunk.offset, chunk.end)
-        record = part.record()
         self.indexes[chunk.offset] = ChunkIndex(
             chunk_length=chunk.size,
             chunk_start_offset=chunk.offset,
-            compression=record.compression,
-            compressed_size=len(record.data),
+            compression=found.packed.packing,
+            compressed_size=found.packed.size,
             message_end_time=chunk.last_time,
             message_index_length=behind - chunk.end,
             message_index_offsets=offsets,
@@ -127,12 +126,18 @@ class _Check:
 
 def _message_index(part: Part) -> tuple[int, np.ndarray]:
     """Channel of an index of messages, and log time and place of each of them, (n, 2)."""
-    if len(part.data) < INDEX.size:
+    data = part.data()
+    if len(data) < INDEX.size:
         raise Damage("an index of messages has an impossible length", part.offset)
-    _, _, channel, size = INDEX.unpack_from(part.data)
-    if size != len(part.data) - INDEX.size or size % 16:
+    _, _, channel, size = INDEX.unpack_from(data)
+    if size != len(data) - INDEX.size or size % 16:
         raise Damage("an index of messages has an impossible length", part.offset)
-    return channel, np.frombuffer(part.data, "<u8", offset=INDEX.size).reshape(-1, 2)
+    return channel, np.frombuffer(data, "<u8", offset=INDEX.size).reshape(-1, 2)
+
+
+def _same(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether they hold the same rows in any order."""
+    return np.array_equal(one, other) or np.array_equal(_sorted(one), _sorted(other))
 
 
 def _sorted(rows: np.ndarray) -> np.ndarray:

@@ -97,7 +97,7 @@ class BagWriter:
         """Messages that were given to the file."""
         return self.output.count
 
-    def add_attachment(self, name: str, content: bytes | str) -> None:
+    def add_attachment(self, name: str, content: bytes | memoryview | str) -> None:
         data = content.encode() if isinstance(content, str) else bytes(content)
         kind = "application/yaml" if name.endswith((".yaml", ".yml")) else "application/octet-stream"
         self.output.mcap.add_attachment(0, 0, name, kind, data)

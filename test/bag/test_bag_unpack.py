@@ -9,10 +9,14 @@ import sys
 import zlib
 from pathlib import Path
 
+import lz4.frame
 import pytest
+import zstandard
 from test_recording_reader import write_mcap
 
+from kr270_milling.bag.packing import Packed
 from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.structure import Damage
 from kr270_milling.base.errors import RecordingError
 
 
@@ -50,8 +54,6 @@ for file in sys.argv[1:]:
 
 
 def greedy_files() -> dict[str, bytes]:
-    import zstandard
-
     empty = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
     many = zstandard.compress(empty * 2_000_000)
     small = zstandard.compress(b"\0" * 1000)
@@ -96,6 +98,33 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
     env = dict(os.environ, PYTHONPATH=str(Path(__file__).parents[2]))
     output = subprocess.run([sys.executable, "-c", code, path], env=env, capture_output=True, text=True, check=True)
     assert int(output.stdout) < 120_000  # [kB]; the cache of 64 MB and what zstandard needs
+
+
+def zstd_stream(data: bytes) -> bytes:
+    """A frame that does not say how many bytes it holds."""
+    packer = zstandard.ZstdCompressor(level=3).compressobj()
+    return packer.compress(data) + packer.flush()
+
+
+@pytest.mark.parametrize(("packing", "pack"), [
+    ("zstd", zstandard.compress), ("zstd", zstd_stream), ("zstd", lambda data: zstandard.compress(data, 19)),
+    ("lz4", lz4.frame.compress), ("lz4", lambda data: lz4.frame.compress(data, block_linked=False, store_size=False)),
+    ("lz4", lambda data: lz4.frame.compress(data, content_checksum=True, block_size=lz4.frame.BLOCKSIZE_MAX4MB)),
+    ("", bytes),
+])  # fmt: skip
+def test_every_packing_gives_its_bytes_back_and_one_that_was_cut_off_does_not(tmp_path, packing, pack):
+    for data in (b"a", b"a" * 5_000_000, os.urandom(5_000_000), os.urandom(100_000) * 30):
+        whole = pack(data)
+        for packed in (whole, whole[: len(whole) // 2]):
+            path = tmp_path / "a.mcap"
+            path.write_bytes(chunk_record(packed, len(data), packing.encode()))
+            with open(path, "rb") as stream:
+                found = Packed.of(stream, 0, path.stat().st_size)
+                try:
+                    unpacked = found.unpack(stream, 0)
+                except Damage:
+                    unpacked = None
+            assert (unpacked == data) == (packed == whole)
 
 
 def test_a_message_of_an_undefined_channel_is_an_error(tmp_path):
