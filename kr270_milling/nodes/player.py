@@ -46,7 +46,7 @@ class Player(ReportingNode):
             self.recording.close()
             raise
         self._progress = progress
-        self.done, self.count, self.rounds = False, 0, 0
+        self.count, self.rounds = 0, 0
         for name, paused in (("pause", True), ("resume", False), ("toggle_paused", None)):
             self.create_service(Trigger, f"~/{name}", functools.partial(self._set_paused, paused))
         self._begin_at = time.monotonic() + options.delay
@@ -98,11 +98,11 @@ class Player(ReportingNode):
         try:
             self._play_on(time.monotonic())
         except RecordingError as error:  # nothing can be read behind a damage, in a loop neither
-            self.failure = str(error)
-            self.report(ERROR, self.failure)
+            self.end(str(error))
+            self.report(ERROR, str(error))
 
     def _play_on(self, now: float) -> None:
-        if self.done or self.failure is not None or self._pace.paused or now < self._begin_at:
+        if self.done or self._pace.paused or now < self._begin_at:
             return
         position = self._pace.position(now)
         for message in self._opening:
@@ -140,7 +140,7 @@ class Player(ReportingNode):
             self._begin_at = time.monotonic()
             self._start()
         else:
-            self.done = True
+            self.end()
 
     def _set_paused(self, wanted: bool | None, _, response):
         """wanted: None for the other state than now."""

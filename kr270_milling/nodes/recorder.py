@@ -74,7 +74,7 @@ class Recorder(ReportingNode):
     def _on_parameters(self, parameters: list[Parameter]) -> SetParametersResult:
         for directory in [p.value for p in parameters if p.name == "directory"]:
             if failed := self._end():
-                self.failure = failed
+                self.end(failed)
                 return SetParametersResult(successful=False, reason=failed)
             try:
                 if directory:

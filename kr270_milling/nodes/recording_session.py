@@ -156,7 +156,7 @@ class RecordingSession:
                 self._node.report(WARN, f"a message is not recorded: {refused}")
         except RecordingError as error:
             self._stopped = True
-            self._node.failure = str(error)
+            self._node.end(str(error))
             self._node.report(ERROR, str(error))
 
     def watch(self) -> dict:

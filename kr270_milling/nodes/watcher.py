@@ -12,6 +12,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from kr270_milling.base.errors import MillingError
 from kr270_milling.ros import topics
 from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
+from kr270_milling.ros.node import Ending
 from kr270_milling.watch.feed import Feed
 from kr270_milling.watch.server import Events
 
@@ -22,14 +23,12 @@ LATCHED = (topics.TARGET_TRAJECTORY, topics.REFERENCE_TRAJECTORY)
 LOOP = (topics.TOOL_POSE, topics.WRENCH, topics.DIAGNOSTICS)
 
 
-class Watcher(Node):
-    """Publishes nothing; best effort on the topics of the loop, so that nobody waits for it."""
-
-    failure: str | None = None
+class Watcher(Ending, Node):
+    """Publishes nothing; best effort on the topics of the loop, so that nobody waits for it. Done when the graph was
+    there and is gone."""
 
     def __init__(self, events: Events, namespace: str, **kwargs):
         super().__init__("watch", namespace=namespace, start_parameter_services=False, enable_rosout=False, **kwargs)
-        self.done = False  #: the graph was there and is gone
         self._events = events
         self._feed = Feed()
         self._seen: float | None = None
@@ -61,4 +60,4 @@ class Watcher(Node):
         elif self._seen is not None and time.monotonic() - self._seen > GONE and not self.done:
             self._drain()
             self._events.tell({"kind": "end"})
-            self.done = True
+            self.end()

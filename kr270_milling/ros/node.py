@@ -13,6 +13,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.task import Future
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.units import SECOND
@@ -77,10 +78,22 @@ class Silence:
         return self._told and not before
 
 
-class Reporting(Node):
-    """Mixin: one diagnostic status of the node, published five times a second and at once when it changes."""
+class Ending:
+    """Mixin: a node that may end its process (``spin.run_nodes``)."""
 
-    failure: str | None = None  #: set when the node must end with exit code 1
+    done = False  #: whether it is at its end
+    failure: str | None = None  #: the sentence with which it ends, where something failed; the exit code is 1 then
+    lap: Future | None = None  #: of the executor, which comes back when it is done
+
+    def end(self, failure: str | None = None) -> None:
+        """End, behind the callback that runs now."""
+        self.done, self.failure = True, failure or self.failure
+        if self.lap is not None:
+            self.lap.set_result(None)
+
+
+class Reporting(Ending, Node):
+    """Mixin: one diagnostic status of the node, published five times a second and at once when it changes."""
 
     def start_reporting(self) -> None:
         self.refused = 0  #: messages and requests that could not be used
@@ -136,8 +149,8 @@ class Reporting(Node):
         if isinstance(error, MillingError):
             self.report(ERROR, str(error))
         else:
-            self.failure = f"{type(error).__name__} in {where}: {error}"
-            self.report(ERROR, self.failure)
+            self.end(f"{type(error).__name__} in {where}: {error}")
+            self.report(ERROR, str(self.failure))
 
     def tell(self, **values) -> None:
         """Values for the next report, without another message."""

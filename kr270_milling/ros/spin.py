@@ -13,6 +13,7 @@ from rclpy.context import Context
 from rclpy.exceptions import ParameterException
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from kr270_milling.base.errors import MillingError
@@ -24,6 +25,7 @@ from kr270_milling.ros.litter import remove_litter
 __all__ = ["own_arguments", "run_node", "run_nodes"]
 
 LEAVE = 3.0  # [s] of the wall to leave the graph
+LAP = 0.1  # [s] between two looks for signals and for the parent
 STOPS = (signal.SIGINT, signal.SIGTERM)
 
 
@@ -50,7 +52,7 @@ def run_node(make: Callable, args: list[str] | None = None) -> int:
 
 
 def run_nodes(makes: Sequence[Callable], args: list[str] | None = None) -> int:
-    """Spin nodes by one executor until a signal, until the parent is gone, or until one sets ``failure`` or ``done``.
+    """Spin nodes by one executor until a signal, until the parent is gone, or until one is done.
 
     Exit code: 0 after a signal or when done, 1 when a node failed, 2 when one could not be made (bad parameters).
     Without ``args`` the process is that of the nodes and ends here; else the exit code is returned.
@@ -112,8 +114,11 @@ def _run_nodes(makes: Sequence[Callable], args: list[str] | None, stop: list[int
 def _spin(nodes: list, executor, stop: list[int]) -> int:
     """The exit code, when all that the nodes have to write is written."""
     parent = int(os.environ.get(PARENT, 0))
-    while not stop and all(node.failure is None and not getattr(node, "done", False) for node in nodes):
-        executor.spin_once(timeout_sec=0.1)
+    while not stop and not any(node.done for node in nodes):
+        lap = Future()  # one lap is many callbacks: to come back behind each took a tenth of an exchange
+        for node in nodes:
+            node.lap = lap
+        executor.spin_until_future_complete(lap, timeout_sec=LAP)
         if parent and os.getppid() != parent:
             break
     for _ in range(20):  # what has arrived before the signal is still taken
