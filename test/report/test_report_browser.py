@@ -87,8 +87,14 @@ def phone(running, tmp_path_factory):
 
 
 def settled(visit) -> dict:
-    visit.ask("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
-    return visit.ask(MARKS)
+    """The marks, when no late event of the pointer has moved the place for two frames."""
+    return visit.ask(
+        f"""async () => {{
+          const frame = () => new Promise((done) => requestAnimationFrame(done));
+          for (let k; k !== KR.place;) {{ k = KR.place; await frame(); await frame(); }}
+          return ({MARKS})();
+        }}"""
+    )
 
 
 def agrees(visit) -> None:
