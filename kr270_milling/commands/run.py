@@ -58,7 +58,8 @@ def running(cell, methods, out, passes=None, namespace: str = "", composed: bool
             report.say("starting the nodes")
             graph = until_told.enter_context(Graph(cell, directory, namespace, composed=composed, plant=cuts))
             ran = run_plan(graph, methods, passes, report.say)
-        yield {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
+        with graph.interruptible():
+            yield {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
 
 
 def _compile(cell) -> None:

@@ -6,9 +6,9 @@ import contextlib
 import functools
 import os
 import signal
-import socket
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -68,7 +68,7 @@ class Graph:
         self.out = Path(out).resolve()
         self.extra = extra
         self._driver: Driver | None = None
-        self._claimed: socket.socket | None = None
+        self._claimed = contextlib.ExitStack()  # the names of its nodes
         self.children: dict[str, Child] = {}
         self.passes = 0  #: that were recorded
         self.spawned: dict[str, tuple] = {}  #: name of a process -> its nodes, parameter file and further arguments
@@ -93,7 +93,7 @@ class Graph:
                 self._handlers[number] = signal.signal(number, lambda caught, _: self._signals.append(caught))
         try:
             self._driver = Driver(self._namespace, self.check)
-            self._claimed = claim(self.driver.domain, self.driver.namespace)
+            self._claimed.enter_context(claim(self.driver.domain, self.driver.namespace))
             self._start(started)
         except BaseException as error:
             self.close(error)
@@ -136,6 +136,17 @@ class Graph:
         own = sorted(cores)[os.getpid() % len(cores)]
         for node, child in self.children.items():
             child.keep_to({own} if node in CELL else cores - {own})
+
+    @contextlib.contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Within, where nobody waits for the graph, a signal ends this process as it does without one."""
+        self.check()
+        ours = {number: signal.signal(number, handler) for number, handler in self._handlers.items()}
+        try:
+            yield
+        finally:
+            for number, handler in ours.items():
+                signal.signal(number, handler)
 
     def _pause(self, seconds: float) -> None:
         end = time.monotonic() + seconds
@@ -272,8 +283,8 @@ class Graph:
 
         error: what ends the run early; it is told first, and decides the exit code should the middleware block.
         """
-        self._hooks.leaving(error)
         try:
+            self._hooks.leaving(error)
             if self._driver is not None:
                 self.driver.close(exit_code(error))  # before the others leave
         finally:
@@ -281,8 +292,7 @@ class Graph:
             stop(set(self.children.values()) - recorder)
             stop(recorder)
             remove_litter()
-            if self._claimed is not None:
-                self._claimed.close()
+            self._claimed.close()
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
 

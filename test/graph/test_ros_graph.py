@@ -249,6 +249,22 @@ def test_what_came_out_is_told_though_the_middleware_crashes_while_the_run_leave
     wait_until(lambda: not nodes_of(tmp_path), 30, "nodes are left")
 
 
+LATE = """
+import os, signal, sys
+from kr270_milling.cli import main
+from kr270_milling.commands import run
+tables = run.table_of
+run.table_of = lambda *how: (os.kill(os.getpid(), signal.SIGINT), tables(*how))[1]
+main()
+"""
+
+
+def test_ctrl_c_behind_the_passes_is_heard(runner, tmp_path):
+    code, out, told = finished(runner(tmp_path / "o", "--passes", "1", program=("-c", LATE)))
+    assert code == 130 and not out and told.endswith("interrupted\n")
+    assert not nodes_of(tmp_path)
+
+
 def test_second_graph_with_the_same_names_is_refused_and_does_not_disturb_the_first(runner, tmp_path):
     first = runner(tmp_path / "a", "--passes", "1000", sets=LONG)
     in_mid_pass(tmp_path / "a")
