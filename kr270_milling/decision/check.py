@@ -11,12 +11,14 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.decision.check_cut import Stability, cut_violations, stability_of
-from kr270_milling.decision.findings import SEVERITIES, Finding, Violation, gathered, violation
+from kr270_milling.decision.findings import SEVERITIES, Finding, Violation, gathered, separate, violation
 from kr270_milling.decision.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 from kr270_milling.simulation.milling_pass import FLIGHT, PassError
 from kr270_milling.trajectory.source_program import SourceProgram
 from kr270_milling.trajectory.trajectory import Trajectory
+
+MOST_LINES = 10  #: of the program that the line about rapid moves names
 
 __all__ = ["Checked", "cell_violations", "check"]
 
@@ -30,6 +32,9 @@ class Checked:
     ran: ScoredPass | None  #: the pass that was simulated, if the arm can make it
     program: SourceProgram  #: what the file of the path says beside its moves
     stability: Stability | None  #: of the pass that was simulated
+    rapid_moves: tuple[Finding, ...] | None = (
+        None  #: each rapid move through material; None: the arm cannot make the path
+    )
 
     def __repr__(self) -> str:
         return f"<Checked: {self.summary}>"
@@ -54,7 +59,23 @@ class Checked:
         """What terminal, report and program headers print: one line a finding, then the summary."""
         read_over = [self.program.summary] if self.program.summary else []
         stability = [self.stability.text] if self.stability else []
-        return [*read_over, *(f"{f.severity:8} {f.text}" for f in self.findings), *stability, self.summary]
+        findings = (f"{f.severity:8} {f.text}" for f in self.findings)
+        return [*read_over, *findings, self.rapid_text, *stability, self.summary]
+
+    @property
+    def rapid_volume_mm3(self) -> float | None:
+        """What rapid moves remove; None where the arm cannot make the path."""
+        return None if self.rapid_moves is None else sum((f.amounts["volume_mm3"] for f in self.rapid_moves), 0.0)
+
+    @property
+    def rapid_text(self) -> str:
+        """One line: the volume, and the lines of the program where there are some."""
+        if self.rapid_moves is None:
+            return "removed by rapid moves: not known, the arm cannot make the path"
+        lines = list(dict.fromkeys(str(f.where.line) for f in self.rapid_moves if f.where.line))
+        more = f" and {len(lines) - MOST_LINES} more" if len(lines) > MOST_LINES else ""
+        where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines[:MOST_LINES])}{more})" if lines else ""
+        return f"removed by rapid moves: {self.rapid_volume_mm3:.4g} mm3{where}"
 
     def as_dict(self) -> dict:
         """For JSON; values and limits in the unit that stands beside them."""
@@ -63,6 +84,8 @@ class Checked:
             "points": self.points,
             **{f"{severity}s": self.count(severity) for severity in SEVERITIES},
             "findings": [f.as_dict() for f in self.findings],
+            "removed_by_rapid_moves_mm3": self.rapid_volume_mm3,
+            "rapid_moves": None if self.rapid_moves is None else [f.as_dict() for f in self.rapid_moves],
             "stability": self.stability and self.stability.as_dict(),
             "read_over": [{"word": word.word, "count": word.count} for word in self.program.read_over],
         }
@@ -84,7 +107,7 @@ def check(
     programmed = cell.target() if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     found, joints = arm_violations(cell, run)
-    stability = None
+    stability, rapid_moves = None, None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in found)
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
@@ -96,11 +119,13 @@ def check(
         found += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
         ran, cut = _cut(cell, run, ran, progress)
         found += cut
+        rapid_moves = separate(cell, run, "rapid in material", cut)
         stability = stability_of(cell, ran.result) if ran else None
         if stability and stability.word == "chatter":
             found.append(violation("chatter", stability.residue, stability.limit, percent=100 * stability.residue))
     program = fed.toolpath.program if fed else SourceProgram()
-    return Checked(gathered(cell, run, found), len(run), ran if reachable else None, program, stability)
+    return Checked(gathered(cell, run, found), len(run), ran if reachable else None, program, stability,
+                   rapid_moves)  # fmt: skip
 
 
 def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:

@@ -3,6 +3,7 @@ does it chatter."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,10 +15,16 @@ from kr270_milling.decision.findings import Violation, stretches, violation, vio
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Engagement", "Stability", "cut_violations", "engagement", "stability_of"]
+__all__ = ["Engagement", "Stability", "cut_violations", "engagement", "rapid_violations", "stability_of"]
 
-NODES_PER_RADIUS = 50  #: of the height map; a contact narrower than a fiftieth of the radius is not seen
+NODES_PER_RADIUS = 50  #: of the height map, along its axes
 MOST_VISITS = 2e9  #: of nodes, about a nanosecond each; a longer path takes a coarser map
+MOST_NODES = 2e7  #: of the height map, 20 bytes each; a small cutter in a large stock takes a coarser map
+#: [rad], from x of the workpiece to the first axis of the map. The tangent is the golden ratio less 1: no wall along x,
+#: y or a diagonal lies on a row of nodes, so that a long contact far narrower than the node step still covers nodes
+MAP_TURN = math.atan((math.sqrt(5.0) - 1.0) / 2.0)
+VERTICAL = 1e-20  #: [m^2], square of the horizontal length below which a move is vertical
+LEAST_MARGIN = 1e-9  #: [m], rounding of heights and radii
 CORE = 0.2  #: share of the radius about the axis where a cutter that is not centre-cutting has no edge
 PLUNGE = 0.5  #: sine of the slope below which a way down is a ramp: 30 deg
 UNLIKELY_FEED = 0.25  #: of the diameter, a tooth: no cutter takes that, so a unit has slipped
@@ -37,79 +44,169 @@ class Engagement:
     position: np.ndarray  #: tool tip [m], (m, 3)
     time: np.ndarray  #: [s], (m,)
     rapid: np.ndarray  #: on a rapid move, (m,)
+    block: np.ndarray  #: of the tool path that leads to the place, (m,)
     depth: np.ndarray  #: deepest material above the tip within the tool's radius [m], (m,)
-    inner: np.ndarray  #: the same within the radius less ``margin`` [m], (m,)
-    core: np.ndarray  #: the same about the tool's axis, (m,)
+    inner: np.ndarray  #: deepest material that a rapid move meets within the radius less ``margin`` [m], (m,)
+    core: np.ndarray  #: deepest material above the tip about the tool's axis [m], (m,)
+    volume: np.ndarray  #: that rapid moves remove on the way to the place [m^3], (m,)
 
 
-def engagement(cell: Cell, margin: float) -> Engagement:
-    """Run the programmed path through the stock; margin [m]: contacts no deeper than that are not in ``inner``.
+def engagement(cell: Cell, margin: float, shift: np.ndarray | None = None) -> Engagement:
+    """Run the programmed path through the stock, without deflection, on a height map of nodes.
 
-    The tool runs along its path without deflection through a coarse height map. That is blind to what the cut does to
-    the arm, and so tells a fault of the program from the little that a springy arm shaves off when it lifts out.
+    ``inner`` compares the rapid moves between two cutting moves, as a whole, with the material before the first of
+    them. The distance between places and the stiffness of the arm therefore do not matter.
+
+    margin [m]: ``inner`` leaves out contacts that are no deeper or no wider; shift (m, 3) [m]: of the places of rapid
+    moves. ``inner`` belongs to the place that removes the material.
     """
-    position, time, rapid, step = _places(cell)
-    low, high = cell.stock.min, cell.stock.max
-    shape = np.maximum(1, np.ceil((high - low)[:2] / step)).astype(int)
-    surface = np.full(tuple(shape), high[2])
-    depth, inner, core = np.zeros((3, len(position)))
+    position, time, block, step = _places(cell)
+    timed = cell.timed_path
+    rapid = np.zeros(len(block), bool) if timed is None else timed.toolpath.rapid[block]
+    #: number of the rapid moves between two cutting moves, from 1; 0: a cutting move
+    series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
+    depth, inner, core, volume = met = np.zeros((4, len(position)))
     radius = float(cell.tool.radii.max())
+    moved = position if shift is None else position + np.where(rapid[:, None], shift, 0.0)
+    turn = _turn()
+    surface, origin = _fresh_map(cell, moved, radius, step)
+    path = np.column_stack([moved[:, :2] @ turn.T, moved[:, 2]])
+    margin = max(margin, LEAST_MARGIN)
     radii = radius, max(radius - margin, 0.0), CORE * radius
-    _mill(surface, low[:2] + step / 2, step, position, radii, margin, (depth, inner, core))
-    return Engagement(position, time, rapid, depth, inner, core)
+    earlier = np.zeros(surface.shape), np.full(surface.shape, -1, np.int32)
+    _mill(surface, *earlier, origin, step, path, series, radii, margin, met)
+    return Engagement(position, time, rapid, block, depth, inner, core, volume)
 
 
-def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Tool tips, times and rapid flags half a node step apart, and the node step [m]."""
-    target, timed = cell.target(), cell.timed_path
-    radius = float(cell.tool.radii.max())
-    length = timed.toolpath.length if timed else cell.path.length
-    # length / (step / 2) places of pi (radius / step)^2 nodes each are to stay below MOST_VISITS
-    step = max(radius / NODES_PER_RADIUS, (2.0 * np.pi * length * radius**2 / MOST_VISITS) ** (1.0 / 3.0))
-    count = 2 + int(2.0 * length / step)
-    if timed is None:
-        time_ns = np.linspace(0, target.duration_ns, count).astype(np.int64)
-        return target.sample(time_ns), time_ns * 1e-9, np.zeros(count, bool), step
-    ends = np.cumsum(timed.toolpath.block_length)
-    distance = np.sort(np.concatenate([np.linspace(0.0, timed.toolpath.length, count), ends[1:]]))  # every corner too
-    block = np.clip(np.searchsorted(ends, distance), 1, len(ends) - 1)  # where two meet, the one that ends
-    time = np.interp(distance, timed.distance_at(target.time_ns), target.time)
-    return timed.toolpath.on_path(distance)[0], time, timed.toolpath.rapid[block], step
+def _turn() -> np.ndarray:
+    """From the workpiece frame to the axes of the map, (2, 2)."""
+    c, s = math.cos(MAP_TURN), math.sin(MAP_TURN)
+    return np.array([[c, s], [-s, c]])
+
+
+def _fresh_map(cell: Cell, position: np.ndarray, radius: float, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Heights of the uncut stock [m] at the nodes that the tool can reach, -inf outside, and the first node [m]."""
+    low, high, turn = cell.stock.min, cell.stock.max, _turn()
+    near = np.maximum(low[:2], position[:, :2].min(axis=0) - radius)
+    far = np.maximum(near, np.minimum(high[:2], position[:, :2].max(axis=0) + radius))
+    corners = np.array([[x, y] for x in (near[0], far[0]) for y in (near[1], far[1])]) @ turn.T
+    origin = corners.min(axis=0) + 0.5 * step
+    shape = np.maximum(1, np.ceil(np.ptp(corners, axis=0) / step)).astype(int)
+    surface = np.full(tuple(shape), high[2])
+    _clear_outside(surface, origin, step, turn, low, high)
+    return surface, origin
 
 
 @njit(cache=True)
-def _mill(surface, origin, step, position, radii, margin, found):
-    """Lower the surface to the tool's end at each place, and note the deepest material that was there before."""
-    depth, inner, core = found
-    reach = int(radii[0] / step) + 1
+def _clear_outside(surface, origin, step, turn, low, high):
+    """Set the nodes that are not over the stock to -inf."""
+    for i in range(surface.shape[0]):
+        u = origin[0] + i * step
+        for j in range(surface.shape[1]):
+            v = origin[1] + j * step
+            x, y = turn[0, 0] * u + turn[1, 0] * v, turn[0, 1] * u + turn[1, 1] * v
+            if x < low[0] or x > high[0] or y < low[1] or y > high[1]:
+                surface[i, j] = -np.inf
+
+
+def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Tool tips, times and blocks half a node step apart, and the node step [m]."""
+    target, timed = cell.target(), cell.timed_path
+    radius = float(cell.tool.radii.max())
+    length = timed.toolpath.length if timed else cell.path.length
+    area = float(np.prod((cell.stock.max - cell.stock.min)[:2]))
+    # length / (step / 2) places of pi (radius / step)^2 nodes each are to stay below MOST_VISITS
+    step = max(
+        radius / NODES_PER_RADIUS,
+        (2.0 * np.pi * length * radius**2 / MOST_VISITS) ** (1.0 / 3.0),
+        math.sqrt(area / MOST_NODES),
+    )
+    count = 2 + int(2.0 * length / step)
+    if timed is None:
+        time_ns = np.linspace(0, target.duration_ns, count).astype(np.int64)
+        return target.sample(time_ns), time_ns * 1e-9, np.zeros(count, int), step
+    ends = np.cumsum(timed.toolpath.block_length)
+    distance = np.sort(np.concatenate([np.linspace(0.0, timed.toolpath.length, count), ends[1:]]))  # every corner too
+    block = np.clip(np.searchsorted(ends, distance), 0, len(ends) - 1)  # where two meet, the one that ends
+    time = np.interp(distance, timed.distance_at(target.time_ns), target.time)
+    return timed.toolpath.on_path(distance)[0], time, block, step
+
+
+@njit(cache=True)
+def _mill(surface, before, by, origin, step, position, series, radii, margin, met):
+    """Lower the surface to the lowest height of the tip on the straight way to each place, and note what was there.
+
+    by: the last place on a rapid move that lowered a node, -1: none; before: height of the node before its series.
+    """
+    depth, inner, core, volume = met
+    square, square_inner, square_core = radii[0] ** 2, radii[1] ** 2, radii[2] ** 2
+    contact, start = False, 0  # whether the present series of rapid moves has lowered a node; first place of the series
     for k in range(position.shape[0]):
         x, y, z = position[k]
-        middle_x, middle_y = int((x - origin[0]) / step), int((y - origin[1]) / step)
-        for i in range(max(middle_x - reach, 0), min(middle_x + reach + 2, surface.shape[0])):
-            away_x = origin[0] + i * step - x
-            for j in range(max(middle_y - reach, 0), min(middle_y + reach + 2, surface.shape[1])):
-                away = np.sqrt(away_x**2 + (origin[1] + j * step - y) ** 2)
-                over = surface[i, j] - z
-                if over <= 0.0 or away >= radii[0]:
+        last_x, last_y, last_z = position[max(k - 1, 0)]
+        move_x, move_y = x - last_x, y - last_y
+        way, lower = move_x**2 + move_y**2, min(last_z, z)
+        if k == 0 or series[k] != series[k - 1]:
+            contact, start = False, k
+        first_i = max(int((min(x, last_x) - radii[0] - origin[0]) / step), 0)
+        first_j = max(int((min(y, last_y) - radii[0] - origin[1]) / step), 0)
+        for i in range(first_i, min(int((max(x, last_x) + radii[0] - origin[0]) / step) + 1, surface.shape[0])):
+            away_x = origin[0] + i * step - last_x
+            for j in range(first_j, min(int((max(y, last_y) + radii[0] - origin[1]) / step) + 1, surface.shape[1])):
+                if surface[i, j] <= lower and not (contact and by[i, j] >= start):
                     continue
-                depth[k] = max(depth[k], over)
-                if away < radii[1] and over > margin:
-                    inner[k] = max(inner[k], over)
-                if away < radii[2]:
-                    core[k] = max(core[k], over)
-                surface[i, j] = z
+                away_y = origin[1] + j * step - last_y
+                along, beside = 0.0, away_x**2 + away_y**2
+                if way > VERTICAL:
+                    along = (away_x * move_x + away_y * move_y) / way
+                    beside -= along**2 * way
+                tip = _lowest(along, beside, way, square, last_z, z)
+                over = surface[i, j] - tip
+                if over > 0.0:
+                    depth[k] = max(depth[k], over)
+                    if (away_x - move_x) ** 2 + (away_y - move_y) ** 2 < square_core:
+                        core[k] = max(core[k], over)
+                    if series[k]:
+                        contact = True
+                        volume[k] += over * step**2
+                        if by[i, j] < start:
+                            before[i, j] = surface[i, j]
+                        by[i, j] = k
+                    surface[i, j] = tip
+                if contact and by[i, j] >= start:
+                    deep = before[i, j] - _lowest(along, beside, way, square_inner, last_z, z)
+                    if deep > margin:
+                        inner[by[i, j]] = max(inner[by[i, j]], deep)
+
+
+@njit(cache=True, inline="always")
+def _lowest(along, beside, way, square, last_z, z):
+    """Lowest height of a straight way while a node is within the radius; inf where it never is.
+
+    along: of the node's projection, a share of the way; beside: square of its distance from the line of the way; way:
+    square of the horizontal length; square: of the radius; last_z, z: heights at both ends.
+    """
+    if beside >= square:
+        return np.inf
+    if way <= VERTICAL:
+        return min(last_z, z)
+    half = np.sqrt((square - beside) / way)
+    first, last = max(along - half, 0.0), min(along + half, 1.0)
+    if first > last:
+        return np.inf
+    return last_z + (z - last_z) * (last if z < last_z else first)
 
 
 def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
     """What the simulated pass along ``run``, and the programmed path in the stock, show; by the points of ``run``."""
     if not ran.result.removed_volume > 0.0:
         return [violation("stock missed", 0.0, 0.0, 1)]
-    return _spindle(cell, run, ran) + _tool(cell) + _contacts(cell, run, _spring_back(cell, ran))
+    return _spindle(cell, run, ran) + _tool(cell) + _contacts(cell, run, ran)
 
 
 def _spring_back(cell: Cell, ran: ScoredPass) -> float:
-    """[m], largest deflection while the tool feeds through material: what springs back when it lifts off shaves as
-    much from a wall."""
+    """[m], largest deflection while the tool feeds through material: a tool that springs back when the cut ends removes
+    as much from a wall."""
     result = ran.result
     cutting = result.volume > 0.0
     if cell.timed_path is not None:
@@ -140,15 +237,14 @@ def _tool(cell: Cell) -> list[Violation]:
     return found
 
 
-def _contacts(cell: Cell, run: Trajectory, spring_back: float) -> list[Violation]:
+def _contacts(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
     """What the tool meets along the programmed path: material at rapid, below the stock, fixtures."""
     low, high, radius = cell.stock.min, cell.stock.max, cell.tool.radii.max()
-    margin, below, flutes = spring_back + cell.limits.rapid_contact, cell.limits.below_stock, cell.tool.flute_length
+    margin, below, flutes = cell.limits.rapid_contact, cell.limits.below_stock, cell.tool.flute_length
     met = engagement(cell, margin)
-    #: the point of the program that each place of the path leads to, from 1
-    points = np.clip(np.searchsorted(run.time, met.time - 1e-6), 0, len(run) - 1) + 1
+    points = _points(run, met)
     beneath = np.where(_over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
-    found = violations("rapid in material", met.inner, margin, met.rapid & (met.inner > margin), points=points)
+    found = rapid_violations(cell, run, met, ran)
     found += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points)
     for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
         inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
@@ -160,6 +256,47 @@ def _contacts(cell: Cell, run: Trajectory, spring_back: float) -> list[Violation
     if not cell.tool.centre_cutting:
         depth, over = _plunges(met)
         found += violations("plunge", depth, 0.0, over, points=points)
+    return found
+
+
+def _points(run: Trajectory, met: Engagement) -> np.ndarray:
+    """The point of the program that each place of the path leads to, from 1."""
+    return np.clip(np.searchsorted(run.time, met.time - 1e-6), 0, len(run) - 1) + 1
+
+
+def rapid_violations(
+    cell: Cell, run: Trajectory, met: Engagement, ran: ScoredPass | None = None
+) -> list[Violation]:  # fmt: skip
+    """Rapid moves through material, by the points of ``run``; met: engagement with the margin ``limits.rapid_contact``.
+
+    Where the programmed path has none, the simulated pass ``ran`` decides: its rapid moves must not enter the material
+    that the programmed cutting moves leave, further than the arm springs back.
+    """
+    margin = cell.limits.rapid_contact
+    found = _rapid_moves(cell, met, _points(run, met), margin)
+    if found or ran is None or not met.rapid.any():
+        return found
+    result = ran.result
+    error = result.actual - result.target
+    shift = np.stack([np.interp(1e9 * met.time, result.time_ns, error[:, k]) for k in range(3)], axis=1)
+    margin += _spring_back(cell, ran)
+    return _rapid_moves(cell, engagement(cell, margin, shift), _points(run, met), margin)
+
+
+def _rapid_moves(cell: Cell, met: Engagement, points: np.ndarray, margin: float) -> list[Violation]:
+    """One violation for each rapid move through material: deepest contact, length of the contact, removed volume."""
+    found = []
+    length = np.linalg.norm(np.diff(met.position, axis=0, prepend=met.position[:1]), axis=1)
+    contact = met.inner > margin
+    for block in np.unique(met.block[contact]).tolist():
+        rows = np.flatnonzero(met.block == block)
+        worst = rows[np.argmax(met.inner[rows])]
+        amounts = {
+            "length_mm": 1e3 * float(length[rows[contact[rows]]].sum()),
+            "volume_mm3": 1e9 * float(met.volume[rows].sum()),
+        }
+        depth, point = met.inner[worst], int(points[worst])
+        found.append(violation("rapid in material", depth, margin, point, block=block, amounts=amounts))
     return found
 
 

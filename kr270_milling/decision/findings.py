@@ -9,15 +9,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["KINDS", "SEVERITIES", "Finding", "Kind", "Place", "Violation", "gathered", "stretches", "violation",
-           "violations"]  # fmt: skip
+__all__ = ["KINDS", "SEVERITIES", "Finding", "Kind", "Place", "Violation", "gathered", "separate", "stretches",
+           "violation", "violations"]  # fmt: skip
 
 DEG = 180.0 / math.pi
 ROUNDING = 1e-5  #: share of a limit that a value may lie above it: what was cut down to the limit is not beyond it
@@ -77,7 +77,9 @@ KINDS = {
     "spindle torque": Kind("N m", "the spindle torque" + EXCEEDS, "Lower depth, width or feed of the cut."),
     "spindle power": Kind("kW", "the spindle power" + EXCEEDS, "Lower depth, width, feed or speed of the cut."),
     "stock missed": Kind("mm3", "the path removes nothing from the stock", "Check datum, unit and stock."),
-    "rapid in material": Kind("mm", "a rapid move goes through material {value:.4g} mm deep at point {point}",
+    "rapid in material": Kind("mm",
+        "a rapid move goes {length_mm:.4g} mm through material, {value:.4g} mm deep at point {point}, and removes "
+        "{volume_mm3:.4g} mm3",
         "Retract above the stock before the rapid move, or feed there (G1)."),
     "below the stock": Kind("mm", "the tool is {value:.4g} mm below the bottom of the stock at point {point}",
         "Raise the path or lower the stock's bottom; limits.below_stock_mm allows it."),
@@ -121,17 +123,25 @@ class Violation:
     severity: str
     sentence: str
     subject: str = ""  #: of what kind there are several: an axis, a singularity
+    amounts: dict[str, float] = field(default_factory=dict)  #: more numbers of the sentence, units in their names
+    block: int | None = None  #: of the tool path; None: that of the point
 
 
 def violation(
-    kind: str, value: float, limit: float, point: int | None = None, *, severity: str = "", subject: str = "", **words
-) -> Violation:
-    """value and limit in SI units; severity: default that of the kind; words: what else its sentence names."""
-    known = KINDS[kind]
+    kind: str, value: float, limit: float, point: int | None = None, *, severity: str = "", subject: str = "",
+    block: int | None = None, amounts: dict[str, float] | None = None, **words,
+) -> Violation:  # fmt: skip
+    """value and limit in SI units; severity: default that of the kind; words, amounts: what else its sentence names.
+
+    block: of the tool path, default: the block that starts at or contains the point.
+    """
+    known, amounts = KINDS[kind], amounts or {}
     sentence = known.sentence.format(
-        value=value * known.scale, limit=limit * known.scale, unit=known.unit, point=point, subject=subject, **words
-    )
-    return Violation(kind, point, float(value), float(limit), severity or known.severity, sentence, subject)
+        value=value * known.scale, limit=limit * known.scale, unit=known.unit, point=point, subject=subject, **amounts,
+        **words,
+    )  # fmt: skip
+    return Violation(kind, point, float(value), float(limit), severity or known.severity, sentence, subject, amounts,
+                     block)  # fmt: skip
 
 
 def violations(
@@ -194,6 +204,7 @@ class Finding:
     advice: str
     sentence: str  #: of the worst one
     count: int = 1
+    amounts: dict[str, float] = field(default_factory=dict)  #: more numbers of the worst one, units in their names
 
     def as_dict(self) -> dict:
         """For JSON."""
@@ -216,21 +227,27 @@ def gathered(cell: Cell, run: Trajectory, found: Iterable[Violation]) -> tuple[F
     return tuple(sorted(findings, key=lambda f: (SEVERITIES.index(f.severity), f.where.point or 0)))
 
 
+def separate(cell: Cell, run: Trajectory, kind: str, found: Iterable[Violation]) -> tuple[Finding, ...]:
+    """One finding for each violation of a kind, in the order of the path."""
+    return tuple(_finding(cell, run, [one]) for one in found if one.kind == kind)
+
+
 def _finding(cell: Cell, run: Trajectory, group: Sequence[Violation]) -> Finding:
     worst = max(group, key=lambda v: np.inf if np.isnan(v.value) else abs(v.value - v.limit))
     kind = KINDS[worst.kind]
     value, limit = worst.value * kind.scale, worst.limit * kind.scale
-    place = _place(cell, run, worst.point)
-    return Finding(worst.severity, worst.kind, place, value, limit, kind.unit, kind.advice, worst.sentence, len(group))
+    place = _place(cell, run, worst.point, worst.block)
+    return Finding(worst.severity, worst.kind, place, value, limit, kind.unit, kind.advice, worst.sentence, len(group),
+                   worst.amounts)  # fmt: skip
 
 
-def _place(cell: Cell, run: Trajectory, point: int | None) -> Place:
+def _place(cell: Cell, run: Trajectory, point: int | None, block: int | None) -> Place:
     if point is None:
         return Place()
     x, y, z = (1e3 * v for v in run.position[min(point, len(run)) - 1].tolist())
     fed = cell.fed_path
     if fed is None:
         return Place(point, None, None, (x, y, z))
-    block = int(fed.block[min(point, len(fed.block)) - 1])
+    block = int(fed.block[min(point, len(fed.block)) - 1]) if block is None else block
     line, feature = int(fed.toolpath.line[block]), fed.toolpath.features[int(fed.toolpath.feature[block])]
     return Place(point, line or None, feature or None, (x, y, z))
