@@ -110,7 +110,7 @@ class Limits(Record):
         0.5, above=0.0, high=10.0, text="share of the correction that the blending of LIN motions may round off"
     )
     rapid_contact: float = parameter(
-        20e-6, unit="um", low=0.0, high=1e4, text="deepest contact of a rapid move beyond the spring-back of the arm"
+        20e-6, unit="um", low=0.0, high=1e4, text="deepest and widest contact of a programmed rapid move with material"
     )
     below_stock: float = parameter(
         0.0, unit="mm", low=0.0, high=1e3, text="how far the tool may go below the stock, into a sacrificial plate"

@@ -18,9 +18,10 @@ from kr270_milling.simulation.milling_pass import FLIGHT, PassError
 from kr270_milling.trajectory.source_program import SourceProgram
 from kr270_milling.trajectory.trajectory import Trajectory
 
+RAPID_MOVES = "removed by rapid moves"
 MOST_LINES = 10  #: of the program that the line about rapid moves names
 
-__all__ = ["Checked", "cell_violations", "check"]
+__all__ = ["RAPID_MOVES", "Checked", "cell_violations", "check"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +72,11 @@ class Checked:
     def rapid_text(self) -> str:
         """One line: the volume, and the lines of the program where there are some."""
         if self.rapid_moves is None:
-            return "removed by rapid moves: not known, the arm cannot make the path"
+            return f"{RAPID_MOVES}: not known, the arm cannot make the path"
         lines = list(dict.fromkeys(str(f.where.line) for f in self.rapid_moves if f.where.line))
         more = f" and {len(lines) - MOST_LINES} more" if len(lines) > MOST_LINES else ""
         where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines[:MOST_LINES])}{more})" if lines else ""
-        return f"removed by rapid moves: {self.rapid_volume_mm3:.4g} mm3{where}"
+        return f"{RAPID_MOVES}: {self.rapid_volume_mm3:.4g} mm3{where}"
 
     def as_dict(self) -> dict:
         """For JSON; values and limits in the unit that stands beside them."""

@@ -45,6 +45,7 @@ class Engagement:
     time: np.ndarray  #: [s], (m,)
     rapid: np.ndarray  #: on a rapid move, (m,)
     block: np.ndarray  #: of the tool path that leads to the place, (m,)
+    series: np.ndarray  #: number of the rapid moves between two cutting moves, from 1; 0: a cutting move; (m,)
     depth: np.ndarray  #: deepest material above the tip within the tool's radius [m], (m,)
     inner: np.ndarray  #: deepest material that a rapid move meets within the radius less ``margin`` [m], (m,)
     core: np.ndarray  #: deepest material above the tip about the tool's axis [m], (m,)
@@ -52,22 +53,21 @@ class Engagement:
 
 
 def engagement(cell: Cell, margin: float, shift: np.ndarray | None = None) -> Engagement:
-    """Run the programmed path through the stock, without deflection, on a height map of nodes.
+    """Run the programmed path through the stock on a height map of nodes; default: without deflection.
 
     ``inner`` compares the rapid moves between two cutting moves, as a whole, with the material before the first of
     them. The distance between places and the stiffness of the arm therefore do not matter.
 
-    margin [m]: ``inner`` leaves out contacts that are no deeper or no wider; shift (m, 3) [m]: of the places of rapid
-    moves. ``inner`` belongs to the place that removes the material.
+    margin [m]: ``inner`` leaves out contacts that are no deeper or no wider; shift (m, 3) [m]: of the places, as
+    a pass deviates from the path. ``inner`` belongs to the place that removes the material.
     """
     position, time, block, step = _places(cell)
     timed = cell.timed_path
     rapid = np.zeros(len(block), bool) if timed is None else timed.toolpath.rapid[block]
-    #: number of the rapid moves between two cutting moves, from 1; 0: a cutting move
     series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
     depth, inner, core, volume = met = np.zeros((4, len(position)))
     radius = float(cell.tool.radii.max())
-    moved = position if shift is None else position + np.where(rapid[:, None], shift, 0.0)
+    moved = position if shift is None else position + shift
     turn = _turn()
     surface, origin = _fresh_map(cell, moved, radius, step)
     path = np.column_stack([moved[:, :2] @ turn.T, moved[:, 2]])
@@ -75,7 +75,7 @@ def engagement(cell: Cell, margin: float, shift: np.ndarray | None = None) -> En
     radii = radius, max(radius - margin, 0.0), CORE * radius
     earlier = np.zeros(surface.shape), np.full(surface.shape, -1, np.int32)
     _mill(surface, *earlier, origin, step, path, series, radii, margin, met)
-    return Engagement(position, time, rapid, block, depth, inner, core, volume)
+    return Engagement(position, time, rapid, block, series, depth, inner, core, volume)
 
 
 def _turn() -> np.ndarray:
@@ -270,7 +270,7 @@ def rapid_violations(
     """Rapid moves through material, by the points of ``run``; met: engagement with the margin ``limits.rapid_contact``.
 
     Where the programmed path has none, the simulated pass ``ran`` decides: its rapid moves must not enter the material
-    that the programmed cutting moves leave, further than the arm springs back.
+    that its cutting moves leave, further than the arm springs back.
     """
     margin = cell.limits.rapid_contact
     found = _rapid_moves(cell, met, _points(run, met), margin)
@@ -284,20 +284,25 @@ def rapid_violations(
 
 
 def _rapid_moves(cell: Cell, met: Engagement, points: np.ndarray, margin: float) -> list[Violation]:
-    """One violation for each rapid move through material: deepest contact, length of the contact, removed volume."""
+    """One violation for each rapid move through material: deepest contact, length of the contact, removed volume.
+
+    The last move of a series counts what the moves without such a contact remove at the rim.
+    """
     found = []
     length = np.linalg.norm(np.diff(met.position, axis=0, prepend=met.position[:1]), axis=1)
     contact = met.inner > margin
-    for block in np.unique(met.block[contact]).tolist():
+    blocks = np.unique(met.block[contact])
+    at_rim = ~np.isin(met.block, blocks)
+    rest = np.bincount(met.series[at_rim], met.volume[at_rim], minlength=len(met.series) + 1)
+    for block in blocks[::-1].tolist():
         rows = np.flatnonzero(met.block == block)
         worst = rows[np.argmax(met.inner[rows])]
-        amounts = {
-            "length_mm": 1e3 * float(length[rows[contact[rows]]].sum()),
-            "volume_mm3": 1e9 * float(met.volume[rows].sum()),
-        }
+        volume = met.volume[rows].sum() + rest[met.series[worst]]
+        rest[met.series[worst]] = 0.0
+        amounts = {"length_mm": 1e3 * float(length[rows[contact[rows]]].sum()), "volume_mm3": 1e9 * float(volume)}
         depth, point = met.inner[worst], int(points[worst])
         found.append(violation("rapid in material", depth, margin, point, block=block, amounts=amounts))
-    return found
+    return found[::-1]
 
 
 def _over(met: Engagement, low: np.ndarray, high: np.ndarray, radius: float) -> np.ndarray:

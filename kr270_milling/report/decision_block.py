@@ -16,7 +16,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.decision.check import Checked, check
+from kr270_milling.decision.check import RAPID_MOVES, Checked, check
 from kr270_milling.decision.compensation import NO_METHOD, Decision
 from kr270_milling.decision.findings import SEVERITIES, Finding
 from kr270_milling.decision.part import PartAssessment
@@ -44,6 +44,7 @@ class DecisionBlock:
     recommended_method: str = ""
     verdict: str = ""  #: of plants that are not the model, with its band
     stability: str = ""  #: statement in one sentence
+    rapid_moves: str = ""  #: what rapid moves remove, in one line
     findings: tuple[Finding, ...] = ()
 
 
@@ -72,8 +73,10 @@ def judged(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessm
 def _block(before: Judgement, after: Judgement | None, checked: Checked | None, method="", verdict="") -> DecisionBlock:
     stability = checked.stability.text.removeprefix("stability: ") if checked and checked.stability else ""
     may_be_run, findings = (checked.may_be_run, checked.findings) if checked else (None, ())
+    rapid_moves = checked.rapid_text.removeprefix(f"{RAPID_MOVES}: ") if checked else ""
     compensated = _answer(after) if after else None
-    return DecisionBlock(_answer(before), compensated, may_be_run, method, verdict, stability, findings)
+    return DecisionBlock(_answer(before), compensated, may_be_run, method, verdict, stability, rapid_moves,
+                         findings)  # fmt: skip
 
 
 def _answer(judged: Judgement) -> Answer:
@@ -125,6 +128,8 @@ def tiles(decision: DecisionBlock, names: Sequence[str], sizes: Sequence[float])
     if decision.verdict:
         word, _, band = decision.verdict.partition(" (")
         found.append(Tile("verdict", word, micro(band.rstrip(")"))))
+    if decision.rapid_moves:
+        found.append(Tile(RAPID_MOVES, "", micro(decision.rapid_moves)))
     if decision.stability:
         found.append(Tile("stability", "", decision.stability))
     return found
