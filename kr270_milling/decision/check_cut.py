@@ -273,9 +273,9 @@ def rapid_violations(
     that its cutting moves leave, further than the arm springs back.
     """
     margin = cell.limits.rapid_contact
-    found = _rapid_moves(cell, met, _points(run, met), margin)
-    if found or ran is None or not met.rapid.any():
-        return found
+    contacts = _rapid_moves(cell, met, _points(run, met), margin)
+    if contacts or ran is None or not met.rapid.any():
+        return contacts
     result = ran.result
     error = result.actual - result.target
     shift = np.stack([np.interp(1e9 * met.time, result.time_ns, error[:, k]) for k in range(3)], axis=1)
@@ -288,7 +288,7 @@ def _rapid_moves(cell: Cell, met: Engagement, points: np.ndarray, margin: float)
 
     The last move of a series counts what the moves without such a contact remove at the rim.
     """
-    found = []
+    contacts = []
     length = np.linalg.norm(np.diff(met.position, axis=0, prepend=met.position[:1]), axis=1)
     contact = met.inner > margin
     blocks = np.unique(met.block[contact])
@@ -301,8 +301,8 @@ def _rapid_moves(cell: Cell, met: Engagement, points: np.ndarray, margin: float)
         rest[met.series[worst]] = 0.0
         amounts = {"length_mm": 1e3 * float(length[rows[contact[rows]]].sum()), "volume_mm3": 1e9 * float(volume)}
         depth, point = met.inner[worst], int(points[worst])
-        found.append(violation("rapid in material", depth, margin, point, block=block, amounts=amounts))
-    return found[::-1]
+        contacts.append(violation("rapid in material", depth, margin, point, block=block, amounts=amounts))
+    return contacts[::-1]
 
 
 def _over(met: Engagement, low: np.ndarray, high: np.ndarray, radius: float) -> np.ndarray:

@@ -44,8 +44,8 @@ class DecisionBlock:
     recommended_method: str = ""
     verdict: str = ""  #: of plants that are not the model, with its band
     stability: str = ""  #: statement in one sentence
-    rapid_moves: str = ""  #: what rapid moves remove, in one line
     findings: tuple[Finding, ...] = ()
+    rapid_moves: str = ""  #: what rapid moves remove, in one line
 
 
 def decision_block(decision: Decision, checked: Checked) -> DecisionBlock:
@@ -75,8 +75,8 @@ def _block(before: Judgement, after: Judgement | None, checked: Checked | None, 
     may_be_run, findings = (checked.may_be_run, checked.findings) if checked else (None, ())
     rapid_moves = checked.rapid_text.removeprefix(f"{RAPID_MOVES}: ") if checked else ""
     compensated = _answer(after) if after else None
-    return DecisionBlock(_answer(before), compensated, may_be_run, method, verdict, stability, rapid_moves,
-                         findings)  # fmt: skip
+    return DecisionBlock(_answer(before), compensated, may_be_run, method, verdict, stability, findings,
+                         rapid_moves)  # fmt: skip
 
 
 def _answer(judged: Judgement) -> Answer:

@@ -32,19 +32,19 @@ def moves(cell: Cell) -> list:
     return rapid_violations(cell, cell.target(), engagement(cell, cell.limits.rapid_contact))
 
 
-def volume(found: list) -> float:
-    return sum(one.amounts["volume_mm3"] for one in found)
+def volume(contacts: list) -> float:
+    return sum(one.amounts["volume_mm3"] for one in contacts)
 
 
 @pytest.mark.parametrize("row", DANGEROUS, ids=lambda row: row.name)
 def test_every_rapid_move_through_material_is_a_stop_with_its_volume(tmp_path, row):
     cell = cell_of(tmp_path, row)
-    found = moves(cell)
-    lines = {int(cell.fed_path.toolpath.line[one.block]) for one in found}
-    assert found and all(one.severity == "stop" for one in found)
+    contacts = moves(cell)
+    lines = {int(cell.fed_path.toolpath.line[one.block]) for one in contacts}
+    assert contacts and all(one.severity == "stop" for one in contacts)
     assert not row.lines or lines == set(row.lines)
-    assert 1e3 * max(one.value for one in found) == pytest.approx(row.depth_mm, rel=1e-6)
-    assert volume(found) == pytest.approx(row.volume_mm3, rel=0.02)
+    assert 1e3 * max(one.value for one in contacts) == pytest.approx(row.depth_mm, rel=1e-6)
+    assert volume(contacts) == pytest.approx(row.volume_mm3, rel=0.02)
 
 
 @pytest.mark.parametrize("row", SOUND, ids=lambda row: row.name)
@@ -59,9 +59,9 @@ def test_a_random_sound_program_is_released_and_a_rapid_plunge_in_it_is_a_stop(t
     if seed % 10 == 0:
         row = with_rapid_cut(row)
         cell = cell_of(tmp_path, row)
-        found = moves(cell)
-        assert [int(cell.fed_path.toolpath.line[one.block]) for one in found] == list(row.lines)
-        assert volume(found) == pytest.approx(row.volume_mm3, rel=0.02)
+        contacts = moves(cell)
+        assert [int(cell.fed_path.toolpath.line[one.block]) for one in contacts] == list(row.lines)
+        assert volume(contacts) == pytest.approx(row.volume_mm3, rel=0.02)
 
 
 @pytest.mark.parametrize(("name", "file", "program", "line"), ISSUE, ids=[row[0] for row in ISSUE])
@@ -70,9 +70,9 @@ def test_the_programs_that_version_0_2_0_released_are_stops(tmp_path, name, file
     path.write_text(program)
     stock = ("stock.min_mm=[-25,-25,-10]", "stock.max_mm=[25,25,0]")
     cell = read_cell(find_file("test_piece.yaml"), [f"path.file={path}", *(stock if file == "pocket" else ())])
-    found = moves(cell)
-    assert line in {int(cell.fed_path.toolpath.line[one.block]) for one in found}
-    assert all(one.severity == "stop" for one in found) and volume(found) > 100.0
+    contacts = moves(cell)
+    assert line in {int(cell.fed_path.toolpath.line[one.block]) for one in contacts}
+    assert all(one.severity == "stop" for one in contacts) and volume(contacts) > 100.0
 
 
 def test_the_shipped_examples_have_no_rapid_moves_in_material():
@@ -119,11 +119,11 @@ def test_terminal_and_json_give_line_depth_length_and_volume(tmp_path, capsys):
     assert "goes 8 mm through material, 0.5 mm deep at point" in text and "(line 5)" in text
     assert "removed by rapid moves: 80" in text
     assert main([*words, "--json"]) == 1
-    found = json.loads(capsys.readouterr().out)
-    (move,) = found["rapid_moves"]
+    answer = json.loads(capsys.readouterr().out)
+    (move,) = answer["rapid_moves"]
     assert move["where"]["line"] == 5 and move["value"] == pytest.approx(0.5) and move["severity"] == "stop"
     assert move["amounts"] == pytest.approx({"length_mm": 8.0, "volume_mm3": 80.0}, rel=0.02)
-    assert found["removed_by_rapid_moves_mm3"] == pytest.approx(80.0, rel=0.02)
+    assert answer["removed_by_rapid_moves_mm3"] == pytest.approx(80.0, rel=0.02)
 
 
 def test_a_sound_program_prints_a_volume_of_0(tmp_path):
