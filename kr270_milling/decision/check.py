@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -10,15 +11,18 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
-from kr270_milling.decision.check_cut import Stability, cut_violations, stability_of
+from kr270_milling.decision.check_cut import Residue, cut_violations, residue_of
 from kr270_milling.decision.findings import SEVERITIES, Finding, Violation, gathered, violation
 from kr270_milling.decision.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
+from kr270_milling.decision.stability import Stability, chatter_violations, stability_statement
 from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 from kr270_milling.simulation.milling_pass import FLIGHT, PassError
 from kr270_milling.trajectory.source_program import SourceProgram
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Checked", "cell_violations", "check"]
+
+ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm that cannot bear its load
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +33,8 @@ class Checked:
     points: int
     ran: ScoredPass | None  #: the pass that was simulated, if the arm can make it
     program: SourceProgram  #: what the file of the path says beside its moves
-    stability: Stability | None  #: of the pass that was simulated
+    stability: Stability | None  #: of the programmed path, if the arm can follow it
+    residue: Residue | None  #: of the pass that was simulated
 
     def __repr__(self) -> str:
         return f"<Checked: {self.summary}>"
@@ -53,7 +58,7 @@ class Checked:
     def lines(self) -> list[str]:
         """What terminal, report and program headers print: one line a finding, then the summary."""
         read_over = [self.program.summary] if self.program.summary else []
-        stability = [self.stability.text] if self.stability else []
+        stability = [one.text for one in (self.stability, self.residue) if one]
         return [*read_over, *(f"{f.severity:8} {f.text}" for f in self.findings), *stability, self.summary]
 
     def as_dict(self) -> dict:
@@ -64,6 +69,7 @@ class Checked:
             **{f"{severity}s": self.count(severity) for severity in SEVERITIES},
             "findings": [f.as_dict() for f in self.findings],
             "stability": self.stability and self.stability.as_dict(),
+            "simulated_pass": self.residue and self.residue.as_dict(),
             "read_over": [{"word": word.word, "count": word.count} for word in self.program.read_over],
         }
 
@@ -84,7 +90,7 @@ def check(
     programmed = cell.target() if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     found, joints = arm_violations(cell, run)
-    stability = None
+    stability = residue = None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in found)
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
@@ -96,11 +102,14 @@ def check(
         found += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
         ran, cut = _cut(cell, run, ran, progress)
         found += cut
-        stability = stability_of(cell, ran.result) if ran else None
-        if stability and stability.word == "chatter":
-            found.append(violation("chatter", stability.residue, stability.limit, percent=100 * stability.residue))
+        with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
+            stability = stability_statement(cell)
+            found += chatter_violations(stability, run.time)
+        residue = residue_of(cell, ran.result) if ran else None
+        if residue and residue.word == "grows":
+            found.append(violation("growing vibration", residue.residue, residue.limit, percent=100 * residue.residue))
     program = fed.toolpath.program if fed else SourceProgram()
-    return Checked(gathered(cell, run, found), len(run), ran if reachable else None, program, stability)
+    return Checked(gathered(cell, run, found), len(run), ran if reachable else None, program, stability, residue)
 
 
 def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:
