@@ -43,18 +43,18 @@ def run(args) -> Answer:
     nominal = cell.tool.spindle_speed * 30.0 / np.pi
     low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, LOBE_SPEEDS)
     with progress("stability") as report:
-        found = lobes(cell, (np.linspace(low, high, count) * np.pi / 30.0).tolist(), not args.no_arm, progress=report)
-    rows = [lobe.as_dict() for lobe in found]
+        results = lobes(cell, (np.linspace(low, high, count) * np.pi / 30.0).tolist(), not args.no_arm, progress=report)
+    rows = [lobe.as_dict() for lobe in results]
     best = max(rows, key=lambda r: r["depth_limit_mm"])
-    said = (
+    summary = (
         f"deepest stable cut: {_depth(best['depth_limit_mm'])} mm at {best['spindle_speed_rpm']:.0f} rpm{_rigid(cell)}"
     )
-    files = _write(args, cell, rows, said) if args.out else []
+    files = _write(args, cell, rows, summary) if args.out else []
     about |= {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode, "lobes": rows, "files": files}
-    return Answer(about, [table_of("Stability lobes", LOBES, rows[:: max(1, -(-len(rows) // SHOWN))]), said, *files])
+    return Answer(about, [table_of("Stability lobes", LOBES, rows[:: max(1, -(-len(rows) // SHOWN))]), summary, *files])
 
 
-def _write(args, cell, rows: list[dict], said: str) -> list[str]:
+def _write(args, cell, rows: list[dict], summary: str) -> list[str]:
     """Table and picture."""
     speeds = [row["spindle_speed_rpm"] for row in rows]
     limit, chatter = ([row[name] for row in rows] for name in ("depth_limit_mm", "chatter_hz"))
@@ -72,5 +72,5 @@ def _write(args, cell, rows: list[dict], said: str) -> list[str]:
         table = draft / "lobes.csv"
         text = [",".join(repr(float(value)) for value in row.values()) for row in rows]
         table.write_text("\n".join([",".join(rows[0]), *text]) + "\n", encoding="utf-8")
-        page = write_page(draft / "lobes.html", f"Stability lobes of {args.cell}", [said], [], figures)
+        page = write_page(draft / "lobes.html", f"Stability lobes of {args.cell}", [summary], [], figures)
         return [str(final(table)), str(final(page))]

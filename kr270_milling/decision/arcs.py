@@ -81,9 +81,9 @@ def arcs_along(cell: Cell) -> Arcs:
 
 
 @njit(cache=True)
-def _engage(surface, origin, step, position, heading, radius, look, found):
+def _engage(surface, origin, step, position, heading, radius, look, met):
     """Material in the tool at each place of ``look``: nodes, largest depth, least and largest distance to the left."""
-    count, depth, least, most = found
+    count, depth, least, most = met
     reach = int(radius / step) + 1
     for k in range(position.shape[0]):
         before = max(k - LAG, 0)

@@ -113,7 +113,7 @@ def stability_statement(cell: Cell) -> Stability:
 
 def chatter_violations(stability: Stability, time: np.ndarray) -> list[Violation]:
     """A stop for each feature above its limit, a warning for each within 20 % below; time: of the points [s], (n,)."""
-    found = []
+    offences = []
     for one in stability.features:
         if one.word == "stable":
             continue
@@ -121,11 +121,11 @@ def chatter_violations(stability: Stability, time: np.ndarray) -> list[Violation
         above = one.word == "chatter"
         words = "above the stability limit" if above else "less than 20 % below the stability limit"
         hertz = one.limit.chatter_frequency / (2.0 * math.pi)
-        found.append(
+        offences.append(
             violation("chatter", one.depth, one.limit.depth_limit, point, severity="stop" if above else "warning",
                       subject=one.name, words=words, hertz=hertz)
         )  # fmt: skip
-    return found
+    return offences
 
 
 def modes_of(cell: Cell, arm: bool = True, model: ModalModel | None = None) -> Modes:
@@ -158,12 +158,12 @@ def feature_limits(cell: Cell, arm: bool = True) -> list[FeatureLimit]:
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
     arcs = arcs_along(cell)
     groups = _groups(arcs, FEWEST_TEETH * cell.feed_rate * 2.0 * np.pi / (tool.spindle_speed * tool.teeth))
-    found = []
+    limits = []
     for number in dict.fromkeys(arcs.feature.tolist()):
         places = [rows for key, rows in groups.items() if key[0] == number]
         if places:
-            found.append(_feature_limit(cell, arm, arcs, places))
-    return found
+            limits.append(_feature_limit(cell, arm, arcs, places))
+    return limits
 
 
 def _groups(arcs: Arcs, shortest: float) -> dict[tuple, np.ndarray]:
@@ -200,10 +200,10 @@ def _feature_limit(cell: Cell, arm: bool, arcs: Arcs, places: Sequence[np.ndarra
         if worst >= 0 and all(engaged.stable(depth * ratio * BRACKET**-step) for step in range(3)):
             continue
         depths = depth * BRACKET ** np.arange(-6.0, 40.0)
-        found = engaged.limit(np.append(depths[depths < DEPTHS[-1]], max(depth, DEPTHS[-1])))
-        if worst < 0 or found[0] / depth < ratio:
-            worst, limit = place, found
-            ratio = min(found[0], DEPTHS[-1]) / depth
+        candidate = engaged.limit(np.append(depths[depths < DEPTHS[-1]], max(depth, DEPTHS[-1])))
+        if worst < 0 or candidate[0] / depth < ratio:
+            worst, limit = place, candidate
+            ratio = min(candidate[0], DEPTHS[-1]) / depth
     entry, leave = _angles(arcs, worst)
     lobe = Lobe(cell.tool.spindle_speed, *limit)
     name = arcs.features[int(arcs.feature[worst])]

@@ -60,7 +60,7 @@ def multipliers(modes: Modes, matrices: np.ndarray, depth: float, delay: float) 
     """Floquet multipliers over one tooth period; matrices: B at the nodes (m, 3, 2); delay: tau [s].
 
     Of more than 2 KRYLOV states only the KRYLOV Ritz values of Arnoldi's method: the multipliers of a delay die out
-    toward 0, so the largest, which tell stability, are among them to rounding.
+    toward 0, so the largest, which decide stability, are among them to rounding.
     """
     rows, shape, loads = _advance(modes, delay / len(matrices)), modes.shape, depth * matrices
     # F = B (u - u_delayed) at the end of a step, where u = free + gain F: F = B (1 - gain B)^-1 (free - u_delayed)
@@ -74,9 +74,9 @@ def multipliers(modes: Modes, matrices: np.ndarray, depth: float, delay: float) 
 
 
 def _advance(modes: Modes, step: float) -> np.ndarray:
-    """Rows of (q, q') after a step: from q, q', force at its start, force at its end; (n, 2, 4).
+    """Rows of (q, q') after a step: from q, q', forces at the start and the end of the step; (n, 2, 4).
 
-    They stand in exp(A w h) of (q, q' / w, f / w^2, df / w^2), q'' = f - w^2 q - 2 zeta w q', f' = df / h.
+    The rows are those of exp(A w h) of (q, q' / w, f / w^2, df / w^2), q'' = f - w^2 q - 2 zeta w q', f' = df / h.
     """
     w, n = modes.frequency, len(modes.frequency)
     system = np.zeros((n, 4, 4))

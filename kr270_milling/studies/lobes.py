@@ -27,19 +27,19 @@ def lobes(
     tool, modes = cell.tool, modes_of(cell, arm)
     if not has_uniform_pitch(tool):
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
-    found = []
+    results = []
     with ThreadPoolExecutor(THREADS) as pool:
         for lobe in pool.map(lambda speed: _lobe_at(cell, modes, speed), speeds):
-            found.append(lobe)
+            results.append(lobe)
             if progress is not None:
-                progress(len(found), len(speeds))
-    return found
+                progress(len(results), len(speeds))
+    return results
 
 
 def _lobe_at(cell: Cell, modes: Modes, speed: float) -> Lobe:
     """The limit depth at one spindle speed [rad/s]; modes: in axes with x along the feed."""
     tool = cell.tool
     mode = "slot" if cell.path.radial_immersion >= 1.0 else cell.path.mode
-    angles = (float(angle) for angle in engagement(mode, cell.path.radial_immersion, 1.0))
+    entry, leave = (float(angle) for angle in engagement(mode, cell.path.radial_immersion, 1.0))
     feed_per_tooth = 2.0 * math.pi * cell.feed_rate / (tool.spindle_speed * tool.teeth)
-    return Lobe(speed, *stability_map(modes, tool, cell.cutting, feed_per_tooth, *angles, speed).limit())
+    return Lobe(speed, *stability_map(modes, tool, cell.cutting, feed_per_tooth, entry, leave, speed).limit())

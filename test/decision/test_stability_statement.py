@@ -72,39 +72,39 @@ def slot_limit() -> float:
 )
 def test_a_cut_above_the_limit_of_the_tool_is_a_stop_and_just_below_a_warning(slot_limit, share, word, severity):
     checked = check(with_benchmark(share * slot_limit))
-    found = [f for f in checked.findings if f.what == "chatter"]
-    assert checked.stability.word == word and [f.severity for f in found] == ([severity] if severity else [])
+    result = [f for f in checked.findings if f.what == "chatter"]
+    assert checked.stability.word == word and [f.severity for f in result] == ([severity] if severity else [])
     assert checked.may_be_run == (severity != "stop")
     worst = checked.stability.worst
     assert worst.depth == pytest.approx(share * slot_limit, rel=1e-6)
     assert worst.limit.depth_limit == pytest.approx(slot_limit, rel=0.02)
-    for finding in found:
+    for finding in result:
         assert finding.limit == pytest.approx(1e3 * worst.limit.depth_limit) and finding.where.point
         assert f"{worst.limit.chatter_frequency / 2 / np.pi:.4g} Hz" in finding.sentence
     assert checked.residue.word != "grows"  # the simulated pass has no tool modes: it cannot see this chatter
 
 
 def test_without_tool_modes_the_statement_is_about_the_arm_alone():
-    found = stability_statement(read_cell(find_file("paper.yaml")))
-    assert found.text.startswith("stability: arm: stable (straight cut: 0.547 mm, limit above 100 mm)")
-    assert found.text.endswith(UNKNOWN) and not found.with_tool
+    result = stability_statement(read_cell(find_file("paper.yaml")))
+    assert result.text.startswith("stability: arm: stable (straight cut: 0.547 mm, limit above 100 mm)")
+    assert result.text.endswith(UNKNOWN) and not result.with_tool
 
 
 def test_a_variable_pitch_is_unknown():
     cell = read_cell(find_file("paper.yaml"), ["tool.pitch_deg=[80,100,80,100]"])
-    found = stability_statement(cell)
-    assert found.word == "unknown" and "unknown (variable pitch)" in found.text and UNKNOWN in found.text
+    result = stability_statement(cell)
+    assert result.word == "unknown" and "unknown (variable pitch)" in result.text and UNKNOWN in result.text
 
 
 def test_the_shipped_cell_with_tool_modes_is_stable_and_chatters_when_its_modes_are_ten_times_softer():
     cell = read_cell(find_file("test_piece_tool_modes.yaml"))
-    found = stability_statement(cell)
-    assert found.with_tool and found.word == "stable" and len(found.features) == 5
-    assert found.text.startswith("stability: arm, tool and spindle: stable (square: 1.2 mm, limit ")
+    result = stability_statement(cell)
+    assert result.with_tool and result.word == "stable" and len(result.features) == 5
+    assert result.text.startswith("stability: arm, tool and spindle: stable (square: 1.2 mm, limit ")
     modes = cell.tool.modes
     softer = cell.tool.replace(modes=modes.replace(mass=modes.mass / 10))
-    found = stability_statement(cell.replace(tool=softer))
-    assert found.word == "chatter" and found.worst.limit.chatter_frequency > 2 * np.pi * 900
+    result = stability_statement(cell.replace(tool=softer))
+    assert result.word == "chatter" and result.worst.limit.chatter_frequency > 2 * np.pi * 900
 
 
 # --- the engagement along the path ---
@@ -118,11 +118,11 @@ def test_half_an_immersion_is_engaged_from_the_middle_to_the_side_with_material(
     words = "M3" if rotation == "clockwise" else "M4"
     program = EDGE.format(start, end).replace("M3", words)
     cell = small_part(tmp_path, program, f"tool.rotation={rotation}")
-    (found,) = feature_limits(cell)
+    (result,) = feature_limits(cell)
     up = to_the_left == (rotation == "clockwise")  # a tooth then enters with a chip of 0
     expected = (-90.0, 0.0) if up else (0.0, 90.0)
-    assert np.degrees([found.entry, found.exit]) == pytest.approx(expected, abs=1.5)  # the map: R / 50
-    assert found.depth == pytest.approx(0.5e-3)
+    assert np.degrees([result.entry, result.exit]) == pytest.approx(expected, abs=1.5)  # the map: R / 50
+    assert result.depth == pytest.approx(0.5e-3)
 
 
 @pytest.mark.parametrize("immersion", [0.1, 0.25, 0.75])
@@ -205,8 +205,8 @@ def test_limits_over_speed_without_tool_modes_name_tool_and_spindle_as_rigid(cap
 @pytest.mark.parametrize("share, word", [(0.5, "repeats"), (2.0, "grows")])
 def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_not_below(soft_limit, share, word):
     cell = soft(share * soft_limit)
-    found = residue_of(cell, simulate(cell).result)
-    assert found.word == word, (soft_limit, found)
+    result = residue_of(cell, simulate(cell).result)
+    assert result.word == word, (soft_limit, result)
 
 
 def test_a_chattering_cut_must_not_be_run(soft_limit):
@@ -221,5 +221,5 @@ def test_the_papers_cut_repeats_and_a_short_one_has_no_statement(demo):
     assert residue_of(cell, ran.result).word == "repeats"
     short = {f.name: getattr(ran.result, f.name) for f in dataclasses.fields(ran.result)}
     short = {k: v[:200] if isinstance(v, np.ndarray) else v for k, v in short.items()}
-    found = residue_of(cell, type(ran.result)(**short))
-    assert found.word == "no statement" and np.isnan(found.residue) and "no cut of" in found.text
+    result = residue_of(cell, type(ran.result)(**short))
+    assert result.word == "no statement" and np.isnan(result.residue) and "no cut of" in result.text
