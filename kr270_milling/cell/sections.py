@@ -73,9 +73,11 @@ class Path(Record):
     )  # fmt: skip
 
     radial_immersion: float = parameter(
-        1.0, above=0.0, high=1.0, text="stability: width of the cut, a share of the diameter"
+        1.0, above=0.0, high=1.0, text="lobes over speed: width of the cut, a share of the diameter"
     )
-    mode: str = parameter("slot", choices=("slot", "up", "down"), text="stability: sense of a cut that is no slot")
+    mode: str = parameter(
+        "slot", choices=("slot", "up", "down"), text="lobes over speed: sense of a cut that is no slot"
+    )
 
     def check(self) -> None:
         if self.topic and not is_recording(self.file):

@@ -13,7 +13,7 @@ from kr270_milling.cell import jobs
 from kr270_milling.commands.console import Answer, cell_of, joints_text, plant_of, table_of
 from kr270_milling.commands.progress import progress
 from kr270_milling.decision import check as decision
-from kr270_milling.decision.check_cut import stability_of
+from kr270_milling.decision.check_cut import residue_of
 from kr270_milling.decision.part import assess, write_part
 from kr270_milling.decision.tolerance import judge
 from kr270_milling.report.series import write_series
@@ -37,8 +37,8 @@ def simulate(args) -> Answer:
         with progress("milling") as report:
             ran = jobs.simulate(cell, reference, name, report, plant)
         found = _summary(cell, ran)
-        stability = stability_of(cell, ran.result)
-        found["stability"] = stability.as_dict()
+        residue = residue_of(cell, ran.result)
+        found["simulated_pass"] = residue.as_dict()
         part = assess(cell, ran) if cell.path.file else None
         tolerance = judge(cell, ran, part)
         found["tolerance"] = tolerance.as_dict()
@@ -53,7 +53,7 @@ def simulate(args) -> Answer:
     return Answer(found, [
         *([table_of(FEATURES, COLUMNS, (*found["features"], found["whole_part"]))] if part else _scores(found)),
         f"tolerance: {tolerance.words}",
-        stability.text,
+        residue.text,
         joints_text(found["commanded_joints_deg"]),
         f"removed area        {found['removed_area_mm2']:10.3f} mm2",
         f"{found['steps']} micro-steps in {found['wall_s']:.3f} s, {found['real_time_factor']:.1f} x real time",

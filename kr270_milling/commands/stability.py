@@ -10,8 +10,9 @@ from kr270_milling.base.files import staged
 from kr270_milling.commands.console import Answer, cell_of, table_of, yes
 from kr270_milling.commands.options import LOBE_SPEEDS
 from kr270_milling.commands.progress import progress
+from kr270_milling.decision.stability import feature_limits
 from kr270_milling.identification.outcome import points, write_page
-from kr270_milling.studies.lobes import feature_limits, lobes
+from kr270_milling.studies.lobes import lobes
 
 SHOWN = 24  #: rows of the printed table
 
@@ -20,9 +21,15 @@ def _depth(value: float) -> str:
     return "above 100" if value == float("inf") else f"{value:.3f}"
 
 
+def _rigid(cell) -> str:
+    """What a limit without ``tool.modes`` leaves out."""
+    return "" if cell.tool.modes.frequency.size else ", with tool and spindle taken as rigid (no tool.modes)"
+
+
 LOBES = (("spindle speed [rpm]", "spindle_speed_rpm", 0), ("limit depth [mm]", "depth_limit_mm", _depth),
          ("chatter [Hz]", "chatter_hz", 1))  # fmt: skip
-ALONG = (("feature", "feature", 1), ("deepest cut [mm]", "depth_mm", 3), ("limit [mm]", "depth_limit_mm", _depth),
+ALONG = (("feature", "feature", 1), ("from [deg]", "entry_deg", 0), ("to [deg]", "exit_deg", 0),
+         ("depth [mm]", "depth_mm", 3), ("limit [mm]", "depth_limit_mm", _depth),
          ("chatter [Hz]", "chatter_hz", 1), ("stable", "stable", yes))  # fmt: skip
 
 
@@ -31,21 +38,23 @@ def run(args) -> Answer:
     about = {"cell": args.cell, "arm": not args.no_arm}
     if args.along:
         rows = [one.as_dict() for one in feature_limits(cell, not args.no_arm)]
-        title = f"Limit depth along the path at {rows[0]['spindle_speed_rpm']:.0f} rpm"
+        title = f"Limit depth along the path at {cell.tool.spindle_speed * 30.0 / np.pi:.0f} rpm{_rigid(cell)}"
         return Answer(about | {"features": rows}, [table_of(title, ALONG, rows)])
     nominal = cell.tool.spindle_speed * 30.0 / np.pi
     low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, LOBE_SPEEDS)
     with progress("stability") as report:
-        found = lobes(cell, (np.linspace(low, high, count) * np.pi / 30.0).tolist(), not args.no_arm, progress=report)
-    rows = [lobe.as_dict() for lobe in found]
+        results = lobes(cell, (np.linspace(low, high, count) * np.pi / 30.0).tolist(), not args.no_arm, progress=report)
+    rows = [lobe.as_dict() for lobe in results]
     best = max(rows, key=lambda r: r["depth_limit_mm"])
-    said = f"deepest stable cut: {_depth(best['depth_limit_mm'])} mm at {best['spindle_speed_rpm']:.0f} rpm"
-    files = _write(args, cell, rows, said) if args.out else []
+    summary = (
+        f"deepest stable cut: {_depth(best['depth_limit_mm'])} mm at {best['spindle_speed_rpm']:.0f} rpm{_rigid(cell)}"
+    )
+    files = _write(args, cell, rows, summary) if args.out else []
     about |= {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode, "lobes": rows, "files": files}
-    return Answer(about, [table_of("Stability lobes", LOBES, rows[:: max(1, -(-len(rows) // SHOWN))]), said, *files])
+    return Answer(about, [table_of("Stability lobes", LOBES, rows[:: max(1, -(-len(rows) // SHOWN))]), summary, *files])
 
 
-def _write(args, cell, rows: list[dict], said: str) -> list[str]:
+def _write(args, cell, rows: list[dict], summary: str) -> list[str]:
     """Table and picture."""
     speeds = [row["spindle_speed_rpm"] for row in rows]
     limit, chatter = ([row[name] for row in rows] for name in ("depth_limit_mm", "chatter_hz"))
@@ -63,5 +72,5 @@ def _write(args, cell, rows: list[dict], said: str) -> list[str]:
         table = draft / "lobes.csv"
         text = [",".join(repr(float(value)) for value in row.values()) for row in rows]
         table.write_text("\n".join([",".join(rows[0]), *text]) + "\n", encoding="utf-8")
-        page = write_page(draft / "lobes.html", f"Stability lobes of {args.cell}", [said], [], figures)
+        page = write_page(draft / "lobes.html", f"Stability lobes of {args.cell}", [summary], [], figures)
         return [str(final(table)), str(final(page))]

@@ -17,7 +17,8 @@ class ToolModes(Record):
     """YAML ``tool.modes``: a list with one group a mode, or one group of lists; at the tool tip, workpiece axes.
 
     A mode of modal mass m along the unit vector d answers a force F at the tip with d (d . F) / m / (omega^2 - s^2 +
-    2 i zeta omega s). They are too fast for the exchange of the nodes; ``stability`` takes them beside the arm's.
+    2 i zeta omega s). The exchange of the nodes is too slow for tool modes; the stability limits
+    use them together with the modes of the arm.
     """
 
     direction: np.ndarray = parameter([], low=-1.0, high=1.0, text="unit vector x, y, z of each mode")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -10,9 +11,10 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
-from kr270_milling.decision.check_cut import Stability, cut_violations, stability_of
+from kr270_milling.decision.check_cut import Residue, contact_violations, cut_violations, residue_of
 from kr270_milling.decision.findings import SEVERITIES, Finding, Violation, gathered, separate, violation
 from kr270_milling.decision.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
+from kr270_milling.decision.stability import Stability, chatter_violations, stability_statement
 from kr270_milling.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 from kr270_milling.simulation.milling_pass import FLIGHT, PassError
 from kr270_milling.trajectory.source_program import SourceProgram
@@ -23,6 +25,8 @@ MOST_LINES = 10  #: of the program that the line about rapid moves names
 
 __all__ = ["RAPID_MOVES", "Checked", "cell_violations", "check"]
 
+ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm that cannot bear its load
+
 
 @dataclass(frozen=True, eq=False)
 class Checked:
@@ -32,10 +36,9 @@ class Checked:
     points: int
     ran: ScoredPass | None  #: the pass that was simulated, if the arm can make it
     program: SourceProgram  #: what the file of the path says beside its moves
-    stability: Stability | None  #: of the pass that was simulated
-    rapid_moves: tuple[Finding, ...] | None = (
-        None  #: each rapid move through material; None: the arm cannot make the path
-    )
+    stability: Stability | None  #: of the programmed path, if the arm can follow it
+    residue: Residue | None  #: of the pass that was simulated
+    rapid_moves: tuple[Finding, ...] | None = None  #: each one through material; None: the arm cannot make the path
 
     def __repr__(self) -> str:
         return f"<Checked: {self.summary}>"
@@ -59,7 +62,7 @@ class Checked:
     def lines(self) -> list[str]:
         """What terminal, report and program headers print: one line a finding, then the summary."""
         read_over = [self.program.summary] if self.program.summary else []
-        stability = [self.stability.text] if self.stability else []
+        stability = [one.text for one in (self.stability, self.residue) if one]
         findings = (f"{f.severity:8} {f.text}" for f in self.findings)
         return [*read_over, *findings, self.rapid_text, *stability, self.summary]
 
@@ -88,6 +91,7 @@ class Checked:
             "removed_by_rapid_moves_mm3": self.rapid_volume_mm3,
             "rapid_moves": None if self.rapid_moves is None else [f.as_dict() for f in self.rapid_moves],
             "stability": self.stability and self.stability.as_dict(),
+            "simulated_pass": self.residue and self.residue.as_dict(),
             "read_over": [{"word": word.word, "count": word.count} for word in self.program.read_over],
         }
 
@@ -108,7 +112,7 @@ def check(
     programmed = cell.target() if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     found, joints = arm_violations(cell, run)
-    stability, rapid_moves = None, None
+    stability = residue = rapid_moves = None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in found)
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
@@ -121,12 +125,16 @@ def check(
         ran, cut = _cut(cell, run, ran, progress)
         found += cut
         rapid_moves = separate(cell, run, "rapid in material", cut)
-        stability = stability_of(cell, ran.result) if ran else None
-        if stability and stability.word == "chatter":
-            found.append(violation("chatter", stability.residue, stability.limit, percent=100 * stability.residue))
+        with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
+            stability = stability_statement(cell)
+            found += chatter_violations(stability, run.time)
+        residue = residue_of(cell, ran.result) if ran else None
+        if residue and residue.word == "grows":
+            found.append(violation("growing vibration", residue.residue, residue.limit, percent=100 * residue.residue))
     program = fed.toolpath.program if fed else SourceProgram()
-    return Checked(gathered(cell, run, found), len(run), ran if reachable else None, program, stability,
-                   rapid_moves)  # fmt: skip
+    return Checked(
+        gathered(cell, run, found), len(run), ran if reachable else None, program, stability, residue, rapid_moves
+    )
 
 
 def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:
@@ -135,12 +143,14 @@ def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple
         ran = ran or simulate(cell, run, "checked", progress)
     except PassError as error:
         point = int(np.searchsorted(run.time, error.at)) + 1
-        return None, [violation("deflection", error.deflection, FLIGHT, point, said=error)]
+        failed = violation("deflection", error.deflection, FLIGHT, point, said=error)
     except DeflectionError as error:
-        return None, [violation("joint deflection", error.deflection, error.limit, said=error)]
+        failed = violation("joint deflection", error.deflection, error.limit, said=error)
     except (UnstableLoadError, EquilibriumError) as error:
-        return None, [violation("load on the arm", error.load_factor, 1.0, said=error)]
-    return ran, cut_violations(cell, run, ran)
+        failed = violation("load on the arm", error.load_factor, 1.0, said=error)
+    else:
+        return ran, cut_violations(cell, run, ran)
+    return None, [failed, *contact_violations(cell, run)]
 
 
 def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) -> list[Violation]:

@@ -1,5 +1,5 @@
 """Checks of the cut: is anything removed, do rapid moves or plunges meet material, can tool and spindle do it;
-does it chatter."""
+does vibration grow in the simulated pass."""
 
 from __future__ import annotations
 
@@ -15,7 +15,15 @@ from kr270_milling.decision.findings import Violation, stretches, violation, vio
 from kr270_milling.simulation.milling_pass import PassResult
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["Engagement", "Stability", "cut_violations", "engagement", "rapid_violations", "stability_of"]
+__all__ = [
+    "Engagement",
+    "Residue",
+    "contact_violations",
+    "cut_violations",
+    "engagement",
+    "rapid_violations",
+    "residue_of",
+]
 
 NODES_PER_RADIUS = 50  #: of the height map, along its axes
 MOST_VISITS = 2e9  #: of nodes, about a nanosecond each; a longer path takes a coarser map
@@ -201,7 +209,7 @@ def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violati
     """What the simulated pass along ``run``, and the programmed path in the stock, show; by the points of ``run``."""
     if not ran.result.removed_volume > 0.0:
         return [violation("stock missed", 0.0, 0.0, 1)]
-    return _spindle(cell, run, ran) + _tool(cell) + _contacts(cell, run, ran)
+    return _spindle(cell, run, ran) + _tool(cell) + contact_violations(cell, run, ran)
 
 
 def _spring_back(cell: Cell, ran: ScoredPass) -> float:
@@ -237,7 +245,7 @@ def _tool(cell: Cell) -> list[Violation]:
     return found
 
 
-def _contacts(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
+def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = None) -> list[Violation]:
     """What the tool meets along the programmed path: material at rapid, below the stock, fixtures."""
     low, high, radius = cell.stock.min, cell.stock.max, cell.tool.radii.max()
     margin, below, flutes = cell.limits.rapid_contact, cell.limits.below_stock, cell.tool.flute_length
@@ -264,9 +272,7 @@ def _points(run: Trajectory, met: Engagement) -> np.ndarray:
     return np.clip(np.searchsorted(run.time, met.time - 1e-6), 0, len(run) - 1) + 1
 
 
-def rapid_violations(
-    cell: Cell, run: Trajectory, met: Engagement, ran: ScoredPass | None = None
-) -> list[Violation]:  # fmt: skip
+def rapid_violations(cell: Cell, run: Trajectory, met: Engagement, ran: ScoredPass | None = None) -> list[Violation]:
     """Rapid moves through material, by the points of ``run``; met: engagement with the margin ``limits.rapid_contact``.
 
     Where the programmed path has none, the simulated pass ``ran`` decides: its rapid moves must not enter the material
@@ -321,30 +327,31 @@ def _plunges(met: Engagement) -> tuple[np.ndarray, np.ndarray]:
 
 
 @dataclass(frozen=True)
-class Stability:
-    """What a pass says about chatter."""
+class Residue:
+    """Vibration from tooth to tooth in a simulated pass, in which the arm moves and tool and spindle are rigid."""
 
-    word: str  #: "stable", "chatter" or "no statement"
+    word: str  #: "repeats", "grows" or "no statement"
     residue: float  #: root mean square from tooth to tooth, a share of the feed per tooth; NaN without a statement
-    limit: float = CHATTERS  #: the same share, from which on it is chatter
+    limit: float = CHATTERS  #: the same share, above which the vibration grows
 
     @property
     def text(self) -> str:
         """One line."""
         if self.word == "no statement":
-            return f"stability: no statement, no cut of {FEWEST_TEETH} teeth without a break"
+            return f"simulated pass (arm only): no cut of {FEWEST_TEETH} teeth without a break to compare"
         share = f"{100 * self.residue:.2g}" if self.residue >= SMALL else f"less than {100 * SMALL:g}"
-        return f"stability: {self.word}, from tooth to tooth {share} % of the feed per tooth remain"
+        word = "vibration grows" if self.word == "grows" else "the motion repeats"
+        return f"simulated pass (arm only): {word}, from tooth to tooth {share} % of the feed per tooth remain"
 
     def as_dict(self) -> dict:
         """For JSON."""
         return {"word": self.word, "residue_share": self.residue, "limit_share": self.limit}
 
 
-def stability_of(cell: Cell, result: PassResult) -> Stability:
-    """Does a pass chatter: what remains of the tool's motion from tooth to tooth in its worst stretch of cutting.
+def residue_of(cell: Cell, result: PassResult) -> Residue:
+    """The part of the tool's motion that does not repeat from tooth to tooth, in the worst stretch of cutting.
 
-    Seen once a tooth period T, a stable cut repeats itself but for the slow swinging of the arm, whose fourth
+    Sampled once a tooth period T, a stable cut repeats itself but for the slow swinging of the arm, whose fourth
     difference over teeth is small: A (w T)^4 / 16 for a swing of amplitude A and circular frequency w, 0.02 % of it at
     20 Hz and 533 teeth a second. A chattering cut does not repeat itself: its motion is no multiple of the tooth
     period and grows until the teeth leave the material, so that a straight cut is also judged by whether its residue
@@ -365,5 +372,5 @@ def stability_of(cell: Cell, result: PassResult) -> Stability:
         worst = np.fmax(worst, parts[2])
         grows |= not cell.path.file and parts[2] > SMALL and parts[2] > GROWS * parts[1]
     if np.isnan(worst):
-        return Stability("no statement", np.nan, limit)
-    return Stability("chatter" if grows or worst > limit else "stable", float(worst), limit)
+        return Residue("no statement", np.nan, limit)
+    return Residue("grows" if grows or worst > limit else "repeats", float(worst), limit)

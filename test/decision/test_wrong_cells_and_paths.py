@@ -60,7 +60,8 @@ WRONG = {
         "feed per tooth", settings=("tool.max_feed_per_tooth_mm=0.1",), value=4000 / 8000 / 4, limit=0.1),
     "faster than the cutter takes": Wrong(
         "cutting speed", settings=("tool.max_cutting_speed_m_per_min=400",), value=np.pi * 0.02 * 8000, limit=400),
-    "chatter": Wrong("chatter", "", CHATTERS, limit=0.02),
+    "chatter": Wrong("chatter", "", CHATTERS, value=9.0, words="above the stability limit"),
+    "vibration that grows in the pass": Wrong("growing vibration", "", CHATTERS, limit=0.02),
     "deflection beyond the linear model": Wrong(
         "deflection", settings=("cutting.fractional.stiffness_n_per_m=5e10", "dynamics.gravity=false"), limit=50.0),
     "an arm that hangs down": Wrong(

@@ -7,13 +7,16 @@ import json
 import numpy as np
 import pytest
 from semi_discretisation import MASS, OMEGA, TEETH, ZETA, directional, limit
+from small_part import small_part
 
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cli import main
-from kr270_milling.studies.lobes import _limit, feature_limits, limit_depth, lobes, modes_of
-from kr270_milling.studies.monodromy import Modes, directional_matrices, multipliers
+from kr270_milling.decision.stability import feature_limits, modes_of
+from kr270_milling.simulation.monodromy import Modes, directional_matrices, multipliers
+from kr270_milling.simulation.stability import limit_depth
+from kr270_milling.studies.lobes import lobes
 
 RPM = np.pi / 30.0
 #: the benchmark of [Insperger2004] as a cell: two teeth, one mode along the feed
@@ -60,25 +63,32 @@ def test_the_largest_multiplier_of_many_states_is_that_of_the_whole_map(monkeypa
     for depth in (1e-4, 1e-3, 5e-3):
         few = multipliers(modes_of(cell, arm=False), matrices, depth, delay)
         with monkeypatch.context() as patch:
-            patch.setattr("kr270_milling.studies.monodromy.KRYLOV", 1000)
+            patch.setattr("kr270_milling.simulation.monodromy.KRYLOV", 1000)
             whole = multipliers(modes_of(cell, arm=False), matrices, depth, delay)
         assert len(few) < len(whole) and np.abs(few).max() == pytest.approx(np.abs(whole).max(), rel=1e-9)
 
 
-def test_a_feature_is_cut_in_its_own_direction():
+def test_a_feature_is_cut_in_its_own_direction(tmp_path):
     """A feed along y meets a mode along y as one along x meets that along x, and another one where modes differ."""
-    cell = ("path.radial_immersion=0.5", "path.mode=up", "path.length_mm=10", "cutting.law=linear_edge")
+    law = "cutting.law=linear_edge", "cutting.linear_edge.tangential_cutting_n_per_mm2=600"
+    law += tuple(f"cutting.linear_edge.{key}=100" for key in ("tangential_edge_n_per_mm", "radial_cutting_n_per_mm2"))
+    law += ("cutting.linear_edge.radial_edge_n_per_mm=0", "path.mode=up", "path.radial_immersion=0.5")
     mode = "tool.modes=[{{direction: [{}, {}, 0], frequency_hz: 922, damping_ratio: 0.011, mass_kg: 0.03993}}]"
-    straight = ("path.file=''", "path.start_mm=[-12,0]", "path.depth_of_cut_mm=1", "path.feed_rate_m_per_min=4")
-    with_x, with_y = (
-        read_cell(find_file("test_piece.yaml"), [*cell, *straight, mode.format(*one)]) for one in ((1, 0), (0, 1))
-    )
-    (along,), (across,) = (feature_limits(one, arm=False) for one in (with_x, with_y))
-    assert along.depth == pytest.approx(1e-3) and along.name == "straight cut"
-    assert along.limit == lobes(with_x, [with_x.tool.spindle_speed], arm=False)[0]
-    assert across.limit.depth_limit != pytest.approx(along.limit.depth_limit, rel=0.05)
-    turned = _limit(with_y, False, 0, 0.5 * np.pi)
-    assert turned.depth_limit == pytest.approx(along.limit.depth_limit, rel=1e-9)
+    along_x = "G21 G90 S8000 M3\nG0 X-14 Y-14 Z2\nG0 Z-0.5\nG1 X54 F4000\nG0 Z5\nM30\n"
+    along_y = "G21 G90 S8000 M3\nG0 X40 Y-28 Z2\nG0 Z-0.5\nG1 Y54 F4000\nG0 Z5\nM30\n"
+
+    def limit_of(program, direction):
+        cell = small_part(tmp_path, program, *law, mode.format(*direction))
+        (found,) = feature_limits(cell, arm=False)
+        assert found.depth == pytest.approx(0.5e-3)
+        assert np.degrees(found.exit) == pytest.approx(0, abs=1.5)
+        return found.limit, cell
+
+    with_x, cell = limit_of(along_x, (1, 0))
+    (expected,) = lobes(cell, [cell.tool.spindle_speed], arm=False)
+    assert with_x.depth_limit == pytest.approx(expected.depth_limit, rel=0.05)
+    assert limit_of(along_y, (0, 1))[0].depth_limit == pytest.approx(with_x.depth_limit, rel=0.05)
+    assert limit_of(along_x, (0, 1))[0].depth_limit != pytest.approx(with_x.depth_limit, rel=0.2)
 
 
 def test_without_a_cut_the_multipliers_are_those_of_the_free_modes():

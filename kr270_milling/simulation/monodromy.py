@@ -16,7 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from scipy.linalg import expm
 
 __all__ = ["Modes", "directional_matrices", "multipliers"]
 
@@ -60,7 +59,7 @@ def multipliers(modes: Modes, matrices: np.ndarray, depth: float, delay: float) 
     """Floquet multipliers over one tooth period; matrices: B at the nodes (m, 3, 2); delay: tau [s].
 
     Of more than 2 KRYLOV states only the KRYLOV Ritz values of Arnoldi's method: the multipliers of a delay die out
-    toward 0, so the largest, which tell stability, are among them to rounding.
+    toward 0, so the largest, which decide stability, are among them to rounding.
     """
     rows, shape, loads = _advance(modes, delay / len(matrices)), modes.shape, depth * matrices
     # F = B (u - u_delayed) at the end of a step, where u = free + gain F: F = B (1 - gain B)^-1 (free - u_delayed)
@@ -74,19 +73,20 @@ def multipliers(modes: Modes, matrices: np.ndarray, depth: float, delay: float) 
 
 
 def _advance(modes: Modes, step: float) -> np.ndarray:
-    """Rows of (q, q') after a step: from q, q', force at its start, force at its end; (n, 2, 4).
+    """Rows of (q, q') after a step h: from q, q', forces at the start and the end of the step; (n, 2, 4).
 
-    They stand in exp(A w h) of (q, q' / w, f / w^2, df / w^2), q'' = f - w^2 q - 2 zeta w q', f' = df / h.
+    a is the free vibration. A force 1 leaves q = (1 - a11) / w^2, and a force t / h leaves
+    q = (1 - a12 / h - 2 zeta (1 - a11) / (w h)) / w^2; q' is the derivative of each by the time.
     """
-    w, n = modes.frequency, len(modes.frequency)
-    system = np.zeros((n, 4, 4))
-    system[:, 0, 1] = w * step
-    system[:, 1, :3] = (w * step)[:, None] * np.stack([-np.ones(n), -2.0 * modes.damping_ratio, np.ones(n)], -1)
-    system[:, 2, 3] = 1.0
-    unit = w[:, None] ** [0, 1, 2, 2]
-    rows = unit[:, :2, None] * expm(system)[:, :2] / unit[:, None]
-    rows[..., 2] -= rows[..., 3]  # from f and df to the forces at both ends
-    return rows
+    w, zeta = modes.frequency, modes.damping_ratio
+    damped = w * np.sqrt(1.0 - zeta * zeta)
+    decay, c, s = np.exp(-zeta * w * step), np.cos(damped * step), np.sin(damped * step)
+    a11, a12 = decay * (c + zeta * w / damped * s), decay * s / damped
+    a21, a22 = -decay * w * w / damped * s, decay * (c - zeta * w / damped * s)
+    end = (1.0 - a12 / step - 2.0 * zeta * (1.0 - a11) / (w * step)) / w**2
+    end_rate = (1.0 - a22 + 2.0 * zeta * a21 / w) / (w**2 * step)
+    rows = np.array([[a11, a12, (1.0 - a11) / w**2 - end, end], [a21, a22, -a21 / w**2 - end_rate, end_rate]])
+    return np.ascontiguousarray(np.moveaxis(rows, -1, 0))
 
 
 @njit(cache=True, nogil=True)
