@@ -12,24 +12,31 @@ from pathlib import Path
 
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import compensated, compensator, simulate
+from kr270_milling.commands.command import PLANT, command, option
 from kr270_milling.commands.console import Answer, Table, command_line, now, plant_of
 from kr270_milling.commands.progress import progress
 from kr270_milling.commands.run import running, summary
-from kr270_milling.report import ReportTable, write_report
-from kr270_milling.report.series import write_series
 
 METHODS = ("linear", "spline", "learned")
 INERTIA_METHODS = (*METHODS, "inverse")
-PAPER = {"original": ("58.10", "63.20"), "linear": ("0.14", "4.70")}
 AS_PRINTED = "Path deviation [um], eq. (1) as printed, Table 2"
 WITH_INERTIA = "Path deviation [um], with the inertia of the moving arm"
 WITH = ", with inertia"
 NEEDS = "learned and inverse need a tracker or the model: the encoders of the joints do not see the deflection"
 
+COMMANDS = {
+    "demo": command(
+        "demo.run", "demo --out out",
+        option("--out DIR", "where report and series go", default="out"),
+        option("--plain", "the plain loop, also where ROS is installed", bool),
+        *PLANT,
+    ),
+}  # fmt: skip
+
 
 def run(args) -> Answer | int:
+    from kr270_milling.cell.cell import read_cell
+
     source = find_file("paper.yaml")
     cell = read_cell(source)
     moving = read_cell(source, ["dynamics.reference_inertia=true"])
@@ -48,10 +55,12 @@ def run(args) -> Answer | int:
         second = _plain(moving, INERTIA_METHODS, None, WITH)
         how = f"four ROS 2 nodes and a recorder, graph up in {found['graph_up_s']:.2f} s"
         report = _write(found["out"], cell, passes, second, source, args)
-        return _answer(passes, second, {**summary(found), "report": str(report), "ran_as": how}).tell(args.json)
+        return _answer(passes, second, {**summary(found), "report": str(report), "ran_as": how}).print(args.json)
 
 
 def _plain(cell, methods, plant, how: str = "") -> list:
+    from kr270_milling.cell.jobs import compensated, compensator, simulate
+
     with progress(f"original{how}") as report:
         passes = [simulate(cell, progress=report, plant=plant)]
     for method in methods:
@@ -63,6 +72,9 @@ def _plain(cell, methods, plant, how: str = "") -> list:
 
 def _write(directory, cell, passes, second, source, args):
     """Report and series; returns the path of the report."""
+    from kr270_milling.report import ReportTable, write_report
+    from kr270_milling.report.series import write_series
+
     rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
     table = ReportTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
     with progress("report"):
@@ -88,9 +100,12 @@ def _answer(passes, second, found: dict) -> Answer:
 
 
 def _row(p) -> list[str]:
-    static, largest = PAPER.get(p.name, ("", ""))
-    scores = p.scores
-    return [
-        p.name, f"{scores.static_deviation * 1e6:.2f}", static, f"{scores.max_deviation * 1e6:.2f}", largest,
-        f"{scores.low_frequency:.2f}",
-    ]  # fmt: skip
+    from kr270_milling.report.tables import TABLE_2
+
+    ours, paper = p.scores, TABLE_2.get(p.name)
+    deviations = [
+        f"{1e6 * getattr(scores, name):.2f}" if scores else ""
+        for name in ("static_deviation", "max_deviation")
+        for scores in (ours, paper)
+    ]
+    return [p.name, *deviations, f"{ours.low_frequency:.2f}"]

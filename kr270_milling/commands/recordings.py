@@ -6,27 +6,54 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from kr270_milling.bag import info as bag_info
-from kr270_milling.bag.export import export as export_files
-from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.recover import recover as recover_file
-from kr270_milling.bag.verify import findings
 from kr270_milling.base.errors import InputError, one_line
 from kr270_milling.base.units import seconds
-from kr270_milling.commands.console import Answer, command_line, now, output_directory, table_of, um, yes
+from kr270_milling.commands.command import RECORDING, command, option
+from kr270_milling.commands.console import Answer, columns_of, command_line, now, output_directory, table_of, yes
 from kr270_milling.commands.progress import progress
-from kr270_milling.replay.recorded import RecordedPass, pass_from_recording
-from kr270_milling.report import write_report
-from kr270_milling.report.series import write_series
 
-COLUMNS = (("pass", "name", 0), ("static [um]", "static_deviation_mm", um), ("max [um]", "max_deviation_mm", um),
-           ("lost", "messages_lost", 0), ("complete", "complete", yes))  # fmt: skip
+if TYPE_CHECKING:
+    from kr270_milling.replay.recorded import RecordedPass
+
+
+COMMANDS = {
+    "info": command(
+        "recordings.info", "info out/pass1",
+        RECORDING,
+        option("--verify", "check every byte; exit code 1 where damage is found", bool),
+    ),
+    "export": command(
+        "recordings.export", "export out/pass1 --csv tables",
+        RECORDING,
+        option("--csv DIR", "write one CSV file per topic into this directory"),
+        option("--parquet DIR", "the same as Parquet; needs pyarrow"),
+        option("--topics TOPIC", "only these", nargs="+"),
+    ),
+    "report": command(
+        "recordings.report", "report out",
+        option(
+            "recordings FILE-or-DIR",
+            "recordings, or directories that hold some; passes of one path are compared on the same scales",
+            nargs="+",
+        ),
+        option("--namespace NAME", "of the robot, where a recording holds several"),
+        option("--out DIR", "where the report goes (default: report in the first DIR, or beside the first FILE)"),
+    ),
+    "recover": command(
+        "recordings.recover", "recover out/pass1",
+        option("file FILE.mcap|DIR", "the damaged recording; it is not touched"),
+        option("--out DIR", "the new recording (default: beside it, with _recovered; none of a whole one)"),
+    ),
+}  # fmt: skip
 
 
 def info(args) -> Answer:
+    from kr270_milling.bag import info as bag_info
+    from kr270_milling.bag.reader import Recording
+    from kr270_milling.bag.verify import findings
+
     with progress("reading") as report, Recording(args.file, report) as recording:
         damage = findings(recording, report) if args.verify else []
         about = {"file": str(recording.path)} if damage else bag_info.info(recording, report)
@@ -39,6 +66,9 @@ def info(args) -> Answer:
 
 def export(args) -> Answer:
     """Exit code 1 where a topic cannot be exported."""
+    from kr270_milling.bag.export import export as export_files
+    from kr270_milling.bag.reader import Recording
+
     if not args.csv and not args.parquet:
         raise InputError("export", "give --csv DIR or --parquet DIR")
     files: list[Path] = []
@@ -58,6 +88,8 @@ def export(args) -> Answer:
 
 
 def recover(args) -> Answer:
+    from kr270_milling.bag.recover import recover as recover_file
+
     with progress("recovering") as report:
         found = recover_file(args.file, args.out, report)
     if found.whole and args.out is None:
@@ -73,6 +105,9 @@ def recover(args) -> Answer:
 
 def report(args) -> Answer:
     """Of one recording, or of several passes of one path on the same scales."""
+    from kr270_milling.report import write_report
+    from kr270_milling.report.series import write_series
+
     places = [Path(place) for place in args.recordings]
     found, copies = _read(places, args.namespace)
     cell, passes = found[0].cell, [one.scored for one in found]
@@ -88,7 +123,7 @@ def report(args) -> Answer:
     rows = [{**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete} for one in found]
     about = {"passes": rows, "copies": copies, "report": str(page), "out": str(directory)}
     return Answer(about, [
-        table_of("Path deviation, from the recordings", COLUMNS, rows),
+        table_of("Path deviation, from the recordings", _columns(), rows),
         *(f"skipped, a copy of another pass: {copy}" for copy in copies),
         f"report: {page}",
     ])  # fmt: skip
@@ -96,6 +131,10 @@ def report(args) -> Answer:
 
 def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedPass], list[str]]:
     """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
+    import numpy as np
+
+    from kr270_milling.replay.recorded import pass_from_recording
+
     paths = list(dict.fromkeys(path for place in places for path in _recordings(place)))
     names = unique_names(paths)
     found: list[RecordedPass] = []
@@ -116,6 +155,8 @@ def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedP
 
 def _same(one, other) -> bool:
     """Whether two recorded passes hold the same poses and wrenches: a copy, or what was recovered of one."""
+    import numpy as np
+
     return all(np.array_equal(getattr(one, key), getattr(other, key)) for key in ("time_ns", "tool", "wrench"))
 
 
@@ -140,3 +181,11 @@ def _recordings(path: Path) -> list[Path]:
     if not found:
         raise InputError(path, "holds no recording (.mcap)" if path.is_dir() else "is no such file or directory")
     return found
+
+
+def _columns() -> tuple:
+    """Columns of the passes."""
+    from kr270_milling.simulation.scores import Scores
+
+    return (("pass", "name", 0), *columns_of(Scores, "static_deviation", "max_deviation"),
+            ("lost", "messages_lost", 0), ("complete", "complete", yes))  # fmt: skip

@@ -2,21 +2,42 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 from kr270_milling.base.errors import one_line
+from kr270_milling.commands.command import Group, command, option
 from kr270_milling.commands.console import Answer, output_directory, table_of
 from kr270_milling.commands.progress import progress
-from kr270_milling.nodes.play_arguments import play_options
-from kr270_milling.replay.compensate import compensate
-from kr270_milling.replay.recompute import recompute
+from kr270_milling.compensation.methods import METHODS
+from kr270_milling.nodes.play_arguments import PLAY, play_options
 from kr270_milling.ros.environment import require_ros
-from kr270_milling.trajectory.trajectory_csv import write_csv
 
 COUNTS = ("compared", "differing", "missing", "repeated", "given", "not_compared")
 COLUMNS = (("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in COUNTS))
 PUBLISHED: dict = {True: "identical to what the node published", False: "NOT what the node published",
                    None: "not to be compared with a recorded one"}  # fmt: skip
+
+
+COMMANDS = {
+    "replay": command(
+        "replay.run", "replay out/pass1 --recompute",
+        option("file FILE.mcap|DIR", "a recording"),
+        Group(None, (
+            option(
+                "--recompute",
+                "no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is "
+                "missing or is left over, or the recompute cannot continue",
+                bool,
+            ),
+            option("--compensate", "no playback: the revised trajectory from the recorded pass", bool),
+        )),
+        option("--method", "with --compensate: in place of the recorded method", choices=METHODS),
+        option("--out DIR", "with --compensate: write reference_trajectory.csv there"),
+        Group("playback (names as in ros2 bag play)", PLAY),
+        option("--ros-args", "remapping and namespace; the last", default=[], nargs=argparse.REMAINDER),
+    ),
+}  # fmt: skip
 
 
 def run(args) -> Answer:
@@ -37,6 +58,8 @@ def _play(args) -> Answer:
 
 
 def _recompute(args) -> Answer:
+    from kr270_milling.replay.recompute import recompute
+
     with progress("recomputing") as report:
         result = recompute(args.file, report)
     about = result.as_dict()
@@ -58,6 +81,8 @@ def _shown(value) -> str:
 
 
 def _compensate(args) -> Answer:
+    from kr270_milling.replay.compensate import compensate
+
     with progress("compensating") as report:
         found = compensate(args.file, args.method, report)
     files = [_write(args.out, revised) for revised in found] if args.out else [None] * len(found)
@@ -76,6 +101,8 @@ def _compensate(args) -> Answer:
 
 
 def _write(out: str, revised) -> Path:
+    from kr270_milling.trajectory.trajectory_csv import write_csv
+
     prefix = revised.robot.strip("/").replace("/", "_")
     path = output_directory(out) / f"{prefix + '_' if prefix else ''}reference_trajectory.csv"
     write_csv(path, revised.reference, revised.joints)

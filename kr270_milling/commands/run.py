@@ -10,14 +10,36 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.commands.console import Answer, cell_of, plant_of, shown_path, table_of, um
+from kr270_milling.commands.command import CELL, PLANT, command, option
+from kr270_milling.commands.console import Answer, cell_of, columns_of, plant_of, shown_path, table_of
 from kr270_milling.commands.progress import progress
+from kr270_milling.compensation.methods import METHODS
+from kr270_milling.nodes.play_arguments import bounded
 from kr270_milling.ros.environment import require_ros
 
-COLUMNS = (("pass", "name", 2), ("static [um]", "static_deviation_mm", um), ("max [um]", "max_deviation_mm", um),
-           ("wall [s]", "wall_s", 2), ("x real time", "real_time_factor", 2), ("lost", "messages_lost", 0),
-           ("recording", "recording", shown_path))  # fmt: skip
 LAST_LOOK = 1.0  #: [s] for an open page to take the last events
+
+
+COMMANDS = {
+    "run": command(
+        "run.run", "run config/paper.yaml --method spline --out out",
+        *CELL,
+        *PLANT,
+        option(
+            "--passes N", "passes in all, with the original one (default: as many as needed)", bounded(1, 1000, int)
+        ),
+        option("--method", "how to compensate; may be given several times", choices=METHODS, action="append"),
+        option("--out DIR", "for recordings, logs, cell.yaml", default="out"),
+        option("--processes", "one process a node; else two nodes share one, which is quicker", bool),
+        option("--namespace NAME", "ROS namespace of the four nodes", default=""),
+    ),
+    "watch": command(
+        "run.watch", "watch --port 8270",
+        option("--namespace NAME", "ROS namespace of the robot", default=""),
+        option("--host", "where it is served (default: 127.0.0.1, this host alone)", default="127.0.0.1"),
+        option("--port", "default: 8270; 0: any that is free", bounded(0, 65535, int), 8270),
+    ),
+}  # fmt: skip
 
 
 def run(args) -> int:
@@ -29,8 +51,8 @@ def run(args) -> int:
     with running(cell, methods, args.out, *how) as found:
         up = f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(found['out'])}"
         told = summary(found)
-        shown = [table_of("Path deviation, four nodes and a recorder", COLUMNS, told["passes"]), up]
-        return Answer(told, shown).tell(args.json)
+        shown = [table_of("Path deviation, four nodes and a recorder", _columns(), told["passes"]), up]
+        return Answer(told, shown).print(args.json)
 
 
 @contextlib.contextmanager
@@ -103,3 +125,12 @@ def watch(args) -> int:
         server.shutdown()
         server.server_close()
     return code
+
+
+def _columns() -> tuple:
+    """Columns of the passes."""
+    from kr270_milling.simulation.scores import Scores
+
+    return (("pass", "name", 2), *columns_of(Scores, "static_deviation", "max_deviation"),
+            ("wall [s]", "wall_s", 2), ("x real time", "real_time_factor", 2), ("lost", "messages_lost", 0),
+            ("recording", "recording", shown_path))  # fmt: skip

@@ -5,30 +5,32 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-import numpy as np
-
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
-from kr270_milling.cell import jobs
-from kr270_milling.commands.console import Answer, cell_of, joints_text, plant_of, table_of
+from kr270_milling.commands.command import CELL, PLANT, REFERENCE, command, option
+from kr270_milling.commands.console import Answer, cell_of, columns_of, joints_text, plant_of, table_of
 from kr270_milling.commands.progress import progress
-from kr270_milling.decision import check as decision
-from kr270_milling.decision.check_cut import stability_of
-from kr270_milling.decision.part import assess, write_part
-from kr270_milling.decision.tolerance import judge
-from kr270_milling.report.series import write_series
-from kr270_milling.trajectory.trajectory_csv import read_csv
 
 FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
 FEATURES = "Deviation to the side of the path while cutting, and largest errors of what remains [um]"
-COLUMNS = (
-    ("feature", "feature", 1), ("cut [mm]", "cut_length_mm", 1), ("max", "max_normal_um", 1),
-    ("mean", "mean_normal_um", 1), ("95 %", "q95_normal_um", 1), ("wall", "max_wall_error_um", 1),
-    ("floor", "max_floor_error_um", 1), ("force [N]", "max_force_n", 1), ("power [W]", "max_power_w", 1),
-)  # fmt: skip
+COMMANDS = {
+    "simulate": command(
+        "simulate.simulate", "simulate config/paper.yaml --set path.depth_of_cut_mm=1",
+        *CELL,
+        *PLANT,
+        REFERENCE,
+        option("--out DIR", "write the series of the pass here as CSV; of a tool path also the part as STL"),
+    ),
+}  # fmt: skip
 
 
 def simulate(args) -> Answer:
+    from kr270_milling.cell import jobs
+    from kr270_milling.decision.check_cut import stability_of
+    from kr270_milling.decision.part import FeatureRow, assess, write_part
+    from kr270_milling.decision.tolerance import judge
+    from kr270_milling.report.series import write_series
+
     cell = cell_of(args)
     reference = None if args.reference is None else _reference(cell, args.reference)
     name = "original" if reference is None else Path(args.reference).stem
@@ -50,8 +52,9 @@ def simulate(args) -> Answer:
                 files.append(draft / "part.stl")
                 write_part(files[-1], cell, ran.result)
             found["files"] = [str(final(path)) for path in files]
+    columns = (("feature", "feature", 1), *columns_of(FeatureRow, unit="um"))
     return Answer(found, [
-        *([table_of(FEATURES, COLUMNS, (*found["features"], found["whole_part"]))] if part else _scores(found)),
+        *([table_of(FEATURES, columns, (*found["features"], found["whole_part"]))] if part else _scores(found)),
         f"tolerance: {tolerance.words}",
         stability.text,
         joints_text(found["commanded_joints_deg"]),
@@ -63,6 +66,10 @@ def simulate(args) -> Answer:
 
 def check(args) -> Answer:
     """Exit code 1 if the path must not be run."""
+    from kr270_milling.decision import check as decision
+    from kr270_milling.decision.tolerance import judge
+    from kr270_milling.trajectory.trajectory_csv import read_csv
+
     cell = cell_of(args)
     reference = None if args.reference is None else read_csv(Path(args.reference))[0]
     with progress("checking") as report:
@@ -86,6 +93,10 @@ def _scores(found: dict) -> list[str]:
 
 
 def _reference(cell, path: str):
+    import numpy as np
+
+    from kr270_milling.trajectory.trajectory_csv import read_csv
+
     run, target = read_csv(Path(path))[0], cell.target()
     if run.duration_ns != target.duration_ns:
         both = f"{run.duration_ns * 1e-9:.9g} s, but the path of this cell {target.duration_ns * 1e-9:.9g} s"
@@ -97,6 +108,8 @@ def _reference(cell, path: str):
 
 
 def _summary(cell, ran) -> dict:
+    from kr270_milling.cell import jobs
+
     result = ran.result
     duration = float(result.time[-1])
     return {

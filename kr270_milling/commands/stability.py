@@ -10,7 +10,7 @@ from kr270_milling.base.files import staged
 from kr270_milling.commands.console import Answer, cell_of, table_of, yes
 from kr270_milling.commands.options import LOBE_SPEEDS
 from kr270_milling.commands.progress import progress
-from kr270_milling.identification.outcome import points, write_page
+from kr270_milling.report.study_page import points, write_page
 from kr270_milling.studies.lobes import feature_limits, lobes
 
 SHOWN = 24  #: rows of the printed table

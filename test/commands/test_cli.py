@@ -83,7 +83,7 @@ def test_the_help_of_a_command_shows_an_example_without_importing_numpy(name):
 def test_the_example_of_a_command_is_one_that_it_takes(name):
     from kr270_milling.cli import _parser
 
-    words = COMMANDS[name].example.split()
+    words = COMMANDS[name].load(name).example.split()
     assert _parser(words).parse_args(words).command == name
 
 

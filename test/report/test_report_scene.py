@@ -1,4 +1,4 @@
-"""report.scene: what viewers are given follows from the topics of the graph."""
+"""messages.scene: what viewers are given follows from the topics of the graph."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.base.samples import JointSample, Text
 from kr270_milling.messages.codec import deserialise, to_bytes
-from kr270_milling.report.scene import INPUTS, OUTPUTS, PERIOD_NS, Scene
+from kr270_milling.messages.scene import INPUTS, OUTPUTS, PERIOD_NS, Scene
 from kr270_milling.robot import forward
 from kr270_milling.robot.urdf import urdf
 
@@ -28,8 +28,8 @@ def described(cell) -> bytes:
 def placed(cell, joints) -> dict[str, np.ndarray]:
     """Every frame on base_link, by chaining the transforms that a viewer gets."""
     scene = Scene()
-    found = list(scene.hear("robot_description", described(cell)))
-    found += scene.hear("joint_states", to_bytes(JointSample(0, tuple(f"joint_a{i}" for i in range(1, 7)), joints)))
+    found = list(scene.take("robot_description", described(cell)))
+    found += scene.take("joint_states", to_bytes(JointSample(0, tuple(f"joint_a{i}" for i in range(1, 7)), joints)))
     frames = {"base_link": np.eye(4)}
     waiting = [t for one in found for t in deserialise(one.type, one.data).transforms]
     while waiting:
@@ -57,13 +57,13 @@ def run(messages, scene):
     found = []
     for message in messages:
         if message.topic in INPUTS:
-            found += scene.hear(message.topic, message.data)
+            found += scene.take(message.topic, message.data)
     return found
 
 
 def test_a_pass_gives_markers_thinned_to_30_hz_with_path_and_force(cell):
     scene = Scene()
-    list(scene.hear("robot_description", described(cell)))
+    list(scene.take("robot_description", described(cell)))
     found = run(made.one_pass(), scene)
     assert {one.topic for one in found} <= set(OUTPUTS)
     for topic in ("/markers", "/tf"):
@@ -80,12 +80,12 @@ def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
     from kr270_milling.base.samples import PoseSample
 
     scene, target = Scene(), cell.target()
-    list(scene.hear("target_trajectory", to_bytes(target)))
+    list(scene.take("target_trajectory", to_bytes(target)))
     shift, upright = np.array([0.0, 200e-6, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])
     for k in range(1000):
         stamp = k * 40_000_000
         position = target.sample(stamp) + (shift if k > 500 else 0.0)
-        found = list(scene.hear("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, upright))))
+        found = list(scene.take("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, upright))))
     (markers,) = (deserialise(one.type, one.data).markers for one in found)
     (path,) = (marker for marker in markers if marker.ns == "path")
     assert 100 <= len(path.points) <= 200 and len(path.colors) == len(path.points)
@@ -94,7 +94,7 @@ def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
 
 def test_a_message_that_is_none_is_refused(cell):
     with pytest.raises(ValueError, match="CDR|not"):
-        list(Scene().hear("robot_description", b"noise"))
+        list(Scene().take("robot_description", b"noise"))
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_a_message_that_is_none_is_refused(cell):
 def test_a_description_of_something_else_gives_no_moving_frames_and_no_crash(text):
     scene = Scene()
     try:
-        found = list(scene.hear("robot_description", to_bytes(Text(text))))
+        found = list(scene.take("robot_description", to_bytes(Text(text))))
     except ValueError:
         return
     assert not [t for one in found for t in deserialise(one.type, one.data).transforms]
