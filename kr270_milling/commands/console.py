@@ -164,7 +164,7 @@ def _plain(value):
 
 
 def shown_path(path: object) -> str:
-    """A path as it is printed: from the working directory, where it is below it."""
+    """Return a path relative to the working directory, if it is inside."""
     here = Path.cwd()
     place = Path(str(path))
     return str(place.relative_to(here)) if place.is_relative_to(here) else str(place)

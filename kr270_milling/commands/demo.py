@@ -44,28 +44,28 @@ def run(args) -> Answer | int:
     if args.plain or other or importlib.util.find_spec("rclpy") is None:
         if Path(args.out, "report.html").exists():
             print(f"{args.out} holds a report already; it is replaced", file=sys.stderr)
-        how = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
+        loop = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
         with staged(args.out) as (draft, final):
             passes = _plain(cell, METHODS, plant_of(args, cell))
             second = _plain(moving, INERTIA_METHODS, plant_of(args, moving), WITH)
             report = final(_write(draft, cell, passes, second, source, args))
-        return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": how})
-    with running(cell, METHODS, args.out) as found:
-        passes = [ran.scored for ran in found["passes"]]
+        return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": loop})
+    with running(cell, METHODS, args.out) as result:
+        passes = [ran.scored for ran in result["passes"]]
         second = _plain(moving, INERTIA_METHODS, None, WITH)
-        how = f"four ROS 2 nodes and a recorder, graph up in {found['graph_up_s']:.2f} s"
-        report = _write(found["out"], cell, passes, second, source, args)
-        return _answer(passes, second, {**summary(found), "report": str(report), "ran_as": how}).print(args.json)
+        loop = f"four ROS 2 nodes and a recorder, graph up in {result['graph_up_s']:.2f} s"
+        report = _write(result["out"], cell, passes, second, source, args)
+        return _answer(passes, second, {**summary(result), "report": str(report), "ran_as": loop}).print(args.json)
 
 
-def _plain(cell, methods, plant, how: str = "") -> list:
+def _plain(cell, methods, plant, suffix: str = "") -> list:
     from kr270_milling.cell.jobs import compensated, compensator, simulate
 
-    with progress(f"original{how}") as report:
+    with progress(f"original{suffix}") as report:
         passes = [simulate(cell, progress=report, plant=plant)]
     for method in methods:
         by = compensator(cell, cell.target(), method)
-        with progress(f"{method}{how}", by.most_passes) as report:
+        with progress(f"{method}{suffix}", by.most_passes) as report:
             passes.append(compensated(cell, passes[0], method, report, by, plant))
     return passes
 
@@ -86,16 +86,16 @@ def _write(directory, cell, passes, second, source, args):
     return report
 
 
-def _answer(passes, second, found: dict) -> Answer:
+def _answer(passes, second, result: dict) -> Answer:
     both = {"passes": [p.row() for p in passes], "passes_reference_inertia": [p.row() for p in second]}
     columns = ["pass", "static", "paper", "max", "paper", "low frequency, model [Hz]"]
     rows = [[name, static, largest, low] for name, static, _, largest, _, low in map(_row, second)]
-    return Answer({**found, **both}, [
+    return Answer({**result, **both}, [
         Table(AS_PRINTED, columns, [_row(p) for p in passes]),
         Table(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows),
         NEEDS,
-        f"ran as: {found['ran_as']}",
-        f"report: {found['report']}",
+        f"ran as: {result['ran_as']}",
+        f"report: {result['report']}",
     ])  # fmt: skip
 
 

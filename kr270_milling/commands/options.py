@@ -41,8 +41,7 @@ COMMANDS = {
         )),
         option(
             "--force",
-            "write the programs of a path that must not be run all the same, marked NOT RELEASED in name and "
-            "header",
+            "also write the programs of a path that must not be run, marked NOT RELEASED in name and header",
             bool,
         ),
         option("--seed N", "of the verdict's plants", bounded(1, 999_999, int), 1),
@@ -64,8 +63,8 @@ COMMANDS = {
         option("--no-arm", "leave out the arm: the modes of tool.modes alone", bool),
         option("--along", "instead of lobes: the limit depth of each feature of the path", bool),
         option("--out DIR", "write lobes.csv and the picture lobes.html here"),
-        note="keys: path.radial_immersion (share of the diameter) and path.mode (slot, up, down) say how the tool is "
-        "engaged, tool.modes what of tool and spindle vibrates",
+        note="keys: path.radial_immersion (share of the diameter) and path.mode (slot, up, down) state the engagement, "
+        "tool.modes the vibration of tool and spindle",
     ),
     "bench": command("bench.run", "bench"),
 }  # fmt: skip

@@ -22,7 +22,7 @@ COMMANDS = {
     "info": command(
         "recordings.info", "info out/pass1",
         RECORDING,
-        option("--verify", "check every byte; exit code 1 where damage is found", bool),
+        option("--verify", "check every byte; exit code 1 on damage", bool),
     ),
     "export": command(
         "recordings.export", "export out/pass1 --csv tables",
@@ -91,16 +91,16 @@ def recover(args) -> Answer:
     from kr270_milling.bag.recover import recover as recover_file
 
     with progress("recovering") as report:
-        found = recover_file(args.file, args.out, report)
-    if found.whole and args.out is None:
-        return Answer(found.as_dict(), [f"{found.source}: is whole, nothing to recover; left as it is"])
-    state = "was whole already" if found.whole else f"{found.lost_bytes} bytes of it could not be used"
-    shown = [f"{found.source}: {state}"]
-    shown += ["  damage: " + one_line(sentence) for sentence in found.damage]
-    shown += ["  lost: " + one_line(sentence) for sentence in found.dropped]
-    if found.lost_messages:
-        shown.append(f"  {found.lost_messages} messages are lost")
-    return Answer(found.as_dict(), [*shown, f"{found.messages} messages in {found.directory}"])
+        recovered = recover_file(args.file, args.out, report)
+    if recovered.whole and args.out is None:
+        return Answer(recovered.as_dict(), [f"{recovered.source}: is whole, nothing to recover; left as it is"])
+    state = "was whole already" if recovered.whole else f"{recovered.lost_bytes} bytes of it could not be used"
+    shown = [f"{recovered.source}: {state}"]
+    shown += ["  damage: " + one_line(sentence) for sentence in recovered.damage]
+    shown += ["  lost: " + one_line(sentence) for sentence in recovered.dropped]
+    if recovered.lost_messages:
+        shown.append(f"  {recovered.lost_messages} messages are lost")
+    return Answer(recovered.as_dict(), [*shown, f"{recovered.messages} messages in {recovered.directory}"])
 
 
 def report(args) -> Answer:
@@ -109,18 +109,18 @@ def report(args) -> Answer:
     from kr270_milling.report.series import write_series
 
     places = [Path(place) for place in args.recordings]
-    found, copies = _read(places, args.namespace)
-    cell, passes = found[0].cell, [one.scored for one in found]
+    recorded, copies = _read(places, args.namespace)
+    cell, passes = recorded[0].cell, [one.scored for one in recorded]
     first = places[0]
     directory = output_directory(args.out or (first if first.is_dir() else first.parent) / "report")
     title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
     with progress("report"):
         page = write_report(
             directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
-            program=found[0].program,
+            program=recorded[0].program,
         )  # fmt: skip
         write_series(directory, cell, passes)
-    rows = [{**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete} for one in found]
+    rows = [{**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete} for one in recorded]
     about = {"passes": rows, "copies": copies, "report": str(page), "out": str(directory)}
     return Answer(about, [
         table_of("Path deviation, from the recordings", _columns(), rows),
@@ -137,20 +137,20 @@ def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedP
 
     paths = list(dict.fromkeys(path for place in places for path in _recordings(place)))
     names = unique_names(paths)
-    found: list[RecordedPass] = []
+    recorded: list[RecordedPass] = []
     copies: list[str] = []
-    with progress("reading") as tell, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
+    with progress("reading") as count, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
         read = pool.map(lambda path, name: pass_from_recording(path, name, namespace), paths, names)
         for number, (path, one) in enumerate(zip(paths, read, strict=True), 1):
-            tell(number, len(paths))
-            if any(_same(one.scored.result, other.scored.result) for other in found):
+            count(number, len(paths))
+            if any(_same(one.scored.result, other.scored.result) for other in recorded):
                 copies.append(str(path))
                 continue
-            target, first = one.cell.target(), (found or [one])[0].cell.target()
+            target, first = one.cell.target(), (recorded or [one])[0].cell.target()
             if not np.array_equal(target.time_ns, first.time_ns) or not np.allclose(target.position, first.position):
-                raise InputError(path, f"is a pass of another path than {paths[0]}: give each path a report of its own")
-            found.append(one)
-    return found, copies
+                raise InputError(path, f"is a pass of another path than {paths[0]}: give each path a separate report")
+            recorded.append(one)
+    return recorded, copies
 
 
 def _same(one, other) -> bool:
@@ -177,10 +177,10 @@ def _recordings(path: Path) -> list[Path]:
     """The .mcap files of a file, a recording's directory or a directory of such, in the order of their writing."""
     if path.is_file():
         return [path]
-    found = sorted([*path.glob("*.mcap"), *path.glob("*/*.mcap")], key=lambda p: (p.stat().st_mtime_ns, p))
-    if not found:
+    files = sorted([*path.glob("*.mcap"), *path.glob("*/*.mcap")], key=lambda p: (p.stat().st_mtime_ns, p))
+    if not files:
         raise InputError(path, "holds no recording (.mcap)" if path.is_dir() else "is no such file or directory")
-    return found
+    return files
 
 
 def _columns() -> tuple:

@@ -66,7 +66,7 @@ def _recompute(args) -> Answer:
     rows = ({"topic": _shown(topic), **count.as_dict()} for topic, count in sorted(result.channels.items()))
     shown: list = [table_of(result.file, COLUMNS, rows)]
     if result.cut_off:
-        shown.append("The recording was cut off; what is there was compared.")
+        shown.append("The recording was cut off; the recorded part was compared.")
     shown += [*map(_shown, result.stops), *("damage: " + _shown(sentence) for sentence in result.damage)]
     if result.first:
         shown.append(f"first difference: {_shown(result.first)}")
@@ -84,11 +84,11 @@ def _compensate(args) -> Answer:
     from kr270_milling.replay.compensate import compensate
 
     with progress("compensating") as report:
-        found = compensate(args.file, args.method, report)
-    files = [_write(args.out, revised) for revised in found] if args.out else [None] * len(found)
-    robots = [revised.as_dict() | {"csv": file} for revised, file in zip(found, files, strict=True)]
+        revisions = compensate(args.file, args.method, report)
+    files = [_write(args.out, revised) for revised in revisions] if args.out else [None] * len(revisions)
+    robots = [revised.as_dict() | {"csv": file} for revised, file in zip(revisions, files, strict=True)]
     shown = []
-    for revised, file in zip(found, files, strict=True):
+    for revised, file in zip(revisions, files, strict=True):
         shown += [
             f"{_shown(revised.robot or '/')}: {revised.method}, {len(revised.reference)} points; the recorded pass was "
             f"off by up to {revised.remaining_error * 1e6:.2f} um, the largest correction is "
@@ -96,7 +96,7 @@ def _compensate(args) -> Answer:
             "  " + PUBLISHED[revised.published],
             f"  written to {file}" if file else "  (--out DIR writes it as CSV)",
         ]
-    differs = any(revised.published is False for revised in found)
+    differs = any(revised.published is False for revised in revisions)
     return Answer({"file": args.file, "robots": robots}, shown, code=int(differs))
 
 

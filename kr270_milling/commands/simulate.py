@@ -38,29 +38,29 @@ def simulate(args) -> Answer:
     with staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final):
         with progress("milling") as report:
             ran = jobs.simulate(cell, reference, name, report, plant)
-        found = _summary(cell, ran)
+        summary = _summary(cell, ran)
         stability = stability_of(cell, ran.result)
-        found["stability"] = stability.as_dict()
+        summary["stability"] = stability.as_dict()
         part = assess(cell, ran) if cell.path.file else None
         tolerance = judge(cell, ran, part)
-        found["tolerance"] = tolerance.as_dict()
+        summary["tolerance"] = tolerance.as_dict()
         if part:
-            found |= {key: value for key, value in part.as_dict().items() if key != "name"}
+            summary |= {key: value for key, value in part.as_dict().items() if key != "name"}
         if draft and final:
             files = write_series(draft, cell, [ran])
             if cell.path.file:
                 files.append(draft / "part.stl")
                 write_part(files[-1], cell, ran.result)
-            found["files"] = [str(final(path)) for path in files]
+            summary["files"] = [str(final(path)) for path in files]
     columns = (("feature", "feature", 1), *columns_of(FeatureRow, unit="um"))
-    return Answer(found, [
-        *([table_of(FEATURES, columns, (*found["features"], found["whole_part"]))] if part else _scores(found)),
+    return Answer(summary, [
+        *([table_of(FEATURES, columns, (*summary["features"], summary["whole_part"]))] if part else _scores(summary)),
         f"tolerance: {tolerance.words}",
         stability.text,
-        joints_text(found["commanded_joints_deg"]),
-        f"removed area        {found['removed_area_mm2']:10.3f} mm2",
-        f"{found['steps']} micro-steps in {found['wall_s']:.3f} s, {found['real_time_factor']:.1f} x real time",
-        *found.get("files", []),
+        joints_text(summary["commanded_joints_deg"]),
+        f"removed area        {summary['removed_area_mm2']:10.3f} mm2",
+        f"{summary['steps']} micro-steps in {summary['wall_s']:.3f} s, {summary['real_time_factor']:.1f} x real time",
+        *summary.get("files", []),
     ])  # fmt: skip
 
 
@@ -75,19 +75,19 @@ def check(args) -> Answer:
     with progress("checking") as report:
         checked = decision.check(cell, reference, args.motion, progress=report)
         tolerance = judge(cell, checked.ran) if checked.ran else None
-    found = {"cell": args.cell, "reference": args.reference, **checked.as_dict()}
-    found["tolerance"] = tolerance and tolerance.as_dict()
+    result = {"cell": args.cell, "reference": args.reference, **checked.as_dict()}
+    result["tolerance"] = tolerance and tolerance.as_dict()
     words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
-    return Answer(found, [*words, *checked.lines()], code=int(not checked.may_be_run))
+    return Answer(result, [*words, *checked.lines()], code=int(not checked.may_be_run))
 
 
-def _scores(found: dict) -> list[str]:
-    x, y, z = found["mean_force_n"]
-    ringing = found["ringing_frequency_hz"]
+def _scores(summary: dict) -> list[str]:
+    x, y, z = summary["mean_force_n"]
+    ringing = summary["ringing_frequency_hz"]
     return [
-        f"static deviation    {found['static_deviation_mm'] * 1e3:10.3f} um   mean over the last quarter",
-        f"max deviation       {found['max_deviation_mm'] * 1e3:10.3f} um   once fully engaged",
-        f"low frequency       {found['low_frequency_hz']:10.3f} Hz   model; ringing {ringing:.3f} Hz",
+        f"static deviation    {summary['static_deviation_mm'] * 1e3:10.3f} um   mean over the last quarter",
+        f"max deviation       {summary['max_deviation_mm'] * 1e3:10.3f} um   once fully engaged",
+        f"low frequency       {summary['low_frequency_hz']:10.3f} Hz   model; ringing {ringing:.3f} Hz",
         f"mean force          {x:10.3f} {y:.3f} {z:.3f} N   last quarter, workpiece axes",
     ]
 

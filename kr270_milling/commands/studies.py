@@ -100,7 +100,7 @@ def place(args) -> Answer:
         summary.add(table)
     cells = write_cells(args.out, source, args.set, cell, placements.course, summary.best)
     rate = made * summary.rows / seconds if seconds else None
-    found = {
+    result = {
         "rows": summary.rows,
         "rows_per_s": rate,
         "postures_per_s": rate and rate * len(placements.course.position),
@@ -109,11 +109,11 @@ def place(args) -> Answer:
         "picture": str(write_map(args.out, summary)),
         "out": args.out,
     }
-    return Answer(found, [
-        table_of("Best placements: largest static error across the feed [um]", COLUMNS, found["best"]),
-        f"{found['rows']} rows, {found['feasible']} feasible: {found['out']}",
-        *(row["cell"] for row in found["best"]),
-        found["picture"],
+    return Answer(result, [
+        table_of("Best placements: largest static error across the feed [um]", COLUMNS, result["best"]),
+        f"{result['rows']} rows, {result['feasible']} feasible: {result['out']}",
+        *(row["cell"] for row in result["best"]),
+        result["picture"],
     ])  # fmt: skip
 
 
@@ -145,7 +145,7 @@ def _along(args) -> Answer:
     run, q = turning.turned(cell, ran.time_ns[chosen], way)
     files = _write(Path(args.out), source, args.set, cell, run, q, way)
     speed = np.abs(np.diff(q, axis=0)) / np.diff(run.time)[:, None] / cell.arm.joint_speed_limit
-    found = {
+    result = {
         "rows": len(chosen),
         "rows_per_s": None,
         "branch": way.branch,
@@ -161,16 +161,16 @@ def _along(args) -> Answer:
         "best": [{"cell": str(files[0])}],
         "files": [str(path) for path in files],
     }
-    low, high = found["turn_deg"]
+    low, high = result["turn_deg"]
     shown = [f"turning the tool from {low:.4g} to {high:.4g} deg along the path: {1e6 * way.value:.2f} um"]
-    for name, other in (("the best turn that stays the same", same), ("as it is", own)):
+    for name, other in (("the best turn that stays the same", same), ("not turned", own)):
         shown.append(f"{name}: " + (f"{1e6 * other.value:.2f} um" if other else "not within the limits of the joints"))
     share = f"joints run at up to {100 * speed.max():.0f} % of their speeds"
-    return Answer(found, [
+    return Answer(result, [
         *shown,
         "(root mean square of the static error across the feed and of what turning is worth by --smooth; what corners",
         "and teeth shake is not in it: compare `simulate` of both cells)",
-        f"{share}, the path takes {found['slower']:.3f} times",
+        f"{share}, the path takes {result['slower']:.3f} times",
         *files,
     ])  # fmt: skip
 
@@ -215,5 +215,5 @@ def sweep(args) -> Answer:
     with progress("sweep", unit="chunks", rate="passes", each=rows.chunk) as report:
         seconds = run_chunks(study, rows.chunks, rows, args.scheduler, report)
     failed = sum(bool(text) for table in study.tables(rows.chunks, ["error"]) for text in table["error"].to_pylist())
-    found = {"rows": len(rows), "failed": failed, "out": args.out, "wall_s": seconds}
-    return Answer(found, [f"{len(rows)} rows, {failed} failed (column error), in {seconds:.1f} s: {args.out}"])
+    result = {"rows": len(rows), "failed": failed, "out": args.out, "wall_s": seconds}
+    return Answer(result, [f"{len(rows)} rows, {failed} failed (column error), in {seconds:.1f} s: {args.out}"])

@@ -28,7 +28,7 @@ __all__ = [
     "CRITERIA", "Bench", "Candidates", "Design", "Planner", "at_posture", "candidates", "in_order", "read_test_pose",
 ]  # fmt: skip
 
-MARGIN = np.radians(5.0)  #: kept to every joint limit
+MARGIN = np.radians(5.0)  #: distance to every joint limit
 MOST_TURN = np.radians(180.0)  #: of axes 4 and 6, for the cables
 LEAST_MEASURE = 0.1  #: of the singularities of elbow and wrist: a measurement does not need them
 TEST_FORCE = 100.0  #: [N] along each axis in turn, what milling of aluminium asks of the arm

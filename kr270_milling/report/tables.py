@@ -1,4 +1,4 @@
-"""The tables of the page, as texts: one kind of minus sign, no path of anybody's machine."""
+"""The tables of the page as texts, with one minus sign and without directories of a machine."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["PAPER", "TABLE_2", "ReportTable", "details", "feature_table", "fixed
            "part_scores", "shown", "typographic", "warning"]  # fmt: skip
 
 UM = 1e6
-#: what [Klimchik2012] prints of its own result, to be set beside ours
+#: source of the columns `paper`
 PAPER = (
     "Klimchik, Bondarenko, Pashkevich, Briot, Furet: Compliance error compensation in robotic-based milling (2012), "
     "Table 2"
@@ -135,7 +135,7 @@ def _text(column: Column, value: float) -> str:
 
 
 def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
-    """Table 1: name with unit, six values; joints [rad], (6,): those that are commanded at the start."""
+    """Table 1: name with unit, six values; joints [rad], (6,): the commanded joints at the start."""
     rows = [
         ("commanded joint position q at the start [deg]", np.round(np.degrees(joints), 3) + 0.0),
         ("joint compliance [10⁻⁶ rad/(N m)]", np.round(cell.arm.joint_compliance * UM, 9)),

@@ -2,7 +2,7 @@
 
 A row is one placement of the workpiece (x, y, z, turn about z), one turn of the tool about its axis and one branch of
 the arm. With J(q) the Jacobian of the tool point and c the joint compliances (that of joint 2 with the gravity
-compensator's share), the point gives way by C F = J diag(c) J^T F under the cutting force F of each place on the path;
+compensator's share), the point deflects by C F = J diag(c) J^T F under the cutting force F of each place on the path;
 the error is the part of it across the feed. Link weights, which change C by less than 1 %, are left out. The
 compensation takes the error away as far as compliances and force coefficients are known: what is left is the error
 times sqrt(s_k^2 + s_F^2), one standard deviation of ``uncertainty``.
@@ -70,7 +70,7 @@ def course_of(cell: Cell) -> Course:
 def course_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> Course:
     """The exchange periods ``chosen`` (m,) of a pass, with the mean force of the revolution there.
 
-    Where the tool stands still, its feed is 0.
+    The feed of a resting tool is 0.
     """
     time_ns, target = result.time_ns[chosen], cell.target()
     feed = target.sample_velocity(time_ns)
@@ -147,14 +147,14 @@ class Placements(Rows):
 
     def lowest_mode(self, q: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         """[Hz], (n, 8), of the chosen ones of the postures q (n, 8, 6), NaN elsewhere; A5 may have either sign."""
-        cell, found = self.cell, np.full(q.shape[:2], np.nan)
+        cell, frequency = self.cell, np.full(q.shape[:2], np.nan)
         measured = cell.dynamics.modes.frequency
         if measured.size:
-            found[chosen] = measured.min()
-            return found
+            frequency[chosen] = measured.min()
+            return frequency
         some = chosen[:, ::2] | chosen[:, 1::2]
         if not some.any():
-            return found
+            return frequency
         posture = q[:, ::2][some]  # chosen or not, it is regular: the measures do not see the sign of A5
         turned = jacobian(cell.arm, cell.mount, posture)
         soft = np.tile(cell.arm.joint_compliance, (len(posture), 1))
@@ -163,9 +163,9 @@ class Placements(Rows):
             soft[:, 1] /= 1.0 - soft[:, 1] * slope
         mass = cartesian_mass(cell.arm, cell.mount, posture, cell.dynamics.mass_model)
         lowest = mode_frequencies((turned * soft[:, None]) @ np.swapaxes(turned, -1, -2), mass)[..., 0]
-        found[:, ::2][some] = lowest
-        found[:, 1::2][some] = lowest
-        return np.where(chosen, found, np.nan)
+        frequency[:, ::2][some] = lowest
+        frequency[:, 1::2][some] = lowest
+        return np.where(chosen, frequency, np.nan)
 
 
 def about_z(angle) -> np.ndarray:
@@ -205,7 +205,7 @@ def _listed(values: np.ndarray) -> list[float]:
 
 
 class Summary:
-    """What is told of all rows, gathered chunk by chunk so that memory does not grow with them."""
+    """Summary of all rows, read chunk by chunk so that memory does not grow with the rows."""
 
     def __init__(self, x: np.ndarray, y: np.ndarray, count: int):
         self.x, self.y, self.count = np.unique(1e3 * x), np.unique(1e3 * y), count

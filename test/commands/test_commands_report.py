@@ -63,7 +63,7 @@ def test_passes_of_two_paths_are_not_compared(tmp_path, monkeypatch):
     other = pass_from_recording(made.write(tmp_path / "c", made.one_pass("spline", passes=1)) / "c.mcap")
     shifted = dataclasses.replace(other.scored.result, wrench=other.scored.result.wrench + 1.0)
     other = dataclasses.replace(other, scored=dataclasses.replace(other.scored, result=shifted))
-    monkeypatch.setattr("kr270_milling.commands.recordings.pass_from_recording", another_path)
+    monkeypatch.setattr("kr270_milling.replay.recorded.pass_from_recording", another_path)
     assert "is a pass of another path than" in refused("report", str(first), str(second))
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pass_recording as made
 import pytest
@@ -82,14 +85,25 @@ def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
     scene, target = Scene(), cell.target()
     list(scene.take("target_trajectory", to_bytes(target)))
     shift, upright = np.array([0.0, 200e-6, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])
-    for k in range(1000):
+    for k in range(450):
         stamp = k * 40_000_000
-        position = target.sample(stamp) + (shift if k > 500 else 0.0)
+        position = target.sample(stamp) + (shift if k > 225 else 0.0)
         found = list(scene.take("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, upright))))
     (markers,) = (deserialise(one.type, one.data).markers for one in found)
     (path,) = (marker for marker in markers if marker.ns == "path")
     assert 100 <= len(path.points) <= 200 and len(path.colors) == len(path.points)
     assert path.colors[0].r < 0.1 and path.colors[-1].r > 0.85  # from no error to the end of the scale
+
+
+def test_the_recorder_imports_neither_the_report_nor_jinja2():
+    pytest.importorskip("rclpy")
+    code = (
+        "import sys, kr270_milling.nodes.recorder\n"
+        "wrong = {name for name in sys.modules if name.startswith(('jinja2', 'plotly', 'kr270_milling.report'))}\n"
+        "assert not wrong, wrong"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert ran.returncode == 0, ran.stderr
 
 
 def test_a_message_that_is_none_is_refused(cell):
