@@ -1,4 +1,4 @@
-"""Many rows in chunks on Dask: each chunk is a Parquet file of its own, so that a study continues after a stop.
+"""Many rows in chunks on Dask: each chunk is a separate Parquet file, so that a study continues after a stop.
 
 Without a scheduler's address a local cluster of as many processes as cores is started, on the loopback interface only,
 unless the work is done before it would be up.

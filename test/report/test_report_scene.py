@@ -31,10 +31,10 @@ def described(cell) -> bytes:
 def placed(cell, joints) -> dict[str, np.ndarray]:
     """Every frame on base_link, by chaining the transforms that a viewer gets."""
     scene = Scene()
-    found = list(scene.take("robot_description", described(cell)))
-    found += scene.take("joint_states", to_bytes(JointSample(0, tuple(f"joint_a{i}" for i in range(1, 7)), joints)))
+    result = list(scene.take("robot_description", described(cell)))
+    result += scene.take("joint_states", to_bytes(JointSample(0, tuple(f"joint_a{i}" for i in range(1, 7)), joints)))
     frames = {"base_link": np.eye(4)}
-    waiting = [t for one in found for t in deserialise(one.type, one.data).transforms]
+    waiting = [t for one in result for t in deserialise(one.type, one.data).transforms]
     while waiting:
         one = waiting.pop(0)
         if one.header.frame_id not in frames:
@@ -57,22 +57,24 @@ def test_the_transforms_put_every_frame_where_the_kinematics_does(cell):
 
 
 def run(messages, scene):
-    found = []
+    result = []
     for message in messages:
         if message.topic in INPUTS:
-            found += scene.take(message.topic, message.data)
-    return found
+            result += scene.take(message.topic, message.data)
+    return result
 
 
 def test_a_pass_gives_markers_thinned_to_30_hz_with_path_and_force(cell):
     scene = Scene()
     list(scene.take("robot_description", described(cell)))
-    found = run(made.one_pass(), scene)
-    assert {one.topic for one in found} <= set(OUTPUTS)
+    result = run(made.one_pass(), scene)
+    assert {one.topic for one in result} <= set(OUTPUTS)
     for topic in ("/markers", "/tf"):
-        stamps = np.array([one.stamp_ns for one in found if one.topic == topic])
+        stamps = np.array([one.stamp_ns for one in result if one.topic == topic])
         assert stamps.size and np.all(np.diff(stamps) >= PERIOD_NS)
-    last = deserialise("visualization_msgs/msg/MarkerArray", [one for one in found if one.topic == "/markers"][-1].data)
+    last = deserialise(
+        "visualization_msgs/msg/MarkerArray", [one for one in result if one.topic == "/markers"][-1].data
+    )
     named = {marker.ns: marker for marker in last.markers}
     assert set(named) <= {"path", "removed", "force"} and "force" in named
     for marker in last.markers:
@@ -88,8 +90,8 @@ def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
     for k in range(450):
         stamp = k * 40_000_000
         position = target.sample(stamp) + (shift if k > 225 else 0.0)
-        found = list(scene.take("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, upright))))
-    (markers,) = (deserialise(one.type, one.data).markers for one in found)
+        result = list(scene.take("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, upright))))
+    (markers,) = (deserialise(one.type, one.data).markers for one in result)
     (path,) = (marker for marker in markers if marker.ns == "path")
     assert 100 <= len(path.points) <= 200 and len(path.colors) == len(path.points)
     assert path.colors[0].r < 0.1 and path.colors[-1].r > 0.85  # from no error to the end of the scale
@@ -117,7 +119,7 @@ def test_a_message_that_is_none_is_refused(cell):
 def test_a_description_of_something_else_gives_no_moving_frames_and_no_crash(text):
     scene = Scene()
     try:
-        found = list(scene.take("robot_description", to_bytes(Text(text))))
+        result = list(scene.take("robot_description", to_bytes(Text(text))))
     except ValueError:
         return
-    assert not [t for one in found for t in deserialise(one.type, one.data).transforms]
+    assert not [t for one in result for t in deserialise(one.type, one.data).transforms]
