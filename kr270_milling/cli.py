@@ -1,29 +1,65 @@
-"""The command ``kr270_milling``: one sub-command a job. Only the chosen one is imported, so ``--help`` is quick."""
+"""The command ``kr270_milling``: names, one line of help each, and the import of the command that was chosen."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib
 import os
 import re
 import shlex
 import signal
 import sys
+from typing import NamedTuple
 
 from kr270_milling import __version__
-from kr270_milling.commands.command import add_command
-from kr270_milling.commands.options import COMMANDS
 
-__all__ = ["main"]
+__all__ = ["COMMANDS", "Entry", "main"]
 
 EXIT_OK, EXIT_USAGE, EXIT_INTERRUPTED = 0, 2, 130
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Exit code 0, 1 (a check failed), 2 (unusable input: one sentence on stderr) or 130 (Ctrl-C).
+class Entry(NamedTuple):
+    """A command that is not imported yet."""
 
-    Without ``argv`` the process is the command's own, and ends here: a key that comes while Python takes itself apart
-    would change an exit code that is due.
+    module: str  #: of ``commands``, with its options
+    text: str  #: line of help
+
+    def load(self, name: str):
+        """Import the module and return the command."""
+        return importlib.import_module(f"kr270_milling.commands.{self.module}").COMMANDS[name]
+
+
+COMMANDS = {
+    "demo": Entry("demo", "run the paper's case: original pass and three compensations, table and report"),
+    "init": Entry("cells", "print a first cell file for a program"),
+    "keys": Entry("cells", "list the keys of a cell file with unit, range, default and meaning"),
+    "run": Entry("run", "run the passes of a cell as ROS 2 nodes, each recorded to MCAP"),
+    "simulate": Entry("simulate", "simulate one pass of a cell"),
+    "compensate": Entry("options", "revise the trajectory of a cell; tables, report and robot programs"),
+    "check": Entry("options", "say whether a path, or its corrected trajectory, may be run"),
+    "stiffness": Entry("cells", "pose, stiffness and natural frequencies of an arm at one posture"),
+    "stability": Entry("options", "limit depth of cut and chatter frequency over spindle speed"),
+    "map": Entry(
+        "studies", "where to clamp the part and how to turn the tool: reach, limits and predicted error over placements"
+    ),
+    "sweep": Entry("studies", "full passes with other values of any keys, on as many cores as there are"),
+    "identify": Entry("identify", "find compliances, force coefficients and modes from measurements of the own cell"),
+    "compare": Entry("identify", "set a measured pass beside the simulated one"),
+    "info": Entry("recordings", "show what a recording holds"),
+    "replay": Entry("replay", "play a recording back onto topics, recompute it bit for bit, or compensate from it"),
+    "export": Entry("recordings", "write the topics of a recording as tables"),
+    "report": Entry("recordings", "make the report of one or several recordings"),
+    "watch": Entry("run", "show a running graph, live, on a page of this host"),
+    "recover": Entry("recordings", "make a whole recording of one that was cut off or damaged"),
+    "bench": Entry("options", "time the sweep of the teeth and the stiffness model"),
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Return exit code 0, 1 (a check failed), 2 (unusable input: one sentence on stderr) or 130 (Ctrl-C).
+
+    Without ``argv`` the process ends here: a key pressed while Python shuts down would change the exit code.
     """
     if argv is not None:
         return _main(argv)
@@ -38,9 +74,9 @@ def main(argv: list[str] | None = None) -> int:
 
 def _main(argv: list[str]) -> int:
     try:
-        _hear_interrupts()
+        _handle_interrupts()
         return _run(argv)
-    except BrokenPipeError:  # the reader of our output, head for example, has seen enough
+    except BrokenPipeError:  # the reader of the output, head for example, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_OK
     except OSError as error:
@@ -53,10 +89,12 @@ def _main(argv: list[str]) -> int:
         return EXIT_INTERRUPTED
 
 
-def _hear_interrupts() -> None:
-    """Ctrl-C as Python has it, but not in the midst of a compilation or an import: it waits for their end, some seconds
-    at most, unless it comes twice. It would leave the compiler half made, and compiled libraries report an interrupt of
-    their own import as a broken installation."""
+def _handle_interrupts() -> None:
+    """Let Ctrl-C wait for the end of a compilation or an import, some seconds at most; a second Ctrl-C does not wait.
+
+    An interrupted compiler stays incomplete, and compiled libraries report an interrupted import as a broken
+    installation.
+    """
     pressed: list[int] = []
 
     def interrupt(number, frame):
@@ -75,7 +113,7 @@ def _hear_interrupts() -> None:
 
 
 def _complete() -> None:
-    """Answer a shell that asks how a line goes on: eval "$(register-python-argcomplete kr270_milling)"."""
+    """Complete a line for the shell: eval "$(register-python-argcomplete kr270_milling)"."""
     with contextlib.suppress(ImportError, ValueError):  # not installed; a quote that is still open
         import argcomplete
 
@@ -95,8 +133,8 @@ def _run(argv: list[str]) -> int:
     if "_ARGCOMPLETE" in os.environ:
         _complete()
     argv = _join_negative(argv)
-    if any("\0" in word for word in argv):  # no shell can pass one on, but a caller of main can
-        return _refuse("an argument holds a zero byte")
+    if any("\0" in word for word in argv):  # a caller of main can pass one, a shell cannot
+        return _refuse("an argument contains a zero byte")
     parser = _parser(argv)
     if not argv:
         parser.print_help()
@@ -109,13 +147,13 @@ def _run(argv: list[str]) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         answer = args.run(args)
-        return answer if isinstance(answer, int) else answer.tell(args.json)
+        return answer if isinstance(answer, int) else answer.print(args.json)
     except MillingError as error:
         return EXIT_USAGE if error.told else _refuse(str(error), getattr(error, "listing", ()))
 
 
 def _refuse(sentence: str, listing: tuple = ()) -> int:
-    """The sentence; where an error lists several things, each on a line of its own instead."""
+    """Print the sentence, or each entry of the listing on a separate line."""
     from kr270_milling.base.errors import one_line
 
     for line in listing or (sentence,):
@@ -136,7 +174,7 @@ def _join_negative(argv: list[str]) -> list[str]:
 
 def _parser(argv: list[str]) -> argparse.ArgumentParser:
     width = max(map(len, COMMANDS)) + 2
-    listing = "\n".join(f"  {name:{width}}{command.text}" for name, command in COMMANDS.items())
+    listing = "\n".join(f"  {name:{width}}{entry.text}" for name, entry in COMMANDS.items())
     parser = argparse.ArgumentParser(
         prog="kr270_milling",
         description="Predict and compensate the compliance errors of robotic milling.",
@@ -146,8 +184,13 @@ def _parser(argv: list[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"kr270_milling {__version__}")
     sub = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     chosen = next((a for a in argv if not a.startswith("-")), None)
-    for name, command in COMMANDS.items():
-        add_command(sub, name, command, filled=name == chosen)
+    for name, entry in COMMANDS.items():
+        if name == chosen:
+            from kr270_milling.commands.command import add_command
+
+            add_command(sub, name, entry.text, entry.load(name))
+        else:
+            sub.add_parser(name)
     return parser
 
 

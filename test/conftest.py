@@ -99,7 +99,7 @@ def demo(tmp_path_factory):
         assert main(["demo", "--plain", "--out", directory]) == 0
     passes, moving, _ = told[0]
     with contextlib.redirect_stdout(io.StringIO()) as as_json:
-        answer(*told[0]).tell(as_json=True)
+        answer(*told[0]).print(as_json=True)
     moving, found = {p.name: p for p in moving}, json.loads(as_json.getvalue())
     return SimpleNamespace(passes={p.name: p for p in passes}, moving=moving, text=text.getvalue(), json=found)
 

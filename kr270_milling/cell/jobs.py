@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.column import as_dict
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import Plant
@@ -39,13 +40,7 @@ class ScoredPass:
 
     def row(self) -> dict:
         """The keys that every command prints."""
-        return {
-            "name": self.name,
-            "static_deviation_mm": self.scores.static_deviation * 1e3,
-            "max_deviation_mm": self.scores.max_deviation * 1e3,
-            "low_frequency_hz": self.scores.low_frequency,
-            "ringing_frequency_hz": self.scores.ringing_frequency,
-        }
+        return {"name": self.name, **as_dict(self.scores)}
 
 
 def simulate(

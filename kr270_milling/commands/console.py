@@ -1,8 +1,9 @@
-"""What commands have in common: the cell that is asked about, and the answer as JSON or as text and tables."""
+"""Functions that commands share: the cell of a command line, and the result as JSON or as text and tables."""
 
 from __future__ import annotations
 
 import datetime
+import functools
 import json
 import math
 import shlex
@@ -12,11 +13,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from kr270_milling.base.column import Column, columns
 from kr270_milling.base.parameter_file import find_file
 
 __all__ = [
-    "Answer", "Table", "cell_of", "command_line", "fixed", "joints_text", "now", "output_directory", "plant_of",
-    "print_json", "print_table", "shown_path", "table_of", "um", "yes",
+    "Answer", "Table", "cell_of", "columns_of", "command_line", "fixed", "joints_text", "now", "output_directory",
+    "plant_of", "print_json", "print_table", "shown_path", "table_of", "um", "yes",
 ]  # fmt: skip
 
 WIDEST = 1000  # characters of a table
@@ -32,16 +34,16 @@ class Table(NamedTuple):
 
 @dataclass(frozen=True)
 class Answer:
-    """What a command has found; ``cli`` prints it."""
+    """The result of a command; ``cli`` prints it."""
 
-    found: Mapping  #: for --json
-    shown: Iterable[object]  #: for people: tables, and what is printed as a line
-    code: int = 0  #: exit code; 1: what was asked was done, and the answer is no
+    result: Mapping  #: for --json
+    shown: Iterable[object]  #: for the terminal: tables, and lines
+    code: int = 0  #: exit code; 1: the command succeeded, and the answer is no
 
-    def tell(self, as_json: bool) -> int:
-        """Print it; returns the exit code."""
+    def print(self, as_json: bool) -> int:
+        """Print the result and return the exit code."""
         if as_json:
-            print_json(self.found)
+            print_json(self.result)
         for part in () if as_json else self.shown:
             if isinstance(part, Table):
                 print_table(*part)
@@ -58,32 +60,49 @@ def cell_of(args):
 
 
 def plant_of(args, cell):
-    """The plant of ``--plant`` and ``--noise-um``; None where the model itself cuts, and perfectly."""
+    """Return the plant of ``--plant`` and ``--noise-um``; None: the model cuts, without imperfections."""
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.cell.plant import Plant
 
     cuts = read_cell(find_file(args.plant)) if args.plant else cell
-    how = cuts.imperfections
+    imperfections = cuts.imperfections
     if args.noise_um is not None:
-        how = how.replace(pose_noise=1e-6 * args.noise_um)
-    perfect = not (how.pose_noise or how.repeatability or how.backlash.any())
-    return None if perfect and not args.plant else Plant(cell, cuts, how)
+        imperfections = imperfections.replace(pose_noise=1e-6 * args.noise_um)
+    perfect = not (imperfections.pose_noise or imperfections.repeatability or imperfections.backlash.any())
+    return None if perfect and not args.plant else Plant(cell, cuts, imperfections)
 
 
 def table_of(title: str, columns: Sequence[tuple], rows: Iterable[Mapping]) -> Table:
-    """A table of records; columns: heading, key, and the decimals of the number or what makes a text of the value."""
-    texts = [[_text(row[key], how) for _, key, how in columns] for row in rows]
+    """A table of records; columns: heading, key, and decimals of the number or a function value -> text."""
+    texts = [[_text(row[key], style) for _, key, style in columns] for row in rows]
     return Table(title, [heading for heading, *_ in columns], texts)
 
 
-def _text(value, how: int | Callable[[Any], str]) -> str:
-    if callable(how):
-        return how(value)
-    return value if isinstance(value, str) else fixed(value, how)
+def columns_of(record, *names: str, unit: str = "") -> tuple[tuple, ...]:
+    """Columns for ``table_of`` from the fields of a record class; names: only these fields.
+
+    unit: a unit that the title of the table states, so the headings do not.
+    """
+    return tuple(
+        (c.short if c.unit == unit else c.heading(short=True), c.key, functools.partial(_shown, c))
+        for c in columns(record)
+        if c.short and (not names or c.name in names)
+    )
+
+
+def _shown(column: Column, written: float) -> str:
+    """A value of JSON as text, in the unit of the tables."""
+    return fixed(written / column.factor * column.scale, column.digits)
+
+
+def _text(value, style: int | Callable[[Any], str]) -> str:
+    if callable(style):
+        return style(value)
+    return value if isinstance(value, str) else fixed(value, style)
 
 
 def fixed(value: float, digits: int = 2) -> str:
-    """A number with so many decimals; "-" for one that has no meaning (NaN)."""
+    """Return a number with so many decimals; "-" for NaN."""
     return "-" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
 
 
@@ -97,7 +116,7 @@ def yes(value: bool) -> str:
 
 
 def joints_text(joints: dict) -> str:
-    """The joints that a pass commands, as ``joint_ranges`` gives them."""
+    """Return the joints that a pass commands as a line; joints: of ``joint_ranges``."""
     ranges = zip(joints["start"], joints["min"], joints["max"], strict=True)
     shown = [f"A{k} {fixed(q)} ({fixed(low)} to {fixed(high)})" for k, (q, low, high) in enumerate(ranges, 1)]
     return f"commanded joints at the start (and along the path) [deg]: {', '.join(shown)}"
@@ -115,7 +134,7 @@ def output_directory(path: str | Path) -> Path:
 
 
 def command_line(args) -> str:
-    """How the command was called, as it can be typed again; of a place on this machine only the last name is told."""
+    """Return the command line as typed; of an absolute path only the last name."""
     words = ["kr270_milling"]
     for word in getattr(args, "argv", []):
         key, equals, value = word.partition("=")
@@ -145,15 +164,17 @@ def _plain(value):
 
 
 def shown_path(path: object) -> str:
-    """A path as it is printed: from the working directory, where it is below it."""
+    """Return a path relative to the working directory, if it is inside."""
     here = Path.cwd()
     place = Path(str(path))
     return str(place.relative_to(here)) if place.is_relative_to(here) else str(place)
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """First column left, the others right. No word and no number is ever squeezed: a table that is too wide for the
-    terminal comes without borders, and is cut off by nothing."""
+    """Print a table, first column left, the others right.
+
+    A table that is too wide for the terminal has no borders. It is never wrapped or cut off.
+    """
     from rich import box
     from rich.console import Console
     from rich.measure import measure_renderables

@@ -12,24 +12,31 @@ from pathlib import Path
 
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import compensated, compensator, simulate
+from kr270_milling.commands.command import PLANT, command, option
 from kr270_milling.commands.console import Answer, Table, command_line, now, plant_of
 from kr270_milling.commands.progress import progress
 from kr270_milling.commands.run import running, summary
-from kr270_milling.report import ReportTable, write_report
-from kr270_milling.report.series import write_series
 
 METHODS = ("linear", "spline", "learned")
 INERTIA_METHODS = (*METHODS, "inverse")
-PAPER = {"original": ("58.10", "63.20"), "linear": ("0.14", "4.70")}
 AS_PRINTED = "Path deviation [um], eq. (1) as printed, Table 2"
 WITH_INERTIA = "Path deviation [um], with the inertia of the moving arm"
 WITH = ", with inertia"
 NEEDS = "learned and inverse need a tracker or the model: the encoders of the joints do not see the deflection"
 
+COMMANDS = {
+    "demo": command(
+        "demo.run", "demo --out out",
+        option("--out DIR", "where report and series go", default="out"),
+        option("--plain", "the plain loop, also where ROS is installed", bool),
+        *PLANT,
+    ),
+}  # fmt: skip
+
 
 def run(args) -> Answer | int:
+    from kr270_milling.cell.cell import read_cell
+
     source = find_file("paper.yaml")
     cell = read_cell(source)
     moving = read_cell(source, ["dynamics.reference_inertia=true"])
@@ -37,32 +44,37 @@ def run(args) -> Answer | int:
     if args.plain or other or importlib.util.find_spec("rclpy") is None:
         if Path(args.out, "report.html").exists():
             print(f"{args.out} holds a report already; it is replaced", file=sys.stderr)
-        how = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
+        loop = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
         with staged(args.out) as (draft, final):
             passes = _plain(cell, METHODS, plant_of(args, cell))
             second = _plain(moving, INERTIA_METHODS, plant_of(args, moving), WITH)
             report = final(_write(draft, cell, passes, second, source, args))
-        return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": how})
-    with running(cell, METHODS, args.out) as found:
-        passes = [ran.scored for ran in found["passes"]]
+        return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": loop})
+    with running(cell, METHODS, args.out) as result:
+        passes = [ran.scored for ran in result["passes"]]
         second = _plain(moving, INERTIA_METHODS, None, WITH)
-        how = f"four ROS 2 nodes and a recorder, graph up in {found['graph_up_s']:.2f} s"
-        report = _write(found["out"], cell, passes, second, source, args)
-        return _answer(passes, second, {**summary(found), "report": str(report), "ran_as": how}).tell(args.json)
+        loop = f"four ROS 2 nodes and a recorder, graph up in {result['graph_up_s']:.2f} s"
+        report = _write(result["out"], cell, passes, second, source, args)
+        return _answer(passes, second, {**summary(result), "report": str(report), "ran_as": loop}).print(args.json)
 
 
-def _plain(cell, methods, plant, how: str = "") -> list:
-    with progress(f"original{how}") as report:
+def _plain(cell, methods, plant, suffix: str = "") -> list:
+    from kr270_milling.cell.jobs import compensated, compensator, simulate
+
+    with progress(f"original{suffix}") as report:
         passes = [simulate(cell, progress=report, plant=plant)]
     for method in methods:
         by = compensator(cell, cell.target(), method)
-        with progress(f"{method}{how}", by.most_passes) as report:
+        with progress(f"{method}{suffix}", by.most_passes) as report:
             passes.append(compensated(cell, passes[0], method, report, by, plant))
     return passes
 
 
 def _write(directory, cell, passes, second, source, args):
     """Report and series; returns the path of the report."""
+    from kr270_milling.report import ReportTable, write_report
+    from kr270_milling.report.series import write_series
+
     rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
     table = ReportTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
     with progress("report"):
@@ -74,23 +86,26 @@ def _write(directory, cell, passes, second, source, args):
     return report
 
 
-def _answer(passes, second, found: dict) -> Answer:
+def _answer(passes, second, result: dict) -> Answer:
     both = {"passes": [p.row() for p in passes], "passes_reference_inertia": [p.row() for p in second]}
     columns = ["pass", "static", "paper", "max", "paper", "low frequency, model [Hz]"]
     rows = [[name, static, largest, low] for name, static, _, largest, _, low in map(_row, second)]
-    return Answer({**found, **both}, [
+    return Answer({**result, **both}, [
         Table(AS_PRINTED, columns, [_row(p) for p in passes]),
         Table(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows),
         NEEDS,
-        f"ran as: {found['ran_as']}",
-        f"report: {found['report']}",
+        f"ran as: {result['ran_as']}",
+        f"report: {result['report']}",
     ])  # fmt: skip
 
 
 def _row(p) -> list[str]:
-    static, largest = PAPER.get(p.name, ("", ""))
-    scores = p.scores
-    return [
-        p.name, f"{scores.static_deviation * 1e6:.2f}", static, f"{scores.max_deviation * 1e6:.2f}", largest,
-        f"{scores.low_frequency:.2f}",
-    ]  # fmt: skip
+    from kr270_milling.report.tables import TABLE_2
+
+    ours, paper = p.scores, TABLE_2.get(p.name)
+    deviations = [
+        f"{1e6 * getattr(scores, name):.2f}" if scores else ""
+        for name in ("static_deviation", "max_deviation")
+        for scores in (ours, paper)
+    ]
+    return [p.name, *deviations, f"{ours.low_frequency:.2f}"]

@@ -40,7 +40,7 @@ class Progress:
 
     def __call__(self, done: int, total: int) -> None:
         if self.total is None:
-            self._before = done - 1 if self.unit else 0  # a study goes on where it stopped
+            self._before = done - 1 if self.unit else 0  # a study continues after its last chunk
         elif done < self.done:
             self._number += 1
             self._begin()
@@ -48,7 +48,7 @@ class Progress:
         self.total = total
 
     def say(self, text: str) -> None:
-        """What is done now; nothing of it is counted yet."""
+        """Start another step; nothing of it is counted yet."""
         self.text = text
         self.done = 0
         self.total = None
@@ -56,14 +56,14 @@ class Progress:
 
     @property
     def label(self) -> str:
-        """What is done, with the number of the pass where there are several."""
+        """The step, with the number of the pass if there are several."""
         if self.most is None:
             return self.text if self._number == 1 else f"{self.text}, pass {self._number}"
         return f"{self.text}, pass {self._number} of at most {self.most}"
 
     @property
     def state(self) -> str:
-        """How far it is, and how long it will take; the time so far where nothing is counted."""
+        """Share done and time left; the time so far if nothing is counted."""
         now = time.monotonic() - self._start
         if not self.total or not self._before < self.done < self.total:
             return f"{now:.0f} s so far"
@@ -76,37 +76,39 @@ class Progress:
 
 @contextlib.contextmanager
 def progress(text: str, most: int | None = None, **count) -> Iterator[Progress]:
-    """Yields what a job calls to tell how far it is; see Progress."""
-    told = Progress(text, most, **count)
+    """Yield the counter that a job calls; see Progress."""
+    counter = Progress(text, most, **count)
     on_terminal = sys.stderr.isatty()
     ended = threading.Event()
-    with _bar(told) if on_terminal else contextlib.nullcontext(lambda: _line(told)) as show:
+    with _bar(counter) if on_terminal else contextlib.nullcontext(lambda: _line(counter)) as show:
 
-        def tell() -> None:
+        def refresh() -> None:
             while not ended.wait(LOOK_PERIOD if on_terminal else LINE_PERIOD):
                 show()
 
-        thread = threading.Thread(target=tell, daemon=True)
+        thread = threading.Thread(target=refresh, daemon=True)
         thread.start()
         try:
-            yield told
+            yield counter
         finally:
             ended.set()
             thread.join()
 
 
-def _line(told: Progress) -> None:
-    print(f"{told.label}: {told.state}", file=sys.stderr, flush=True)
+def _line(counter: Progress) -> None:
+    print(f"{counter.label}: {counter.state}", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
-def _bar(told: Progress) -> Iterator[Callable[[], None]]:
-    """Yields what brings the bar up to date; a bar of which nothing is counted runs to and fro."""
+def _bar(counter: Progress) -> Iterator[Callable[[], None]]:
+    """Yield the function that updates the bar."""
     from rich.console import Console
     from rich.progress import BarColumn, SpinnerColumn, TextColumn
     from rich.progress import Progress as Bar
 
     columns = SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn(bar_width=24)
     with Bar(*columns, console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(told.label, total=None)
-        yield lambda: bar.update(task, completed=told.done, total=told.total, description=f"{told.label}: {told.state}")
+        task = bar.add_task(counter.label, total=None)
+        yield lambda: bar.update(
+            task, completed=counter.done, total=counter.total, description=f"{counter.label}: {counter.state}"
+        )

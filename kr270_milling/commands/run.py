@@ -10,27 +10,49 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.commands.console import Answer, cell_of, plant_of, shown_path, table_of, um
+from kr270_milling.commands.command import CELL, PLANT, command, option
+from kr270_milling.commands.console import Answer, cell_of, columns_of, plant_of, shown_path, table_of
 from kr270_milling.commands.progress import progress
+from kr270_milling.compensation.methods import METHODS
+from kr270_milling.nodes.play_arguments import bounded
 from kr270_milling.ros.environment import require_ros
 
-COLUMNS = (("pass", "name", 2), ("static [um]", "static_deviation_mm", um), ("max [um]", "max_deviation_mm", um),
-           ("wall [s]", "wall_s", 2), ("x real time", "real_time_factor", 2), ("lost", "messages_lost", 0),
-           ("recording", "recording", shown_path))  # fmt: skip
-LAST_LOOK = 1.0  #: [s] for an open page to take the last events
+LAST_LOOK = 1.0  #: [s] for an open page to receive the last events
+
+
+COMMANDS = {
+    "run": command(
+        "run.run", "run config/paper.yaml --method spline --out out",
+        *CELL,
+        *PLANT,
+        option(
+            "--passes N", "passes in all, with the original one (default: as many as needed)", bounded(1, 1000, int)
+        ),
+        option("--method", "how to compensate; may be given several times", choices=METHODS, action="append"),
+        option("--out DIR", "for recordings, logs, cell.yaml", default="out"),
+        option("--processes", "one process a node; else two nodes share one, which is quicker", bool),
+        option("--namespace NAME", "ROS namespace of the four nodes", default=""),
+    ),
+    "watch": command(
+        "run.watch", "watch --port 8270",
+        option("--namespace NAME", "ROS namespace of the robot", default=""),
+        option("--host", "where it is served (default: 127.0.0.1, this host alone)", default="127.0.0.1"),
+        option("--port", "default: 8270; 0: any that is free", bounded(0, 65535, int), 8270),
+    ),
+}  # fmt: skip
 
 
 def run(args) -> int:
-    """Told while the nodes are still there: see ``running``."""
+    """Print the result before the nodes stop: see ``running``."""
     require_ros()
     cell = cell_of(args)
     methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
-    how = args.passes, args.namespace, not args.processes, plant_of(args, cell)
-    with running(cell, methods, args.out, *how) as found:
-        up = f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(found['out'])}"
-        told = summary(found)
-        shown = [table_of("Path deviation, four nodes and a recorder", COLUMNS, told["passes"]), up]
-        return Answer(told, shown).tell(args.json)
+    plant = plant_of(args, cell)
+    with running(cell, methods, args.out, args.passes, args.namespace, not args.processes, plant) as ran:
+        up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
+        result = summary(ran)
+        shown = [table_of("Path deviation, four nodes and a recorder", _columns(), result["passes"]), up]
+        return Answer(result, shown).print(args.json)
 
 
 @contextlib.contextmanager
@@ -38,7 +60,7 @@ def running(cell, methods, out, passes=None, namespace: str = "", composed: bool
     """Run a cell's passes, with the arm and the material of ``plant`` if there is one.
 
     Yields graph_up_s, out (the directory used) and passes, a list of RanPass. The nodes are stopped at the end of the
-    block: the middleware may end this process while it leaves, so what is to be told or written belongs in the block.
+    block. The middleware may end this process then, so print and write inside the block.
     """
     from kr270_milling.graph.graph import Graph
     from kr270_milling.graph.plan import fresh_directory, run_plan
@@ -52,18 +74,18 @@ def running(cell, methods, out, passes=None, namespace: str = "", composed: bool
     directory = fresh_directory(out)
     if directory != Path(out):
         print(f"{out} holds recordings already; this run writes to {directory}", file=sys.stderr)
-    with contextlib.ExitStack() as until_told:
+    with contextlib.ExitStack() as stack:
         with progress("compiling") as report:
             _compile(cell)
             report.say("starting the nodes")
-            graph = until_told.enter_context(Graph(cell, directory, namespace, composed=composed, plant=cuts))
+            graph = stack.enter_context(Graph(cell, directory, namespace, composed=composed, plant=cuts))
             ran = run_plan(graph, methods, passes, report.say)
         with graph.interruptible():
             yield {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
 
 
 def _compile(cell) -> None:
-    """What the nodes run compiled is made once and kept on disk: here, so that no node of the graph waits for it."""
+    """Compile once what the nodes run, so that no node of the graph waits; the disk keeps the compiled code."""
     import numpy as np
 
     from kr270_milling.simulation.milling_pass import CompliantArm
@@ -73,13 +95,13 @@ def _compile(cell) -> None:
     CompliantArm(cell.arm_model(cell.target())).predict()
 
 
-def summary(found: dict) -> dict:
-    """What ``--json`` prints."""
-    return {**found, "out": str(found["out"]), "passes": [ran.row() for ran in found["passes"]]}
+def summary(ran: dict) -> dict:
+    """Return the result for JSON."""
+    return {**ran, "out": str(ran["out"]), "passes": [one.row() for one in ran["passes"]]}
 
 
 def watch(args) -> int:
-    """The address is printed while the page is served: nothing is left to say at the end."""
+    """Print the address and serve the page until Ctrl-C or the end of the graph."""
     require_ros()
     from kr270_milling.nodes.watcher import Watcher
     from kr270_milling.ros.names import full_namespace
@@ -88,7 +110,7 @@ def watch(args) -> int:
     from kr270_milling.watch.server import Events, serve
 
     namespace = full_namespace(args.namespace, "--namespace") if args.namespace else ""
-    page()  # made before the first look
+    page()  # make the page before the first request
     events = Events()
     server = serve(events, args.host, args.port)
     url = f"http://{args.host}:{server.server_port}/"
@@ -103,3 +125,12 @@ def watch(args) -> int:
         server.shutdown()
         server.server_close()
     return code
+
+
+def _columns() -> tuple:
+    """Columns of the passes."""
+    from kr270_milling.simulation.scores import Scores
+
+    return (("pass", "name", 2), *columns_of(Scores, "static_deviation", "max_deviation"),
+            ("wall [s]", "wall_s", 2), ("x real time", "real_time_factor", 2), ("lost", "messages_lost", 0),
+            ("recording", "recording", shown_path))  # fmt: skip

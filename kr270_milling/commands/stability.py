@@ -11,7 +11,7 @@ from kr270_milling.commands.console import Answer, cell_of, table_of, yes
 from kr270_milling.commands.options import LOBE_SPEEDS
 from kr270_milling.commands.progress import progress
 from kr270_milling.decision.stability import feature_limits
-from kr270_milling.identification.outcome import points, write_page
+from kr270_milling.report.study_page import points, write_page
 from kr270_milling.studies.lobes import lobes
 
 SHOWN = 24  #: rows of the printed table

@@ -1,4 +1,4 @@
-"""A measured pass beside the simulated one: force, place of the tool, deviation, and what to identify anew."""
+"""Compare a measured pass with the simulated pass: force, tool position, deviation."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.identification.signals import resampled
 from kr270_milling.simulation.scores import path_deviation, ringing_frequency
 
-__all__ = ["Channel", "Comparison", "NoOverlapError", "Pass", "Series", "best_lag", "compare", "line_through"]
+__all__ = [
+    "ComparedChannel", "Comparison", "Line", "NoOverlapError", "PassSeries", "VectorSeries", "best_lag", "compare",
+    "line_through",
+]  # fmt: skip
 
 LEAST_OVERLAP = 0.6  #: share of the shorter series that both must have in common
 LEAST_LIKENESS = 0.5  #: below it two series are not of the same pass
-AGREES = 0.1  #: gains within it need no new identification: coefficients scatter by as much from batch to batch
-RINGS_ALIKE = 0.05  #: share of the frequency
-SURE = 2.0  #: standard deviations
 
 
 class NoOverlapError(MillingError):
@@ -74,7 +74,7 @@ def line_through(measured: np.ndarray, simulated: np.ndarray, independent: int) 
 
 
 @dataclass(frozen=True, eq=False)
-class Series:
+class VectorSeries:
     """Vectors over time, workpiece axes."""
 
     time: np.ndarray  #: [s], (n,)
@@ -82,15 +82,15 @@ class Series:
 
 
 @dataclass(frozen=True, eq=False)
-class Pass:
-    """What is known of one pass; of a measured one each series has a clock of its own."""
+class PassSeries:
+    """Series of one pass; the series of a measured pass have separate clocks."""
 
-    force: Series | None  #: on the tool [N]
-    tool: Series | None  #: tool centre [m]
+    force: VectorSeries | None  #: on the tool [N]
+    tool: VectorSeries | None  #: tool centre [m]
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
+class ComparedChannel:
     """One quantity, both on the clock of the simulation."""
 
     name: str
@@ -103,20 +103,19 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What differs, and what to do."""
+    """Channels on one clock, lags of the measured clocks, and the ringing of both deviations."""
 
-    channels: list[Channel]
+    channels: list[ComparedChannel]
     lags: dict[str, float]  #: [s] of the measured clock behind the simulated one, "force" and "pose"
     ringing: dict[str, tuple[float, float]]  #: frequency [Hz] and damping ratio, "measured" and "simulated"
-    advice: list[str]
 
 
-def compare(measured: Pass, simulated: Pass, target, feed, revolution: float) -> Comparison:
+def compare(measured: PassSeries, simulated: PassSeries, target, feed, revolution: float) -> Comparison:
     """target (m, 3) [m] and feed (m, 3) of the simulated tool's times; revolution [s] of the spindle.
 
     Raises InputError without a measured series, NoOverlapError for one of another pass.
     """
-    channels: list[Channel] = []
+    channels: list[ComparedChannel] = []
     lags, ringing = {}, {}
     if measured.force is not None and simulated.force is not None:
         lags["force"], force = _aligned("force", measured.force, simulated.force, same_size=False)
@@ -135,7 +134,7 @@ def compare(measured: Pass, simulated: Pass, target, feed, revolution: float) ->
         ringing = {k: ringing_frequency(time, _smoothed(v[:, None], count)[:, 0]) for k, v in both.items()}
     if not channels:
         raise InputError("compare", "the recording has neither a force nor a place of the tool to compare")
-    return Comparison(channels, lags, ringing, _advice(channels, ringing))
+    return Comparison(channels, lags, ringing)
 
 
 def _count(time: np.ndarray, revolution: float) -> int:
@@ -143,7 +142,7 @@ def _count(time: np.ndarray, revolution: float) -> int:
     return max(1, round(revolution / float(np.median(np.diff(time)))))
 
 
-def _aligned(what: str, measured: Series, simulated: Series, same_size: bool) -> tuple[float, np.ndarray]:
+def _aligned(what: str, measured: VectorSeries, simulated: VectorSeries, same_size: bool) -> tuple[float, np.ndarray]:
     """Lag [s], and the measured vectors at the simulated times, (n, 3), NaN where there are none."""
     step = float(np.median(np.diff(simulated.time)))
     middle = simulated.values.mean(0) if same_size else 0.0  # squares of small numbers
@@ -159,41 +158,8 @@ def _aligned(what: str, measured: Series, simulated: Series, same_size: bool) ->
     return seconds, np.stack([np.interp(at, measured.time, c, np.nan, np.nan) for c in measured.values.T], -1)
 
 
-def _channel(name: str, unit: str, time, measured, simulated, revolution: float) -> Channel:
+def _channel(name: str, unit: str, time, measured, simulated, revolution: float) -> ComparedChannel:
     count = _count(time, revolution)
     both = _smoothed(np.column_stack([measured, simulated]), count)
     line = line_through(both[:, 0], both[:, 1], max(3, len(time) // count))
-    return Channel(name, unit, time, measured, simulated, line)
-
-
-def _advice(channels: list[Channel], ringing: dict) -> list[str]:
-    """What to identify anew, in sentences."""
-    said = []
-    largest = max((float(np.abs(c.simulated).mean()) for c in channels if c.unit == "N"), default=0.0)
-    forces = [c for c in channels if c.unit == "N" and np.abs(c.simulated).mean() > 0.2 * largest]
-    off = [c for c in forces if _differs(c.line, 1.0)]
-    said += [
-        f"{c.name} is {c.line.gain:.2f} +- {SURE * c.line.gain_sigma:.2f} times the simulated one: `identify forces`"
-        for c in off
-    ]
-    deviation = next((c for c in channels if c.name == "deviation"), None)
-    if deviation is not None:
-        weights = [float(np.abs(c.simulated).mean()) for c in forces]
-        expected = float(np.average([c.line.gain for c in forces], weights=weights)) if forces else 1.0
-        if _differs(deviation.line, expected):
-            ratio = deviation.line.gain / expected
-            cause = "`identify compliance`" if forces else "`identify compliance`, or forces, which were not measured"
-            said.append(f"the deviation is {ratio:.2f} times what the measured forces explain: {cause}")
-    if all(np.isfinite(values).all() for values in ringing.values()) and ringing:
-        (ours, damping), (theirs, its) = ringing["simulated"], ringing["measured"]
-        if abs(theirs / ours - 1.0) > RINGS_ALIKE or abs(its / damping - 1.0) > 0.5:
-            said.append(
-                f"the tool rings at {theirs:.2f} Hz with a damping ratio of {its:.3f}, simulated {ours:.2f} Hz and "
-                f"{damping:.3f}: `identify damping`"
-            )
-    return said or ["measurement and simulation agree: nothing to identify anew"]
-
-
-def _differs(line: Line, expected: float) -> bool:
-    away = abs(line.gain - expected)
-    return away > AGREES * max(expected, 0.1) and away > SURE * line.gain_sigma
+    return ComparedChannel(name, unit, time, measured, simulated, line)

@@ -27,10 +27,9 @@ from kr270_milling.cell.plant import SCATTERED, SCATTERED_AXIAL
 from kr270_milling.cutting.laws import KLIMCHIK2012, FractionalLaw, LinearEdgeLaw, fractional
 from kr270_milling.identification.cuts import Cuts
 from kr270_milling.identification.intervals import MixedUpError, half_interval, scatter, solve
-from kr270_milling.identification.outcome import Outcome, points
 
 __all__ = [
-    "NAMES", "SCALE", "LawFit", "OneFeedError", "fit_fractional", "fit_linear_edge", "force_outcome",
+    "NAMES", "SCALE", "TOWARD_PART", "LawFit", "OneFeedError", "fit_fractional", "fit_linear_edge",
     "fractional_mean_forces", "law_sections", "mean_forces",
 ]  # fmt: skip
 
@@ -43,25 +42,23 @@ POINTS = np.polynomial.legendre.leggauss(48)
 #: k_0, h_s, r, k_r [N/m for 1 mm of depth, m]
 START = np.array([getattr(KLIMCHIK2012, spec.name) for spec in LAWS["fractional"][:4]])
 BOUNDS = np.array([1e3, 1e-7, 0.0, 0.0]) / START, np.array([1e9, 1e-2, 1.0, 10.0]) / START
-COLOURS = {"x": "#1f77b4", "y": "#d62728", "z": "#2ca02c"}
-SYMBOLS = {"measured": "circle-open", "linear edge": "line-ew-open", "fractional": "x-thin-open"}
 
 
 class OneFeedError(MillingError):
-    """The cuts do not tell the coefficients apart."""
+    """The cuts do not identify the coefficients."""
 
     def __init__(self, feeds: int, cuts: int):
         self.feeds, self.cuts = feeds, cuts
         what = "one feed per tooth" if feeds == 1 else f"{feeds} feeds per tooth"
         super().__init__(
-            f"{cuts} cuts at {what} do not tell the coefficients apart: cutting and edge coefficients need at least "
+            f"{cuts} cuts at {what} do not identify the coefficients: cutting and edge coefficients need at least "
             "two feeds, tangential and radial ones two force components"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class LawFit:
-    """What the cuts say of one force law; NaN: not measured, infinite half widths: the data cannot tell.
+    """Coefficients of one force law, identified from cuts; NaN: not measured; infinite half width: not identified.
 
     linear_edge: K_tc, K_te, K_rc, K_re, K_ac, K_ae [N/m^2, N/m]; fractional: k_0, h_s, r, k_r, k_a [N/m for 1 mm of
     depth, m], k_a above 0 where the axial force pulls the tool toward the part.
@@ -86,7 +83,7 @@ class LawFit:
 
     @property
     def residual_rms(self) -> float:
-        """Of the residuals that were made least [N]: the fractional law has its axial ratio from a line of its own."""
+        """Of the residuals that the fit minimised [N]; the fractional law has its axial ratio from a separate fit."""
         return self.lateral_rms if self.law == "fractional" else float(np.sqrt(np.nanmean(self.residuals**2)))
 
     def as_dict(self) -> dict:
@@ -98,14 +95,6 @@ class LawFit:
             dict(zip(keys, (numbers / scale).tolist(), strict=True)) for numbers in (self.values, self.half_widths)
         )
         return {**values, "ci95": widths}
-
-    def table(self) -> tuple[str, list[str], list[list[str]]]:
-        """Title, columns, rows."""
-        shown = self.as_dict()
-        rows = [[key, *("-" if np.isnan(v) else f"{v:.{d}g}" for v, d in ((shown[key], 5), (width, 3)))]
-                for key, width in shown["ci95"].items()]  # fmt: skip
-        title = f"{self.law.replace('_', '-').capitalize()} law, residual {self.residual_rms:.3g} N RMS"
-        return title, ["coefficient", "value", "95 % +-"], rows
 
 
 def mean_forces(cuts: Cuts, values, axial: float = TOWARD_PART) -> np.ndarray:
@@ -198,10 +187,10 @@ def _axial(cuts: Cuts, values: np.ndarray) -> tuple[float, float]:
 
 
 def law_sections(law: str, values, half_widths, axial: float = TOWARD_PART) -> dict:
-    """The groups of a parameter file: the law with its coefficients, and how well they are known for the verdict.
+    """Return the sections of a parameter file: the law with its coefficients, and their uncertainty for the verdict.
 
-    ``uncertainty.force_coefficients`` is there if all that the verdict draws are known; those of the axial force follow
-    where they were measured.
+    ``uncertainty.force_coefficients`` requires the intervals of all coefficients that the verdict draws; those of the
+    axial force follow if they were measured.
     """
     group, relative = {}, {}
     for spec, value, width in zip(LAWS[law], values, half_widths, strict=True):
@@ -218,63 +207,3 @@ def law_sections(law: str, values, half_widths, axial: float = TOWARD_PART) -> d
         shown = np.clip(spread, 1e-4, 1.0).tolist()
         sections["uncertainty"] = {"force_coefficients": (shown, "standard deviations from the same fit")}
     return sections
-
-
-def force_outcome(fits: list[LawFit], law: str, source: str) -> Outcome:
-    """What ``identify forces`` says of the linear-edge and then the fractional law, if both were fitted.
-
-    law: of the parameter file; source: name of the file with the cuts.
-    """
-    found, *others = fits
-    result = found.as_dict() | {
-        "axial_force": "toward the part" if found.axial == TOWARD_PART else "into the holder",
-        "residual_rms_n": found.residual_rms,
-        "residuals_n": found.residuals.tolist(),
-        "cuts": len(found.cuts),
-    }
-    result |= {bent.law: {**bent.as_dict(), "residual_rms_n": bent.residual_rms} for bent in others}
-    chosen = {one.law: one for one in fits}[law]
-    sections = law_sections(chosen.law, chosen.values, chosen.half_widths, chosen.axial)
-    title = f"Force coefficients from {len(found.cuts)} cuts, {source}"
-    use = "name this file in `includes`, and take `cutting` out of the cell"
-    tables = [one.table() for one in fits]
-    return Outcome("forces", title, result, tables, _sentences(*fits), lambda: _figures(fits), sections, use)
-
-
-def _sentences(found: LawFit, bent: LawFit | None = None) -> list[str]:
-    """What the numbers mean."""
-    said = []
-    if np.isnan(found.values[4]):
-        said.append("K_ac and K_ae: fz_n was not measured")
-    elif found.axial != TOWARD_PART:
-        said.append("the axial force pushes the tool into its holder: the YAML file has it with a minus")
-    for name, value, width in zip(NAMES, found.values / SCALE, found.half_widths / SCALE, strict=True):
-        if width > abs(value):
-            said.append(f"{name.split('_n_')[0]}: the interval reaches beyond zero, cut at more feeds or deeper")
-        elif value < 0.0:
-            said.append(f"{name.split('_n_')[0]} is negative: look at the signs and at the sense of rotation")
-    if bent is not None:
-        straight, curved = found.lateral_rms, bent.lateral_rms
-        better = "the fractional law" if curved < 0.9 * straight else "the linear-edge law"
-        said.append(f"residual {straight:.3g} N (linear edge), {curved:.3g} N (fractional): use {better}")
-    return said
-
-
-def _figures(fits: list[LawFit]) -> list:
-    """Forces and models over the feed, residuals; a colour a component, a symbol a law."""
-    cuts = fits[0].cuts
-    feed, per_depth = 1e3 * cuts.feed_per_tooth, 1e-3 / cuts.depth[:, None]
-    names = [one.law.replace("_", " ") for one in fits]
-    forces = {"measured": cuts.force} | {law: one.modelled for law, one in zip(names, fits, strict=True)}
-
-    def by_component(rows_of_laws: dict) -> dict:
-        return {f"F_{axis} {law}": (feed, column) for law, rows in rows_of_laws.items()
-                for axis, column in zip("xyz", rows.T, strict=True)}  # fmt: skip
-
-    shown = by_component({law: rows * per_depth for law, rows in forces.items()})
-    residuals = by_component({law: one.residuals for law, one in zip(names, fits, strict=True)})
-    style = {f"F_{axis} {law}": (colour, SYMBOLS[law]) for law in forces for axis, colour in COLOURS.items()}
-    return [
-        points("Mean forces over the feed", "feed per tooth [mm]", "mean per mm of depth [N]", shown, (), style),
-        points("Residuals", "feed per tooth [mm]", "measured less modelled [N]", residuals, (), style),
-    ]

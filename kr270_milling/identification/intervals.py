@@ -17,7 +17,7 @@ TUKEY = 4.685  #: 95 % efficiency for normal residuals of one number a test [Tuk
 
 
 class MixedUpError(ValueError):
-    """Fewer rows than unknowns, or columns that are alike; whoever knows what they are says it in words."""
+    """Fewer rows than unknowns, or columns that are alike; the caller knows their names."""
 
 
 def scatter(chi2: float, freedom: int, known: bool) -> float:

@@ -45,10 +45,10 @@ def materials() -> list[Material]:
 def find_material(name: str) -> list[Material]:
     """The rows of a material, in any case; raises InputError with the known ones."""
     rows = materials()
-    found = [row for row in rows if row.name.lower() == name.lower()]
-    if not found:
+    matches = [row for row in rows if row.name.lower() == name.lower()]
+    if not matches:
         known = sorted({row.name for row in rows})
         near = difflib.get_close_matches(name, known, 1, 0.4)
         hint = f"; did you mean {near[0]}?" if near else f"; it has {', '.join(known)}"
         raise InputError(FILE, f"has no material {name[:40]!r}{hint}")
-    return found
+    return matches

@@ -1,4 +1,4 @@
-"""Load tests of an arm: at a posture a load is put on, and a tracker sees how far a reflector moves by it."""
+"""Load tests of an arm: a tracker measures how far a test load moves a reflector."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SIGMA = ("sigma_um", "sigma_mrad")
 LOAD = ("load_x_mm", "load_y_mm", "load_z_mm")
 REFLECTOR = ("reflector_x_mm", "reflector_y_mm", "reflector_z_mm")
 COLUMNS = (*JOINTS, *WRENCH, *MASS, *LOAD, *REFLECTOR, *SHIFT, *TILT, *SIGMA, "note")
-#: three reflectors 0.2 m apart tell a rotation to sqrt(2) of what each tells a place, over that distance [1/m]
+#: three reflectors 0.2 m apart: sigma of a rotation = sqrt(2) sigma of a position / 0.2 m [1/m]
 ROTATION_PER_SHIFT = np.sqrt(2.0) / 0.2
 ARRAYS = ("q", "wrench", "application", "reflector", "displacement", "sigma")
 FARTHEST = 0.2  #: [m] that a load test moves a reflector at most; more is a wrong unit
@@ -106,7 +106,7 @@ def _sigma(table: Table) -> tuple[np.ndarray, bool]:
 
 
 def write_measurements(path, measured: Measurements, notes=(), remarks=None) -> None:
-    """The same file again; loads as wrenches, what is not measured empty."""
+    """Write the same file; loads are wrenches, an empty value is not measured."""
     shift, tilt = np.hsplit(measured.displacement, 2)
     columns = {
         JOINTS: np.degrees(measured.q),

@@ -27,25 +27,21 @@ from scipy.optimize import nnls
 
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.identification.outcome import Outcome, points
 from kr270_milling.identification.signals import AXES, Signals
 from kr270_milling.robot import compliance, equilibrium, rotate_matrix
 
-__all__ = [
-    "Mode", "NoModeError", "by_compliance", "by_hammer", "find_modes", "mode_outcome", "tool_compliance",
-]  # fmt: skip
+__all__ = ["Mode", "NoModeError", "by_compliance", "by_hammer", "find_modes", "tool_compliance"]
 
 MOST_SAMPLES = 1200  #: of the pencil; longer ones are thinned after a low-pass
 SHARE = 1e-3  #: of the strongest singular value: below is noise
 MOST_DAMPED = 0.5
-FAINT = 0.02  #: share of the strongest mode's energy below which a pole is none of the machine
+FAINT = 0.02  #: share of the strongest mode's energy below which a pole is not a mode of the machine
 POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 TOGETHER = 0.2  #: relative difference of both damping ratios up to which they confirm each other
-COLUMNS = ("mode", "[Hz]", "damping [%]", "by decrement", "energy [%]", "shape x y z rx ry rz")
 
 
 class NoModeError(MillingError):
-    """Nothing rings."""
+    """No mode rings in the band."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +61,11 @@ class Mode:
     @property
     def damping_ratio(self) -> float:
         return float(-self.pole.real / np.abs(self.pole))
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the logarithmic decrement gives about the same damping ratio."""
+        return bool(abs(self.decrement / self.damping_ratio - 1.0) < TOGETHER)
 
     @property
     def shape(self) -> np.ndarray:
@@ -200,71 +201,3 @@ def tool_compliance(cell: Cell) -> np.ndarray:
     q = cell.joints(cell.target())[0]
     bent = equilibrium(cell.arm, cell.mount, q, gravity=cell.dynamics.gravity)
     return rotate_matrix(compliance(bent, cell.arm), cell.workpiece.pose.rotation.T)
-
-
-def mode_outcome(modes: list[Mode], signals: Signals, shapes: np.ndarray | None, title: str) -> Outcome:
-    """Everything that ``identify damping`` says; shapes: mass-normalised ones, (n, 6), if there are any."""
-    scaled = [{}] * len(modes) if shapes is None else [{"mass_normalised_shape": s} for s in shapes.tolist()]
-    duration = len(signals.values) * signals.step
-    result: dict = {
-        "modes": [
-            {
-                "frequency_hz": mode.frequency,
-                "damping_ratio": mode.damping_ratio,
-                "damping_ratio_log_decrement": mode.decrement,
-                "confirmed": bool(abs(mode.decrement / mode.damping_ratio - 1.0) < TOGETHER),
-                "shape": signals.along_axes(mode.shape).tolist(),
-                "share_of_energy": mode.share,
-                **more,
-            }
-            for mode, more in zip(modes, scaled, strict=True)
-        ],
-        "duration_s": duration,
-        "samples_per_s": 1 / signals.step,
-        "channels": list(signals.names),
-    }
-    said = [f"{duration:.3g} s at {1 / signals.step:.4g} samples a second"]
-    if not all(mode["confirmed"] for mode in result["modes"]):
-        said.append("the decrement does not confirm each damping ratio: modes are near each other, or ring too briefly")
-    if shapes is None:
-        said.append("the shapes are not scaled: a hammer (--hammer) or the compliance of a cell (--cell) does it")
-    rows = []
-    for i, mode in enumerate(result["modes"], 1):
-        ratios = [f"{100 * mode[key]:.2f}" for key in ("damping_ratio", "damping_ratio_log_decrement")]
-        shape = " ".join(f"{v:.2f}" for v in mode["shape"])
-        rows.append([str(i), f"{mode['frequency_hz']:.3f}", *ratios, f"{100 * mode['share_of_energy']:.0f}", shape])
-    use = "name this file in `includes`, or copy what you need"
-    sections = _sections(modes, shapes)
-    return Outcome("modes", title, result, [(title, COLUMNS, rows)], said, lambda: _figures(signals), sections, use)
-
-
-def _sections(modes: list[Mode], shapes: np.ndarray | None) -> dict:
-    """``dynamics.modes`` of a parameter file with mass-normalised shapes (n, 6); without them one damping ratio."""
-    if shapes is None:
-        mean = sum(mode.share * mode.damping_ratio for mode in modes)
-        return {"dynamics": {"damping_ratio": (float(mean), "mean over the modes, by energy")}}
-    rows = [
-        {
-            "frequency_hz": mode.frequency,
-            "damping_ratio": (mode.damping_ratio, f"logarithmic decrement {mode.decrement:.3g}"),
-            "shape": shape.tolist(),
-        }
-        for mode, shape in zip(modes, shapes, strict=True)
-    ]
-    return {"dynamics": {"follow_pose": ("false", "modes are of one posture"), "modes": rows}}
-
-
-def _figures(signals: Signals) -> list:
-    """The signal and its spectrum."""
-    time = signals.step * np.arange(len(signals.values))
-    data = signals.values - signals.values.mean(0)
-    frequency = np.fft.rfftfreq(len(data), signals.step)
-    spectrum = np.abs(np.fft.rfft(data, axis=0)) * 2 / len(data)
-    thin = slice(None, None, max(1, len(time) // 4000))
-    shown = frequency < min(200.0, frequency[-1])
-    by_channel = {name: (time[thin], data[thin, i]) for i, name in enumerate(signals.names)}
-    spectra = {name: (frequency[shown], spectrum[shown, i]) for i, name in enumerate(signals.names)}
-    return [
-        points("Signal", "time [s]", "as recorded", by_channel, signals.names),
-        points("Spectrum", "frequency [Hz]", "as recorded", spectra, signals.names),
-    ]

@@ -11,7 +11,6 @@ is predicted to make under a test load: the arm that compensates with these comp
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from scipy.stats import qmc
@@ -19,34 +18,28 @@ from scipy.stats import qmc
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.base.record import read_tree
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.identification.measurements import Measurements, unmeasured, write_measurements
+from kr270_milling.identification.measurements import Measurements, unmeasured
 from kr270_milling.identification.problem import Problem
-from kr270_milling.programs.krl import EXTERNAL, HEAD
 from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.kinematics import forward, singularity_measures
 from kr270_milling.robot.loads import GRAVITY
 
 __all__ = [
-    "CRITERIA", "Bench", "Candidates", "Design", "Planner", "at_posture", "blind_spots", "candidates", "in_order",
-    "load_text", "read_test_pose", "write_plan",
+    "CRITERIA", "Bench", "Candidates", "Design", "Planner", "at_posture", "candidates", "in_order", "read_test_pose",
 ]  # fmt: skip
 
-MARGIN = np.radians(5.0)  #: kept to every joint limit
+MARGIN = np.radians(5.0)  #: distance to every joint limit
 MOST_TURN = np.radians(180.0)  #: of axes 4 and 6, for the cables
-LEAST_MEASURE = 0.1  #: of the singularities of elbow and wrist: nobody drives through them to measure
-LOADS = ("hang", "pull outward", "pull sideways", "pull between both")
+LEAST_MEASURE = 0.1  #: of the singularities of elbow and wrist: a measurement does not need them
 TEST_FORCE = 100.0  #: [N] along each axis in turn, what milling of aluminium asks of the arm
 CRITERIA = ("test pose", "A", "D")
 WEAK = 1.0  #: relative standard deviation of each number before anything is measured: regular from the first test on
 SWEEPS = 20
-BLIND = 0.5  #: relative standard deviation from which a compliance is as good as unknown
-MODULE = "LOADTEST"
-SPEED = 10  #: [%] of the axis speeds
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """What there is to load and to see the arm with."""
+    """Loads and measuring equipment."""
 
     point: np.ndarray  #: flange frame [m], (3,): where the loads act and the reflector sits
     mass: float = 100.0  #: [kg] hung from it
@@ -59,17 +52,17 @@ class Bench:
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """m load tests that could be made; nothing is measured yet."""
+    """m possible load tests, not measured yet."""
 
     tests: Measurements
-    kind: np.ndarray  #: number in LOADS, (m,)
+    kind: np.ndarray  #: 0: mass, 1 to 3: pull outward, sideways, between both; (m,)
 
     def take(self, rows) -> Candidates:
         return Candidates(self.tests.take(rows), self.kind[rows])
 
 
 def candidates(arm: Arm, mount: Mount, bench: Bench, postures: int, seed: int) -> Candidates:
-    """Every load in up to ``postures`` postures spread evenly over those that there is room for (Sobol')."""
+    """Every load in up to ``postures`` postures spread evenly over the free space (Sobol')."""
     q = _postures(arm, mount, bench, postures, seed)
     kinds = np.flatnonzero([bench.mass > 0.0, *[bench.pull > 0.0] * 3])
     if not kinds.size:
@@ -119,7 +112,7 @@ def read_test_pose(path, mount: Mount) -> Measurements | None:
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """A choice of candidates and what it is worth."""
+    """A choice of candidates and its expected precision."""
 
     rows: np.ndarray  #: (n,)
     pose_error: float  #: rho at the cell's posture [m]
@@ -128,7 +121,7 @@ class Design:
 
 
 class Planner:
-    """Chooses among candidates for one arm and one test pose."""
+    """Choose among candidates for one arm and one test pose."""
 
     def __init__(self, arm: Arm, mount: Mount, choice: Candidates, pose: Measurements, gravity: bool = True):
         problem = Problem(arm, mount, choice.tests, gravity)
@@ -154,7 +147,7 @@ class Planner:
         return self.design(rng.choice(len(self._slopes), count, replace=False))
 
     def design(self, rows) -> Design:
-        """What a choice is worth."""
+        """Return a choice with its expected precision."""
         covariance = self._covariance(rows)
         return Design(
             np.asarray(rows),
@@ -168,7 +161,7 @@ class Planner:
         return np.linalg.inv(slopes.T @ slopes + np.eye(slopes.shape[1]) / WEAK**2)
 
     def _addition(self, others: list[int], criterion: str) -> int:
-        """The candidate that helps most beside the others.
+        """Return the candidate that improves the criterion most.
 
         cov' = cov - cov A^T (1 + A cov A^T)^-1 A cov [Woodbury].
         """
@@ -184,17 +177,8 @@ class Planner:
         return int(np.argmax(gain))
 
 
-def blind_spots(relative: np.ndarray) -> list[str]:
-    """What the tests of a plan cannot tell, from the standard deviations of the factors, (6,), in words."""
-    lost = [f"joint {j}" for j in np.flatnonzero(relative > BLIND) + 1]
-    if not lost:
-        return []
-    cure = "a horizontal pull turns joint 1, a --point off axis 6 joint 6, and more tests tell what matters less there"
-    return [f"{', '.join(lost)}: these tests tell next to nothing of it; {cure}"]
-
-
 def in_order(plan: Candidates) -> Candidates:
-    """One kind of load after the other, in each the nearest posture next: loads are changed seldom, ways are short."""
+    """Return the tests sorted by load, then by nearest posture: few changes of the load, short motions."""
     order: list[int] = []
     for kind in np.unique(plan.kind):
         left = np.flatnonzero(plan.kind == kind).tolist()
@@ -205,32 +189,3 @@ def in_order(plan: Candidates) -> Candidates:
             order.append(nearest)
             here = plan.tests.q[nearest]
     return plan.take(np.array(order))
-
-
-def load_text(plan: Candidates, row: int) -> str:
-    """What is to be done, for people."""
-    x, y, z = plan.tests.wrench[row, :3].tolist()
-    kind = int(plan.kind[row])
-    toward = f" toward {np.degrees(np.arctan2(y, x)):.1f} deg" if kind else ""
-    return f"{LOADS[kind]} {np.linalg.norm([x, y, z]):.0f} N{toward}"
-
-
-def write_plan(directory, plan: Candidates, notes: list[str]) -> list[Path]:
-    """plan.csv, as ``identify compliance`` reads it when the last columns are filled in, and a KRL program.
-
-    The program drives to the postures and halts twice at each, without and with the load.
-    """
-    place = Path(directory)
-    head = [*(f"; {note}" for note in notes), "; VERIFY IN T1: THE WAYS ARE NOT CHECKED FOR COLLISION"]
-    remarks = [f"test {row + 1}: {load_text(plan, row)}" for row in range(len(plan.tests))]
-    write_measurements(place / "plan.csv", plan.tests, notes, remarks)
-    source = [*HEAD, f"DEF {MODULE}( )", *head, "BAS(#INITMOV,0)", f"BAS(#VEL_PTP,{SPEED})"]
-    for remark, q in zip(remarks, np.degrees(plan.tests.q).tolist(), strict=True):
-        axes = ",".join(f"A{i} {angle:.4f}" for i, angle in enumerate(q, 1))
-        source += [f"; {remark}", f"PTP {{{axes}}}"]
-        source += ["HALT ; measure the reflector without the load", "HALT ; put the load on, measure, take it off"]
-    program = {".src": [*source, "END"], ".dat": [*HEAD, f"DEFDAT {MODULE}", *head, *EXTERNAL, "ENDDAT"]}
-    for suffix, lines in program.items():
-        text = "".join(f"{line}\r\n" for line in lines)
-        (place / f"{MODULE}{suffix}").write_bytes(text.encode("ascii", "replace"))
-    return [place / "plan.csv", *(place / f"{MODULE}{suffix}" for suffix in program)]

@@ -5,7 +5,7 @@ springs bend by theta = C tau(q + theta), tau the torque of wrench, link weights
 compliance gives (1 - C H) dtheta/dc_j = tau_j e_j, H = dtau/dtheta. The displacement by the load is that of the loaded
 posture less that of the posture under the weights alone.
 
-Which numbers the data can tell follows from the singular values of the weighted derivatives.
+The singular values of the weighted derivatives state which numbers the data identify.
 """
 
 from __future__ import annotations
@@ -13,6 +13,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 from dataclasses import dataclass
+from enum import Enum, auto
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -26,7 +28,7 @@ from kr270_milling.robot.arm import Arm, Compensator, Mount
 from kr270_milling.robot.kinematics import LinkFrames, forward, jacobian_at
 from kr270_milling.robot.loads import GRAVITY, link_loads, load_hessian, load_torque
 
-__all__ = ["Problem", "SoftArmError"]
+__all__ = ["Cause", "Exclusion", "Problem", "SoftArmError"]
 
 COMPENSATOR = tuple(spec.name for spec in specs(Compensator))
 STEP = 1e-4  #: share of its scale by which a number of the compensator is changed for its derivative
@@ -36,17 +38,36 @@ MOST_BEND = 0.1  #: [rad] of a joint spring; beyond it no drive is linear
 #: a column whose length is a smaller share of the longest, or a direction with a smaller share of the largest singular
 #: value of the columns of length 1, is rounding of the model (1e-13 rad of 1e-4 rad) and no information
 NOTHING = 1e-6
-#: a torque below this share of the largest, or a lever [m] of the reflector below it, is said to be none
+#: a torque below this share of the largest, or a lever [m] of the reflector below it, counts as zero
 UNSEEN = 1e-3
 
 
+class Cause(Enum):
+    """Why the data do not identify a number."""
+
+    NO_EFFECT = auto()  #: no measured displacement depends on it
+    NO_LOAD = auto()  #: no load turned the joint
+    ON_AXIS = auto()  #: the reflector lay on the axis of the joint
+    ALIKE = auto()  #: another number has the same effect in every test
+    NOISE = auto()  #: its 95 % interval would include zero
+
+
+class Exclusion(NamedTuple):
+    """A number that is not fitted."""
+
+    cause: Cause
+    partner: int = -1  #: of ALIKE: the other number
+
+
 class SoftArmError(MillingError):
-    """Compliances with which the arm does not hold its load."""
+    """Compliances with which the arm has no equilibrium under its load."""
 
     def __init__(self, row: int, compliance: np.ndarray):
         self.row, self.compliance = row, compliance
         shown = ", ".join(f"{1e6 * c:.3g}" for c in compliance)
-        super().__init__(f"with the compliances {shown} urad/(N m) the arm does not hold the load of row {row + 1}")
+        super().__init__(
+            f"with the compliances {shown} urad/(N m) the arm has no equilibrium under the load of row {row + 1}"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,12 +98,12 @@ class Problem:
 
     @property
     def _spring(self) -> np.ndarray:
-        """The named numbers of the compensator, as the arm file has them."""
+        """The named numbers of the compensator, of the arm file."""
         return np.array([getattr(self.arm.compensator, name) for name in self.compensator], float)
 
     @property
     def scale(self) -> np.ndarray:
-        """What a factor of 1 stands for [SI], (p,)."""
+        """Numbers at a factor of 1 [SI], (p,)."""
         return np.concatenate([self.arm.joint_compliance, np.where(self._spring, self._spring, 1.0)])
 
     @property
@@ -137,7 +158,7 @@ class Problem:
         return np.repeat(weights, 6)[self.finite.ravel()]
 
     def solve(self, start: np.ndarray, free: np.ndarray, weights: np.ndarray) -> np.ndarray:
-        """The factors of least weighted squares, (p,); those that are not free, (p,) bool, stay as at the start."""
+        """The factors of least weighted squares, (p,); those that are not free, (p,) bool, stay at the start."""
         if not free.any():
             return start
         root = np.sqrt(self.by_number(weights))
@@ -220,36 +241,33 @@ class Problem:
         at = np.tile(self.measured.application, (len(q) // len(self.measured), 1))
         return dataclasses.replace(frames, tool=Pose(frames.flange.apply(at), frames.tool.rotation))
 
-    # --- what the data can tell ---
+    # --- which numbers the data identify ---
 
-    def held(self) -> dict[int, str]:
-        """Numbers to be held so that the others can be told, each with the reason in words."""
+    def excluded(self) -> dict[int, Exclusion]:
+        """Return the numbers that must be excluded so that the data identify the others, each with the cause."""
         columns = self.derivatives(self.start)
         lengths = np.linalg.norm(columns, axis=0)
         unit = columns / np.where(lengths > 0.0, lengths, 1.0)
         effectless = np.flatnonzero(~(lengths > NOTHING * lengths.max())).tolist()
-        held = {k: self.hidden(k) or f"{self.names[k]}: nothing that was measured depends on it" for k in effectless}
-        while free := [k for k in range(len(lengths)) if k not in held]:
+        exclusions = {k: self.hidden(k) or Exclusion(Cause.NO_EFFECT) for k in effectless}
+        while free := [k for k in range(len(lengths)) if k not in exclusions]:
             _, values, directions = np.linalg.svd(unit[:, free], full_matrices=len(unit) < len(free))
             if len(values) == len(free) and values[-1] > NOTHING * values[0]:
                 break
             worst, partner = [free[i] for i in np.argsort(-np.abs(directions[-1]))[[0, min(1, len(free) - 1)]]]
-            held[worst] = (
-                f"{self.names[worst]}: in every test it moved the reflector as {self.names[partner]} does, "
-                "they cannot be told apart"
-            )
-        return held
+            exclusions[worst] = Exclusion(Cause.ALIKE, partner)
+        return exclusions
 
-    def hidden(self, number: int) -> str | None:
-        """Why a number cannot show what it does, if it is a joint, 0 to 5, and the reason is one of geometry."""
+    def hidden(self, number: int) -> Exclusion | None:
+        """Return why a joint, number 0 to 5, has no effect, if the reason is one of geometry."""
         if number >= 6:
             return None
-        name, measured = self.names[number], self.measured
+        measured = self.measured
         torques = np.abs(load_torque(self._frames(measured.q), measured.wrench, link_loads(self.arm, self.mount, 0.0)))
         if torques[:, number].max() <= UNSEEN * torques.max():
-            return f"{name}: no load turned it"
+            return Exclusion(Cause.NO_LOAD)
         frames = forward(self.arm, self.mount, measured.q)
         lever = np.linalg.norm(jacobian_at(frames, frames.flange.apply(measured.reflector))[:, :3, number], axis=-1)
         if lever.max() <= UNSEEN and not self.finite[:, 3:].any():
-            return f"{name}: the reflector lay on its axis, so its turning was not seen"
+            return Exclusion(Cause.ON_AXIS)
         return None

@@ -115,16 +115,16 @@ def read_topic(path, name: str, kinds) -> tuple[np.ndarray, np.ndarray]:
     """
     with Recording(path) as recording:
         topics = recording.topics()
-        found = [name] if name in topics else [topic for topic in topics if topic.rpartition("/")[2] == name]
-        if len(found) != 1:
-            what = f"has several topics {name} ({', '.join(found)})" if found else f"has no topic {name}"
+        matches = [name] if name in topics else [topic for topic in topics if topic.rpartition("/")[2] == name]
+        if len(matches) != 1:
+            what = f"has several topics {name} ({', '.join(matches)})" if matches else f"has no topic {name}"
             raise RecordingError(recording.path, f"{what}; it holds {', '.join(sorted(topics)) or 'nothing'}")
-        if topics[found[0]].type not in kinds:
-            what = f"{found[0]} is of type {topics[found[0]].type}, not {' or '.join(sorted(kinds))}"
+        if topics[matches[0]].type not in kinds:
+            what = f"{matches[0]} is of type {topics[matches[0]].type}, not {' or '.join(sorted(kinds))}"
             raise RecordingError(recording.path, what)
-        read = series(recording, found[0])
+        read = series(recording, matches[0])
     if len(read.stamp) < 2:
-        raise RecordingError(path, f"{found[0]} has no two messages")
+        raise RecordingError(path, f"{matches[0]} has no two messages")
     stamp, first = np.unique(read.stamp, return_index=True)
     return stamp * 1e-9, read.values[first]
 

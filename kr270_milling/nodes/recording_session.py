@@ -17,7 +17,7 @@ from rclpy.subscription import Subscription
 
 from kr270_milling.bag.writer import BagWriter, MessageRefused
 from kr270_milling.base.errors import MillingError, RecordingError
-from kr270_milling.report.scene import INPUTS, Derived, Scene
+from kr270_milling.messages.scene import INPUTS, Derived, Scene
 from kr270_milling.ros.drain import DEPTH, Taken, aside, drain, in_order
 from kr270_milling.ros.names import NameRefused, message_class
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence
@@ -96,7 +96,7 @@ class RecordingSession:
         scene = self._scenes.setdefault(namespace, Scene())
         derived: list[Derived] = []
         with contextlib.suppress(MillingError, ValueError):  # recorded as it came; there is nothing to show
-            derived += scene.hear(name, data)
+            derived += scene.take(name, data)
         for found in derived:
             name = namespace + found.topic
             if name in self._live or (name not in self._subscriptions and self._is_wanted(name)):

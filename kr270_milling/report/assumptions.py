@@ -1,6 +1,6 @@
 """The assumption table: what the paper does not give or misprints, what was taken instead, and why.
 
-Only what affects the run at hand is listed; values are those of the cell, never copies of them. The sentences stand in
+Only what affects the run at hand is listed; values are those of the cell, never copies of them. The sentences are in
 ``page/assumptions.txt``.
 """
 
@@ -34,13 +34,13 @@ class Assumption(NamedTuple):
 def mode_frequencies(cell: Cell) -> dict[str, np.ndarray]:
     """First natural frequencies [Hz] at the start of the path with each mass model that has an answer there."""
     start = cell.joints(cell.target())[:1]
-    found = {}
+    frequencies = {}
     for name in MODELS:
         with contextlib.suppress(MillingError):
             dynamics = cell.dynamics.replace(mass_model=name)
             (model,) = modal_models(cell.arm, cell.mount, dynamics, cell.workpiece.pose, start)
-            found[name] = model.frequency / (2 * np.pi)
-    return found
+            frequencies[name] = model.frequency / (2 * np.pi)
+    return frequencies
 
 
 def assumptions(cell: Cell, paper: bool) -> list[Assumption]:

@@ -25,7 +25,7 @@ class Curve:
     y: np.ndarray
     colour: int = 0
     look: str = ""
-    text: str = ""  #: stands at the last point
+    text: str = ""  #: at the last point
     legend: bool = True
 
 
@@ -59,7 +59,7 @@ class Chart:
 
 
 def curve(name: str, x, y, colour: int = 0, look: str = "", **more) -> Curve:
-    """A series of any length, thinned with its extrema kept."""
+    """A series of any length, thinned without loss of extrema."""
     rows = envelope_index(y)
     return Curve(name, np.asarray(x)[rows], np.asarray(y)[rows], colour, look, **more)
 

@@ -65,7 +65,7 @@ def linked(
 ) -> Linked:
     """Thin the passes to their common stations; the largest deviation and force of every pass are among them.
 
-    program: text of the tool path file, where it is not there any more.
+    program: text of the tool path file, if the file is missing.
     """
     result, part = max(zip((p.result for p in passes), parts, strict=True), key=lambda both: len(both[0].time_ns))
     time_ns, target, path = result.time_ns, result.target, part.path

@@ -148,7 +148,7 @@ def _of_pass(cell: Cell, one: ScoredPass, shade) -> list[Chart]:
         curve(name, result.time, result.deflection[:, k] * 1e6, k + 1, look) for k, (name, look) in enumerate(rows)
     ]
     swings = (
-        f"Pass '{one.name}'. The arm gives way, swings at its low frequency and settles at its static deflection. "
+        f"Pass '{one.name}'. The arm deflects, swings at its low frequency and settles at its static deflection. "
         "What happens before the shaded part is cut away by the teeth that follow."
     )
     panel = Panel("time [s]", "displacement of the tool [µm]", moved, shade=shade, levels=ZERO)
@@ -214,7 +214,7 @@ def _references(cell: Cell, passes: Sequence[ScoredPass]) -> Chart:
         shift.append(Curve(f"{one.name}, points", run.time, knots, number, "points", legend=False))
         rate.append(curve(one.name, at * 1e-9, speed, number, legend=False))
     caption = (
-        "What the controller is told beyond the target, made from the displacement in earlier passes: points every "
+        "Reference minus target, computed from the displacement in earlier passes: points every "
         f"{cell.timing.controller_step * 1e3:g} ms. 'linear' joins them by straight lines, so that its rate jumps; the "
         "others join them smoothly."
     )
@@ -264,7 +264,7 @@ def machined_profile(parts: Sequence[PartAssessment]) -> list[Chart]:
         if curves:
             panels.append(Panel("x [mm]", "error of the wall [µm]", curves, title, levels=ZERO))
     caption = (
-        "What remains on the part: how far each wall stands from its nominal place, from the passages of the teeth. "
+        "Error that remains on the part: distance of each wall from its nominal place, from the passages of the teeth. "
         "Positive is to the left of the feed."
     )
     return [Chart("machined_profile", "Machined profile", "", caption, panels)] if panels else []

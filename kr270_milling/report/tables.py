@@ -1,4 +1,4 @@
-"""The tables of the page, as texts: one kind of minus sign, no path of anybody's machine."""
+"""The tables of the page as texts, with one minus sign and without directories of a machine."""
 
 from __future__ import annotations
 
@@ -9,31 +9,26 @@ from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.base.column import Column, columns
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, mean_force
 from kr270_milling.decision.part import FeatureRow, PartAssessment
+from kr270_milling.simulation.scores import Scores
 
 __all__ = ["PAPER", "TABLE_2", "ReportTable", "details", "feature_table", "fixed", "input_rows", "line_scores", "micro",
            "part_scores", "shown", "typographic", "warning"]  # fmt: skip
 
 UM = 1e6
-#: what [Klimchik2012] prints of its own result, to be set beside ours
+#: source of the columns `paper`
 PAPER = (
     "Klimchik, Bondarenko, Pashkevich, Briot, Furet: Compliance error compensation in robotic-based milling (2012), "
     "Table 2"
 )
-#: name of a pass -> static deviation [m], max deviation [m], low frequency [Hz]
-TABLE_2 = {"original": (58.1e-6, 63.2e-6, 6.70), "linear": (0.14e-6, 4.70e-6, 6.70)}
-#: column of the part's tables, attribute of FeatureRow, factor, digits
-COLUMNS = (
-    ("largest deviation to the side [µm]", "max_normal", UM, 1),
-    ("mean [µm]", "mean_normal", UM, 1),
-    ("95 % [µm]", "quantile_normal", UM, 1),
-    ("largest wall error [µm]", "max_wall", UM, 1),
-    ("largest floor error [µm]", "max_floor", UM, 1),
-    ("largest force [N]", "max_force", 1.0, 1),
-    ("largest power [W]", "max_power", 1.0, 0),
-)
+#: name of a pass -> its scores in Table 2; NaN: not in the table
+TABLE_2 = {
+    "original": Scores(58.1e-6, 63.2e-6, 6.70, np.nan, np.nan),
+    "linear": Scores(0.14e-6, 4.70e-6, 6.70, np.nan, np.nan),
+}
 
 
 @dataclass(frozen=True)
@@ -82,26 +77,22 @@ def _typographic(text: str) -> str:
 
 def line_scores(passes: Sequence[ScoredPass], paper: bool) -> ReportTable:
     """Accuracy before and after of a straight cut; with ``paper`` the numbers of Table 2 beside ours."""
-    columns = ["pass"]
-    for title in ("static deviation [µm]", "largest deviation [µm]", "low frequency [Hz]"):
-        columns += [title, "paper"] if paper else [title]
-    rows = []
-    for one in passes:
-        s = one.scores
-        printed = TABLE_2.get(one.name, (np.nan, np.nan, np.nan))
-        row = [one.name]
-        for ours, theirs, factor in zip(
-            (s.static_deviation, s.max_deviation, s.low_frequency), printed, (UM, UM, 1.0), strict=True
-        ):
-            row += [fixed(value * factor, 2) for value in ((ours, theirs) if paper else (ours,))]
-        rows.append((*row, fixed(s.ringing_frequency, 2), fixed(s.ringing_damping, 3)))
-    columns += ["ringing found [Hz]", "its damping ratio"]
+    heads, rows = ["pass"], [[one.name] for one in passes]
+    for column in _titled(Scores):
+        heads.append(_heading(column))
+        for one, row in zip(passes, rows, strict=True):
+            row.append(_text(column, getattr(one.scores, column.name)))
+        if paper and np.isfinite(getattr(TABLE_2["original"], column.name)):
+            heads.append("paper")
+            for one, row in zip(passes, rows, strict=True):
+                row.append(_text(column, getattr(TABLE_2.get(one.name), column.name, np.nan)))
     note = (
         "Path deviation: actual tool centre minus target, perpendicular to the feed. Static: its mean over the last "
         "quarter of the pass. Largest: its largest magnitude while the tool is fully engaged. Low frequency: the "
-        "lowest lateral mode of the model; ringing: the undamped frequency and damping ratio found in the pass."
+        "lowest lateral mode of the model; ringing: undamped frequency and damping ratio of the pass."
     )
-    return ReportTable("Before and after" + (" (Table 2)" if paper else ""), tuple(columns), tuple(rows), note)
+    title = "Before and after" + (" (Table 2)" if paper else "")
+    return ReportTable(title, tuple(heads), tuple(map(tuple, rows)), note)
 
 
 def part_scores(parts: Sequence[PartAssessment]) -> ReportTable:
@@ -111,7 +102,7 @@ def part_scores(parts: Sequence[PartAssessment]) -> ReportTable:
         "floor: what remains on the finished part, against the part that a rigid arm would leave."
     )
     rows = tuple((part.name, *_values(part.whole)) for part in parts)
-    return ReportTable("Before and after, whole part", ("pass", *(c[0] for c in COLUMNS)), rows, note)
+    return ReportTable("Before and after, whole part", ("pass", *map(_heading, _titled(FeatureRow))), rows, note)
 
 
 def feature_table(parts: Sequence[PartAssessment]) -> ReportTable:
@@ -123,15 +114,28 @@ def feature_table(parts: Sequence[PartAssessment]) -> ReportTable:
         for part, of in zip(parts, known, strict=True)
         if name in of
     )
-    return ReportTable("Feature by feature", ("feature", "pass", *(c[0] for c in COLUMNS)), rows)
+    return ReportTable("Feature by feature", ("feature", "pass", *map(_heading, _titled(FeatureRow))), rows)
 
 
 def _values(row: FeatureRow) -> list[str]:
-    return [fixed(getattr(row, key) * factor, digits) for _, key, factor, digits in COLUMNS]
+    return [_text(column, getattr(row, column.name)) for column in _titled(FeatureRow)]
+
+
+def _titled(record) -> list[Column]:
+    """Columns of the report."""
+    return [column for column in columns(record) if column.title]
+
+
+def _heading(column: Column) -> str:
+    return micro(column.heading())
+
+
+def _text(column: Column, value: float) -> str:
+    return fixed(value * column.scale, column.digits)
 
 
 def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
-    """Table 1: name with unit, six values; joints [rad], (6,): those that are commanded at the start."""
+    """Table 1: name with unit, six values; joints [rad], (6,): the commanded joints at the start."""
     rows = [
         ("commanded joint position q at the start [deg]", np.round(np.degrees(joints), 3) + 0.0),
         ("joint compliance [10⁻⁶ rad/(N m)]", np.round(cell.arm.joint_compliance * UM, 9)),

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
+from kr270_milling.base.column import column
+
 __all__ = ["Scores", "path_deviation", "ringing_frequency", "score"]
 
 
@@ -14,11 +16,16 @@ __all__ = ["Scores", "path_deviation", "ringing_frequency", "score"]
 class Scores:
     """Path deviation is perpendicular to the feed, positive to its left seen from +z of the workpiece."""
 
-    static_deviation: float  #: [m], mean over the last quarter of the pass; NaN for a tool path
-    max_deviation: float  #: [m], largest magnitude from full engagement on
-    low_frequency: float  #: [Hz], lowest lateral mode of the model; NaN for a tool path
-    ringing_frequency: float  #: [Hz], undamped, of the pass; NaN if it does not ring, or for a tool path
-    ringing_damping: float  #: its damping ratio
+    #: [m], mean over the last quarter of the pass; NaN for a tool path
+    static_deviation: float = column("static_deviation_mm", 1e3, "static deviation", "um", 1e6, 2, short="static")
+    #: [m], largest magnitude from full engagement on
+    max_deviation: float = column("max_deviation_mm", 1e3, "largest deviation", "um", 1e6, 2, short="max")
+    #: [Hz], lowest lateral mode of the model; NaN for a tool path
+    low_frequency: float = column("low_frequency_hz", 1.0, "low frequency", "Hz", digits=2)
+    #: [Hz], undamped, of the pass; NaN if the pass does not ring, or for a tool path
+    ringing_frequency: float = column("ringing_frequency_hz", 1.0, "ringing of the pass", "Hz", digits=2)
+    #: damping ratio of the ringing
+    ringing_damping: float = column("", 1.0, "its damping ratio", digits=3)
 
 
 def path_deviation(actual: np.ndarray, target: np.ndarray, feed: np.ndarray) -> np.ndarray:

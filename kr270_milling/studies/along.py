@@ -84,10 +84,10 @@ class Turns:
         if not np.isfinite(value):
             return None
         rows = np.arange(n)
-        found = turn[rows, chosen]
+        way = turn[rows, chosen]
         if np.isfinite(period):
-            found = np.unwrap(found, period=period)
-        return Way(branch, found, q[rows, chosen], error[rows, chosen], float(np.sqrt(value)))
+            way = np.unwrap(way, period=period)
+        return Way(branch, way, q[rows, chosen], error[rows, chosen], float(np.sqrt(value)))
 
 
 def constant_way(turns: Turns, grid: np.ndarray) -> Way | None:

@@ -1,4 +1,4 @@
-"""Many rows in chunks on Dask: each chunk is a Parquet file of its own, so that a study goes on where it stopped.
+"""Many rows in chunks on Dask: each chunk is a separate Parquet file, so that a study continues after a stop.
 
 Without a scheduler's address a local cluster of as many processes as cores is started, on the loopback interface only,
 unless the work is done before it would be up.
@@ -106,7 +106,7 @@ class Study:
         return self.folder / f"rows-{number:06d}.parquet"
 
     def missing(self, count: int) -> list[int]:
-        """Numbers of the chunks that are not there yet."""
+        """Return the numbers of the missing chunks."""
         return [number for number in range(count) if not self.chunk(number).exists()]
 
     def tables(self, count: int, columns=None) -> Iterator:
@@ -118,7 +118,7 @@ class Study:
 
 
 def content(path, cell: Cell) -> str:
-    """A hash of what a parameter file and its tool path say, so that rows of another cell are not taken for these."""
+    """Return a hash of a parameter file and its tool path: rows of another cell have another hash."""
     tree = json.dumps(read_tree(path), sort_keys=True, default=str)
     return hashlib.sha256(f"{tree}{source_hash(cell)}".encode()).hexdigest()
 
@@ -157,7 +157,7 @@ def run_chunks(
                 if progress is not None:
                     progress(done, count)
         except (CancelledError, OSError, TimeoutError) as error:
-            text = f"the workers are gone, or lack this package ({error}); the same command goes on where it stopped"
+            text = f"the workers have stopped, or lack this package ({error}); the same command continues the study"
             raise EngineError(text) from None
     return time.monotonic() - start
 
@@ -176,9 +176,9 @@ def _prepare(rows_of: Callable[[int], bytes]) -> None:
 def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes]) -> int:
     """Make chunks here as long as the rest takes less than the start of a cluster; returns how many were made."""
     for k, number in enumerate(missing):
-        begun = time.monotonic()
+        start = time.monotonic()
         _write_whole(study.chunk(number), rows_of(number))
-        took = time.monotonic() - begun
+        took = time.monotonic() - start
         # the first chunk may compile, so that a short one has a second try
         if took * (len(missing) - k - 1) > ALONE and (k > 0 or took > ALONE / 4):
             return k + 1
@@ -186,16 +186,16 @@ def _alone(study: Study, missing: list[int], rows_of: Callable[[int], bytes]) ->
 
 
 def _made(client, name: str, missing: list[int], rows_of: Callable[[int], bytes]) -> Iterator[tuple[int, bytes]]:
-    """Number and bytes of each chunk as it is ready; no more than AHEAD a thread of the workers are out at a time.
+    """Yield number and bytes of each finished chunk; at most AHEAD chunks for each thread are under way.
 
-    What makes the rows goes with each chunk. Held by a worker for all of them, it would draw them all to that one.
+    Each chunk carries ``rows_of``. If one worker stored ``rows_of`` for all chunks, Dask would send all chunks there.
     """
     from dask.distributed import as_completed
 
     client.wait_for_workers(1, timeout=PATIENCE)
     waiting = iter(missing)
     numbers: dict[str, int] = {}
-    running = as_completed(with_results=True)  # results come while others are made, not in a round trip of their own
+    running = as_completed(with_results=True)  # results come while others are made, not in a separate round trip
     looked = -math.inf
     while True:
         if time.monotonic() - looked > LOOK:  # workers come and go

@@ -2,7 +2,7 @@
 
 A row is one placement of the workpiece (x, y, z, turn about z), one turn of the tool about its axis and one branch of
 the arm. With J(q) the Jacobian of the tool point and c the joint compliances (that of joint 2 with the gravity
-compensator's share), the point gives way by C F = J diag(c) J^T F under the cutting force F of each place on the path;
+compensator's share), the point deflects by C F = J diag(c) J^T F under the cutting force F of each place on the path;
 the error is the part of it across the feed. Link weights, which change C by less than 1 %, are left out. The
 compensation takes the error away as far as compliances and force coefficients are known: what is left is the error
 times sqrt(s_k^2 + s_F^2), one standard deviation of ``uncertainty``.
@@ -22,7 +22,6 @@ from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_abc
 from kr270_milling.base.parameter_file import merge, override, shipped_directories, write_include
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.identification.outcome import figure_of, write_page
 from kr270_milling.robot import cartesian_mass, jacobian
 from kr270_milling.robot.inverse import branches
 from kr270_milling.robot.mass import mode_frequencies
@@ -31,8 +30,8 @@ from kr270_milling.studies.engine import Rows
 from kr270_milling.studies.postures import along_path, postures, whole_turns
 
 __all__ = [
-    "Course", "Placements", "Summary", "about_z", "course_at", "course_of", "moved_cell", "place_of", "write_cell",
-    "write_cells", "write_picture",
+    "MAPPED", "Course", "Placements", "Summary", "about_z", "course_at", "course_of", "moved_cell", "place_of",
+    "write_cell", "write_cells",
 ]  # fmt: skip
 
 SINGULAR = 1e-6  #: measure of a posture below which no Jacobian is inverted
@@ -41,8 +40,9 @@ BLOCK = 1000  #: placements at a time, some 20 MB of postures
 REST = 12  #: over the whole path, approach and all, for reach and limits
 MARGIN = np.radians(0.5)  #: to the joint limits, for what is between the places
 PLACE = {"x_mm": 1e3, "y_mm": 1e3, "z_mm": 1e3, "turn_deg": 180.0 / np.pi, "tool_turn_deg": 180.0 / np.pi}
-SHOWN = {"error_max_um": "error before compensation [um]", "compensated_max_um": "after it, one sigma [um]",
-         "lowest_mode_hz": "lowest mode [Hz]", "singularity": "distance to a singularity"}  # fmt: skip
+#: measures that ``Summary`` maps over x and y, with the titles of their pictures
+MAPPED = {"error_max_um": "error before compensation [um]", "compensated_max_um": "after it, one sigma [um]",
+          "lowest_mode_hz": "lowest mode [Hz]", "singularity": "distance to a singularity"}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ def course_of(cell: Cell) -> Course:
 def course_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> Course:
     """The exchange periods ``chosen`` (m,) of a pass, with the mean force of the revolution there.
 
-    Where the tool stands still, its feed is 0.
+    The feed of a resting tool is 0.
     """
     time_ns, target = result.time_ns[chosen], cell.target()
     feed = target.sample_velocity(time_ns)
@@ -147,14 +147,14 @@ class Placements(Rows):
 
     def lowest_mode(self, q: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         """[Hz], (n, 8), of the chosen ones of the postures q (n, 8, 6), NaN elsewhere; A5 may have either sign."""
-        cell, found = self.cell, np.full(q.shape[:2], np.nan)
+        cell, frequency = self.cell, np.full(q.shape[:2], np.nan)
         measured = cell.dynamics.modes.frequency
         if measured.size:
-            found[chosen] = measured.min()
-            return found
+            frequency[chosen] = measured.min()
+            return frequency
         some = chosen[:, ::2] | chosen[:, 1::2]
         if not some.any():
-            return found
+            return frequency
         posture = q[:, ::2][some]  # chosen or not, it is regular: the measures do not see the sign of A5
         turned = jacobian(cell.arm, cell.mount, posture)
         soft = np.tile(cell.arm.joint_compliance, (len(posture), 1))
@@ -163,9 +163,9 @@ class Placements(Rows):
             soft[:, 1] /= 1.0 - soft[:, 1] * slope
         mass = cartesian_mass(cell.arm, cell.mount, posture, cell.dynamics.mass_model)
         lowest = mode_frequencies((turned * soft[:, None]) @ np.swapaxes(turned, -1, -2), mass)[..., 0]
-        found[:, ::2][some] = lowest
-        found[:, 1::2][some] = lowest
-        return np.where(chosen, found, np.nan)
+        frequency[:, ::2][some] = lowest
+        frequency[:, 1::2][some] = lowest
+        return np.where(chosen, frequency, np.nan)
 
 
 def about_z(angle) -> np.ndarray:
@@ -205,14 +205,14 @@ def _listed(values: np.ndarray) -> list[float]:
 
 
 class Summary:
-    """What is told of all rows, gathered chunk by chunk so that memory does not grow with them."""
+    """Summary of all rows, read chunk by chunk so that memory does not grow with the rows."""
 
     def __init__(self, x: np.ndarray, y: np.ndarray, count: int):
         self.x, self.y, self.count = np.unique(1e3 * x), np.unique(1e3 * y), count
         self.rows = self.feasible = 0
         self.best: list[dict] = []  #: the placements of the smallest largest error, the best branch of each
         #: of the row with the least error at each x and y, (y, x)
-        self.maps = {name: np.full((len(self.y), len(self.x)), np.nan) for name in SHOWN}
+        self.maps = {name: np.full((len(self.y), len(self.x)), np.nan) for name in MAPPED}
 
     def add(self, table) -> None:
         """One chunk, an Arrow table."""
@@ -220,7 +220,7 @@ class Summary:
         for row in usable.slice(0, 8 * self.count).to_pylist():
             self._enter(row)
         # the least error of a place is entered last, and stays
-        column = {name: usable[name].to_numpy()[::-1] for name in ("x_mm", "y_mm", *SHOWN)}
+        column = {name: usable[name].to_numpy()[::-1] for name in ("x_mm", "y_mm", *MAPPED)}
         x, y = np.searchsorted(self.x, column["x_mm"]), np.searchsorted(self.y, column["y_mm"])
         lower = ~(self.maps["error_max_um"][y, x] <= column["error_max_um"])
         for name, shown in self.maps.items():
@@ -264,20 +264,3 @@ def _included(source: Path, folder: Path) -> str:
     if any(source.parent.samefile(place) for place in shipped_directories()):
         return source.name
     return os.path.relpath(source, folder.resolve())
-
-
-def write_picture(folder, summary: Summary) -> Path:
-    """Heat maps over x and y, with the best placements."""
-    best = [[row[name] for row in summary.best] for name in ("x_mm", "y_mm")]
-    star = {"symbol": "star", "size": 11, "color": "red"}
-    figures = []
-    for title, shown in zip(SHOWN.values(), summary.maps.values(), strict=True):
-        figure = figure_of(title, "x [mm]", "y [mm]")
-        figure.add_heatmap(x=summary.x, y=summary.y, z=shown, colorscale="Viridis", colorbar={"thickness": 12})
-        figure.add_scatter(x=best[0], y=best[1], mode="markers", name="best placements", marker=star, showlegend=False)
-        figures.append(figure)
-    said = ["each field shows the z, the turns and the branch with the least error there; the stars are the best "
-            "placements, and nothing is drawn where the path is out of reach or of the joints' limits"]  # fmt: skip
-    names = ["x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", *SHOWN]
-    rows = [[f"{row[name]:.4g}" for name in names] for row in summary.best]
-    return write_page(Path(folder) / "map.html", "Where to clamp the part", said, [("Best", names, rows)], figures)

@@ -66,7 +66,7 @@ def _value(text: str) -> float | str:
 
 
 def _text(value: float | str) -> str:
-    """As a parameter file would have it; a whole number stands for a float, too."""
+    """Return the value as text of a parameter file; a whole number is also a float."""
     if isinstance(value, str):
         return value
     return str(int(value)) if value.is_integer() else repr(value)
@@ -89,7 +89,7 @@ class Sweep(Rows):
         known = [row["key"] for row in keys_of()]
         keys = [axis.key for axis in self.axes]
         for key in keys:
-            if key not in known:  # else every row would say so
+            if key not in known:  # else every row would have this error
                 near = "".join(f"; did you mean {name}?" for name in difflib.get_close_matches(key, known, 1))
                 raise ParameterError("--vary", key, f"a key of a cell{near}")
         if self.samples is not None and not 1 <= self.samples <= MOST_ROWS:

@@ -110,10 +110,10 @@ def leaves(record: type[Record]) -> int:
 
 
 def test_every_parameter_has_a_key_with_a_meaning():
-    found = keys_of()
-    names = {key["key"] for key in found}
-    assert len(found) == leaves(Cell) == len(names)
-    assert all(key["text"] or key["choices"] for key in found)
+    result = keys_of()
+    names = {key["key"] for key in result}
+    assert len(result) == leaves(Cell) == len(names)
+    assert all(key["text"] or key["choices"] for key in result)
     shipped = flatten(read_cell(TEST_PIECE.with_suffix(".yaml")))
     rest = names - set(shipped)
     assert set(shipped) < names and all(key.startswith("cutting.fractional") for key in rest)

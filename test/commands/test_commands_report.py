@@ -55,15 +55,15 @@ def test_copies_are_skipped_and_said_and_the_command_stands_in_the_page(tmp_path
 
 def test_passes_of_two_paths_are_not_compared(tmp_path, monkeypatch):
     def another_path(path, *names):
-        found = pass_from_recording(path, *names)
-        longer = found.cell.replace(path=found.cell.path.replace(length=2 * found.cell.path.length))
-        return found if path.parent.name == "a" else dataclasses.replace(found, cell=longer, scored=other.scored)
+        outcome = pass_from_recording(path, *names)
+        longer = outcome.cell.replace(path=outcome.cell.path.replace(length=2 * outcome.cell.path.length))
+        return outcome if path.parent.name == "a" else dataclasses.replace(outcome, cell=longer, scored=other.scored)
 
     first, second = (made.write(tmp_path / name, made.one_pass()) for name in "ab")
     other = pass_from_recording(made.write(tmp_path / "c", made.one_pass("spline", passes=1)) / "c.mcap")
     shifted = dataclasses.replace(other.scored.result, wrench=other.scored.result.wrench + 1.0)
     other = dataclasses.replace(other, scored=dataclasses.replace(other.scored, result=shifted))
-    monkeypatch.setattr("kr270_milling.commands.recordings.pass_from_recording", another_path)
+    monkeypatch.setattr("kr270_milling.replay.recorded.pass_from_recording", another_path)
     assert "is a pass of another path than" in refused("report", str(first), str(second))
 
 

@@ -17,10 +17,10 @@ def test_the_command_prints_the_verdict_with_its_seed(tmp_path, capsys):
     words = ["compensate", "paper.yaml", "--method", "spline", "--out", str(tmp_path / "o"), "--verdict", "2", *sets]
     args = _parser(words).parse_args([*words, "--seed", "7"])
     answer = args.run(args)
-    assert answer.tell(as_json=False) == 0
+    assert answer.print(as_json=False) == 0
     text = capsys.readouterr().out
     assert "2 plants, seed 7" in text and "verdict: compensation helps" in text
-    assert answer.tell(as_json=True) == 0
+    assert answer.print(as_json=True) == 0
     found = json.loads(capsys.readouterr().out)["verdict"]
     assert found["verdict"] == "helps" and found["samples"] == 2 and found["seed"] == 7
     assert len(found["compensated"]["static_deviation_mm"]) == 3

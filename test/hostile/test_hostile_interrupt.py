@@ -82,8 +82,8 @@ def test_ctrl_c_while_files_are_written_leaves_none(tmp_path):
 COMPILING = """
 import os, signal
 from numba.core.compiler_lock import global_compiler_lock as lock
-from kr270_milling.cli import _hear_interrupts
-_hear_interrupts()
+from kr270_milling.cli import _handle_interrupts
+_handle_interrupts()
 with lock:
     os.kill(os.getpid(), signal.SIGINT)
     sum(range(10**6))

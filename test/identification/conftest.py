@@ -1,4 +1,4 @@
-"""Makes ``campaigns`` importable."""
+"""Make ``campaigns`` and ``known_cuts`` importable."""
 
 from __future__ import annotations
 

@@ -10,7 +10,8 @@ from campaigns import ARM, MOUNT, displacements
 
 from kr270_milling.base.record import find_file
 from kr270_milling.identification.measurements import write_measurements
-from kr270_milling.identification.plan import Bench, Planner, candidates, in_order, load_text, read_test_pose
+from kr270_milling.identification.plan import Bench, Planner, candidates, in_order, read_test_pose
+from kr270_milling.report.identification.plan import load_text
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 #: of the arm that the example is measured on, as factors on Table 1 of [Klimchik2012]

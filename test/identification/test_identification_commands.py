@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from test_identification_forces import TRUE, cuts, measured
+from known_cuts import TRUE, cuts, measured
 
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.cli import main
@@ -56,14 +56,14 @@ def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path, capsy
         sensor_recording(tmp_path / f"cut_{i}", force)
         rows.append(f"{1e3 * feed},1,20,slot,cut_{i},0.35,0.75")
     (tmp_path / "cuts.csv").write_text("\n".join(rows) + "\n")
-    found = answer(
+    result = answer(
         capsys, "identify", "forces", tmp_path / "cuts.csv", "--teeth", 4, "--diameter-mm", 20, "--topic", "wrench",
         "--spindle-speed-rpm", RPM, "--tare", "0:0.25", "--sensor-abc", "90,0,0", "--sensor-on", "part",
     )  # fmt: skip
     keys = ("k_tc_n_per_mm2", "k_te_n_per_mm", "k_rc_n_per_mm2", "k_re_n_per_mm", "k_ac_n_per_mm2", "k_ae_n_per_mm")
     for key, true in zip(keys, TRUE / [1e6, 1e3, 1e6, 1e3, 1e6, 1e3], strict=True):
-        assert abs(found[key] - true) < 2 * found["ci95"][key]
-    assert found["ci95"]["k_tc_n_per_mm2"] < 0.02 * found["k_tc_n_per_mm2"]
+        assert abs(result[key] - true) < 2 * result["ci95"][key]
+    assert result["ci95"]["k_tc_n_per_mm2"] < 0.02 * result["k_tc_n_per_mm2"]
 
 
 @pytest.mark.parametrize("on_part", [False, True])
@@ -78,8 +78,8 @@ def test_the_weight_on_a_sensor_is_taken_off_where_there_is_no_tare(tmp_path, on
             fields = {"header": {"stamp": stamp}, "wrench": {"force": dict(zip("xyz", shown.tolist(), strict=True))}}
             writer.write("/wrench", serialise(WRENCH, fields), k)
     sensor = Sensor(on_part=on_part, mass=20.0)
-    found, _ = mean_force(tmp_path / "cut", sensor, (0.02, 0.08), RPM * 2 * math.pi / 60)
-    assert found == pytest.approx(force, abs=1e-3)
+    result, _ = mean_force(tmp_path / "cut", sensor, (0.02, 0.08), RPM * 2 * math.pi / 60)
+    assert result == pytest.approx(force, abs=1e-3)
 
 
 def test_a_cut_that_the_recording_does_not_hold_is_refused(tmp_path, capsys):
@@ -95,12 +95,14 @@ def test_a_cut_that_the_recording_does_not_hold_is_refused(tmp_path, capsys):
 
 
 def test_json_of_compliance_has_the_pinned_names(capsys):
-    found = answer(
+    result = answer(
         capsys, "identify", "compliance", "load_tests.csv", "--arm", "kr270_2.yaml", "--cell", "test_piece.yaml"
     )
-    assert len(found["compliance_urad_per_n_m"]) == len(found["ci95_urad_per_n_m"]) == len(found["identifiable"]) == 6
-    assert all(found["identifiable"]) and 10.0 < found["residual_rms_um"] < 30.0
-    assert found["test_pose"]["share"] < 0.03
+    assert (
+        len(result["compliance_urad_per_n_m"]) == len(result["ci95_urad_per_n_m"]) == len(result["identifiable"]) == 6
+    )
+    assert all(result["identifiable"]) and 10.0 < result["residual_rms_um"] < 30.0
+    assert result["test_pose"]["share"] < 0.03
 
 
 def test_a_bare_arm_cannot_tell_joint_6_and_says_so_with_null_as_its_interval(capsys, tmp_path):
@@ -118,10 +120,10 @@ def test_a_bare_arm_cannot_tell_joint_6_and_says_so_with_null_as_its_interval(ca
         places = [equilibrium(arm, mount, np.radians(q), w).pose.position for w in ([*force, 0, 0, 0], None)]
         rows.append(",".join(f"{v:.12g}" for v in (*q, *force, *(1e3 * (places[0] - places[1])))))
     (tmp_path / "bare.csv").write_text("\n".join(rows) + "\n")
-    found = answer(capsys, "identify", "compliance", tmp_path / "bare.csv", "--arm", "kr270_2.yaml")
-    assert found["identifiable"] == [True] * 5 + [False] and found["ci95_urad_per_n_m"][5] is None
-    assert found["reasons"] == ["joint 6: no load turned it"]
-    assert found["compliance_urad_per_n_m"] == pytest.approx([0.26, 0.15, 0.26, 1.79, 1.52, 2.13], rel=1e-5)
+    result = answer(capsys, "identify", "compliance", tmp_path / "bare.csv", "--arm", "kr270_2.yaml")
+    assert result["identifiable"] == [True] * 5 + [False] and result["ci95_urad_per_n_m"][5] is None
+    assert result["reasons"] == ["joint 6: no load turned it"]
+    assert result["compliance_urad_per_n_m"] == pytest.approx([0.26, 0.15, 0.26, 1.79, 1.52, 2.13], rel=1e-5)
 
 
 def test_what_is_missing_is_said_in_one_sentence(capsys, tmp_path):

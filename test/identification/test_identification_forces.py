@@ -7,10 +7,11 @@ import math
 
 import numpy as np
 import pytest
+from known_cuts import FEEDS, TOOL, TRUE, cuts, measured
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
-from kr270_milling.identification.cuts import Cuts, Sensor, engagement, read_cuts
+from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock
+from kr270_milling.identification.cuts import Sensor, read_cuts
 from kr270_milling.identification.forces import (
     OneFeedError,
     fit_fractional,
@@ -19,24 +20,6 @@ from kr270_milling.identification.forces import (
     law_sections,
     mean_forces,
 )
-
-TOOL = Tool(diameter=0.02, teeth=4, spindle_speed=8000 * 2 * math.pi / 60)
-TRUE = np.array([767.01e6, 27.7e3, 168.8e6, 26.6e3, 222e6, 0.7e3])
-FEEDS = (0.05e-3, 0.1e-3, 0.15e-3, 0.2e-3)
-
-
-def cuts(mode="slot", width=0.02, feeds=FEEDS, tool=TOOL, depth=1e-3) -> Cuts:
-    n = len(feeds)
-    entry, leave = engagement(mode, width, tool.diameter)
-    force = np.full((n, 3), np.nan)
-    return Cuts(
-        tool, np.array(feeds), np.full(n, depth), np.full(n, entry), np.full(n, leave), force, np.ones(n), False
-    )
-
-
-def measured(some: Cuts, values=TRUE, rng=None, sigma=0.0) -> Cuts:
-    force = mean_forces(some, values)
-    return dataclasses.replace(some, force=force if rng is None else force + sigma * rng.normal(size=force.shape))
 
 
 def test_slot_means_are_the_closed_forms():
@@ -72,8 +55,8 @@ def test_means_of_partial_immersion_are_those_of_the_cut_itself(mode, width, rot
 
 @pytest.mark.parametrize(("mode", "width"), [("slot", 0.02), ("up", 0.01), ("down", 0.004)])
 def test_coefficients_are_found_exactly_without_noise(mode, width):
-    found = fit_linear_edge(measured(cuts(mode, width)))
-    assert found.values == pytest.approx(TRUE, rel=1e-9)
+    result = fit_linear_edge(measured(cuts(mode, width)))
+    assert result.values == pytest.approx(TRUE, rel=1e-9)
 
 
 def test_intervals_cover_the_truth():
@@ -81,27 +64,27 @@ def test_intervals_cover_the_truth():
     rng = np.random.default_rng(5)
     hits = []
     for _ in range(300):
-        found = fit_linear_edge(measured(cuts("up", 0.012), rng=rng, sigma=2.0))
-        hits.append(np.abs(found.values - TRUE) <= found.half_widths)
+        result = fit_linear_edge(measured(cuts("up", 0.012), rng=rng, sigma=2.0))
+        hits.append(np.abs(result.values - TRUE) <= result.half_widths)
     assert 0.93 <= np.mean(hits) <= 0.97
 
 
 def test_without_axial_forces_the_axial_pair_is_not_told():
     some = measured(cuts())
     some.force[:, 2] = np.nan
-    found = fit_linear_edge(some)
-    assert np.isnan(found.values[4:]).all() and found.values[:4] == pytest.approx(TRUE[:4])
+    result = fit_linear_edge(some)
+    assert np.isnan(result.values[4:]).all() and result.values[:4] == pytest.approx(TRUE[:4])
 
 
 def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_says_so():
     some = measured(cuts())
     some.force[:, 2] *= -1.0
-    found = fit_linear_edge(some)
-    assert found.values == pytest.approx(TRUE) and found.axial == 1.0
-    sections = law_sections("linear_edge", found.values, found.half_widths, found.axial)
+    result = fit_linear_edge(some)
+    assert result.values == pytest.approx(TRUE) and result.axial == 1.0
+    sections = law_sections("linear_edge", result.values, result.half_widths, result.axial)
     assert sections["cutting"]["linear_edge"]["axial_cutting_n_per_mm2"][0] == pytest.approx(-222.0)
     spreads = sections["uncertainty"]["force_coefficients"][0]  # the verdict scatters the axial ones by what is known
-    assert spreads == pytest.approx(np.clip(found.half_widths / 1.96 / found.values, 1e-4, 1.0))
+    assert spreads == pytest.approx(np.clip(result.half_widths / 1.96 / result.values, 1e-4, 1.0))
 
 
 def test_one_feed_is_refused():
@@ -127,14 +110,14 @@ def test_the_fractional_law_is_found_and_told_from_the_other():
     rng = np.random.default_rng(1)
     force = fractional_mean_forces(some, paper) + 0.3 * rng.normal(size=(12, 3))
     some = dataclasses.replace(some, force=force)
-    found = fit_fractional(some)
-    assert np.all(np.abs(found.values - paper) < 1.5 * found.half_widths)
-    assert np.all(found.half_widths < 0.2 * paper)
-    assert found.lateral_rms < 0.5 * fit_linear_edge(some).lateral_rms
+    result = fit_fractional(some)
+    assert np.all(np.abs(result.values - paper) < 1.5 * result.half_widths)
+    assert np.all(result.half_widths < 0.2 * paper)
+    assert result.lateral_rms < 0.5 * fit_linear_edge(some).lateral_rms
 
 
 @pytest.mark.parametrize(
-    ("row", "said"),
+    ("row", "text"),
     [
         ("0.1,1,20,sideways,1,2,3", "one of slot, up, down"),
         ("0.1,1,25,up,1,2,3", "at most the tool's diameter"),
@@ -145,9 +128,9 @@ def test_the_fractional_law_is_found_and_told_from_the_other():
         ("0.1,1,10,up,1,2", "6 values where the header has 7"),
     ],
 )
-def test_unusable_rows_are_refused_with_their_line(tmp_path, row, said):
+def test_unusable_rows_are_refused_with_their_line(tmp_path, row, text):
     file = tmp_path / "cuts.csv"
     file.write_text(f"feed_per_tooth_mm,depth_mm,width_mm,mode,fx_n,fy_n,fz_n\n0.1,1,10,up,1,2,3\n{row}\n")
     with pytest.raises(InputError, match="line 3") as refused:
         read_cuts(file, TOOL, Sensor())
-    assert said in str(refused.value)
+    assert text in str(refused.value)

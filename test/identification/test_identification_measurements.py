@@ -22,20 +22,24 @@ def read(tmp_path, columns: str, *rows: str):
 
 
 def test_a_wrench_acts_at_the_tool_point_and_the_reflector_sits_there(tmp_path):
-    found = read(tmp_path, "fx_n,fz_n,dx_mm,dy_mm,dz_mm,sigma_um", "100,-50,0.1,0.2,-0.3,15")
-    assert found.q[0] == pytest.approx(np.radians([10, -80, 100, 20, 30, 40]))
-    assert found.wrench[0].tolist() == [100, 0, -50, 0, 0, 0]
-    assert found.application[0] == pytest.approx(MOUNT.xyz) and found.reflector[0] == pytest.approx(MOUNT.xyz)
-    assert found.displacement[0, :3] == pytest.approx([1e-4, 2e-4, -3e-4]) and np.isnan(found.displacement[0, 3:]).all()
-    assert found.sigma[0, :3] == pytest.approx(15e-6) and found.sigma_known
+    result = read(tmp_path, "fx_n,fz_n,dx_mm,dy_mm,dz_mm,sigma_um", "100,-50,0.1,0.2,-0.3,15")
+    assert result.q[0] == pytest.approx(np.radians([10, -80, 100, 20, 30, 40]))
+    assert result.wrench[0].tolist() == [100, 0, -50, 0, 0, 0]
+    assert result.application[0] == pytest.approx(MOUNT.xyz) and result.reflector[0] == pytest.approx(MOUNT.xyz)
+    assert (
+        result.displacement[0, :3] == pytest.approx([1e-4, 2e-4, -3e-4]) and np.isnan(result.displacement[0, 3:]).all()
+    )
+    assert result.sigma[0, :3] == pytest.approx(15e-6) and result.sigma_known
 
 
 def test_a_mass_hangs_in_its_centre_and_the_reflector_sits_where_it_is_said(tmp_path):
     columns = "mass_kg,mass_centre_x_mm,mass_centre_y_mm,mass_centre_z_mm,reflector_x_mm,dx_mm,dy_mm,dz_mm"
-    found = read(tmp_path, columns, "100,50,0,-400,120,0,0,-0.5")
-    assert found.wrench[0] == pytest.approx([0, 0, -980.665, 0, 0, 0])
-    assert found.application[0] == pytest.approx([0.05, 0, -0.4]) and found.reflector[0] == pytest.approx([0.12, 0, 0])
-    assert not found.sigma_known
+    result = read(tmp_path, columns, "100,50,0,-400,120,0,0,-0.5")
+    assert result.wrench[0] == pytest.approx([0, 0, -980.665, 0, 0, 0])
+    assert result.application[0] == pytest.approx([0.05, 0, -0.4]) and result.reflector[0] == pytest.approx(
+        [0.12, 0, 0]
+    )
+    assert not result.sigma_known
 
 
 def test_what_is_written_is_read_again(tmp_path):
@@ -58,7 +62,7 @@ def test_the_shipped_examples_are_what_their_makers_make(tmp_path, made, name):
 
 
 @pytest.mark.parametrize(
-    ("columns", "row", "said"),
+    ("columns", "row", "text"),
     [
         ("dx_mm,dy_mm,dz_mm", "0,0,0", "neither a wrench nor a mass_kg"),
         ("fx_n,mass_kg,dx_mm,dy_mm,dz_mm", "1,1,0,0,0", "both a wrench and a mass"),
@@ -70,10 +74,10 @@ def test_the_shipped_examples_are_what_their_makers_make(tmp_path, made, name):
         ("fx_n,dx_mm,dy_mm,dz_mm", "1,nan,0,0", "is not finite"),
     ],
 )
-def test_unusable_rows_are_refused_with_their_line(tmp_path, columns, row, said):
+def test_unusable_rows_are_refused_with_their_line(tmp_path, columns, row, text):
     with pytest.raises(InputError, match="line 3") as refused:
         read(tmp_path, columns, row)
-    assert said in str(refused.value)
+    assert text in str(refused.value)
 
 
 def test_a_misspelt_column_and_a_posture_out_of_the_limits_are_refused(tmp_path):

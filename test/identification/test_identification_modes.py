@@ -26,10 +26,10 @@ def ring_down(modes=MEASURED, noise=0.0, n=4000, step=5e-4) -> Signals:
 
 @pytest.mark.parametrize(("noise", "rel"), [(0.0, 5e-4), (0.01, 5e-3), (0.05, 0.03)])
 def test_a_ring_down_gives_frequencies_damping_and_shapes(noise, rel):
-    found = find_modes(ring_down(noise=noise), 2.0, 50.0)
-    assert [m.frequency for m in found] == pytest.approx([f for f, _, _ in MEASURED], rel=rel / 10 + 1e-5)
-    assert [m.damping_ratio for m in found] == pytest.approx([z for _, z, _ in MEASURED], rel=rel)
-    for mode, (_, _, shape) in zip(found, MEASURED, strict=True):
+    result = find_modes(ring_down(noise=noise), 2.0, 50.0)
+    assert [m.frequency for m in result] == pytest.approx([f for f, _, _ in MEASURED], rel=rel / 10 + 1e-5)
+    assert [m.damping_ratio for m in result] == pytest.approx([z for _, z, _ in MEASURED], rel=rel)
+    for mode, (_, _, shape) in zip(result, MEASURED, strict=True):
         assert mode.shape == pytest.approx(shape, abs=rel + 1e-3)
 
 

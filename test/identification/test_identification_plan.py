@@ -13,12 +13,11 @@ from kr270_milling.identification.plan import (
     CRITERIA,
     Bench,
     Planner,
-    blind_spots,
     candidates,
     in_order,
     read_test_pose,
-    write_plan,
 )
+from kr270_milling.report.identification.plan import blind_spots, write_plan
 from kr270_milling.robot.kinematics import forward
 
 BENCH = Bench(MOUNT.xyz)
@@ -88,7 +87,7 @@ def test_the_plan_is_sorted_by_load_and_written_for_the_controller(choice, plann
         assert f"PTP {{A1 {q[0]:.4f},A2 {q[1]:.4f}," in program
 
 
-def test_what_a_plan_cannot_tell_is_said():
+def test_a_sentence_names_the_joints_that_a_plan_cannot_identify():
     relative = np.array([0.01, 0.02, 0.02, 0.05, 0.04, 1.0])
-    (said,) = blind_spots(relative)
-    assert said.startswith("joint 6: these tests tell next to nothing") and blind_spots(relative[:5]) == []
+    (sentence,) = blind_spots(relative)
+    assert sentence.startswith("joint 6: these tests hardly identify") and blind_spots(relative[:5]) == []

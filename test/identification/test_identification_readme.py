@@ -22,7 +22,7 @@ TEXT = (ROOT / "kr270_milling" / "identification" / "README.md").read_text(encod
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory) -> dict:
     """Every command of the page in its order, in one directory; JSON of each."""
-    place, found = tmp_path_factory.mktemp("page"), {}
+    place, outcome = tmp_path_factory.mktemp("page"), {}
     for name, text in re.findall(r"<!-- (\w+\.yaml) -->\n```yaml\n(.*?)```", TEXT, re.DOTALL):
         (place / name).write_text(text)
     ring(place / "ring.csv")
@@ -31,12 +31,12 @@ def ran(tmp_path_factory) -> dict:
         lines = [line for block in re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL) for line in block.splitlines()]
         for line in lines:
             words = shlex.split(line)[1:]
-            out = place / f"{len(found)}.json"
+            out = place / f"{len(outcome)}.json"
             with out.open("w") as stream, pytest.MonkeyPatch.context() as quiet:
                 quiet.setattr("sys.stdout", stream)
                 assert main([*words, "--json"]) == 0, line
-            found[line] = json.loads(out.read_text())
-    return {"place": place, **found}
+            outcome[line] = json.loads(out.read_text())
+    return {"place": place, **outcome}
 
 
 def ring(path) -> None:
@@ -49,8 +49,8 @@ def ring(path) -> None:
 
 
 def result(ran: dict, *words: str) -> dict:
-    (found,) = [value for line, value in ran.items() if all(word in line for word in words)]
-    return found
+    (outcome,) = [value for line, value in ran.items() if all(word in line for word in words)]
+    return outcome
 
 
 def test_the_identified_arm_and_coefficients_are_those_that_the_examples_were_made_with(ran):
@@ -78,8 +78,8 @@ def test_the_plan_is_written_and_pays_as_the_page_says(ran):
     plan = result(ran, "--plan 12")
     errors = {design["name"]: design["error_um"] for design in plan["designs"]}
     ratio = errors["random (median of 201)"] / errors["planned for the test pose"]
-    (said,) = re.findall(r"here (\d\.\d) times as large", TEXT)
-    assert ratio == pytest.approx(float(said), abs=0.1)
+    (sentence,) = re.findall(r"here (\d\.\d) times as large", TEXT)
+    assert ratio == pytest.approx(float(sentence), abs=0.1)
     program = (ran["place"] / "plan" / "LOADTEST.src").read_text()
     assert program.count("PTP {A1 ") == 12 and program.count("HALT") == 24
     with (ran["place"] / "plan" / "plan.csv").open() as stream:

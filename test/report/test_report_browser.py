@@ -124,7 +124,7 @@ def test_hovering_a_map_and_a_curve_moves_the_mark_everywhere(visit):
         )
         visit.page.mouse.move(place[0] - 30, place[1])
         visit.page.mouse.move(place[0], place[1], steps=4)
-        visit.page.wait_for_function(  # within 3 mm, what a pointer can tell; places on the way there come before
+        visit.page.wait_for_function(  # within 3 mm, the resolution of a pointer; places on the way there come before
             """(k) => { const L = KR.data.linked, n = KR.place;
                         return n > 0 && Math.hypot(L.x[k] - L.x[n], L.y[k] - L.y[n]) < 3; }""",
             arg=place[2],

@@ -29,9 +29,9 @@ def test_the_commands_of_the_report_run(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(("folder", "language"), [("report", "text"), ("watch", "sh")])
 def test_the_other_commands_are_understood(folder, language):
-    found = commands(folder, language)
-    assert found
-    for words in found:
+    result = commands(folder, language)
+    assert result
+    for words in result:
         assert _parser(words).parse_args(words).command == words[0]
 
 

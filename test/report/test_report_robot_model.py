@@ -10,9 +10,10 @@ import pytest
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import commanded_joints, simulate
-from kr270_milling.report.robot_model import links_of, robot_model
+from kr270_milling.report.robot_model import robot_model
 from kr270_milling.robot import forward
 from kr270_milling.robot.urdf import urdf
+from kr270_milling.robot.urdf_links import links_of
 
 pin = pytest.importorskip("pinocchio", reason="needs the package pin")
 

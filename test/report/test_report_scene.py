@@ -1,6 +1,9 @@
-"""report.scene: what viewers are given follows from the topics of the graph."""
+"""messages.scene: what viewers are given follows from the topics of the graph."""
 
 from __future__ import annotations
+
+import subprocess
+import sys
 
 import numpy as np
 import pass_recording as made
@@ -9,7 +12,7 @@ import pytest
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.base.samples import JointSample, Text
 from kr270_milling.messages.codec import deserialise, to_bytes
-from kr270_milling.report.scene import INPUTS, OUTPUTS, PERIOD_NS, Scene
+from kr270_milling.messages.scene import INPUTS, OUTPUTS, PERIOD_NS, Scene
 from kr270_milling.robot import forward
 from kr270_milling.robot.urdf import urdf
 
@@ -28,10 +31,10 @@ def described(cell) -> bytes:
 def placed(cell, joints) -> dict[str, np.ndarray]:
     """Every frame on base_link, by chaining the transforms that a viewer gets."""
     scene = Scene()
-    found = list(scene.hear("robot_description", described(cell)))
-    found += scene.hear("joint_states", to_bytes(JointSample(0, tuple(f"joint_a{i}" for i in range(1, 7)), joints)))
+    result = list(scene.take("robot_description", described(cell)))
+    result += scene.take("joint_states", to_bytes(JointSample(0, tuple(f"joint_a{i}" for i in range(1, 7)), joints)))
     frames = {"base_link": np.eye(4)}
-    waiting = [t for one in found for t in deserialise(one.type, one.data).transforms]
+    waiting = [t for one in result for t in deserialise(one.type, one.data).transforms]
     while waiting:
         one = waiting.pop(0)
         if one.header.frame_id not in frames:
@@ -54,22 +57,24 @@ def test_the_transforms_put_every_frame_where_the_kinematics_does(cell):
 
 
 def run(messages, scene):
-    found = []
+    result = []
     for message in messages:
         if message.topic in INPUTS:
-            found += scene.hear(message.topic, message.data)
-    return found
+            result += scene.take(message.topic, message.data)
+    return result
 
 
 def test_a_pass_gives_markers_thinned_to_30_hz_with_path_and_force(cell):
     scene = Scene()
-    list(scene.hear("robot_description", described(cell)))
-    found = run(made.one_pass(), scene)
-    assert {one.topic for one in found} <= set(OUTPUTS)
+    list(scene.take("robot_description", described(cell)))
+    result = run(made.one_pass(), scene)
+    assert {one.topic for one in result} <= set(OUTPUTS)
     for topic in ("/markers", "/tf"):
-        stamps = np.array([one.stamp_ns for one in found if one.topic == topic])
+        stamps = np.array([one.stamp_ns for one in result if one.topic == topic])
         assert stamps.size and np.all(np.diff(stamps) >= PERIOD_NS)
-    last = deserialise("visualization_msgs/msg/MarkerArray", [one for one in found if one.topic == "/markers"][-1].data)
+    last = deserialise(
+        "visualization_msgs/msg/MarkerArray", [one for one in result if one.topic == "/markers"][-1].data
+    )
     named = {marker.ns: marker for marker in last.markers}
     assert set(named) <= {"path", "removed", "force"} and "force" in named
     for marker in last.markers:
@@ -80,21 +85,32 @@ def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
     from kr270_milling.base.samples import PoseSample
 
     scene, target = Scene(), cell.target()
-    list(scene.hear("target_trajectory", to_bytes(target)))
+    list(scene.take("target_trajectory", to_bytes(target)))
     shift, upright = np.array([0.0, 200e-6, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])
-    for k in range(1000):
+    for k in range(450):
         stamp = k * 40_000_000
-        position = target.sample(stamp) + (shift if k > 500 else 0.0)
-        found = list(scene.hear("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, upright))))
-    (markers,) = (deserialise(one.type, one.data).markers for one in found)
+        position = target.sample(stamp) + (shift if k > 225 else 0.0)
+        result = list(scene.take("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, upright))))
+    (markers,) = (deserialise(one.type, one.data).markers for one in result)
     (path,) = (marker for marker in markers if marker.ns == "path")
     assert 100 <= len(path.points) <= 200 and len(path.colors) == len(path.points)
     assert path.colors[0].r < 0.1 and path.colors[-1].r > 0.85  # from no error to the end of the scale
 
 
+def test_the_recorder_imports_neither_the_report_nor_jinja2():
+    pytest.importorskip("rclpy")
+    code = (
+        "import sys, kr270_milling.nodes.recorder\n"
+        "wrong = {name for name in sys.modules if name.startswith(('jinja2', 'plotly', 'kr270_milling.report'))}\n"
+        "assert not wrong, wrong"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert ran.returncode == 0, ran.stderr
+
+
 def test_a_message_that_is_none_is_refused(cell):
     with pytest.raises(ValueError, match="CDR|not"):
-        list(Scene().hear("robot_description", b"noise"))
+        list(Scene().take("robot_description", b"noise"))
 
 
 @pytest.mark.parametrize(
@@ -103,7 +119,7 @@ def test_a_message_that_is_none_is_refused(cell):
 def test_a_description_of_something_else_gives_no_moving_frames_and_no_crash(text):
     scene = Scene()
     try:
-        found = list(scene.hear("robot_description", to_bytes(Text(text))))
+        result = list(scene.take("robot_description", to_bytes(Text(text))))
     except ValueError:
         return
-    assert not [t for one in found for t in deserialise(one.type, one.data).transforms]
+    assert not [t for one in result for t in deserialise(one.type, one.data).transforms]

@@ -59,38 +59,40 @@ def case(tmp_path_factory):
 
 def test_the_largest_deviation_of_each_pass_is_a_station_where_the_table_says_it(case):
     cell, passes, parts = case
-    found = linked(cell, passes, parts)
-    for one, part in zip(found.passes, parts, strict=True):
-        counted = np.abs(one.side[found.scored == 1]).max()
+    outcome = linked(cell, passes, parts)
+    for one, part in zip(outcome.passes, parts, strict=True):
+        counted = np.abs(one.side[outcome.scored == 1]).max()
         assert counted == pytest.approx(part.whole.max_normal * 1e6, rel=1e-12)
 
 
 def test_line_point_and_feature_of_a_station_are_those_of_its_time(case):
     cell, passes, parts = case
-    found = linked(cell, passes, parts)
+    outcome = linked(cell, passes, parts)
     source = Path(cell.path.file).read_text().splitlines()
-    assert [line.text for line in found.source] == source
-    for k in range(0, found.time.size, 97):
-        stamp = round(found.time[k] * 1e9)
+    assert [line.text for line in outcome.source] == source
+    for k in range(0, outcome.time.size, 97):
+        stamp = round(outcome.time[k] * 1e9)
         block = int(cell.timed_path.block_at(np.array([stamp]))[0])
-        assert source[found.line[k] - 1].startswith("G") and found.line[k] == cell.timed_path.toolpath.line[block]
+        assert source[outcome.line[k] - 1].startswith("G") and outcome.line[k] == cell.timed_path.toolpath.line[block]
         assert (
-            found.features[found.feature[k]]
+            outcome.features[outcome.feature[k]]
             == cell.timed_path.toolpath.features[cell.timed_path.toolpath.feature[block]]
         )
-        knot = found.point[k] - 1
+        knot = outcome.point[k] - 1
         assert cell.target().time_ns[knot] >= stamp and (knot == 0 or cell.target().time_ns[knot - 1] < stamp)
-        np.testing.assert_allclose([found.x[k], found.y[k], found.z[k]], 1e3 * cell.target().sample(stamp), atol=1e-9)
+        np.testing.assert_allclose(
+            [outcome.x[k], outcome.y[k], outcome.z[k]], 1e3 * cell.target().sample(stamp), atol=1e-9
+        )
 
 
 def test_the_deviation_is_that_of_the_scores_on_a_level_move(case):
     cell, passes, parts = case
-    found, result = linked(cell, passes, parts), passes[0].result
+    outcome, result = linked(cell, passes, parts), passes[0].result
     feed = cell.target().sample_velocity(result.time_ns)
     reference = path_deviation(result.actual, result.target, feed) * 1e6
-    rows = np.searchsorted(result.time_ns, np.round(found.time * 1e9).astype(np.int64))
-    moving = (np.hypot(*feed[rows, :2].T) > 1e-3) & (found.scored == 1)
-    np.testing.assert_allclose(found.passes[0].side[moving], reference[rows][moving], atol=0.5)
+    rows = np.searchsorted(result.time_ns, np.round(outcome.time * 1e9).astype(np.int64))
+    moving = (np.hypot(*feed[rows, :2].T) > 1e-3) & (outcome.scored == 1)
+    np.testing.assert_allclose(outcome.passes[0].side[moving], reference[rows][moving], atol=0.5)
 
 
 def test_a_pass_that_was_cut_off_is_unknown_beyond_its_end(case):
@@ -103,9 +105,9 @@ def test_a_pass_that_was_cut_off_is_unknown_beyond_its_end(case):
         value = getattr(passes[1].result, field.name)
         fields[field.name] = value[:half] if isinstance(value, np.ndarray) else value
     short = dataclasses.replace(passes[1], result=dataclasses.replace(passes[1].result, **fields))
-    found = linked(cell, [passes[0], short], assess_all(cell, [passes[0], short]))
-    late = found.time > short.result.time[-1]
-    assert late.any() and np.isnan(found.passes[1].side[late]).all() and np.isfinite(found.passes[0].side).all()
+    outcome = linked(cell, [passes[0], short], assess_all(cell, [passes[0], short]))
+    late = outcome.time > short.result.time[-1]
+    assert late.any() and np.isnan(outcome.passes[1].side[late]).all() and np.isfinite(outcome.passes[0].side).all()
 
 
 def test_the_surface_keeps_the_largest_errors_of_floors_and_walls(case):

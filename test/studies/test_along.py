@@ -109,9 +109,9 @@ def test_the_command_writes_a_cell_that_runs(tmp_path, capsys):
     slot = ("path.file=''", "path.start_mm=[-60,0]", "path.length_mm=15", "path.depth_of_cut_mm=1",
             "path.feed_rate_m_per_min=4", "stock.grid_step_um=60")  # fmt: skip
     assert main([*words, "--json", *(part for pair in slot for part in ("--set", pair))]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["criterion_um"] <= found["criterion_constant_um"] and max(found["joint_speed_share"]) < 1.0
-    cell, old = read_cell(found["best"][0]["cell"]), read_cell(find_file("test_piece.yaml"), slot)
+    result = json.loads(capsys.readouterr().out)
+    assert result["criterion_um"] <= result["criterion_constant_um"] and max(result["joint_speed_share"]) < 1.0
+    cell, old = read_cell(result["best"][0]["cell"]), read_cell(find_file("test_piece.yaml"), slot)
     run = cell.target()
     assert run.position == pytest.approx(old.target().position, abs=1e-12)
     assert cell.joints(run).shape == (len(run), 6)

@@ -89,8 +89,8 @@ def test_failures_are_rows_and_a_chunk_that_is_lost_is_made_again_as_it_was(clus
     words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.5,-1,0.8", "--json", "--out", str(tmp_path)]
     words += [part for pair in SHORT for part in ("--set", pair)]
     assert main([*words, "--scheduler", cluster.address]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["rows"] == 3 and found["failed"] == 1
+    outcome = json.loads(capsys.readouterr().out)
+    assert outcome["rows"] == 3 and outcome["failed"] == 1
     files = sorted(tmp_path.glob("*.parquet"))
     made = [path.read_bytes() for path in files]
     row = parquet.read_table(files[1]).to_pylist()[0]

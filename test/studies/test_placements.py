@@ -122,10 +122,10 @@ def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path, capsys)
     words = ["map", "paper.yaml", "--x=-100:100:2", "--y=-1700:-1500:2", "--out", str(tmp_path / "map"), "--json"]
     words += ["--set", "path.length_mm=6", "--set", "stock.grid_step_um=40"]
     assert main(words) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["rows"] == 4 * 8 and found["rows_per_s"] > 0 and found["best"] and len(found["best"]) <= 5
-    errors = [row["error_max_um"] for row in found["best"]]
+    result = json.loads(capsys.readouterr().out)
+    assert result["rows"] == 4 * 8 and result["rows_per_s"] > 0 and result["best"] and len(result["best"]) <= 5
+    errors = [row["error_max_um"] for row in result["best"]]
     assert errors == sorted(errors)
-    best = read_cell(found["best"][0]["cell"])
-    assert 1e3 * best.workpiece.xyz[:2] == pytest.approx([found["best"][0]["x_mm"], found["best"][0]["y_mm"]])
+    best = read_cell(result["best"][0]["cell"])
+    assert 1e3 * best.workpiece.xyz[:2] == pytest.approx([result["best"][0]["x_mm"], result["best"][0]["y_mm"]])
     assert best.joints(best.target()).shape[1] == 6

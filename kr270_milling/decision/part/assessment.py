@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
+from kr270_milling.base.column import as_dict, column
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decision.part.course import Course, course, deviations
@@ -17,11 +18,6 @@ from kr270_milling.decision.part.surface import IdealPart, Surface, ideal_part, 
 __all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all"]
 
 QUANTILE = 0.95
-
-
-def _shown(key: str, scale: float = 1e6):
-    """A field that is written under another key, in another unit."""
-    return field(metadata={"key": key, "scale": scale})
 
 
 @dataclass(frozen=True)
@@ -33,23 +29,28 @@ class FeatureRow:
     """
 
     name: str
-    cut_length: float = _shown("cut_length_mm", 1e3)  #: of the path on which material was removed
-    max_normal: float = _shown("max_normal_um")  #: deviation to the side of the path while cutting
-    mean_normal: float = _shown("mean_normal_um")
-    quantile_normal: float = _shown("q95_normal_um")  #: 95 % of the time it is smaller
-    max_vertical: float = _shown("max_vertical_um")
-    max_wall: float = _shown("max_wall_error_um")  #: error of the walls that remain
-    mean_wall: float = _shown("mean_wall_error_um")
-    max_floor: float = _shown("max_floor_error_um")  #: error of the floor that remains
-    mean_floor: float = _shown("mean_floor_error_um")
-    max_force: float = _shown("max_force_n", 1.0)  #: mean of an exchange period
-    max_torque: float = _shown("max_torque_n_m", 1.0)
-    max_power: float = _shown("max_power_w", 1.0)
+    #: of the path on which material was removed
+    cut_length: float = column("cut_length_mm", 1e3, unit="mm", short="cut")
+    #: deviation to the side of the path while cutting
+    max_normal: float = column("max_normal_um", 1e6, "largest deviation to the side", "um", short="max")
+    mean_normal: float = column("mean_normal_um", 1e6, "mean", "um", short="mean")
+    #: 95 % of the time the deviation is smaller
+    quantile_normal: float = column("q95_normal_um", 1e6, "95 %", "um", short="95 %")
+    max_vertical: float = column("max_vertical_um", 1e6)
+    #: error of the walls that remain
+    max_wall: float = column("max_wall_error_um", 1e6, "largest wall error", "um", short="wall")
+    mean_wall: float = column("mean_wall_error_um", 1e6)
+    #: error of the floor that remains
+    max_floor: float = column("max_floor_error_um", 1e6, "largest floor error", "um", short="floor")
+    mean_floor: float = column("mean_floor_error_um", 1e6)
+    #: mean of an exchange period
+    max_force: float = column("max_force_n", 1.0, "largest force", "N", short="force")
+    max_torque: float = column("max_torque_n_m")
+    max_power: float = column("max_power_w", 1.0, "largest power", "W", short="power")
 
     def as_dict(self) -> dict:
-        """Keys end in their unit."""
-        values = {f.metadata["key"]: getattr(self, f.name) * f.metadata["scale"] for f in fields(self)[1:]}
-        return {"feature": self.name, **values}
+        """Return the values for JSON; keys end in their unit."""
+        return {"feature": self.name, **as_dict(self)}
 
 
 @dataclass(frozen=True, eq=False)

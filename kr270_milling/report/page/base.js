@@ -41,7 +41,7 @@ const KR = {};
   const LIGHT = ["#222222", "#c44e00", "#0067a5", "#007d5a", "#a8518a", "#2d8fc4", "#777777", "#a0703c"];
   const DARK = ["#f2f2f2", "#ff8f4f", "#62b5ff", "#3fd0a2", "#e59ac6", "#a9ddff", "#9aa5b0", "#c79a66"];
   KR.colour = (k) => (KR.dark() ? DARK : LIGHT)[k % 8];
-  /* Blue to orange-red about a neutral middle: told apart by every kind of colour vision. */
+  /* Blue to orange-red about a neutral middle: distinct for every kind of colour vision. */
   KR.diverging = () => KR.dark()
     ? [[0, "#7cc0ff"], [0.25, "#3c78b8"], [0.5, "#4a525b"], [0.75, "#c8643a"], [1, "#ffa06a"]]
     : [[0, "#084f96"], [0.25, "#6ba9d6"], [0.5, "#e4e4e4"], [0.75, "#f09a68"], [1, "#a32a00"]];
@@ -60,7 +60,7 @@ const KR = {};
   KR.config = { responsive: true, displaylogo: false, displayModeBar: matchMedia("(hover: none)").matches ? false : "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
                 toImageButtonOptions: { format: "svg" } };
 
-  /* Number of the n-th axis in plotly's names; texts and lines that stand in a picture. */
+  /* Number of the n-th axis in plotly's names; texts and lines in a picture. */
   KR.nth = (n) => (n ? n + 1 : "");
   KR.note = (more) => ({ showarrow: false, ...more });
   KR.heading = (text, x, n) => KR.note({ text: `<b>${text}</b>`, xref: x, yref: `y${KR.nth(n)} domain`, x: 0, y: 1, xanchor: "left", yanchor: "bottom" });

@@ -3,19 +3,19 @@
   function trace(curve, n, chart) {
     const colour = KR.colour(curve.colour);
     const axis = KR.nth(n);
-    const found = { x: curve.x, y: curve.y, name: KR.plain(curve.name), xaxis: `x${axis}`, yaxis: `y${axis}`, mode: "lines",
+    const result = { x: curve.x, y: curve.y, name: KR.plain(curve.name), xaxis: `x${axis}`, yaxis: `y${axis}`, mode: "lines",
       legendgroup: curve.name, showlegend: curve.legend && chart.panels.some((p) => p.curves.length > 1),
       line: { color: colour, width: curve.look === "thin" ? 0.7 : 1.6, dash: curve.look === "dash" ? "dash" : "solid" },
       opacity: curve.look === "thin" ? 0.55 : 1, text: Array.from(curve.y, (v) => KR.num(v, 3)),
       hovertemplate: "%{text}", };
-    if (curve.look === "points") Object.assign(found, { mode: "markers", marker: { color: colour, size: 5 } });
-    if (curve.look === "area") Object.assign(found, { fill: "toself", fillcolor: KR.css("--shade"), hoverinfo: "skip", hovertemplate: undefined });
+    if (curve.look === "points") Object.assign(result, { mode: "markers", marker: { color: colour, size: 5 } });
+    if (curve.look === "area") Object.assign(result, { fill: "toself", fillcolor: KR.css("--shade"), hoverinfo: "skip", hovertemplate: undefined });
     if (curve.text) {
       const last = curve.x.length - 1;
-      Object.assign(found, { mode: "lines+text", text: Array.from(curve.x, (_, i) => (i === last ? curve.text : "")),
+      Object.assign(result, { mode: "lines+text", text: Array.from(curve.x, (_, i) => (i === last ? curve.text : "")),
         textposition: last ? "top center" : "middle center", hoverinfo: "skip", hovertemplate: undefined });
     }
-    return found;
+    return result;
   }
 
   function marks(panel, n, shapes, annotations) {

@@ -14,7 +14,7 @@
     return id === "before" ? first.side : id === "after" ? after.side : minus(after.side, first.side);
   };
 
-  /* Stations that a map draws: where the tool cuts and is scored, the largest value of each bucket is kept. */
+  /* Stations that a map draws: where the tool cuts and is scored, the largest value of each bucket remains. */
   function chosen(values) {
     const rows = [...values.keys()].filter((i) => linked.scored[i] && Number.isFinite(values[i]));
     if (rows.length <= 2 * BUCKETS) return rows;

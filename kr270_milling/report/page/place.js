@@ -1,4 +1,4 @@
-/* The marked place: a station number, moved by pointer, slider, keys or play, told to every picture. */
+/* The marked place: a station number, moved by pointer, slider, keys or play; every picture follows. */
 (() => {
   const { linked } = KR.data;
   const count = linked.time.length;
@@ -8,21 +8,21 @@
   const STEP_MS = 60;
   const PLAY_STEPS = 400; // from one end to the other
 
-  function tell() {
+  function publish() {
     waiting = false;
     for (const picture of KR.pictures) picture.mark?.(KR.place);
     KR.by("slider").value = KR.place;
     KR.by("slider").setAttribute("aria-valuetext", words(KR.place));
     readout(KR.place);
   }
-  KR.remark = tell;
+  KR.remark = publish;
   KR.go = (station) => {
     const place = Math.max(0, Math.min(count - 1, Math.round(station)));
     if (place === KR.place) return;
     KR.place = place;
     if (waiting) return;
     waiting = true;
-    requestAnimationFrame(tell);
+    requestAnimationFrame(publish);
   };
 
   function words(i) {
@@ -47,8 +47,8 @@
   const scored = [...linked.scored.keys()].filter((i) => linked.scored[i]);
   KR.worst = (pass) => Math.max(0, KR.largest(linked.passes[pass].side, scored));
   KR.stationAt = (time) => {
-    const found = linked.time.findIndex((t) => t >= time);
-    return found < 0 ? count - 1 : found;
+    const result = linked.time.findIndex((t) => t >= time);
+    return result < 0 ? count - 1 : result;
   };
   /* Values where the tool cuts; null between two cuts, so that no line joins them. */
   KR.cut = (values) => Array.from(values, (v, i) => (linked.cutting[i] ? v : null));

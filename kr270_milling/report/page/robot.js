@@ -26,13 +26,13 @@
   /* Where every link is at a time, in base_link. */
   function framesAt(time) {
     const joints = jointsAt(time);
-    const found = [];
+    const result = [];
     for (const link of robot.links) {
       const own = matrix(link.rotation, link.xyz);
-      const frame = link.parent < 0 ? own : found[link.parent].multiply(own);
-      found.push(link.joint < 0 ? frame : frame.rotateAxisAngle(...link.axis, degrees(joints[link.joint])));
+      const frame = link.parent < 0 ? own : result[link.parent].multiply(own);
+      result.push(link.joint < 0 ? frame : frame.rotateAxisAngle(...link.axis, degrees(joints[link.joint])));
     }
-    return found;
+    return result;
   }
   KR.toolAt = (i) => apply(framesAt(linked.time[i])[robot.links.findIndex((link) => link.name === "tool0")], [0, 0, 0]);
 
@@ -41,12 +41,12 @@
   const vertices = (colour, placed) => columns(solids(colour).flatMap(([n, mesh]) => mesh.vertex.map((v) => apply(placed[n], v))));
   function triangles(colour) {
     let first = 0;
-    const found = solids(colour).flatMap(([, mesh]) => {
+    const result = solids(colour).flatMap(([, mesh]) => {
       const shifted = mesh.triangle.map((t) => Array.from(t, (v) => first + v));
       first += mesh.vertex.length;
       return shifted;
     });
-    const { x: i, y: j, z: k } = columns(found);
+    const { x: i, y: j, z: k } = columns(result);
     return { i, j, k };
   }
   const colours = Object.keys(robot.colours).filter((c) => solids(c).length);

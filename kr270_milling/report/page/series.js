@@ -17,19 +17,19 @@
   function traces() {
     const at = Array.from(horizontal());
     const stations = Array.from(at, (_, i) => i);
-    const found = [];
+    const result = [];
     ROWS.forEach((row, r) => {
       const axis = KR.nth(r);
       linked.passes.forEach((one, k) => {
         const values = one[row.key];
         const y = row.gaps ? KR.cut(values) : Array.from(values);
-        found.push({ x: at, y, customdata: stations, name: r ? KR.plain(one.name) : `${KR.plain(one.name)}, at most ${KR.num(Math.abs(one.side[KR.worst(k)]), 1)} µm`, legendgroup: k, showlegend: r === 0,
+        result.push({ x: at, y, customdata: stations, name: r ? KR.plain(one.name) : `${KR.plain(one.name)}, at most ${KR.num(Math.abs(one.side[KR.worst(k)]), 1)} µm`, legendgroup: k, showlegend: r === 0,
           yaxis: `y${axis}`, xaxis: "x", mode: "lines", line: { color: KR.colour(k), width: row.key === "force" ? 0.8 : 1.4 },
           text: y.map((v) => KR.num(v, 2)), hovertemplate: "%{text}", connectgaps: false });
       });
     });
-    found.push(...maxima(at));
-    return found;
+    result.push(...maxima(at));
+    return result;
   }
 
   /* A value that would lie on another one is in the legend alone. */
@@ -51,49 +51,49 @@
 
   /* Stretches of one feature: [first station, last station, name]. */
   function stretches() {
-    const found = [];
+    const result = [];
     let start = 0;
     for (let i = 1; i <= linked.feature.length; i++) {
       if (i === linked.feature.length || linked.feature[i] !== linked.feature[start]) {
-        found.push([start, i - 1, linked.features[linked.feature[start]]]);
+        result.push([start, i - 1, linked.features[linked.feature[start]]]);
         start = i;
       }
     }
-    return found;
+    return result;
   }
 
   function shapes(at) {
-    const found = [{ type: "line", xref: "x", yref: "paper", x0: at[0], x1: at[0], y0: 0, y1: 1,
+    const result = [{ type: "line", xref: "x", yref: "paper", x0: at[0], x1: at[0], y0: 0, y1: 1,
                      line: { color: KR.css("--accent"), width: 2 } }];
     if (KR.data.part) {
-      stretches().forEach(([a, b], n) => { if (n % 2) found.push(KR.area(at[a], at[b])); });
+      stretches().forEach(([a, b], n) => { if (n % 2) result.push(KR.area(at[a], at[b])); });
     } else if (engaged < linked.time[linked.time.length - 1]) {
-      found.push(KR.area(at[KR.stationAt(engaged)], at[at.length - 1]));
+      result.push(KR.area(at[KR.stationAt(engaged)], at[at.length - 1]));
     }
     ROWS.forEach((row, r) => {
       for (const y of tolerance[row.key] ? [tolerance[row.key], -tolerance[row.key]] : []) {
-        found.push({ type: "line", xref: "paper", yref: `y${KR.nth(r)}`, x0: 0, x1: 1, y0: y, y1: y,
+        result.push({ type: "line", xref: "paper", yref: `y${KR.nth(r)}`, x0: 0, x1: 1, y0: y, y1: y,
                      line: { color: KR.css("--bad"), width: 1.5, dash: "dash" } });
       }
     });
-    return found;
+    return result;
   }
 
   function annotations(at) {
-    const found = ROWS.map((row, r) => KR.heading(row.title, "paper", r));
+    const result = ROWS.map((row, r) => KR.heading(row.title, "paper", r));
     ROWS.forEach((row, r) => {
       const y = tolerance[row.key];
-      if (y) found.push(KR.note({ text: `tolerance ±${KR.num(y, 0)} µm`, xref: "paper", yref: `y${KR.nth(r)}`, x: 1, y,
+      if (y) result.push(KR.note({ text: `tolerance ±${KR.num(y, 0)} µm`, xref: "paper", yref: `y${KR.nth(r)}`, x: 1, y,
                                   xanchor: "right", yanchor: "bottom", font: { color: KR.css("--bad"), size: 11 } }));
     });
     const span = at[at.length - 1] - at[0];
     const wide = KR.by("series").clientWidth;
     for (const [a, b, name] of KR.data.part ? stretches() : []) {
       if (((at[b] - at[a]) / span) * wide < 7 * name.length) continue;
-      found.push(KR.note({ text: KR.plain(name), xref: "x", yref: "paper", x: (at[a] + at[b]) / 2, y: 0, yanchor: "bottom",
+      result.push(KR.note({ text: KR.plain(name), xref: "x", yref: "paper", x: (at[a] + at[b]) / 2, y: 0, yanchor: "bottom",
                            bgcolor: KR.css("--paper"), borderpad: 1, font: { size: 11, color: KR.css("--ink") } }));
     }
-    return found;
+    return result;
   }
 
   /* Ends of a row's axis, with room for the marked values. */

@@ -1,4 +1,4 @@
-"""What a viewer of other people needs to show a pass: transforms, the path coloured by its error, the force.
+"""Messages for viewers such as RViz and Foxglove: transforms, the path coloured by its error, the force.
 
 Bytes of the graph's topics in, bytes of ``/tf``, ``/tf_static`` and ``/markers`` out; time is the stamp of messages.
 """
@@ -23,19 +23,19 @@ from kr270_milling.messages.viewer import (
     markers_bytes,
     transforms_bytes,
 )
-from kr270_milling.report.robot_model import Link, links_of
+from kr270_milling.robot.urdf_links import Link, links_of
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["INPUTS", "OUTPUTS", "Derived", "Scene"]
 
-#: topics that are heard, without their namespace
+#: topics that a scene receives, without their namespace
 INPUTS = (
     "robot_description", "joint_states", "target_trajectory", "reference_trajectory", "tool_pose", "wrench",
 )  # fmt: skip
-#: topic -> type of what follows from them; transforms are global, as every viewer has them
+#: topic -> type of the derived messages; transforms are global, as viewers expect
 OUTPUTS = {"/tf_static": TRANSFORMS, "/tf": TRANSFORMS, "/markers": MARKERS}
 PERIOD_NS = 33_333_333  #: between two messages, 30 Hz
-MOST_POINTS = 200  #: of the path; then every second one goes
+MOST_POINTS = 200  #: of the path; beyond, every second point is removed
 FULL_ERROR = 100e-6  #: [m], of the far end of the colours
 ARROW_LENGTH = 1e-3  #: [m/N]
 WORKPIECE = "workpiece"
@@ -45,7 +45,7 @@ FORCE = np.array([0.0, 0.5, 0.35, 1.0])
 
 
 class Derived(NamedTuple):
-    """A message that follows from those that were heard."""
+    """A message that a scene derived."""
 
     topic: str
     type: str
@@ -54,7 +54,7 @@ class Derived(NamedTuple):
 
 
 class Scene:
-    """One robot. ``hear`` takes every message of its topics and gives what follows from it."""
+    """One robot. ``take`` receives the messages of its topics and yields the derived messages."""
 
     def __init__(self):
         self._links: tuple[Link, ...] = ()
@@ -71,8 +71,8 @@ class Scene:
         self._pose_due = self._wrench_due = self._joints_due = 0
         self._force = np.zeros(3)
 
-    def hear(self, name: str, data: bytes) -> Iterator[Derived]:
-        """name: of the topic without its namespace. Raises MillingError, ValueError where the bytes are no message."""
+    def take(self, name: str, data: bytes) -> Iterator[Derived]:
+        """name: of the topic without its namespace. Raises MillingError, ValueError if the bytes are not a message."""
         if name == "robot_description":
             self._links = links_of(from_bytes("std_msgs/msg/String", data).text)
             self._tool_width = self._width()
@@ -96,7 +96,7 @@ class Scene:
                 self._force = np.asarray(wrench_from_bytes(data).wrench[:3])
         elif stamp >= self._pose_due:
             self._pose_due = stamp + PERIOD_NS
-            self._take(stamp, np.asarray(pose_from_bytes(data).position))
+            self._add_point(stamp, np.asarray(pose_from_bytes(data).position))
             yield Derived("/markers", MARKERS, markers_bytes(stamp, self._markers()), stamp)
 
     def _frames(self, joints: np.ndarray, moving: bool) -> list[Placed]:
@@ -114,7 +114,7 @@ class Scene:
         tools = [mesh for link in self._links if link.name == "tool0" for mesh in link.meshes if mesh.colour == "tool"]
         return 2 * float(np.hypot(*tools[0].vertex[:, :2].T).max()) if tools else 0.02
 
-    def _take(self, stamp: int, position: np.ndarray) -> None:
+    def _add_point(self, stamp: int, position: np.ndarray) -> None:
         self._count += 1
         if self._count % self._spacing:
             return
@@ -130,15 +130,15 @@ class Scene:
         points = np.array(self._points).reshape(-1, 3)
         share = np.clip(np.array(self._errors) / FULL_ERROR, 0.0, 1.0)[:, None]
         cut = points[np.array(self._cuts, bool)]
-        found = []
+        markers = []
         if len(points) > 1:
-            found.append(Marker("path", WORKPIECE, LINE_STRIP, 1e-3, points, LOW + share * (HIGH - LOW)))
+            markers.append(Marker("path", WORKPIECE, LINE_STRIP, 1e-3, points, LOW + share * (HIGH - LOW)))
         if len(cut) > 1:
-            found.append(Marker("removed", WORKPIECE, LINE_STRIP, self._tool_width, cut, REMOVED))
+            markers.append(Marker("removed", WORKPIECE, LINE_STRIP, self._tool_width, cut, REMOVED))
         if len(points):
             ends = np.stack([points[-1], points[-1] + ARROW_LENGTH * self._force])
-            found.append(Marker("force", WORKPIECE, ARROW, 4e-3, ends, FORCE))
-        return found
+            markers.append(Marker("force", WORKPIECE, ARROW, 4e-3, ends, FORCE))
+        return markers
 
 
 def _turn(axis: np.ndarray, angle: float) -> np.ndarray:

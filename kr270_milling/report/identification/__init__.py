@@ -1,0 +1,1 @@
+"""Results of an identification as sentences, JSON, tables, pages and parameter files."""
