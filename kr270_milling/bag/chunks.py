@@ -1,6 +1,7 @@
 """Messages of unpacked chunks, in the order of the file or in the order of their log times.
 
-mcap's ``breakup_chunk`` copies every message of a chunk at once: it needs twice the memory and more time. The loops below keep an index of the messages and copy one message at a time.
+mcap's ``breakup_chunk`` copies every message of a chunk at once: it needs twice the memory and more time.
+The loops below keep an index of the messages and copy one message at a time.
 """
 
 from __future__ import annotations
