@@ -1,4 +1,4 @@
-"""Damaged and crafted recordings against the reader: one sentence, bounded memory, no invented message."""
+"""Damaged and crafted recordings against the reader: errors, memory, messages."""
 
 from __future__ import annotations
 
