@@ -1,4 +1,4 @@
-"""What rosbag2 wants to know beside the messages: QoS profiles and ``metadata.yaml`` (version 9, as in Jazzy)."""
+"""rosbag2's description of a recording: QoS profiles and ``metadata.yaml`` (version 9, as in Jazzy)."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from kr270_milling.base.units import SECOND
 
 __all__ = ["bag_information", "describe_qos", "qos_text", "read_qos", "yaml_text"]
 
-INFINITE = 2**63 - 1  # [ns], as rosbag2 writes a duration without limit
+INFINITE = 2**63 - 1  # [ns]; rosbag2's duration without limit
 DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
-#: a topic's profile where the caller states nothing; the order is rosbag2's
+#: the profile of a topic without a given one; the order is rosbag2's
 DEFAULT_QOS = dict(
     history="keep_last",
     depth=10,
@@ -31,12 +31,15 @@ DEFAULT_QOS = dict(
 
 
 def describe_qos(profile) -> dict:
-    """One QoS profile as rosbag2 writes it: from a mapping (missing keys take the default, durations are in ns or
-    already {sec, nsec}), or from an object with the attributes of rclpy's QoSProfile."""
+    """Return one QoS profile in the form of rosbag2.
+
+    profile: an object with the attributes of rclpy's QoSProfile, or a mapping; its missing keys take the default, its
+    durations are in ns or {sec, nsec}.
+    """
     if isinstance(profile, Mapping):
         unknown = sorted(set(profile) - set(DEFAULT_QOS))
         if unknown:
-            raise KeyError(f"{', '.join(unknown)} is no part of a QoS profile")
+            raise KeyError(f"{', '.join(unknown)} is not part of a QoS profile")
         given = {**DEFAULT_QOS, **profile}
     else:
         given = {key: getattr(profile, key) for key in DEFAULT_QOS}
@@ -51,7 +54,7 @@ def _plain(key: str, value):
 
 
 def qos_text(profiles: Iterable) -> str:
-    """The channel metadata ``offered_qos_profiles``: a YAML list of profiles."""
+    """Return the channel metadata ``offered_qos_profiles``: a YAML list of profiles."""
     return yaml_text([describe_qos(p) for p in profiles]).strip()
 
 
@@ -59,7 +62,7 @@ Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
 class _WithoutAnchors(Dumper):
-    """Writes what stands twice twice: anchors are legal YAML that other readers need not know."""
+    """Repeat equal values: anchors are legal YAML, but other readers may not know them."""
 
     def ignore_aliases(self, data) -> bool:
         return True
@@ -71,7 +74,7 @@ def yaml_text(value) -> str:
 
 @functools.lru_cache(maxsize=32)
 def read_qos(text: str) -> list[dict]:
-    """The profiles in a channel's metadata, which stay as they are; none where a foreign text lists no mappings."""
+    """Return the profiles in the metadata of a channel, unchanged; an empty list for a text that lists no mappings."""
     try:
         profiles = config_file.parse(text[:100_000], "", "offered_qos_profiles")
     except ConfigError:
@@ -80,8 +83,10 @@ def read_qos(text: str) -> list[dict]:
 
 
 def bag_information(file_name: str, channels: Iterable, start: int, end: int, custom: dict[str, str]) -> dict:
-    """The content of ``metadata.yaml`` for one MCAP file; channels: as the writer has them; start, end: first and last
-    log time [ns], of which only a file with messages has any."""
+    """Return the content of ``metadata.yaml`` for one MCAP file.
+
+    channels: the writer's WrittenChannel objects. start, end: first and last log time [ns]; 0 without messages.
+    """
     topics = [
         dict(
             topic_metadata=dict(
@@ -96,19 +101,19 @@ def bag_information(file_name: str, channels: Iterable, start: int, end: int, cu
         for channel in channels
     ]
     count = sum(topic["message_count"] for topic in topics)
-    begins = {"nanoseconds_since_epoch": start if count else INFINITE}
-    lasts = {"nanoseconds": end - start if count else 0}
+    starting = {"nanoseconds_since_epoch": start if count else INFINITE}
+    duration = {"nanoseconds": end - start if count else 0}
     return dict(
         version=9,
         storage_identifier="mcap",
-        duration=lasts,
-        starting_time=begins,
+        duration=duration,
+        starting_time=starting,
         message_count=count,
         topics_with_message_count=topics,
-        compression_format="",  # of whole files or messages; the chunks inside have their own
+        compression_format="",  # of whole files or messages; chunks are compressed separately
         compression_mode="",
         relative_file_paths=[file_name],
-        files=[dict(path=file_name, starting_time=begins, duration=lasts, message_count=count)],
+        files=[dict(path=file_name, starting_time=starting, duration=duration, message_count=count)],
         custom_data=custom,
         ros_distro="jazzy",
     )

@@ -1,197 +1,228 @@
-"""Chunks unpacked: the messages of one chunk, with bounds on the memory that is held and on the work that is done."""
+"""Messages of unpacked chunks, in the order of the file or in the order of their log times.
+
+mcap's ``breakup_chunk`` copies every message of a chunk at once: it needs twice the memory and more time.
+The loops below keep an index of the messages and copy one message at a time.
+"""
 
 from __future__ import annotations
 
 import heapq
-import zlib
+import io
+import struct
 from array import array
 from collections import Counter, OrderedDict
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections.abc import Container, Iterator
+from typing import IO, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
+from mcap.records import Chunk
 
-from kr270_milling.bag.packing import Packed
-from kr270_milling.bag.structure import HEAD, LIMIT, MESSAGE, SMALL, Damage, Part, exactly, inner
+from kr270_milling.bag.records import HEAD, SMALL_LIMIT, Damage, RecordPlace, read_bytes, record_at, unpack
 
-__all__ = ["CACHE", "READ", "Chunk", "Entry", "Messages", "Unpacker"]
+__all__ = ["ChunkMessages", "ChunkPlace", "ChunkReader", "RawMessage"]
 
-CACHE = 32 * 1024 * 1024  # [bytes] of unpacked chunks that are remembered, and as many that are sorted by time
-MOST, MOST_DEFINITIONS = 1_000_000, 10_000  # records in a chunk, and those that define schemas and channels
-# Work on a file is counted in rounded costs on one core and bounded by the file's size: a pass through a recording of
-# this package costs 0.05 us a byte, and 27 kB can be made to unfold into 9,000,000 messages.
-FREE, PER_BYTE = 5e6, 20.0  # [us], [us/byte]
-UNPACK, READ, DEFINE = 2e-3, 1.0, 20.0  # [us] a byte that is unpacked, a record that is read, one that is parsed
+CACHE = 32 * 1024 * 1024  # [bytes] of unpacked chunks that stay in memory
+SORTED = 64 * 1024 * 1024  # [bytes] that sorting by log time may take
+MOST_MESSAGES, MOST_DEFINITIONS = 4_000_000, 10_000  # of one chunk
+MESSAGE = struct.Struct("<BQHIQQ")  # opcode and length; channel, sequence, log time, publish time
+HEAD_SIZE, MESSAGE_HEAD = HEAD.size, MESSAGE.size - HEAD.size  # [bytes] of opcode and length, of the other fields
 
 
-class Chunk(NamedTuple):
-    """Where messages are: a chunk, or a run of messages outside of chunks (``type`` MESSAGE)."""
+class ChunkPlace(NamedTuple):
+    """A chunk, or a run of messages outside of chunks."""
 
-    type: int
+    opcode: int  #: CHUNK or MESSAGE
     offset: int
-    size: int  # [bytes] of the record, or of all records of the run
-    first_time: int  # [ns], smallest and largest log time
+    end: int
+    first_time: int  #: [ns], smallest and largest log time
     last_time: int
-    unpacked: int  # [bytes]
+    unpacked: int  #: [bytes]
 
     @property
-    def end(self) -> int:
-        return self.offset + self.size
-
-    @classmethod
-    def of(cls, part: Part) -> Chunk:
-        """What a chunk says of itself, without its messages. Raises Damage."""
-        size = part.size
-        if part.type == Opcode.MESSAGE:
-            data = part.data()
-            times = [MESSAGE.unpack_from(data, at)[4] for _, at, _ in inner(data, part.offset)]
-            return cls(part.type, part.offset, size, min(times), max(times), size)
-        packed = Packed.of(part.stream, part.offset, size)
-        if packed.unpacked > LIMIT:
-            raise Damage(f"a chunk claims {packed.unpacked} bytes, more than {LIMIT}", part.offset)
-        return cls(part.type, part.offset, size, packed.first_time, packed.last_time, packed.unpacked)
+    def size(self) -> int:
+        return self.end - self.offset
 
 
-class Entry(NamedTuple):
-    """One message of a file."""
+class RawMessage(NamedTuple):
+    """One message as it was recorded."""
 
-    log_time: int  # [ns]
-    publish_time: int
-    channel: int
-    sequence: int
-    place: tuple[int, int]  # offset of the chunk, offset in the unpacked chunk
+    topic: str
+    log_time: int  #: [ns]
+    publish_time: int  #: [ns]
     data: bytes
+    channel: int = 0
+    sequence: int = 0
+    place: tuple[int, int] = (0, 0)  #: offset of the chunk in the file, offset of the message in the unpacked chunk
 
 
-class Messages:
-    """The content of a chunk: its bytes, where the messages are, and the definitions that it introduces."""
+class ChunkMessages:
+    """The unpacked bytes of a chunk, with an index of its messages and its definitions."""
 
-    def __init__(self, data: bytes, chunk: Chunk, packed: Packed | None = None):
-        self.data, self.offset = data, chunk.offset
-        self.packed = packed  #: None: there is no chunk around them
-        #: of each message: offset in the bytes, log time [ns], channel
-        self.places, self.times, self.channels = array("I"), array("Q"), array("H")
-        self.definitions: list[tuple[int, int, int]] = []  #: schemas and channels: type, begin and end
-        self.records = 0
-        for kind, at, end in inner(data, chunk.offset):
-            self.records += 1
-            if kind == Opcode.MESSAGE:
-                _, _, channel, _, log_time, _ = MESSAGE.unpack_from(data, at)
-                self.places.append(at)
-                self.times.append(log_time)
-                self.channels.append(channel)
-            elif kind in (Opcode.SCHEMA, Opcode.CHANNEL):
-                if end - at > SMALL:
-                    raise Damage(f"a chunk has a definition of {end - at} bytes, more than {SMALL}", chunk.offset)
-                self.definitions.append((kind, at, end))
-            if self.records > MOST or len(self.definitions) > MOST_DEFINITIONS:
-                reason = f"a chunk holds more than {MOST} records or {MOST_DEFINITIONS} definitions"
-                raise Damage(reason, chunk.offset)
+    def __init__(self, data: bytes, offset: int, compression: str = "", packed: int = 0):
+        self.data, self.offset = data, offset
+        self.compression, self.packed = compression, packed  #: name, and size of the packed data [bytes]
+        self.offsets, self.times, self.channels = array("I"), array("Q"), array("H")
+        self.definitions: list[RecordPlace] = []  #: places of schemas and channels in the bytes
+        try:
+            self._index()
+        except struct.error:
+            raise Damage("a chunk ends in the middle of a record", offset) from None
         self.counts = Counter(self.channels)  #: channel -> messages
-        self.cost = len(data) + 14 * len(self.times)  #: [bytes] that this takes in memory
+        self.memory = len(data) + 14 * len(self.times)  # [bytes]
+        if self.times and self.last_time >= 2**63:
+            raise Damage(f"a log time of {self.last_time} ns is after the year 2262", offset)
+
+    def _index(self) -> None:
+        data, at, size = self.data, 0, len(self.data)
+        add_offset, add_time, add_channel = self.offsets.append, self.times.append, self.channels.append
+        unpack_head, unpack_message, message = HEAD.unpack_from, MESSAGE.unpack_from, int(Opcode.MESSAGE)
+        while at < size:
+            opcode, length = unpack_head(data, at)
+            end = at + HEAD_SIZE + length
+            if opcode == message:
+                _, _, channel, _, log_time, _ = unpack_message(data, at)
+                if length < MESSAGE_HEAD:
+                    raise Damage("a message in a chunk has an impossible length", self.offset)
+                add_offset(at)
+                add_time(log_time)
+                add_channel(channel)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                if length > SMALL_LIMIT:
+                    raise Damage(f"a definition has {length} bytes, more than {SMALL_LIMIT}", self.offset)
+                self.definitions.append(RecordPlace(opcode, at, end))
+                if len(self.definitions) > MOST_DEFINITIONS:
+                    raise Damage(f"a chunk has more than {MOST_DEFINITIONS} definitions", self.offset)
+            at = end
+        if len(self.times) > MOST_MESSAGES:
+            raise Damage(f"a chunk has more than {MOST_MESSAGES} messages", self.offset)
+        if at != size:
+            raise Damage("a record in a chunk has an impossible length", self.offset)
 
     def __len__(self) -> int:
         return len(self.times)
 
-    def entry(self, k: int) -> Entry:
-        """The message number k of the file's order."""
-        at = self.places[k]
-        _, size, channel, sequence, log_time, publish_time = MESSAGE.unpack_from(self.data, at)
-        data = self.data[at + MESSAGE.size : at + HEAD.size + size]
-        return Entry(log_time, publish_time, channel, sequence, (self.offset, at), data)
+    def stream(self) -> IO[bytes]:
+        """The unpacked bytes as a stream, without a copy."""
+        return io.BytesIO(self.data)
 
-    def __iter__(self) -> Iterator[Entry]:
-        return map(self.entry, range(len(self)))
+    @property
+    def first_time(self) -> int:
+        return min(self.times, default=0)
 
-    def by_time(self) -> Iterator[tuple[int, int]]:
-        """Log time [ns] and number of every message in the order of the times; holds 12 bytes a message."""
-        times = np.frombuffer(self.times, np.uint64)
-        order = np.argsort(times, kind="stable").astype(np.uint32)
-        return zip(times[order].data, order.data, strict=True)
+    @property
+    def last_time(self) -> int:
+        return max(self.times, default=0)
+
+    def message(self, index: int, topics: dict[int, str]) -> RawMessage:
+        """The message with an index in the order of the file; topics: channel -> topic."""
+        at = self.offsets[index]
+        _, length, channel, sequence, log_time, publish_time = MESSAGE.unpack_from(self.data, at)
+        data = self.data[at + MESSAGE.size : at + HEAD.size + length]
+        return RawMessage(topics[channel], log_time, publish_time, data, channel, sequence, (self.offset, at))
+
+    def messages(self, topics: dict[int, str]) -> Iterator[RawMessage]:
+        """The messages on these channels, in the order of the file; every reader uses this loop."""
+        data, chunk, unpack_message = self.data, self.offset, MESSAGE.unpack_from
+        begin = MESSAGE.size
+        for at, channel in zip(self.offsets, self.channels, strict=True):
+            if channel in topics:
+                _, length, _, sequence, log_time, publish_time = unpack_message(data, at)
+                content = data[at + begin : at + HEAD_SIZE + length]
+                yield RawMessage(topics[channel], log_time, publish_time, content, channel, sequence, (chunk, at))
+                del content  # before the next message is copied
+
+    def by_time(self, topics: dict[int, str]) -> list[np.ndarray]:
+        """Log times [ns] and indexes of the messages on these channels, ascending; equal times as in the file."""
+        times, channels = np.frombuffer(self.times, np.uint64), np.frombuffer(self.channels, np.uint16)
+        chosen = np.flatnonzero(np.isin(channels, list(topics))).astype(np.uint32)
+        chosen = chosen[np.argsort(times[chosen], kind="stable")]
+        return [times[chosen], chosen]
 
 
-class Unpacker:
-    """Gives the messages of a file's chunks and remembers the last ones, up to a number of bytes."""
+class ChunkReader:
+    """Reads the chunks of a file and remembers the last ones, up to CACHE bytes."""
 
-    def __init__(self, stream, size: int, cache: int = CACHE):
-        self._stream, self._limit = stream, cache
-        self._sorted = CACHE + 2 * size  # [bytes] that sorting by time may hold
-        self.used = 0  #: [bytes] that are remembered
-        self.left = FREE + PER_BYTE * size  #: [us] of work on this file
-        self._remembered: OrderedDict[int, Messages] = OrderedDict()
+    def __init__(self, stream: IO[bytes], channels: Container[int]):
+        self._stream, self._channels = stream, channels
+        self.used = 0  #: [bytes] in memory
+        self._remembered: OrderedDict[int, ChunkMessages] = OrderedDict()
 
-    def spend(self, work: float, offset: int) -> None:
-        """Count work [us] before it is done; raises Damage where a file of its size cannot need it."""
-        self.left -= work
-        if self.left < 0:
-            raise Damage("to read it takes more work than a file of its size can need", offset)
+    def __call__(self, place: ChunkPlace) -> ChunkMessages:
+        """The messages of a chunk. Raises Damage."""
+        content = self._remembered.get(place.offset)
+        if content is not None:
+            self._remembered.move_to_end(place.offset)
+            return content
+        self._make_room(place.unpacked)
+        content = self._remembered[place.offset] = self._read(place)
+        self.used += content.memory
+        return content
 
-    def __call__(self, chunk: Chunk) -> Messages:
-        found = self._remembered.get(chunk.offset)
-        if found is not None:
-            self._remembered.move_to_end(chunk.offset)
-            return found
-        self.spend(UNPACK * chunk.unpacked, chunk.offset)
-        self._forget(chunk.unpacked, 0)  # first, so that two large ones are never held
-        found = self._remembered[chunk.offset] = _messages(self._stream, chunk)
-        self.used += found.cost
-        self.spend(READ * found.records + DEFINE * len(found.definitions), chunk.offset)
-        self._forget(0, 1)
-        return found
+    def _make_room(self, size: int) -> None:
+        """Forget the oldest chunks before the next chunk takes its memory [bytes]."""
+        while self._remembered and self.used + size > CACHE:
+            self.used -= self._remembered.popitem(last=False)[1].memory
 
-    def _forget(self, size: int, most: int) -> None:
-        """Make room for so many bytes, but keep the last few."""
-        while self.used + size > self._limit and len(self._remembered) > most:
-            self.used -= self._remembered.popitem(last=False)[1].cost
+    def _read(self, place: ChunkPlace) -> ChunkMessages:
+        if place.opcode == Opcode.MESSAGE:
+            return ChunkMessages(read_bytes(self._stream, place.offset, place.size), place.offset)
+        chunk = record_at(self._stream, RecordPlace(place.opcode, place.offset, place.end))
+        if not isinstance(chunk, Chunk) or chunk.uncompressed_size != place.unpacked:
+            raise Damage("the index of chunks does not fit the chunk", place.offset)
+        data, compression, packed = unpack(chunk, place.offset), chunk.compression, len(chunk.data)
+        del chunk  # before the index of the messages takes memory
+        content = ChunkMessages(data, place.offset, compression, packed)
+        if len(content) and (content.first_time, content.last_time) != (place.first_time, place.last_time):
+            raise Damage("a chunk has other log times than it states", place.offset)
+        return content
 
-    def in_file_order(self, chunks: list[Chunk]) -> Iterator[Entry]:
-        """Every message of some chunks. Raises Damage."""
-        for chunk in chunks:
-            self.spend(READ * len(self(chunk)), chunk.offset)
-            yield from self(chunk)  # no name holds it while the next one is unpacked
+    def survey(self, place: RecordPlace) -> tuple[ChunkPlace, ChunkMessages]:
+        """Size and log times of a chunk as its record states them, and its messages. Raises Damage."""
+        self._make_room(place.end - place.offset)
+        chunk = record_at(self._stream, place)
+        first, last, unpacked = chunk.message_start_time, chunk.message_end_time, chunk.uncompressed_size
+        del chunk  # it is large
+        described = ChunkPlace(*place, first, last, unpacked)
+        return described, self(described)
 
-    def in_time_order(self, chunks: list[Chunk]) -> Iterator[Entry]:
-        """The same by log times. A chunk is opened when its first time has come; of one that waits for its next message
-        only the order is held, and it is unpacked again where it was forgotten meanwhile."""
-        # the next message of each
-        lanes: list[tuple] = [(chunk.first_time, chunk.offset, -1, chunk, iter(())) for chunk in chunks]
-        heapq.heapify(lanes)
-        held = 0
-        while lanes:
-            _, offset, k, chunk, rest = lanes[0]
-            found = self(chunk)
-            if k < 0:
-                rest, held = found.by_time(), held + 12 * len(found)
-                self.spend(READ * len(found), offset)
-                if held > self._sorted:
-                    raise Damage("its chunks overlap in time so much that their messages cannot be sorted", offset)
+    def _defined(self, place: ChunkPlace) -> ChunkMessages:
+        """The messages of a chunk, all on known channels. Raises Damage."""
+        content = self(place)
+        for channel in content.counts:
+            if channel not in self._channels:
+                raise Damage(f"a message belongs to channel {channel}, which is not defined", place.offset)
+        return content
+
+    def in_file_order(self, places: list[ChunkPlace], topics: dict[int, str]) -> Iterator[RawMessage]:
+        """Messages of some chunks on some channels. Raises Damage."""
+        for place in places:
+            yield from self._defined(place).messages(topics)  # no name keeps a chunk while the next one is unpacked
+
+    def in_time_order(self, places: list[ChunkPlace], topics: dict[int, str]) -> Iterator[RawMessage]:
+        """The same messages by log time.
+
+        A chunk is opened at its first log time. Of a chunk that waits only the order of its messages stays in memory;
+        its bytes are unpacked again if the cache lost them. Raises Damage.
+        """
+        waiting: list[tuple] = [(place.first_time, place.offset, -1, place, iter(())) for place in places]
+        heapq.heapify(waiting)
+        memory = 0  # [bytes] of the orders
+        while waiting:
+            _, offset, index, place, order = waiting[0]
+            content = self._defined(place)
+            if index < 0:
+                times, indexes = content.by_time(topics)
+                memory += 12 * len(content)
+                if memory > SORTED:
+                    raise Damage("too many chunks overlap in time to sort their messages", offset)
+                order = zip(times.data, indexes.data, strict=True)
             else:
-                yield found.entry(k)
-            following = next(rest, None)
+                yield content.message(index, topics)
+            following = next(order, None)
             if following is None:
-                heapq.heappop(lanes)
-                held -= 12 * len(found)
+                heapq.heappop(waiting)
+                memory -= 12 * len(content)
             else:
-                heapq.heapreplace(lanes, (following[0], offset, following[1], chunk, rest))
-            del found  # before another one is unpacked
-
-
-def _messages(stream, chunk: Chunk) -> Messages:
-    """Unpack one chunk and check it: size, checksum, the lengths in it, and that its times are those it announced."""
-    at, packed = chunk.offset, None
-    if chunk.type == Opcode.CHUNK:
-        packed = Packed.of(stream, at, chunk.size)
-        data = packed.unpack(stream, at)
-        if len(data) != packed.unpacked:
-            raise Damage(f"a chunk does not unpack to the {packed.unpacked} bytes that it announces", at)
-        if packed.checksum and zlib.crc32(data) != packed.checksum:
-            raise Damage("a chunk does not fit its checksum", at)
-    else:
-        data = exactly(stream, at, chunk.size)
-    found = Messages(data, chunk, packed)
-    if len(found) and (min(found.times), max(found.times)) != (chunk.first_time, chunk.last_time):
-        raise Damage("a chunk holds other times than it says", at)
-    if len(found) and chunk.last_time >= 2**63:
-        raise Damage(f"a log time of {chunk.last_time} ns is beyond the year 2262", at)
-    return found
+                heapq.heapreplace(waiting, (following[0], offset, following[1], place, order))
+            del content

@@ -1,4 +1,4 @@
-"""Topics as files: CSV, and Parquet where pyarrow is installed; read message by message, so that memory is bounded."""
+"""Export topics as CSV or Parquet files, message by message, with bounded memory. Parquet needs pyarrow."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.series import FIXED, stamped
 from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
 from kr270_milling.messages.definitions import plain
-from kr270_milling.messages.series import FIXED, stamped
 from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
 
 __all__ = ["Exported", "export", "rows"]
 
-MAX_FILES = 100  # of one topic; a new one begins where the columns change
-ROWS, TEXT_BYTES = 1024, 1024 * 1024  # that are written to Parquet at once
+MAX_FILES = 100  # of one topic; a new file begins when the columns change
+ROWS, TEXT_BYTES = 1024, 1024 * 1024  # in one group of a Parquet file
 Row = tuple[list[str], list]  # names of the columns, cells
 POINT = [
     *(f"position_{a}_m" for a in "xyz"),
@@ -44,7 +44,7 @@ TWIST = "geometry_msgs/msg/TwistStamped"
 
 @dataclass
 class Exported:
-    """What was written, and why a topic was not."""
+    """The written files, and the reason for each topic that was not written."""
 
     files: list[Path] = field(default_factory=list)
     refused: dict[str, str] = field(default_factory=dict)  #: topic -> sentence
@@ -54,9 +54,11 @@ def export(
     recording: Recording, directory, topics: Collection[str] | None = None, progress: Callable | None = None,
     kind: str = "csv",
 ) -> Exported:  # fmt: skip
-    """Write a file per topic into a directory; progress(messages done, of all); kind: "csv" or "parquet". A topic that
-    cannot be read is named in the result, and the others are written. Raises RecordingError for an unknown topic, a
-    full disk, and where pyarrow is not installed."""
+    """Write one file for each topic into a directory; progress(messages done, of all); kind: "csv" or "parquet".
+
+    The result names each topic that cannot be read; the other topics are written. Raises RecordingError for an unknown
+    topic, a full disk, and a missing pyarrow.
+    """
     if kind == "parquet" and importlib.util.find_spec("pyarrow") is None:
         raise RecordingError(directory, "Parquet needs the package pyarrow, which is not installed")
     known = recording.topics()
@@ -80,7 +82,7 @@ def export(
 
 
 def _export_topic(recording: Recording, topic: str, directory: Path, kind: str, result: Exported) -> None:
-    """A topic's files: one, and a further one each time the columns change. They appear when all are written."""
+    """Write the files of a topic: a new file each time the columns change. They appear when all are complete."""
     files: list[Path] = []
     try:
         with staged(directory) as (draft, _):
@@ -97,7 +99,7 @@ def _export_topic(recording: Recording, topic: str, directory: Path, kind: str, 
 
 
 def _free_path(directory: Path, topic: str, suffix: str, taken: list[Path]) -> Path:
-    """``directory/topic.suffix``, or with a number where another topic has this name."""
+    """Return ``directory/topic.suffix``, with a number if another topic has this name."""
     number, path = 1, directory / f"{_word(topic)}.{suffix}"
     while path in taken:
         number += 1
@@ -109,7 +111,7 @@ def _write_csv(stream, columns: list[str], rows: Iterable[list]) -> None:
     with io.TextIOWrapper(stream, encoding="utf-8", newline="") as text:
         writer = csv.writer(text)
         writer.writerow(columns)
-        writer.writerows(rows)  # numbers as the shortest text that reads back to the same bits
+        writer.writerows(rows)  # a number is the shortest text that gives the same bits
 
 
 def _write_parquet(stream, columns: list[str], rows: Iterable[list]) -> None:
@@ -128,7 +130,7 @@ WRITERS: dict[str, Callable] = {"csv": _write_csv, "parquet": _write_parquet}
 
 
 def _tables(rows: Iterable[list]) -> Iterator[list[list]]:
-    """Rows together, up to 1024 of them or 1 MB of text."""
+    """Group rows, up to 1024 rows or 1 MB of text."""
     table: list[list] = []
     size = 0
     for row in rows:
@@ -142,7 +144,7 @@ def _tables(rows: Iterable[list]) -> Iterator[list[list]]:
 
 
 def rows(recording: Recording, topic: str) -> Iterator[Row]:
-    """The messages of a topic as rows; each may have other columns. Raises RecordingError."""
+    """Yield the messages of a topic as rows; columns may change from row to row. Raises RecordingError."""
     kind = recording.topics()[topic].type
     if kind in FIXED:
         return _series_rows(recording, topic, kind)
@@ -153,7 +155,7 @@ def rows(recording: Recording, topic: str) -> Iterator[Row]:
 
 def _series_rows(recording: Recording, topic: str, kind: str) -> Iterator[Row]:
     units = FIXED[kind]
-    if kind == TWIST:  # a deflection is a displacement in the message of a velocity
+    if kind == TWIST:  # a deflection is a displacement in the fields of a velocity
         deflection = topic.split("/")[-1] == "deflection"
         linear, angular = ("m", "rad") if deflection else ("m_per_s", "rad_per_s")
         units = [(name, linear if name.startswith("linear") else angular) for name, _ in units]
@@ -163,22 +165,24 @@ def _series_rows(recording: Recording, topic: str, kind: str) -> Iterator[Row]:
 
 
 def _trajectory_rows(recording: Recording, topic: str) -> Iterator[Row]:
-    """One row per point; the columns of a body carry its name if there are several."""
+    """Yield one row for each point; with several bodies the columns have the name of the body."""
     for number, message in enumerate(recording.messages([topic], as_written=True)):
         try:
-            found = read_trajectory(message.data)
+            trajectory = read_trajectory(message.data)
         except ValueError as error:
             raise RecordingError(recording.path, f"a message on {topic} is not a {TRAJECTORY}: {error}") from error
-        prefixes = [f"{_word(name)}_" if len(found.names) > 1 else "" for name in found.names]
+        prefixes = [f"{_word(name)}_" if len(trajectory.names) > 1 else "" for name in trajectory.names]
         columns = ["message", "stamp_ns", "frame_id", "time_from_start_ns"]
         columns += [prefix + name for prefix in prefixes for name in POINT]
-        bodies = np.concatenate([found.position, found.quaternion, found.velocity, found.acceleration], axis=2)
-        for time, body in zip(found.time.tolist(), bodies, strict=True):
-            yield columns, [number, found.stamp, found.frame_id, time, *body.ravel().tolist()]
+        bodies = np.concatenate(
+            [trajectory.position, trajectory.quaternion, trajectory.velocity, trajectory.acceleration], axis=2
+        )
+        for time, body in zip(trajectory.time.tolist(), bodies, strict=True):
+            yield columns, [number, trajectory.stamp, trajectory.frame_id, time, *body.ravel().tolist()]
 
 
 def _any_rows(recording: Recording, topic: str, cells_of: Callable[[object], dict]) -> Iterator[Row]:
-    """Any other type."""
+    """Yield the rows of any other type."""
     for message, decoded in recording.decoded([topic], as_written=True):
         try:
             cells = {"log_time_ns": message.log_time, **cells_of(decoded)}
@@ -188,7 +192,7 @@ def _any_rows(recording: Recording, topic: str, cells_of: Callable[[object], dic
 
 
 def _joint_cells(state) -> dict:
-    """A column per joint and quantity; what a message leaves out is NaN."""
+    """One column for each joint and quantity; missing values are NaN."""
     stamp = state.header.stamp
     cells = {"stamp_ns": stamp.sec * SECOND + stamp.nanosec, "frame_id": state.header.frame_id}
     for kind, unit in (("position", "rad"), ("velocity", "rad_per_s"), ("effort", "n_m")):
@@ -200,7 +204,7 @@ def _joint_cells(state) -> dict:
 
 
 def _flat(value: dict, prefix: str = "") -> dict:
-    """A column per number or text, sequences as JSON in one cell."""
+    """One column for each number or text; a sequence is JSON in one cell."""
     cells = {}
     for key, item in value.items():
         if isinstance(item, dict):
@@ -211,5 +215,5 @@ def _flat(value: dict, prefix: str = "") -> dict:
 
 
 def _word(text: str) -> str:
-    """A name without signs that a file name or a column cannot have."""
+    """Replace characters that a file name or a column cannot contain."""
     return re.sub(r"\W+", "_", text).strip("_")[:100] or "unnamed"

@@ -1,10 +1,10 @@
-"""What a recording holds, as a dict for ``--json`` and as text."""
+"""Summary of a recording, as a dict for ``--json`` and as text."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-from kr270_milling.bag.reader import RawMessage, Recording, Topic
+from kr270_milling.bag.reader import RawMessage, RecordedTopic, Recording
 from kr270_milling.bag.stamps import SHARED, GapCounter, Passes
 from kr270_milling.base.errors import one_line
 from kr270_milling.messages.cdr import stamp_of
@@ -14,14 +14,14 @@ __all__ = ["info", "info_text"]
 
 
 def info(recording: Recording, progress: Callable[[int, int], None] | None = None) -> dict:
-    """Duration, counts, rates, bytes and gaps per topic, metadata, attachments and versions; reads all messages."""
-    topics = {name: _Counted(about) for name, about in recording.topics().items()}
+    """Return duration, counts, rates, sizes, gaps, metadata and attachments of a recording; read all its messages."""
+    topics = {name: _TopicCount(about) for name, about in recording.topics().items()}
     number = 0
     for message in recording.messages(as_written=True):
         topics[message.topic].add(message)
         if progress and number % 10_000 == 0:
             progress(number, recording.count)
-        number += 1  # noqa: SIM113 - enumerate holds the message before while it makes the next
+        number += 1  # noqa: SIM113 - enumerate keeps the previous message in memory
         del message
     first, last = recording.first_log_time, recording.last_log_time
     return dict(
@@ -41,17 +41,17 @@ def info(recording: Recording, progress: Callable[[int, int], None] | None = Non
     )
 
 
-class _Counted:
-    """The messages of a topic: bytes, gaps, and how long they take, each pass for itself."""
+class _TopicCount:
+    """Size, gaps and duration of the messages of a topic; each pass is counted separately."""
 
-    def __init__(self, about: Topic):
+    def __init__(self, about: RecordedTopic):
         self._about = about
         self._stamped = about.schema_encoding == "ros2msg" and about.type not in SHARED
         self._stamped = self._stamped and starts_with_stamp(about.schema)
         self.gaps = GapCounter()
         self._passes = Passes()
         self._size = 0
-        self._before = self._first = self._last = 0  # [ns], duration of the passes before, log times of this one
+        self._before = self._first = self._last = 0  # [ns], duration of earlier passes, log times of the current pass
         self._empty = True
 
     def add(self, message: RawMessage) -> None:
@@ -77,12 +77,12 @@ class _Counted:
 
 
 def info_text(data: dict) -> str:
-    """The dict of ``info`` for a terminal."""
+    """Format the dict of ``info`` for a terminal."""
     lines = [
         f"{data['file']}: {data['size_bytes'] / 1e6:.2f} MB, {data['messages']} messages, {data['duration_s']:.3f} s"
     ]
     if data["cut_off"]:
-        lines.append("cut off: its writer did not finish it; what follows is what was written before "
+        lines.append("cut off: its writer did not finish it; the following was written before "
                      f"(last log time {data['end_ns']} ns)")  # fmt: skip
     lines.append(f"written by {data['library'] or 'unknown'}, profile {data['profile'] or 'none'}")
     width = max((len(name) for name in data["topics"]), default=0)
@@ -92,7 +92,7 @@ def info_text(data: dict) -> str:
     for name, entries in data["metadata"].items():
         lines += [f"  {name}: {key} = {value}" for key, value in entries.items()]
     lines += [f"  attached: {a['name']} ({a['size_bytes']} bytes)" for a in data["attachments"]]
-    # a file from elsewhere must not steer the terminal
+    # text in a file must not control the terminal
     return "\n".join(map(one_line, lines))
 
 

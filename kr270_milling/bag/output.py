@@ -1,4 +1,4 @@
-"""The file of a recording while it is written: a new file inside a directory, which ends at its first error."""
+"""The file of a recording during writing: a new file in a directory; the first error ends the file."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 
 
 def plain_name(path, name: str) -> str:
-    """``name`` if it is the name of a file in a directory and nothing more."""
+    """Return ``name`` if it is the name of a file without a directory. Raises RecordingError."""
     if not name or name in (".", "..") or "/" in name or "\0" in name or len(name.encode()) > 200:
         raise RecordingError(path, f"{name[:80]!r} is not a file name")
     return name
 
 
 class Output:
-    """``directory/name.mcap`` by mcap's Writer, and small files beside it; nothing is written outside the directory.
+    """``directory/name.mcap`` for mcap's Writer, and small files in the same directory.
 
-    No buffer of our own: what mcap's writer gave was written to the kernel and survives a SIGKILL. The first error of
-    the file system ends the file behind the last whole record, and every later call raises the same RecordingError.
-    waiting: messages that were not given yet, and are lost then as well.
+    There is no buffer here: a written chunk is in the kernel and survives a SIGKILL. The first error of the file system
+    ends the file after its last whole record, and every later call raises the same RecordingError.
+    waiting: messages that are not in the file yet; an error loses them too.
     """
 
     def __init__(self, directory: Path, name: str, chunk_size: int, waiting: Sized):
         self.path = directory / f"{plain_name(directory, name)}.mcap"
         self.error: RecordingError | None = None
-        self.count = self.kept = 0  #: messages given, and those of them that are in the file
+        self.count = self.saved = 0  #: messages given to mcap's Writer, and messages in the file
         self._waiting = waiting
-        self._position = 0  # end of the last piece that was written whole; a piece is one or more whole records
+        self._position = 0  # end of the last completed write; each write has one or more whole records
         self._file: int | None = self._create()
-        # the checksum over the whole data section shows a flipped bit also outside of the chunks
+        # the checksum of the data section also covers the bytes outside of the chunks
         self.mcap = Writer(cast(IO[bytes], self), chunk_size, CompressionType.ZSTD, enable_data_crcs=True)
 
     def _create(self) -> int:
@@ -49,9 +49,9 @@ class Output:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             if folder.is_symlink():
-                raise RecordingError(folder, "is a link, through which no recording is written")
+                raise RecordingError(folder, "is a symbolic link; a recording is not written through links")
             if os.path.lexists(folder / "metadata.yaml"):
-                raise RecordingError(folder, "holds a recording already, which is not overwritten")
+                raise RecordingError(folder, "has a recording already, which is not overwritten")
             return os.open(self.path, NEW, 0o666)
         except FileExistsError as error:
             raise RecordingError(error.filename, "exists already and is not overwritten") from None
@@ -62,7 +62,7 @@ class Output:
     def is_open(self) -> bool:
         return self._file is not None
 
-    # what mcap's Writer asks of a stream
+    # the stream of mcap's Writer
 
     def write(self, data) -> int:
         file, view, done = self.check(), memoryview(data), 0
@@ -70,10 +70,10 @@ class Output:
             while done < len(view):
                 done += os.write(file, view[done:])
         except OSError as error:
-            lost = self.count - self.kept + len(self._waiting)
+            lost = self.count - self.saved + len(self._waiting)
             self.error = RecordingError(
                 self.path,
-                f"writing ended with an error ({error.strerror or error}); {self.kept} messages in {self._position} "
+                f"writing ended with an error ({error.strerror or error}); {self.saved} messages in {self._position} "
                 f"bytes are safe, the last {lost} are lost",
             )
             with suppress(OSError):
@@ -82,19 +82,19 @@ class Output:
             raise self.error from error
         self._position += done
         if view and view[0] == Opcode.CHUNK:
-            self.kept = self.count
+            self.saved = self.count
         return done
 
     def tell(self) -> int:
         return self._position
 
     def flush(self) -> None:
-        """Nothing waits here."""
+        """Do nothing: there is no buffer."""
 
-    # what the recording asks
+    # for the writer of the recording
 
     def check(self) -> int:
-        """The file; raises where nothing can be written any more."""
+        """Return the file descriptor. Raises RecordingError after an error or after the end."""
         if self._file is None:
             raise self.error or RecordingError(self.path, "the recording is closed")
         return self._file
@@ -105,8 +105,8 @@ class Output:
         self.mcap.add_message(channel, log_time, data, publish_time, sequence)
 
     def close_chunk(self) -> None:
-        """Put every message that was given into the file."""
-        if self.is_open and self.kept < self.count:
+        """Write every message into the file."""
+        if self.is_open and self.saved < self.count:
             self.mcap.flush()
 
     def _close(self) -> None:
@@ -116,11 +116,11 @@ class Output:
                 os.close(file)
 
     def finish(self, name: str, data: bytes) -> None:
-        """End the file, and write a small one under ``name`` beside it, in place of whatever has that name."""
+        """End the file, and write a small file ``name`` in the same directory, which replaces a file of that name."""
         self.mcap.finish()
         self._close()
-        beside = self.path.with_name(name)
+        neighbour = self.path.with_name(name)
         try:
-            write_files({beside: (data,)})
+            write_files({neighbour: (data,)})
         except InputError as error:
-            raise RecordingError(beside, error.reason) from error
+            raise RecordingError(neighbour, error.reason) from error

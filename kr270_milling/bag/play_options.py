@@ -1,4 +1,4 @@
-"""What a playback is asked for; light to import, for a command line that shows its help."""
+"""Options of a playback; a small module, which the command line imports for its help."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from pathlib import Path
 
 __all__ = ["MOST", "PlayOptions"]
 
-MOST = 9e9  # [s], some 285 years, as many nanoseconds as a log time can count
+MOST = 9e9  # [s], 285 years, the largest log time in nanoseconds
 
 
 @dataclass(frozen=True)
 class PlayOptions:
-    """One playback."""
+    """Options of one playback."""
 
     file: Path
     rate: float = 1.0

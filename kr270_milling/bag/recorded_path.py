@@ -1,8 +1,8 @@
-"""The target of a pass out of a recording: a nav_msgs/Path as a tool path, a MultiDOFJointTrajectory as it is timed.
+"""The target of a pass from a recording: a nav_msgs/Path, or a MultiDOFJointTrajectory with its times.
 
-A Path gives positions; the stamps of its poses give the feed, ``feed_rate`` does where it has no times (all stamps
-are equal). Its orientations count where tool0 z points into the part. Where all of them have z straight up, as the
-empty orientation and the headings of planners have it, they say nothing about a tool, and the tool stands upright.
+A Path contains positions. The stamps of its poses determine the feed; ``feed_rate`` does if all stamps are equal. The
+orientations are used if tool0 z points into the part. If z points straight up in all of them, as in empty orientations
+and in headings of planners, they do not describe a tool, and the tool is vertical.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.structure import mcap_file
+from kr270_milling.bag.records import mcap_file
 from kr270_milling.base import parameter_file as config_file
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import Cursor
@@ -34,14 +34,14 @@ UPRIGHT = 1e-9  #: horizontal part of the z axis below which an orientation is a
 class PathRecord:
     """One message; n poses."""
 
-    frames: tuple[str, ...]  #: of the message, then those of its poses, each once
+    frames: tuple[str, ...]  #: of the message, then of its poses, each once
     time: np.ndarray  #: [ns], (n,) int64, the stamps
     position: np.ndarray  #: [m], (n, 3)
     quaternion: np.ndarray  #: x y z w, (n, 4)
 
 
 def find_tool_path(name: str, beside: Path = Path()) -> Path:
-    """A tool path's file: one beside another file, a shipped one, or that in the directory of a recording.
+    """Return the file of a tool path: in the directory ``beside``, shipped, or in the directory of a recording.
 
     Raises ConfigError, RecordingError.
     """
@@ -51,14 +51,14 @@ def find_tool_path(name: str, beside: Path = Path()) -> Path:
 
 
 def is_recording(path) -> bool:
-    """Whether a file is to be read as a recording, by its name."""
+    """Whether the name of a file is the name of a recording."""
     return Path(path).suffix.lower() == ".mcap"
 
 
 def read_recorded(path, topic: str = "", feed_rate: float = 0.0) -> Toolpath | TimedPath:
-    """The one path or trajectory of a recording, or that on ``topic``; feed_rate [m/s]: for a Path without times.
+    """Read the path or trajectory of a recording, or that on ``topic``; feed_rate [m/s]: for a Path without times.
 
-    Raises RecordingError where there is none, where there are several, or where it cannot be run.
+    Raises RecordingError if there is none, if there are several, or if it cannot be run.
     """
     with Recording(path) as recording:
         topic, kind = _topic(recording, topic)
@@ -83,30 +83,30 @@ def _topic(recording: Recording, wanted: str) -> tuple[str, str]:
     if wanted:
         raise RecordingError(recording.path, f"has no path on path.topic {wanted!r}, but on: {listed or 'no topic'}")
     if len(fits) != 1:
-        reason = f"several topics hold a path, name one as path.topic: {listed}" if fits else f"holds no {PATH} and no "
+        reason = f"several topics have a path, name one as path.topic: {listed}" if fits else f"has no {PATH} and no "
         raise RecordingError(recording.path, reason if fits else reason + TRAJECTORY)
     return next(iter(fits.items()))
 
 
 def _message(recording: Recording, topic: str) -> bytes:
-    """The message of a topic; one that was sent again, with another stamp at most, is the same."""
-    found = b""
+    """Return the message of a topic; a repeated message may differ only in its stamp."""
+    first = b""
     for message in recording.messages([topic]):
-        if found and message.data[12:] != found[12:]:
-            raise ValueError("holds different paths one after the other; which one is meant cannot be told")
-        found = found or message.data
-    if recording.topics()[topic].encoding != "cdr" or not found:
-        raise ValueError("holds no message that can be read")
-    return found
+        if first and message.data[12:] != first[12:]:
+            raise ValueError("has several different paths; a recording must have one")
+        first = first or message.data
+    if recording.topics()[topic].encoding != "cdr" or not first:
+        raise ValueError("has no message that can be read")
+    return first
 
 
 def read_path(data: bytes) -> PathRecord:
-    """The content of one serialised nav_msgs/Path; raises ValueError where it is none."""
+    """Read one serialised nav_msgs/Path; raises ValueError for other bytes."""
     cursor = Cursor(data)
     cursor.number("i"), cursor.number("I")
     frames = {cursor.string(): None}
     count = cursor.number("I")
-    if 64 * count > len(data):  # stamp and numbers of a pose alone
+    if 64 * count > len(data):  # a pose has at least a stamp and seven numbers
         raise ValueError("the message ends too early")
     time, numbers = np.empty(count, np.int64), np.empty((count, 7))
     for k in range(count):
@@ -120,14 +120,14 @@ def read_path(data: bytes) -> PathRecord:
 
 
 def _toolpath(path: PathRecord, feed_rate: float) -> Toolpath:
-    _expect_frame(path.frames[0], *filter(None, path.frames[1:]))  # a pose without one is in that of the message
-    kept = _moving(path.position)
-    feed = np.append(0.0, _feeds(path, kept[1:], feed_rate))
-    return _blocks(kept, path.position, _orientations(path.quaternion), feed, np.zeros(len(kept)))
+    _expect_frame(path.frames[0], *filter(None, path.frames[1:]))  # an empty frame is the frame of the message
+    chosen = _moving(path.position)
+    feed = np.append(0.0, _feeds(path, chosen[1:], feed_rate))
+    return _blocks(chosen, path.position, _orientations(path.quaternion), feed, np.zeros(len(chosen)))
 
 
 def _feeds(path: PathRecord, moves: np.ndarray, feed_rate: float) -> np.ndarray:
-    """[m/s], (n - 1,), from each pose to the next."""
+    """Feed [m/s], (n - 1,), from each pose to the next."""
     step = np.diff(path.time)
     if not step.any():
         if not feed_rate > 0.0:
@@ -136,7 +136,7 @@ def _feeds(path: PathRecord, moves: np.ndarray, feed_rate: float) -> np.ndarray:
     bad = (step < 0) | ((step == 0) & moves)
     if bad.any():
         k = int(np.argmax(bad))
-        raise ValueError(f"pose {k + 2} has no later stamp than the one before, so that its feed is not known")
+        raise ValueError(f"pose {k + 2} needs a later stamp than the pose before")
     length = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
     feed = length / np.maximum(step, 1) * 1e9
     if not feed.max() <= REACH:
@@ -146,13 +146,13 @@ def _feeds(path: PathRecord, moves: np.ndarray, feed_rate: float) -> np.ndarray:
 
 
 def _six_digits(feed: np.ndarray) -> np.ndarray:
-    """Stamps are whole nanoseconds and would make as many feeds of one."""
+    """Round to six digits: stamps are whole nanoseconds and would turn one feed into many."""
     unit = 10.0 ** (np.floor(np.log10(np.where(feed > 0, feed, 1.0))) - 5)
     return np.round(feed / unit) * unit
 
 
 def _orientations(quaternion: np.ndarray) -> np.ndarray:
-    """Of tool0, (n, 4); where the poses have none that a tool can take, those of an upright tool."""
+    """Orientations of tool0, (n, 4); those of a vertical tool if the poses do not describe a tool."""
     if not np.isfinite(quaternion).all():
         raise ValueError("an orientation is not finite")
     x, y, z, w = quaternion.T
@@ -161,47 +161,47 @@ def _orientations(quaternion: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(quaternion, axis=1)
     other = ~(np.abs(length - 1.0) < 1e-3)
     if other.any():
-        raise ValueError(f"the orientation of pose {int(np.argmax(other)) + 1} has not length 1")
+        raise ValueError(f"the orientation of pose {int(np.argmax(other)) + 1} does not have length 1")
     up = w**2 + z**2 - x**2 - y**2 > 0.0  # z component of the z axis
     if up.any():
-        raise ValueError(f"at pose {int(np.argmax(up)) + 1} the z axis, which tool0 has along the spindle away from "
+        raise ValueError(f"at pose {int(np.argmax(up)) + 1} the z axis of tool0, along the spindle away from "
                          "the flange, points out of the part")  # fmt: skip
     return quaternion / length[:, None]
 
 
 def _timed(record: TrajectoryRecord) -> TimedPath:
-    """A trajectory as its own tool path: a block from knot to knot, bent as the velocities at its ends tell."""
+    """Return a trajectory as a tool path: a block from knot to knot, curved as the velocities at its ends require."""
     _expect_frame(record.frame_id)
     if record.names != (TOOL,):
-        raise ValueError(f"is a trajectory of {', '.join(record.names) or 'nothing'} and not of {TOOL}")
-    kept, velocity = _moving(record.position[:, 0]), record.velocity[:, 0, :3]
+        raise ValueError(f"is a trajectory of {', '.join(record.names) or 'nothing'}, not of {TOOL}")
+    chosen, velocity = _moving(record.position[:, 0]), record.velocity[:, 0, :3]
     none = np.isnan(velocity).all()
     run = Trajectory(record.time, record.position[:, 0], record.quaternion[:, 0], None if none else velocity)
     length = np.linalg.norm(np.diff(run.position, axis=0), axis=1)
     feed = np.append(0.0, length / np.diff(run.time_ns) * 1e9)
     bend = np.append(0.0, np.zeros(length.size) if run.velocity is None else _bends(run, run.velocity))
-    path = _blocks(kept, run.position, run.quaternion, feed, bend)
-    ends = np.cumsum(path.block_length)[np.cumsum(kept) - 1]
+    path = _blocks(chosen, run.position, run.quaternion, feed, bend)
+    ends = np.cumsum(path.block_length)[np.cumsum(chosen) - 1]
     return TimedPath(path, run, path.block_at(ends), ends, timed_by_source=True)
 
 
 def _bends(run: Trajectory, velocity: np.ndarray) -> np.ndarray:
-    """Curvature [1/m] in the xy plane, (n - 1,), of an arc that turns as the velocity does from knot to knot."""
+    """Curvature [1/m] in the xy plane, (n - 1,), of the arc that turns as the velocity from knot to knot."""
     plane = velocity[:, :2]
     cross = plane[:-1, 0] * plane[1:, 1] - plane[:-1, 1] * plane[1:, 0]
     turn = np.arctan2(cross, np.sum(plane[:-1] * plane[1:], axis=1))
     chord = np.hypot(*np.diff(run.position[:, :2], axis=0).T)
-    sharp = (np.abs(turn) > np.pi / 2) | (chord == 0)  # no arc, but a corner or a stop
+    sharp = (np.abs(turn) > np.pi / 2) | (chord == 0)  # a corner or a stop
     return np.where(sharp, 0.0, 2 * np.sin(turn / 2) / np.where(chord > 0, chord, 1.0))
 
 
-def _blocks(kept: np.ndarray, position: np.ndarray, quaternion: np.ndarray, feed: np.ndarray, bend: np.ndarray
+def _blocks(chosen: np.ndarray, position: np.ndarray, quaternion: np.ndarray, feed: np.ndarray, bend: np.ndarray
             ) -> Toolpath:  # fmt: skip
-    """Of the points that are kept; the feed [m/s] and the curvature [1/m] are those up to each point."""
-    none = np.zeros(np.count_nonzero(kept))
+    """Return the blocks between chosen points; feed [m/s] and curvature [1/m] are those up to each point."""
+    none = np.zeros(np.count_nonzero(chosen))
     return Toolpath(
-        position=position[kept], feed=feed[kept], rapid=none, line=none, feature=none, features=("",),
-        curvature=bend[kept], spindle_speed=none, quaternion=quaternion[kept],
+        position=position[chosen], feed=feed[chosen], rapid=none, line=none, feature=none, features=("",),
+        curvature=bend[chosen], spindle_speed=none, quaternion=quaternion[chosen],
     )  # fmt: skip
 
 
@@ -212,11 +212,11 @@ def _expect_frame(*frames: str) -> None:
 
 
 def _moving(position: np.ndarray) -> np.ndarray:
-    """Which points (n, 3) are the first one, or another than the one before, (n,)."""
+    """Mark the first point and each point that differs from the point before, (n, 3) -> (n,)."""
     far = ~(np.abs(position).max(axis=1, initial=0.0) <= REACH)  # NaN is far
     if far.any():
-        raise ValueError(f"point {int(np.argmax(far)) + 1} lies more than {REACH:g} m away, or nowhere; wrong unit?")
-    kept = np.any(np.diff(position, axis=0, prepend=np.inf) != 0, axis=1)
-    if np.count_nonzero(kept) < 2:
+        raise ValueError(f"point {int(np.argmax(far)) + 1} is more than {REACH:g} m away or not a number; wrong unit?")
+    chosen = np.any(np.diff(position, axis=0, prepend=np.inf) != 0, axis=1)
+    if np.count_nonzero(chosen) < 2:
         raise ValueError("the path never moves")
-    return kept
+    return chosen

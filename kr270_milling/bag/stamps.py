@@ -1,19 +1,19 @@
-"""What stamps tell: where a pass begins, what is missing, and the log time of every message on one clock."""
+"""Stamps of messages: begin of a pass, missing messages, and the log time of every message on one clock."""
 
 from __future__ import annotations
 
 __all__ = ["SHARED", "GapCounter", "LogTimes", "Passes"]
 
-LEARN = 20  # differences that are looked at before a period is believed
-#: types of topics that many nodes publish on: their stamps are several series in one, and none of them tells a pass
+LEARN = 20  # differences from which a period is learned
+#: types of topics with many publishers: their stamps are several series and do not mark a pass
 SHARED = frozenset(["diagnostic_msgs/msg/DiagnosticArray"])
-YEAR = 365 * 86_400 * 10**9  # [ns]; stamps that are further apart are of different clocks
-#: types whose stamps may come from any clock beside that of the pass, so that they do not tell which one counts
+YEAR = 365 * 86_400 * 10**9  # [ns]; stamps that differ more come from different clocks
+#: types whose stamps may come from any clock; they do not decide the clock of the recording
 BESIDE = ("diagnostic_msgs/", "rcl_interfaces/")
 
 
 class Passes:
-    """Counts passes in a row of stamps [ns]: one begins where the stamps go back to 0."""
+    """Counts the passes in a series of stamps [ns]: a pass begins when the stamp returns to 0."""
 
     def __init__(self):
         self.number, self._last = 0, 0
@@ -26,20 +26,19 @@ class Passes:
 
 
 class GapCounter:
-    """Counts the holes in a series of stamps [ns].
+    """Counts the gaps in a series of stamps [ns].
 
-    The time between two messages is learned, as the smallest of the first 20 differences, if these are all multiples
-    of it within a quarter and most of them are the period itself. A series that is not periodic has no gaps. A stamp
-    that goes back to 0 begins a new pass, which is counted like the one before; other backward stamps, and repeated
-    ones, are counted on their own and do not move the series.
+    The period is the smallest of the first 20 differences, if all of them are multiples of it within a quarter and most
+    of them equal it. A series without a period has no gaps. A stamp that returns to 0 begins a new pass, which is
+    counted like the pass before. Other backward stamps and repeated stamps are counted separately.
     """
 
     def __init__(self):
-        self.period_ns: int | None = None  #: 0: there is none
+        self.period_ns: int | None = None  #: 0: the series has no period
         self.missing = self.gaps = self.repeated = self.backwards = 0
         self.last: int | None = None
         self.passes = Passes()
-        self._differences: list[int] = []  # that wait for a period
+        self._differences: list[int] = []  # until the period is known
 
     def add(self, stamp: int) -> None:
         if self.passes.begins(stamp) or self.last is None:
@@ -73,43 +72,43 @@ class GapCounter:
             self._count(difference)
 
     def finish(self) -> GapCounter:
-        """Count what a short series allows: three differences are enough for a period, fewer say nothing."""
+        """Learn the period of a short series; it needs three differences."""
         if self.period_ns is None and len(self._differences) >= 3:
             self._learn()
         return self
 
     def as_dict(self) -> dict:
-        """The counts; ``period_ns`` is None where none is known."""
+        """Return the counts; ``period_ns`` is None without a period."""
         return dict(period_ns=self.period_ns or None, missing=self.missing, gaps=self.gaps, repeated=self.repeated,
                     backwards=self.backwards)  # fmt: skip
 
 
 class LogTimes:
-    """Gives the log time [ns] of each message: its own stamp, or the latest stamp where it has none that tells.
+    """Returns the log time [ns] of each message: its stamp, or the latest stamp for a message without a usable one.
 
-    The first stamp that tells decides the clock of the recording: time of the pass, counted from 0, or wall clock. A
-    stamp of another clock counts as none; one such log time would make the recording last for decades. Before that
-    first stamp there is no time to give (None), until ``begin`` says that no stamp is to be waited for.
+    The first usable stamp decides the clock of the recording: time of the pass, counted from 0, or wall clock. A stamp
+    of another clock is ignored, since such a log time would make the recording last for decades. Before the first
+    usable stamp the log time is None, unless ``begin`` was called.
     """
 
     def __init__(self):
         self.latest: int | None = None
-        self._offset: int | None = None  #: from log time to stamp; None: no stamp that tells has come yet
+        self._offset: int | None = None  #: from log time to stamp; None: there was no usable stamp yet
         self._by_wall = False
 
     def begin(self, latest: int, by_wall: bool = False) -> None:
-        """Wait no longer, where nothing told the time yet; by_wall: until a stamp does, it is the publish time."""
+        """Set the latest time, if it is not known yet; by_wall: until a stamp is usable, use publish times."""
         if self.latest is None:
             self.latest, self._by_wall = latest, by_wall
 
     def of(self, kind: str, stamp: int | None, publish_time: int) -> int | None:
         if stamp == 0 and kind.startswith("trajectory_msgs/"):
-            stamp = None  # it means "start at once" and says nothing of when it was published
-        tells = stamp is not None and not kind.startswith(BESIDE)
-        latest = stamp if self.latest is None and tells else self.latest
+            stamp = None  # it means "start at once" and is not the time of the message
+        decides = stamp is not None and not kind.startswith(BESIDE)
+        latest = stamp if self.latest is None and decides else self.latest
         if latest is None:
             return None
-        if self._offset is None and tells and stamp is not None:  # what was begun without a stamp goes on from there
+        if self._offset is None and decides and stamp is not None:  # continue from the time that ``begin`` set
             self._offset = 0 if abs(stamp - latest) < YEAR else stamp - latest
         if self._offset is None and self._by_wall:
             latest = max(latest, publish_time)

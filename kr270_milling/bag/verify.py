@@ -1,162 +1,242 @@
-"""Every byte of a recording checked: all checksums, and the indexes against the messages that they point to."""
+"""Every checksum, every count and every index of a recording, compared with the records."""
 
 from __future__ import annotations
 
-import struct
 from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
 import yaml
 from mcap.opcode import Opcode
-from mcap.records import ChunkIndex
+from mcap.records import AttachmentIndex, ChunkIndex, MetadataIndex, Statistics, SummaryOffset
 
-from kr270_milling.bag.chunks import Chunk
+from kr270_milling.bag.chunks import ChunkMessages
 from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.structure import FOOTER_SIZE, HEAD, MAGIC, Damage, Part, checksum, parts
+from kr270_milling.bag.records import (
+    HEAD,
+    MAGIC,
+    Damage,
+    RecordPlace,
+    attachment_at,
+    checksum,
+    places,
+    read_bytes,
+    record_at,
+)
 
 __all__ = ["findings"]
 
 MOST = 20  # sentences
-INDEX = struct.Struct("<BQHI")  # type and length; channel, bytes of the entries that follow
 LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-MOST_YAML = 256 * 1024  # [bytes] of metadata.yaml; the YAML reader takes some seconds for them
+YAML_LIMIT = 256 * 1024  # [bytes] of metadata.yaml; the YAML reader takes seconds for them
+INDEX_HEAD = HEAD.size + 2 + 4  # [bytes] of a message index before its entries: channel, size of the entries
+INDEXES = {Opcode.CHUNK_INDEX: "chunks", Opcode.ATTACHMENT_INDEX: "attachments", Opcode.METADATA_INDEX: "metadata"}
 
 
 def findings(recording: Recording, progress: Callable[[int, int], None] | None = None) -> list[str]:
-    """One sentence for each damage that is found, up to 20; none where the recording is whole.
+    """One sentence for each damage, at most 20; none for a whole recording. Damage raises no error.
 
-    A file whose writer left out a checksum or an index is whole without it. Nothing is raised for damage.
+    A file whose writer left out a checksum or an index is whole without it.
     """
     check = _Check(recording)
-    check.guard(check.run, progress)
-    return (check.found + _metadata_file(recording))[:MOST]
+    check.attempt(check.run, progress)
+    return (check.sentences + _metadata_file(recording))[:MOST]
 
 
 class _Check:
+    """One pass through the file. ``expected``: the indexes that the summary must contain, by opcode and offset."""
+
     def __init__(self, recording: Recording):
         self.recording, self.stream = recording, recording.stream
-        self.found: list[str] = []
-        self.counts: Counter[int] = Counter()
-        self.indexes: dict[int, ChunkIndex | None] = {}  # chunk -> what the summary must say of it; None: damaged
+        self.sentences: list[str] = []
+        self.expected: dict[int, dict[int, object]] = {opcode: {} for opcode in INDEXES}
+        self.counts: Counter[int] = Counter()  # channel -> messages
+        self.times: list[int] = []  # [ns], of the first and the last message of each chunk
+        self.chunk: ChunkIndex | None = None  # to which the following indexes of messages belong
+        self.content: ChunkMessages | None = None
 
-    def guard(self, call: Callable, *args) -> None:
-        """A call whose damage becomes one more sentence."""
+    def attempt(self, call: Callable, *args) -> None:
+        """Call a function; its damage becomes a sentence."""
         try:
             call(*args)
         except Damage as damage:
-            self.found.append(f"{damage.reason} (at byte {damage.offset})")
+            self.sentences.append(f"{damage.reason} (at byte {damage.offset})")
 
     def run(self, progress) -> None:
-        recording, end = self.recording, self.recording.data_end
-        for about in recording.attachments:
-            self.guard(recording.attached, about)
-        for chunk in recording.chunks:
-            self.guard(self._check_chunk, chunk)
-            if progress:
-                progress(chunk.end, recording.size)
-        if not recording.data_crc:  # with one, this cannot go unseen
-            self.guard(self._check_stray_indexes, end)
-        if recording.cut_off:
-            self.found.insert(0, "it is cut off: its writer did not finish it")
-            return
-        if recording.data_crc not in (0, checksum(self.stream, 0, end)):
-            self.found.append("the data do not fit the checksum at their end")
-        if +self.counts != +(recording.counts or Counter()):
-            self.found.append("the counts of messages at the end are not those of the messages")
-        behind = end + HEAD.size + 4  # of the record that ends the data
-        for part in parts(self.stream, behind, recording.size):
-            self.guard(self._check_summary, part, behind)
-
-    def _check_chunk(self, chunk: Chunk) -> None:
-        """Its messages, and the indexes of them that follow it."""
-        if chunk.type == Opcode.CHUNK:
-            self.indexes[chunk.offset] = None
-        found = self.recording.unpack(chunk)
-        self.counts += found.counts
-        unknown = set(found.counts) - set(self.recording.channels)
-        if unknown:
-            raise Damage(f"messages belong to channel {min(unknown)}, which is not defined", chunk.offset)
-        if found.packed is None:
-            return
-        offsets, behind = {}, chunk.end
-        times, places = np.frombuffer(found.times, np.uint64), np.frombuffer(found.places, np.uint32)
-        channels, lacking = np.frombuffer(found.channels, np.uint16), set(found.counts)
-        for part in parts(self.stream, behind, self.recording.data_end):
-            if part.type != Opcode.MESSAGE_INDEX:
+        end = None
+        for place in places(self.stream, len(MAGIC), self.recording.size):
+            if place.opcode != Opcode.MESSAGE_INDEX:
+                self.attempt(self._finish_chunk)
+            if place.opcode == Opcode.DATA_END:
+                end = place
                 break
-            channel, index = _message_index(part)
-            offsets[channel], behind = part.offset, part.end
-            here = channels == channel
-            if not _same(index, np.stack([times[here], places[here].astype(np.uint64)], axis=1)):
-                raise Damage("an index points to other messages than its chunk holds", part.offset)
-            lacking.discard(channel)
-        if offsets and lacking:
-            raise Damage(f"a chunk has no index for channel {min(lacking)}", chunk.offset)
-        self.indexes[chunk.offset] = ChunkIndex(
+            self.attempt(self._check_record, place)
+            if progress:
+                progress(place.end, self.recording.size)
+        self.attempt(self._finish_chunk)
+        footer = self.recording.footer()
+        if footer is None:
+            self.sentences.insert(0, "it is cut off: its writer did not finish it")
+        elif end is None:
+            self.sentences.append("a record in the data has an impossible length")
+        else:
+            if self._record(end).data_section_crc not in (0, checksum(self.stream, 0, end.offset)):
+                self.sentences.append(f"the data do not fit the checksum at their end (at byte {end.offset})")
+            self._check_summary(end.end, footer)
+
+    def _record(self, place: RecordPlace):
+        return record_at(self.stream, place)
+
+    def _check_record(self, place: RecordPlace) -> None:
+        """One record of the data section."""
+        if place.opcode == Opcode.CHUNK:
+            self._check_chunk(place)
+        elif place.opcode == Opcode.MESSAGE_INDEX:
+            self._check_message_index(place)
+        elif place.opcode == Opcode.ATTACHMENT:
+            self.expected[Opcode.ATTACHMENT_INDEX][place.offset] = None
+            a = attachment_at(self.stream, place)
+            size = place.end - place.offset
+            self.expected[Opcode.ATTACHMENT_INDEX][place.offset] = AttachmentIndex(
+                place.offset, size, a.log_time, a.create_time, len(a.data), a.name, a.media_type
+            )
+        elif place.opcode == Opcode.METADATA:
+            self.expected[Opcode.METADATA_INDEX][place.offset] = None
+            index = MetadataIndex(place.offset, place.end - place.offset, self._record(place).name)
+            self.expected[Opcode.METADATA_INDEX][place.offset] = index
+        elif place.opcode == Opcode.MESSAGE:
+            message = self._record(place)
+            self.counts[message.channel_id] += 1
+            self.times += [message.log_time]
+        else:
+            self._record(place)
+
+    def _check_chunk(self, place: RecordPlace) -> None:
+        self.expected[Opcode.CHUNK_INDEX][place.offset] = None
+        chunk, content = self.recording.read_chunk.survey(place)
+        self.counts.update(content.counts)
+        self.times += [content.first_time, content.last_time] * bool(len(content))
+        unknown = set(content.counts) - set(self.recording.channels)
+        if unknown:
+            raise Damage(f"messages belong to channel {min(unknown)}, which is not defined", place.offset)
+        self.content = content
+        self.chunk = ChunkIndex(
             chunk_length=chunk.size,
             chunk_start_offset=chunk.offset,
-            compression=found.packed.packing,
-            compressed_size=found.packed.size,
+            compression=content.compression,
+            compressed_size=content.packed,
             message_end_time=chunk.last_time,
-            message_index_length=behind - chunk.end,
-            message_index_offsets=offsets,
+            message_index_length=0,
+            message_index_offsets={},
             message_start_time=chunk.first_time,
             uncompressed_size=chunk.unpacked,
         )
 
-    def _check_stray_indexes(self, end: int) -> None:
-        behind_chunk = False
-        for part in parts(self.stream, len(MAGIC), end):
-            is_index = part.type == Opcode.MESSAGE_INDEX
-            if is_index and not behind_chunk:
-                raise Damage("an index of messages belongs to no chunk", part.offset)
-            behind_chunk = part.type == Opcode.CHUNK or (is_index and behind_chunk)
+    def _check_message_index(self, place: RecordPlace) -> None:
+        """An index of the messages of the chunk before it; read by numpy, since mcap makes an object of each entry."""
+        data = read_bytes(self.stream, place.offset, place.end - place.offset)
+        if len(data) < INDEX_HEAD or (len(data) - INDEX_HEAD) % 16:
+            raise Damage("an index of messages has an impossible length", place.offset)
+        channel = int.from_bytes(data[HEAD.size : HEAD.size + 2], "little")
+        if int.from_bytes(data[INDEX_HEAD - 4 : INDEX_HEAD], "little") != len(data) - INDEX_HEAD:
+            raise Damage("an index of messages has an impossible length", place.offset)
+        if self.chunk is None or self.content is None:
+            if not self.expected[Opcode.CHUNK_INDEX] or next(reversed(self.expected[Opcode.CHUNK_INDEX].values())):
+                raise Damage("an index of messages belongs to no chunk", place.offset)
+            return  # the chunk before is damaged, which is a finding already
+        self.chunk.message_index_offsets[channel] = place.offset
+        self.chunk.message_index_length += place.end - place.offset
+        here = np.frombuffer(self.content.channels, np.uint16) == channel
+        times = np.frombuffer(self.content.times, np.uint64)[here]
+        offsets = np.frombuffer(self.content.offsets, np.uint32)[here].astype(np.uint64)
+        if not _same_rows(np.frombuffer(data, "<u8", offset=INDEX_HEAD).reshape(-1, 2), np.stack([times, offsets], 1)):
+            raise Damage("an index points to other messages than its chunk holds", place.offset)
 
-    def _check_summary(self, part: Part, behind: int) -> None:
-        """The index of a chunk, against what is there, and the footer; behind: where the summary begins."""
-        at = self.recording.size - FOOTER_SIZE
-        if part.type == Opcode.CHUNK_INDEX:
-            index = part.record()
-            if self.indexes.get(index.chunk_start_offset, ()) not in (None, index):
-                raise Damage("the index of chunks says another thing than the chunk", part.offset)
-        elif part.offset == at and part.record().summary_start != (0 if behind == at else behind):
-            raise Damage("the footer does not point to the end of the data", at)
+    def _finish_chunk(self) -> None:
+        """After the indexes of a chunk: none is missing if there are any."""
+        chunk, content, self.chunk, self.content = self.chunk, self.content, None, None
+        if chunk is None or content is None:
+            return
+        self.expected[Opcode.CHUNK_INDEX][chunk.chunk_start_offset] = chunk
+        missing = set(content.counts) - set(chunk.message_index_offsets)
+        if chunk.message_index_offsets and missing:
+            raise Damage(f"a chunk has no index for channel {min(missing)}", chunk.chunk_start_offset)
+
+    def _check_summary(self, start: int, footer: RecordPlace) -> None:
+        """Indexes, counts and offsets between the end of the data and the footer."""
+        groups: dict[int, list[int]] = {}  # opcode -> begin and end of its records
+        offsets: list[tuple[int, SummaryOffset]] = []
+        indexed: Counter[int] = Counter()
+        for place in places(self.stream, start, footer.offset):
+            groups.setdefault(place.opcode, [place.offset, place.end])[1] = place.end
+            if place.opcode in INDEXES:
+                indexed[place.opcode] += 1
+                self.attempt(self._check_index, place)
+            elif place.opcode == Opcode.STATISTICS:
+                self._check_statistics(self._record(place))
+            elif place.opcode == Opcode.SUMMARY_OFFSET:
+                offsets.append((place.offset, self._record(place)))
+        for opcode, number in indexed.items():
+            if number != len(self.expected[opcode]):
+                self.sentences.append(f"the index of {INDEXES[Opcode(opcode)]} is not complete")
+        for offset, entry in offsets:
+            begin, end = groups.get(entry.group_opcode, (0, 0))
+            if entry.group_length and (entry.group_start, entry.group_length) != (begin, end - begin):
+                self.sentences.append(f"the summary has a wrong offset (at byte {offset})")
+        record = self._record(footer)
+        first = offsets[0][0] if offsets else footer.offset
+        if record.summary_start != (0 if start == footer.offset else start):
+            raise Damage("the footer does not point to the end of the data", footer.offset)
+        if record.summary_offset_start not in (0, first):
+            raise Damage("the footer does not point to the offsets of the summary", footer.offset)
+
+    def _check_index(self, place: RecordPlace) -> None:
+        index = self._record(place)
+        offset = index.chunk_start_offset if place.opcode == Opcode.CHUNK_INDEX else index.offset
+        # None: the record is damaged itself
+        if self.expected[place.opcode].get(offset, ()) not in (None, index):
+            raise Damage(f"the index of {INDEXES[Opcode(place.opcode)]} does not fit the record", place.offset)
+
+    def _check_statistics(self, statistics: Statistics) -> None:
+        chunks, attachments, metadata = (len(self.expected[opcode]) for opcode in INDEXES)
+        counted = Statistics(
+            attachment_count=attachments,
+            channel_count=len(self.recording.channels),
+            channel_message_counts=dict(+self.counts),
+            chunk_count=chunks,
+            message_count=self.counts.total(),
+            message_end_time=max(self.times, default=0),
+            message_start_time=min(self.times, default=0),
+            metadata_count=metadata,
+            schema_count=len(self.recording.schemas),
+        )
+        statistics.channel_message_counts = dict(+Counter(statistics.channel_message_counts))
+        if counted != statistics:
+            self.sentences.append("the counts of messages at the end are not those of the messages")
 
 
-def _message_index(part: Part) -> tuple[int, np.ndarray]:
-    """Channel of an index of messages, and log time and place of each of them, (n, 2)."""
-    data = part.data()
-    if len(data) < INDEX.size:
-        raise Damage("an index of messages has an impossible length", part.offset)
-    _, _, channel, size = INDEX.unpack_from(data)
-    if size != len(data) - INDEX.size or size % 16:
-        raise Damage("an index of messages has an impossible length", part.offset)
-    return channel, np.frombuffer(data, "<u8", offset=INDEX.size).reshape(-1, 2)
+def _same_rows(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether both hold the same rows in any order."""
+    return np.array_equal(one, other) or np.array_equal(_sorted_rows(one), _sorted_rows(other))
 
 
-def _same(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether they hold the same rows in any order."""
-    return np.array_equal(one, other) or np.array_equal(_sorted(one), _sorted(other))
-
-
-def _sorted(rows: np.ndarray) -> np.ndarray:
+def _sorted_rows(rows: np.ndarray) -> np.ndarray:
     return rows[np.lexsort((rows[:, 1], rows[:, 0]))]
 
 
 def _metadata_file(recording: Recording) -> list[str]:
-    """Whether ``metadata.yaml`` beside the file, if there is one, counts the same messages."""
+    """Compare the counts in a ``metadata.yaml`` in the same directory."""
     path = recording.path.with_name("metadata.yaml")
-    if not path.is_file() or path.stat().st_size > MOST_YAML:
+    if not path.is_file() or path.stat().st_size > YAML_LIMIT:
         return []
     try:
-        tree = yaml.load(path.read_bytes(), Loader=LOADER)  # noqa: S506 - a safe one
+        tree = yaml.load(path.read_bytes(), Loader=LOADER)  # noqa: S506 - a safe loader
         about = tree["rosbag2_bagfile_information"]
         counts = {t["topic_metadata"]["name"]: t["message_count"] for t in about["topics_with_message_count"]}
         files, count = about["relative_file_paths"], about["message_count"]
     except (yaml.YAMLError, LookupError, TypeError, ValueError, RecursionError, OSError):
-        return [f"{path.name} beside it cannot be read"]
+        return [f"{path.name} in its directory cannot be read"]
     if files != [recording.path.name]:
         return []  # of several files, or of another one
     same = count == recording.count and counts == {name: about.count for name, about in recording.topics().items()}
-    return [] if same else [f"{path.name} beside it counts other messages"]
+    return [] if same else [f"{path.name} in its directory counts other messages"]

@@ -1,4 +1,4 @@
-"""Serialised messages into a recording: a directory with one MCAP file and rosbag2's ``metadata.yaml`` beside it."""
+"""Write serialised messages into a recording: a directory with one MCAP file and rosbag2's ``metadata.yaml``."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.definitions import definition, starts_with_stamp, type_hash
 
-__all__ = ["BagWriter", "Channel", "MessageRefused"]
+__all__ = ["BagWriter", "MessageRefused", "WrittenChannel"]
 
 CHUNK_SIZE = 1024 * 1024  # [bytes] before compression
-CHUNK_PERIOD = 0.2  # [s]; what a SIGKILL can lose
-HOLD_PERIOD = 0.5  # [s] that messages wait for the first stamp, and what a SIGKILL can lose until it has come
-HOLD_SIZE = 256 * 1024  # [bytes] of them that may wait
+CHUNK_PERIOD = 0.2  # [s]; a SIGKILL loses the messages of this time
+HOLD_PERIOD = 0.5  # [s] that messages wait for the first stamp
+HOLD_SIZE = 256 * 1024  # [bytes] of waiting messages
 
 
 class MessageRefused(RecordingError):
-    """One message that cannot be recorded; the file is unharmed and takes the next one."""
+    """A message that cannot be recorded; the recording continues with the next message."""
 
 
 @dataclass
-class Channel:
-    """A topic while it is written."""
+class WrittenChannel:
+    """A topic during writing."""
 
     id: int
     topic: str
@@ -45,7 +45,7 @@ class Channel:
     refused: int = 0
 
     def report(self) -> dict:
-        """Messages, and what is missing by their stamps; those that were refused where there are any."""
+        """Return the numbers of messages, of missing messages by their stamps, and of refused messages."""
         refused = {"refused": self.refused} if self.refused else {}
         return dict(count=self.count, **(self.gaps.as_dict() if self.stamped else {}), **refused)
 
@@ -54,10 +54,10 @@ class BagWriter:
     """Writes ``directory/<name>.mcap`` and, when closed, ``directory/metadata.yaml``.
 
     attachments: name -> text or bytes, such as {"cell.yaml": ...}; metadata: key -> text, such as seed and command
-    line; they stand at the begin of the file, the package's version with them. The first error of the file system
-    ends the file: what is in it stays readable, and every later call raises the same RecordingError. A message that
-    cannot be recorded raises MessageRefused, is counted and harms nothing.
-    Messages without a stamp wait for the first stamp, to take it as their log time.
+    line; both are at the begin of the file, with the version of this package. The first error of the file system ends
+    the file: its content stays readable, and every later call raises the same RecordingError. A message that cannot be
+    recorded raises MessageRefused and is counted. Messages without a stamp wait for the first stamp, which becomes
+    their log time.
     """
 
     def __init__(
@@ -70,11 +70,11 @@ class BagWriter:
         chunk_size: int = CHUNK_SIZE,
     ):
         self.directory = Path(os.path.abspath(directory))
-        self._waiting: deque[tuple[Channel, bytes, int, int | None]] = deque()
+        self._waiting: deque[tuple[WrittenChannel, bytes, int, int | None]] = deque()
         name = self.directory.name if name is None else name
         self.output = Output(self.directory, name, chunk_size, self._waiting)
         self.topics: dict[str, int] = {}
-        self.channels: dict[int, Channel] = {}
+        self.channels: dict[int, WrittenChannel] = {}
         self.start: int | None = None  #: [ns], smallest and largest log time
         self.end = 0
         self._last_chunk: float | None = None  # [s]
@@ -94,7 +94,7 @@ class BagWriter:
 
     @property
     def count(self) -> int:
-        """Messages that were given to the file."""
+        """Number of messages given to the file."""
         return self.output.count
 
     def add_attachment(self, name: str, content: bytes | memoryview | str) -> None:
@@ -106,9 +106,9 @@ class BagWriter:
         self.output.mcap.add_metadata(name, {str(k): str(v) for k, v in values.items()})
 
     def add_topic(self, topic: str, type_name: str, qos: Iterable = ()) -> int:
-        """Prepare a topic with an installed message type; qos: its publishers' profiles, as describe_qos takes them.
+        """Prepare a topic with an installed message type; qos: profiles of its publishers for ``describe_qos``.
 
-        A known topic is left as it is.
+        A known topic stays unchanged.
         """
         if topic in self.topics:
             known = self.channels[self.topics[topic]].type
@@ -119,7 +119,7 @@ class BagWriter:
         return self.add_channel(topic, (type_name, "ros2msg", definition(type_name).encode()), "cdr", about)
 
     def add_channel(self, topic: str, schema: tuple[str, str, bytes], encoding: str, about: dict) -> int:
-        """Prepare a channel as it is given: schema (name, encoding, data), message encoding, channel metadata."""
+        """Prepare a channel: schema (name, encoding, data), message encoding, metadata of the channel."""
         self.output.check()
         if schema not in self._schemas:
             self._schemas[schema] = self.output.mcap.register_schema(*schema) if schema[0] else 0
@@ -127,13 +127,13 @@ class BagWriter:
         stamped = schema[1] == "ros2msg" and starts_with_stamp(schema[2].decode("utf-8", "replace"))
         profiles = bagmeta.read_qos(about.get("offered_qos_profiles", ""))
         digest = about.get("topic_type_hash", "")
-        self.channels[number] = Channel(number, topic, schema[0], encoding, profiles, digest, stamped)
+        self.channels[number] = WrittenChannel(number, topic, schema[0], encoding, profiles, digest, stamped)
         self.topics.setdefault(topic, number)
         return number
 
     def write(self, topic: str, data: bytes, publish_time: int, log_time: int | None = None) -> None:
-        """Append one serialised message; times in ns. log_time: by default the message's own stamp, and the latest
-        stamp in the recording for a message that has none. Raises MessageRefused, RecordingError."""
+        """Append one serialised message; times in ns. log_time: by default the stamp of the message, or the latest
+        stamp in the recording for a message without one. Raises MessageRefused, RecordingError."""
         self.output.check()
         if topic not in self.topics:
             raise MessageRefused(self.path, f"{topic} is written to, but it was not added")
@@ -148,25 +148,25 @@ class BagWriter:
             return
         self._waiting.append((channel, data, publish_time, stamp))
         self._waiting_size += len(data)
-        if self._waiting_size > HOLD_SIZE:  # bounded, for a graph in which no stamp comes
+        if self._waiting_size > HOLD_SIZE:  # a limit for a graph without stamps
             self._release()
             self.flush()
 
     def write_raw(self, channel_id: int, data: bytes, publish_time: int, log_time: int, sequence: int) -> None:
-        """Append a message with everything given. Raises MessageRefused, RecordingError."""
+        """Append a message with given times and sequence. Raises MessageRefused, RecordingError."""
         channel = self.channels[channel_id]
         self._check_times(channel, publish_time, log_time)
         self._append(channel, data, publish_time, log_time, sequence, stamp_of(data, channel.stamped))
 
-    def _check_times(self, channel: Channel, *times: int) -> None:
+    def _check_times(self, channel: WrittenChannel, *times: int) -> None:
         for time in times:
             if not 0 <= time < 2**63:
                 channel.refused += 1
-                raise MessageRefused(self.path, f"have the time {time} ns, which is none between 1970 and 2262")
+                raise MessageRefused(self.path, f"have the time {time} ns, which is not between 1970 and 2262")
 
     def _release(self, first: int = 0) -> None:
-        """Append what was waiting, in its order. Where no stamp has come, log times begin at ``first``, or are publish
-        times if there is not even a topic with stamps."""
+        """Append the waiting messages in their order. Without a stamp, log times begin at ``first``; without a topic
+        with stamps they are publish times."""
         if not self._waiting:
             return
         by_wall = first == 0 and not any(channel.stamped for channel in self.channels.values())
@@ -174,11 +174,13 @@ class BagWriter:
         while self._waiting:
             channel, data, publish_time, stamp = self._waiting.popleft()
             log_time = self._times.of(channel.type, stamp, publish_time)
-            log_time = first if log_time is None else log_time  # begun, so that it knows one
+            log_time = first if log_time is None else log_time  # never None after ``begin``
             self._append(channel, data, publish_time, log_time, channel.count, stamp)
         self._waiting_size, self._waiting_since = 0, None
 
-    def _append(self, channel: Channel, data, publish_time: int, log_time: int, sequence: int, stamp: int | None):
+    def _append(
+        self, channel: WrittenChannel, data, publish_time: int, log_time: int, sequence: int, stamp: int | None
+    ):
         channel.count += 1
         self.output.add_message(channel.id, log_time, data, publish_time, sequence)
         self.start = log_time if self.start is None else min(self.start, log_time)
@@ -186,12 +188,14 @@ class BagWriter:
         if stamp is not None and channel.type not in SHARED:
             before = channel.gaps.passes.number
             channel.gaps.add(stamp)
-            if channel.gaps.passes.number > before:  # the time of the pass went back to 0: the next one begins
+            if channel.gaps.passes.number > before:  # the time returned to 0: the next pass begins
                 self._times.latest = log_time
 
     def tick(self, now: float) -> None:
-        """Close the chunk when it is CHUNK_PERIOD old, and wait no longer than HOLD_PERIOD for a first stamp;
-        now [s]: any clock that does not go back."""
+        """Close the chunk after CHUNK_PERIOD, and end the wait for a first stamp after HOLD_PERIOD.
+
+        now [s]: any clock that does not go back.
+        """
         if self._waiting:
             self._waiting_since = min(now, now if self._waiting_since is None else self._waiting_since)
             if now - self._waiting_since >= HOLD_PERIOD:
@@ -203,15 +207,15 @@ class BagWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Put everything that was written so far into the file, but for what waits for the first stamp."""
+        """Write all messages into the file, except those that wait for the first stamp."""
         self.output.close_chunk()
 
     def report(self) -> dict:
-        """Counts per topic: messages, what is missing by their stamps, what was refused."""
+        """Return the counts of each topic: messages, missing messages by their stamps, refused messages."""
         return {channel.topic: channel.report() for channel in self.channels.values()}
 
     def close(self) -> None:
-        """Finish the file and write ``metadata.yaml``; nothing happens the second time or after an error."""
+        """Finish the file and write ``metadata.yaml``; a second call, or a call after an error, does nothing."""
         if not self.output.is_open:
             return
         self._release()

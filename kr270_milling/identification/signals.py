@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.series import FIXED, series
 from kr270_milling.base.errors import InputError, RecordingError
 from kr270_milling.base.table import read_table
-from kr270_milling.messages.series import FIXED, series
 
 __all__ = ["AXES", "Signals", "pose_series", "read_signals", "read_topic", "resampled"]
 

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.series import TopicSeries, several
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_course
 from kr270_milling.messages.codec import trajectory_from_bytes
-from kr270_milling.messages.series import Series, several
 from kr270_milling.messages.trajectory import TRAJECTORY
 from kr270_milling.replay.attached import cell_of, plant_of
 from kr270_milling.simulation.milling_pass import PassResult, follow
@@ -88,7 +88,7 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
     return RecordedPass(ran, cell, lost, _lost(cell, recorded, last), complete, program)
 
 
-def _read(recording: Recording, namespace: str | None) -> tuple[Trajectory, float, dict[str, Series]]:
+def _read(recording: Recording, namespace: str | None) -> tuple[Trajectory, float, dict[str, TopicSeries]]:
     """The reference that the pass ran, its time of the wall [s], and the series."""
     topics = {kind: topic_of(recording, kind, namespace) for kind in SERIES}
     topic = topic_of(recording, "reference_trajectory", namespace)
@@ -119,7 +119,7 @@ def _wall_times(diagnostics) -> Iterator[float]:
             yield float(pair.value)
 
 
-def _by_step(cell: Cell, found: Series, last: int) -> Rows:
+def _by_step(cell: Cell, found: TopicSeries, last: int) -> Rows:
     """Of a repeated stamp the last, which is what counted when an exchange was iterated."""
     step = np.rint(found.stamp / (cell.clock.period * 1e9)).astype(np.int64)
     rows = np.flatnonzero((step >= 0) & (step <= last) & (cell.clock.stamp(step) == found.stamp))[::-1]

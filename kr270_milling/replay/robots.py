@@ -37,7 +37,6 @@ OUTPUTS = {
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
 }
 TYPES = {**OUTPUTS, "target_trajectory": OUTPUTS["reference_trajectory"]}
-FEED = 30.0  # [us] of work on a message that goes through the nodes' protocols
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 WITH_STAMP = ("tool_pose", "wrench", "deflection", "joint_states", "clock", "workpiece")
 #: what the nodes take, and how they read it; each raises MillingError
@@ -218,8 +217,6 @@ class Robots:
         """All messages in the order of the file; ``hear`` takes those of a robot."""
         count = self.recording.count
         for done, message in enumerate(self.recording.messages(as_written=True), 1):
-            if done % 1000 == 0:
-                self.recording.spend(1000 * FEED)
             if progress and (done % 1000 == 0 or done == count):
                 progress(done, count)
             if message.topic in self._names:

@@ -89,8 +89,8 @@ def test_a_pass_along_the_recorded_target_is_the_pass_of_the_straight_cut(tmp_pa
     ("message", "says"),
     [
         (points_of(arc(), frame="base_link"), "must be workpiece"),
-        (points_of(arc(), names=("flange",)), "of flange and not of tool0"),
-        (path(3, [0, 10**9], line(2)[:, None] * np.nan, [[[1, 0, 0, 0]]] * 2), "point 1 lies"),
+        (points_of(arc(), names=("flange",)), "of flange, not of tool0"),
+        (path(3, [0, 10**9], line(2)[:, None] * np.nan, [[[1, 0, 0, 0]]] * 2), "point 1 is more than"),
         (path(3, [0, 10**9], line(2)[:, None] * 1e9, [[[1, 0, 0, 0]]] * 2), "wrong unit"),
         (path(3, [0, 10**9], line(2)[:, None], [[[1, 0, 0, 1]]] * 2), "point 1: its quaternion"),
         (path(3, [0, 0], line(2)[:, None], [[[1, 0, 0, 0]]] * 2), "point 2: its time"),

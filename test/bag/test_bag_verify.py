@@ -140,11 +140,10 @@ def test_an_index_of_messages_that_belongs_to_no_chunk_is_told_without_any_check
         writer.add_message(channel, 1, b"\0\1\0\0abcd", 1)
         writer.add_attachment(1, 1, "a.txt", "text/plain", b"a")
         writer.finish()
-    with Recording(path) as recording:
-        end = recording.data_end
+    end = places(path.read_bytes())["end of data"][0][0] - 9
     stray, data = struct.pack("<BQHI", 7, 6, channel, 0), path.read_bytes()
-    *places, _ = struct.unpack_from("<QQI", data, len(data) - 28)
-    footer = struct.pack("<QQI", *(place + len(stray) for place in places), 0)
+    *starts, _ = struct.unpack_from("<QQI", data, len(data) - 28)
+    footer = struct.pack("<QQI", *(place + len(stray) for place in starts), 0)
     path.write_bytes(data[:end] + stray + data[end:-28] + footer + data[-8:])
     with Recording(path) as recording:
         assert any("belongs to no chunk" in sentence for sentence in findings(recording))

@@ -11,10 +11,10 @@ from test_recording_samples import DIAGNOSTICS, PERIOD, POSE, TEXT, WRENCH, head
 
 from kr270_milling.bag.export import export
 from kr270_milling.bag.info import info
-from kr270_milling.bag.playback import opening, parts, passage, span
+from kr270_milling.bag.playback import opening, pass_spans, passage, span
 from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.series import series
 from kr270_milling.bag.writer import BagWriter
-from kr270_milling.messages.series import series
 
 STEPS = 200
 LATCHED = [{"durability": "transient_local", "depth": 1}]
@@ -85,7 +85,7 @@ def test_series_and_tables_hold_one_pass_after_the_other(tmp_path):
 def test_passes_are_played_one_after_the_other_at_their_pace(tmp_path):
     with write(tmp_path / "a", 3) as recording:
         found = [m for m in played(recording) if m.topic != "/diagnostics"]
-        assert len(parts(recording)) == 3
+        assert len(pass_spans(recording)) == 3
         sent = [m.data for m in recording.messages(["/tool_pose"], as_written=True)]
     poses = [m for m in found if m.topic == "/tool_pose"]
     assert [m.data for m in poses] == sent
@@ -108,7 +108,7 @@ def test_an_offset_leads_into_a_later_pass_with_what_was_latched_before_it(tmp_p
 def test_a_recording_on_another_clock_or_of_one_pass_is_one_part(tmp_path):
     record(tmp_path / "a", 30)
     with Recording(tmp_path / "a") as recording:
-        assert len(parts(recording)) == 1
+        assert len(pass_spans(recording)) == 1
         assert [m.data for m in played(recording)] == [m.data for m in recording.messages()]
     with BagWriter(tmp_path / "b") as writer:
         writer.add_topic("/tool_pose", POSE)
@@ -123,6 +123,6 @@ def test_a_cut_off_file_of_two_passes_is_played_in_their_order(tmp_path):
     whole = (tmp_path / "a" / "a.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 2 // 3])
     with Recording(tmp_path / "cut.mcap") as recording:
-        assert recording.cut_off and len(parts(recording)) == 2
+        assert recording.cut_off and len(pass_spans(recording)) == 2
         sent = [m.data for m in recording.messages(["/tool_pose"])]
         assert [m.data for m in played(recording) if m.topic == "/tool_pose"] == sent and len(sent) > STEPS

@@ -15,10 +15,10 @@ from rosbags.rosbag2 import Writer as RosbagsWriter
 from test_recording_samples import POSE, STORE, TOPICS, pose, raw, record
 
 from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.series import series
 from kr270_milling.bag.verify import findings
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.definitions import definition
-from kr270_milling.messages.series import series
 
 RELAXED = settings(max_examples=budget(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -89,13 +89,13 @@ def test_equal_log_times_keep_the_order_of_the_file(tmp_path):
 def test_overlapping_chunks_are_merged_within_the_memory_for_chunks(tmp_path, monkeypatch):
     times = np.arange(2000).reshape(20, 100).T.ravel()  # every chunk reaches over all times
     path = write_mcap(tmp_path / "a.mcap", poses(times), chunk_size=10_000)
-    monkeypatch.setattr("kr270_milling.bag.chunks.Unpacker.__init__.__defaults__", (50_000,))
+    monkeypatch.setattr("kr270_milling.bag.chunks.CACHE", 50_000)
     with Recording(path) as recording:
         assert [m.log_time for m in recording.messages()] == list(range(2000))
-        assert recording.unpack.used <= 50_000 + 50_000
-    monkeypatch.setattr("kr270_milling.bag.chunks.CACHE", -1_000_000_000)
+        assert recording.read_chunk.used <= 50_000 + 50_000
+    monkeypatch.setattr("kr270_milling.bag.chunks.SORTED", 10_000)
     with Recording(path) as recording:
-        with pytest.raises(RecordingError, match="overlap in time so much"):
+        with pytest.raises(RecordingError, match="chunks overlap in time"):
             list(recording.messages())
         assert sorted(m.log_time for m in recording.messages(as_written=True)) == list(range(2000))
 

@@ -29,7 +29,7 @@ def source(tmp_path_factory):
     directory = tmp_path_factory.mktemp("source") / "a"
     written = record(directory, 60, attachments={"cell.yaml": "a: 1\n"}, metadata={"seed": 1}, chunk_size=20_000)
     with Recording(directory) as recording:
-        chunks = [(chunk, len(recording.unpack(chunk))) for chunk in recording.chunks]
+        chunks = [(chunk, len(recording.read_chunk(chunk))) for chunk in recording.chunks]
     return Whole(((directory / "a.mcap").read_bytes(), written, chunks))
 
 
@@ -165,7 +165,12 @@ def test_bytes_that_come_in_or_get_lost_anywhere_are_one_sentence(source, tmp_pa
             assert all((m.topic, m.log_time, m.data) in good for m in recording.messages())
     except RecordingError as error:
         assert "\n" not in str(error)
-    assert all(message in good for message in kept(recover(file).directory))
+    try:
+        recovered = kept(recover(file).directory)
+    except RecordingError as error:
+        assert "\n" not in str(error) and place < 40  # not even the header can be read
+        return
+    assert all(message in good for message in recovered)
 
 
 def test_nothing_is_overwritten_and_nothing_half_is_left(source, tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 
 from kr270_milling.bag.info import info
 from kr270_milling.bag.reader import Recording
-from kr270_milling.messages.series import series
+from kr270_milling.bag.series import series
 from kr270_milling.replay.attached import cell_of
 from kr270_milling.replay.recompute import recompute
 from kr270_milling.simulation.milling_pass import PassResult

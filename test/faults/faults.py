@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from faults.disturbed import Disturbed
-from kr270_milling.bag.structure import mcap_file
+from kr270_milling.bag.records import mcap_file
 from kr270_milling.graph.graph import CELL, PLANNER
 from kr270_milling.graph.watchdog import COMPENSATOR, CUT, RECORDER, ROBOT
 

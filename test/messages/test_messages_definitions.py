@@ -5,22 +5,19 @@ from __future__ import annotations
 import importlib.util
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from mcap_ros2._dynamic import generate_dynamic
 from rosbags.typesys import get_types_from_msg
 from test_recording_samples import TOPICS, raw, sample
 
+from kr270_milling.bag.decode import RecordedTopic, make_decoder, store_for
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages import definitions
 from kr270_milling.messages.definitions import (
-    Topic,
     definition,
-    make_decoder,
     plain,
     starts_with_stamp,
-    store_for,
     store_of,
     type_hash,
 )
@@ -28,10 +25,9 @@ from kr270_milling.messages.definitions import (
 KINDS = sorted(set(TOPICS.values()))
 
 
-def decoder(about: Topic):
+def decoder(about: RecordedTopic):
     """Of a recording with one topic."""
-    recording = SimpleNamespace(path="f", topics=lambda: {"/t": about}, spend=lambda work: None)
-    return make_decoder(recording, "/t")
+    return make_decoder("f", "/t", about)
 
 
 def installed(name: str, ending: str) -> Path:
@@ -83,7 +79,7 @@ def test_a_type_that_the_store_lacks_is_read_from_the_files_of_its_package(tmp_p
     text = definition("shop_msgs/msg/Order")
     assert "MSG: shop_msgs/Item\nstring<=10 name\nfloat64[3] size\n" in text and "int32 MOST=3" in text
     assert type_hash("shop_msgs/msg/Order").startswith("RIHS01_") and starts_with_stamp(text)
-    about = Topic("shop_msgs/msg/Order", 1, "cdr", text, "ros2msg", {})
+    about = RecordedTopic("shop_msgs/msg/Order", 1, "cdr", text, "ros2msg", {})
     data = b"\0\1\0\0" + bytes(8) + b"\1\0\0\0\0\0\0\0\1\0\0\0\2\0\0\0a\0" + bytes(6 + 24)
     assert plain(decoder(about)(data))["items"] == [{"name": "a", "size": [0.0, 0.0, 0.0]}]
     definitions.definition.cache_clear()
@@ -120,7 +116,7 @@ def test_a_stamp_is_the_first_field_alone(text, stamped):
 ])  # fmt: skip
 def test_a_definition_that_cannot_be_used_is_one_sentence(name, text):
     with pytest.raises(RecordingError, match="cannot be used|is not a"):
-        decoder(Topic(name, 1, "cdr", text, "ros2msg", {}))(b"\0\1\0\0" + bytes(64))
+        decoder(RecordedTopic(name, 1, "cdr", text, "ros2msg", {}))(b"\0\1\0\0" + bytes(64))
 
 
 def test_a_known_definition_is_that_of_the_store_and_another_one_its_own():

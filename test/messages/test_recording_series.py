@@ -11,9 +11,9 @@ from test_recording_samples import JOINTS, POSE, STORE, TWIST, WRENCH, joints, p
 
 from kr270_milling.bag.export import rows
 from kr270_milling.bag.reader import Recording
+from kr270_milling.bag.series import series, stamped
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.messages.series import series, stamped
 
 RELAXED = settings(max_examples=budget(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

@@ -21,7 +21,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from kr270_milling.bag.reader import Recording
-from kr270_milling.messages.series import series
+from kr270_milling.bag.series import series
 from kr270_milling.nodes.recorder import Recorder
 from kr270_milling.ros import topics
 
