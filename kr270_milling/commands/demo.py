@@ -16,7 +16,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, compensator, simulate
 from kr270_milling.commands.console import Answer, Table, command_line, now, plant_of
 from kr270_milling.commands.progress import progress
-from kr270_milling.commands.run import running, summary
+from kr270_milling.commands.run import run_passes, summary
 from kr270_milling.report import ReportTable, write_report
 from kr270_milling.report.series import write_series
 
@@ -29,7 +29,7 @@ WITH = ", with inertia"
 NEEDS = "learned and inverse need a tracker or the model: the encoders of the joints do not see the deflection"
 
 
-def run(args) -> Answer | int:
+def run(args) -> Answer:
     source = find_file("paper.yaml")
     cell = read_cell(source)
     moving = read_cell(source, ["dynamics.reference_inertia=true"])
@@ -43,12 +43,12 @@ def run(args) -> Answer | int:
             second = _plain(moving, INERTIA_METHODS, plant_of(args, moving), WITH)
             report = final(_write(draft, cell, passes, second, source, args))
         return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": how})
-    with running(cell, METHODS, args.out) as found:
-        passes = [ran.scored for ran in found["passes"]]
-        second = _plain(moving, INERTIA_METHODS, None, WITH)
-        how = f"four ROS 2 nodes and a recorder, graph up in {found['graph_up_s']:.2f} s"
-        report = _write(found["out"], cell, passes, second, source, args)
-        return _answer(passes, second, {**summary(found), "report": str(report), "ran_as": how}).tell(args.json)
+    found = run_passes(cell, METHODS, args.out)
+    passes = [ran.scored for ran in found["passes"]]
+    second = _plain(moving, INERTIA_METHODS, None, WITH)
+    how = f"four ROS 2 nodes and a recorder, graph up in {found['graph_up_s']:.2f} s"
+    report = _write(found["out"], cell, passes, second, source, args)
+    return _answer(passes, second, {**summary(found), "report": str(report), "ran_as": how})
 
 
 def _plain(cell, methods, plant, how: str = "") -> list:

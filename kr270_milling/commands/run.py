@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 from kr270_milling.base.errors import ParameterError
@@ -20,25 +18,21 @@ COLUMNS = (("pass", "name", 2), ("static [um]", "static_deviation_mm", um), ("ma
 LAST_LOOK = 1.0  #: [s] for an open page to take the last events
 
 
-def run(args) -> int:
-    """Told while the nodes are still there: see ``running``."""
+def run(args) -> Answer:
     require_ros()
     cell = cell_of(args)
     methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
     how = args.passes, args.namespace, not args.processes, plant_of(args, cell)
-    with running(cell, methods, args.out, *how) as found:
-        up = f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(found['out'])}"
-        told = summary(found)
-        shown = [table_of("Path deviation, four nodes and a recorder", COLUMNS, told["passes"]), up]
-        return Answer(told, shown).tell(args.json)
+    found = run_passes(cell, methods, args.out, *how)
+    up = f"graph up in {found['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(found['out'])}"
+    told = summary(found)
+    return Answer(told, [table_of("Path deviation, four nodes and a recorder", COLUMNS, told["passes"]), up])
 
 
-@contextlib.contextmanager
-def running(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> Iterator[dict]:
-    """Run a cell's passes, with the arm and the material of ``plant`` if there is one.
+def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:
+    """Run a cell's passes as nodes, with the arm and the material of ``plant`` if there is one.
 
-    Yields graph_up_s, out (the directory used) and passes, a list of RanPass. The nodes are stopped at the end of the
-    block: the middleware may end this process while it leaves, so what is to be told or written belongs in the block.
+    Returns graph_up_s, out (the directory used) and passes, a list of RanPass.
     """
     from kr270_milling.graph.graph import Graph
     from kr270_milling.graph.plan import fresh_directory, run_plan
@@ -52,14 +46,15 @@ def running(cell, methods, out, passes=None, namespace: str = "", composed: bool
     directory = fresh_directory(out)
     if directory != Path(out):
         print(f"{out} holds recordings already; this run writes to {directory}", file=sys.stderr)
-    with contextlib.ExitStack() as until_told:
-        with progress("compiling") as report:
-            _compile(cell)
-            report.say("starting the nodes")
-            graph = until_told.enter_context(Graph(cell, directory, namespace, composed=composed, plant=cuts))
-            ran = run_plan(graph, methods, passes, report.say)
-        with graph.interruptible():
-            yield {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
+    with progress("compiling") as report:
+        _compile(cell)
+        report.say("starting the nodes")
+        graph = Graph(cell, directory, namespace, composed=composed, plant=cuts)
+        try:
+            ran = run_plan(graph.start(), methods, passes, report.say)
+        finally:
+            graph.stop()
+    return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
 
 
 def _compile(cell) -> None:
@@ -97,7 +92,7 @@ def watch(args) -> int:
     try:
         code = run_node(lambda **kwargs: Watcher(events, namespace, **kwargs), [])
         if not events.ended:
-            events.tell({"kind": "end"})
+            events.add({"kind": "end"})
         time.sleep(LAST_LOOK)
     finally:
         server.shutdown()

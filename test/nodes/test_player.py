@@ -65,10 +65,10 @@ def test_the_clock_of_a_playback_runs_at_its_rate_and_stands_while_paused():
 
 
 def played(bag, *words: str) -> list:
-    how = options(str(bag), *words)
+    chosen = options(str(bag), *words)
     with Recording(bag) as recording:
-        topics = set(how.topics or recording.topics())
-        start, end = span(recording, how)
+        topics = set(chosen.topics or recording.topics())
+        start, end = span(recording, chosen)
         return [*opening(recording, start, topics), *passage(recording, start, end, topics)]
 
 
@@ -149,8 +149,8 @@ def test_only_the_chosen_topics_are_played(bag, domain):
 def test_a_loop_begins_again(bag, domain):
     with Listener(domain, bag, ["--loop", "--topics", "/wrench"], names=("/wrench",)) as graph:
         graph.resume()
-        graph.until(lambda: len(graph.heard) >= 300)
-        heard = of_topic(graph.heard, "/wrench")
+        graph.until(lambda: len(graph.messages) >= 300)
+        heard = of_topic(graph.messages, "/wrench")
         assert not graph.player.done
     once = of_topic(made.raw(bag), "/wrench")
     assert heard[:300] == (once * 3)[:300]
@@ -161,7 +161,7 @@ def test_nothing_is_played_before_the_service_resumes(bag, domain):
     with Listener(domain, bag) as graph:
         for _ in range(30):
             graph.executor.spin_once(timeout_sec=0.01)
-        assert graph.heard == []
+        assert graph.messages == []
         assert graph.play()
 
 
