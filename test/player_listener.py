@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import functools
+import threading
 import time
 
 from kr270_milling.bag.play_options import PlayOptions
@@ -41,7 +42,8 @@ class Listener:
         rclpy.init(args=[], context=self.context, domain_id=domain)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.node = Node("listener", context=self.context, use_global_arguments=False)
-        self.executor.add_node(self.node)
+        self.reader = SingleThreadedExecutor(context=self.context)
+        self.reader.add_node(self.node)
         self.messages: list[tuple[str, bytes]] = []
         self.times: dict[str, list[float]] = {}
         types = {"tool_pose": PoseStamped, "wrench": WrenchStamped, "reference_trajectory": MultiDOFJointTrajectory,
@@ -57,10 +59,17 @@ class Listener:
             kind = types[name.rpartition("/")[2]]
             callback = functools.partial(self._on_message, name)
             subscriptions.append(self.node.create_subscription(kind, name, callback, qos, raw=True))
+        self.ended = False
+        self.thread = threading.Thread(target=self._receive)  # the player must not delay its subscriber
         self.until(lambda: all(subscription.get_publisher_count() for subscription in subscriptions))
         self.executor.add_node(self.player)
+        self.thread.start()
         matched = [o for t, o in self.player._outlets.items() if t in names]
         self.until(lambda: all(o.get_subscription_count() for o in matched))
+
+    def _receive(self) -> None:
+        while not self.ended:
+            self.reader.spin_once(timeout_sec=0.05)
 
     def _on_message(self, name: str, data: bytes) -> None:
         self.messages.append((name, data))
@@ -70,7 +79,11 @@ class Listener:
         end = time.monotonic() + limit
         while not reached():
             assert time.monotonic() < end, f"the condition is not met; {len(self.messages)} messages received"
-            self.executor.spin_once(timeout_sec=0.02)
+            self.spin()
+
+    def spin(self) -> None:
+        """Step the player once."""
+        self.executor.spin_once(timeout_sec=0.02)
 
     def resume(self, name: str = "/player/resume") -> None:
         from std_srvs.srv import Trigger
@@ -91,7 +104,7 @@ class Listener:
         """Spin until no message has arrived for half a second."""
         quiet_from, count = time.monotonic(), len(self.messages)
         while time.monotonic() < quiet_from + 0.5:
-            self.executor.spin_once(timeout_sec=0.02)
+            self.spin()
             if len(self.messages) != count:
                 quiet_from, count = time.monotonic(), len(self.messages)
 
@@ -99,6 +112,9 @@ class Listener:
         return self
 
     def __exit__(self, *_):
+        self.ended = True
+        self.thread.join()
+        self.reader.shutdown()
         self.player.close()
         self.executor.shutdown()
         self.player.destroy_node()

@@ -230,7 +230,7 @@ def test_compensator_that_comes_in_mid_pass_says_that_it_has_not_heard_the_start
     stamps = short_cell.clock.stamp(np.arange(10, 40))
     for stamp, tool in zip(stamps.tolist(), short_cell.target().sample(stamps), strict=True):
         pose.publish(pose_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
-    told.until("/trajectory_compensator", "did not receive the start", 2, deadline=3.0)
+    told.until("/trajectory_compensator", "did not receive its start", 2, deadline=3.0)
 
 
 def test_recorder_that_hangs_while_it_closes_its_file_is_ended_with_the_graph(short_cell, tmp_path):
