@@ -17,8 +17,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from ros_domain import DISCOVERY, environment_of_processes, own_domain, own_turn
+from ros_domain import DISCOVERY, environment_of_processes, is_used, own_domain, own_turn
 
+LEAVE = 10.0  # [s] for nodes and processes of a test to close their ports
 #: a pass of 120 exchanges: air, the first touch and some teeth in the stock
 SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]", "publish.every=1")
 
@@ -111,17 +112,12 @@ def world(domain, monkeypatch):
     from kr270_milling.ros.environment import keep_to_this_host
 
     keep_to_this_host()
-    before = participants()
     with contextlib.closing(World(domain)) as made:
         yield made
-    assert participants() == before, "a participant of this test is left, and would meet the next tests"
-
-
-def participants() -> int:
-    """Participants of Fast DDS in this process, by the locks of their segments."""
-    places = [Path(entry) for entry in Path("/proc/self/fd").iterdir()]
-    names = [os.readlink(place) for place in places if place.is_symlink()]
-    return sum(name.startswith("/dev/shm/fastrtps_") and "_port" not in name for name in names)
+    end = time.monotonic() + LEAVE
+    while is_used(domain):
+        assert time.monotonic() < end, "a node of this test still has a port open"
+        time.sleep(0.02)
 
 
 class World:
@@ -214,8 +210,9 @@ class Diagnostics:
             self.all.append((status.name, status.level[0], status.message))
             self.last[status.name] = {pair.key: pair.value for pair in status.values}
 
-    def said(self, node: str, text: str, level: int | None = None) -> bool:
+    def reported(self, node: str, text: str, level: int | None = None) -> bool:
         return any(n == node and text in m and level in (None, v) for n, v, m in self.all)
 
     def until(self, node: str, text: str, level: int | None = None, deadline: float = 10.0) -> None:
-        self._world.until(lambda: self.said(node, text, level), deadline, f"{node}: {text!r}; heard {self.all[-5:]}")
+        failure = f"{node}: {text!r} is not in {self.all[-5:]}"
+        self._world.until(lambda: self.reported(node, text, level), deadline, failure)

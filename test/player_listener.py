@@ -1,8 +1,10 @@
-"""A player of a recording and a node that hears it, for the tests of the player."""
+"""A player of a recording and a node that receives its messages, for the tests of the player."""
 
 from __future__ import annotations
 
 import argparse
+import functools
+import threading
 import time
 
 from kr270_milling.bag.play_options import PlayOptions
@@ -14,13 +16,13 @@ FIRST = ("/reference_trajectory", "/joint_trajectory")
 def options(*words: str) -> PlayOptions:
     parser = argparse.ArgumentParser()
     parser.add_argument("file")
-    for names, how in PLAY:
-        parser.add_argument(*names, **how)
+    for names, keywords in PLAY:
+        parser.add_argument(*names, **keywords)
     return play_options(parser.parse_args(list(words)))
 
 
 class Listener:
-    """A player and a node that hears it, in a world of their own, stepped by hand."""
+    """A player and a subscriber in a separate context, stepped by hand."""
 
     def __init__(self, domain: int, bag, words=(), names=("/tool_pose", "/wrench", *FIRST), arguments=()):
         import rclpy
@@ -28,11 +30,11 @@ class Listener:
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
+        from rclpy.qos import DurabilityPolicy, QoSProfile
         from rosgraph_msgs.msg import Clock
         from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
         from kr270_milling.nodes.player import Player
-        from kr270_milling.ros import topics
         from kr270_milling.ros.environment import keep_to_this_host
 
         keep_to_this_host()
@@ -40,33 +42,48 @@ class Listener:
         rclpy.init(args=[], context=self.context, domain_id=domain)
         self.executor = SingleThreadedExecutor(context=self.context)
         self.node = Node("listener", context=self.context, use_global_arguments=False)
-        self.executor.add_node(self.node)
-        self.heard: list[tuple[str, bytes]] = []
+        self.reader = SingleThreadedExecutor(context=self.context)
+        self.reader.add_node(self.node)
+        self.messages: list[tuple[str, bytes]] = []
         self.times: dict[str, list[float]] = {}
         types = {"tool_pose": PoseStamped, "wrench": WrenchStamped, "reference_trajectory": MultiDOFJointTrajectory,
                  "joint_trajectory": JointTrajectory, "clock": Clock}  # fmt: skip
         self.player = Player(
             options(str(bag), "--start-paused", *words), context=self.context, cli_args=["--ros-args", *arguments]
         )
+        subscriptions = []
         for name in names:
-            latched = "trajectory" in name
-            qos = topics.LATCHED if latched else 1000
+            qos = QoSProfile(depth=1000)  # a depth of 1 loses latched messages on a busy machine
+            if "trajectory" in name:
+                qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
             kind = types[name.rpartition("/")[2]]
-            self.node.create_subscription(kind, name, lambda data, n=name: self._hear(n, data), qos, raw=True)
-        self.until(lambda: all(self.node.count_publishers(name) for name in names))
+            callback = functools.partial(self._on_message, name)
+            subscriptions.append(self.node.create_subscription(kind, name, callback, qos, raw=True))
+        self.ended = False
+        self.thread = threading.Thread(target=self._receive)  # the player must not delay its subscriber
+        self.until(lambda: all(subscription.get_publisher_count() for subscription in subscriptions))
         self.executor.add_node(self.player)
+        self.thread.start()
         matched = [o for t, o in self.player._outlets.items() if t in names]
         self.until(lambda: all(o.get_subscription_count() for o in matched))
 
-    def _hear(self, name: str, data: bytes) -> None:
-        self.heard.append((name, data))
+    def _receive(self) -> None:
+        while not self.ended:
+            self.reader.spin_once(timeout_sec=0.05)
+
+    def _on_message(self, name: str, data: bytes) -> None:
+        self.messages.append((name, data))
         self.times.setdefault(name, []).append(time.monotonic())
 
     def until(self, reached, limit: float = 30.0) -> None:
         end = time.monotonic() + limit
         while not reached():
-            assert time.monotonic() < end, f"waited in vain; {len(self.heard)} messages heard"
-            self.executor.spin_once(timeout_sec=0.02)
+            assert time.monotonic() < end, f"the condition is not met; {len(self.messages)} messages received"
+            self.spin()
+
+    def spin(self) -> None:
+        """Step the player once."""
+        self.executor.spin_once(timeout_sec=0.02)
 
     def resume(self, name: str = "/player/resume") -> None:
         from std_srvs.srv import Trigger
@@ -81,20 +98,23 @@ class Listener:
         self.resume()
         self.until(lambda: self.player.done)
         self.settle()
-        return self.heard
+        return self.messages
 
     def settle(self) -> None:
-        """Hear on until nothing has come for half a second."""
-        quiet_from, count = time.monotonic(), len(self.heard)
+        """Spin until no message has arrived for half a second."""
+        quiet_from, count = time.monotonic(), len(self.messages)
         while time.monotonic() < quiet_from + 0.5:
-            self.executor.spin_once(timeout_sec=0.02)
-            if len(self.heard) != count:
-                quiet_from, count = time.monotonic(), len(self.heard)
+            self.spin()
+            if len(self.messages) != count:
+                quiet_from, count = time.monotonic(), len(self.messages)
 
     def __enter__(self):
         return self
 
     def __exit__(self, *_):
+        self.ended = True
+        self.thread.join()
+        self.reader.shutdown()
         self.player.close()
         self.executor.shutdown()
         self.player.destroy_node()

@@ -10,8 +10,6 @@ __all__ = ["MillingError", "ParameterError", "ConfigError", "InputError", "Recor
 class MillingError(Exception):
     """Base class of every error that this package raises on purpose; the command line exits with 2 on it."""
 
-    told = False  #: whether its sentence has been printed already, by what might not have come back
-
 
 _short = reprlib.Repr()
 _short.maxlevel, _short.maxstring, _short.maxother, _short.maxlist, _short.maxdict = 3, 100, 100, 8, 4

@@ -1,4 +1,4 @@
-"""How this process ends."""
+"""The end of this process: exit codes, and an exit without Python's finalisation."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.commands.command import PLANT, command, option
 from kr270_milling.commands.console import Answer, Table, command_line, now, plant_of
 from kr270_milling.commands.progress import progress
-from kr270_milling.commands.run import running, summary
+from kr270_milling.commands.run import run_passes, summary
 
 METHODS = ("linear", "spline", "learned")
 INERTIA_METHODS = (*METHODS, "inverse")
@@ -34,7 +34,7 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def run(args) -> Answer | int:
+def run(args) -> Answer:
     from kr270_milling.cell.cell import read_cell
 
     source = find_file("paper.yaml")
@@ -50,12 +50,12 @@ def run(args) -> Answer | int:
             second = _plain(moving, INERTIA_METHODS, plant_of(args, moving), WITH)
             report = final(_write(draft, cell, passes, second, source, args))
         return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": loop})
-    with running(cell, METHODS, args.out) as result:
-        passes = [ran.scored for ran in result["passes"]]
-        second = _plain(moving, INERTIA_METHODS, None, WITH)
-        loop = f"four ROS 2 nodes and a recorder, graph up in {result['graph_up_s']:.2f} s"
-        report = _write(result["out"], cell, passes, second, source, args)
-        return _answer(passes, second, {**summary(result), "report": str(report), "ran_as": loop}).print(args.json)
+    result = run_passes(cell, METHODS, args.out)
+    passes = [ran.scored for ran in result["passes"]]
+    second = _plain(moving, INERTIA_METHODS, None, WITH)
+    loop = f"four ROS 2 nodes and a recorder, graph up in {result['graph_up_s']:.2f} s"
+    report = _write(result["out"], cell, passes, second, source, args)
+    return _answer(passes, second, {**summary(result), "report": str(report), "ran_as": loop})
 
 
 def _plain(cell, methods, plant, suffix: str = "") -> list:

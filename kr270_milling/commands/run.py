@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 from kr270_milling.base.errors import ParameterError
@@ -42,25 +40,21 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def run(args) -> int:
-    """Print the result before the nodes stop: see ``running``."""
+def run(args) -> Answer:
     require_ros()
     cell = cell_of(args)
     methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
-    plant = plant_of(args, cell)
-    with running(cell, methods, args.out, args.passes, args.namespace, not args.processes, plant) as ran:
-        up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
-        result = summary(ran)
-        shown = [table_of("Path deviation, four nodes and a recorder", _columns(), result["passes"]), up]
-        return Answer(result, shown).print(args.json)
+    options = args.passes, args.namespace, not args.processes, plant_of(args, cell)
+    ran = run_passes(cell, methods, args.out, *options)
+    up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
+    result = summary(ran)
+    return Answer(result, [table_of("Path deviation, four nodes and a recorder", _columns(), result["passes"]), up])
 
 
-@contextlib.contextmanager
-def running(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> Iterator[dict]:
-    """Run a cell's passes, with the arm and the material of ``plant`` if there is one.
+def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:
+    """Run a cell's passes as nodes, with the arm and the material of ``plant`` if there is one.
 
-    Yields graph_up_s, out (the directory used) and passes, a list of RanPass. The nodes are stopped at the end of the
-    block. The middleware may end this process then, so print and write inside the block.
+    Returns graph_up_s, out (the directory used) and passes, a list of RanPass.
     """
     from kr270_milling.graph.graph import Graph
     from kr270_milling.graph.plan import fresh_directory, run_plan
@@ -74,14 +68,15 @@ def running(cell, methods, out, passes=None, namespace: str = "", composed: bool
     directory = fresh_directory(out)
     if directory != Path(out):
         print(f"{out} holds recordings already; this run writes to {directory}", file=sys.stderr)
-    with contextlib.ExitStack() as stack:
-        with progress("compiling") as report:
-            _compile(cell)
-            report.say("starting the nodes")
-            graph = stack.enter_context(Graph(cell, directory, namespace, composed=composed, plant=cuts))
-            ran = run_plan(graph, methods, passes, report.say)
-        with graph.interruptible():
-            yield {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
+    with progress("compiling") as report:
+        _compile(cell)
+        report.say("starting the nodes")
+        graph = Graph(cell, directory, namespace, composed=composed, plant=cuts)
+        try:
+            ran = run_plan(graph.start(), methods, passes, report.say)
+        finally:
+            graph.stop()
+    return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
 
 
 def _compile(cell) -> None:
@@ -119,7 +114,7 @@ def watch(args) -> int:
     try:
         code = run_node(lambda **kwargs: Watcher(events, namespace, **kwargs), [])
         if not events.ended:
-            events.tell({"kind": "end"})
+            events.add({"kind": "end"})
         time.sleep(LAST_LOOK)
     finally:
         server.shutdown()

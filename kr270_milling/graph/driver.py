@@ -1,8 +1,7 @@
-"""The runner's own small node: changes the states of the others, sets parameters, hears their diagnostics."""
+"""The node of the runner: requests lifecycle transitions, sets parameters, receives diagnostics."""
 
 from __future__ import annotations
 
-import atexit
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -19,22 +18,18 @@ from rclpy.parameter import Parameter
 from rclpy.qos import QoSCompatibility, qos_check_compatible
 from rclpy.signals import SignalHandlerOptions
 
-from kr270_milling.base.process import end_process
 from kr270_milling.graph.processes import RunError
 from kr270_milling.ros import topics
-from kr270_milling.ros.leaving import leaving
 
 __all__ = ["Driver", "Status", "compatible"]
 
 ERROR = b"\x02"
-EXIT_FAILED = 2  # of a run that could not go on
-LEAVE = 10.0  # [s] to leave the graph
-LOOK = 0.02  # [s] between two looks at the processes while waiting
+LOOK = 0.02  # [s] between two checks of the processes while waiting
 
 
 @dataclass(frozen=True)
 class Status:
-    """What a node said last, and when [s of the monotonic clock]."""
+    """Last diagnostic status of a node, and its arrival time [s of the monotonic clock]."""
 
     level: bytes
     message: str
@@ -43,15 +38,14 @@ class Status:
 
 
 class Driver:
-    """In a context of its own. ``check`` is called all the time while it waits, and may raise."""
+    """A node in a separate context. ``check`` is called some 50 times a second while the node waits, and may raise."""
 
     def __init__(self, namespace: str, check: Callable[[], None]):
         self.check = check
         self.statuses: dict[str, Status] = {}  #: by fully qualified node name
         self.errors: list[tuple[str, str]] = []  #: (node, message) of every new ERROR
-        self.stuck = False  #: nothing arrives any more
-        self.pids: dict[str, str] = {}  #: by fully qualified name, of the nodes whose reports count
-        self.foreign: set[str] = set()  #: names under which another process reports as well; these reports are ignored
+        self.pids: dict[str, str] = {}  #: expected process id by fully qualified node name
+        self.foreign: set[str] = set()  #: node names that another process also uses; its reports are ignored
         self._context = Context()
         rclpy.init(args=[], context=self._context, signal_handler_options=SignalHandlerOptions.NO)
         self.node = Node(
@@ -62,36 +56,34 @@ class Driver:
         self._executor.add_node(self.node)
         topic = topics.DIAGNOSTICS
         self.node.create_subscription(topic.type, topic.name, self._on_diagnostics, topic.qos)
-        self.addresses: dict[str, str] = {}  #: node -> the name under which its services are, where it has another
         self._clients: dict[str, Client] = {}
         self.namespace = self.node.get_namespace()
-        self.domain = self._context.get_domain_id()
 
     def name_of(self, node: str) -> str:
-        """Fully qualified."""
+        """Return the fully qualified name of a node or topic."""
         return f"{self.namespace.rstrip('/')}/{node}"
 
     def status(self, node: str) -> Status | None:
         return self.statuses.get(self.name_of(node))
 
     def expect(self, node: str, pid: int) -> None:
-        """From now on only the reports of this process count for a node."""
+        """Ignore the reports of other processes under the name of this node from now on."""
         name = self.name_of(node)
         self.statuses.pop(name, None)
         self.pids[name] = str(pid)
 
-    def says(self, node: str, key: str) -> str:
-        """A value of the last report of a node; empty where there is none."""
+    def value(self, node: str, key: str) -> str:
+        """Return a value of the last report of a node; empty without a report."""
         status = self.status(node)
         return "" if status is None else status.values.get(key, "")
 
     def counts(self, node: str, key: str) -> dict[str, int]:
-        """What a node last told as ``topic=number topic=number ...``: ``listeners``, ``heard``, stamps [ns]."""
-        pairs = (text.rpartition("=") for text in self.says(node, key).split())
+        """Return a value of the form ``topic=number topic=number ...``: ``listeners``, ``sources``, stamps [ns]."""
+        pairs = (text.rpartition("=") for text in self.value(node, key).split())
         return {topic: int(count) for topic, _, count in pairs}
 
     def silence(self, node: str, now: float) -> float:
-        """Since when a node has not reported [s]; 0 for one that never did. now: of the monotonic clock."""
+        """Return the time since the last report of a node [s], 0 without a report; now: [s] of the monotonic clock."""
         status = self.status(node)
         return 0.0 if status is None else now - status.at
 
@@ -122,11 +114,11 @@ class Driver:
         self._executor.spin_once(timeout_sec=LOOK)
 
     def _ask(self, node: str, kind: type, service: str, request, deadline: float) -> tuple:
-        name = f"{self.name_of(self.addresses.get(node, node))}/{service}"
+        name = f"{self.name_of(node)}/{service}"
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
         client = self._clients[name]
-        self.until(client.service_is_ready, f"finding the service {service}", deadline, node)
+        self.until(client.service_is_ready, f"discovery of the service {service}", deadline, node)
         return node, client, client.call_async(request)
 
     def _finish(self, asked: tuple, what: str, deadline: float):
@@ -138,11 +130,11 @@ class Driver:
         return future.result()
 
     def transition(self, node: str, name: str, deadline: float) -> None:
-        """Lifecycle transition of a node; raises RunError where it fails."""
+        """Request a lifecycle transition of a node; raises RunError where it fails."""
         self.transitions([(node, name)], deadline)
 
     def transitions(self, steps: list[tuple[str, str]], deadline: float) -> None:
-        """Transitions (node, name) of several nodes at the same time."""
+        """Request transitions (node, name) of several nodes at the same time."""
         asked = []
         for node, name in steps:
             change = Transition(id=getattr(Transition, f"TRANSITION_{name.upper()}"), label=name)
@@ -150,12 +142,12 @@ class Driver:
             asked.append(self._ask(node, ChangeState, "change_state", request, deadline))
         for (node, name), question in zip(steps, asked, strict=True):
             if not self._finish(question, name, deadline).success:
-                self.until(lambda: self.errors, f"telling why {name} failed", 1.0, node)
+                self.until(lambda: self.errors, f"the reason for the failed {name}", 1.0, node)
                 self.check()
                 raise RunError(node, f"{name} failed")
 
     def set_parameters(self, node: str, values: Mapping[str, object], deadline: float) -> None:
-        """Set parameters of a node, one after another; raises RunError where one is refused."""
+        """Set parameters of a node, one after another; raises RunError where the node refuses a value."""
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = SetParameters.Request(parameters=parameters)
         asked = self._ask(node, SetParameters, "set_parameters", request, deadline)
@@ -164,24 +156,21 @@ class Driver:
                 raise RunError(node, result.reason)
 
     def ends(self, topic: str) -> tuple[list, list]:
-        """Publishers and subscriptions of a fully qualified topic."""
+        """Return publishers and subscriptions of a fully qualified topic."""
         return self.node.get_publishers_info_by_topic(topic), self.node.get_subscriptions_info_by_topic(topic)
 
-    def close(self, code: int = 0) -> None:
-        """Leave the graph; where that blocks, the process ends with ``code`` after LEAVE, and the nodes with it.
+    def nodes(self) -> set[str]:
+        """Return the fully qualified names of the nodes in this ROS domain."""
+        return {f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces()}
 
-        Not when Fast DDS is stuck already (eProsima/Fast-DDS#6502): neither this nor an exit of Python would end.
-        """
-        if self.stuck:
-            atexit.register(end_process, EXIT_FAILED)
-            return
-        with leaving(code, LEAVE):
-            self._executor.shutdown()
-            self.node.destroy_node()
-            self._context.try_shutdown()
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._context.try_shutdown()
 
 
 def compatible(publisher, subscription) -> bool:
-    """Whether two ends will match."""
-    found, _ = qos_check_compatible(publisher.qos_profile, subscription.qos_profile)
-    return found != QoSCompatibility.ERROR
+    """Return whether the middleware matches a publisher and a subscription."""
+    compatibility, _ = qos_check_compatible(publisher.qos_profile, subscription.qos_profile)
+    return compatibility != QoSCompatibility.ERROR

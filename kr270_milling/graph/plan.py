@@ -1,4 +1,4 @@
-"""Which passes a run makes: the original one, then those of every method, each scored from its recording."""
+"""The passes of a run: the original pass, then those of each method, each scored from its recording."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["RanPass", "fresh_directory", "run_plan"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class RanPass:
-    """A row of the table."""
+    """One row of the table of a run."""
 
     run: PassRun
     scored: ScoredPass
@@ -26,7 +26,7 @@ class RanPass:
     learning: tuple[RanPass, ...] = ()  #: every pass of a method that repeats; the row itself is the best of them
 
     def row(self) -> dict:
-        """Keys as the command prints them."""
+        """Return the row with the keys that the command prints."""
         duration = float(self.scored.result.time[-1])
         row = {
             **self.scored.row(),
@@ -40,7 +40,7 @@ class RanPass:
 
 
 def fresh_directory(out) -> Path:
-    """``out`` itself, or a new ``out/run_N`` where it holds recordings already: none is ever overwritten."""
+    """Return ``out``, or a new ``out/run_N`` where ``out`` contains recordings: recordings are never overwritten."""
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     if not any(out.glob("*/*.mcap")) and not (out / "cell.yaml").exists():
@@ -51,7 +51,7 @@ def fresh_directory(out) -> Path:
         except FileExistsError:
             continue
         return out / f"run_{number}"
-    raise FileExistsError(f"{out}: holds too many runs")
+    raise FileExistsError(f"{out}: contains too many runs")
 
 
 def run_plan(
@@ -60,18 +60,19 @@ def run_plan(
     passes: int | None = None,
     say: Callable[[str], None] = lambda text: None,
 ) -> list[RanPass]:
-    """The original pass, then each method's; passes: how many in all, the original included (default: as needed).
+    """Run the original pass, then those of each method.
 
-    say: called with a sentence at the beginning of each pass.
+    passes: number of passes with the original (default: as needed)
+    say: called with a sentence at the start of each pass.
     """
     numbers = itertools.count(1)
     most = _most_passes(graph.cell, methods, passes)
 
     def run(name: str) -> RanPass:
         say(f"{name}, pass {next(numbers)} of at most {most}")
-        told = graph.run_pass(name)
-        found = pass_from_recording(told.recording, name, graph.driver.namespace)
-        return RanPass(told, found.scored, found.lost_to_end)
+        pass_run = graph.run_pass(name)
+        recorded = pass_from_recording(pass_run.recording, name, graph.driver.namespace)
+        return RanPass(pass_run, recorded.scored, recorded.lost_to_end)
 
     original = run("original")
     rows = [original]
@@ -88,19 +89,19 @@ def run_plan(
 
 
 def _most_passes(cell: Cell, methods: Sequence[str], passes: int | None) -> int:
-    """How many passes there can be in all."""
+    """Return the largest possible number of passes."""
     if passes is not None:
         return 1 + len(methods) * (passes - 1)
-    asked = (Compensator(cell.compensation, cell.target(), method).most_passes for method in methods)
-    return 1 + sum(1 if most is None else most for most in asked)
+    limits = (Compensator(cell.compensation, cell.target(), method).most_passes for method in methods)
+    return 1 + sum(1 if most is None else most for most in limits)
 
 
 def _repeated(method: str, run: Callable[[str], RanPass], original: RanPass, most: int | None) -> RanPass:
-    """Passes until the compensator is finished, or ``most``; the one along the best reference counts."""
+    """Run passes until the compensator is finished, at most ``most``; return the pass along the best reference."""
     tried: list[RanPass] = []
     while not (tried and tried[-1].run.finished) and (most is None or len(tried) < most):
         tried.append(run(f"{method}_{len(tried) + 1}"))
-    errors = tried[-1].run.errors  # the first is that of the original pass
+    errors = tried[-1].run.errors  # the first error is that of the original pass
     best = [original, *tried][min(range(len(errors)), key=errors.__getitem__)]
     named = dataclasses.replace(best.scored, name=method)
     return dataclasses.replace(best, scored=named, learning=tuple(tried))

@@ -1,4 +1,4 @@
-"""Node processes: what they are started with, in a session of their own, and how they are ended."""
+"""Node processes: command line and parameter file, start in a separate session, and stop."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from kr270_milling.ros.environment import child_environment
 
 __all__ = ["Child", "RunError", "cell_text", "recording_parameters", "ros_arguments", "stop", "write_cell"]
 
-GRACE = 3.0  # [s] that a node has to end by itself
+GRACE = 3.0  # [s] for a node to close its files and to leave the graph, before it is killed
 TOGETHER = "milling_cell"  # the program that holds several nodes
 
 
 class RunError(MillingError):
-    """The graph cannot go on; node names the culprit, reason tells what happened."""
+    """The run cannot continue; node: the failed node; reason: what happened."""
 
     def __init__(self, node: str, reason: str):
         self.node, self.reason = node, reason
@@ -34,8 +34,8 @@ class RunError(MillingError):
 
 
 @contextlib.contextmanager
-def _held_back() -> Iterator[None]:
-    """Signals wait in a process that is started meanwhile until it has its handlers (``nodes.start``)."""
+def _signals_blocked() -> Iterator[None]:
+    """Block signals in a process that starts within, until it installs its handlers (``nodes.start``)."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
     try:
         yield
@@ -44,14 +44,14 @@ def _held_back() -> Iterator[None]:
 
 
 class Child:
-    """One node as a process, or several in one; what it prints goes to a log below ``logs``."""
+    """A process with one node or several; its output goes to a log below ``logs``."""
 
     def __init__(self, nodes: Sequence[str], arguments: Iterable[str], logs: Path):
         self.name = "+".join(nodes)
         self.log = logs / f"{self.name}.log"
         program = nodes if len(nodes) == 1 else (TOGETHER, *nodes)
         command = [sys.executable, "-m", "kr270_milling.nodes", *program, *arguments]
-        with open(self.log, "ab") as stream, _held_back():
+        with open(self.log, "ab") as stream, _signals_blocked():
             self.process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=logs,
                 env=child_environment(), start_new_session=True,
@@ -66,22 +66,23 @@ class Child:
         return self.process.poll() is None
 
     def why_ended(self) -> str:
-        """One sentence about a process that is no longer there."""
+        """Return why the process ended, in one sentence."""
         code = self.process.returncode
         if code < 0:
             return f"was ended by {signal.Signals(-code).name}"
-        return f"ended with exit code {code} ({self.last_words() or 'it printed nothing'}; see {self.log})"
+        return f"ended with exit code {code} ({self.last_line() or 'it printed nothing'}; see {self.log})"
 
-    def last_words(self) -> str:
+    def last_line(self) -> str:
+        """Return the last line of the log that is not empty."""
         with open(self.log, "rb") as stream:
             stream.seek(max(0, os.fstat(stream.fileno()).st_size - 4096))
             lines = stream.read().decode("utf-8", "replace").split("\n")
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
     def keep_to(self, cores: set[int]) -> None:
-        """Run on these cores only, with every thread that it has now and those that they start."""
+        """Run every present and future thread of the process on these cores only."""
         for task in os.listdir(f"/proc/{self.pid}/task") if self.alive else ():
-            with contextlib.suppress(OSError):  # it has ended
+            with contextlib.suppress(OSError):  # the thread has ended
                 os.sched_setaffinity(int(task), cores)
 
     def signal(self, number: int) -> None:
@@ -91,11 +92,11 @@ class Child:
 
 
 def stop(children: Iterable[Child], grace: float = GRACE) -> list[str]:
-    """End node after node, all at once, and wait for them; returns the names of those that had to be killed."""
+    """Interrupt all nodes at once and wait; kill those that do not end within ``grace`` [s] and return their names."""
     children = [c for c in children if c.alive]
     for child in children:
         child.signal(signal.SIGINT)
-        child.signal(signal.SIGCONT)  # a stopped process hears no signal
+        child.signal(signal.SIGCONT)  # a stopped process handles no signal
     end = time.monotonic() + grace
     while any(child.alive for child in children) and time.monotonic() < end:
         time.sleep(0.01)
@@ -107,15 +108,15 @@ def stop(children: Iterable[Child], grace: float = GRACE) -> list[str]:
 
 
 def ros_arguments(parameters: Path, namespace: str, *more: str) -> list[str]:
-    """Arguments of a node with a parameter file in a namespace."""
+    """Return the arguments of a node with a parameter file in a namespace."""
     space = ["-r", f"__ns:={namespace}"] if namespace != "/" else []
     return ["--ros-args", "--params-file", str(parameters), *space, *more]
 
 
 def recording_parameters(cell: Cell, out: Path, name: str, plant: Cell | None = None) -> dict:
-    """Parameters of the recorder for the pass ``name``; its directory is the last, because it begins the recording.
+    """Return the recorder's parameters for the pass ``name``; the directory, which starts the recording, comes last.
 
-    plant: the cell that runs this pass where it is not the one that plans; it is attached as well.
+    plant: the cell that robot and cut run, where it differs from the planned one; it is attached as well.
     """
     attach = [str(out / "cell.yaml")]
     if plant is not None:
@@ -128,12 +129,12 @@ def recording_parameters(cell: Cell, out: Path, name: str, plant: Cell | None = 
 
 
 def cell_text(cell: Cell) -> str:
-    """The YAML text with the numbers that the cell was built from; read again they are the same, bit for bit."""
+    """Return the cell as YAML text; its numbers are read back bit for bit."""
     tree = _without_empty(tree_of(cell))
     if cell.path.file:
         tree["path"]["file"] = str(Path(cell.path.file).resolve())
     text = yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False, default_flow_style=None, width=110)
-    return "# Written by kr270_milling: the cell as it was run.\n" + text
+    return "# Written by kr270_milling: the cell of this run.\n" + text
 
 
 def write_cell(cell: Cell, path: Path) -> None:
@@ -141,6 +142,6 @@ def write_cell(cell: Cell, path: Path) -> None:
 
 
 def _without_empty(tree: dict) -> dict:
-    """Without empty lists, whose type ROS cannot tell, and groups that hold nothing else, which it refuses."""
-    kept = {key: _without_empty(value) if isinstance(value, dict) else value for key, value in tree.items()}
-    return {key: value for key, value in kept.items() if value or not isinstance(value, (list, dict))}
+    """Remove empty lists, whose type ROS cannot derive, and groups that are then empty, which ROS refuses."""
+    values = {key: _without_empty(value) if isinstance(value, dict) else value for key, value in tree.items()}
+    return {key: value for key, value in values.items() if value or not isinstance(value, (list, dict))}

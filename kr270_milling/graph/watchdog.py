@@ -1,10 +1,7 @@
-"""Whether a pass may start, who hears whom; whether it can go on: processes that ended, errors, restarts, silence."""
+"""Check that a pass may start (matched topics) and may continue (processes, errors, restarts, silence)."""
 
 from __future__ import annotations
 
-import errno
-import hashlib
-import socket
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -15,35 +12,27 @@ from kr270_milling.graph.processes import Child, RunError
 from kr270_milling.ros.node import LOST
 
 __all__ = [
-    "COMPENSATOR", "CUT", "LOST", "QUIET", "RECORDER", "ROBOT", "AlreadyRunning", "Hooks", "Watchdog", "claim",
-    "unmatched",
+    "COMPENSATOR", "CUT", "LOST", "QUIET", "RECORDER", "ROBOT", "AlreadyRunning", "Hooks", "Watchdog", "unmatched",
 ]  # fmt: skip
 
 ROBOT, CUT, COMPENSATOR, RECORDER = "compliant_robot", "cutting_process", "trajectory_compensator", "recorder"
 
-
-QUIET = 1.0  # [s] without a report after which this is told
-HELD_UP = 0.5  # [s] between two looks of this process, after which the reports that wait are heard first
+QUIET = 1.0  # [s] without a report, after which the run prints a warning
+HELD_UP = 0.5  # [s] between two checks; after a longer time this process first takes the reports that wait
 
 
 class Hooks:
     """The hooks of a run on the command line; a subclass overrides what it needs."""
 
-    def looked(self) -> None:
-        """Called some 50 times a second while something is waited for, before the graph looks at its processes."""
+    def before_check(self) -> None:
+        """Called some 50 times a second while the run waits, before the graph checks its processes."""
 
     def pass_recorded(self) -> None:
-        """Called at the end of a pass, while its recorder is still there."""
+        """Called at the end of a pass, before the recording is closed."""
 
-    def tell(self, sentence: str) -> None:
-        """What the user should know while the run goes on."""
+    def warn(self, sentence: str) -> None:
+        """Print a warning while the run continues."""
         print(f"kr270_milling: {one_line(sentence)}", file=sys.stderr)
-
-    def leaving(self, error: BaseException | None) -> None:
-        """Called before the graph is left, where the middleware may end this process and nothing be told any more."""
-        if isinstance(error, MillingError):
-            self.tell(str(error))
-            error.told = True
 
 
 class AlreadyRunning(MillingError):
@@ -57,74 +46,56 @@ class AlreadyRunning(MillingError):
         )
 
 
-def claim(domain: int, namespace: str) -> socket.socket:
-    """The node names of a graph, for one run on this host, until the socket is closed or its process ends.
-
-    Two runs that come up together have not heard of each other yet, and what the nodes of the second publish at once
-    would reach the first in mid-pass. So their names are also a name in the abstract space of Unix sockets, which the
-    kernel gives away once; where there is none, only the reports of the nodes tell. Raises AlreadyRunning.
-    """
-    held = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    name = hashlib.sha256(f"{domain} {namespace}".encode()).hexdigest()
-    try:
-        held.bind(f"\0kr270_milling_{name}")
-    except OSError as error:
-        held.close()
-        if error.errno == errno.EADDRINUSE:
-            raise AlreadyRunning(f"{namespace.rstrip('/')}/{ROBOT}") from None
-    return held
-
-
 class Watchdog:
-    """Looks at the nodes while something is waited for; ``tell`` takes what the user should know meanwhile."""
+    """Check the nodes while the run waits; ``warn`` takes the warnings."""
 
-    def __init__(self, excused: set[str], tell: Callable[[str], None]):
+    def __init__(self, excused: set[str], warn: Callable[[str], None]):
         self.excused = excused  #: nodes that may be silent now
-        self.coming_up = True  #: another graph with these names is an error; later on its reports are ignored
-        self.of_pass: dict[str, str] = {}  #: process id of each node when the pass began
-        self._tell = tell
-        self._looked = time.monotonic()
-        self._hear_until = 0.0
+        self.coming_up = True  #: another graph with these names is an error now; later its reports are ignored
+        self.process_ids: dict[str, str] = {}  #: process id of each node at the start of the pass
+        self._warn = warn
+        self._checked = time.monotonic()
+        self._take_reports_until = 0.0
         self._quiet: set[str] = set()
 
-    def look(self, driver: Driver, children: Mapping[str, Child]) -> None:
-        """Raises AlreadyRunning or RunError when the graph cannot go on."""
+    def check(self, driver: Driver, children: Mapping[str, Child]) -> None:
+        """Raise AlreadyRunning or RunError when the run cannot continue."""
         ours = {driver.name_of(name): name for name in children}
-        strangers = sorted(driver.foreign & set(ours))
-        if self.coming_up and strangers:
-            raise AlreadyRunning(strangers[0])
+        others = sorted(driver.foreign & set(ours))
+        if self.coming_up and others:
+            raise AlreadyRunning(others[0])
         for name, child in children.items():
             if not child.alive:
                 raise RunError(name, child.why_ended())
         for name, message in driver.errors:
             if name in ours:
                 raise RunError(ours[name], message)
-        for name, pid in self.of_pass.items():
-            if driver.says(name, "pid") not in ("", pid):
+        for name, pid in self.process_ids.items():
+            if driver.value(name, "pid") not in ("", pid):
                 raise RunError(name, "was restarted in mid-pass")
-        self.look_for_silence(driver, set(children), time.monotonic())
+        self.check_silence(driver, set(children), time.monotonic())
 
-    def look_for_silence(self, driver: Driver, nodes: set[str], now: float) -> None:
-        """now: [s] of the monotonic clock."""
-        if now - self._looked > HELD_UP:  # it was us who did not listen
-            self._hear_until = now + HELD_UP
-        self._looked = now
-        if now < self._hear_until:
+    def check_silence(self, driver: Driver, nodes: set[str], now: float) -> None:
+        """Warn about a silent node, then raise RunError; now: [s] of the monotonic clock."""
+        if now - self._checked > HELD_UP:  # this process itself was stopped
+            self._take_reports_until = now + HELD_UP
+        self._checked = now
+        if now < self._take_reports_until:
             return
         silences = {name: driver.silence(name, now) for name in nodes - self.excused}
         if len(silences) > 1 and max(silences.values()) > LOST and min(silences.values()) > LOST / 2:
-            driver.stuck = True
-            what = f"no node has been heard of for {LOST / 2:g} s: the middleware of this process may be blocked"
-            raise RunError("graph", what)
+            raise RunError(
+                "graph", f"no node has reported for {LOST / 2:g} s: the middleware of this process may be blocked"
+            )
         for name, silent in silences.items():
             if silent > LOST:
-                raise RunError(name, f"has not been heard of for {LOST:g} s")
+                raise RunError(name, f"has not reported for {LOST:g} s")
             if silent > QUIET and name not in self._quiet:
-                self._tell(f"{name}: has not been heard of for {QUIET:g} s; waiting")
+                self._warn(f"{name}: has not reported for {QUIET:g} s; waiting")
             (self._quiet.add if silent > QUIET else self._quiet.discard)(name)
 
 
-#: (publisher, topic) -> subscribers without which a pass is worth nothing
+#: (publisher, topic) -> subscribers that must be matched before a pass
 NEEDED = {
     (ROBOT, "tool_pose"): {CUT, COMPENSATOR, RECORDER},
     (ROBOT, "deflection"): {RECORDER},
@@ -141,9 +112,9 @@ NEEDED = {
 
 
 def unmatched(driver: Driver, recorded: bool) -> str:
-    """What is not matched yet, in a few words; empty when a pass may start.
+    """Return what is not matched yet, in a few words; empty when a pass may start.
 
-    recorded: whether the recorder must be there; if not, it must be gone, so that the next one is not mistaken for it.
+    recorded: the recorder must be matched; otherwise it must be unmatched, before the next recording begins.
     """
     for (publisher, topic), subscribers in NEEDED.items():
         wanted = subscribers if recorded else subscribers - {RECORDER}
@@ -159,18 +130,18 @@ def _unmatched(driver: Driver, topic: str, publisher: str, wanted: set[str], rec
     if ours is None:
         return f"{publisher} does not publish {topic}"
     if wanted - set(there):
-        return f"{topic} is not heard by {', '.join(sorted(wanted - set(there)))}"
+        return f"{topic} has no subscriber in {', '.join(sorted(wanted - set(there)))}"
     if not recorded and RECORDER in there:
-        return f"the last recorder still listens to {topic}"
+        return f"the recorder of the previous pass still subscribes to {topic}"
     expected = sum(compatible(ours, s) for s in subscriptions)
     if driver.counts(publisher, "listeners").get(topic, -1) != expected:
-        return f"{publisher} has not found every listener of {topic}"
+        return f"{publisher} has not discovered every subscriber of {topic}"
     for node in wanted:
-        if driver.counts(node, "heard").get(topic, -1) != sum(compatible(p, there[node]) for p in publishers):
-            return f"{node} has not found every publisher of {topic}"
+        if driver.counts(node, "sources").get(topic, -1) != sum(compatible(p, there[node]) for p in publishers):
+            return f"{node} has not discovered every publisher of {topic}"
     return ""
 
 
 def _of_graph(driver: Driver, ends) -> dict[str, object]:
-    """The ends that belong to nodes of this namespace, by node."""
+    """Return the ends that belong to nodes of this namespace, by node."""
     return {end.node_name: end for end in ends if end.node_namespace == driver.namespace}

@@ -19,31 +19,31 @@ from kr270_milling.trajectory.trajectory import fingerprint
 
 __all__ = ["CompliantRobot"]
 
-RETRY = 0.5  # [s] of the wall without an answer until the tool pose is published again
-LOOK = 0.1  # [s] of the wall between two looks whether answers come
-SETTLE = 0.5  # [s] of the wall without another listener before a pass starts: a recorder has to find the topics first
-AHEAD = 0.005  # [s] of the wall that a paced pass may be ahead
+RETRY = 0.5  # [s] of the wall clock without a wrench, after which the tool pose is published again
+LOOK = 0.1  # [s] of the wall clock between two checks
+SETTLE = 0.5  # [s] of the wall clock without a new subscriber before a pass starts: a recorder discovers the topics
+AHEAD = 0.005  # [s] of the wall clock that a paced pass may be ahead
 
 
 class CompliantRobot(ManagedNode):
-    """Wrench in, tool pose and deflection out; the work is that of ``RobotProtocol``, here is when it is asked."""
+    """Receive the wrench, publish tool pose and deflection; ``RobotProtocol`` computes, the node starts and paces."""
 
     def __init__(self, **kwargs):
         super().__init__("compliant_robot", **kwargs)
         self.cell = declare_cell(self)
         self.protocol = robot_protocol(self.cell)
-        about = "seconds of the pass in a second of the wall; 0: as fast as possible"
+        about = "seconds of the pass in a second of the wall clock; 0: as fast as possible"
         limits = [FloatingPointRange(from_value=0.0, to_value=1e6)]
         self.pace = self.declared("pace", 0.0, about, floating_point_range=limits)
         self._pace_timer: Timer | None = None
         self._given_up = False
         self._listeners: tuple[int, ...] = ()
-        self._unchanged = 0.0  # [s] of the wall since a listener came or went
-        self._answered = time.monotonic()  # when a question was answered
-        self._looked = time.monotonic()
+        self._unchanged = 0.0  # [s] of the wall clock since the number of subscribers changed
+        self._answered = time.monotonic()  # time of the last accepted wrench
+        self._checked = time.monotonic()
         self.open_outlets("tool_pose", "deflection", "joint_states", "clock", "robot_description")
-        self.hear(topics.REFERENCE_TRAJECTORY, self._on_reference)
-        self._wrench = self.hear(topics.WRENCH, self._on_wrench)
+        self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
+        self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
         self.create_timer(LOOK, self._watch_answer)
         self.report(OK, "unconfigured")
 
@@ -67,16 +67,16 @@ class CompliantRobot(ManagedNode):
     @guarded
     def _on_reference(self, data: bytes) -> None:
         self.protocol.reference = trajectory_from_bytes(data)
-        self.tell(reference=fingerprint(self.protocol.reference))
+        self.set_values(reference=fingerprint(self.protocol.reference))
 
     @guarded
     def _watch_answer(self) -> None:
-        """Start the pass when everybody is there; ask again, and give up, when no answer comes."""
+        """Start the pass when cut and reference are present; repeat the pose, and give up, when no wrench arrives."""
         side = self.protocol.side
-        held_up, self._looked = time.monotonic() - self._looked, time.monotonic()
+        held_up, self._checked = time.monotonic() - self._checked, time.monotonic()
         settled = self._is_settled(held_up)
         if held_up > RETRY:
-            self._answered = max(self._answered, self._looked)  # it was us who did not listen
+            self._answered = max(self._answered, self._checked)  # this process itself was stopped
         if not self.active or (side is not None and (side.done or self._given_up)):
             return
         cut = self.outlets["tool_pose"].get_subscription_count() and self._wrench.get_publisher_count()
@@ -86,20 +86,20 @@ class CompliantRobot(ManagedNode):
             return
         silent = time.monotonic() - self._answered
         if not cut and not side.awaited_ns:
-            self.activate()  # it went before the pass began
+            self.activate()  # the cut left before the pass began
         elif side.awaited_ns and (not cut or silent > LOST):
-            what = "no wrench: nobody publishes it any more" if not cut else f"no wrench for {LOST:g} s"
+            what = "no wrench: its publisher is gone" if not cut else f"no wrench for {LOST:g} s"
             self._given_up = True
             self.report(ERROR, f"{what}; the cutting process is gone and the pass is given up")
         elif silent > RETRY:
-            begun = "no wrench from the cutting process: asking again"
-            self.report(WARN, begun if side.awaited_ns else "the cutting process is not active yet")
+            silence = "no wrench from the cutting process: repeating the tool pose"
+            self.report(WARN, silence if side.awaited_ns else "the cutting process is not active yet")
             self.send(self.protocol.repeat())
 
     def _is_settled(self, since: float) -> bool:
-        """Nobody has come or gone for a while, of which ``since`` [s] passed since the last look.
+        """Return whether the numbers of subscribers are unchanged for ``SETTLE``; since: [s] since the last check.
 
-        Of a long time without a look only the usual counts: what shares the process, or the core, was held up as well.
+        A long time without a check counts as two periods only: other nodes on the core were stopped as well.
         """
         listeners = tuple(outlet.get_subscription_count() for outlet in self.outlets.values())
         self._unchanged = self._unchanged + min(since, 2.0 * LOOK) if listeners == self._listeners else 0.0
@@ -120,9 +120,9 @@ class CompliantRobot(ManagedNode):
         sample = wrench_from_bytes(data)
         outputs = self.protocol.wrench(sample)
         if not outputs and not self.protocol.done:
-            return  # not what is awaited
+            return  # not the awaited wrench
         if sample.stamp == 0:
-            self._started = time.monotonic()  # the cutting process may have come late
+            self._started = time.monotonic()  # the cutting process may have started late
             self.report(OK, "pass running")
         self.stamp_ns = sample.stamp
         self._answer(outputs)
@@ -130,7 +130,7 @@ class CompliantRobot(ManagedNode):
             self._finish()
 
     def _answer(self, outputs) -> None:
-        """Publish; the next question not ahead of the wall clock where a pace is asked for."""
+        """Publish the outputs; with a pace, delay the next tool pose to the wall clock."""
         self._answered = time.monotonic()
         if self.pace > 0.0 and not self.protocol.done:
             ahead = self._started + self.protocol.of_pass().awaited_ns * 1e-9 / self.pace - self._answered
@@ -150,11 +150,11 @@ class CompliantRobot(ManagedNode):
 
     def _finish(self) -> None:
         wall = time.monotonic() - self._started
-        told = {"largest_correction_um": f"{self.protocol.of_pass().correction * 1e6:.6f}", "wall_s": repr(wall)}
+        values = {"largest_correction_um": f"{self.protocol.of_pass().correction * 1e6:.6f}", "wall_s": repr(wall)}
         if self.protocol.large_correction:
-            self.report(WARN, "pass complete, but the corrections are large: shorten exchange.period_ms", **told)
+            self.report(WARN, "pass complete, but the corrections are large: shorten exchange.period_ms", **values)
         else:
-            self.report(OK, "pass complete", **told)
+            self.report(OK, "pass complete", **values)
 
     def watch(self) -> dict:
         return {"state": self.state, "pass_time_s": f"{self.stamp_ns * 1e-9:.6f}"}

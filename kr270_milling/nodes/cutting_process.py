@@ -1,4 +1,4 @@
-"""Node: the cutting process answers every ``tool_pose`` with the mean ``wrench`` of the way to it."""
+"""Node: the cutting process answers every ``tool_pose`` with the mean ``wrench`` of the movement to this pose."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from kr270_milling.simulation.protocol import NoWorkpiece
 
 __all__ = ["CuttingProcess"]
 
-LOOK = 0.1  # [s] of the wall between two looks whether the robot is there
+LOOK = 0.1  # [s] of the wall clock between two checks of the robot
 
 
 class CuttingProcess(ManagedNode):
-    """Tool pose in, process wrench out; the work is that of ``CutProtocol``."""
+    """Receive the tool pose, publish the process wrench; ``CutProtocol`` computes."""
 
     def __init__(self, **kwargs):
         super().__init__("cutting_process", **kwargs)
@@ -26,10 +26,10 @@ class CuttingProcess(ManagedNode):
         self.protocol = cut_protocol(self.cell)
         self._robots = 0
         self._silence = Silence()
-        self._mapped = True  # the published map shows the part as it is
+        self._mapped = True  # the published map shows the present part
         self.open_outlets("wrench", "workpiece")
-        self._pose = self.hear(topics.TOOL_POSE, self._on_pose)
-        self.hear(topics.REFERENCE_TRAJECTORY, self._on_reference)
+        self._pose = self.subscribe(topics.TOOL_POSE, self._on_pose)
+        self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self.create_service(Trigger, "~/publish_workpiece", self._on_request)
         self.create_timer(LOOK, self._watch_robot)
         self.report(OK, "unconfigured")
@@ -42,7 +42,7 @@ class CuttingProcess(ManagedNode):
         self.report(OK, "configured: fresh workpiece")
 
     def _compile(self) -> None:
-        """The first sweep of a process compiles or loads the compiled code: not in the pass."""
+        """Compile or load the compiled sweep before the pass."""
         above = np.array([0.0, 0.0, float(self.cell.stock.max[2]) + 1.0])
         self.cell.cut().sweep(above, above, 0, 1)
 
@@ -63,7 +63,7 @@ class CuttingProcess(ManagedNode):
     def _on_pose(self, data: bytes) -> None:
         if not self.active:
             return
-        again = self._silence.heard()
+        again = self._silence.end()
         self.send(self.protocol.pose(pose_from_bytes(data)))
         self._mapped = False
         self.stamp_ns = self.protocol.stamp_ns
@@ -79,17 +79,17 @@ class CuttingProcess(ManagedNode):
 
     @guarded
     def _watch_robot(self) -> None:
-        silent = self._silence.look()
+        silent = self._silence.seconds()
         if self.active and not self._mapped and self.protocol.at_end and silent > LOOK:
-            self._publish_map()  # of a pass by hand; in a run the cut is deactivated at once
+            self._publish_map()  # of a pass by hand; a run deactivates the cut at once
         if not self.active or not self.protocol.under_way:
             return
         robots = self._pose.get_publisher_count()
         if not robots:
-            self.report(ERROR, "the robot is gone in mid-pass: nobody publishes tool_pose any more")
+            self.report(ERROR, "the robot is gone in mid-pass: tool_pose has no publisher")
         elif self._robots and robots > self._robots:
-            self.report(ERROR, "another robot has come in mid-pass: was compliant_robot restarted? Begin a new pass")
-        elif self._silence.is_to_be_told(silent):
+            self.report(ERROR, "a second robot publishes in mid-pass: was compliant_robot restarted? Begin a new pass")
+        elif self._silence.is_due(silent):
             self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: is the robot gone?")
 
     @guarded

@@ -1,4 +1,4 @@
-"""Options of command lines: their types, and those of a playback, for the node and for the command ``replay``."""
+"""Types of command line options, and the options of a playback for the node and the command ``replay``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_RATE = 1e6  # and of --clock [Hz]
 
 
 def bounded(low: float, high: float, kind: type = float, above: bool = False):
-    """A number from low to high, or above low; NaN is none. A whole number has nothing but digits."""
+    """Return a parser of a number from low to high, or above low; NaN is refused. A whole number has digits only."""
 
     def parse(text: str):
         try:
@@ -34,7 +34,7 @@ def bounded(low: float, high: float, kind: type = float, above: bool = False):
 
 
 def _floats(text: str, separator: str, count: int) -> list[float]:
-    """So many finite numbers, or none."""
+    """Return ``count`` finite numbers, or an empty list."""
     try:
         values = [float(word) for word in text.split(separator)]
     except ValueError:
@@ -43,7 +43,7 @@ def _floats(text: str, separator: str, count: int) -> list[float]:
 
 
 def stretch(low: float, high: float):
-    """START:STOP, two numbers within bounds, the second above the first."""
+    """Return a parser of START:STOP, two numbers within bounds, the second above the first."""
 
     def parse(text: str) -> tuple[float, ...]:
         values = _floats(text, ":", 2)
@@ -55,7 +55,7 @@ def stretch(low: float, high: float):
 
 
 def numbers(count: int, most: float = math.inf):
-    """So many finite numbers of at most that size, separated by commas."""
+    """Return a parser of ``count`` finite numbers of at most ``most``, separated by commas."""
 
     def parse(text: str) -> list[float]:
         values = _floats(text, ",", count)
@@ -69,7 +69,7 @@ def numbers(count: int, most: float = math.inf):
 
 
 def grid(low: float, high: float, most: int):
-    """LOW:HIGH:COUNT, two numbers within bounds and how many values there are from one to the other."""
+    """Return a parser of LOW:HIGH:COUNT, two numbers within bounds and the number of values between them."""
 
     def parse(text: str) -> tuple[float, float, int]:
         ends, _, count = text.rpartition(":")
@@ -102,7 +102,7 @@ PLAY: tuple[tuple[tuple[str, ...], dict], ...] = (
 
 
 def play_options(args: argparse.Namespace) -> PlayOptions:
-    """What was asked for; args has ``file`` and the options of ``PLAY``."""
+    """Return the options of a playback; args has ``file`` and the options of ``PLAY``."""
     topics = None if args.topics is None else tuple(args.topics)
     return PlayOptions(
         Path(args.file), args.rate, args.start_offset, args.playback_duration, args.loop, topics, args.start_paused,

@@ -1,4 +1,4 @@
-"""Node: plays a recording back onto topics, bytes as they were recorded."""
+"""Node: play a recording back onto topics, as serialised messages."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from kr270_milling.ros.spin import own_arguments, run_node
 
 __all__ = ["Player", "main", "play", "qos_of"]
 
-TICK = 0.001  # [s] between two looks at what is due
-AT_ONCE = 500  # messages in one look, so that signals and services are heard in between
+TICK = 0.001  # [s] between two checks for due messages
+AT_ONCE = 500  # messages in one check at most, so that signals and services are handled in between
 DEPTH = 1000  # messages that may wait for a slow reader
-#: topics of the whole graph, which stay where they are when the player runs in a namespace
+#: topics of the whole graph, which a namespace of the player does not move
 GLOBAL = ("/clock", "/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
-FOREVER = 9_000_000_000  # [s]; what rosbag2 writes for "no limit" is above
+FOREVER = 9_000_000_000  # [s]; rosbag2 writes a larger value for "no limit"
 
 
 class Player(ReportingNode):
-    """Publishes the messages of a recording at the pace of their log times; ends behind the last one."""
+    """Publish the messages of a recording at the pace of their log times; end after the last message."""
 
     def __init__(self, options: PlayOptions, progress=None, **kwargs):
         self.recording = Recording(options.file)
@@ -68,12 +68,12 @@ class Player(ReportingNode):
                 if outlet is not None:
                     self._outlets[topic] = outlet
         if not self._outlets:
-            raise RecordingError(self.recording.path, "holds nothing that can be played")
+            raise RecordingError(self.recording.path, "contains no message that can be played")
         self._span = span(self.recording, options)
         self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if options.clock else None
 
     def _outlet(self, topic: str, about):
-        """The publisher of a topic; None, with a warning, where there can be none of this name and type."""
+        """Create the publisher of a topic; return None, with a warning, where name or type cannot be used."""
         try:
             if about.encoding != "cdr":
                 raise NameRefused(f"its encoding is {about.encoding}")
@@ -97,7 +97,7 @@ class Player(ReportingNode):
     def _tick(self) -> None:
         try:
             self._play_on(time.monotonic())
-        except RecordingError as error:  # nothing can be read behind a damage, in a loop neither
+        except RecordingError as error:  # nothing can be read after a damage, also in a loop
             self.end(str(error))
             self.report(ERROR, str(error))
 
@@ -118,7 +118,7 @@ class Player(ReportingNode):
                 break
             self._publish(self._next)
             self._next = None
-        self._tell_time(position)
+        self._publish_clock(position)
 
     def _publish(self, message) -> None:
         self._outlets[message.topic].publish(message.data)
@@ -128,7 +128,7 @@ class Player(ReportingNode):
             start, end = self._span
             self._progress(max(message.log_time - start, 0), max(end - start, 1))
 
-    def _tell_time(self, position: int) -> None:
+    def _publish_clock(self, position: int) -> None:
         if self._clock_publisher is not None and self.options.clock and position >= self._clock_due:
             self._clock_publisher.publish(Clock(clock=stamp_from_ns(position)))
             period = max(1, int(1e9 * self.options.rate / self.options.clock))
@@ -143,7 +143,7 @@ class Player(ReportingNode):
             self.end()
 
     def _set_paused(self, wanted: bool | None, _, response):
-        """wanted: None for the other state than now."""
+        """Pause or resume; wanted: None toggles."""
         paused = not self._pace.paused if wanted is None else wanted
         (self._pace.pause if paused else self._pace.resume)(time.monotonic())
         self.report(WARN if paused else OK, "paused" if paused else "playing")
@@ -154,7 +154,7 @@ class Player(ReportingNode):
         return {"messages": getattr(self, "count", 0), "rounds": getattr(self, "rounds", 0)}
 
     def close(self) -> None:
-        """Behind the last message: wait until the readers have it; the publishers go with the node."""
+        """After the last message: wait until the subscribers have received it, and close the file."""
         if self.done:
             for outlet in self._outlets.values():
                 outlet.wait_for_all_acked(Duration(seconds=1))
@@ -163,9 +163,9 @@ class Player(ReportingNode):
 
 
 def qos_of(about) -> QoSProfile:
-    """A recorded topic's quality of service: reliable or latched only if all its publishers were.
+    """Return a recorded topic's quality of service: reliable or latched only if all its publishers were.
 
-    The history is not told by discovery; what is not recorded becomes 1 for latched topics, else deep.
+    Discovery does not report the depth; an unknown depth becomes 1 for latched topics, else ``DEPTH``.
     """
     profiles = read_qos(about.metadata.get("offered_qos_profiles", ""))
     latched = is_latched(about)
@@ -195,7 +195,7 @@ def _duration(value) -> Duration | None:
 
 
 def play(options: PlayOptions, ros_args: list[str] | None = None, progress=None) -> tuple[int, int]:
-    """Run the player as this process; returns its exit code and how many messages it published."""
+    """Run the player as this process; return its exit code and the number of published messages."""
     players: list[Player] = []
 
     def make(**kwargs) -> Player:
@@ -212,7 +212,7 @@ def main() -> int:
         prog="player", description="Play a recording back onto topics.", epilog="example: player out/pass1 --rate 0.5"
     )
     parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording")
-    for names, how in PLAY:
-        parser.add_argument(*names, **how)
+    for names, keywords in PLAY:
+        parser.add_argument(*names, **keywords)
     code, _ = play(play_options(parser.parse_args(own_arguments())), sys.argv)
     return end_process(code)

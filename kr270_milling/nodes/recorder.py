@@ -1,4 +1,4 @@
-"""Node: writes every topic of the graph to MCAP, bytes as they come."""
+"""Node: write every topic of the graph to MCAP, as serialised messages."""
 
 from __future__ import annotations
 
@@ -12,37 +12,39 @@ from rclpy.parameter import Parameter
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.nodes.recording_session import RecordingSession
-from kr270_milling.ros.drain import DRAIN_PERIOD
 from kr270_milling.ros.names import resolved_topic
 from kr270_milling.ros.node import OK, ReportingNode
+from kr270_milling.ros.polling import POLL_PERIOD
 
 __all__ = ["Recorder"]
 
-LOOK_AROUND = 0.1  # [s] between two looks for new topics and two looks at the chunk's age
-SETTLE = 20  # looks at most for what is still under way when a recording ends
+DISCOVERY_PERIOD = 0.1  # [s] between two checks for new topics and of the chunk's age
+SETTLE = 20  # polls at most for messages that arrive while a recording ends
 
 
 class Recorder(ReportingNode):
-    """Every topic (or those of the parameter ``topics``) into ``directory``/NAME.mcap; ends on a signal.
+    """Record every topic (or those of the parameter ``topics``) to ``directory``/NAME.mcap until a signal.
 
-    ``directory`` may be set while it runs: the recording ends, and another begins there; with an empty one none does.
+    A new value of ``directory`` ends the recording and begins another there; an empty value only ends it.
     """
 
     def __init__(self, **kwargs):
         super().__init__("recorder", **kwargs)
         self._where = "parameters of " + self.get_fully_qualified_name()
-        self.session: RecordingSession | None = None  #: of the file that is being written
-        asked = self._texts("topics", "names, relative or absolute, with * and ?; empty: every topic")
-        self._topics = [t if "*" in t or "?" in t else resolved_topic(self, t, f"{self._where}: topics") for t in asked]
-        about = "also write, and publish, what viewers need and nobody else publishes: /tf, /tf_static, /markers"
+        self.session: RecordingSession | None = None  #: of the open file
+        patterns = self._texts("topics", "names, relative or absolute, with * and ?; empty: every topic")
+        self._topics = [
+            t if "*" in t or "?" in t else resolved_topic(self, t, f"{self._where}: topics") for t in patterns
+        ]
+        about = "also record and publish /tf, /tf_static and /markers for viewers, where no other node publishes them"
         self._viewers = self.declared("viewers", True, about)
-        about = "record from the start; where false, from when directory is set"
+        about = "record from the start; false: from the moment when directory is set"
         autostart = self.declared("autostart", True, about)
-        about = "the recording's directory, which must not hold one yet; set: end the recording and begin another"
+        about = "directory of the recording, which must not contain a recording; a new value begins another recording"
         directory = self.declared("directory", "", about, read_only=False)
-        self._texts("attach", "files to keep inside the recording", read_only=False)
-        self.declared("seed", "", "seed of the run, kept inside the recording", read_only=False)
-        about = "command line to keep inside the recording; empty: that of the node"
+        self._texts("attach", "files to attach to the recording", read_only=False)
+        self.declared("seed", "", "seed of the run, stored in the recording", read_only=False)
+        about = "command line to store in the recording; empty: that of the node"
         self.declared("command", "", about, read_only=False)
         if autostart and not directory:
             raise InputError(self._where, "directory is missing")
@@ -51,12 +53,12 @@ class Recorder(ReportingNode):
         else:
             self.report(OK, "waiting for a directory")
         self.add_on_set_parameters_callback(self._on_parameters)
-        self.create_timer(LOOK_AROUND, self._look_around)
-        self.create_timer(DRAIN_PERIOD, self._drain)
+        self.create_timer(DISCOVERY_PERIOD, self._discover)
+        self.create_timer(POLL_PERIOD, self._poll)
 
-    def _texts(self, name: str, about: str, **how) -> list[str]:
-        """A parameter that may be one text, or several as a list or separated by commas."""
-        return _split(self.declared(name, "", about, dynamic_typing=True, **how))
+    def _texts(self, name: str, about: str, **fields) -> list[str]:
+        """Declare a parameter of one text, or of several as a list or separated by commas."""
+        return _split(self.declared(name, "", about, dynamic_typing=True, **fields))
 
     def _begin(self, directory: str) -> None:
         command = self.get_parameter("command").value or shlex.join(sys.argv)
@@ -84,7 +86,7 @@ class Recorder(ReportingNode):
         return SetParametersResult(successful=True)
 
     def _end(self) -> str | None:
-        """Close the recording, if there is one, with what has arrived; a sentence if that failed."""
+        """Close the open recording with the messages that have arrived; return a sentence if that failed."""
         session = self.session
         if session is None:
             return None
@@ -96,23 +98,23 @@ class Recorder(ReportingNode):
         self.report(OK, "waiting for a directory")
         return session.close()
 
-    def _look_around(self) -> None:
+    def _discover(self) -> None:
         if self.session is not None:
-            self.session.look_around()
+            self.session.discover()
 
-    def _drain(self) -> None:
+    def _poll(self) -> None:
         if self.session is not None:
-            self.session.drain()
+            self.session.poll()
 
     def watch(self) -> dict:
         return {} if self.session is None else self.session.watch()
 
     def settled(self) -> bool:
-        """After a signal: nothing more came in since the last look."""
+        """After a signal: return whether no message arrived since the last poll."""
         return self.session is None or self.session.settled()
 
     def close(self) -> str | None:
-        """Finish the file; a sentence if that failed."""
+        """Close the file; return a sentence if that failed."""
         return None if self.session is None else self.session.close()
 
 

@@ -1,4 +1,4 @@
-"""What a recorder does with one file: it subscribes to the topics, writes what comes, tells what is missing."""
+"""One file of a recorder: subscribe to the topics, write the messages, count the missing ones."""
 
 from __future__ import annotations
 
@@ -8,31 +8,31 @@ import functools
 import time
 from collections.abc import Sequence
 
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 
 from kr270_milling.bag.writer import BagWriter, MessageRefused
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.messages.scene import INPUTS, Derived, Scene
-from kr270_milling.ros.drain import DEPTH, Taken, aside, drain, in_order
 from kr270_milling.ros.names import NameRefused, message_class
-from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence
+from kr270_milling.ros.node import ERROR, OK, WARN, ReportingNode
+from kr270_milling.ros.polling import DEPTH, PolledMessage, in_order, poll, polled_subscription
 
 __all__ = ["RecordingSession"]
 
-DERIVED_QOS = QoSProfile(  # latched, so that a player gives them to whoever comes late
+DERIVED_QOS = QoSProfile(  # latched, so that late subscribers of a player receive them
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
-UNASKED = ("/rosout", "/parameter_events")  # recorded only when asked for by name
+ONLY_BY_NAME = ("/rosout", "/parameter_events")
 
 
 class RecordingSession:
-    """One file of a node; topics: names that are recorded, with * and ?, empty for all; viewers: also write, and
-    publish, what viewers need and nobody else publishes."""
+    """The open file of a recorder.
+
+    topics: recorded names with * and ?, empty for all; viewers: also record and publish the topics for viewers that no
+    other node publishes.
+    """
 
     def __init__(self, node: ReportingNode, writer: BagWriter, topics: Sequence[str], viewers: bool):
         self.writer = writer
@@ -40,74 +40,55 @@ class RecordingSession:
         self._topics = topics
         self._viewers = viewers
         self._scenes: dict[str, Scene] = {}  # of each robot, by its namespace
-        self._live: dict[str, Publisher | None] = {}  # of what follows for viewers; None where its type is missing
+        self._live: dict[str, Publisher | None] = {}  # topics for viewers; None where the type is not installed
         self._subscriptions: dict[str, Subscription | None] = {}
         self._stopped = False
         self._before = -1
         self._refused = 0  # messages
-        self._late: list[Taken] = []  # arrived while the readers were emptied
-        self._there: set[str] = set()  # topics with a publisher
-        self._gone: set[str] = set()  # topics that had one
-        self._silences: dict[str, Silence] = {}  # of the nodes that report to /diagnostics
-        self._quiet: set[str] = set()
+        self._waiting: list[PolledMessage] = []  # arrived during the last poll
+        self._published: set[str] = set()  # topics with a publisher
+        self._left: set[str] = set()  # topics whose publisher has left
         node.report(OK, f"recording to {writer.path}")
 
     def _is_wanted(self, topic: str) -> bool:
-        return any(fnmatch.fnmatchcase(topic, t) for t in self._topics) if self._topics else topic not in UNASKED
+        return any(fnmatch.fnmatchcase(topic, t) for t in self._topics) if self._topics else topic not in ONLY_BY_NAME
 
-    def look_around(self) -> None:
-        """Subscribe to topics that are new, close an old chunk, tell whose publisher is gone."""
+    def discover(self) -> None:
+        """Subscribe to new topics, close an old chunk, report publishers that have left."""
         for topic, types in self._node.get_topic_names_and_types():
             if topic in self._subscriptions or not self._is_wanted(topic):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
             if publishers:
                 self._subscribe(topic, types, publishers)
-        self._keep(self.writer.tick, time.monotonic())
-        self._watch_publishers()
-        self._watch_nodes()
+        self._write(self.writer.tick, time.monotonic())
+        self._check_publishers()
 
-    def _watch_publishers(self) -> None:
-        there = {t for t, s in self._subscriptions.items() if s is not None and s.get_publisher_count()}
-        gone, self._gone = self._gone, (self._gone | self._there) - there
-        self._there = there
-        if self._gone - gone and not self._stopped:
-            self._node.report(WARN, f"nobody publishes {', '.join(sorted(self._gone))} any more")
-
-    def _watch_nodes(self) -> None:
-        """One that was killed publishes no farewell; its lease runs out much later."""
-        quiet = {name for name, silence in self._silences.items() if silence.look() > SILENT}
-        told, self._quiet = self._quiet, quiet
-        if quiet - told and not self._stopped:
-            self._node.report(WARN, f"{', '.join(sorted(quiet))} not heard of for {SILENT:g} s")
-        elif told and not quiet and not self._stopped:
-            self._node.report(OK, f"recording to {self.writer.path}")
-
-    def _on_report(self, topic: str, data: bytes, published: int) -> None:
-        self.writer.write(topic, data, published)
-        with contextlib.suppress(rclpy_implementation.RMWError):  # no report: recorded as it came
-            for status in deserialize_message(data, DiagnosticArray).status:
-                if status.name != self._node.get_fully_qualified_name():
-                    self._silences.setdefault(status.name, Silence()).heard()
+    def _check_publishers(self) -> None:
+        published = {t for t, s in self._subscriptions.items() if s is not None and s.get_publisher_count()}
+        before, self._left = self._left, (self._left | self._published) - published
+        self._published = published
+        if self._left - before and not self._stopped:
+            self._node.report(WARN, f"no publisher any more: {', '.join(sorted(self._left))}")
 
     def _on_scene(self, topic: str, data: bytes, published: int) -> None:
         self.writer.write(topic, data, published)
         namespace, _, name = topic.rpartition("/")
         scene = self._scenes.setdefault(namespace, Scene())
         derived: list[Derived] = []
-        with contextlib.suppress(MillingError, ValueError):  # recorded as it came; there is nothing to show
+        with contextlib.suppress(MillingError, ValueError):  # recorded; nothing to show
             derived += scene.take(name, data)
-        for found in derived:
-            name = namespace + found.topic
+        for message in derived:
+            name = namespace + message.topic
             if name in self._live or (name not in self._subscriptions and self._is_wanted(name)):
-                self.writer.add_topic(name, found.type, [DERIVED_QOS])
-                self.writer.write(name, found.data, published)
-                self._show(name, found.type, found.data)
+                self.writer.add_topic(name, message.type, [DERIVED_QOS])
+                self.writer.write(name, message.data, published)
+                self._show(name, message.type, message.data)
 
     def _show(self, name: str, type_name: str, data: bytes) -> None:
-        """Publish what follows for viewers of the running graph, where its message type is installed."""
+        """Publish a derived message for viewers of the running graph, where its type is installed."""
         if name not in self._live:
-            self._subscriptions[name] = None  # our own: written already
+            self._subscriptions[name] = None  # published by this node and written already
             self._live[name] = None
             with contextlib.suppress(ImportError, NameRefused):
                 self._live[name] = self._node.create_publisher(message_class(type_name), name, DERIVED_QOS)
@@ -126,33 +107,32 @@ class RecordingSession:
             self._node.report(WARN, f"{topic} is not recorded: {error}")
             return
 
-        write = self._on_report if kind is DiagnosticArray else self.writer.write
-        if self._viewers and topic.rpartition("/")[2] in INPUTS:
-            write = self._on_scene
-        write = functools.partial(write, topic)
-        self._subscriptions[topic] = aside(self._node, kind, topic, write, _matching(publishers))
+        follow = self._viewers and topic.rpartition("/")[2] in INPUTS
+        write = functools.partial(self._on_scene if follow else self.writer.write, topic)
+        self._subscriptions[topic] = polled_subscription(self._node, kind, topic, write, _matching(publishers))
 
-    def drain(self) -> None:
-        """Write what has arrived, in the order of arrival, so that a file that ends here lacks nothing that came before
-        the rest of it. What arrives while the readers are emptied, one after another, waits for the next time."""
-        clock = self._node.get_clock()
-        begun = clock.now().nanoseconds
-        taken, waited = drain(s for s in self._subscriptions.values() if s is not None), self._late
-        ended = clock.now().nanoseconds  # what seems to arrive later still came before the clock was set back
-        self._late = [item for item in taken if begun < item[0] <= ended]
-        now = [item for item in taken if not begun < item[0] <= ended]
-        for _, published, write, data in in_order([waited, now]):
-            self._keep(write, data, published)
+    def poll(self) -> None:
+        """Write the messages that have arrived, in the order of arrival.
 
-    def _keep(self, call, *args) -> None:
-        """A refused message is counted; nothing is written after the first error of the file, which stays readable."""
+        Messages that arrive during the poll wait for the next poll: the subscriptions are polled one after another, and
+        a file that ends here must contain every message that precedes a written one.
+        """
+        begin = self._node.get_clock().now().nanoseconds
+        messages = poll(s for s in self._subscriptions.values() if s is not None)
+        ready = self._waiting + [message for message in messages if message.arrival <= begin]
+        self._waiting = [message for message in messages if message.arrival > begin]
+        for message in in_order(ready):
+            self._write(message.callback, message.data, message.published)
+
+    def _write(self, call, *args) -> None:
+        """Write, count a refused message, and stop at the first error of the file, which stays readable."""
         if self._stopped:
             return
         try:
             call(*args)
         except MessageRefused as refused:
             self._refused += 1
-            if self._refused == 1:  # the rest is counted in the report and in the file
+            if self._refused == 1:  # the report and the file count all of them
                 self._node.report(WARN, f"a message is not recorded: {refused}")
         except RecordingError as error:
             self._stopped = True
@@ -160,7 +140,7 @@ class RecordingSession:
             self._node.report(ERROR, str(error))
 
     def watch(self) -> dict:
-        """Values for the report of the node."""
+        """Return values for the report of the node."""
         return {
             "file": self.writer.path,
             "messages": self.writer.count,
@@ -170,13 +150,13 @@ class RecordingSession:
         }
 
     def settled(self) -> bool:
-        """Nothing more came in since the last look."""
-        self.drain()
+        """Poll, and return whether no message arrived since the last call."""
+        self.poll()
         before, self._before = self._before, self.writer.count
-        return before == self.writer.count and not self._late
+        return before == self.writer.count and not self._waiting
 
     def close(self) -> str | None:
-        """Finish the file; tells on standard error what is missing. Returns a sentence if that failed."""
+        """Close the file and log the missing messages; return a sentence if that failed."""
         if self._stopped:
             return None
         try:
@@ -186,15 +166,15 @@ class RecordingSession:
         logger = self._node.get_logger()
         for topic, entry in self.writer.report().items():
             if entry.get("missing"):
-                came, missing = entry["count"], entry["missing"]
-                logger.warning(f"{topic}: {missing} of {came + missing} messages are missing")
+                missing, total = entry["missing"], entry["count"] + entry["missing"]
+                logger.warning(f"{topic}: {missing} of {total} messages are missing")
             if entry.get("refused"):
                 logger.warning(f"{topic}: {entry['refused']} messages were refused and are not recorded")
         logger.info(f"{self.writer.count} messages in {self.writer.path}")
         return None
 
     def release(self) -> None:
-        """Give the topics back; the node goes on without this file."""
+        """Unsubscribe from the topics; the node continues without this file."""
         for subscription in filter(None, self._subscriptions.values()):
             self._node.destroy_subscription(subscription)
         for publisher in filter(None, self._live.values()):
@@ -202,7 +182,7 @@ class RecordingSession:
 
 
 def _matching(publishers) -> QoSProfile:
-    """What every publisher of a topic can serve: reliable or latched only if all of them are."""
+    """Return the quality of service that matches every publisher: reliable or latched only if all publishers are."""
     reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
     latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
     return QoSProfile(

@@ -1,8 +1,8 @@
-"""Start a node, or several in one process: they obey a signal from here on, also while their libraries are imported.
+"""Start a node, or several in one process. Signals end the process from here on, also during the imports.
 
-Several go by one executor. Parameters and remapping go to a node by its name, as with a component container:
-``-p compliant_robot:pace:=1.0``, ``-r cutting_process:wrench:=force``, sections of a parameter file. Without a name
-they go to all.
+Several nodes share one executor. Parameters and remapping with a node name concern this node, as in a component
+container: ``-p compliant_robot:pace:=1.0``, ``-r cutting_process:wrench:=force``, sections of a parameter file.
+Without a name they concern all nodes.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ NODES = (*CLASSES, "player", "milling_cell")
 
 
 def start(name: str | None = None) -> int:
-    """Run the program of this name (default: as it was called) as this process; returns or ends with its exit code."""
+    """Run the program ``name`` (default: as called) as this process; return its exit code, or end with it."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))  # a runner lets them wait until here
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))  # blocked by ``run`` until here
     name = name or Path(sys.argv[0]).stem
     if name == "player":
         from kr270_milling.nodes.player import main
@@ -38,11 +38,12 @@ def start(name: str | None = None) -> int:
         return main()
     from kr270_milling.ros.spin import run_nodes
 
-    return run_nodes([_node_class(node) for node in (_several() if name == "milling_cell" else [name])])
+    names = _chosen_nodes() if name == "milling_cell" else [name]
+    return run_nodes([_node_class(node) for node in names])
 
 
 def _end(number, frame) -> None:
-    """Nothing is open yet, so there is nothing to close."""
+    """End at once: no file is open yet."""
     os._exit(0)
 
 
@@ -50,8 +51,8 @@ def _node_class(name: str) -> type:
     return getattr(importlib.import_module(f"kr270_milling.nodes.{name}"), CLASSES[name])
 
 
-def _several() -> list[str]:
-    """The nodes that the command line of ``milling_cell`` names."""
+def _chosen_nodes() -> list[str]:
+    """Return the nodes on the command line of ``milling_cell``."""
     from kr270_milling.ros.spin import own_arguments
 
     parser = argparse.ArgumentParser(prog="milling_cell", description="Run several nodes in one process.")
@@ -61,5 +62,5 @@ def _several() -> list[str]:
     names = parser.parse_args(own_arguments()).nodes
     unknown = [name for name in names if name not in CLASSES]
     if unknown or len(set(names)) < len(names):
-        parser.error(f"{unknown[0]!r} is none of {', '.join(CLASSES)}" if unknown else "each node may be named once")
+        parser.error(f"{unknown[0]!r} is not one of {', '.join(CLASSES)}" if unknown else "each node may be named once")
     return names

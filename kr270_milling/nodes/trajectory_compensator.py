@@ -14,24 +14,24 @@ from kr270_milling.compensation.methods import METHODS
 from kr270_milling.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
 from kr270_milling.messages.viewer import path_bytes
 from kr270_milling.ros import topics
-from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
 from kr270_milling.ros.parameters import declare_cell
+from kr270_milling.ros.polling import POLL_PERIOD, poll, polled_subscription
 from kr270_milling.trajectory.trajectory import fingerprint
 
 __all__ = ["TrajectoryCompensator"]
 
 METHOD = "compensation.method"
 TARGET = "the target itself"
-LOOK = 0.1  # [s] of the wall between two looks whether the publishers are there
-UNHEARD = 20  # poses of a pass without its start after which this is told
-LAST_WRENCH = 0.5  # [s] of the wall after the last pose that its wrench is waited for
+LOOK = 0.1  # [s] of the wall clock between two checks of the publishers
+WITHOUT_START = 20  # poses of a pass without its start, after which the node reports an error
+LAST_WRENCH = 0.5  # [s] of the wall clock to wait for the wrench of the last pose
 
 
 class TrajectoryCompensator(ReportingNode):
-    """Poses and wrenches of a pass in, revised trajectory out; the work is that of ``CompensatorProtocol``.
+    """Receive poses and wrenches of a pass, publish the revised trajectory; ``CompensatorProtocol`` computes.
 
-    It does not know whether they come from the simulator, a cell or a recording.
+    Poses and wrenches come from the simulator, a robot cell or a recording.
     """
 
     def __init__(self, **kwargs):
@@ -43,17 +43,17 @@ class TrajectoryCompensator(ReportingNode):
         about = "the cell file's path is the target until one is published"
         own = self.declared("use_cell_path", True, about)
         self.open_outlets("reference_trajectory", "joint_trajectory", "reference_path", "target_path")
-        self.hear(topics.TARGET_TRAJECTORY, self._on_target)
+        self.subscribe(topics.TARGET_TRAJECTORY, self._on_target)
         pose, wrench = topics.TOOL_POSE, topics.WRENCH
-        self._pose = aside(self, pose.type, pose.name, self._on_pose, pose.qos)
-        self._wrench = aside(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
+        self._pose = polled_subscription(self, pose.type, pose.name, self._on_pose, pose.qos)
+        self._wrench = polled_subscription(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self._revision = 0
-        self._ended: float | None = None  # when the last pose came [s of the wall]
+        self._ended: float | None = None  # arrival of the last pose [s of the monotonic clock]
         self._silence = Silence()
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(LOOK, self._watch_pass)
-        self.create_timer(DRAIN_PERIOD, self._drain)
+        self.create_timer(POLL_PERIOD, self._poll)
         if own:
             self._publish(self.protocol.begin(self.cell.target()), TARGET)
         else:
@@ -69,8 +69,8 @@ class TrajectoryCompensator(ReportingNode):
         state = self.protocol.begun
         for name, run in (("reference_path", state.reference), ("target_path", state.target)):
             self.outlets[name].publish(path_bytes(run))
-        told = {
-            "revision": self._revision,  # tells every published reference from the one before
+        values = {
+            "revision": self._revision,  # number of the published reference
             "method": state.method,
             "repeats": state.repeats,
             "passes": len(state.errors),
@@ -80,13 +80,13 @@ class TrajectoryCompensator(ReportingNode):
         }
         but = f", shortened by up to {state.cut_off * 1e6:.1f} um to the limit" if state.cut_off > 0.0 else ""
         if missing:
-            but = f", of which {missing} poses were not heard"
-        self.report(WARN if but else OK, f"reference: {what}{but}", **told)
+            but = f", of which {missing} poses did not arrive"
+        self.report(WARN if but else OK, f"reference: {what}{but}", **values)
 
     @guarded
-    def _drain(self) -> None:
-        for _, _, callback, data in drain((self._pose, self._wrench)):
-            callback(data)
+    def _poll(self) -> None:
+        for message in poll((self._pose, self._wrench)):
+            message.callback(message.data)
 
     @guarded
     def _on_wrench(self, data: bytes) -> None:
@@ -96,24 +96,27 @@ class TrajectoryCompensator(ReportingNode):
     def _on_pose(self, data: bytes) -> None:
         sample = pose_from_bytes(data)
         outputs = self.protocol.pose(sample)
-        if self.protocol.ignored == UNHEARD and sample.stamp < self.protocol.end_ns:
-            self.report(ERROR, "the pass is under way, but this compensator has not heard its start: it is not used")
+        if self.protocol.ignored == WITHOUT_START and sample.stamp < self.protocol.end_ns:
+            self.report(
+                ERROR, "the pass is under way, but this compensator did not receive its start: the pass is not used"
+            )
         self._revised(outputs)
         if not self.protocol.under_way or sample.stamp != self.protocol.stamp_ns:
             return
         self.stamp_ns = sample.stamp
-        if self._silence.heard():
-            self.report(OK, "the pass goes on")
+        if self._silence.end():
+            self.report(OK, "the pass continues")
         self._ended = time.monotonic() if self.protocol.at_end else None
 
     def _revised(self, outputs) -> None:
         if outputs:
-            self._publish(outputs, f"revised after pass {len(self.protocol.begun.errors)}", self.protocol.missing)
+            state = self.protocol.begun
+            self._publish(outputs, f"revised after pass {len(state.errors)}", self.protocol.missing)
 
     @guarded
     def _watch_pass(self) -> None:
-        """Go on without a last wrench that does not come; tell when the publishers vanish in mid-pass."""
-        silent = self._silence.look()
+        """Finish without a last wrench that does not arrive; report publishers that leave in mid-pass."""
+        silent = self._silence.seconds()
         if not self.protocol.under_way:
             return
         if self.protocol.at_end:
@@ -123,13 +126,13 @@ class TrajectoryCompensator(ReportingNode):
             return
         for what in (self._pose, self._wrench):
             if not what.get_publisher_count() and (what is self._pose or self.protocol.has_wrench):
-                self.report(ERROR, f"the pass broke off: nobody publishes {what.topic_name} any more")
+                self.report(ERROR, f"the pass broke off: {what.topic_name} has no publisher")
                 return
-        if self._silence.is_to_be_told(silent):
+        if self._silence.is_due(silent):
             self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: waiting for it")
 
     def _on_parameters(self, changes) -> SetParametersResult:
-        """Another method may be chosen while the node runs; it starts from the pass along the target."""
+        """Accept another method while the node runs; it starts from the pass along the target."""
         for change in changes:
             if change.name == METHOD and change.value not in METHODS:
                 return SetParametersResult(successful=False, reason=f"{METHOD} must be one of {', '.join(METHODS)}")
@@ -139,7 +142,7 @@ class TrajectoryCompensator(ReportingNode):
 
     @guarded
     def _choose(self, method: str) -> bool:
-        """None where that is refused, which then is the node's message."""
+        """Choose a method; return None where the method is refused, with the reason in the node's message."""
         self._publish(self.protocol.choose(method), f"method {method}")
         return True
 

@@ -1,4 +1,4 @@
-"""Node: the listener of the live view takes messages some times a second, and knows when the graph is gone."""
+"""Node: receive the messages of the live view, and end when the graph has ended."""
 
 from __future__ import annotations
 
@@ -11,53 +11,57 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.ros import topics
-from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
 from kr270_milling.ros.node import Ending
+from kr270_milling.ros.polling import POLL_PERIOD, poll, polled_subscription
 from kr270_milling.watch.feed import Feed
 from kr270_milling.watch.server import Events
 
 __all__ = ["Watcher"]
 
-GONE = 2.0  #: [s] of the wall without any publisher after which the graph is closed
+GONE = 2.0  #: [s] of the wall clock without any publisher, after which the graph has ended
 LATCHED = (topics.TARGET_TRAJECTORY, topics.REFERENCE_TRAJECTORY)
 LOOP = (topics.TOOL_POSE, topics.WRENCH, topics.DIAGNOSTICS)
 
 
 class Watcher(Ending, Node):
-    """Publishes nothing; best effort on the topics of the loop, so that nobody waits for it. Done when the graph was
-    there and is gone."""
+    """Subscribe with best effort to the topics of the loop, so that no publisher waits for this node; publish nothing.
+
+    The node is done when the graph was present and has ended.
+    """
 
     def __init__(self, events: Events, namespace: str, **kwargs):
         super().__init__("watch", namespace=namespace, start_parameter_services=False, enable_rosout=False, **kwargs)
         self._events = events
         self._feed = Feed()
-        self._seen: float | None = None
-        self._subscriptions_of = [self._listen(topic) for topic in (*LATCHED, *LOOP)]
-        self.create_timer(DRAIN_PERIOD, self._drain)
-        self.create_timer(0.2, self._look)
+        self._present: float | None = None
+        self._subscriptions_of = [self._subscribe(topic) for topic in (*LATCHED, *LOOP)]
+        self.create_timer(POLL_PERIOD, self._poll)
+        self.create_timer(0.2, self._check_graph)
 
-    def _listen(self, topic: topics.Topic):
+    def _subscribe(self, topic: topics.Topic):
         latched = topic in LATCHED
         qos = QoSProfile(
             depth=topic.qos.depth,
             reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,
             durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
         )
-        return aside(self, topic.type, topic.name, functools.partial(self._hear, topic.name.strip("/")), qos)
+        return polled_subscription(
+            self, topic.type, topic.name, functools.partial(self._on_message, topic.name.strip("/")), qos
+        )
 
-    def _hear(self, name: str, data: bytes) -> None:
-        with contextlib.suppress(MillingError, ValueError):  # no such message: there is nothing to show
-            for event in self._feed.hear(name, data):
-                self._events.tell(event)
+    def _on_message(self, name: str, data: bytes) -> None:
+        with contextlib.suppress(MillingError, ValueError):  # not a message of this type
+            for event in self._feed.events(name, data):
+                self._events.add(event)
 
-    def _drain(self) -> None:
-        for _, _, hear, data in drain(self._subscriptions_of):
-            hear(data)
+    def _poll(self) -> None:
+        for message in poll(self._subscriptions_of):
+            message.callback(message.data)
 
-    def _look(self) -> None:
+    def _check_graph(self) -> None:
         if any(self.count_publishers(s.topic_name) for s in self._subscriptions_of):
-            self._seen = time.monotonic()
-        elif self._seen is not None and time.monotonic() - self._seen > GONE and not self.done:
-            self._drain()
-            self._events.tell({"kind": "end"})
+            self._present = time.monotonic()
+        elif self._present is not None and time.monotonic() - self._present > GONE and not self.done:
+            self._poll()
+            self._events.add({"kind": "end"})
             self.end()

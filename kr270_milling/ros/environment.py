@@ -1,6 +1,6 @@
-"""What a process of the graph finds in its environment: discovery on this host only, unless the user wants another.
+"""Environment of the processes of a graph: discovery on this host only, unless the user chooses otherwise.
 
-No ROS is imported here, so that the command line can say in one sentence that it is missing.
+This file does not import ROS, so that the command line can report a missing ROS in one sentence.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ __all__ = ["RosMissing", "child_environment", "keep_to_this_host", "require_ros"
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 FAST_DDS = "rmw_fastrtps_cpp"
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-#: set by the bootstrapper of the ROS wheels when it has put this interpreter's libraries into LD_LIBRARY_PATH
+#: set by the bootstrapper of the ROS wheels after it added this interpreter's libraries to LD_LIBRARY_PATH
 GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 #: a node ends when its parent is no longer this process, so that a killed runner leaves no orphans
 PARENT = "KR270_MILLING_PARENT"
 
 
 class RosMissing(MillingError):
-    """There is no rclpy."""
+    """rclpy is not installed."""
 
     def __init__(self):
         super().__init__(
-            "ROS 2 is not here: install it with \"pip install 'kr270_milling[ros]'\", or source the setup file of an "
+            "ROS 2 is not installed: run \"pip install 'kr270_milling[ros]'\", or source the setup file of an "
             "installed ROS 2 first"
         )
 
@@ -41,9 +41,9 @@ def require_ros() -> None:
 
 
 def this_host_only(environ: Mapping[str, str]) -> dict[str, str]:
-    """The variables to add: the shipped profile and a discovery range, where the user has not set any of his own."""
+    """Return the variables to add: the shipped profile and a discovery range, where the user has set none."""
     if environ.get(RANGE, "LOCALHOST") != "LOCALHOST":
-        return {}  # the user wants to be seen by others
+        return {}  # the user opens discovery to other hosts
     added = {RANGE: "LOCALHOST"}
     other = environ.get("RMW_IMPLEMENTATION", FAST_DDS) != FAST_DDS or any(environ.get(name) for name in PROFILES)
     if not other:
@@ -54,16 +54,16 @@ def this_host_only(environ: Mapping[str, str]) -> dict[str, str]:
 
 
 def keep_to_this_host() -> None:
-    """For this process; before the first ROS context is made."""
+    """Set the variables of this process; call this before the first ROS context is created."""
     os.environ.update(this_host_only(os.environ))
 
 
 def child_environment() -> dict[str, str]:
-    """For a node started by this process; another interpreter than ours must find its own libraries."""
+    """Return the environment of a node that this process starts, also with another interpreter."""
     environ = {**os.environ, **this_host_only(os.environ), PARENT: str(os.getpid())}
     environ.pop(GUARD, None)
     for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        environ.setdefault(library, "1")  # small matrices only: more threads take the processors from the other nodes
+        environ.setdefault(library, "1")  # small matrices only: more threads slow the other nodes down
     package = str(Path(__file__).resolve().parents[2])
     if "site-packages" not in package:  # a source checkout that is not installed
         environ["PYTHONPATH"] = os.pathsep.join(filter(None, [package, environ.get("PYTHONPATH")]))

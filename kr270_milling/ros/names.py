@@ -1,4 +1,4 @@
-"""Names that come from users and from files, checked before ROS sees them, which answers with exceptions of its own."""
+"""Check names from users and files before ROS gets them, so that the error is a sentence of this package."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import re
 from pathlib import Path
 
 from rclpy.exceptions import NameValidationException
-from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.validate_namespace import validate_namespace
 
 from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.ros.rclpy_private import RCLError
 
 __all__ = ["NameRefused", "full_namespace", "message_class", "plain_topic", "resolved_topic"]
 
@@ -24,16 +24,16 @@ class NameRefused(MillingError):
 
 
 def message_class(type_name: str) -> type:
-    """The class of a message type such as geometry_msgs/msg/Pose. Raises NameRefused.
+    """Return the class of a message type such as geometry_msgs/msg/Pose. Raises NameRefused.
 
-    The name may come from a foreign file: nothing is imported that is not a package of messages.
+    The name may come from a foreign file: only packages of messages are imported.
     """
     parts = TYPE.fullmatch(type_name)
     if parts is None:
         raise NameRefused(f"{type_name!r} is not the name of a message type, such as std_msgs/msg/String")
     package, name = parts.groups()
-    found = importlib.util.find_spec(package)  # of a package at the top this imports nothing
-    places = (found.submodule_search_locations if found is not None else None) or []
+    spec = importlib.util.find_spec(package)  # imports nothing for a top-level package
+    places = (spec.submodule_search_locations if spec is not None else None) or []
     if not any(Path(place, "msg", "__init__.py").is_file() for place in places):
         raise NameRefused(f"the message package {package} is not installed")
     kind = getattr(importlib.import_module(f"{package}.msg"), name, None)
@@ -43,23 +43,23 @@ def message_class(type_name: str) -> type:
 
 
 def plain_topic(topic: str) -> str:
-    """A topic as a file names it, without anything to be substituted. Raises NameRefused."""
+    """Return a topic name from a file; it must not contain substitutions. Raises NameRefused."""
     if TOPIC.fullmatch(topic) is None or len(topic) > 200:
         raise NameRefused("this is not the name of a topic")
     return topic
 
 
 def resolved_topic(node, name: str, where: str) -> str:
-    """The full name of a topic that a user gave. Raises InputError, which tells where."""
+    """Return the full name of a topic from a user. Raises InputError; where: the place of the name."""
     try:
         return node.resolve_topic_name(name)
-    except (rclpy_implementation.RCLError, NameValidationException, ValueError, TypeError):
+    except (RCLError, NameValidationException, ValueError, TypeError):
         what = "must be the name of a topic: letters, digits and '_', in parts between '/' that begin with no digit"
         raise InputError(where, f"{name!r} {what}") from None
 
 
 def full_namespace(name: str, where: str) -> str:
-    """A namespace that a user gave, with its first slash. Raises InputError, which tells where."""
+    """Return a namespace from a user with its first slash. Raises InputError; where: the place of the name."""
     full = "/" + name.removeprefix("/")
     try:
         validate_namespace(full)

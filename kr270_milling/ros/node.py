@@ -1,4 +1,4 @@
-"""What all nodes share: diagnostics, guarded callbacks, guarded lifecycle transitions."""
+"""Base classes of all nodes: diagnostics, guarded callbacks, guarded lifecycle transitions."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
-from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -19,17 +18,18 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.units import SECOND
 from kr270_milling.messages.codec import to_bytes
 from kr270_milling.ros import topics
-from kr270_milling.ros.drain import is_aside
+from kr270_milling.ros.polling import is_polled
+from kr270_milling.ros.rclpy_private import RobustLifecycleNode
 
 __all__ = ["LOST", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded", "stamp_from_ns"]
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-REPORT_PERIOD = 0.2  # [s] of the wall; a partner's death must be told within 3 s
-SILENT = 2.6  # [s] of the wall after which a silence is told; a partner that is held up for 2 s is only waited for
-LOST = 4.0  # [s] of the wall after which one that must answer is given up; a busy machine takes long to go on
-HELD_UP = 0.5  # [s] between two looks after which it was us who did not listen
-HARDWARE = "simulated robot cell"  # of every status: no node of this package speaks for a machine
-OWN = ("/rosout", "/parameter_events")  # topics that every node has for itself
+REPORT_PERIOD = 0.2  # [s] of the wall clock
+SILENT = 2.6  # [s] of the wall clock without a message, after which a node warns; a stop of 2 s gives no warning
+LOST = 4.0  # [s] of the wall clock without an answer, after which a node or a run gives up
+HELD_UP = 0.5  # [s] between two checks; after a longer time this process itself was stopped
+HARDWARE = "simulated robot cell"  # hardware_id of every status: no node of this package represents a machine
+OWN = ("/rosout", "/parameter_events")  # topics of every ROS node
 
 
 def stamp_from_ns(ns: int) -> Time:
@@ -37,13 +37,13 @@ def stamp_from_ns(ns: int) -> Time:
 
 
 def guarded(callback):
-    """A callback whose errors are reported: ours to /diagnostics, any other ends the node with exit code 1."""
+    """Report the errors of a callback: a MillingError in /diagnostics; any other ends the node with exit code 1."""
 
     @functools.wraps(callback)
     def wrapped(self, *args):
         try:
             return callback(self, *args)
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is reported
+        except Exception as error:  # noqa: BLE001 - every error is reported
             self.refused += isinstance(error, MillingError)
             self.fail(error, callback.__name__)
         return None
@@ -52,85 +52,92 @@ def guarded(callback):
 
 
 class Silence:
-    """Since when a partner has not been heard; a time in which this process did not listen does not count."""
+    """Time since the last message of a partner, without the time in which this process was stopped."""
 
     def __init__(self):
-        self._told = False
-        self.heard()
+        self._reported = False
+        self.end()
 
-    def heard(self) -> bool:
-        """Whether a silence that was told is over now."""
-        self._last = self._looked = time.monotonic()
-        over, self._told = self._told, False
-        return over
+    def end(self) -> bool:
+        """Note a message of the partner; return whether it ends a reported silence."""
+        self._last = self._checked = time.monotonic()
+        was_reported, self._reported = self._reported, False
+        return was_reported
 
-    def look(self) -> float:
-        """[s] of the wall; to be called several times a second."""
+    def seconds(self) -> float:
+        """Return the silence [s of the wall clock]; call this several times a second."""
         now = time.monotonic()
-        if now - self._looked > HELD_UP:
+        if now - self._checked > HELD_UP:
             self._last = now
-        self._looked = now
+        self._checked = now
         return now - self._last
 
-    def is_to_be_told(self, silent: float) -> bool:
-        """Whether a silence [s] has become so long; once for each."""
-        before, self._told = self._told, self._told or silent > SILENT
-        return self._told and not before
+    def is_due(self, silent: float) -> bool:
+        """Return True once for each silence [s] that exceeds ``SILENT``."""
+        before, self._reported = self._reported, self._reported or silent > SILENT
+        return self._reported and not before
 
 
 class Ending:
     """Mixin: a node that may end its process (``spin.run_nodes``)."""
 
-    done = False  #: whether it is at its end
-    failure: str | None = None  #: the sentence with which it ends, where something failed; the exit code is 1 then
-    lap: Future | None = None  #: of the executor, which comes back when it is done
+    done = False  #: the node has nothing more to do
+    failure: str | None = None  #: sentence of a failed node; the exit code is then 1
+    lap: Future | None = None  #: the executor returns when this future is done
 
     def end(self, failure: str | None = None) -> None:
-        """End, behind the callback that runs now."""
+        """End the process after the current callback."""
         self.done, self.failure = True, failure or self.failure
         if self.lap is not None:
             self.lap.set_result(None)
 
+    def settled(self) -> bool:
+        """After a signal: return whether every message that arrived is processed."""
+        return True
+
+    def close(self) -> str | None:
+        """Close files before the process ends; return a sentence if that failed."""
+        return None
+
 
 class Reporting(Ending, Node):
-    """Mixin: one diagnostic status of the node, published five times a second and at once when it changes."""
+    """Mixin: one diagnostic status of the node, published five times a second and at every change."""
 
     def start_reporting(self) -> None:
         self.refused = 0  #: messages and requests that could not be used
-        self.sent: dict[str, int] = {}  #: stamp of the last message of each outlet [ns]
-        self.stamp_ns = 0  #: time of the pass, the stamp of whatever the node publishes next without one of its own
-        self._level, self.message, self._said = OK, "starting", ""
+        self.sent: dict[str, int] = {}  #: stamp of the last message of each output [ns]
+        self.stamp_ns = 0  #: time of the pass, for messages without a stamp
+        self._level, self.message = OK, "starting"
         self._values: dict[str, object] = {}
         self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
         self._report_timer = self.create_timer(REPORT_PERIOD, self.publish_report)
 
     def create_timer(self, timer_period_sec: float, callback, *args, **kwargs):
-        """On the monotonic clock: one on the node's own would stand still when the wall clock is set back."""
+        """Create a timer on the monotonic clock, which continues when the wall clock is set back."""
         kwargs = {"clock": Clock(clock_type=ClockType.STEADY_TIME), **kwargs}
         return super().create_timer(timer_period_sec, callback, *args, **kwargs)
 
-    def declared(self, name: str, default, about: str, read_only: bool = True, **how):
-        """Declare a parameter of the node itself; returns its value."""
-        return self.declare_parameter(
-            name, default, ParameterDescriptor(description=about, read_only=read_only, **how)
-        ).value
+    def declared(self, name: str, default, about: str, read_only: bool = True, **fields):
+        """Declare a parameter of the node itself and return its value; fields: of its descriptor."""
+        descriptor = ParameterDescriptor(description=about, read_only=read_only, **fields)
+        return self.declare_parameter(name, default, descriptor).value
 
-    def hear(self, topic: topics.Topic, callback):
-        """Subscribe to the bytes of a topic."""
+    def subscribe(self, topic: topics.Topic, callback):
+        """Subscribe to the serialised messages of a topic."""
         return self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=True)
 
     def open_outlets(self, *names: str) -> None:
-        """Publishers for outputs of a protocol, by the names that it has for them."""
+        """Create the publishers of a protocol's outputs, by their names in the protocol."""
         self.outlets = {name: self.create_publisher(*topics.BY_NAME[name]) for name in names}
 
     def send(self, outputs) -> None:
-        """Publish what a protocol gives."""
+        """Publish the outputs of a protocol."""
         for name, record in outputs:
             self.outlets[name].publish(to_bytes(record))
             self.sent[name] = getattr(record, "stamp", 0)
 
     def report(self, level, message: str, **values) -> None:
-        """Set the node's status; a new message is also logged and published at once."""
+        """Set the node's status; log and publish a new message at once."""
         changed = (level, message) != (self._level, self.message)
         self._level, self.message = level, message
         self._values.update(values)
@@ -145,36 +152,36 @@ class Reporting(Ending, Node):
             self.publish_report()
 
     def fail(self, error: Exception, where: str) -> None:
-        """Report an error; one that is not ours ends the node."""
+        """Report an error; an error other than a MillingError ends the node."""
         if isinstance(error, MillingError):
             self.report(ERROR, str(error))
         else:
             self.end(f"{type(error).__name__} in {where}: {error}")
             self.report(ERROR, str(self.failure))
 
-    def tell(self, **values) -> None:
-        """Values for the next report, without another message."""
+    def set_values(self, **values) -> None:
+        """Set values of the next report and leave its message unchanged."""
         self._values.update(values)
 
     def watch(self) -> dict[str, object]:
-        """Values to publish beside those of ``report``; a node overrides it."""
+        """Return further values of the report; a node overrides this."""
         return {}
 
     @property
     def subscriptions(self):
-        """Those that an executor serves; not those that the node drains itself, which EventsExecutor would take."""
-        return (s for s in super().subscriptions if not is_aside(s))
+        """Subscriptions that an executor serves: all but the polled ones, which EventsExecutor would take."""
+        return (s for s in super().subscriptions if not is_polled(s))
 
-    def _ends(self) -> dict[str, object]:
-        """Who has been found: a pass must not start before both ends of every topic have."""
+    def _matches(self) -> dict[str, str]:
+        """Return the matched subscribers and publishers of each topic: a pass starts when both ends are matched."""
         listeners = {p.topic_name: p.get_subscription_count() for p in self.publishers}
-        heard = {s.topic_name: s.get_publisher_count() for s in super().subscriptions}
-        ends = {"listeners": listeners, "heard": heard}
+        sources = {s.topic_name: s.get_publisher_count() for s in super().subscriptions}
+        ends = {"listeners": listeners, "sources": sources}
         return {k: " ".join(f"{t}={n}" for t, n in v.items() if t not in OWN) for k, v in ends.items()}
 
     def publish_report(self) -> None:
         sent = " ".join(f"{self.outlets[name].topic_name}={ns}" for name, ns in self.sent.items() if ns)
-        values = {"pid": os.getpid(), **self._values, **self.watch(), **self._ends(), "sent_ns": sent}
+        values = {"pid": os.getpid(), **self._values, **self.watch(), **self._matches(), "sent_ns": sent}
         values["refused"] = self.refused
         status = DiagnosticStatus(
             level=self._level,
@@ -196,18 +203,18 @@ class ReportingNode(Reporting, Node):
         self.start_reporting()
 
 
-class ManagedNode(Reporting, LifecycleNode):
-    """A lifecycle node that survives invalid transitions and tells why a transition failed.
+class ManagedNode(Reporting, RobustLifecycleNode):
+    """A lifecycle node that reports why a transition failed.
 
     A child implements ``configure``, ``activate``, ``deactivate`` and ``cleanup``; with the parameter ``autostart``
     the node configures and activates itself.
     """
 
     def __init__(self, name: str, **kwargs):
-        LifecycleNode.__init__(self, name, **kwargs)
+        RobustLifecycleNode.__init__(self, name, **kwargs)
         self.start_reporting()
         self.active = False
-        about = "configure and activate without being told to; for a node that is started by hand"
+        about = "configure and activate without a request; for a node that is started by hand"
         self._autostart = self.declared("autostart", False, about)
         self._start_timer = self.create_timer(0.01, self._start_alone) if self._autostart else None
 
@@ -216,16 +223,6 @@ class ManagedNode(Reporting, LifecycleNode):
             self._start_timer.cancel()
         if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
             self.trigger_activate()
-
-    def destroy_node(self) -> None:
-        """With the state machine, which rclpy forgets: it keeps the node, and with it the participant, alive."""
-        super().destroy_node()
-        self._state_machine.destroy_when_not_in_use()
-
-    @property
-    def state(self) -> str:
-        """Of the lifecycle."""
-        return self._state_machine.current_state[1]
 
     def configure(self) -> None: ...
 
@@ -238,7 +235,7 @@ class ManagedNode(Reporting, LifecycleNode):
     def _transition(self, step, name: str) -> TransitionCallbackReturn:
         try:
             step()
-        except Exception as error:  # noqa: BLE001 - whatever it is, it is reported
+        except Exception as error:  # noqa: BLE001 - every error is reported
             self.fail(error, name)
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
@@ -262,14 +259,3 @@ class ManagedNode(Reporting, LifecycleNode):
     def on_shutdown(self, state):
         self.active = False
         return TransitionCallbackReturn.SUCCESS
-
-    def _LifecycleNodeMixin__on_change_state(self, request, response):
-        """An invalid transition raises in rclpy and would kill the node: refuse it instead."""
-        try:
-            change = LifecycleNode._LifecycleNodeMixin__on_change_state  # type: ignore[attr-defined]  # noqa: SLF001
-            return change(self, request, response)
-        except rclpy_implementation.RCLError:
-            wanted = request.transition.label or request.transition.id
-            self.get_logger().warning(f"transition {wanted} is not possible in state {self.state}")
-            response.success = False
-            return response

@@ -1,4 +1,4 @@
-"""The parameter records as ROS parameters: declared with descriptor and range, read once, checked by the record."""
+"""Declare the parameter records as ROS parameters with descriptor and range, and build the records from them."""
 
 from __future__ import annotations
 
@@ -107,20 +107,20 @@ def _same(value, default) -> bool:
 
 
 def _value(node, path: str, given, spec: Spec, descriptor: ParameterDescriptor, source: str):
-    """The value of a declared parameter; a whole number in the node's file stands for a float."""
+    """Return the value of a declared parameter; a whole number in the node's file is read as a float."""
     try:
         return node.declare_parameter(path, given, descriptor).value
     except InvalidParameterTypeException:
-        found = node.declare_parameter(path, None, ParameterDescriptor(dynamic_typing=True)).value
+        given_value = node.declare_parameter(path, None, ParameterDescriptor(dynamic_typing=True)).value
         node.undeclare_parameter(path)
-        value = _whole(spec, found)
-        if value is found:
-            raise ConfigError(source, path, found, spec.allowed) from None
+        value = _whole(spec, given_value)
+        if value is given_value:
+            raise ConfigError(source, path, given_value, spec.allowed) from None
         return node.declare_parameter(path, value, descriptor, ignore_override=True).value
 
 
 def _whole(spec: Spec, value):
-    """Floats for whole numbers where floats are due; YAML writes 1 for 1.0."""
+    """Convert whole numbers to floats where the record has floats; YAML writes 1 for 1.0."""
     if spec.kind is float and type(value) is int:
         return float(value)
     numbers = isinstance(value, (list, array.array)) and all(type(v) in (int, float) for v in value)
@@ -131,7 +131,7 @@ def _whole(spec: Spec, value):
 
 def _default(spec: Spec):
     if spec.default is dataclasses.MISSING or spec.optional or np.size(spec.default) == 0:
-        return None  # nothing, or an empty list, which has no type of its own
+        return None  # no default, or an empty list, whose type ROS cannot derive
     if spec.kind is np.ndarray:
         return array.array("d", spec.default / spec.scale)
     return spec.default / spec.scale if spec.kind is float else spec.default

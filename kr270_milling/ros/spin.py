@@ -1,4 +1,4 @@
-"""Run nodes as a process: clean exit 0 on SIGINT and SIGTERM, one sentence and another code on failure."""
+"""Run nodes as a process: exit code 0 on SIGINT and SIGTERM, one sentence and another exit code on failure."""
 
 from __future__ import annotations
 
@@ -17,32 +17,29 @@ from rclpy.task import Future
 from rclpy.utilities import remove_ros_args
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.process import end_process
+from kr270_milling.base.process import end_process, flush
 from kr270_milling.ros.environment import PARENT, keep_to_this_host
-from kr270_milling.ros.leaving import leaving
-from kr270_milling.ros.litter import remove_litter
 
 __all__ = ["own_arguments", "run_node", "run_nodes"]
 
-LEAVE = 3.0  # [s] of the wall to leave the graph
-LAP = 0.1  # [s] between two looks for signals and for the parent
+LAP = 0.1  # [s] between two checks for signals and for the parent process
 STOPS = (signal.SIGINT, signal.SIGTERM)
 
 
 def own_arguments() -> list[str]:
-    """The words of this process's command line that are not for ROS.
+    """Return the words of this process's command line that are not for ROS.
 
-    Raises SystemExit with code 2, behind a sentence, where ROS refuses those that are for it.
+    Raises SystemExit with code 2, after a sentence on standard error, where ROS refuses the words that are for ROS.
     """
     try:
         return remove_ros_args(sys.argv)[1:]
-    except Exception as error:  # noqa: BLE001 - as below
-        _tell(error)
+    except Exception as error:  # noqa: BLE001 - rclpy raises several exception types for arguments that it refuses
+        _print_error(error)
         raise SystemExit(2) from None
 
 
-def _tell(error: Exception) -> None:
-    """One line on standard error."""
+def _print_error(error: Exception) -> None:
+    """Print one line on standard error."""
     print(f"{os.path.basename(sys.argv[0])}: {' '.join(str(error).split())}", file=sys.stderr)
 
 
@@ -52,17 +49,18 @@ def run_node(make: Callable, args: list[str] | None = None) -> int:
 
 
 def run_nodes(makes: Sequence[Callable], args: list[str] | None = None) -> int:
-    """Spin nodes by one executor until a signal, until the parent is gone, or until one is done.
+    """Spin nodes with one executor until a signal arrives, the parent process ends, or a node is done.
 
-    Exit code: 0 after a signal or when done, 1 when a node failed, 2 when one could not be made (bad parameters).
-    Without ``args`` the process is that of the nodes and ends here; else the exit code is returned.
-    rclpy's own signal handlers now and then end with 1, and EventsExecutor.spin() does not return on a signal.
+    Exit code: 0 after a signal or when done, 1 when a node failed, 2 when a node could not be made (bad parameters).
+    Without ``args`` the process belongs to the nodes and ends here; otherwise the exit code is returned.
+    The handlers replace those of rclpy, which sometimes end with exit code 1; EventsExecutor.spin() does not return on
+    a signal.
     """
-    stop: list[int] = []
-    before = {number: signal.signal(number, lambda caught, _: stop.append(caught)) for number in STOPS}
+    signals: list[int] = []
+    before = {number: signal.signal(number, lambda caught, _: signals.append(caught)) for number in STOPS}
     if args is None:
-        give_way()
-    code = _run_nodes(makes, args, stop)
+        use_batch_scheduling()
+    code = _run_nodes(makes, args, signals)
     if args is None:
         end_process(code)
     for number, handler in before.items():
@@ -70,66 +68,73 @@ def run_nodes(makes: Sequence[Callable], args: list[str] | None = None) -> int:
     return code
 
 
-def give_way() -> None:
-    """SCHED_BATCH, where the kernel has it: whoever is woken does not interrupt the one that woke it.
+def use_batch_scheduling() -> None:
+    """Set SCHED_BATCH, where the kernel has it, so that a process that wakes up does not interrupt its waker.
 
-    An exchange wakes every listener of its messages, and on two cores each of them would take the place of the robot
-    or the cut, whose work is what all wait for.
+    An exchange wakes every subscriber of its messages. On two cores each subscriber would interrupt the robot or the
+    cut, whose work all others wait for.
     """
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
-def _run_nodes(makes: Sequence[Callable], args: list[str] | None, stop: list[int]) -> int:
+def _run_nodes(makes: Sequence[Callable], args: list[str] | None, signals: list[int]) -> int:
     keep_to_this_host()
-    if PARENT not in os.environ:
-        remove_litter()  # a runner did it
     context = Context()
     try:
         rclpy.init(args=args, context=context, signal_handler_options=SignalHandlerOptions.NO)
-    except Exception as error:  # noqa: BLE001 - rclpy raises several of its own for arguments that it refuses
-        _tell(error)
+    except Exception as error:  # noqa: BLE001 - rclpy raises several exception types for arguments that it refuses
+        _print_error(error)
         return 2
     nodes: list = []
     try:
         for make in makes:
             nodes.append(make(context=context))
     except (MillingError, ParameterException) as error:
-        _tell(error)
-        with leaving(2, LEAVE):
-            context.try_shutdown()
+        _print_error(error)
         return 2
     executor = EventsExecutor(context=context)
     for node in nodes:
         executor.add_node(node)
-    code = _spin(nodes, executor, stop)
-    with leaving(code, LEAVE):
-        executor.shutdown()
-        for node in nodes:
-            node.destroy_node()
-        context.try_shutdown()
+    code = _spin(nodes, executor, signals)
+    _leave_graph(nodes, executor, context)
     return code
 
 
-def _spin(nodes: list, executor, stop: list[int]) -> int:
-    """The exit code, when all that the nodes have to write is written."""
+def _leave_graph(nodes: list, executor, context: Context) -> None:
+    """Destroy the nodes, so that their partners notice at once. All files are closed and all messages are printed.
+
+    Fast DDS sometimes blocks here (eProsima/Fast-DDS#6502) and keeps Python's lock. Then a signal ends the process, or
+    the ``run`` that started it.
+    """
+    flush()
+    for number in STOPS:
+        signal.signal(number, signal.SIG_DFL)
+    executor.shutdown()
+    for node in nodes:
+        node.destroy_node()
+    context.try_shutdown()
+
+
+def _spin(nodes: list, executor, signals: list[int]) -> int:
+    """Spin until the end, let the nodes write what they have received, and return the exit code."""
     parent = int(os.environ.get(PARENT, 0))
-    while not stop and not any(node.done for node in nodes):
-        lap = Future()  # one lap is many callbacks: to come back behind each took a tenth of an exchange
+    while not signals and not any(node.done for node in nodes):
+        lap = Future()  # one lap is many callbacks: returning after each callback took a tenth of an exchange
         for node in nodes:
             node.lap = lap
         executor.spin_until_future_complete(lap, timeout_sec=LAP)
         if parent and os.getppid() != parent:
             break
-    for _ in range(20):  # what has arrived before the signal is still taken
-        settled = [getattr(node, "settled", lambda: True)() for node in nodes]  # each of them has a look
+    for _ in range(20):  # take the messages that arrived before the signal
+        settled = [node.settled() for node in nodes]  # without short-circuit: each node polls
         if all(settled):
             break
         executor.spin_once(timeout_sec=0.05)
     code = 0
     for node in nodes:
-        closed = getattr(node, "close", lambda: None)()
-        if failure := node.failure or closed:
+        closing_failure = node.close()
+        if failure := node.failure or closing_failure:
             print(f"{node.get_name()}: {failure}", file=sys.stderr)
             code = 1
     return code

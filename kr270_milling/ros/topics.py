@@ -1,4 +1,4 @@
-"""Every topic of the graph, once: name, message type, quality of service. Names are relative."""
+"""The topics of the graph: name, message type, quality of service. Names are relative."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
-#: the loop of one exchange: lockstep, one message in flight; the publisher keeps so many that a recorder which was
-#: held up for two seconds can still ask for what it has missed
+#: the loop of one exchange: lockstep, one message in flight; the publisher's history is so long that a recorder which
+#: was stopped for two seconds can still request the messages that it missed
 LOOP = QoSProfile(depth=20_000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
-#: the last one is kept for whoever comes late
+#: late subscribers receive the last message
 LATCHED = QoSProfile(
     depth=1,
     history=HistoryPolicy.KEEP_LAST,

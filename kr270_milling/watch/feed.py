@@ -1,4 +1,4 @@
-"""Bytes of the graph's topics in, events for the page out: samples at 30 Hz, passes, states of the nodes."""
+"""Convert messages of the graph into events of the page: samples at 30 Hz, passes, states of the nodes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["INPUTS", "PERIOD_NS", "Feed"]
 
-#: topics that are heard, without their namespace
+#: topics of the feed, without their namespace
 INPUTS = ("target_trajectory", "reference_trajectory", "tool_pose", "wrench", "diagnostics")
 PERIOD_NS = 33_333_333  #: of the pass between two samples
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 
 class Feed:
-    """One robot. ``hear`` takes every message of its topics and gives the events that follow."""
+    """Events of one robot."""
 
     def __init__(self):
         self._target: Trajectory | None = None
@@ -30,8 +30,11 @@ class Feed:
         self._passes = 0
         self._states: dict[str, tuple] = {}
 
-    def hear(self, name: str, data: bytes) -> Iterator[dict]:
-        """name: of the topic without its namespace. Raises MillingError, ValueError where the bytes are no message."""
+    def events(self, name: str, data: bytes) -> Iterator[dict]:
+        """Return the events of one message; name: of the topic without its namespace.
+
+        Raises MillingError, ValueError where the bytes are not a message of this topic.
+        """
         if name == "diagnostics":
             yield from self._report(data)
         elif name == "target_trajectory" or (name == "reference_trajectory" and self._target is None):
@@ -55,7 +58,7 @@ class Feed:
             yield self._sample(stamp, np.asarray(pose_from_bytes(data).position))
 
     def _sample(self, stamp: int, actual: np.ndarray) -> dict:
-        """Deviations in um, to the left of the path and upwards; the force is that of the last period heard, in N."""
+        """Deviations in um, to the left of the path and upwards; the force [N] is that of the last received period."""
         target = actual if self._target is None else self._target.sample(stamp)
         feed = np.zeros((1, 3)) if self._target is None else self._target.sample_velocity(stamp)[None]
         side = float(path_deviation(actual[None], target[None], feed)[0])
@@ -67,7 +70,7 @@ class Feed:
         }  # fmt: skip
 
     def _report(self, data: bytes) -> Iterator[dict]:
-        """The state of a node, where it is another than before."""
+        """Return the state of a node where it differs from the previous one."""
         for status in deserialise(DIAGNOSTICS, data).status:
             state = (int(status.level), status.message)
             if self._states.get(status.name) != state:

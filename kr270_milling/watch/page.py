@@ -1,4 +1,4 @@
-"""The page of the live view: the report's look and base script, figures that grow."""
+"""The page of the live view: style and base script of the report, figures that grow."""
 
 from __future__ import annotations
 
@@ -14,5 +14,5 @@ HERE = Path(__file__).parent
 
 @functools.cache
 def page() -> str:
-    """The HTML text; it asks for nothing but /events."""
+    """Return the HTML text; the page requests /events only."""
     return page_text(HERE / "watch.html", [BASE_SCRIPT, HERE / "watch.js"])

@@ -1,4 +1,4 @@
-"""The page and its events (server-sent) on one port; nothing can be sent to it but a GET."""
+"""Serve the page and its events (server-sent) on one port, to GET requests only."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from kr270_milling.watch.page import page
 
 __all__ = ["Events", "serve"]
 
-MOST = 40_000  #: events that are kept for a page that comes late: 22 minutes of a pass
-ALIVE = 10.0  #: [s] of the wall between two signs of life on an idle stream
+MOST = 40_000  #: stored events, for a page that is opened late: 22 minutes of a pass
+ALIVE = 10.0  #: [s] of the wall clock between two comments on an idle stream
 LOCAL = ("localhost", "127.0.0.1", "[::1]")
 
 
 class Events:
-    """Everything that was told, and whoever waits for more. ``end`` is the last event."""
+    """The stored events, and a condition for the streams that wait for more. ``end`` is the last event."""
 
     def __init__(self):
         self._rows: list[str] = []
-        self._first = 0  # number of the oldest row that is kept
+        self._first = 0  # number of the oldest stored row
         self._changed = threading.Condition()
         self.ended = False
 
-    def tell(self, event: dict) -> None:
+    def add(self, event: dict) -> None:
         with self._changed:
             self._rows.append(json.dumps(event, allow_nan=False))
             beyond = max(0, len(self._rows) - MOST)
@@ -37,7 +37,7 @@ class Events:
             self._changed.notify_all()
 
     def after(self, number: int, patience: float = ALIVE) -> tuple[list[str], int]:
-        """Rows from ``number`` on, and the number of the next one; waits for some [s] where there is none yet."""
+        """Return the rows from ``number`` on and the number of the next row; wait up to ``patience`` [s] for a row."""
         with self._changed:
             self._changed.wait_for(lambda: self._first + len(self._rows) > number or self.ended, patience)
             start = max(0, number - self._first)
@@ -60,7 +60,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         host = (self.headers.get("Host") or "").rpartition(":")[0] or self.headers.get("Host")
-        if self.hosts and host not in self.hosts:  # a name that leads here from elsewhere (DNS rebinding)
+        if self.hosts and host not in self.hosts:  # another name with this address (DNS rebinding)
             self.send_error(403)
         elif self.path == "/":
             body = page().encode()
@@ -90,11 +90,11 @@ class _Handler(BaseHTTPRequestHandler):
                 return
 
     def log_message(self, *_) -> None:
-        """A page that looks is nothing to report."""
+        """Print no line for a request."""
 
 
 def serve(events: Events, host: str, port: int) -> ThreadingHTTPServer:
-    """Start to serve in a thread; port 0: any that is free. Raises InputError where that cannot be."""
+    """Start to serve in a thread; port 0: any free port. Raises InputError where the address cannot be used."""
     hosts = LOCAL if host in (*LOCAL, "::1") else ()
     try:
         server = ThreadingHTTPServer((host, port), partial(_Handler, events, hosts))

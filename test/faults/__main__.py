@@ -9,7 +9,7 @@ import argparse
 import sys
 import time
 
-from faults.directory import kept_or_temporary
+from faults.directory import output_directory
 from faults.domain import choose_domain
 from faults.faults import FAULTS
 from faults.rows import COLUMNS, expected_seconds, run_faults
@@ -26,7 +26,7 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         require_ros()
         print(choose_domain(), file=sys.stderr)
-        with kept_or_temporary(args.out) as directory:
+        with output_directory(args.out) as directory:
             return (_soak if args.soak else _faults)(args, directory)
     except MillingError as error:
         print(f"faults: {error}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""What a fault leaves: processes, shared memory, and the recording, held against a pass that nobody disturbed."""
+"""The recording after a fault, compared with an undisturbed pass, and the processes that are left."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, begun_ns: int, a
         about, every = info(recording), cell_of(recording).thinned_steps
         wrong, short, begun, ends = False, 0, False, {}
         for topic, values in zip(WIDTH, (expected.tool, expected.wrench, expected.deflection), strict=True):
-            found = series(recording, topic)
+            recorded = series(recording, topic)
             due = expected.time_ns[:: every if topic == "/deflection" else 1]
-            begun |= found.stamp.size > 0 and topic != "/deflection"
-            ends[topic] = found.stamp.size and found.stamp[-1] == due[-1]
-            short += due.size - np.unique(found.stamp).size
-            wrong = wrong or not _same(found, expected.time_ns, values, WIDTH[topic])
+            begun |= recorded.stamp.size > 0 and topic != "/deflection"
+            ends[topic] = recorded.stamp.size and recorded.stamp[-1] == due[-1]
+            short += due.size - np.unique(recorded.stamp).size
+            wrong = wrong or not _same(recorded, expected.time_ns, values, WIDTH[topic])
         last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=begun_ns)
     complete = all(ends.values()) and not short
     behind = max(0.0, (struck_ns - last) * 1e-9)
@@ -58,12 +58,12 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, begun_ns: int, a
     )
 
 
-def _same(found, stamps: np.ndarray, values: np.ndarray, width: int) -> bool:
-    rows = np.searchsorted(stamps, found.stamp)
+def _same(recorded, stamps: np.ndarray, values: np.ndarray, width: int) -> bool:
+    rows = np.searchsorted(stamps, recorded.stamp)
     known = rows < stamps.size
-    if not known.all() or not np.array_equal(stamps[rows], found.stamp):
+    if not known.all() or not np.array_equal(stamps[rows], recorded.stamp):
         return False
-    return np.array_equal(found.values[:, :width], values[rows])
+    return np.array_equal(recorded.values[:, :width], values[rows])
 
 
 def is_alive(pid: int) -> bool:

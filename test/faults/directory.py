@@ -1,4 +1,4 @@
-"""Where a self test writes."""
+"""The output directory of a self test."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from pathlib import Path
 
 from kr270_milling.graph.plan import fresh_directory
 
-__all__ = ["kept_or_temporary"]
+__all__ = ["output_directory"]
 
 
 @contextlib.contextmanager
-def kept_or_temporary(out: str | None) -> Iterator[Path]:
+def output_directory(out: str | None) -> Iterator[Path]:
     """A directory of the user's, in which nothing is overwritten, or one that is removed at the end."""
     if out is None:
         with tempfile.TemporaryDirectory(prefix="kr270_milling_") as directory:

@@ -1,4 +1,4 @@
-"""A graph to which something happens in mid-pass; it keeps what is said in return, and when."""
+"""A graph with a disturbance in mid-pass; it records the messages and their times."""
 
 from __future__ import annotations
 
@@ -10,20 +10,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from faults.clock import SteppedClock
 from kr270_milling.cell.cell import Cell
 from kr270_milling.graph.graph import Graph
 from kr270_milling.graph.processes import Child
 from kr270_milling.graph.watchdog import ROBOT, Hooks
-from kr270_milling.ros.litter import remove_litter
 
-__all__ = ["Disturbed", "Told"]
+__all__ = ["Disturbed", "Message"]
 
 WARN = b"\x01"
 
 
-class Told(NamedTuple):
-    """A sentence, and when it was heard [s of the monotonic clock]."""
+class Message(NamedTuple):
+    """A sentence and its arrival [s of the monotonic clock]."""
 
     at: float
     sentence: str
@@ -32,10 +30,9 @@ class Told(NamedTuple):
 class Disturbed(Hooks):
     """Context manager: a graph. ``disturb`` takes a script that begins some seconds after the next pass has begun."""
 
-    def __init__(self, cell: Cell, out: Path, clock: SteppedClock | None = None, composed: bool = False):
+    def __init__(self, cell: Cell, out: Path, composed: bool = False):
         self.graph = Graph(cell, out, hooks=self, composed=composed)
-        self.clock = clock
-        self.told: list[Told] = []
+        self.messages: list[Message] = []
         self.beside: list[subprocess.Popen] = []  #: processes that are no nodes
         self.killed: list[Child] = []  #: and started again
         self.struck_at: float | None = None  #: [s of the monotonic clock]
@@ -54,12 +51,12 @@ class Disturbed(Hooks):
         return next(child for child in self.children.values() if child.name == process)
 
     def disturb(self, script: Iterator[float], after: float) -> None:
-        self.told, self.struck_at = [], None
+        self.messages, self.struck_at = [], None
         self._script, self._next = self._delayed(script, after), 0.0
 
     def _delayed(self, script: Iterator[float], after: float) -> Iterator[float]:
         driver = self.graph.driver
-        while driver.says(ROBOT, "state") != "active" or driver.status(ROBOT).message != "pass running":
+        while driver.value(ROBOT, "state") != "active" or driver.status(ROBOT).message != "pass running":
             yield 0.0
         yield after
         yield from script
@@ -68,24 +65,24 @@ class Disturbed(Hooks):
         self.recording = self.graph.out / name
         return self.graph.run_pass(name)
 
-    def looked(self) -> None:
+    def before_check(self) -> None:
         if self._script is not None and time.monotonic() >= self._next:
             pause = next(self._script, None)
             self._script = None if pause is None else self._script
             self._next = time.monotonic() + (pause or 0.0)
         if self.struck_at is not None:
-            self._listen()
+            self._take_messages()
 
-    def _listen(self) -> None:
+    def _take_messages(self) -> None:
         """Warnings and errors since the fault."""
         for name, status in list(self.graph.driver.statuses.items()):
             sentence = f"{name.rpartition('/')[2]}: {status.message}"
-            said = any(sentence == told.sentence for told in self.told)
-            if status.level >= WARN and status.at > self.struck_at and not said:
-                self.told.append(Told(status.at, sentence))
+            known = any(sentence == message.sentence for message in self.messages)
+            if status.level >= WARN and status.at > self.struck_at and not known:
+                self.messages.append(Message(status.at, sentence))
 
-    def tell(self, sentence: str) -> None:
-        self.told.append(Told(time.monotonic(), sentence))
+    def warn(self, sentence: str) -> None:
+        self.messages.append(Message(time.monotonic(), sentence))
 
     def struck(self) -> None:
         """The fault happens now."""
@@ -101,7 +98,7 @@ class Disturbed(Hooks):
         self.strike(process, signal.SIGKILL)
         killed.process.wait()
         for _ in range(5):
-            driver.spin()  # its last words
+            driver.spin()  # its last messages
         self.killed.append(killed)
         nodes, parameters, arguments = graph.spawned[process]
         before = {driver.name_of(name): driver.status(name) for name in nodes}
@@ -130,7 +127,3 @@ class Disturbed(Hooks):
         self._script = None
         self.end_beside()
         self.graph.close()
-
-    def litter(self) -> list[str]:
-        """Files that its nodes left in shared memory; removed now."""
-        return remove_litter()

@@ -1,15 +1,13 @@
-"""Every fault so many times, at times of a seeded generator; one row of the table each."""
+"""Repeat every fault at times of a seeded generator; one row of the table for each fault."""
 
 from __future__ import annotations
 
-import contextlib
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from faults.aftermath import is_alive
-from faults.clock import SteppedClock, compiler
 from faults.disturbed import Disturbed
 from faults.faults import ENDS, Fault
 from faults.trial import TOO_LATE, Trial, run_trial
@@ -21,13 +19,13 @@ from kr270_milling.simulation.milling_pass import PassResult
 
 __all__ = ["Row", "expected_seconds", "fault_cell", "run_faults"]
 
-#: a pass of 14,400 exchanges, longer at full speed than a node is held; twice as many for a graph that is quicker
+#: a pass of 14,400 exchanges, at full speed longer than a stop of 2 s; twice as many for the faster composed graph
 CELL = ("path.length_mm=120", "stock.max_mm=[120,12,0]", "stock.grid_step_um=50", "exchange.period_ms=0.125")
 COMPOSED = (*CELL[:3], "exchange.period_ms=0.0625")
 AFTER = (0.05, 0.8)  # [s] from the start of the pass to the fault
-TRIES = 6  #: a busy machine may look so late that the pass is over before the fault
+TRIES = 6  #: on a busy machine the pass may end before the fault
 SECONDS = {True: 11.0, False: 9.0}  # [s] that a trial takes, with and without a graph of its own
-COLUMNS = ("fault", "repeats", "detected within max [s]", "named", "others", "orphans", "litter", "recording")
+COLUMNS = ("fault", "repeats", "detected within max [s]", "named", "design", "orphans", "recording")
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,6 @@ class Row:
 
     fault: Fault
     trials: tuple[Trial, ...]
-    skipped: str = ""  #: why it was not tried
 
     @property
     def problems(self) -> list[str]:
@@ -44,35 +41,32 @@ class Row:
 
     def cells(self) -> list[str]:
         """As text, in the order of COLUMNS."""
-        if self.skipped:
-            return [self.fault.name, "0", "-", "-", f"skipped: {self.skipped}", "-", "-", "-"]
         count, trials = len(self.trials), self.trials
         times = [t.detected_s for t in trials if t.detected_s is not None]
-        named = f"{len(times)} of {count}" if self.fault.told else "-"
-        held = sum(not t.problems for t in trials)
-        others = f"{self.fault.design}" + ("" if held == count else f"; FAILED {count - held} of {count}")
-        orphans, litter = sum(t.orphans for t in trials), sum(t.litter for t in trials)
+        named = f"{len(times)} of {count}" if self.fault.named else "-"
+        failed = sum(bool(t.problems) for t in trials)
+        design = self.fault.design + (f"; FAILED {failed} of {count}" if failed else "")
+        orphans = str(sum(t.orphans for t in trials))
         slowest = f"{max(times):.2f}" if times else "-"
-        return [self.fault.name, str(count), slowest, named, others, str(orphans), str(litter), self._recording()]
+        return [self.fault.name, str(count), slowest, named, design, orphans, self._recording()]
 
     def _recording(self) -> str:
-        found = [t.recording for t in self.trials if t.recording]
-        if len(found) < len(self.trials) or not all(r.same for r in found):
+        recordings = [t.recording for t in self.trials if t.recording]
+        if len(recordings) < len(self.trials) or not all(r.same for r in recordings):
             return "FAILED"
-        lost, cut = sum(t.lost for t in self.trials), sum(r.cut_off for r in found)
-        whole = sum(r.complete for r in found)
-        state = "complete" if whole == len(found) else "complete up to the fault"
-        if self.fault.reaction != ENDS and whole < len(found):
-            state = f"{len(found) - whole} not whole"
-        elif any(r.behind_s > 0.05 for r in found):
-            state = f"readable, ends at most {max(r.behind_s for r in found):.2f} s before the fault"
+        lost, cut = sum(t.lost for t in self.trials), sum(r.cut_off for r in recordings)
+        whole = sum(r.complete for r in recordings)
+        state = "complete" if whole == len(recordings) else "complete up to the fault"
+        if self.fault.reaction != ENDS and whole < len(recordings):
+            state = f"{len(recordings) - whole} not whole"
+        elif any(r.behind_s > 0.05 for r in recordings):
+            state = f"readable, ends at most {max(r.behind_s for r in recordings):.2f} s before the fault"
         return f"{state}{f', cut off {cut} times' if cut else ''}, {f'lost and counted: {lost}' if lost else 'no hole'}"
 
     def as_dict(self) -> dict:
         return {
             "fault": self.fault.name,
             "design": self.fault.design,
-            "skipped": self.skipped,
             "failed": bool(self.problems),
             "problems": self.problems,
             "cells": dict(zip(COLUMNS, self.cells(), strict=True)),
@@ -81,7 +75,7 @@ class Row:
 
 
 class Undisturbed:
-    """The passes of a graph that nobody disturbs, in one process: each along the reference that the last one gave."""
+    """The passes of an undisturbed graph, computed in one process: each along the reference of the previous pass."""
 
     def __init__(self, cell: Cell):
         self.cell, self._passes = cell, [simulate(cell).result]
@@ -112,24 +106,20 @@ def run_faults(
         times = [chance.uniform(*AFTER) for _ in range(repeats)]
         directory = out / f"fault_{number + 1:02d}"
         directory.mkdir()
-        if fault.clock and compiler() is None:
-            rows.append(Row(fault, (), "no C compiler to make a clock that can be set"))
-            continue
-        with SteppedClock(directory) if fault.clock else contextlib.nullcontext() as clock:
-            done = _Trials(fault, directory, plains[fault.composed], clock)
-            for repeat, after in enumerate(times):
-                done.run(repeat, after)
-                progress(number * repeats + repeat + 1, len(faults) * repeats)
-            done.end()
+        done = _Trials(fault, directory, plains[fault.composed])
+        for repeat, after in enumerate(times):
+            done.run(repeat, after)
+            progress(number * repeats + repeat + 1, len(faults) * repeats)
+        done.end()
         rows.append(Row(fault, tuple(done.trials)))
     return rows
 
 
 class _Trials:
-    """All trials of a fault: in one graph as long as it lives."""
+    """All trials of a fault, in one graph while it runs."""
 
-    def __init__(self, fault: Fault, out: Path, plain: Undisturbed, clock: SteppedClock | None):
-        self.fault, self.out, self.plain, self.clock = fault, out, plain, clock
+    def __init__(self, fault: Fault, out: Path, plain: Undisturbed):
+        self.fault, self.out, self.plain = fault, out, plain
         self.trials: list[Trial] = []
         self._graph: Disturbed | None = None
         self._passes = 0  # of this graph
@@ -166,11 +156,11 @@ class _Trials:
         directory = self.out / f"graph_{repeat + 1}"
         directory.mkdir()
         self._passes = 0
-        self._graph = Disturbed(self.plain.cell, directory, self.clock, self.fault.composed)
+        self._graph = Disturbed(self.plain.cell, directory, self.fault.composed)
         return self._graph.__enter__()
 
     def end(self) -> None:
-        """Close the graph and look at what is left of it."""
+        """Close the graph and count the processes that are left."""
         graph, self._graph = self._graph, None
         if graph is None:
             return
@@ -179,7 +169,4 @@ class _Trials:
         if self.trials:
             last = self.trials[-1]
             last.orphans = sum(map(is_alive, pids))
-            litter = graph.litter()
-            last.litter = len(litter)
             last.problems += [f"{last.orphans} processes are left"] if last.orphans else []
-            last.problems += [f"left in shared memory: {', '.join(litter)}"] if litter else []

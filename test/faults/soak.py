@@ -27,7 +27,7 @@ MOST_GROWTH = 5.0  # [MB] from then to the end, by the fitted slope
 TOPICS = ("tool_pose", "wrench", "deflection")  # of an exchange
 RATE = 2000  # [1/s] exchanges, as with the default period in real time
 LOOK = 0.5  # [s] between two looks at the recorder
-PATIENCE = 30.0  # [s] for a process to come up or to end
+PATIENCE = 120.0  # [s] for a process to start or to end, on a busy machine too
 
 
 @dataclass

@@ -18,7 +18,7 @@ from kr270_milling.ros.environment import keep_to_this_host
 
 __all__ = ["main"]
 
-WAIT = 20.0  # [s] for the listeners
+WAIT = 120.0  # [s] for the subscribers, on a busy machine too
 LAST = 1.0  # [s] for the last messages to be taken
 STEP_NS = 500_000
 

@@ -18,8 +18,7 @@ pytest.importorskip("rclpy")
 
 from faults import trial
 from faults.aftermath import is_alive
-from faults.clock import SteppedClock, compiler
-from faults.disturbed import Told
+from faults.disturbed import Message
 from faults.domain import choose_domain
 from faults.faults import ENDS, FAULTS, GOES_ON
 from faults.footprint import footprint, slope
@@ -30,13 +29,11 @@ from kr270_milling.graph import graph, watchdog
 from kr270_milling.graph.graph import Graph
 from kr270_milling.graph.processes import Child, RunError
 from kr270_milling.graph.watchdog import LOST, QUIET, RECORDER, Watchdog
-from kr270_milling.ros.drain import as_available, in_order
 
 PACKAGE = Path(__file__).resolve().parents[2] / "kr270_milling"
-HOUR = 3600 * 10**9
 
 
-def run_tool(environment, *arguments: str, seconds: float = 120.0) -> tuple[int, dict, str]:
+def run_tool(environment, *arguments: str, seconds: float = 300.0) -> tuple[int, dict, str]:
     command = [sys.executable, "-m", "faults", "--json", *arguments]
     ran = subprocess.run(
         command, cwd=Path(__file__).parents[1], env=environment, capture_output=True, text=True, timeout=seconds
@@ -45,19 +42,19 @@ def run_tool(environment, *arguments: str, seconds: float = 120.0) -> tuple[int,
 
 
 def test_fault_is_told_by_name_and_leaves_nothing(ros_environment, tmp_path, monkeypatch):
-    monkeypatch.setattr(trial, "TELL_WITHIN", 60.0)  # how soon it is told on a quiet machine, the table says
+    monkeypatch.setattr(trial, "NAMED_WITHIN", 60.0)  # how soon it is told on a quiet machine, the table says
     killed = next(fault for fault in FAULTS if fault.name == "cutting_process, SIGKILL")
     row = run_faults([killed], 1, 1, tmp_path, lambda done, total: None)[0]
     (found,) = row.trials
     assert row.problems == [] and found.detected_s >= 0.0 and "cutting_process" in found.sentence
-    assert found.orphans == found.litter == 0 and found.recording.same and found.recording.messages > 0
+    assert found.orphans == 0 and found.recording.same and found.recording.messages > 0
 
 
 def test_reaction_other_than_the_designed_one_fails_the_row():
     """A killed cut where the pass is said to go on, and a name that nobody says."""
     killed = next(fault for fault in FAULTS if fault.name == "cutting_process, SIGKILL")
-    told = [Told(11.0, "cutting_process: was ended by SIGKILL")]
-    graph = SimpleNamespace(told=told, struck_at=10.0)
+    told = [Message(11.0, "cutting_process: was ended by SIGKILL")]
+    graph = SimpleNamespace(messages=told, struck_at=10.0)
     right, wrong = (Trial(killed.name, 0.5, reaction=ENDS) for _ in range(2))
     judge_words(right, killed, graph)
     assert right.problems == [] and right.detected_s == 1.0
@@ -69,14 +66,14 @@ def test_reaction_other_than_the_designed_one_fails_the_row():
 FORGETFUL = """#!{python}
 import sys, time
 from kr270_milling.nodes import recording_session, start
-take, seen, forgotten = recording_session.drain, [], []
-def drain(readers):  # whatever thread comes first behind a halt
+take, seen, forgotten = recording_session.poll, [], []
+def poll(subscriptions):  # the first poll after a stop
     seen.append(time.monotonic())
     if seen[-1] - seen[-2:][0] > 1.5:
         forgotten.append(True)
-    taken = take(readers)
+    taken = take(subscriptions)
     return [] if forgotten else taken
-recording_session.drain = drain
+recording_session.poll = poll
 sys.argv = sys.argv[3:]  # behind "-m kr270_milling.nodes"
 raise SystemExit(start.start("recorder"))
 """
@@ -97,7 +94,7 @@ def test_tail_that_a_recorder_lost_is_told_and_counted(ros_environment, tmp_path
     monkeypatch.setattr(graph, "Child", child)
     monkeypatch.setattr(watchdog, "LOST", 30.0)
     monkeypatch.setattr(graph, "CATCH_UP", 0.5)
-    monkeypatch.setattr(trial, "TELL_WITHIN", 60.0)
+    monkeypatch.setattr(trial, "NAMED_WITHIN", 60.0)
     held = next(fault for fault in FAULTS if fault.name.startswith("recorder, SIGSTOP"))
     row = run_faults([held], 1, 1, tmp_path, lambda done, total: None)[0]
     (found,) = row.trials
@@ -107,7 +104,8 @@ def test_tail_that_a_recorder_lost_is_told_and_counted(ros_environment, tmp_path
 
 
 def test_soak_measures_every_process_and_loses_nothing(ros_environment, tmp_path):
-    _, found, _ = run_tool(ros_environment, "--soak", "--passes", "2", "--minutes", "0.03")  # too short for its verdict
+    _, found, error = run_tool(ros_environment, "--soak", "--passes", "2", "--minutes", "0.03")
+    assert found, error
     rows = {row["name"]: row for row in found["rows"]}
     assert len(rows) == 4 and all(row["lost"] == 0 for row in rows.values())
     for row in rows.values():
@@ -161,38 +159,6 @@ def test_domain_of_the_user_is_kept_and_else_a_free_one_is_said(monkeypatch):
     assert "free" in choose_domain() and 0 < int(os.environ["ROS_DOMAIN_ID"]) <= 101
 
 
-@pytest.mark.skipif(compiler() is None, reason="no C compiler")
-def test_clock_is_set_for_the_processes_started_with_it_and_for_nobody_else(tmp_path):
-    code = "import time; print(time.time(), time.monotonic())"
-    with SteppedClock(tmp_path) as clock:
-        clock.set(-3600.5)
-        there, steady = map(float, subprocess.check_output([sys.executable, "-c", code]).split())
-    assert there - time.time() == pytest.approx(-3600.5, abs=5.0)
-    assert steady == pytest.approx(time.monotonic(), abs=5.0)
-    assert "LD_PRELOAD" not in os.environ or str(tmp_path) not in os.environ["LD_PRELOAD"]
-
-
-# --- what the self test has found ---
-
-
-def test_clock_set_back_does_not_turn_the_order_of_messages():
-    def series(name, *times):
-        return [(at, 0, None, f"{name}{i}") for i, at in enumerate(times)]
-
-    poses, wrenches = series("p", HOUR + 1, HOUR + 3, 5, 7), series("w", HOUR + 2, HOUR + 4, 6)
-    assert [item[3] for item in in_order([poses, wrenches])] == ["p0", "w0", "p1", "w1", "p2", "w2", "p3"]
-    assert [item[3] for item in in_order([wrenches, poses[:2]])] == ["p0", "w0", "p1", "w1", "w2"]
-
-
-def test_what_waited_in_the_reader_for_a_lost_message_has_come_with_it():
-    """Else the recorder would write it now, and the lost one, which arrived while it emptied its readers, later."""
-    second = 10**9
-    series = [(arrived, 0, None, b"") for arrived in (1, 2, 80 + second, 3, 4, 81 + second)]
-    assert [item[0] for item in as_available(series)] == [1, 2, *[80 + second] * 3, 81 + second]
-    set_back = [(arrived * second, 0, None, b"") for arrived in (4000, 400, 401)]  # the clock, by an hour
-    assert as_available(set_back) == set_back
-
-
 def test_timers_of_a_node_run_on_while_its_own_clock_stands_still(world):
     from kr270_milling.ros.node import ReportingNode
 
@@ -212,20 +178,20 @@ def test_silent_node_is_told_once_and_then_given_up():
     told: list[str] = []
     dog = Watchdog(set(), told.append)
     for _ in range(3):
-        dog.look_for_silence(silent_for(QUIET + 0.1), {"cutting_process"}, time.monotonic())
+        dog.check_silence(silent_for(QUIET + 0.1), {"cutting_process"}, time.monotonic())
     assert len(told) == 1 and "cutting_process" in told[0]
-    with pytest.raises(RunError, match="cutting_process: has not been heard of"):
-        dog.look_for_silence(silent_for(LOST + 0.1), {"cutting_process"}, time.monotonic())
+    with pytest.raises(RunError, match="cutting_process: has not reported"):
+        dog.check_silence(silent_for(LOST + 0.1), {"cutting_process"}, time.monotonic())
 
 
 def test_node_that_is_excused_may_be_silent():
-    Watchdog({"cutting_process"}, pytest.fail).look_for_silence(silent_for(9.0), {"cutting_process"}, time.monotonic())
+    Watchdog({"cutting_process"}, pytest.fail).check_silence(silent_for(9.0), {"cutting_process"}, time.monotonic())
 
 
 def test_runner_that_was_held_up_itself_hears_the_reports_first():
     dog = Watchdog(set(), pytest.fail)
     later = time.monotonic() + 10.0  # it scored a long pass, or was stopped by Ctrl-Z
-    dog.look_for_silence(silent_for(10.0), {"cutting_process"}, later)
+    dog.check_silence(silent_for(10.0), {"cutting_process"}, later)
 
 
 def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_path):
@@ -247,9 +213,9 @@ def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_
         publishers[0].publish(pose_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
         world.until(lambda at=stamp: cut.stamp_ns == at and cut.protocol.side.step >= 0)
     world.step(0.3)
-    assert not told.said("/cutting_process", "another robot")
+    assert not told.reported("/cutting_process", "a second robot")
     world.partner("second").create_publisher(*topics.TOOL_POSE)
-    told.until("/cutting_process", "another robot has come in mid-pass", 2, deadline=3.0)
+    told.until("/cutting_process", "a second robot publishes in mid-pass", 2, deadline=3.0)
 
 
 def test_compensator_that_comes_in_mid_pass_says_that_it_has_not_heard_the_start(world, short_cell, tmp_path):
@@ -264,7 +230,7 @@ def test_compensator_that_comes_in_mid_pass_says_that_it_has_not_heard_the_start
     stamps = short_cell.clock.stamp(np.arange(10, 40))
     for stamp, tool in zip(stamps.tolist(), short_cell.target().sample(stamps), strict=True):
         pose.publish(pose_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
-    told.until("/trajectory_compensator", "has not heard its start", 2, deadline=3.0)
+    told.until("/trajectory_compensator", "did not receive its start", 2, deadline=3.0)
 
 
 def test_recorder_that_hangs_while_it_closes_its_file_is_ended_with_the_graph(short_cell, tmp_path):

@@ -1,4 +1,4 @@
-"""One fault, once: struck at its time, watched, and judged."""
+"""One trial: a fault at its time, the reaction, and the comparison with the design."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ import time
 from dataclasses import asdict, dataclass, field
 
 from faults.aftermath import Recorded, read_back
-from faults.disturbed import Disturbed, Told
+from faults.disturbed import Disturbed, Message
 from faults.faults import ENDS, GOES_ON, Fault
 from kr270_milling.base.errors import MillingError
 from kr270_milling.graph.graph import NOT_COMPLETE
 from kr270_milling.simulation.milling_pass import PassResult
 
-__all__ = ["TELL_WITHIN", "TOO_LATE", "Trial", "judge_words", "run_trial"]
+__all__ = ["NAMED_WITHIN", "TOO_LATE", "Trial", "judge_words", "run_trial"]
 
-TELL_WITHIN = 3.0  # [s] from the fault to a sentence that names the node
+NAMED_WITHIN = 3.0  # [s] from the fault to a sentence that names the node
 TOO_LATE = "the fault came too late: the pass was over"
-KEPT = 1.0  # [s] before the fault that a recording may miss
+BEHIND = 1.0  # [s] before the fault that a recording may miss
 
 
 @dataclass
 class Trial:
-    """What happened; ``problems`` is empty where all was as designed."""
+    """Result of a trial; ``problems`` is empty where the reaction is the designed one."""
 
     fault: str
     after_s: float  #: from the start of the pass to the fault
@@ -29,11 +29,10 @@ class Trial:
     sentence: str = ""
     reaction: str = ""
     ended_s: float | None = None  #: from the fault to the end of the run, where it ended
-    last_words: str = ""  #: then
+    last_message: str = ""  #: then
     lost: int = 0  #: messages that the recording has not, counted
     recording: Recorded | None = None
     orphans: int = 0
-    litter: int = 0
     problems: list[str] = field(default_factory=list)
 
     def as_dict(self) -> dict:
@@ -48,16 +47,14 @@ def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: Pa
         graph.run_pass(name)
         trial.reaction = GOES_ON
     except MillingError as error:
-        graph.told.append(Told(time.monotonic(), str(error)))
+        graph.messages.append(Message(time.monotonic(), str(error)))
         trial.reaction = ENDS
         graph.close()
     finally:
         graph.end_beside()
-        if graph.clock is not None:
-            graph.clock.set(0.0)
     if graph.struck_at is None:
         ended = trial.reaction == ENDS
-        trial.problems.append(f"the run ended before the fault: {graph.told[-1].sentence}" if ended else TOO_LATE)
+        trial.problems.append(f"the run ended before the fault: {graph.messages[-1].sentence}" if ended else TOO_LATE)
         return trial
     judge_words(trial, fault, graph)
     _judge_recording(trial, fault, graph, plain, again)
@@ -65,42 +62,42 @@ def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: Pa
 
 
 def judge_words(trial: Trial, fault: Fault, graph: Disturbed) -> None:
-    named = [told for told in graph.told if fault.names_it(told.sentence) and told.at >= graph.struck_at]
-    if fault.told and named:
+    named = [
+        message for message in graph.messages if fault.names_it(message.sentence) and message.at >= graph.struck_at
+    ]
+    if fault.named and named:
         trial.detected_s, trial.sentence = named[0].at - graph.struck_at, named[0].sentence
-    elif graph.told:
-        trial.sentence = graph.told[0].sentence
-    if fault.told and trial.detected_s is None:
-        trial.problems.append(f"not named; heard {[told.sentence for told in graph.told]}")
-    elif fault.told and trial.detected_s > TELL_WITHIN:
-        trial.problems.append(f"told after {trial.detected_s:.2f} s")
-    if fault.clock and graph.told:
-        trial.problems.append(f"has an effect: {graph.told[0].sentence}")
+    elif graph.messages:
+        trial.sentence = graph.messages[0].sentence
+    if fault.named and trial.detected_s is None:
+        trial.problems.append(f"not named; messages: {[message.sentence for message in graph.messages]}")
+    elif fault.named and trial.detected_s > NAMED_WITHIN:
+        trial.problems.append(f"reported after {trial.detected_s:.2f} s")
     if trial.reaction == ENDS:
-        trial.ended_s, trial.last_words = graph.told[-1].at - graph.struck_at, graph.told[-1].sentence
+        trial.ended_s, trial.last_message = graph.messages[-1].at - graph.struck_at, graph.messages[-1].sentence
     if trial.reaction != fault.reaction:
-        trial.problems.append(f"{trial.reaction}: {graph.told[-1].sentence if graph.told else 'nothing was told'}")
+        trial.problems.append(f"{trial.reaction}: {graph.messages[-1].sentence if graph.messages else 'no message'}")
 
 
 def _judge_recording(trial: Trial, fault: Fault, graph: Disturbed, plain: PassResult, again: bool) -> None:
     try:
         struck = graph.struck_wall_ns
-        found = read_back(graph.recording, plain, struck, struck - round(trial.after_s * 1e9), again)
+        recorded = read_back(graph.recording, plain, struck, struck - round(trial.after_s * 1e9), again)
     except MillingError as error:
         trial.problems.append(f"recording: {error}")
         return
     goes_on = fault.reaction == GOES_ON
-    trial.recording, trial.lost = found, found.short if goes_on else found.missing
+    trial.recording, trial.lost = recorded, recorded.short if goes_on else recorded.missing
     counted = goes_on and trial.lost > 0
-    if not found.same:
+    if not recorded.same:
         trial.problems.append("the recording differs from the undisturbed pass")
     # of a recorder that was killed before it closed its first chunk of the pass there is nothing to compare
-    due = "identical" if found.begun or not found.cut_off else "incomplete"
-    if again and found.verdict != due and not counted:
-        trial.problems.append(f"recomputed: {found.verdict}")
-    if goes_on and not found.complete and not any(NOT_COMPLETE in told.sentence for told in graph.told):
-        trial.problems.append("the recording does not hold the whole pass, and nobody said so")
-    if fault.reaction == ENDS and found.missing:
-        trial.problems.append(f"{found.missing} messages are missing before the fault")
-    if found.behind_s > KEPT:
-        trial.problems.append(f"the recording ends {found.behind_s:.2f} s before the fault")
+    due = "identical" if recorded.begun or not recorded.cut_off else "incomplete"
+    if again and recorded.verdict != due and not counted:
+        trial.problems.append(f"recomputed: {recorded.verdict}")
+    if goes_on and not recorded.complete and not any(NOT_COMPLETE in message.sentence for message in graph.messages):
+        trial.problems.append("the recording does not hold the whole pass, and no message reports it")
+    if fault.reaction == ENDS and recorded.missing:
+        trial.problems.append(f"{recorded.missing} messages are missing before the fault")
+    if recorded.behind_s > BEHIND:
+        trial.problems.append(f"the recording ends {recorded.behind_s:.2f} s before the fault")

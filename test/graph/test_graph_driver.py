@@ -31,9 +31,9 @@ def test_reports_of_another_process_under_our_name_are_ignored(ros_environment, 
         assert driver.status("recorder").message == "recording" and not driver.errors
         watchdog = Watchdog(set(), pytest.fail)
         with pytest.raises(AlreadyRunning, match="/recorder already runs"):
-            watchdog.look(driver, {"recorder": Alive()})
+            watchdog.check(driver, {"recorder": Alive()})
         watchdog.coming_up = False
-        watchdog.look(driver, {"recorder": Alive()})
+        watchdog.check(driver, {"recorder": Alive()})
 
 
 class Alive:

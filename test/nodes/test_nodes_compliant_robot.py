@@ -76,7 +76,7 @@ def test_robot_asks_again_before_the_start_for_as_long_as_it_takes(world, robot,
     robot.trigger_activate()
     world.until(lambda: len(partner.poses) >= 6, 10)  # longer than a pass under way would be waited for
     assert set(partner.poses) == {0}
-    assert not partner.told.said(NAME, "", ERROR)
+    assert not partner.told.reported(NAME, "", ERROR)
     partner.answering = True
     partner.told.until(NAME, "pass complete")
 
@@ -86,7 +86,7 @@ def test_robot_says_within_3_s_that_its_cut_is_silent(world, robot, short_cell):
     robot.trigger_activate()
     world.until(lambda: len(partner.poses) > 10)
     partner.answering = False
-    partner.told.until(NAME, "no wrench from the cutting process: asking again", WARN, deadline=1.5)
+    partner.told.until(NAME, "no wrench from the cutting process: repeating the tool pose", WARN, deadline=1.5)
     partner.told.until(NAME, "no wrench for 4 s; the cutting process is gone", ERROR, deadline=4.5)
     partner.answering = True
     count = len(partner.deflections)
@@ -101,7 +101,7 @@ def test_robot_says_at_once_that_its_cut_has_left(world, robot, short_cell):
     robot.trigger_activate()
     world.until(lambda: len(partner.poses) > 10)
     world.remove(partner.node)
-    watcher.until(NAME, "nobody publishes it any more", ERROR, deadline=1.5)
+    watcher.until(NAME, "its publisher is gone", ERROR, deadline=1.5)
 
 
 def test_pass_can_be_run_again_after_the_cut_was_restarted(world, robot, short_cell):

@@ -140,7 +140,7 @@ def test_robot_that_leaves_after_the_pass_is_no_fault(world, robot):
         robot.exchange(step)
     world.remove(robot.node)
     world.step(0.5)
-    assert not watcher.said(NAME, "", ERROR)
+    assert not watcher.reported(NAME, "", ERROR)
 
 
 def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, robot, cut):

@@ -75,9 +75,9 @@ class Loop:
             assert np.array_equal(got, expected), topic  # bit for bit, more than the 1e-12 that is asked for
 
 
-@pytest.mark.parametrize("iterations", [1, 2])
-def test_graph_in_one_process_gives_the_plain_loop_bit_for_bit(world, short_cell, tmp_path, iterations):
-    cell = short_cell.replace(exchange=short_cell.exchange.replace(iterations=iterations))
+def test_graph_in_one_process_gives_the_plain_loop_bit_for_bit(world, short_cell, tmp_path):
+    """With two iterations; the graph of processes has one (test_ros_graph)."""
+    cell = short_cell.replace(exchange=short_cell.exchange.replace(iterations=2))
     loop = Loop(world, cell, tmp_path)
     loop.start()
     plain = simulate(cell)
@@ -88,7 +88,7 @@ def test_graph_in_one_process_gives_the_plain_loop_bit_for_bit(world, short_cell
     assert not any(level == ERROR for _, level, _ in loop.told.all)
 
 
-@pytest.mark.parametrize("method", ["linear", "spline", "mirror", "learned"])
+@pytest.mark.parametrize("method", ["spline", "learned"])
 def test_every_method_revises_on_line_as_it_does_off_line(world, short_cell, tmp_path, method):
     from rclpy.parameter import Parameter
 
@@ -112,26 +112,13 @@ def test_every_method_revises_on_line_as_it_does_off_line(world, short_cell, tmp
     assert np.array_equal(next_reference.position, off_line.revise(record_of(short_cell, second.result)).position)
 
 
-def test_two_robots_in_two_namespaces_do_not_disturb_each_other(world, short_cell, tmp_path):
-    other = short_cell.replace(path=short_cell.path.replace(depth_of_cut=1e-3))
-    loops = []
-    for name, cell in (("one", short_cell), ("two", other)):
-        (tmp_path / name).mkdir()
-        loops.append(Loop(world, cell, tmp_path / name, f"/{name}"))
-    for loop in loops:
-        loop.start()
-    for loop, cell in zip(loops, (short_cell, other), strict=True):
-        loop.revised(1)
-        loop.matches(simulate(cell).result)
-
-
 def test_robot_restarted_in_mid_pass_is_told_by_the_cut_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
     loop = Loop(world, short_cell, tmp_path)
     loop.start()
     world.until(lambda: len(loop.series["wrench"]) > 20)
     world.remove(loop.robot)
     loop.told.until("/cutting_process", "the robot is gone in mid-pass", ERROR, deadline=3)
-    loop.told.until("/trajectory_compensator", "nobody publishes /tool_pose any more", ERROR, deadline=3)
+    loop.told.until("/trajectory_compensator", "/tool_pose has no publisher", ERROR, deadline=3)
     loop.robot = world.add(CompliantRobot, cell=short_cell, directory=tmp_path)
     loop.robot.trigger_configure()
     loop.robot.trigger_activate()

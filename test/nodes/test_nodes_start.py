@@ -28,7 +28,7 @@ NODE = [
     "config/paper.yaml",
 ]
 COMMAND = [sys.executable, "-m", "kr270_milling.cli", "simulate", "config/paper.yaml"]
-STARTS = 5
+STARTS = 3
 
 
 def started(command, environment) -> subprocess.Popen:
@@ -83,8 +83,10 @@ def test_node_in_the_background_of_a_script_obeys_sigterm(ros_environment, tmp_p
         assert process.wait(20) == 0
 
 
-@pytest.mark.parametrize("words", [["-p", "x"], ["--params-file", "nowhere.yaml"], ["--unknown"]])
-@pytest.mark.parametrize("program", ["compliant_robot", "milling_cell", "player"])
+@pytest.mark.parametrize(
+    "program, words",
+    [("compliant_robot", ["-p", "x"]), ("milling_cell", ["--params-file", "nowhere.yaml"]), ("player", ["--unknown"])],
+)
 def test_arguments_that_ros_refuses_are_told_in_a_sentence(ros_environment, program, words):
     command = [sys.executable, "-m", "kr270_milling.nodes", program, "--ros-args", *words]
     ended = subprocess.run(command, cwd=ROOT, env=ros_environment, capture_output=True, text=True, timeout=60)

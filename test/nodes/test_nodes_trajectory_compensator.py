@@ -140,7 +140,7 @@ def test_poses_that_stay_away_in_mid_pass_are_told_and_may_come_again(machine, r
     machine.play(ran, range(20))
     watcher.until(NAME, "no tool_pose for 2.6 s in mid-pass", WARN, deadline=3.2)
     machine.play(ran, range(20, 25))
-    watcher.until(NAME, "the pass goes on", OK)
+    watcher.until(NAME, "the pass continues", OK)
 
 
 def test_target_of_the_user_replaces_that_of_the_cell(machine, short_cell, world):

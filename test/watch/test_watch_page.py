@@ -21,7 +21,7 @@ pytestmark = made.needs_messages
 
 def events_of(messages) -> list[dict]:
     feed = Feed()
-    return [event for m in messages for event in feed.hear(m.topic, m.data) if m.topic in HEARD]
+    return [event for m in messages for event in feed.events(m.topic, m.data) if m.topic in HEARD]
 
 
 HEARD = ("reference_trajectory", "target_trajectory", "tool_pose", "wrench")
@@ -55,8 +55,8 @@ def test_a_second_pass_is_told_and_states_only_when_they_change():
     feed = Feed()
     status = {"level": 1, "name": "/robot", "message": "slow"}
     data = serialise("diagnostic_msgs/msg/DiagnosticArray", {"status": [status]})
-    assert len(list(feed.hear("diagnostics", data))) == 1
-    assert list(feed.hear("diagnostics", data)) == []
+    assert len(list(feed.events("diagnostics", data))) == 1
+    assert list(feed.events("diagnostics", data)) == []
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def test_who_comes_late_gets_everything_and_the_stream_ends_with_the_graph(serve
     events, port = served
     told = [{"kind": "pass", "number": 1, "duration_s": None}, {"kind": "end"}]
     for event in told:
-        events.tell(event)
+        events.add(event)
     _, body = answer(port, "/events", f"127.0.0.1:{port}")
     rows = [json.loads(line[6:]) for line in body.splitlines() if line.startswith("data: ")]
     assert rows == told
@@ -111,10 +111,10 @@ def test_the_page_grows_while_events_come_and_says_when_the_graph_is_closed(serv
         samples = [sum(e["kind"] == "sample" for e in part) for part in (found[:half], found)]
         for part, count in zip((found[:half], found[half:]), samples, strict=True):
             for event in part:
-                events.tell(event)
+                events.add(event)
             for visit in (wide, phone):
                 visit.page.wait_for_function("(n) => KR.watch.samples === n", arg=count)
-        events.tell({"kind": "end"})
+        events.add({"kind": "end"})
         for visit in (wide, phone):
             visit.page.wait_for_function("KR.watch.ended")
             drawn = visit.ask("() => document.getElementById('live_series').data.map((t) => t.y.length)")
