@@ -17,7 +17,7 @@ from kr270_milling.cell.jobs import simulate
 from kr270_milling.cell.sections import Workpiece
 from kr270_milling.commands.console import Answer, Table, cell_of
 from kr270_milling.commands.progress import progress
-from kr270_milling.cutting.tool import Tool
+from kr270_milling.cutting import LAWS, Tool
 from kr270_milling.identification import comparison, modes
 from kr270_milling.identification import forces as laws
 from kr270_milling.identification import plan as load_tests
@@ -109,13 +109,9 @@ def forces(args) -> Answer:
     turn = turn_of(args.sensor_abc)
     sensor = Sensor(args.topic, turn, args.sensor_on == "part", args.tare, args.sensor_mass_kg, down)
     cuts = read_cuts(find_file(args.cuts), tool, sensor)
-    fits = [laws.fit_linear_edge(cuts)]
-    try:
-        fits.append(laws.fit_fractional(cuts))
-    except laws.OneFeedError:
-        if args.law == "fractional":
-            raise
-    return _answer(args, laws.force_outcome(fits, args.law, Path(args.cuts).name))
+    if args.law not in LAWS:
+        raise InputError("--law", f"is {args.law}, must be one of {', '.join(LAWS)}")
+    return _answer(args, laws.force_outcome(laws.fit_all(cuts, args.law), args.law, Path(args.cuts).name))
 
 
 def _tool(args):

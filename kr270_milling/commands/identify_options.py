@@ -45,7 +45,7 @@ IDENTIFY = {
         option("--teeth", "of the tool, instead of the cell's", int),
         option("--diameter-mm", "of the tool, instead of the cell's", bounded(0, 1000)),
         option("--rotation", "instead of the cell's", choices=("clockwise", "counterclockwise")),
-        option("--law", "for the YAML file", default="linear_edge", choices=("linear_edge", "fractional")),
+        option("--law NAME", "for the YAML file, one of cutting.law", default="linear_edge"),
         Group("recordings of a sensor", (
             option("--topic", "of type geometry_msgs/WrenchStamped", default="wrench"),
             option("--spindle-speed-rpm", "instead of the cell's", bounded(0, 1e6)),

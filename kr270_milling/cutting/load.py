@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kr270_milling.cutting.compiled import inlined
-from kr270_milling.cutting.laws import axial_per_depth, force_per_depth
+from kr270_milling.cutting.force_law import call_law
 
 __all__ = ["load"]
 
@@ -18,10 +18,8 @@ def load(s, p, i, step, h, height):
     lag z / R micro-steps later: what the tool moves meanwhile is left out. A chip of height H is met over H lag / R
     micro-steps; each gets its share of the height, as a mean over its own duration and over that of this one.
     """
-    tangential, radial = force_per_depth(p.is_fractional, p.coefficients, h)
-    f_t, f_r, f_a = tangential * height, radial * height, 0.0
-    if p.axial:
-        f_a = axial_per_depth(p.is_fractional, p.coefficients, h) * height
+    tangential, radial, axial = call_law(p.law, h, p.coefficients)
+    f_t, f_r, f_a = tangential * height, radial * height, axial * height
     length = height * p.lag / p.radii[i]
     if length < SHORT:
         _add(s, p, i, step, step, f_t, f_r, f_a, 1.0, 0.5 * height)

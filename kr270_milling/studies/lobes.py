@@ -17,7 +17,6 @@ import numpy as np
 
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cutting.laws import axial_per_depth, force_per_depth
 from kr270_milling.decision.check_cut import engagement as engagement_along
 from kr270_milling.decision.part.course import course
 from kr270_milling.identification.cuts import engagement
@@ -31,7 +30,6 @@ DEPTHS = np.geomspace(1e-6, 0.1, 26)  #: [m], between which the first loss of st
 HALVINGS = 12  #: of such an interval, a factor of 1.6: to 0.01 % of the depth
 NODES = 40, 200  #: least and most nodes of a tooth period
 PER_PERIOD = 32  #: nodes in a period of the fastest mode
-SMALL_STEP = 1e-3  #: share of the chip thickness over which the force law is differentiated
 THREADS = 2
 PLACES = 5  #: of each feature
 CUTS = 1e-6  #: [m] of depth, less is rounding
@@ -132,16 +130,12 @@ def _frequency(modes: Modes, found: np.ndarray, delay: float) -> float:
 
 def _gradients(cell: Cell):
     """K_t, K_r, K_a [N/m^2] at the chip thickness f_z s: dF/dh per depth, by a central difference of the law."""
-    tool, cutting = cell.tool, cell.cutting
+    tool = cell.tool
     feed_per_tooth = 2.0 * np.pi * cell.feed_rate / (tool.spindle_speed * tool.teeth)
-    fractional, c = cutting.law == "fractional", cutting.coefficients
 
     def gradients(sine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         h = np.maximum(feed_per_tooth * sine, 1e-3 * feed_per_tooth)
-        step = SMALL_STEP * h
-        (t1, r1), (t0, r0) = force_per_depth(fractional, c, h + step), force_per_depth(fractional, c, h - step)
-        a1, a0 = axial_per_depth(fractional, c, h + step), axial_per_depth(fractional, c, h - step)
-        return (t1 - t0) / (2 * step), (r1 - r0) / (2 * step), (a1 - a0) / (2 * step)
+        return cell.cutting.active.slopes(h)
 
     return gradients
 

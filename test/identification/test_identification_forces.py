@@ -9,15 +9,12 @@ import numpy as np
 import pytest
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
+from kr270_milling.cutting import Cut, Cutting, FractionalLaw, LinearEdgeLaw, Stock, Tool
 from kr270_milling.identification.cuts import Cuts, Sensor, engagement, read_cuts
 from kr270_milling.identification.forces import (
     OneFeedError,
-    fit_fractional,
-    fit_linear_edge,
-    fractional_mean_forces,
+    fit,
     law_sections,
-    mean_forces,
 )
 
 TOOL = Tool(diameter=0.02, teeth=4, spindle_speed=8000 * 2 * math.pi / 60)
@@ -35,7 +32,7 @@ def cuts(mode="slot", width=0.02, feeds=FEEDS, tool=TOOL, depth=1e-3) -> Cuts:
 
 
 def measured(some: Cuts, values=TRUE, rng=None, sigma=0.0) -> Cuts:
-    force = mean_forces(some, values)
+    force = LinearEdgeLaw(*map(float, values)).mean_forces(some)
     return dataclasses.replace(some, force=force if rng is None else force + sigma * rng.normal(size=force.shape))
 
 
@@ -46,7 +43,9 @@ def test_slot_means_are_the_closed_forms():
     f, na = np.array(FEEDS), 4 * 1e-3
     f_x, f_y = -k_rc * f / 4 - k_re / np.pi, k_tc * f / 4 + k_te / np.pi
     f_z = k_ac * f / np.pi + k_ae / 2
-    assert mean_forces(cuts(), TRUE) == pytest.approx(na * np.stack([f_x, f_y, -f_z], -1), rel=1e-12)
+    assert LinearEdgeLaw(*map(float, TRUE)).mean_forces(cuts()) == pytest.approx(
+        na * np.stack([f_x, f_y, -f_z], -1), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(("mode", "width"), [("up", 0.01), ("down", 0.01), ("up", 0.005), ("down", 0.015)])
@@ -66,13 +65,13 @@ def test_means_of_partial_immersion_are_those_of_the_cut_itself(mode, width, rot
     for turn in range(60, 64):
         wrench = cut.sweep(at, at + [step, 0, 0], 360 * turn, 360)
         at = at + [step, 0.0, 0.0]
-    expected = mean_forces(cuts(mode, width, (0.1e-3,), tool), TRUE)[0]
+    expected = law.mean_forces(cuts(mode, width, (0.1e-3,), tool))[0]
     assert wrench[:3] == pytest.approx(expected, abs=0.015 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize(("mode", "width"), [("slot", 0.02), ("up", 0.01), ("down", 0.004)])
 def test_coefficients_are_found_exactly_without_noise(mode, width):
-    found = fit_linear_edge(measured(cuts(mode, width)))
+    found = fit("linear_edge", measured(cuts(mode, width)))
     assert found.values == pytest.approx(TRUE, rel=1e-9)
 
 
@@ -81,7 +80,7 @@ def test_intervals_cover_the_truth():
     rng = np.random.default_rng(5)
     hits = []
     for _ in range(300):
-        found = fit_linear_edge(measured(cuts("up", 0.012), rng=rng, sigma=2.0))
+        found = fit("linear_edge", measured(cuts("up", 0.012), rng=rng, sigma=2.0))
         hits.append(np.abs(found.values - TRUE) <= found.half_widths)
     assert 0.93 <= np.mean(hits) <= 0.97
 
@@ -89,14 +88,14 @@ def test_intervals_cover_the_truth():
 def test_without_axial_forces_the_axial_pair_is_not_told():
     some = measured(cuts())
     some.force[:, 2] = np.nan
-    found = fit_linear_edge(some)
+    found = fit("linear_edge", some)
     assert np.isnan(found.values[4:]).all() and found.values[:4] == pytest.approx(TRUE[:4])
 
 
 def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_says_so():
     some = measured(cuts())
     some.force[:, 2] *= -1.0
-    found = fit_linear_edge(some)
+    found = fit("linear_edge", some)
     assert found.values == pytest.approx(TRUE) and found.axial == 1.0
     sections = law_sections("linear_edge", found.values, found.half_widths, found.axial)
     assert sections["cutting"]["linear_edge"]["axial_cutting_n_per_mm2"][0] == pytest.approx(-222.0)
@@ -105,10 +104,10 @@ def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_says_s
 
 
 def test_one_feed_is_refused():
-    with pytest.raises(OneFeedError, match="at least two feeds"):
-        fit_linear_edge(measured(cuts(feeds=(0.1e-3,) * 5)))
-    with pytest.raises(OneFeedError, match="2 feeds"):
-        fit_fractional(measured(cuts(feeds=(0.1e-3, 0.2e-3))))
+    with pytest.raises(OneFeedError, match="at least 2 feeds"):
+        fit("linear_edge", measured(cuts(feeds=(0.1e-3,) * 5)))
+    with pytest.raises(OneFeedError, match="2 feeds per tooth"):
+        fit("fractional", measured(cuts(feeds=(0.1e-3, 0.2e-3))))
 
 
 def test_fractional_means_are_those_of_the_facts():
@@ -117,7 +116,7 @@ def test_fractional_means_are_those_of_the_facts():
     for mode, width, expected in (
         ("slot", 0.02, (-44.39, 147.98)), ("up", 0.01, (-78.268, 57.168)), ("down", 0.01, (33.874, 90.811)),
     ):  # fmt: skip
-        got = fractional_mean_forces(cuts(mode, width, (0.125e-3,)), paper)[0, :2]
+        got = FractionalLaw(*paper).mean_forces(cuts(mode, width, (0.125e-3,)))[0, :2]
         assert got == pytest.approx(expected, abs=5e-3)
 
 
@@ -125,12 +124,12 @@ def test_the_fractional_law_is_found_and_told_from_the_other():
     paper = np.array([5e6, 18e-6, 0.1, 0.3, 0.2])
     some = cuts(feeds=np.linspace(0.01e-3, 0.25e-3, 12))
     rng = np.random.default_rng(1)
-    force = fractional_mean_forces(some, paper) + 0.3 * rng.normal(size=(12, 3))
+    force = FractionalLaw(*paper).mean_forces(some) + 0.3 * rng.normal(size=(12, 3))
     some = dataclasses.replace(some, force=force)
-    found = fit_fractional(some)
+    found = fit("fractional", some)
     assert np.all(np.abs(found.values - paper) < 1.5 * found.half_widths)
     assert np.all(found.half_widths < 0.2 * paper)
-    assert found.lateral_rms < 0.5 * fit_linear_edge(some).lateral_rms
+    assert found.lateral_rms < 0.5 * fit("linear_edge", some).lateral_rms
 
 
 @pytest.mark.parametrize(
