@@ -56,6 +56,8 @@ class ForceLaw(Record):
     axial_names: ClassVar[tuple[str, ...]] = ()
     #: where a fit of the other coefficients starts [SI]; not needed where ``design`` has an answer
     start: ClassVar[tuple[float, ...]] = ()
+    #: lower and upper ends of the range in which the fit looks for each of these [SI]
+    searched: ClassVar[tuple[tuple[float, float], ...]] = ()
     least_feeds: ClassVar[int] = 2  #: different feeds per tooth that identify the coefficients
     symbol: ClassVar[str] = "diamond-open"  #: marker in charts
     caption: ClassVar[str] = ""  #: a sentence below the chart of the law

@@ -49,6 +49,7 @@ class FractionalLaw(ForceLaw):
     scattered = ("stiffness", "specific_chip_thickness", "radial_ratio")  # the ratio of the slopes is the law's shape
     axial_names = ("axial_ratio",)
     start = (5e6, 18e-6, 0.1, 0.3)  # [Klimchik2012]
+    searched = ((1e3, 1e9), (1e-7, 1e-2), (0.0, 1.0), (0.0, 10.0))
     least_feeds = 3
     symbol = "x-thin-open"
     caption = "Thin chips take more force for their size."

@@ -138,17 +138,17 @@ def _fit_curved(law: str, cuts: Cuts) -> LawFit:
     """Non-linear least squares from the start values of the law."""
     kind, start = LAWS[law], np.array(LAWS[law].start)
     axial = _axial_columns(kind)
-    fields = [spec for spec, is_axial in zip(specs(kind), axial, strict=True) if not is_axial]
     if cuts.feeds < kind.least_feeds or 2 * len(cuts) <= len(start):
         raise OneFeedError(cuts.feeds, len(cuts), kind.least_feeds)
-    lower = np.array([max(spec.low, spec.above) * spec.scale for spec in fields]) / start
-    upper = np.array([spec.high * spec.scale for spec in fields]) / start
+    lower, upper = np.array(kind.searched).T
 
     def residuals(x):
-        modelled = _with(kind, x * start).mean_forces(cuts)
+        modelled = _with(kind, np.clip(x * start, lower, upper)).mean_forces(cuts)
         return ((modelled - cuts.force)[:, :2] / cuts.sigma[:, None]).ravel()
 
-    solved = least_squares(residuals, np.ones(len(start)), bounds=(lower, upper), x_scale="jac", xtol=1e-12, ftol=1e-12)
+    solved = least_squares(
+        residuals, np.ones(len(start)), bounds=(lower / start, upper / start), x_scale="jac", xtol=1e-12, ftol=1e-12
+    )
     freedom = 2 * len(cuts) - len(start)
     variance = scatter(2 * solved.cost, freedom, cuts.sigma_known)
     quantile = half_interval(freedom, cuts.sigma_known)
@@ -157,7 +157,7 @@ def _fit_curved(law: str, cuts: Cuts) -> LawFit:
         inverse = (turned.T / np.where(singular > 1e-9 * singular[0], singular, 0.0) ** 2) @ turned
     values, widths = np.full(axial.size, np.nan), np.full(axial.size, np.nan)
     values[~axial] = solved.x * start
-    widths[~axial] = np.nan_to_num(quantile * np.sqrt(variance * np.diag(inverse)) * start, nan=np.inf)
+    widths[~axial] = np.nan_to_num(quantile * np.sqrt(variance * np.diag(inverse)) * start, nan=np.inf, posinf=np.inf)
     values[axial], widths[axial] = _fit_axial(kind, cuts, solved.x * start)
     modelled = kind(*(float(v) for v in np.nan_to_num(values))).mean_forces(cuts)
     return LawFit(law, cuts, values, widths, modelled)

@@ -32,3 +32,4 @@ class KienzleLaw(ForceLaw):
     force = staticmethod(_force)
     scattered = ("specific_force", "exponent", "radial_ratio")
     start = (1e9, 0.3, 0.3)
+    searched = ((1e7, 1e11), (0.0, 0.9), (0.0, 10.0))
