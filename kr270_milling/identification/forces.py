@@ -35,20 +35,20 @@ COLOURS = {"x": "#1f77b4", "y": "#d62728", "z": "#2ca02c"}
 
 
 class OneFeedError(MillingError):
-    """The cuts do not tell the coefficients apart."""
+    """The cuts do not identify the coefficients."""
 
     def __init__(self, feeds: int, cuts: int, least: int = 2):
         self.feeds, self.cuts = feeds, cuts
         what = "one feed per tooth" if feeds == 1 else f"{feeds} feeds per tooth"
         super().__init__(
-            f"{cuts} cuts at {what} do not tell the coefficients apart: the law needs at least {least} feeds, and "
+            f"{cuts} cuts at {what} do not identify the coefficients: the law needs at least {least} feeds, and "
             "tangential and radial coefficients two force components"
         )
 
 
 @dataclass(frozen=True, eq=False)
 class LawFit:
-    """What the cuts say of one force law; NaN: not measured, infinite half widths: the data cannot tell.
+    """Coefficients of one force law; NaN: not measured, infinite half widths: not identified.
 
     The coefficients have the order and the SI units of the law's record.
     """

@@ -1,6 +1,6 @@
 """Closed-form inverse kinematics of an arm with a spherical wrist, all branches, and along a path; compiled.
 
-Branch: shoulder (the wrist centre in front of axis 1 or behind it), elbow (bent down or up), wrist (sign of A5).
+Branch: shoulder (the wrist centre in front of axis 1 or at its back), elbow (bent down or up), wrist (sign of A5).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ __all__ = ["BRANCHES", "branches", "branches_at", "inverse_near", "lengths_of", 
 #: shoulder, elbow, wrist of the 8 branches, (8, 3)
 BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
 BRANCHES.setflags(write=False)
-STRAIGHT = 1e-12  #: sine of A5 below which the pose does not tell A4 from A6
+STRAIGHT = 1e-12  #: sine of A5 below which the pose determines only the sum of A4 and A6
 SLACK = 1e-12  #: [rad], of the joint limits: rounding
 TWO_PI = 2 * np.pi
 
@@ -35,7 +35,7 @@ def inverse_near(arm: Arm, mount: Mount, pose: Pose, near_q) -> np.ndarray:
     """The posture [rad], (..., 6), for every pose (...), nearest to a given one, whole turns included.
 
     near_q of the same batch as the poses: each pose takes the branch nearest to its own near_q. One near_q, (6,),
-    for a path of poses (n,): the branch nearest to it at the first pose is kept and followed without jumps; where the
+    for a path of poses (n,): the branch nearest to it at the first pose is followed without jumps; where the
     path leads through A5 = 0, A5 changes its sign rather than A4 jumping by 180 deg. Where A5 = 0, A4 stays as it was.
     Raises ReachError, SingularityError (wrist centre on axis 1), JointLimitError; a jump to another branch is never
     the answer to a limit.
@@ -132,15 +132,15 @@ def _reach(arm: Arm) -> tuple[float, float]:
 
 def _nearest(arm: Arm, mount: Mount, pose: Pose, near_q: np.ndarray) -> np.ndarray:
     """For each pose the branch with the least sum of squares of joint angles from near_q, (..., 6)."""
-    found, distance = branches(arm, mount, pose, near_q)
-    found = near_q[..., None, :] + _wrapped(found - near_q[..., None, :])
-    away = np.sum((found - near_q[..., None, :]) ** 2, -1)
+    every, distance = branches(arm, mount, pose, near_q)
+    every = near_q[..., None, :] + _wrapped(every - near_q[..., None, :])
+    away = np.sum((every - near_q[..., None, :]) ** 2, -1)
     out = np.argwhere(~np.isfinite(away).any(-1))
     if len(out):
         index = tuple(int(i) for i in out[0])
         raise ReachError(float(distance[index].min()), _reach(arm), index)
     best = np.argmin(np.where(np.isfinite(away), away, np.inf), -1)
-    q = np.take_along_axis(found, best[..., None, None], -2)[..., 0, :]
+    q = np.take_along_axis(every, best[..., None, None], -2)[..., 0, :]
     _check_shoulder(arm, mount, pose)
     return q
 
@@ -161,8 +161,8 @@ def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
     _check_shoulder(arm, mount, path)
     row = _row_of(arm, first)
     unknown = np.full((len(path.position), 6), np.nan)  # no A4 where A5 = 0
-    found, distance = branches(arm, mount, path, unknown)
-    q = found[:, row]
+    every, distance = branches(arm, mount, path, unknown)
+    q = every[:, row]
     lost = np.flatnonzero(~np.isfinite(q[:, :3]).all(-1))
     if len(lost):
         raise ReachError(float(distance[lost[0], row]), _reach(arm), (int(lost[0]),))

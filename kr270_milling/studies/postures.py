@@ -20,7 +20,7 @@ _slope = njit(cache=True, nogil=True)(moment_slope)
 
 
 def postures(arm: Arm, mount: Mount, place: Pose, force: np.ndarray, gravity: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Joint angles [rad], (k, 8, 6), in the order of ``robot.inverse.BRANCHES``, and how far the tool gives way.
+    """Joint angles [rad], (k, 8, 6), in the order of ``robot.inverse.BRANCHES``, and the deflection of the tool.
 
     place: of tool0 on base_link, (k,); force: on the tool, base axes [N], (k, 3). The second is C F [m], (k, 8, 3),
     with C = J diag(c) J^T of the translations; where gravity is on, c of joint 2 has the gravity compensator's share,
@@ -109,7 +109,7 @@ def along_path(arm: Arm, q: np.ndarray, way: np.ndarray, feed: np.ndarray, size:
     """Measures of paths of m places, each (n, 8): within the limits, and (n, 8, 4): see below; q is unwrapped in place.
 
     q, way: (n, m, 8, 6) and (n, m, 8, 3) of ``postures``; feed: unit vectors (n, m, 3); size: of the force [N], (n, m),
-    0 where nothing is cut: such a place counts for reach and limits alone. margin [rad]: kept to each limit.
+    0 where nothing is cut: such a place counts for reach and limits alone. margin [rad]: distance to each limit.
     The four are the least of ``robot.singularity_measures``, the largest compliance in the direction of the force
     [m/N], the largest and the mean part of ``way`` across the feed [m]. NaN where a place is out of reach.
     """
