@@ -29,11 +29,24 @@ SLOPE_STEP = 1e-3  #: share of the chip thickness over which a law is differenti
 class Cuts(Protocol):
     """n cuts at constant feed and depth with one tool; ``identification.cuts`` has the record."""
 
-    tool: Tool
-    feed_per_tooth: np.ndarray  #: [m], (n,)
-    depth: np.ndarray  #: [m], (n,)
-    entry: np.ndarray  #: angle of a tooth where its chip begins [rad], (n,), from the feed, in the sense of rotation
-    exit: np.ndarray  #: angle where the chip ends [rad], (n,)
+    @property
+    def tool(self) -> Tool: ...
+
+    @property
+    def feed_per_tooth(self) -> np.ndarray:
+        """[m], (n,)."""
+
+    @property
+    def depth(self) -> np.ndarray:
+        """[m], (n,)."""
+
+    @property
+    def entry(self) -> np.ndarray:
+        """Angle of a tooth where the chip begins [rad], (n,), from the feed, in the sense of rotation."""
+
+    @property
+    def exit(self) -> np.ndarray:
+        """Angle where the chip ends [rad], (n,)."""
 
 
 class Line(NamedTuple):
@@ -74,7 +87,7 @@ class ForceLaw(Record):
 
     @classmethod
     def address(cls) -> int:
-        """Where the compiled ``force`` is in the memory of this process; see ``call_law``."""
+        """Where the compiled ``force`` is in the memory of this process; see ``_call_law``."""
         return _compiled(cls.force).address
 
     def per_depth(self, h) -> tuple:
@@ -134,8 +147,7 @@ def _compiled(force: Callable):
     return cfunc(SIGNATURE, cache=True, error_model="numpy")(force)
 
 
-@intrinsic
-def call_law(typing_context, address, h, coefficients):
+def _call_law(typing_context, address, h, coefficients):
     """Call the law at an address (int64): h [m] and coefficients (p,) -> F_t, F_r, F_a per depth of cut [N/m].
 
     The address is a number, so one compilation of the sweep serves every law. Numba's own function type costs 130 us a
@@ -151,6 +163,9 @@ def call_law(typing_context, address, h, coefficients):
         return context.call_function_pointer(builder, target, [h, builder.bitcast(data, pointer)])
 
     return FORCES(types.int64, types.float64, coefficients), codegen
+
+
+call_law: Callable = intrinsic(_call_law)
 
 
 @njit(cache=True)

@@ -9,8 +9,10 @@ version of llvmlite cannot build them (it lacks these arguments before 0.44), th
 from collections.abc import Callable
 
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.extending import intrinsic
+
+from kr270_milling.cutting.compiled import inlined
 
 __all__ = ["LANES", "build_lanes", "lower_lanes", "lower_one_by_one", "lowering"]
 
@@ -52,7 +54,7 @@ def _lower_lanes(typing_context, pool, start, log, place, count, level):
     return types.void(pool, types.uint64, log, types.uint64, types.uint16, types.uint16), codegen
 
 
-@njit(cache=True, error_model="numpy", _nrt=False, forceinline=True)
+@inlined
 def lower_one_by_one(pool, start, log, place, count, level):
     """The same as ``_lower_lanes`` in a plain loop, of the counted nodes alone."""
     for n in range(count):

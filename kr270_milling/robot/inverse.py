@@ -70,8 +70,8 @@ def branches(arm: Arm, mount: Mount, pose: Pose, near_q) -> tuple[np.ndarray, np
     rotation = np.broadcast_to(flange.rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
     near_a4 = np.broadcast_to(near_q[..., 3], shape).reshape(-1)
     q, distance = np.full((len(position), 8, 6), np.nan), np.empty((len(position), 8))
-    lengths = lengths_of(arm)
-    _fill(lengths, *map(np.ascontiguousarray, (position, rotation, near_a4)), q, distance)
+    position, rotation, near_a4 = map(np.ascontiguousarray, (position, rotation, near_a4))
+    _fill(lengths_of(arm), position, rotation, near_a4, q, distance)
     return q.reshape(*shape, 8, 6), distance.reshape(*shape, 8)
 
 
