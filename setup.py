@@ -31,7 +31,7 @@ setup(
     install_requires=[
         "numpy>=1.24",
         "scipy>=1.10",
-        "numba>=0.59",
+        "numba>=0.59,<0.69",
         "mcap>=1.6",
         "rosbags>=0.11",
         "PyYAML>=6.0",

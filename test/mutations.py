@@ -16,7 +16,8 @@ from pathlib import Path
 
 TOP = Path(__file__).resolve().parents[1]
 LOADS, BALANCE = "robot/loads.py", "robot/elastostatics.py"
-MASS, LAWS, SWEEP = "robot/mass.py", "cutting/laws.py", "cutting/sweep.py"
+MASS, SWEEP = "robot/mass.py", "cutting/sweep.py"
+FRACTIONAL, EDGE = "cutting/fractional.py", "cutting/linear_edge.py"
 LOAD = "cutting/load.py"
 MOTION, MIRROR, REVISION = "simulation/dynamics.py", "compensation/mirror.py", "compensation/revision.py"
 MEASURED = "simulation/arm_model.py"
@@ -28,7 +29,8 @@ TESTS = {
     BALANCE: ["robot_equilibrium", "robot_elastostatics"],
     MASS: ["robot_mass", "robot_rigid_mass"],
     MEASURED: ["simulation_measured_modes"],
-    LAWS: ["cutting_laws", "cutting_force"],
+    FRACTIONAL: ["cutting_laws", "cutting_force"],
+    EDGE: ["cutting_laws", "cutting_force"],
     SWEEP: ["cutting_force", "cutting_cut", "cutting_wrench"],
     LOAD: ["cutting_force", "cutting_wrench"],
     MOTION: ["simulation_dynamics", "simulation_arm_model", "simulation_reference_inertia"],
@@ -107,19 +109,19 @@ MUTATIONS = [
     ("measured modes", MEASURED, "damping=<<measured.damping_ratio|0 * measured.damping_ratio>>"),
     ("measured modes", MEASURED, "frequency=<<2|1>> * np.pi *"),
     ("measured modes", MEASURED, "np.linalg.pinv(<<weight[:, None] * |>>shapes)"),
-    ("(26)", LAWS, "(u <<+|->> r * u * u) / (1.0 + u)"),
-    ("(26)", LAWS, "(u + r * u * u) / (1.0 <<+|->> u)"),
-    ("(26) reading", LAWS, "READING_DEPTH = <<1e-3|1.0>>"),
-    ("(27)", LAWS, "u = <<np.maximum(h, 0.0)|h>> / h_s"),
-    ("(27) linear edge", LAWS, "k_e * (h <<>|>=>> 0.0)"),
-    ("(28)", LAWS, "return tangential, <<c|-c>>[3] * tangential"),
+    ("(26)", FRACTIONAL, "(u <<+|->> r * u * u) / (1.0 + u)"),
+    ("(26)", FRACTIONAL, "(u + r * u * u) / (1.0 <<+|->> u)"),
+    ("(26) reading", FRACTIONAL, "READING_DEPTH = <<1e-3|1.0>>"),
+    ("(27)", FRACTIONAL, "u = <<np.maximum(h, 0.0)|h>> / h_s"),
+    ("(27) linear edge", EDGE, "k_e * (h <<>|>=>> 0.0)"),
+    ("(28)", FRACTIONAL, "return tangential, <<c|-c>>[3] * tangential"),
     ("(29) F_x, F_r", LOAD, "force_x = share * (<<-|+>>f_r * c"),
     ("(29) F_x, F_t", LOAD, "-f_r * c <<+|->> p.sense * f_t * d"),
     ("(29) F_y, F_r", LOAD, "force_y = share * (<<-|+>>f_r * d"),
     ("(29) F_y, F_t", LOAD, "-f_r * d <<-|+>> p.sense * f_t * c"),
     ("axial force", LOAD, "force_z = <<-|>>share * f_a"),
-    ("axial law", LAWS, "return linear_edge(h, c[<<4|2>>], c[5])"),
-    ("axial law", LAWS, "return c[4] <<*|+>> fractional"),
+    ("axial law", EDGE, "linear_edge(h, c[<<4|2>>], c[5])"),
+    ("axial law", FRACTIONAL, "c[4] <<*|+>> tangential"),
     ("M_x", LOAD, "d * force_z <<-|+>> z * force_y"),
     ("M_y", LOAD, "now[4] += z * force_x <<-|+>> p.radii[i] * c * force_z"),
     ("M_z, reaction", SWEEP, "wrench[5] = <<-|>>p.sense * (sum_torque / n)"),

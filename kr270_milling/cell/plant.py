@@ -4,22 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from kr270_milling.base.record import Record
 from kr270_milling.cell.cell import Cell
 from kr270_milling.robot import jacobian
 from kr270_milling.simulation.imperfections import Imperfections, play
 from kr270_milling.simulation.milling_pass import PassResult, run_pass
 from kr270_milling.trajectory.trajectory import Trajectory
 
-__all__ = ["SCATTERED", "SCATTERED_AXIAL", "Plant", "imperfect_course", "perturbed"]
-
-#: what scatters of each force law; the ratio of the slopes of the fractional one shapes it and is left alone
-SCATTERED = {
-    "fractional": ("stiffness", "specific_chip_thickness", "radial_ratio"),
-    "linear_edge": ("tangential_cutting", "tangential_edge", "radial_cutting", "radial_edge"),
-}
-#: and what scatters beside them where there is an axial force
-SCATTERED_AXIAL = {"fractional": ("axial_ratio",), "linear_edge": ("axial_cutting", "axial_edge")}
+__all__ = ["Plant", "imperfect_course", "perturbed"]
 
 
 class Plant:
@@ -78,17 +69,16 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     deviations. The imperfections are drawn evenly from none to what the uncertainties say, the backlash of all joints
     alike.
     """
-    how, law = cell.uncertainty, cell.cutting.law
+    how, law = cell.uncertainty, cell.cutting.active
 
     def factors(spread: np.ndarray) -> np.ndarray:
         return np.exp(np.sqrt(np.log1p(spread**2)) * rng.standard_normal(spread.size))
 
     compliance = cell.arm.joint_compliance * factors(how.of_compliances())
-    axial = SCATTERED_AXIAL[law] if cell.cutting.axial else ()
-    names = (*SCATTERED[law], *axial)
-    coefficients: Record = getattr(cell.cutting, law)
+    axial = law.axial_names if law.axial else ()
+    names = (*law.scattered, *axial)
     scattered = zip(names, factors(how.of_coefficients(len(names), len(axial))), strict=True)
-    coefficients = coefficients.replace(**{name: float(getattr(coefficients, name) * f) for name, f in scattered})
+    law = law.replace(**{name: float(getattr(law, name) * f) for name, f in scattered})
     damping = min(0.9, cell.dynamics.damping_ratio * float(factors(np.array([how.damping_ratio]))[0]))
     frequency = float(factors(np.array([how.frequency]))[0])
     moved = bool(rng.random() < how.reference_inertia)
@@ -97,7 +87,7 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     return cell.replace(
         arm=cell.arm.replace(joint_compliance=compliance, link_mass=cell.arm.link_mass / frequency**2),
         mount=cell.mount.replace(mass=cell.mount.mass / frequency**2),
-        cutting=cell.cutting.replace(**{law: coefficients}),
+        cutting=cell.cutting.replace(**{cell.cutting.law: law}),
         dynamics=cell.dynamics.replace(damping_ratio=damping, reference_inertia=moved),
         imperfections=Imperfections(noise, repeatability, np.full(6, backlash), int(rng.integers(2**31))),
         stock=cell.stock.replace(min=cell.stock.min + shift, max=cell.stock.max + shift),

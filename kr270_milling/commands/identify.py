@@ -59,7 +59,7 @@ COMMANDS = {
                 option("--teeth", "of the tool, instead of the cell's", int),
                 option("--diameter-mm", "of the tool, instead of the cell's", bounded(0, 1000)),
                 option("--rotation", "instead of the cell's", choices=("clockwise", "counterclockwise")),
-                option("--law", "for the YAML file", default="linear_edge", choices=("linear_edge", "fractional")),
+                option("--law NAME", "for the YAML file, one of cutting.law", default="linear_edge"),
                 Group("recordings of a sensor", (
                     option("--topic", "of type geometry_msgs/WrenchStamped", default="wrench"),
                     option("--spindle-speed-rpm", "instead of the cell's", bounded(0, 1e6)),
@@ -174,6 +174,7 @@ def _plan(args, arm, mount, pose) -> Answer:
 
 def forces(args) -> Answer:
     """Identify force coefficients from mean forces of cuts."""
+    from kr270_milling.cutting import LAWS
     from kr270_milling.identification import forces as laws
     from kr270_milling.identification.cuts import Sensor, read_cuts, turn_of
     from kr270_milling.report.identification.forces import force_outcome
@@ -182,13 +183,9 @@ def forces(args) -> Answer:
     turn = turn_of(args.sensor_abc)
     sensor = Sensor(args.topic, turn, args.sensor_on == "part", args.tare, args.sensor_mass_kg, down)
     cuts = read_cuts(find_file(args.cuts), tool, sensor)
-    fits = [laws.fit_linear_edge(cuts)]
-    try:
-        fits.append(laws.fit_fractional(cuts))
-    except laws.OneFeedError:
-        if args.law == "fractional":
-            raise
-    return _answer(args, force_outcome(fits, args.law, Path(args.cuts).name))
+    if args.law not in LAWS:
+        raise InputError("--law", f"is {args.law}, must be one of {', '.join(LAWS)}")
+    return _answer(args, force_outcome(laws.fit_all(cuts, args.law), args.law, Path(args.cuts).name))
 
 
 def _tool(args):

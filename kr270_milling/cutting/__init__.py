@@ -1,22 +1,17 @@
 """The cut: tool, force laws, workpiece grid, sweep of the teeth [Klimchik2012, section 4]."""
 
 from kr270_milling.cutting.cut import Cut, SweepError, UndoError
+from kr270_milling.cutting.force_law import ForceLaw
+from kr270_milling.cutting.fractional import KLIMCHIK2012, FractionalLaw, fractional
 from kr270_milling.cutting.grid import GridError, Stock
-from kr270_milling.cutting.laws import (
-    AL7075_T6,
-    KLIMCHIK2012,
-    Cutting,
-    FractionalLaw,
-    LinearEdgeLaw,
-    fractional,
-    linear_edge,
-)
+from kr270_milling.cutting.laws import LAWS, Cutting
+from kr270_milling.cutting.linear_edge import AL7075_T6, LinearEdgeLaw, linear_edge
 from kr270_milling.cutting.state import Params, State, make_params, make_state
 from kr270_milling.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.cutting.tool import Tool
 
 __all__ = [
-    "AL7075_T6", "KLIMCHIK2012", "Cut", "SweepError", "UndoError", "GridError", "Stock", "Cutting", "FractionalLaw",
-    "LinearEdgeLaw", "fractional", "linear_edge", "Params", "State", "make_params", "make_state", "NO_FORCES", "sweep",
-    "undo", "Tool",
+    "AL7075_T6", "KLIMCHIK2012", "LAWS", "Cut", "ForceLaw", "SweepError", "UndoError", "GridError", "Stock", "Cutting",
+    "FractionalLaw", "LinearEdgeLaw", "fractional", "linear_edge", "Params", "State", "make_params", "make_state",
+    "NO_FORCES", "sweep", "undo", "Tool",
 ]  # fmt: skip

@@ -1,6 +1,6 @@
 """Clearing of grid nodes: a run of nodes in one column, the sector of one tooth, any quadrilateral (compiled).
 
-Lengths here are in node distances and node (i, j) stands at (i, j). Intervals are closed and SLACK wider than
+Lengths here are in node distances and node (i, j) is at (i, j). Intervals are closed and SLACK wider than
 computed: a node on the line between two sectors belongs to both and is cleared, and counted, by the first.
 """
 

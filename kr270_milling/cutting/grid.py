@@ -1,6 +1,6 @@
-"""The workpiece: how deep each node of a grid has been cut, kept in tiles where the tool has been (Figs. 5, 6).
+"""The workpiece: depth of cut at each node of a grid, stored in tiles where the tool has been (Figs. 5, 6).
 
-A node stands for one cell of ``grid_step`` squared, at the cell's middle. It holds the depth removed below the
+A node represents one cell of ``grid_step`` squared, at the cell's middle. The node stores the depth removed below the
 stock's top in levels of thickness / 65535 (0: untouched). With the tool at one height this is the paper's 1/0 grid.
 """
 

@@ -1,9 +1,9 @@
-"""What a chip does to the tool (29): force, and moment about its tip, also where a helix makes edges lag; compiled."""
+"""Force and moment of a chip on the tool (29), also where a helix makes edges lag; compiled."""
 
 from __future__ import annotations
 
 from kr270_milling.cutting.compiled import inlined
-from kr270_milling.cutting.laws import axial_per_depth, force_per_depth
+from kr270_milling.cutting.force_law import call_law
 
 __all__ = ["load"]
 
@@ -12,16 +12,14 @@ SHORT = 1e-6  # [micro-steps]: a shorter lag changes the shares by less than its
 
 @inlined
 def load(s, p, i, step, h, height):
-    """Add the load of a chip of tooth i to the micro-steps in which its edge meets it; h, height [m].
+    """Add the load of a chip of tooth i to the micro-steps in which the edge cuts the chip; h, height [m].
 
-    The tip meets it in this micro-step. At z above the tip the edge comes to the same place, and so to the same chip,
-    lag z / R micro-steps later: what the tool moves meanwhile is left out. A chip of height H is met over H lag / R
-    micro-steps; each gets its share of the height, as a mean over its own duration and over that of this one.
+    The tip cuts the chip in this micro-step. At z above the tip the edge reaches the same place, and so the same chip,
+    lag z / R micro-steps later; the motion of the tool in between is neglected. A chip of height H is cut over
+    H lag / R micro-steps; each gets a share of the height: the mean over that micro-step and over this one.
     """
-    tangential, radial = force_per_depth(p.is_fractional, p.coefficients, h)
-    f_t, f_r, f_a = tangential * height, radial * height, 0.0
-    if p.axial:
-        f_a = axial_per_depth(p.is_fractional, p.coefficients, h) * height
+    tangential, radial, axial = call_law(p.law, h, p.coefficients)
+    f_t, f_r, f_a = tangential * height, radial * height, axial * height
     length = height * p.lag / p.radii[i]
     if length < SHORT:
         _add(s, p, i, step, step, f_t, f_r, f_a, 1.0, 0.5 * height)
@@ -35,7 +33,11 @@ def load(s, p, i, step, h, height):
 
 @inlined
 def _add(s, p, i, step, when, f_t, f_r, f_a, share, z):
-    """Add a share of the forces, met at z [m] above the tip where tooth i stood in the middle of ``step``."""
+    """Add a share of the forces at z [m] above the tip, where tooth i was in the middle of ``step``.
+
+    F_x = sum(-F_r cos(phi) + F_t sin(phi)), F_y = sum(F_r sin(phi) + F_t cos(phi))   (29) [Klimchik2012], clockwise
+    with the tooth at (cos(phi), -sin(phi)); M = r x F with r = (R c, R d, z), torque = F_t R.
+    """
     c, d = p.middles[i, step % p.steps, 0], p.middles[i, step % p.steps, 1]
     force_x = share * (-f_r * c + p.sense * f_t * d)  # (29): -F_r along the tooth, -F_t along its motion
     force_y = share * (-f_r * d - p.sense * f_t * c)

@@ -56,9 +56,8 @@ class Params(NamedTuple):
     level_step: float
     tolerance: int  # levels that the tool may sink before its footprint is swept again
     window: int  # micro-steps within which some tooth passes any point that the tool covers
-    is_fractional: bool
-    coefficients: np.ndarray  # (6,)
-    axial: bool  # whether the coefficients hold an axial force
+    law: int  # address of the compiled force law in this process, see ``force_law.call_law``
+    coefficients: np.ndarray  # of the law [SI], (p,)
     nominal: bool  # whether the angle of a tooth is that of the spindle alone
     moments: bool  # whether forces turn the tool about its tip
     lag: float  # tan(helix) per micro-step of spindle angle: an edge lags lag z / R micro-steps at z above the tip
@@ -110,9 +109,8 @@ def make_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -
         level_step=stock.level_step,
         tolerance=int(stock.floor_tolerance / stock.level_step),
         window=int(pitch_steps.max()) + int(0.126 / micro_step) + 6,
-        is_fractional=cutting.law == "fractional",
+        law=cutting.active.address(),
         coefficients=cutting.coefficients,
-        axial=cutting.axial,
         nominal=cutting.chip_angle == "nominal",
         moments=cutting.moments,
         lag=math.tan(tool.helix) / micro_step,

@@ -1,4 +1,4 @@
-"""The cutter: where its teeth stand, how far they reach, which way and how fast they turn."""
+"""The cutter: angles and radii of the teeth, sense and speed of rotation."""
 
 from __future__ import annotations
 
@@ -109,5 +109,5 @@ class Tool(Record):
 
     @property
     def sense(self) -> float:
-        """+1 counterclockwise, -1 clockwise: a tooth at phi stands at (cos phi, sense * sin phi)."""
+        """+1 counterclockwise, -1 clockwise: a tooth at phi is at (cos phi, sense * sin phi)."""
         return 1.0 if self.rotation == "counterclockwise" else -1.0

@@ -45,19 +45,14 @@ def mode_frequencies(cell: Cell) -> dict[str, np.ndarray]:
 
 def assumptions(cell: Cell, paper: bool) -> list[Assumption]:
     """The rows that hold for this cell; with ``paper`` also those about the paper's text and Table 2."""
-    rows: list[Assumption] = []
     passing = cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth
-    per_tooth, law = cell.feed_rate / passing, cell.cutting.fractional
-    u = per_tooth / law.specific_chip_thickness
+    rows = [Assumption(*texts) for texts in cell.cutting.active.assumptions(cell.feed_rate / passing)]
     modes = mode_frequencies(cell).items()
     jinja2.Template(TEXT.read_text(encoding="utf-8"), undefined=jinja2.StrictUndefined).render(
         row=lambda *texts: rows.append(Assumption(*map(str, texts))),
         cell=cell,
         paper=paper,
         passing=passing,
-        per_tooth=per_tooth,
-        force=float(cell.cutting.force_per_depth(per_tooth)[0]) * 1e-3,
-        printed=law.stiffness * (u + law.ratio * u * u) / (1 + u) * 1e-6,  # (26) to the letter, [kN] for 1 mm of depth
         helix=np.degrees(cell.tool.helix),
         micro_step=np.degrees(cell.exchange.micro_step),
         modes="; ".join(f"{name}: {', '.join(f'{f:.2f}' for f in hz[:3])} Hz" for name, hz in modes),

@@ -49,7 +49,7 @@ def force_law(cell: Cell, depth_of_cut: float) -> Chart:
     """F_c(h) of one tooth at depth_of_cut [m], Fig. 3; the feed per tooth is marked."""
     cutting, feed_per_tooth = cell.cutting, cell.feed_rate * 2 * np.pi / cell.tool.spindle_speed / cell.tool.teeth
     h = np.linspace(0.0, 1.3 * feed_per_tooth, 200)
-    h[0] = 1e-9  # the edge forces of the linear-edge law begin with contact
+    h[0] = 1e-9  # edge forces begin with contact
     tangential, radial = cutting.force_per_depth(h)
     micrometres = h * 1e6
     curves = [
@@ -61,14 +61,12 @@ def force_law(cell: Cell, depth_of_cut: float) -> Chart:
         f"Force against uncut chip thickness h at a depth of cut of {depth_of_cut * 1e3:.4g} mm. A full chip is as "
         f"thick as the feed per tooth, {feed_per_tooth * 1e6:.0f} µm."
     )
-    if cutting.law == "fractional":
-        law = cutting.fractional
-        per_metre = law.stiffness * depth_of_cut * 1e3  # k_0 is per millimetre of depth
-        far = law.ratio * h + (1 - law.ratio) * law.specific_chip_thickness
-        curves.append(Curve("slope k_0 at h = 0", micrometres, per_metre * h, 1, "dash"))
-        curves.append(Curve("asymptote, slope k_∞ = r k_0", micrometres, per_metre * far, 3, "dash"))
-        uprights.append((law.specific_chip_thickness * 1e6, "h_s"))
-        caption += " Thin chips take more force for their size."
+    law = cutting.active
+    curves += [
+        Curve(line.name, micrometres, line.per_depth * depth_of_cut, line.colour, "dash") for line in law.lines(h)
+    ]
+    uprights += [(thickness * 1e6, name) for thickness, name in law.marks()]
+    caption = f"{caption} {law.caption}".rstrip()
     top = 1.08 * float(np.max(tangential)) * depth_of_cut
     panel = Panel(
         "uncut chip thickness h [µm]", "force of one tooth [N]", curves, x_range=(0.0, float(micrometres[-1])),

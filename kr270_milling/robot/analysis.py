@@ -33,8 +33,8 @@ def read_arm(path) -> tuple[Arm, Mount]:
     tree = read_tree(path)
     if "workpiece" in tree:  # a cell: its other sections are not read here
         tree = {key: tree[key] for key in ("arm", "mount") if key in tree}
-    found = build(ArmFile, tree, path)
-    return found.arm, found.mount
+    file = build(ArmFile, tree, path)
+    return file.arm, file.mount
 
 
 def analyse(arm: Arm, mount: Mount, q, wrench, frame: str = "base", gravity: bool = False) -> dict:
@@ -63,7 +63,7 @@ def analyse(arm: Arm, mount: Mount, q, wrench, frame: str = "base", gravity: boo
         "compliance": rotate_matrix(soft, turn).tolist(),
         "deflection": (both @ np.concatenate([shift, tilt])).tolist(),
         "joint_deflection_rad": loaded.theta.tolist(),
-        "mode_frequencies_hz": {m: found.tolist() for m, found in modes.items()},
+        "mode_frequencies_hz": {m: frequencies.tolist() for m, frequencies in modes.items()},
         "condition_number": condition,
         "warnings": _warnings(arm, mount, np.asarray(q, float), start.position),
     }
@@ -72,12 +72,12 @@ def analyse(arm: Arm, mount: Mount, q, wrench, frame: str = "base", gravity: boo
 def _warnings(arm: Arm, mount: Mount, q: np.ndarray, tip: np.ndarray) -> list[str]:
     """What no robot on its floor does: joints beyond their limits, the tool point or the wrist below the floor."""
     beyond = np.flatnonzero((q > arm.joint_upper + 1e-9) | (q < arm.joint_lower - 1e-9))
-    found = [
+    findings = [
         f"axis {k + 1} at {np.degrees(q[k]):.4g} deg is outside its limits, {np.degrees(arm.joint_lower[k]):.4g} to "
         f"{np.degrees(arm.joint_upper[k]):.4g} deg"
         for k in beyond.tolist()
     ]
     wrist = pose(arm, BARE, q)
     heights = {"tool point": tip[2], "flange": wrist.position[2]}
-    found += [f"the {name} is {-1e3 * z:.4g} mm below the floor" for name, z in heights.items() if z < 0.0]
-    return found
+    findings += [f"the {name} is {-1e3 * z:.4g} mm below the floor" for name, z in heights.items() if z < 0.0]
+    return findings

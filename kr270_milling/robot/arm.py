@@ -42,7 +42,7 @@ class Compensator(Record):
     With the joint's own spring K_2 this is the posture-dependent spring K_2 - dM_c/dq2 of [Klimchik2013b]: with
     a = |A|, psi the angle at axis 2 between A and B, and eta = (s_0/s) (a L sin(psi)^2 / s^2 - cos(psi)) + cos(psi),
     the equivalent spring of joint 2 is K_2 + k a L eta. The free length follows from the force F_0 that pulls in the
-    spring where the upper arm stands upright (q2 = -90 deg), its preload: s_0 = s(-90 deg) - F_0 / k.
+    spring where the upper arm is upright (q2 = -90 deg), its preload: s_0 = s(-90 deg) - F_0 / k.
     """
 
     stiffness: float = parameter(0.0, unit="n_per_mm", low=0.0, high=1e5, text="k of the spring; 0: no compensator")

@@ -1,6 +1,6 @@
 """Elastostatics of [Klimchik2012]: the loaded equilibrium (7)-(10) and its Cartesian stiffness (11)-(17).
 
-One virtual spring per joint: the links stand at q + theta when the controller holds q. Base_link axes, tool point.
+One virtual spring per joint: the links are at q + theta when the motors are at q. Base_link axes, tool point.
 """
 
 from __future__ import annotations
@@ -129,10 +129,10 @@ def _stable(arm: Arm, hessian: np.ndarray) -> np.ndarray:
 
 def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
     """(theta, residual, iterations) of one posture, (6,), its load raised from nothing in adaptive steps."""
-    theta, held, step, count = np.zeros((1, 6)), 0.0, 0.25, 0
+    theta, carried, step, count = np.zeros((1, 6)), 0.0, 0.25, 0
     residual = np.inf
-    while held < 1.0:
-        share = min(1.0, held + step)
+    while carried < 1.0:
+        share = min(1.0, carried + step)
         part = loads.part(share)
         trial, left, steps, frames = _newton(arm, mount, q[None], share * wrench[None], part, theta)
         count += int(steps[0])
@@ -141,19 +141,19 @@ def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
             if not _stable(arm, bent)[0]:
                 springs = np.diag(arm.joint_stiffness) - bent[0]
                 raise UnstableLoadError(share, float(np.linalg.eigvalsh((springs + springs.T) / 2)[0]), index)
-            theta, residual, held, step = trial, left[0], share, 2 * step
+            theta, residual, carried, step = trial, left[0], share, 2 * step
             if np.abs(theta).max() > TOO_LARGE:
                 joint = int(np.argmax(np.abs(theta)))
-                raise DeflectionError(joint + 1, float(theta[0, joint]), TOO_LARGE, held, index)
+                raise DeflectionError(joint + 1, float(theta[0, joint]), TOO_LARGE, carried, index)
             continue
         residual, step = left[0], step / 2
         if step < LEAST_STEP:
-            raise EquilibriumError(float(residual), count, held, index)
+            raise EquilibriumError(float(residual), count, carried, index)
     return theta[0], residual, count
 
 
 def wrench_for_pose(arm: Arm, mount: Mount, q, pose: Pose, gravity: bool = True) -> Equilibrium:
-    """The equilibrium whose loaded tool stands at ``pose`` while the controller holds q: f of section 5.
+    """The equilibrium whose loaded tool is at ``pose`` while the motors are at q: f of section 5.
 
     Unknown are theta and F of (7). Where (10) keeps the Jacobians from step to step, this takes the whole derivative
     (16), so that the convergence is quadratic. Raises SingularityError and EquilibriumError.

@@ -35,7 +35,7 @@ class JointLimitError(MillingError):
         self.joint, self.angle, self.limits, self.index = joint, angle, limits, index
         low, high = (math.degrees(limit) for limit in limits)
         super().__init__(
-            f"joint {joint} would stand at {math.degrees(angle):.3f} deg, but must stay within {low:g} to {high:g} deg"
+            f"joint {joint} would be at {math.degrees(angle):.3f} deg, but must stay within {low:g} to {high:g} deg"
             f"{_place(index)}"
         )
 
@@ -50,7 +50,7 @@ class SingularityError(MillingError):
             "elbow": "keep the arm away from its stretched posture",
             "wrist": "keep axis 5 away from 0 deg",
         }[which]
-        super().__init__(f"the arm stands in its {which} singularity (measure {measure:.2g}); {cure}{_place(index)}")
+        super().__init__(f"the arm is in its {which} singularity (measure {measure:.2g}); {cure}{_place(index)}")
 
 
 class ConditionError(MillingError):
@@ -59,7 +59,7 @@ class ConditionError(MillingError):
     def __init__(self, condition: float, limit: float):
         self.condition, self.limit = condition, limit
         super().__init__(
-            f"the arm stands too near a singular posture for a stiffness: the condition number of its Jacobian is "
+            f"the arm is too near a singular posture for a stiffness: the condition number of its Jacobian is "
             f"{condition:.3g}, but must be at most {limit:g}"
         )
 
@@ -91,11 +91,12 @@ class DeflectionError(MillingError):
 
 
 class EquilibriumError(MillingError):
-    """No equilibrium was found; residual [N m], iterations, load_factor: the largest share of the load held."""
+    """No equilibrium; residual [N m], iterations, load_factor: the largest share of the load with an equilibrium."""
 
     def __init__(self, residual: float, iterations: int, load_factor: float, index: tuple = ()):
         self.residual, self.iterations, self.load_factor, self.index = residual, iterations, load_factor, index
         super().__init__(
-            f"no static equilibrium found: {iterations} iterations left a residual of {residual:.3g} N m, and "
-            f"only {load_factor:.3g} of the load was held; reduce the load or avoid singular postures{_place(index)}"
+            f"no static equilibrium: {iterations} iterations left a residual of {residual:.3g} N m, and "
+            f"only {load_factor:.3g} of the load has an equilibrium; reduce the load or avoid singular postures"
+            f"{_place(index)}"
         )

@@ -1,32 +1,41 @@
-"""Closed-form inverse kinematics of an arm with a spherical wrist, all branches, and along a path.
+"""Closed-form inverse kinematics of an arm with a spherical wrist, all branches, and along a path; compiled.
 
-Branch: shoulder (the wrist centre in front of axis 1 or behind it), elbow (bent down or up), wrist (sign of A5).
+Branch: shoulder (the wrist centre in front of axis 1 or at its back), elbow (bent down or up), wrist (sign of A5).
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 
 from kr270_milling.base.frames import Pose
 from kr270_milling.robot.arm import Arm, Mount
 from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.robot.kinematics import elbow_and_reach
 
-__all__ = ["BRANCHES", "branches", "inverse_near"]
+__all__ = ["BRANCHES", "branches", "branches_at", "inverse_near", "lengths_of", "wrapped"]
 
 #: shoulder, elbow, wrist of the 8 branches, (8, 3)
 BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
 BRANCHES.setflags(write=False)
-STRAIGHT = 1e-12  #: sine of A5 below which the pose does not tell A4 from A6
+STRAIGHT = 1e-12  #: sine of A5 below which the pose determines only the sum of A4 and A6
 SLACK = 1e-12  #: [rad], of the joint limits: rounding
 TWO_PI = 2 * np.pi
+
+
+def _wrapped(angle):
+    """The angle [rad], a number or an array, within a half turn to either side."""
+    return angle - TWO_PI * np.round(angle / TWO_PI)
+
+
+wrapped = njit(cache=True, nogil=True)(_wrapped)
 
 
 def inverse_near(arm: Arm, mount: Mount, pose: Pose, near_q) -> np.ndarray:
     """The posture [rad], (..., 6), for every pose (...), nearest to a given one, whole turns included.
 
     near_q of the same batch as the poses: each pose takes the branch nearest to its own near_q. One near_q, (6,),
-    for a path of poses (n,): the branch nearest to it at the first pose is kept and followed without jumps; where the
+    for a path of poses (n,): the branch nearest to it at the first pose is followed without jumps; where the
     path leads through A5 = 0, A5 changes its sign rather than A4 jumping by 180 deg. Where A5 = 0, A4 stays as it was.
     Raises ReachError, SingularityError (wrist centre on axis 1), JointLimitError; a jump to another branch is never
     the answer to a limit.
@@ -55,69 +64,83 @@ def branches(arm: Arm, mount: Mount, pose: Pose, near_q) -> tuple[np.ndarray, np
 
     Second, the distance of the wrist centre from axis 2 [m], (..., 8). near_q (..., 6) gives A4 where A5 = 0.
     """
-    flange = pose @ mount.pose.inverse()
-    lifted = Pose(flange.position[..., None, :], flange.rotation[..., None, :, :])
-    q123, distance = _arm_joints(arm, lifted, BRANCHES[:, 0], BRANCHES[:, 1])
-    wrist = _wrist_joints(lifted, q123, BRANCHES[:, 2], np.asarray(near_q, float)[..., None, 3])
-    q123 = np.broadcast_to(q123, wrist.shape)
-    return np.concatenate([q123, wrist], -1), np.broadcast_to(distance, wrist.shape[:-1])
+    flange, near_q = pose @ mount.pose.inverse(), np.asarray(near_q, float)
+    shape = np.broadcast_shapes(pose.position.shape[:-1], near_q.shape[:-1])
+    position = np.broadcast_to(flange.position, (*shape, 3)).reshape(-1, 3)
+    rotation = np.broadcast_to(flange.rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
+    near_a4 = np.broadcast_to(near_q[..., 3], shape).reshape(-1)
+    q, distance = np.full((len(position), 8, 6), np.nan), np.empty((len(position), 8))
+    position, rotation, near_a4 = map(np.ascontiguousarray, (position, rotation, near_a4))
+    _fill(lengths_of(arm), position, rotation, near_a4, q, distance)
+    return q.reshape(*shape, 8, 6), distance.reshape(*shape, 8)
+
+
+def lengths_of(arm: Arm) -> tuple[float, ...]:
+    """d1, a1, a2, length of the forearm, d6 [m] and elbow offset [rad], for ``branches_at``."""
+    return tuple(map(float, (arm.d1, arm.a1, arm.a2, arm.forearm, arm.d6, arm.elbow_offset)))
+
+
+@njit(cache=True, nogil=True)
+def _fill(lengths, position, rotation, near_a4, q, distance):
+    for k in range(len(position)):
+        branches_at(lengths, position[k], rotation[k], near_a4[k], q[k], distance[k])
+
+
+@njit(cache=True, nogil=True)
+def branches_at(lengths, position, rotation, near_a4, q, distance):
+    """Fill q (8, 6) [rad] with the branches of one flange pose, and distance (8,) [m]; see ``branches``.
+
+    Wrist centre p - d6 x_6; A2 and A3 by the cosine rule in the triangle of axis 2, axis 3 and wrist centre; A4 to A6
+    from R36 = Rx(-A4) Ry(A5) Rx(-A6). The other sign of A5 is the same orientation: A4 + pi, -A5, A6 + pi.
+    """
+    d1, a1, a2, forearm, d6, elbow_offset = lengths
+    x, y = position[0] - d6 * rotation[0, 0], position[1] - d6 * rotation[1, 0]
+    height, far = position[2] - d6 * rotation[2, 0] - d1, np.hypot(x, y)
+    wrist = np.empty((3, 3))
+    for shoulder in range(2):
+        side = 1.0 - 2.0 * shoulder
+        radius = side * far - a1
+        distance[4 * shoulder : 4 * shoulder + 4] = np.hypot(radius, height)
+        cosine = (radius**2 + height**2 - a2**2 - forearm**2) / (2 * a2 * forearm)
+        if not abs(cosine) < 1.0 + 1e-12:
+            continue
+        q1 = wrapped(-np.arctan2(side * y, side * x))
+        bend = np.arccos(min(1.0, max(-1.0, cosine)))
+        for elbow in range(2):
+            beta = -bend if elbow == 0 else bend  # of the forearm against the upper arm, counted upwards
+            lead = np.arctan2(forearm * np.sin(beta), a2 + forearm * np.cos(beta))
+            q2, q3 = wrapped(lead - np.arctan2(height, radius)), wrapped(elbow_offset - beta)
+            s1, c1, s, c = np.sin(q1), np.cos(q1), np.sin(q2 + q3), np.cos(q2 + q3)
+            for j in range(3):  # R36 = (Rz(-A1) Ry(A2 + A3))^T R
+                wrist[0, j] = c1 * c * rotation[0, j] - s1 * c * rotation[1, j] - s * rotation[2, j]
+                wrist[1, j] = s1 * rotation[0, j] + c1 * rotation[1, j]
+                wrist[2, j] = c1 * s * rotation[0, j] - s1 * s * rotation[1, j] + c * rotation[2, j]
+            q4 = near_a4
+            if np.hypot(wrist[1, 0], wrist[2, 0]) >= STRAIGHT:
+                q4 = np.arctan2(-wrist[1, 0], -wrist[2, 0])
+            s4, c4 = np.sin(q4), np.cos(q4)  # A5 and A6 from Rx(A4) R36 = Ry(A5) Rx(-A6): right for any A4 where A5 = 0
+            q5 = np.arctan2(-(s4 * wrist[1, 0] + c4 * wrist[2, 0]), wrist[0, 0])
+            q6 = np.arctan2(c4 * wrist[1, 2] - s4 * wrist[2, 2], c4 * wrist[1, 1] - s4 * wrist[2, 1])
+            row = 4 * shoulder + 2 * elbow
+            q[row] = q1, q2, q3, q4, q5, q6
+            q[row + 1] = q1, q2, q3, wrapped(q4 + np.pi), -q5, wrapped(q6 + np.pi)
 
 
 def _reach(arm: Arm) -> tuple[float, float]:
     return abs(arm.a2 - arm.forearm), arm.a2 + arm.forearm
 
 
-def _arm_joints(arm: Arm, flange: Pose, shoulder, elbow):
-    """A1, A2, A3 [rad], (..., 3), NaN out of reach, and the distance from axis 2 to the wrist centre [m]."""
-    centre = flange.position - arm.d6 * flange.rotation[..., :, 0]
-    a1 = -np.arctan2(shoulder * centre[..., 1], shoulder * centre[..., 0])
-    radius = shoulder * np.hypot(centre[..., 0], centre[..., 1]) - arm.a1
-    height = centre[..., 2] - arm.d1
-    cosine = (radius**2 + height**2 - arm.a2**2 - arm.forearm**2) / (2 * arm.a2 * arm.forearm)
-    cosine = np.where(np.abs(cosine) < 1 + 1e-12, np.clip(cosine, -1, 1), np.nan)
-    beta = -elbow * np.arccos(cosine)  # of the forearm against the upper arm, counted upwards
-    lead = np.arctan2(arm.forearm * np.sin(beta), arm.a2 + arm.forearm * np.cos(beta))
-    a2 = lead - np.arctan2(height, radius)
-    a1 = np.broadcast_to(a1, a2.shape)
-    return _wrapped(np.stack([a1, a2, arm.elbow_offset - beta], -1)), np.hypot(radius, height)
-
-
-def _wrist_joints(flange: Pose, q123: np.ndarray, wrist, near_a4) -> np.ndarray:
-    """A4, A5, A6 [rad], (..., 3): R36 = Rx(-A4) Ry(A5) Rx(-A6); near_a4 stands in where A5 = 0."""
-    r = np.swapaxes(_forearm_rotation(q123), -1, -2) @ flange.rotation
-    sine = np.hypot(r[..., 1, 0], r[..., 2, 0])
-    a4 = np.arctan2(-wrist * r[..., 1, 0], -wrist * r[..., 2, 0])
-    a4 = np.where(sine < STRAIGHT, near_a4, a4)
-    c, s = np.cos(a4), np.sin(a4)  # A5 and A6 from Rx(A4) R36 = Ry(A5) Rx(-A6): right for any A4 where A5 = 0
-    a5 = np.arctan2(-(s * r[..., 1, 0] + c * r[..., 2, 0]), r[..., 0, 0])
-    a6 = np.arctan2(c * r[..., 1, 2] - s * r[..., 2, 2], c * r[..., 1, 1] - s * r[..., 2, 1])
-    return np.stack([a4, a5, a6], -1)
-
-
-def _forearm_rotation(q123: np.ndarray) -> np.ndarray:
-    """Rz(-A1) Ry(A2 + A3), (..., 3, 3)."""
-    c1, s1 = np.cos(q123[..., 0]), np.sin(q123[..., 0])
-    c, s = np.cos(q123[..., 1] + q123[..., 2]), np.sin(q123[..., 1] + q123[..., 2])
-    rows = [[c1 * c, s1, c1 * s], [-s1 * c, c1, -s1 * s], [-s, np.zeros_like(c), c]]
-    return np.stack([np.stack(row, -1) for row in rows], -2)
-
-
-def _wrapped(angle):
-    """Into a half turn to either side."""
-    return angle - TWO_PI * np.round(angle / TWO_PI)
-
-
 def _nearest(arm: Arm, mount: Mount, pose: Pose, near_q: np.ndarray) -> np.ndarray:
     """For each pose the branch with the least sum of squares of joint angles from near_q, (..., 6)."""
-    found, distance = branches(arm, mount, pose, near_q)
-    found = near_q[..., None, :] + _wrapped(found - near_q[..., None, :])
-    away = np.sum((found - near_q[..., None, :]) ** 2, -1)
+    every, distance = branches(arm, mount, pose, near_q)
+    every = near_q[..., None, :] + _wrapped(every - near_q[..., None, :])
+    away = np.sum((every - near_q[..., None, :]) ** 2, -1)
     out = np.argwhere(~np.isfinite(away).any(-1))
     if len(out):
         index = tuple(int(i) for i in out[0])
         raise ReachError(float(distance[index].min()), _reach(arm), index)
     best = np.argmin(np.where(np.isfinite(away), away, np.inf), -1)
-    q = np.take_along_axis(found, best[..., None, None], -2)[..., 0, :]
+    q = np.take_along_axis(every, best[..., None, None], -2)[..., 0, :]
     _check_shoulder(arm, mount, pose)
     return q
 
@@ -136,26 +159,30 @@ def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
     """Postures (n, 6) along a path of poses (n,) on the branch nearest to the seed, (6,)."""
     first = _nearest(arm, mount, Pose(path.position[0], path.rotation[0]), seed)
     _check_shoulder(arm, mount, path)
-    shoulder, elbow = _branch_of(arm, first)
-    flange = path @ mount.pose.inverse()
-    q123, distance = _arm_joints(arm, flange, shoulder, elbow)
-    lost = np.flatnonzero(~np.isfinite(q123).all(-1))
+    row = _row_of(arm, first)
+    unknown = np.full((len(path.position), 6), np.nan)  # no A4 where A5 = 0
+    every, distance = branches(arm, mount, path, unknown)
+    q = every[:, row]
+    lost = np.flatnonzero(~np.isfinite(q[:, :3]).all(-1))
     if len(lost):
-        raise ReachError(float(distance[lost[0]]), _reach(arm), (int(lost[0]),))
-    q = np.concatenate([q123, _wrist_along(flange, q123, first)], -1)
+        raise ReachError(float(distance[lost[0], row]), _reach(arm), (int(lost[0]),))
+    q[:, 3:] = _wrist_along(arm, mount, path, row, q[:, 3:], first)
     q[0] = first
     return np.unwrap(q, axis=0)
 
 
-def _branch_of(arm: Arm, q: np.ndarray) -> tuple[float, float]:
-    """Shoulder and elbow sign of a posture (6,)."""
+def _row_of(arm: Arm, q: np.ndarray) -> int:
+    """Row in BRANCHES of the branch of a posture (6,), with A5 > 0."""
     beta, radius = elbow_and_reach(arm, q)
-    return (1.0 if radius >= 0 else -1.0), (1.0 if _wrapped(beta) <= 0 else -1.0)
+    return (0 if radius >= 0 else 4) + (0 if _wrapped(beta) <= 0 else 2)
 
 
-def _wrist_along(flange: Pose, q123: np.ndarray, first: np.ndarray) -> np.ndarray:
-    """A4, A5, A6 along a path, (n, 3), without jumps, from the first posture (6,) on."""
-    wrist = _wrist_joints(flange, q123, 1.0, np.nan)
+def _wrist_along(arm: Arm, mount: Mount, path: Pose, row: int, wrist: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """A4, A5, A6 along a path, (n, 3), without jumps, from the first posture (6,) on.
+
+    row: of the branch with A5 > 0; wrist: angles of this branch, NaN where A5 = 0.
+    """
+    wrist = wrist.copy()
     known = np.isfinite(wrist[:, 0])
     known[0] = True
     wrist[0] = first[3:] if first[4] >= 0 else _flipped(first[3:])
@@ -163,8 +190,10 @@ def _wrist_along(flange: Pose, q123: np.ndarray, first: np.ndarray) -> np.ndarra
     wrist[:, 0] = wrist[last, 0]
     straight = ~known
     if straight.any():
-        fill = Pose(flange.position[straight], flange.rotation[straight])
-        wrist[straight] = _wrist_joints(fill, q123[straight], 1.0, wrist[straight, 0])
+        near = np.zeros((np.count_nonzero(straight), 6))
+        near[:, 3] = wrist[straight, 0]
+        places = Pose(path.position[straight], path.rotation[straight])
+        wrist[straight] = branches(arm, mount, places, near)[0][:, row, 3:]
     step = _wrapped(np.diff(wrist, axis=0))
     flip = _wrapped(_flipped(wrist[1:]) - wrist[:-1])
     flips = np.sum(flip**2, -1) < np.sum(step**2, -1)

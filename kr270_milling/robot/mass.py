@@ -118,15 +118,17 @@ def spatial_inertia(mass: float, centre: np.ndarray, inertia: np.ndarray) -> np.
 
 def _bodies(arm: Arm, mount: Mount, frames: LinkFrames) -> list[np.ndarray]:
     """Spatial inertia (..., 6, 6) of what rides on each joint alone: its link, on joint 6 spindle and tool too."""
-    found = []
+    inertias = []
     for j in range(6):
         start, turn = frames.nodes[..., j, :], frames.rotations[..., j, :, :]
         centre = start + arm.link_mass_centre[j] * (frames.nodes[..., j + 1, :] - start)
-        found.append(spatial_inertia(arm.link_mass[j], centre, turn @ own_inertia(arm, j) @ np.swapaxes(turn, -1, -2)))
+        inertias.append(
+            spatial_inertia(arm.link_mass[j], centre, turn @ own_inertia(arm, j) @ np.swapaxes(turn, -1, -2))
+        )
     turn = frames.rotations[..., 5, :, :]
     rider = turn @ np.diag(mount.inertia) @ np.swapaxes(turn, -1, -2)
-    found[5] = found[5] + spatial_inertia(mount.mass, frames.mass_centre, rider)
-    return found
+    inertias[5] = inertias[5] + spatial_inertia(mount.mass, frames.mass_centre, rider)
+    return inertias
 
 
 def rigid_joint_mass(arm: Arm, mount: Mount, q) -> np.ndarray:

@@ -102,7 +102,7 @@ def _joint(root, name: str, kind: str, parent: str, child: str, xyz: np.ndarray,
 
 
 def _fixed(root, name: str, parent: str, place: Pose, solids: list[Solid]) -> None:
-    """A link that stands in its parent; URDF's roll, pitch, yaw are KUKA's C, B, A."""
+    """A link fixed in its parent; URDF's roll, pitch, yaw are KUKA's C, B, A."""
     _link(root, name, solids)
     _joint(root, f"{parent}_{name}", "fixed", parent, name, place.position, abc_from_rotation(place.rotation)[::-1])
 

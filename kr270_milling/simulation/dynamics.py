@@ -1,4 +1,4 @@
-"""Eq. (1), the arm's displacement under the process wrench, discretised exactly for a wrench held over a period.
+"""Eq. (1), the arm's displacement under the process wrench, discretised exactly for a wrench constant in a period.
 
 M delta'' + C delta' + K delta = F is (1) as printed. The reference r moves the motor side of the arm and not the tool:
 with z = r + delta, M z'' + C (z' - r') + K (z - r) = F, so that -M r'' joins F on the right (``reference_inertia``).
@@ -123,14 +123,17 @@ def modes(compliance: np.ndarray, mass: np.ndarray) -> ModalModel:
 
 
 def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[np.ndarray, ...]:
-    """A (2r, 2r), B (2r, 6), P (6, 2r), Q (6, 6) over ``period`` [s] for a wrench held over it: exact for (1)."""
+    """A (2r, 2r), B (2r, 6), P (6, 2r), Q (6, 6) over ``period`` [s] for a constant wrench.
+
+    Exact for M delta'' + C delta' + K delta = F   (1) [Klimchik2012].
+    """
     w, r = model.frequency, model.frequency.size
     a11, a12, a21, a22 = _free(w, model.ratios(damping_ratio), period)
     to, back = model.shape, model.shape.T @ model.mass  # eta -> delta, delta -> eta
     transition = np.block([[to * a11 @ back, to * a12 @ back], [to * a21 @ back, to * a22 @ back]])
     modal_force = model.shape.T @ model.force
-    held = np.vstack([to * ((1.0 - a11) / w**2) @ modal_force, to * (-a21 / w**2) @ modal_force])
-    return transition, held, np.hstack([model.output, np.zeros((6, r))]), model.feedthrough
+    driven = np.vstack([to * ((1.0 - a11) / w**2) @ modal_force, to * (-a21 / w**2) @ modal_force])
+    return transition, driven, np.hstack([model.output, np.zeros((6, r))]), model.feedthrough
 
 
 def _free(w: np.ndarray, z: np.ndarray, period: float) -> tuple[np.ndarray, ...]:
@@ -150,14 +153,14 @@ def discretise_reference(model: ModalModel, damping_ratio: float, period: float)
     """
     w, z, h = model.frequency, model.ratios(damping_ratio), period
     a11, a12, a21, a22 = _free(w, z, h)
-    held = (1.0 - a11) / w**2, -a21 / w**2
+    driven = (1.0 - a11) / w**2, -a21 / w**2
     ramp = (1.0 - a12 / h - 2.0 * z * (1.0 - a11) / (w * h)) / w**2, (1.0 - a22 + 2.0 * z * a21 / w) / (w**2 * h)
     to, back = model.shape, model.shape.T @ model.mass @ model.reference  # eta -> delta, r -> eta
 
     def response(place, speed):
         return -np.vstack([to * place @ back, to * speed @ back])
 
-    falling = [constant - rising for constant, rising in zip(held, ramp, strict=True)]  # from 1 to 0
+    falling = [constant - rising for constant, rising in zip(driven, ramp, strict=True)]  # from 1 to 0
     return np.hstack([response(a12, a22), response(*falling), response(*ramp)])
 
 
@@ -165,8 +168,8 @@ def reference_motion(reference: Trajectory, stamps: np.ndarray, approach: np.nda
     """(n, 18) over the n periods between the stamps [ns]: jump of r', r'' at the start, r'' at the end, six each.
 
     A cubic over H from rate v to w that moves by p has r'' = (6 p / H - 4 v - 2 w) / H at its start and
-    (-6 p / H + 2 v + 4 w) / H at its end. approach: r' before the pass, (6,), as ``approach`` has it of the programmed
-    trajectory: a straight cut comes in at its feed rate. None: that of the reference itself.
+    (-6 p / H + 2 v + 4 w) / H where the period ends. approach: r' before the pass, (6,), for example that of the
+    programmed trajectory: a straight cut enters at its feed rate. None: that of the reference itself.
     """
     period = np.diff(stamps)[:, None] * 1e-9
     moved = np.hstack([np.diff(reference.sample(stamps), axis=0), _turns(reference, stamps)])
@@ -228,12 +231,12 @@ def push(motion, response, steps_per_knot, out):
 
 @njit(cache=True, error_model="numpy")
 def advance(step, state, wrench, pushes, arrays, new_state, deflection):
-    """One exchange period of (1): fills ``new_state`` and ``deflection`` (6,) at its end.
+    """One exchange period of (1): fills ``new_state`` and ``deflection`` (6,) at the end of the period.
 
     ``step`` counts exchange periods from the start of the pass; between two postures of the model the matrices are
     interpolated linearly. pushes: of the moving reference, ``ArmModel.push``; (0, 2r) for (1) as printed.
     """
-    transition, held, output, feedthrough, steps_per_knot = arrays
+    transition, driven, output, feedthrough, steps_per_knot = arrays
     n = transition.shape[0]
     place = step / steps_per_knot
     k = min(int(place), n - 1)
@@ -246,8 +249,8 @@ def advance(step, state, wrench, pushes, arrays, new_state, deflection):
             a = transition[k, i, j]
             total += (a + f * (transition[m, i, j] - a)) * state[j]
         for j in range(6):
-            b = held[k, i, j]
-            total += (b + f * (held[m, i, j] - b)) * wrench[j]
+            b = driven[k, i, j]
+            total += (b + f * (driven[m, i, j] - b)) * wrench[j]
         if pushes.shape[0] > 0:
             total += pushes[step, i]
         new_state[i] = total

@@ -51,7 +51,7 @@ class Imperfections(Record):
 
 
 def play(angle: np.ndarray, width: np.ndarray) -> np.ndarray:
-    """Where joints stand behind their play: angle (n, 6) [rad] of the motors, width (6,) [rad] of the whole play.
+    """Joint angles after their play: angle (n, 6) [rad] of the motors, width (6,) [rad] of the whole play.
 
     An arm follows its motor at the distance of half the play and rests while the motor crosses it:
     q_k = min(max(q_(k-1), m_k - b/2), m_k + b/2).

@@ -44,7 +44,7 @@ class PassResult:
 
     time_ns: np.ndarray  #: [ns], (n + 1,)
     target: np.ndarray  #: programmed tool centre [m], (n + 1, 3)
-    reference: np.ndarray  #: what the controller was told [m], (n + 1, 3)
+    reference: np.ndarray  #: reference of the controller [m], (n + 1, 3)
     tool: np.ndarray  #: tool centre that the cut was given: predicted [m], (n + 1, 3)
     deflection: np.ndarray  #: corrected displacement of the arm [m, rad], (n + 1, 6)
     wrench: np.ndarray  #: mean over each period, on the tool [N, N m], (n + 1, 6)
@@ -55,7 +55,7 @@ class PassResult:
     removed_area: float  #: [m^2]
     removed_volume: float  #: [m^3]
     wall_time: float  #: [s], of the pass alone
-    heights: np.ndarray | None = None  #: ``Cut.map_heights`` of the finished workpiece [m], (a, b); None: not kept
+    heights: np.ndarray | None = None  #: ``Cut.map_heights`` of the finished workpiece [m], (a, b); None: not stored
 
     @property
     def time(self) -> np.ndarray:
@@ -90,7 +90,7 @@ class CompliantArm:
         return deflection
 
     def correct(self, wrench: np.ndarray) -> np.ndarray:
-        """Integrate the period with the wrench (6,) that acted in it; returns the deflection (6,) at its end."""
+        """Integrate the period with the wrench (6,) that acted in the period; returns the final deflection (6,)."""
         deflection = np.zeros(6)
         advance(self.step, self.state, wrench, self.pushes, self.model.arrays, self._scratch, deflection)
         self.state, self._scratch = self._scratch, self.state

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-from kr270_milling.cutting.cut import Cutting
-from kr270_milling.cutting.laws import axial_per_depth, force_per_depth
+from kr270_milling.cutting.laws import Cutting
 from kr270_milling.cutting.tool import Tool
 from kr270_milling.simulation.monodromy import Modes, directional_matrices, multipliers
 
@@ -19,7 +18,6 @@ __all__ = ["Lobe", "StabilityMap", "has_uniform_pitch", "limit_depth", "stabilit
 DEPTHS = np.geomspace(1e-6, 0.1, 26)  #: [m], depths at which the limit is bracketed
 NODES = 40, 200  #: least and most nodes of a tooth period
 PER_PERIOD = 32  #: nodes in a period of the fastest mode
-SMALL_STEP = 1e-3  #: share of the chip thickness over which the force law is differentiated
 PRECISION = 1e-4  #: share of the limit depth
 
 
@@ -104,14 +102,6 @@ def _frequency(modes: Modes, values: np.ndarray, delay: float) -> float:
 
 
 def _gradients(cutting: Cutting, feed_per_tooth: float) -> Callable:
-    """K_t, K_r, K_a [N/m^2] at the chip thickness f_z s: dF/dh per depth, by a central difference of the law."""
-    fractional, c = cutting.law == "fractional", cutting.coefficients
-
-    def gradients(sine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        h = np.maximum(feed_per_tooth * sine, 1e-3 * feed_per_tooth)
-        step = SMALL_STEP * h
-        (t1, r1), (t0, r0) = force_per_depth(fractional, c, h + step), force_per_depth(fractional, c, h - step)
-        a1, a0 = axial_per_depth(fractional, c, h + step), axial_per_depth(fractional, c, h - step)
-        return (t1 - t0) / (2 * step), (r1 - r0) / (2 * step), (a1 - a0) / (2 * step)
-
-    return gradients
+    """K_t, K_r, K_a [N/m^2] at the chip thickness f_z s: dF/dh per depth of cut."""
+    law = cutting.active
+    return lambda sine: law.slopes(np.maximum(feed_per_tooth * sine, 1e-3 * feed_per_tooth))

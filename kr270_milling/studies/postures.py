@@ -1,7 +1,6 @@
 """Many postures at once, compiled: all branches of the inverse kinematics, deflection of the tool, path measures.
 
-The equations are those of ``robot.inverse`` and ``robot.kinematics``, one pose after the other instead of array by
-array. Both signs of A5 are one configuration of the links with axis 5 turned round, so they deflect alike.
+Both signs of A5 are one configuration of the links with axis 5 turned round, so they deflect alike.
 """
 
 from __future__ import annotations
@@ -11,7 +10,8 @@ from numba import njit
 
 from kr270_milling.base.frames import Pose
 from kr270_milling.robot.arm import Arm, Mount, moment_slope
-from kr270_milling.robot.inverse import STRAIGHT
+from kr270_milling.robot.inverse import branches_at, lengths_of, wrapped
+from kr270_milling.robot.kinematics import column
 
 __all__ = ["along_path", "postures", "whole_turns"]
 
@@ -27,15 +27,14 @@ def postures(arm: Arm, mount: Mount, place: Pose, force: np.ndarray, gravity: bo
     c_2 / (1 - c_2 dM_c/dq_2). NaN where out of reach.
     """
     flange = place @ mount.pose.inverse()
-    wrist = flange.position - arm.d6 * flange.rotation[..., 0]
-    lengths = tuple(map(float, (arm.d1, arm.a1, arm.a2, arm.forearm, arm.elbow_offset)))
+    count = len(flange.position)
     spring: tuple[float, ...] = (0.0,) * 5
     if gravity and (c := arm.compensator).present:
         spring = tuple(map(float, (c.stiffness, c.free_length, c.base_x, c.base_z, c.arm_length)))
     middle = 0.5 * float(arm.joint_lower[3] + arm.joint_upper[3])
-    q, way = np.full((len(wrist), 8, 6), np.nan), np.full((len(wrist), 8, 3), np.nan)
-    _fill(lengths, spring, middle, _dense(arm.joint_compliance), _dense(place.position), _dense(flange.rotation),
-          _dense(wrist), _dense(force), q, way)  # fmt: skip
+    q, way = np.full((count, 8, 6), np.nan), np.full((count, 8, 3), np.nan)
+    _fill(lengths_of(arm), spring, middle, _dense(arm.joint_compliance), _dense(place.position),
+          _dense(flange.position), _dense(flange.rotation), _dense(force), q, way)  # fmt: skip
     return q, way
 
 
@@ -45,65 +44,40 @@ def _dense(array: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _wrapped(angle):
-    return angle - TWO_PI * np.round(angle / TWO_PI)
-
-
-@njit(cache=True, nogil=True)
-def _fill(lengths, spring, middle, soft, position, rotation, centre, force, q, way):
-    d1, a1, a2, forearm, elbow_offset = lengths
-    wrist = np.empty((3, 3))
+def _fill(lengths, spring, middle, soft, place, position, rotation, force, q, way):
+    d1, a1, a2, _, d6, _ = lengths
+    distance = np.empty(8)
     for k in range(len(position)):
-        p, flange = position[k], rotation[k]
-        x, y, z = centre[k]
-        height, far = z - d1, np.hypot(x, y)
-        for shoulder in range(2):
-            side = 1.0 - 2.0 * shoulder
-            radius = side * far - a1
-            cosine = (radius**2 + height**2 - a2**2 - forearm**2) / (2 * a2 * forearm)
-            if not abs(cosine) < 1.0 + 1e-12:
+        p, flange = place[k], rotation[k]
+        branches_at(lengths, position[k], flange, middle, q[k], distance)
+        x, y, z = position[k] - d6 * flange[:, 0]
+        for both in range(0, 8, 2):
+            q1, q2, q3, q4 = q[k, both, :4]
+            if not np.isfinite(q1):
                 continue
-            q1 = _wrapped(-np.arctan2(side * y, side * x))
-            bend = np.arccos(min(1.0, max(-1.0, cosine)))
-            for elbow in range(2):
-                beta = -bend if elbow == 0 else bend
-                lead = np.arctan2(forearm * np.sin(beta), a2 + forearm * np.cos(beta))
-                q2, q3 = _wrapped(lead - np.arctan2(height, radius)), _wrapped(elbow_offset - beta)
-                both = 4 * shoulder + 2 * elbow
-                s1, c1, s, c = np.sin(q1), np.cos(q1), np.sin(q2 + q3), np.cos(q2 + q3)
-                for j in range(3):  # the columns of the forearm's rotation, (Rz(-A1) Ry(A2 + A3))^T R
-                    wrist[0, j] = c1 * c * flange[0, j] - s1 * c * flange[1, j] - s * flange[2, j]
-                    wrist[1, j] = s1 * flange[0, j] + c1 * flange[1, j]
-                    wrist[2, j] = c1 * s * flange[0, j] - s1 * s * flange[1, j] + c * flange[2, j]
-                q4 = middle
-                if np.hypot(wrist[1, 0], wrist[2, 0]) >= STRAIGHT:
-                    q4 = np.arctan2(-wrist[1, 0], -wrist[2, 0])
-                s4, c4 = np.sin(q4), np.cos(q4)
-                q5 = np.arctan2(-(s4 * wrist[1, 0] + c4 * wrist[2, 0]), wrist[0, 0])
-                q6 = np.arctan2(c4 * wrist[1, 2] - s4 * wrist[2, 2], c4 * wrist[1, 1] - s4 * wrist[2, 1])
-                q[k, both] = q1, q2, q3, q4, q5, q6
-                q[k, both + 1] = q1, q2, q3, _wrapped(q4 + np.pi), -q5, _wrapped(q6 + np.pi)
-                c2 = soft[1]
-                if spring[0] > 0.0:
-                    c2 /= 1.0 - c2 * _slope(spring, np.cos(q2), np.sin(q2))
-                high = a2 * np.cos(q2) + a1
-                gives = way[k, both]
-                gives[:] = 0.0
-                _add(gives, soft[0], 0.0, 0.0, -1.0, p[0], p[1], p[2], force[k])
-                _add(gives, c2, s1, c1, 0.0, p[0] - a1 * c1, p[1] + a1 * s1, p[2] - d1, force[k])
-                _add(gives, soft[2], s1, c1, 0.0, p[0] - high * c1, p[1] + high * s1, p[2] - d1 + a2 * np.sin(q2),
-                     force[k])  # fmt: skip
-                u, v, w = p[0] - x, p[1] - y, p[2] - z
-                _add(gives, soft[3], -c1 * c, s1 * c, s, u, v, w, force[k])
-                _add(gives, soft[4], s1 * c4 - c1 * s * s4, c1 * c4 + s1 * s * s4, -c * s4, u, v, w, force[k])
-                _add(gives, soft[5], -flange[0, 0], -flange[1, 0], -flange[2, 0], u, v, w, force[k])
-                way[k, both + 1] = gives
+            s1, c1, s, c = np.sin(q1), np.cos(q1), np.sin(q2 + q3), np.cos(q2 + q3)
+            s4, c4 = np.sin(q4), np.cos(q4)
+            c2 = soft[1]
+            if spring[0] > 0.0:
+                c2 /= 1.0 - c2 * _slope(spring, np.cos(q2), np.sin(q2))
+            high = a2 * np.cos(q2) + a1
+            gives = way[k, both]
+            gives[:] = 0.0
+            _add(gives, soft[0], 0.0, 0.0, -1.0, p[0], p[1], p[2], force[k])
+            _add(gives, c2, s1, c1, 0.0, p[0] - a1 * c1, p[1] + a1 * s1, p[2] - d1, force[k])
+            _add(gives, soft[2], s1, c1, 0.0, p[0] - high * c1, p[1] + high * s1, p[2] - d1 + a2 * np.sin(q2),
+                 force[k])  # fmt: skip
+            u, v, w = p[0] - x, p[1] - y, p[2] - z
+            _add(gives, soft[3], -c1 * c, s1 * c, s, u, v, w, force[k])
+            _add(gives, soft[4], s1 * c4 - c1 * s * s4, c1 * c4 + s1 * s * s4, -c * s4, u, v, w, force[k])
+            _add(gives, soft[5], -flange[0, 0], -flange[1, 0], -flange[2, 0], u, v, w, force[k])
+            way[k, both + 1] = gives
 
 
 @njit(cache=True, nogil=True)
 def _add(gives, soft, ax, ay, az, rx, ry, rz, force):
     """One joint with axis a, the tool at r from it: column j = a x r of the Jacobian, gives += c j (j . F)."""
-    jx, jy, jz = ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
+    jx, jy, jz = column(ax, ay, az, rx, ry, rz)
     turned = soft * (jx * force[0] + jy * force[1] + jz * force[2])
     gives[0] += jx * turned
     gives[1] += jy * turned
@@ -120,7 +94,7 @@ def whole_turns(q, lower, upper):
     for j in range(6):
         low = high = q[0, j]
         for k in range(1, len(q)):
-            q[k, j] = q[k - 1, j] + _wrapped(q[k, j] - q[k - 1, j])
+            q[k, j] = q[k - 1, j] + wrapped(q[k, j] - q[k - 1, j])
             low, high = min(low, q[k, j]), max(high, q[k, j])
         first, last = np.ceil((lower[j] - low) / TWO_PI), np.floor((upper[j] - high) / TWO_PI)
         within &= first <= last

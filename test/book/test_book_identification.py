@@ -9,10 +9,10 @@ import numpy as np
 from book import check
 
 from kr270_milling.base.record import find_file
-from kr270_milling.cutting import Tool
+from kr270_milling.cutting import LinearEdgeLaw, Tool
+from kr270_milling.identification import forces
 from kr270_milling.identification.compliance import fit
 from kr270_milling.identification.cuts import Cuts, engagement
-from kr270_milling.identification.forces import fit_linear_edge, mean_forces
 from kr270_milling.identification.materials import find_material
 from kr270_milling.identification.modes import find_modes
 from kr270_milling.identification.plan import Bench, Candidates, Planner, candidates, read_test_pose
@@ -103,9 +103,9 @@ def test_force_coverage():
     ends = np.array([engagement(mode, w, 0.02) for mode, w in [("slot", 0.02)] * 6 + [("up", 0.01)] * 6])
     feed, nothing = np.tile(np.linspace(0.05e-3, 0.2e-3, 6), 2), np.full((12, 3), np.nan)
     cuts = Cuts(tool, feed, np.full(12, 1e-3), *ends.T, nothing, np.ones(12), False)
-    force, hits = mean_forces(cuts, true), 0
+    force, hits = LinearEdgeLaw(*map(float, true)).mean_forces(cuts), 0
     for _ in range(CAMPAIGNS):
-        found = fit_linear_edge(dataclasses.replace(cuts, force=force + 2.0 * rng.normal(size=(12, 3))))
+        found = forces.fit("linear_edge", dataclasses.replace(cuts, force=force + 2.0 * rng.normal(size=(12, 3))))
         hits += np.sum(np.abs(found.values - true) <= found.half_widths)
     return 0.95, hits / (6 * CAMPAIGNS), 0.02
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.table import write_table
-from kr270_milling.cutting import Tool
+from kr270_milling.cutting import LinearEdgeLaw, Tool
 from kr270_milling.identification.cuts import Cuts, engagement
-from kr270_milling.identification.forces import mean_forces
 from kr270_milling.identification.materials import find_material
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
@@ -30,7 +29,7 @@ def cuts(path) -> None:
     n = len(ROWS)
     feed = 1e-3 * np.array([f for f, _, _ in ROWS])
     some = Cuts(tool, feed, np.full(n, 1e-3), entry, leave, np.full((n, 3), np.nan), np.ones(n), False)
-    force = mean_forces(some, find_material("Al7075-T6")[1].values)
+    force = LinearEdgeLaw(*np.nan_to_num(find_material("Al7075-T6")[1].values).tolist()).mean_forces(some)
     force = force + 2.0 * np.random.default_rng(7075).normal(size=force.shape)
     rows = [[f, 1.0, width, mode, *(f"{v:.2f}" for v in force[i])] for i, (f, mode, width) in enumerate(ROWS)]
     write_table(path, NAMES, rows, NOTES)

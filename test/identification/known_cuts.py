@@ -7,9 +7,8 @@ import math
 
 import numpy as np
 
-from kr270_milling.cutting import Tool
+from kr270_milling.cutting import LinearEdgeLaw, Tool
 from kr270_milling.identification.cuts import Cuts, engagement
-from kr270_milling.identification.forces import mean_forces
 
 TOOL = Tool(diameter=0.02, teeth=4, spindle_speed=8000 * 2 * math.pi / 60)
 TRUE = np.array([767.01e6, 27.7e3, 168.8e6, 26.6e3, 222e6, 0.7e3])
@@ -26,5 +25,5 @@ def cuts(mode="slot", width=0.02, feeds=FEEDS, tool=TOOL, depth=1e-3) -> Cuts:
 
 
 def measured(some: Cuts, values=TRUE, rng=None, sigma=0.0) -> Cuts:
-    force = mean_forces(some, values)
+    force = LinearEdgeLaw(*map(float, values)).mean_forces(some)
     return dataclasses.replace(some, force=force if rng is None else force + sigma * rng.normal(size=force.shape))

@@ -10,15 +10,12 @@ import pytest
 from known_cuts import FEEDS, TOOL, TRUE, cuts, measured
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock
+from kr270_milling.cutting import Cut, Cutting, FractionalLaw, LinearEdgeLaw, Stock
 from kr270_milling.identification.cuts import Sensor, read_cuts
 from kr270_milling.identification.forces import (
     OneFeedError,
-    fit_fractional,
-    fit_linear_edge,
-    fractional_mean_forces,
+    fit,
     law_sections,
-    mean_forces,
 )
 
 
@@ -29,7 +26,9 @@ def test_slot_means_are_the_closed_forms():
     f, na = np.array(FEEDS), 4 * 1e-3
     f_x, f_y = -k_rc * f / 4 - k_re / np.pi, k_tc * f / 4 + k_te / np.pi
     f_z = k_ac * f / np.pi + k_ae / 2
-    assert mean_forces(cuts(), TRUE) == pytest.approx(na * np.stack([f_x, f_y, -f_z], -1), rel=1e-12)
+    assert LinearEdgeLaw(*map(float, TRUE)).mean_forces(cuts()) == pytest.approx(
+        na * np.stack([f_x, f_y, -f_z], -1), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize(("mode", "width"), [("up", 0.01), ("down", 0.01), ("up", 0.005), ("down", 0.015)])
@@ -49,13 +48,13 @@ def test_means_of_partial_immersion_are_those_of_the_cut_itself(mode, width, rot
     for turn in range(60, 64):
         wrench = cut.sweep(at, at + [step, 0, 0], 360 * turn, 360)
         at = at + [step, 0.0, 0.0]
-    expected = mean_forces(cuts(mode, width, (0.1e-3,), tool), TRUE)[0]
+    expected = law.mean_forces(cuts(mode, width, (0.1e-3,), tool))[0]
     assert wrench[:3] == pytest.approx(expected, abs=0.015 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize(("mode", "width"), [("slot", 0.02), ("up", 0.01), ("down", 0.004)])
 def test_coefficients_are_found_exactly_without_noise(mode, width):
-    result = fit_linear_edge(measured(cuts(mode, width)))
+    result = fit("linear_edge", measured(cuts(mode, width)))
     assert result.values == pytest.approx(TRUE, rel=1e-9)
 
 
@@ -64,7 +63,7 @@ def test_intervals_cover_the_truth():
     rng = np.random.default_rng(5)
     hits = []
     for _ in range(300):
-        result = fit_linear_edge(measured(cuts("up", 0.012), rng=rng, sigma=2.0))
+        result = fit("linear_edge", measured(cuts("up", 0.012), rng=rng, sigma=2.0))
         hits.append(np.abs(result.values - TRUE) <= result.half_widths)
     assert 0.93 <= np.mean(hits) <= 0.97
 
@@ -72,14 +71,14 @@ def test_intervals_cover_the_truth():
 def test_without_axial_forces_the_axial_pair_is_not_told():
     some = measured(cuts())
     some.force[:, 2] = np.nan
-    result = fit_linear_edge(some)
+    result = fit("linear_edge", some)
     assert np.isnan(result.values[4:]).all() and result.values[:4] == pytest.approx(TRUE[:4])
 
 
 def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_says_so():
     some = measured(cuts())
     some.force[:, 2] *= -1.0
-    result = fit_linear_edge(some)
+    result = fit("linear_edge", some)
     assert result.values == pytest.approx(TRUE) and result.axial == 1.0
     sections = law_sections("linear_edge", result.values, result.half_widths, result.axial)
     assert sections["cutting"]["linear_edge"]["axial_cutting_n_per_mm2"][0] == pytest.approx(-222.0)
@@ -88,10 +87,10 @@ def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_says_s
 
 
 def test_one_feed_is_refused():
-    with pytest.raises(OneFeedError, match="at least two feeds"):
-        fit_linear_edge(measured(cuts(feeds=(0.1e-3,) * 5)))
-    with pytest.raises(OneFeedError, match="2 feeds"):
-        fit_fractional(measured(cuts(feeds=(0.1e-3, 0.2e-3))))
+    with pytest.raises(OneFeedError, match="at least 2 feeds"):
+        fit("linear_edge", measured(cuts(feeds=(0.1e-3,) * 5)))
+    with pytest.raises(OneFeedError, match="2 feeds per tooth"):
+        fit("fractional", measured(cuts(feeds=(0.1e-3, 0.2e-3))))
 
 
 def test_fractional_means_are_those_of_the_facts():
@@ -100,7 +99,7 @@ def test_fractional_means_are_those_of_the_facts():
     for mode, width, expected in (
         ("slot", 0.02, (-44.39, 147.98)), ("up", 0.01, (-78.268, 57.168)), ("down", 0.01, (33.874, 90.811)),
     ):  # fmt: skip
-        got = fractional_mean_forces(cuts(mode, width, (0.125e-3,)), paper)[0, :2]
+        got = FractionalLaw(*paper).mean_forces(cuts(mode, width, (0.125e-3,)))[0, :2]
         assert got == pytest.approx(expected, abs=5e-3)
 
 
@@ -108,12 +107,12 @@ def test_the_fractional_law_is_found_and_told_from_the_other():
     paper = np.array([5e6, 18e-6, 0.1, 0.3, 0.2])
     some = cuts(feeds=np.linspace(0.01e-3, 0.25e-3, 12))
     rng = np.random.default_rng(1)
-    force = fractional_mean_forces(some, paper) + 0.3 * rng.normal(size=(12, 3))
+    force = FractionalLaw(*paper).mean_forces(some) + 0.3 * rng.normal(size=(12, 3))
     some = dataclasses.replace(some, force=force)
-    result = fit_fractional(some)
+    result = fit("fractional", some)
     assert np.all(np.abs(result.values - paper) < 1.5 * result.half_widths)
     assert np.all(result.half_widths < 0.2 * paper)
-    assert result.lateral_rms < 0.5 * fit_linear_edge(some).lateral_rms
+    assert result.lateral_rms < 0.5 * fit("linear_edge", some).lateral_rms
 
 
 @pytest.mark.parametrize(

@@ -96,7 +96,7 @@ def test_a_pose_out_of_reach_is_refused_with_distance_reach_and_place():
 
 def test_a_path_that_leaves_a_joint_range_is_refused_with_joint_angle_limits_and_place():
     path = PAPER + np.linspace(0, 1, 11)[:, None] * np.radians([0, 0, 0, 0, 0, 200])
-    with pytest.raises(JointLimitError, match="joint 6 would stand at 360.000 deg") as caught:
+    with pytest.raises(JointLimitError, match="joint 6 would be at 360.000 deg") as caught:
         inverse_near(ARM, MOUNT, pose(ARM, MOUNT, path), PAPER)
     assert (caught.value.joint, caught.value.index) == (6, (9,))
     assert caught.value.limits == pytest.approx(tuple(np.radians([-350, 350])))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kr270_milling.cutting import LAWS
 from kr270_milling.identification.forces import NAMES, SCALE, TOWARD_PART, LawFit, law_sections
 from kr270_milling.identification.materials import Material
 from kr270_milling.report.identification.outcome import Outcome
@@ -12,8 +13,8 @@ from kr270_milling.report.study_page import points
 __all__ = ["force_outcome", "material_outcome"]
 
 COLOURS = {"x": "#1f77b4", "y": "#d62728", "z": "#2ca02c"}
-SYMBOLS = {"measured": "circle-open", "linear edge": "line-ew-open", "fractional": "x-thin-open"}
-BETTER = 0.9  #: share of the residual of the linear-edge law below which the fractional law is recommended
+MEASURED = "circle-open"  #: marker
+BETTER = 0.9  #: share of the residual of the linear-edge law below which another law is recommended
 MATERIALS = "Linear-edge law [N/mm2, N/mm]"
 
 
@@ -63,8 +64,8 @@ def _table(fit: LawFit) -> tuple[str, list[str], list[list[str]]]:
     return title, ["coefficient", "value", "95 % +-"], rows
 
 
-def _sentences(edge: LawFit, bent: LawFit | None = None) -> list[str]:
-    """What the numbers mean; bent: the fractional law."""
+def _sentences(edge: LawFit, *others: LawFit) -> list[str]:
+    """What the numbers mean."""
     sentences = []
     if np.isnan(edge.values[4]):
         sentences.append("K_ac and K_ae: fz_n was not measured")
@@ -75,10 +76,11 @@ def _sentences(edge: LawFit, bent: LawFit | None = None) -> list[str]:
             sentences.append(f"{name.split('_n_')[0]}: the interval includes zero, cut at more feeds or deeper")
         elif value < 0.0:
             sentences.append(f"{name.split('_n_')[0]} is negative: look at the signs and at the sense of rotation")
-    if bent is not None:
-        straight, curved = edge.lateral_rms, bent.lateral_rms
-        better = "the fractional law" if curved < BETTER * straight else "the linear-edge law"
-        sentences.append(f"residual {straight:.3g} N (linear edge), {curved:.3g} N (fractional): use {better}")
+    if others:
+        best = min(others, key=lambda other: other.lateral_rms)
+        better = best if best.lateral_rms < BETTER * edge.lateral_rms else edge
+        residuals = ", ".join(f"{fit.lateral_rms:.3g} N ({fit.law.replace('_', ' ')})" for fit in (edge, *others))
+        sentences.append(f"residual {residuals}: use the {better.law.replace('_', '-')} law")
     return sentences
 
 
@@ -95,7 +97,8 @@ def _figures(fits: list[LawFit]) -> list:
 
     mean = by_component({law: rows * per_depth for law, rows in forces.items()})
     residuals = by_component({law: fit.residuals for law, fit in zip(names, fits, strict=True)})
-    style = {f"F_{axis} {law}": (colour, SYMBOLS[law]) for law in forces for axis, colour in COLOURS.items()}
+    symbols = {"measured": MEASURED} | {law: LAWS[fit.law].symbol for law, fit in zip(names, fits, strict=True)}
+    style = {f"F_{axis} {law}": (colour, symbols[law]) for law in forces for axis, colour in COLOURS.items()}
     return [
         points("Mean forces over the feed", "feed per tooth [mm]", "mean per mm of depth [N]", mean, (), style),
         points("Residuals", "feed per tooth [mm]", "measured less modelled [N]", residuals, (), style),
