@@ -23,7 +23,7 @@ from kr270_milling.cell.path import (
     within_joint_limits,
 )
 from kr270_milling.cell.sections import Limits, Part, Path, Program, Uncertainty, Workpiece
-from kr270_milling.compensation.compensator import Compensation
+from kr270_milling.compensation.settings import CompensationSettings
 from kr270_milling.cutting import Cut, Cutting, Stock, Tool
 from kr270_milling.robot import Arm, Mount, inverse_near, pose
 from kr270_milling.simulation.arm_model import Dynamics, arm_model, modal_models
@@ -58,7 +58,7 @@ class Cell(Record):
     path: Path
     dynamics: Dynamics
     exchange: Exchange
-    compensation: Compensation
+    compensation: CompensationSettings
     publish: Publish = field(default_factory=Publish)
     timing: Timing = field(default_factory=Timing)
     program: Program = field(default_factory=Program)

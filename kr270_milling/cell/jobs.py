@@ -12,7 +12,10 @@ from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import Plant
 from kr270_milling.compensation.compensator import Compensator
+from kr270_milling.compensation.learning import Learner
+from kr270_milling.compensation.methods import Method, method_of
 from kr270_milling.compensation.mirror import Mirror, mirror
+from kr270_milling.compensation.models import CellModels
 from kr270_milling.compensation.response import ArmResponse
 from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.simulation.dynamics import ModalModel
@@ -98,16 +101,18 @@ def pass_record(
     return PassRecord(time_ns, tool, cell.scored_from_ns, wrench, revolution, noise)
 
 
-def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Compensator:
+def compensator(cell: Cell, target: Trajectory, method: str | Method | None = None) -> Compensator:
     """The compensator of a cell, on line and off line."""
-    return Compensator(
-        cell.compensation,
-        target,
-        method,
-        lambda t, wrench: mirrored(cell, t, wrench),
-        lambda t: arm_response(cell, t),
-        lambda t: record_of(cell, simulate(cell, t)),
-        lambda t, time_ns, shift: strayed(cell, t, time_ns, shift),
+    return Compensator(cell.compensation, target, method, models_of(cell))
+
+
+def models_of(cell: Cell) -> CellModels:
+    """The models of arm and cut for a compensation method."""
+    return CellModels(
+        mirror=lambda target, wrench: mirrored(cell, target, wrench),
+        arm=lambda target: arm_response(cell, target),
+        predict=lambda reference: record_of(cell, simulate(cell, reference)),
+        cut=lambda target, time_ns, shift: deviated_cut(cell, target, time_ns, shift),
     )
 
 
@@ -146,12 +151,13 @@ def _carry(before: ModalModel, after: ModalModel) -> np.ndarray:
 def expected_deviations(cell: Cell, references: Sequence[Trajectory]) -> list[float]:
     """Largest deviation across the feed [m] along each reference, by the linear response of the arm to it and to the
     wrench of the cut on the target: no pass is run, and the cut does not answer the motion of the tool."""
-    learner = compensator(cell, cell.target()).new_learner().expect()
+    settings = cell.compensation
+    learner = Learner.of_model(cell.target(), models_of(cell), settings.criterion, settings.smooth).expect()
     return [learner.predicted(reference) for reference in references]
 
 
-def strayed(cell: Cell, target: Trajectory, time_ns: np.ndarray, shift: np.ndarray) -> PassRecord:
-    """The cut alone, along a path that strays from the target by shifts (k, 3) [m] at times (k,) [ns]."""
+def deviated_cut(cell: Cell, target: Trajectory, time_ns: np.ndarray, shift: np.ndarray) -> PassRecord:
+    """The cut alone, along a path that deviates from the target by shifts (k, 3) [m] at times (k,) [ns]."""
     steps = np.arange(cell.clock.steps(target.duration_ns) + 1)
     stamps = cell.clock.stamp(steps)
     tool = target.sample(stamps) + np.column_stack([np.interp(stamps, time_ns, axis) for axis in shift.T])
@@ -195,7 +201,7 @@ def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_comp
 
 
 def compensated(
-    cell: Cell, original: ScoredPass, method: str, progress=None, by: Compensator | None = None,
+    cell: Cell, original: ScoredPass, method: str | Method, progress=None, by: Compensator | None = None,
     plant: Plant | None = None,
 ) -> ScoredPass:  # fmt: skip
     """The pass along the trajectory that ``method`` makes from the original pass.
@@ -203,16 +209,17 @@ def compensated(
     by: a compensator to do it with; plant: what runs the passes, the original one included.
     """
     passes: dict[int, ScoredPass] = {}
+    by = by or compensator(cell, cell.target(), method)
+    name = method_of(method).name
 
     def run(reference: Trajectory) -> PassRecord:
-        passes[id(reference)] = simulate(cell, reference, method, progress, plant)
+        passes[id(reference)] = simulate(cell, reference, name, progress, plant)
         return record_of(cell, passes[id(reference)])
 
-    by = by or compensator(cell, cell.target(), method)
     reference = by.improve(record_of(cell, original), run)
     if reference is original.reference:
-        return dataclasses.replace(original, name=method)
-    return passes.get(id(reference)) or simulate(cell, reference, method, progress, plant)
+        return dataclasses.replace(original, name=name)
+    return passes.get(id(reference)) or simulate(cell, reference, name, progress, plant)
 
 
 def mean_force(result: PassResult) -> np.ndarray:

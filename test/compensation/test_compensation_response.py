@@ -83,10 +83,10 @@ def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last
     time = fine()
     step = np.where(time >= KNOTS[4], force, 0.0)
     expected = lsim(([1.0], [1.0, 2 * ZETA * OMEGA, OMEGA**2]), step, time * 1e-9)[1]
-    found = one_mode().give_way(SEGMENTS, wrench)[..., 1].ravel()
+    found = one_mode().deflect(SEGMENTS, wrench)[..., 1].ravel()
     middle = np.interp(SEGMENTS.middle_ns.ravel(), time, expected)
     assert found == pytest.approx(middle, abs=1e-3 * force / OMEGA**2)  # a cubic over parts of up to 5 ms
-    stiff = one_mode(damping=0.9).scaled(2.0, 1.0, softness=1.5).give_way(SEGMENTS, wrench)[-1, -1, 1]
+    stiff = one_mode(damping=0.9).scaled(2.0, 1.0, softness=1.5).deflect(SEGMENTS, wrench)[-1, -1, 1]
     assert stiff == pytest.approx(1.5 * force / OMEGA**2, rel=1e-3)  # softness alone changes it, not the frequency
 
 
