@@ -63,7 +63,7 @@ def simulate(
         return ScoredPass(name, reference, result, scored(cell, result, plant.cell.low_frequency), record)
     cut = cell.cut()
     result = run_pass(cell.arm_model(reference), cut, cell.clock, target, reference, cell.exchange.iterations, progress)
-    if cell.path.file:  # its sweep takes so long that the assessment of the part takes over the workpiece
+    if not cell.programmed.straight:  # its sweep takes long, so the assessment of the part uses this workpiece
         result = dataclasses.replace(result, heights=cut.map_heights()[2])
     return ScoredPass(name, reference, result, scored(cell, result))
 
@@ -74,7 +74,7 @@ def scored(cell: Cell, result: PassResult, low_frequency: float | None = None) -
     lowest = cell.low_frequency if low_frequency is None else low_frequency
     return score(
         result.time, result.actual, result.target, feed, cell.full_engagement, lowest, result.deflection[:, 1],
-        straight=not cell.path.file,
+        straight=cell.programmed.straight,
     )  # fmt: skip
 
 

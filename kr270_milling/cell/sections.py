@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+import pathlib
 import re
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.bag.recorded_path import is_recording
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter, specs
+from kr270_milling.trajectory.readers import READERS
 
-__all__ = ["Limits", "Part", "Path", "Program", "Uncertainty", "Workpiece"]
+__all__ = ["Limits", "Path", "Program", "Tolerances", "Uncertainty", "Workpiece"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +78,17 @@ class Path(Record):
     )
     mode: str = parameter("slot", choices=("slot", "up", "down"), text="stability: sense of a cut that is no slot")
 
+    @property
+    def recorded(self) -> bool:
+        """Whether ``file`` is a recording."""
+        reader = READERS.get(pathlib.Path(self.file).suffix.lower())
+        return reader is not None and reader.recorded
+
     def check(self) -> None:
-        if self.topic and not is_recording(self.file):
+        if self.topic and not self.recorded:
             raise ParameterError("topic", self.topic, "empty where path.file is no recording (.mcap)")
-        for spec in specs(Path):
-            if not self.file and spec.kind is float and not getattr(self, spec.name) > 0.0:
+        for spec in () if self.file else specs(Path):
+            if spec.kind is float and not getattr(self, spec.name) > 0.0:
                 value = getattr(self, spec.name) / spec.scale
                 raise ParameterError(spec.key, value, "above 0 for a straight cut (or give path.file)")
 
@@ -121,7 +128,7 @@ class Limits(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Part(Record):
+class Tolerances(Record):
     """Tolerances [m]: half widths of the band about the nominal surface; 0: none is asked for.
 
     A feature takes its own tolerance, else that of walls or floors, else ``tolerance``.

@@ -30,7 +30,7 @@ from kr270_milling.commands.progress import progress
 from kr270_milling.compensation.revision import chord_error
 from kr270_milling.decision.compensation import VerdictOrder, compensate, limit_sentence
 from kr270_milling.decision.part import write_part
-from kr270_milling.programs.files import source_hash, write_programs
+from kr270_milling.programs.files import write_programs
 from kr270_milling.report import ReportTable, decision_block, write_report
 
 DEVIATIONS = (("pass", "name", 2), ("static", "static_deviation_mm", um), ("max", "max_deviation_mm", um))
@@ -111,7 +111,7 @@ def _write(draft, final, cell, done, motions, args, source) -> dict:
     with progress("files"):
         files = write_programs(
             draft, cell, done.original.reference, revised.reference, method=revised.name, date=date,
-            motions=motions if checked.may_be_run or args.force else None, source=source_hash(cell),
+            motions=motions if checked.may_be_run or args.force else None, source=cell.programmed.sha256,
             findings=checked.lines(), released=checked.may_be_run,
         )  # fmt: skip
         placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}

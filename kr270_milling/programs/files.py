@@ -5,7 +5,6 @@ The manifest beside them says which file goes where, and in which order to try t
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,7 +24,7 @@ from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityE
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError, offsets
 from kr270_milling.trajectory.trajectory_csv import write_csv
 
-__all__ = ["RSI_TICKS_NS", "as_commanded", "source_hash", "write_joint_table", "write_programs", "write_rsi_table"]
+__all__ = ["RSI_TICKS_NS", "as_commanded", "write_joint_table", "write_programs", "write_rsi_table"]
 
 AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
 BESIDE = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  #: [m], of the approach beside the first point, tried in this order
@@ -95,17 +94,6 @@ def as_commanded(cell: Cell, run: Trajectory, joints) -> Trajectory:
     return Trajectory(run.time_ns, tool.position, quaternion_from_rotation(tool.rotation), run.velocity, run.frame)
 
 
-def source_hash(cell: Cell) -> str:
-    """SHA-256 of the tool path file, or "" for a straight cut."""
-    if not cell.path.file:
-        return ""
-    digest = hashlib.sha256()
-    with open(cell.path.file, "rb") as stream:
-        while block := stream.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
-
-
 #: the controller's $FLANGE in ``flange``: its z axis points out of the flange, as x does here (kuka_experimental sets
 #: its tool0 frame, "the $FLANGE coordinate system of the KRC", by the same turn)
 KUKA_FLANGE = Pose.from_abc(np.zeros(3), [0.0, np.pi / 2, 0.0])
@@ -142,13 +130,9 @@ def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
 
 
 def _source(cell: Cell, count: int) -> krl_motion.Source | None:
-    """Line and feature of each knot, of a tool path file."""
-    timed = cell.timed_path
-    if timed is None or len(timed.block) != count:
-        return None
-    features = timed.toolpath.features
-    numbers = timed.toolpath.feature[timed.block].tolist()
-    return krl_motion.Source(timed.toolpath.line[timed.block], tuple(features[n] for n in numbers))
+    """Line and feature of each knot; None without a program."""
+    lines, features = cell.programmed.knot_source
+    return krl_motion.Source(lines, features) if len(lines) == count else None
 
 
 def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: int = RSI_TICKS_NS[0]) -> None:
