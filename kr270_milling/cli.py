@@ -111,7 +111,7 @@ def _run(argv: list[str]) -> int:
         answer = args.run(args)
         return answer if isinstance(answer, int) else answer.tell(args.json)
     except MillingError as error:
-        return EXIT_USAGE if error.told else _refuse(str(error), getattr(error, "listing", ()))
+        return EXIT_USAGE if error.printed else _refuse(str(error), getattr(error, "listing", ()))
 
 
 def _refuse(sentence: str, listing: tuple = ()) -> int:

@@ -10,7 +10,7 @@ __all__ = ["MillingError", "ParameterError", "ConfigError", "InputError", "Recor
 class MillingError(Exception):
     """Base class of every error that this package raises on purpose; the command line exits with 2 on it."""
 
-    told = False  #: whether its sentence has been printed already, by what might not have come back
+    printed = False  #: whether the sentence was printed before, because the program might not have returned
 
 
 _short = reprlib.Repr()
@@ -36,7 +36,7 @@ def one_line(text: str) -> str:
 class ParameterError(MillingError):
     """A value that its record refuses.
 
-    key: the parameter's name as it stands in a parameter file; value: what was given, in the file's unit;
+    key: the name of the parameter in a parameter file; value: what was given, in the file's unit;
     allowed: what would have been right.
     """
 

@@ -227,7 +227,7 @@ def read_cell(path, assignments=()) -> Cell:
 
 
 def with_program(cell: Cell, source="") -> Cell:
-    """The cell with the spindle speed of its program where it has none of its own."""
+    """Return the cell, with the spindle speed of its program where the file has no spindle speed."""
     if cell.tool.spindle_speed > 0.0:
         return cell
     speeds = cell.programmed.program.spindle_speeds

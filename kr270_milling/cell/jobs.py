@@ -79,7 +79,7 @@ def scored(cell: Cell, result: PassResult, low_frequency: float | None = None) -
 
 
 def record_of(cell: Cell, ran: ScoredPass | PassResult) -> PassRecord:
-    """What the compensator learns from: stamps and tool centres, as a node hears them on ``tool_pose``."""
+    """Return the record for the compensator: stamps and tool centres, as a node receives them on ``tool_pose``."""
     if isinstance(ran, ScoredPass) and ran.record is not None:
         return ran.record
     result = ran.result if isinstance(ran, ScoredPass) else ran
@@ -90,7 +90,7 @@ def pass_record(
     cell: Cell, time_ns: np.ndarray, tool: np.ndarray, wrench: np.ndarray, tracker: Imperfections | None = None,
     number: int = 0,
 ) -> PassRecord:  # fmt: skip
-    """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], heard, recorded or simulated.
+    """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], received, recorded or simulated.
 
     The noise of the positions is what the cell states in ``imperfections``. tracker: simulate one with this noise for
     the true tool centres of the pass ``number``.

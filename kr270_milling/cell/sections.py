@@ -95,7 +95,7 @@ class Path(Record):
 
 @dataclass(frozen=True, eq=False)
 class Limits(Record):
-    """YAML ``limits``: beyond these a path is not to be run, or is told to be doubtful.
+    """YAML ``limits``: beyond these limits a path must not run, or gets a warning.
 
     wrist_angle: A4 and A6 turn 1 / sin(A5) times as fast as the tool, 19 times at 3 deg, and the least correction
     across the wrist makes them swing. elbow_angle: the nearly stretched arm turns A3 by 11 times what its reach asks

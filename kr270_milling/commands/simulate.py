@@ -39,14 +39,14 @@ def simulate(args) -> Answer:
         found = _summary(cell, ran)
         stability = stability_of(cell, ran.result)
         found["stability"] = stability.as_dict()
-        part = assess(cell, ran) if cell.path.file else None
+        part = None if cell.programmed.straight else assess(cell, ran)
         tolerance = judge(cell, ran, part)
         found["tolerance"] = tolerance.as_dict()
         if part:
             found |= {key: value for key, value in part.as_dict().items() if key != "name"}
         if draft and final:
             files = write_series(draft, cell, [ran])
-            if cell.path.file:
+            if not cell.programmed.straight:
                 files.append(draft / "part.stl")
                 write_part(files[-1], cell, ran.result)
             found["files"] = [str(final(path)) for path in files]

@@ -11,6 +11,7 @@ from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simula
 from kr270_milling.cell.plant import Plant
 from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.limiting import Limited
+from kr270_milling.compensation.methods import Method
 from kr270_milling.decision.check import Checked, check
 from kr270_milling.decision.findings import violation
 from kr270_milling.decision.part.assessment import PartAssessment, assess_all
@@ -87,7 +88,7 @@ class Compensation:
 
 def compensate(
     cell: Cell,
-    method: str | None = None,
+    method: str | Method | None = None,
     *,
     plant: Plant | None = None,
     motion: str | None = None,
@@ -103,10 +104,10 @@ def compensate(
     with progress("original") as report:
         original = simulate(cell, progress=report, plant=plant)
     by = compensator(cell, cell.target(), method)
-    with progress(method, by.most_passes) as report:
+    with progress(by.method, by.most_passes) as report:
         revised = compensated(cell, original, method, report, by, plant)
     with progress("surfaces"):
-        parts = assess_all(cell, (original, revised)) if cell.path.file else ()
+        parts = () if cell.programmed.straight else assess_all(cell, (original, revised))
     limited = [
         violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, said=limit_sentence(p, by))
         for p in by.limited

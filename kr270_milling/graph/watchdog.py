@@ -43,7 +43,7 @@ class Hooks:
         """Called before the graph is left, where the middleware may end this process and nothing be told any more."""
         if isinstance(error, MillingError):
             self.tell(str(error))
-            error.told = True
+            error.printed = True
 
 
 class AlreadyRunning(MillingError):

@@ -37,7 +37,7 @@ def write_programs(
     directory, cell: Cell, original: Trajectory, revised: Trajectory, *, method: str, date: str,
     motions: Sequence[str] | None = (), source: str = "", findings: Sequence[str] = (), released: bool = True,
 ) -> dict[str, list[Path]]:  # fmt: skip
-    """Write everything that a controller or a planner takes; returns the paths by kind.
+    """Write all files for a controller or a planner; return the paths by kind.
 
     "krl_spline", "krl_lin": the modules of both programs, for each of ``motions`` (default: ``program.motion``; None:
     no robot program), in a directory named after motion, method, date and hash; "rsi": revised minus original at each
@@ -45,7 +45,7 @@ def write_programs(
     ``check`` read; "manifest": which file goes where, in which order to try them, and what the columns are.
 
     method: for the names; date: ISO text; source: sha256 of what the original was made from; findings: lines of the
-    check, which stand in every header. A program that is not released has NOT_RELEASED for its name.
+    check, for every header. A program that is not released has NOT_RELEASED for its name.
     """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
         raise InputError("method", f"{method[:40]!r} cannot be part of a file name")
@@ -109,24 +109,24 @@ def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
 
 
 def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
-    """Above the first point, a little beside it where an axis would stand at zero: its sign, the bit of T, would be
+    """Above the first point, a little beside it where an axis would be at zero: its sign, the bit of T, would be
     left to rounding, and a controller that finds the other sign looks for the axis a whole turn away.
 
     Raises InputError where the arm cannot reach it.
     """
     above = run.position[:1].copy()
     above[0, 2] = max(above[0, 2], safe_z)
-    found = []
+    approaches = []
     for shift in BESIDE:
         try:
             joints = cell.joints_at(above + [*shift, 0.0], run.quaternion[:1])[0]
         except (ReachError, JointLimitError, SingularityError) as error:
             raise InputError("program.safe_height_mm", f"the approach cannot be reached: {error}") from None
         status, turn = status_turn(cell.arm, joints)
-        found.append(krl.Approach(above[0] + [*shift, 0.0], int(status), int(turn)))
+        approaches.append(krl.Approach(above[0] + [*shift, 0.0], int(status), int(turn)))
         if np.abs(joints).min() > AT_ZERO:
-            return found[-1]
-    return found[0]
+            return approaches[-1]
+    return approaches[0]
 
 
 def _source(cell: Cell, count: int) -> krl_motion.Source | None:

@@ -34,7 +34,7 @@ def flatten(
     """Ends of the chords [m], (m, 3), and the curvature [1/m] of an arc or a helix about ``centre``.
 
     start, end [m], (3,); equal in x and y they mean a full circle. closing: how far start and end may differ in their
-    distance from the centre; tolerance: how far the arc may stand off a chord; turns: full ones before the arc.
+    distance from the centre; tolerance: largest distance of the arc from a chord; turns: full ones before the arc.
     The last point is ``end`` itself.
     """
     first = math.hypot(start[0] - centre[0], start[1] - centre[1])

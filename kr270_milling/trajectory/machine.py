@@ -1,4 +1,4 @@
-"""The modal state of a milling machine, for every language of programs: where the tool stands, how a block moves it.
+"""The modal state of a milling machine, for every language of programs: the place of the tool, the move of a block.
 
 Straight, on an arc of one of three planes, in a drilling cycle. A height of TOP is that of a tool that was taken away.
 """
@@ -75,7 +75,7 @@ class Machine:
             self.program.refuse(word, f"the feed {word} must lie between 0 and {most:g} per minute")
 
     def home(self, axes: list[str]) -> None:
-        """The tool leaves the workpiece: up to the top height first, then X and Y are where nobody knows."""
+        """The tool leaves the workpiece: up to the top height first, then X and Y are unknown."""
         self.cycle = None
         if "Z" in axes:
             self.position[2] = TOP

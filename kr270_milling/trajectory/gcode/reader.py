@@ -113,7 +113,7 @@ class _Reader:
     def _pieces(self, code: str) -> None:
         """A line that is more than words of one letter; nothing of it is run where one piece cannot be."""
         words: list[tuple[str, Any]] = []
-        names: list[tuple[str, str]] = []  # with what stands behind them
+        names: list[tuple[str, str]] = []  # with the text after them
         for match in PIECE.finditer(code):
             kind, text = match.lastgroup, match.group()
             if text == "SUPA":
