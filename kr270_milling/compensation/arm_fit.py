@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from kr270_milling.compensation.response import ArmResponse, Segments
 
-__all__ = ["Evidence", "Identified", "fit"]
+__all__ = ["Evidence", "Identified", "fit_arm"]
 
 #: assumed: standard deviations of the logarithms of gain, compliance, frequencies and damping ratios before any pass
 PRIOR = {"gain": 0.1, "softness": 0.2, "frequency": 0.2, "damping": 0.7}
@@ -112,7 +112,7 @@ class _Problem:
             yield other.follow(self.segments, ran.cubic) - self.arm.follow(self.segments, ran.cubic)
 
 
-def fit(
+def fit_arm(
     arm: ArmResponse, segments: Segments, path: np.ndarray, approach: np.ndarray, passes: tuple[Evidence, ...],
     weight: np.ndarray, noise: float,
 ) -> tuple[ArmResponse, Identified | None]:  # fmt: skip

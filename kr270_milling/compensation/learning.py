@@ -15,7 +15,7 @@ import functools
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from kr270_milling.compensation.arm_fit import Evidence, Identified, fit
+from kr270_milling.compensation.arm_fit import Evidence, Identified, fit_arm
 from kr270_milling.compensation.lifted import KnotConditions, Lifted
 from kr270_milling.compensation.models import CellModels
 from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
@@ -91,7 +91,9 @@ class Learner:
         self._noise = ran.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
         weight = np.where(self.scored, 1.0, FREE)
         passes = (*self.passes, last)
-        self.arm, self.identified = fit(self.model, segments, self.path, self.path[0, 1], passes, weight, self._noise)
+        self.arm, self.identified = fit_arm(
+            self.model, segments, self.path, self.path[0, 1], passes, weight, self._noise
+        )
         if last.wrench is not None and last.on_path is None:
             last = dataclasses.replace(last, on_path=self._on_path(last, last.wrench))
         self.passes = (*self.passes, last)

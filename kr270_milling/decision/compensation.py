@@ -19,7 +19,7 @@ from kr270_milling.decision.tolerance import Judgement, judge
 from kr270_milling.decision.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, monte_carlo
 
 __all__ = [
-    "BUDGET", "NO_METHOD", "USUAL_BUDGET", "Compensation", "Decision", "VerdictOrder", "compensate",
+    "BUDGET", "NO_METHOD", "USUAL_BUDGET", "Decision", "JudgedCompensation", "VerdictOrder", "compensate",
     "limit_sentence",
 ]  # fmt: skip
 
@@ -75,7 +75,7 @@ class VerdictOrder:
 
 
 @dataclass(frozen=True, eq=False)
-class Compensation:
+class JudgedCompensation:
     """Both passes and what is to be thought of them."""
 
     original: ScoredPass
@@ -94,7 +94,7 @@ def compensate(
     motion: str | None = None,
     verdict: VerdictOrder | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(),
-) -> Compensation:
+) -> JudgedCompensation:
     """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
 
     plant: what runs the passes; motion: of the programs, LIN or SPLINE; progress(text, passes at most): a context that
@@ -120,7 +120,7 @@ def compensate(
     if judged:
         recommended = judged.recommended
     decision = Decision(before, after, checked.may_be_run, checked.count("warning"), recommended, judged)
-    return Compensation(original, revised, by, parts, checked, decision)
+    return JudgedCompensation(original, revised, by, parts, checked, decision)
 
 
 def _verdict(cell: Cell, original: ScoredPass, revised: ScoredPass, order: VerdictOrder, report) -> Verdict | None:

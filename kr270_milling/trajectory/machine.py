@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.trajectory.arcs import ArcError, centre_from_radius, flatten
+from kr270_milling.trajectory.arcs import ArcError, arc_points, centre_from_radius
 from kr270_milling.trajectory.drilling import Cycle
 from kr270_milling.trajectory.program_builder import ProgramBuilder
 from kr270_milling.trajectory.toolpath import REACH, TOP
@@ -222,7 +222,7 @@ class Machine:
                 advice = "write G90.1 first or post incremental centres"
                 raise ArcError(f"the arc closes with an absolute centre only; {advice}")
         turns = int(arc.get("TURN", axes.pop("P", 1) - 1))
-        points, curvature = flatten(from_point, to_point, centre, clockwise, closing, CHORD, turns)
+        points, curvature = arc_points(from_point, to_point, centre, clockwise, closing, CHORD, turns)
         if not np.abs(points).max() <= REACH:
             raise ArcError(f"the arc leads more than {REACH:g} m away; wrong unit?")
         chords = np.linalg.norm(np.diff(points[:, :2], axis=0, prepend=[from_point[:2]]), axis=1)

@@ -32,7 +32,7 @@ NO_END = "a CIRCLE/ without the GOTO/ of its end"
 def read_apt(path, tool: str = "", feed: float = 0.0) -> Toolpath:
     """Read an APT source or CL text file; tool: "T1" where several cut; feed [m/s]: for a program without FEDRAT/."""
     program = ProgramBuilder(path, f"T{int(tool)}" if tool.isdigit() else tool)
-    reader = _Reader(program, feed)
+    reader = _AptReader(program, feed)
     reader.read(read_lines(path))
     return program.finish(reader.unit)
 
@@ -41,7 +41,7 @@ class StatementError(ValueError):
     """A statement with values that it cannot have."""
 
 
-class _Reader(Machine):
+class _AptReader(Machine):
     """Runs statements: a move is a block of G0 after RAPID, which holds for one move, else of G1, G2 or G3."""
 
     def __init__(self, program: ProgramBuilder, feed: float):
