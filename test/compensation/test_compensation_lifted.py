@@ -6,8 +6,8 @@ import time
 
 import numpy as np
 import pytest
+from arms import one_mode
 from scipy.interpolate import CubicSpline
-from test_compensation_response import one_mode
 
 from kr270_milling.compensation.lifted import KnotConditions, Lifted
 from kr270_milling.compensation.limiting import Limited

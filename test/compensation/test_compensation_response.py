@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arms import KNOTS, OMEGA, SEGMENTS, ZETA, one_mode
 from scipy.signal import lsim
 from splines import spline
 
@@ -12,24 +13,6 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import arm_response, simulate
 from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
 from kr270_milling.trajectory.trajectory import Trajectory
-
-OMEGA, ZETA = 42.0, 0.04
-KNOTS = np.cumsum([0, 50, 50, 30, 70, 50, 50, 20, 80, 50, 50, 50, 50]) * 1_000_000  # unevenly spaced
-SEGMENTS = Segments(KNOTS, 16)
-
-
-def one_mode(frequency=OMEGA, damping=ZETA) -> ArmResponse:
-    """A mass of 1 kg on a spring across the feed, y; the other axes are rigid."""
-    m, axis = len(SEGMENTS), np.array([0.0, 1.0, 0.0])
-    tile = np.ones((m, 1, 1))
-    return ArmResponse(
-        frequency=np.full((m, 1), frequency),
-        damping=np.full((m, 1), damping),
-        inward=tile * axis[None, None, :],
-        outward=tile * axis[None, :, None],
-        push=tile * np.concatenate([axis, np.zeros(3)])[None, None, :],
-        carry=tile.copy(),
-    )
 
 
 def correction(smooth: bool) -> Trajectory:
