@@ -14,6 +14,7 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell as cells
 from kr270_milling.cell import jobs
 from kr270_milling.cell.cell import Cell
+from kr270_milling.compensation.methods import Method
 from kr270_milling.decision import check as checks
 from kr270_milling.decision import compensation, tolerance, verdict
 from kr270_milling.report.series import COLUMNS, series_lines, series_rows
@@ -99,7 +100,7 @@ def simulate(cell: Cell, reference: Trajectory | None = None) -> Pass:
     return Pass.of(cell, jobs.simulate(cell, reference, "original" if reference is None else "reference"))
 
 
-def compensate(cell: Cell, method: str | None = None) -> Compensation:
+def compensate(cell: Cell, method: str | Method | None = None) -> Compensation:
     """Revise the trajectory by a method (default: that of the cell) and judge it."""
     done = compensation.compensate(cell, method)
     return Compensation(Pass.of(cell, done.original), Pass.of(cell, done.revised), done.checked, done.decision)

@@ -143,7 +143,7 @@ MUTATIONS = [
     ("(32)", MIRROR, "modified.position <<+|->> relaxation * shift"),
     ("(32) alpha", MIRROR, "modified.position + <<relaxation|2 * relaxation>> * shift"),
     ("(32) rotation", MIRROR, "from_rotvec(<<relaxation|-relaxation>> * vector)"),
-    ("Fig. 14", REVISION, "knots = <<-|>>ran.sampled_displacement(reference, target.time_ns)"),
+    ("Fig. 14", REVISION, "return <<-|>>ran.sampled_displacement(reference, target.time_ns)"),
     ("z / r bend", RESPONSE, "return (h11 <<-|+>> 1.0) / w**2, of_jerk"),
     ("z / r jerk", RESPONSE, "of_jerk = (2.0 * z / w * (1.0 <<-|+>> h11)"),
     ("z / r corner", RESPONSE, "self.inward, before <<-|+>> cubic[:, 1])"),
@@ -154,7 +154,7 @@ MUTATIONS = [
     ("lifted corner", LIFTED, "free[k, rate, :3] = <<|->>jump[k]"),
     ("lifted cost to go", LIFTED, "gradient[:size] <<+|->> total[:size, size:] @ push[k]"),
     ("lifted policy", LIFTED, "later = total[:size, :size] <<+|->> total[:size, size:] @ policy[k]"),
-    ("wrench on the path", LEARNING, "factor * (self._ideal <<-|+>> strayed)"),
+    ("wrench on the path", LEARNING, "factor * (self._ideal <<-|+>> deviated)"),
     ("repeatability", PLAY, "np.sqrt(8.0 / np.pi) <<+|->> 3.0 * np.sqrt"),
     ("play", PLAY, "min(max(stands[k - 1, axis], motor <<-|+>> half[axis])"),
 ]

@@ -7,15 +7,11 @@ and in headings of planners, they do not describe a tool, and the tool is vertic
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.records import mcap_file
-from kr270_milling.base import parameter_file as config_file
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.messages.cdr import Cursor
 from kr270_milling.messages.trajectory import TRAJECTORY, TrajectoryRecord, read_trajectory
@@ -23,7 +19,7 @@ from kr270_milling.trajectory.timing import TimedPath
 from kr270_milling.trajectory.toolpath import REACH, Toolpath
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 
-__all__ = ["PATH", "PathRecord", "find_tool_path", "is_recording", "read_path", "read_recorded"]
+__all__ = ["PATH", "PathRecord", "read_path", "read_recorded"]
 
 PATH = "nav_msgs/msg/Path"
 TOOL, WORKPIECE = "tool0", "workpiece"
@@ -40,23 +36,8 @@ class PathRecord:
     quaternion: np.ndarray  #: x y z w, (n, 4)
 
 
-def find_tool_path(name: str, beside: Path = Path()) -> Path:
-    """Return the file of a tool path: in the directory ``beside``, shipped, or in the directory of a recording.
-
-    Raises ConfigError, RecordingError.
-    """
-    if os.path.isdir(beside / name):
-        return mcap_file(beside / name)
-    return config_file.find_file(name, beside)
-
-
-def is_recording(path) -> bool:
-    """Whether the name of a file is the name of a recording."""
-    return Path(path).suffix.lower() == ".mcap"
-
-
-def read_recorded(path, topic: str = "", feed_rate: float = 0.0) -> Toolpath | TimedPath:
-    """Read the path or trajectory of a recording, or that on ``topic``; feed_rate [m/s]: for a Path without times.
+def read_recorded(path, topic: str = "", feed: float = 0.0) -> Toolpath | TimedPath:
+    """Read the one path or trajectory of a recording, or that on ``topic``; feed [m/s]: for a Path without times.
 
     Raises RecordingError if there is none, if there are several, or if it cannot be run.
     """
@@ -65,7 +46,7 @@ def read_recorded(path, topic: str = "", feed_rate: float = 0.0) -> Toolpath | T
         try:
             data = _message(recording, topic)
             if kind == PATH:
-                return _toolpath(read_path(data), feed_rate)
+                return _toolpath(read_path(data), feed)
             return _timed(read_trajectory(data))
         except (ValueError, TrajectoryError) as error:
             reason = getattr(error, "reason", error)

@@ -34,7 +34,7 @@ def one_line(text: str) -> str:
 class ParameterError(MillingError):
     """A value that its record refuses.
 
-    key: the parameter's name as it stands in a parameter file; value: what was given, in the file's unit;
+    key: the name of the parameter in a parameter file; value: what was given, in the file's unit;
     allowed: what would have been right.
     """
 

@@ -18,7 +18,7 @@ __all__ = ["staged", "write_files"]
 def staged(directory) -> Iterator[tuple[Path, Callable[[str | Path], Path]]]:
     """A fresh directory to write into; when the block ends well, its files move to ``directory``.
 
-    Yields it and the function that tells where one of its files will be. After an error nothing is left behind, and
+    Yields it and the function that returns the final path of one of its files. After an error nothing is left, and
     ``directory`` is as it was. Files of the same names are replaced; a link on the way is refused, so that nothing is
     written elsewhere. Raises InputError where the directory cannot be made.
     """
@@ -48,7 +48,7 @@ def _move(draft: Path, final: Path) -> None:
             if parent == final:
                 break
             if parent.is_symlink() or (parent.exists() and not parent.is_dir()):
-                raise InputError(parent, "must be a directory of its own to write into, not a link or a file")
+                raise InputError(parent, "must be a directory to write into, not a link or a file")
         if place.is_dir() and not place.is_symlink():
             raise InputError(place, "is a directory where a file is to be written")
     try:
@@ -81,7 +81,7 @@ def _write(path: Path, pieces: Iterator, newline: str) -> None:
     first = next(pieces, "")
     text = isinstance(first, str)
     # a file name in a text need not be text that UTF-8 can hold
-    how: dict = dict(encoding="utf-8", errors="backslashreplace", newline=newline) if text else {}
-    with open(path, "x" if text else "xb", **how) as stream:
+    options: dict = dict(encoding="utf-8", errors="backslashreplace", newline=newline) if text else {}
+    with open(path, "x" if text else "xb", **options) as stream:
         stream.write(first)
         stream.writelines(pieces)

@@ -20,7 +20,7 @@ MOST_DEPTH = 8  # files that include one another
 
 
 def refusal(file, key: str, value, allowed: str) -> ConfigError:
-    """The error about a value of a file; a key without a value is told from a value."""
+    """The error about a value of a file; a key without a value differs from a value."""
     if value is None:
         return ConfigError(file, key, None, f"has no value, it must be {allowed}")
     return ConfigError(file, key, value, allowed)
@@ -103,7 +103,7 @@ def read_yaml(path: Path):
 
 
 def parse(text: str, file, key: str):
-    """What a YAML text says, without keys that stand twice or are merged ("<<"); raises ConfigError."""
+    """Return the content of a YAML text; repeated and merged ("<<") keys are refused; raises ConfigError."""
     import yaml
 
     try:
@@ -121,12 +121,12 @@ def _strict_loader():
 
     class Loader(yaml.SafeLoader):
         """Refuses the same key twice, numbers to the base 60 (1:30), which ROS reads as texts, and aliases (*name),
-        which ROS refuses too: some lines of them stand for more values than any memory holds."""
+        which ROS refuses too: a few lines of aliases can expand beyond any memory."""
 
         def compose_node(self, parent, index):
             if self.check_event(yaml.AliasEvent):
                 line = self.peek_event().start_mark.line + 1
-                raise yaml.YAMLError(f"an alias stands in line {line}; write its value out")
+                raise yaml.YAMLError(f"line {line} contains an alias; write its value out")
             return super().compose_node(parent, index)
 
         def construct_mapping(self, node, deep=False):
@@ -136,7 +136,7 @@ def _strict_loader():
                 if not isinstance(key, str):
                     raise yaml.YAMLError(f"the key in line {name.start_mark.line + 1} is not a text")
                 if key in seen:
-                    raise yaml.YAMLError(f"the key {key!r} stands twice, again in line {name.start_mark.line + 1}")
+                    raise yaml.YAMLError(f"the key {key!r} occurs twice, again in line {name.start_mark.line + 1}")
                 seen.add(key)
             return super().construct_mapping(node, deep)
 

@@ -180,7 +180,7 @@ class Record:
     """Base of the parameter dataclasses: checks every value at the door and makes arrays read-only.
 
     Raises ParameterError, with key and value in the file's unit. A record that was built from a parameter file keeps
-    the numbers of the file, and gives them back as they stood there (``tree_of``).
+    the numbers of the file, and returns them unchanged (``tree_of``).
     """
 
     def __post_init__(self):

@@ -84,7 +84,7 @@ def read_table(path, known, required=(), whole: bool = False) -> Table:
             hint = f"; did you mean {near[0]}?" if near else f"; known here: {', '.join(known)}"
             raise InputError(path, f"{name[:40]!r} is not a known column{hint}", line)
         if names.count(name) > 1:
-            raise InputError(path, f"the column {name} stands twice", line)
+            raise InputError(path, f"the column {name} occurs twice", line)
     for name in required:
         if name not in names:
             raise InputError(path, f"has no column {name}", line)

@@ -9,28 +9,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kr270_milling.bag.recorded_path import find_tool_path, is_recording
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
 from kr270_milling.base.record import Record, build, override, parameter, read_tree
-from kr270_milling.cell.path import (
-    MOST_STEPS,
-    check_effort,
-    check_postures,
-    fed_path,
-    read_program,
-    straight_cut,
-    within_joint_limits,
-)
-from kr270_milling.cell.sections import Limits, Part, Path, Program, Uncertainty, Workpiece
-from kr270_milling.compensation.compensator import Compensation
+from kr270_milling.cell.path import check_postures
+from kr270_milling.cell.paths import ProgramPath, StraightCut
+from kr270_milling.cell.sections import Limits, Path, Program, Tolerances, Uncertainty, Workpiece
+from kr270_milling.compensation.settings import CompensationSettings
 from kr270_milling.cutting import Cut, Cutting, Stock, Tool
 from kr270_milling.robot import Arm, Mount, inverse_near, pose
 from kr270_milling.simulation.arm_model import Dynamics, arm_model, modal_models
 from kr270_milling.simulation.dynamics import ArmModel, ModalModel, approach
 from kr270_milling.simulation.exchange import Clock, Exchange, Publish
 from kr270_milling.simulation.imperfections import Imperfections
-from kr270_milling.trajectory.source_program import SourceProgram
+from kr270_milling.trajectory.readers import find_tool_path
 from kr270_milling.trajectory.timing import TimedPath, Timing
 from kr270_milling.trajectory.trajectory import Trajectory
 
@@ -58,13 +50,13 @@ class Cell(Record):
     path: Path
     dynamics: Dynamics
     exchange: Exchange
-    compensation: Compensation
+    compensation: CompensationSettings
     publish: Publish = field(default_factory=Publish)
     timing: Timing = field(default_factory=Timing)
     program: Program = field(default_factory=Program)
     limits: Limits = field(default_factory=Limits)
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
-    part: Part = field(default_factory=Part)
+    part: Tolerances = field(default_factory=Tolerances)
     imperfections: Imperfections = field(default_factory=Imperfections)
 
     def __post_init__(self):
@@ -79,16 +71,9 @@ class Cell(Record):
         self._check_posture()
         if self.tool.spindle_speed > 0.0:
             self.exchange.clock(self.tool.spindle_speed)
-        elif not self.path.file or is_recording(self.path.file):
-            raise ParameterError("tool.spindle_speed_rpm", 0.0, "above 0 where no program says it")
-        if self.path.file:
-            return
-        duration = self.path.length / self.path.feed_rate
-        steps = duration / min(self.exchange.period, self.timing.controller_step)
-        if not steps <= MOST_STEPS:
-            allowed = f"faster: the pass would take {steps:.3g} steps, more than {MOST_STEPS:g}"
-            raise ParameterError("path.feed_rate_m_per_min", self.path.feed_rate * 60.0, allowed)
-        check_effort(self.exchange, self.tool, self.stock, duration)
+        elif self.programmed.spindle_speed_needed:
+            raise ParameterError("tool.spindle_speed_rpm", 0.0, "above 0 where no program states it")
+        self.programmed.check()
 
     def _check_posture(self) -> None:
         """Six joints, once: where the path starts, or near it."""
@@ -110,12 +95,11 @@ class Cell(Record):
         return self.start_joints if self.start_joints.size else self.posture_hint
 
     def __repr__(self) -> str:
-        cut = self.path.file.rpartition("/")[2] or f"straight cut of {1e3 * self.path.length:g} mm"
-        return f"<Cell {self.arm.name}: {cut}>"
+        return f"<Cell {self.arm.name}: {self.programmed.name}>"
 
     def placed(self) -> Workpiece:
         """The workpiece where the start joints put the tool at the start of the straight cut."""
-        cut = straight_cut(self)
+        cut = StraightCut(self.path, self.stock, self.tool, self.timing, self.exchange).target
         start = Pose(cut.position[0], rotation_from_quaternion(cut.quaternion[0]))
         placed = pose(self.arm, self.mount, self.start_joints) @ start.inverse()
         return self.workpiece.replace(xyz=placed.position, abc=abc_from_rotation(placed.rotation))
@@ -125,25 +109,24 @@ class Cell(Record):
         return self.exchange.clock(self.tool.spindle_speed)
 
     @functools.cached_property
+    def programmed(self) -> StraightCut | ProgramPath:
+        """The programmed path."""
+        common = self.path, self.stock, self.tool, self.timing, self.exchange
+        return ProgramPath(*common, self.arm, self.joints) if self.path.file else StraightCut(*common)
+
+    @property
     def fed_path(self) -> TimedPath | None:
         """The tool path of ``path.file`` under the limits of the controller alone; None for a straight cut."""
-        return fed_path(self) if self.path.file else None
+        return self.programmed.fed
 
-    @functools.cached_property
+    @property
     def timed_path(self) -> TimedPath | None:
         """The tool path of ``path.file`` under the limits of controller and joints; None for a straight cut."""
-        return within_joint_limits(self, self.fed_path, self.joints) if self.fed_path else None
-
-    @functools.cached_property
-    def program_of_path(self) -> SourceProgram:
-        """What the program in ``path.file`` says beside its moves; empty where there is none."""
-        if self.tool.spindle_speed > 0.0 and self.fed_path is not None:
-            return self.fed_path.toolpath.program
-        return read_program(self.path) if self.path.file else SourceProgram()
+        return self.programmed.timed
 
     def target(self) -> Trajectory:
         """The programmed trajectory of the tool tip in the workpiece frame, knots at the controller step."""
-        return self.timed_path.trajectory if self.timed_path else straight_cut(self)
+        return self.programmed.target
 
     def joints(self, trajectory: Trajectory) -> np.ndarray:
         """Joint positions [rad], (n, 6), that command the knots of a trajectory, on the branch of ``posture``."""
@@ -191,7 +174,7 @@ class Cell(Record):
 
         The feed is that of a straight cut, +x of the workpiece frame; NaN for a tool path, which has no one feed.
         """
-        if self.path.file:
+        if not self.programmed.straight:
             return math.nan
         model = self.modal_model
         moves = model.output @ model.shape
@@ -213,18 +196,13 @@ class Cell(Record):
 
     @property
     def feed_rate(self) -> float:
-        """[m/s], the highest that is programmed for cutting moves."""
-        if self.timed_path is None:
-            return self.path.feed_rate
-        toolpath = self.timed_path.toolpath
-        return float(np.max(toolpath.feed[~toolpath.rapid], initial=0.0))
+        """[m/s], the highest programmed feed of the cutting moves."""
+        return self.programmed.feed_rate
 
     @property
     def full_engagement(self) -> float:
-        """[s], when the middle of a tool that enters along x has come to the stock's border; 0 for a tool path file."""
-        if self.path.file:
-            return 0.0
-        return max(0.0, float(self.stock.min[0] - self.path.start[0])) / self.path.feed_rate
+        """[s], when the middle of a tool that enters along x reaches the border of the stock; 0 for a program."""
+        return self.programmed.full_engagement
 
     @property
     def scored_from_ns(self) -> int:
@@ -249,10 +227,10 @@ def read_cell(path, assignments=()) -> Cell:
 
 
 def with_program(cell: Cell, source="") -> Cell:
-    """The cell with the spindle speed of its program where it has none of its own."""
+    """Return the cell, with the spindle speed of its program where the file has no spindle speed."""
     if cell.tool.spindle_speed > 0.0:
         return cell
-    speeds = cell.program_of_path.spindle_speeds
+    speeds = cell.programmed.program.spindle_speeds
     if not speeds:
         allowed = "above 0: the program in path.file has no spindle speed S"
         raise ConfigError(source, "tool.spindle_speed_rpm", 0.0, allowed)

@@ -20,7 +20,7 @@ ALLOWANCE = 5e-3  #: [m], around the path of the cutter and below it
 ROUNDING = 1e-3  #: [mm], of coordinates in inches
 CLEARANCE = 0.5e-3  #: [m], between the stock and a cutter that comes down rapidly beside it
 LEAST_SHARE = 0.2  #: of the area that the path asks for; a stock that is cut down to less is no guess any more
-NEAR = 0.3  #: [m]; a path that stays so near its zero stands at the place of the test piece
+NEAR = 0.3  #: [m]; a path within this distance of its zero gets the place of the test piece
 PLACE = (1500.0, 0.0, 800.0)  #: [mm], of the test piece, see config/test_piece.yaml
 PERIOD = 0.25e-3  #: [s], exchange period of the test piece
 LONGEST_PERIOD = 2e-3  #: [s]
@@ -29,7 +29,7 @@ RAPID = 0.2  #: [m/s], of rapid moves, as the template has it
 SPACING, POSTURES = 5.0, 2e4  #: [mm] between two modelled postures, and how many of them a long path should have
 NODES = 2.5e7  #: of the grid, 25 MB
 FINEST, FINE, COARSEST = 5.0, 20.0, 100.0  #: [um], grid steps
-DIAMETER, TEETH, SPEED = 10.0, 4, 8000.0  #: [mm], -, [rpm], where nobody says
+DIAMETER, TEETH, SPEED = 10.0, 4, 8000.0  #: [mm], -, [rpm], where the program does not state it
 #: what the template holds for a slot along +x, of which no program says anything
 STRAIGHT = {
     "operations": "", "place": f"[{PLACE[0]}, {PLACE[1]}, {PLACE[2]}]", "offset": "of the workpiece",
@@ -92,17 +92,17 @@ def _beside_rapids(box: Box, path: Toolpath, radius: float, top: float) -> Box:
 
 def _sides(box: Box, place: np.ndarray, margin: float) -> list[Box]:
     """The box without what lies on one side of a cutter, four ways."""
-    found = []
+    sides = []
     for axis in (0, 1):
         low, high = box.low.copy(), box.high.copy()
         low[axis] = max(low[axis], place[axis] + margin)
         high[axis] = min(high[axis], place[axis] - margin)
-        found += [Box(low, box.high), Box(box.low, high)]
-    return found
+        sides += [Box(low, box.high), Box(box.low, high)]
+    return sides
 
 
 def draft_text(file: str, path: Toolpath, robot: str) -> str:
-    """The YAML of a cell for a path, which ``check`` reads as it is; raises InputError for a path that cuts nothing."""
+    """The YAML of a cell for a path, which ``check`` reads unchanged; raises InputError for a path without a cut."""
     if path.rapid[1:].all():
         raise InputError(file, "has no cutting move: every block is a rapid one")
     program, tool = path.program, path.program.current
@@ -114,7 +114,7 @@ def draft_text(file: str, path: Toolpath, robot: str) -> str:
     period, steps = _period(path, speed or SPEED)
     comment = _words(f"[source: comment on {tool.label if tool and tool.label else 'the tool'}]")
     unsaid = "yours: the program does not say it"
-    said = {
+    values = {
         "operations": _words(f"operations: {', '.join(program.operations)}" if program.operations else ""),
         "place": _list(_place(stock)),
         "offset": program.work_offset or "the work offset",
@@ -133,8 +133,8 @@ def draft_text(file: str, path: Toolpath, robot: str) -> str:
         "spacing": _number(math.ceil(max(SPACING, 1e3 * RAPID * _duration(path) / POSTURES))),
     }
     if speed:
-        said |= {"speed": f"# spindle_speed_rpm: {_number(speed)}", "speed_source": "[source: the program's S]"}
-    return _aligned(TEMPLATE.format(**STRAIGHT | said, robot=robot))
+        values |= {"speed": f"# spindle_speed_rpm: {_number(speed)}", "speed_source": "[source: the program's S]"}
+    return _aligned(TEMPLATE.format(**STRAIGHT | values, robot=robot))
 
 
 def straight_text(robot: str) -> str:

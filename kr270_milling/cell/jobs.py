@@ -13,7 +13,10 @@ from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import Plant
 from kr270_milling.compensation.compensator import Compensator
+from kr270_milling.compensation.learning import Learner
+from kr270_milling.compensation.methods import Method, method_of
 from kr270_milling.compensation.mirror import Mirror, mirror
+from kr270_milling.compensation.models import CellModels
 from kr270_milling.compensation.response import ArmResponse
 from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.simulation.dynamics import ModalModel
@@ -55,7 +58,7 @@ def simulate(
         return ScoredPass(name, reference, result, scored(cell, result, plant.cell.low_frequency), record)
     cut = cell.cut()
     result = run_pass(cell.arm_model(reference), cut, cell.clock, target, reference, cell.exchange.iterations, progress)
-    if cell.path.file:  # its sweep takes so long that the assessment of the part takes over the workpiece
+    if not cell.programmed.straight:  # its sweep takes long, so the assessment of the part uses this workpiece
         result = dataclasses.replace(result, heights=cut.map_heights()[2])
     return ScoredPass(name, reference, result, scored(cell, result))
 
@@ -66,12 +69,12 @@ def scored(cell: Cell, result: PassResult, low_frequency: float | None = None) -
     lowest = cell.low_frequency if low_frequency is None else low_frequency
     return score(
         result.time, result.actual, result.target, feed, cell.full_engagement, lowest, result.deflection[:, 1],
-        straight=not cell.path.file,
+        straight=cell.programmed.straight,
     )  # fmt: skip
 
 
 def record_of(cell: Cell, ran: ScoredPass | PassResult) -> PassRecord:
-    """What the compensator learns from: stamps and tool centres, as a node hears them on ``tool_pose``."""
+    """Return the record for the compensator: stamps and tool centres, as a node receives them on ``tool_pose``."""
     if isinstance(ran, ScoredPass) and ran.record is not None:
         return ran.record
     result = ran.result if isinstance(ran, ScoredPass) else ran
@@ -82,7 +85,7 @@ def pass_record(
     cell: Cell, time_ns: np.ndarray, tool: np.ndarray, wrench: np.ndarray, tracker: Imperfections | None = None,
     number: int = 0,
 ) -> PassRecord:  # fmt: skip
-    """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], heard, recorded or simulated.
+    """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], received, recorded or simulated.
 
     The noise of the positions is what the cell states in ``imperfections``. tracker: simulate one with this noise for
     the true tool centres of the pass ``number``.
@@ -93,16 +96,18 @@ def pass_record(
     return PassRecord(time_ns, tool, cell.scored_from_ns, wrench, revolution, noise)
 
 
-def compensator(cell: Cell, target: Trajectory, method: str | None = None) -> Compensator:
+def compensator(cell: Cell, target: Trajectory, method: str | Method | None = None) -> Compensator:
     """The compensator of a cell, on line and off line."""
-    return Compensator(
-        cell.compensation,
-        target,
-        method,
-        lambda t, wrench: mirrored(cell, t, wrench),
-        lambda t: arm_response(cell, t),
-        lambda t: record_of(cell, simulate(cell, t)),
-        lambda t, time_ns, shift: strayed(cell, t, time_ns, shift),
+    return Compensator(cell.compensation, target, method, models_of(cell))
+
+
+def models_of(cell: Cell) -> CellModels:
+    """The models of arm and cut for a compensation method."""
+    return CellModels(
+        mirror=lambda target, wrench: mirrored(cell, target, wrench),
+        arm=lambda target: arm_response(cell, target),
+        predict=lambda reference: record_of(cell, simulate(cell, reference)),
+        cut=lambda target, time_ns, shift: deviated_cut(cell, target, time_ns, shift),
     )
 
 
@@ -141,12 +146,13 @@ def _carry(before: ModalModel, after: ModalModel) -> np.ndarray:
 def expected_deviations(cell: Cell, references: Sequence[Trajectory]) -> list[float]:
     """Largest deviation across the feed [m] along each reference, by the linear response of the arm to it and to the
     wrench of the cut on the target: no pass is run, and the cut does not answer the motion of the tool."""
-    learner = compensator(cell, cell.target()).new_learner().expect()
+    settings = cell.compensation
+    learner = Learner.of_model(cell.target(), models_of(cell), settings.criterion, settings.smooth).expect()
     return [learner.predicted(reference) for reference in references]
 
 
-def strayed(cell: Cell, target: Trajectory, time_ns: np.ndarray, shift: np.ndarray) -> PassRecord:
-    """The cut alone, along a path that strays from the target by shifts (k, 3) [m] at times (k,) [ns]."""
+def deviated_cut(cell: Cell, target: Trajectory, time_ns: np.ndarray, shift: np.ndarray) -> PassRecord:
+    """The cut alone, along a path that deviates from the target by shifts (k, 3) [m] at times (k,) [ns]."""
     steps = np.arange(cell.clock.steps(target.duration_ns) + 1)
     stamps = cell.clock.stamp(steps)
     tool = target.sample(stamps) + np.column_stack([np.interp(stamps, time_ns, axis) for axis in shift.T])
@@ -190,7 +196,7 @@ def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_comp
 
 
 def compensated(
-    cell: Cell, original: ScoredPass, method: str, progress=None, by: Compensator | None = None,
+    cell: Cell, original: ScoredPass, method: str | Method, progress=None, by: Compensator | None = None,
     plant: Plant | None = None,
 ) -> ScoredPass:  # fmt: skip
     """The pass along the trajectory that ``method`` makes from the original pass.
@@ -198,16 +204,17 @@ def compensated(
     by: a compensator to do it with; plant: what runs the passes, the original one included.
     """
     passes: dict[int, ScoredPass] = {}
+    by = by or compensator(cell, cell.target(), method)
+    name = method_of(method).name
 
     def run(reference: Trajectory) -> PassRecord:
-        passes[id(reference)] = simulate(cell, reference, method, progress, plant)
+        passes[id(reference)] = simulate(cell, reference, name, progress, plant)
         return record_of(cell, passes[id(reference)])
 
-    by = by or compensator(cell, cell.target(), method)
     reference = by.improve(record_of(cell, original), run)
     if reference is original.reference:
-        return dataclasses.replace(original, name=method)
-    return passes.get(id(reference)) or simulate(cell, reference, method, progress, plant)
+        return dataclasses.replace(original, name=name)
+    return passes.get(id(reference)) or simulate(cell, reference, name, progress, plant)
 
 
 def mean_force(result: PassResult) -> np.ndarray:

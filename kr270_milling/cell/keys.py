@@ -25,12 +25,12 @@ def keys_of(section: str = "", record: type[Record] = Cell) -> list[dict]:
     Of each: key as --set takes it, type, unit, low, high, above (exclusive lower bound), choices, size of a list
     (None: any), required, default (None for a required key), text, range in words; bounds and default in its unit.
     """
-    found = list(_keys(record, ""))
+    rows = list(_keys(record, ""))
     if not section:
-        return found
-    chosen = [row for row in found if row["key"] == section or row["key"].startswith(section.rstrip(".") + ".")]
+        return rows
+    chosen = [row for row in rows if row["key"] == section or row["key"].startswith(section.rstrip(".") + ".")]
     if not chosen:
-        sections = sorted({row["key"].rpartition(".")[0] for row in found} - {""})
+        sections = sorted({row["key"].rpartition(".")[0] for row in rows} - {""})
         raise InputError("keys", f"{section!r} is no section; known are {', '.join(sections)}")
     return chosen
 

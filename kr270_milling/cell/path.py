@@ -1,131 +1,45 @@
-"""The tool path of a cell: read, timed under the limits of controller and joints, refused where it cannot be meant.
+"""Checks of a tool path against exchange, tool and stock: implausible effort, spindle, tilt, place and feed.
 
-What a pass costs is reckoned before it starts: a wrong unit must not keep a machine busy for days.
+The cost of a pass is estimated before the pass starts: a wrong unit must not occupy a machine for days.
 """
 
 from __future__ import annotations
 
-import dataclasses
-import functools
 import math
-import os
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kr270_milling.bag.recorded_path import is_recording, read_recorded
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import rotation_from_quaternion
-from kr270_milling.cell.sections import Path
 from kr270_milling.cutting import Stock, Tool
-from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.simulation.exchange import Exchange
-from kr270_milling.trajectory.readers import read_toolpath
-from kr270_milling.trajectory.source_program import SourceProgram
-from kr270_milling.trajectory.timing import TimedPath, limit_by_joints, time_path
+from kr270_milling.trajectory.timing import TimedPath
 from kr270_milling.trajectory.toolpath import Toolpath
 from kr270_milling.trajectory.trajectory import Trajectory
 
-if TYPE_CHECKING:
-    from kr270_milling.cell.cell import Cell
-
-__all__ = ["MOST_STEPS", "check_effort", "check_postures", "fed_path", "read_program", "sinking", "straight_cut",
-           "within_joint_limits"]  # fmt: skip
+__all__ = ["MOST_STEPS", "check_duration", "check_effort", "check_feed", "check_path", "check_postures", "sinking"]
 
 MOST_STEPS = 5e6  #: exchange periods or reference points of one pass; its series take some 250 bytes a step
 MOST_TOOTH_STEPS = 1e10  #: micro-steps of single teeth in one pass, some 0.1 us each
 MOST_VISITS = 1e13  #: nodes under the footprint, each time that it is swept as a whole, some ns each
 MOST_POSTURES = 100_000  #: at which the arm's modes are computed, some ms and 3 kB each
-WIDE = 5.0  #: times as wide as the stock: more than that is taken for a wrong unit
 SAME_FEED = 1e-6  # [m/s]
 SAME_SPEED = 0.1  # [rad/s], 1 rpm: spindle speeds that differ by less are one
 UPRIGHT = np.radians(1.0)  # the cut is that of a tool along z: beyond this its floors and chips are others
 
 
-def straight_cut(cell: Cell) -> Trajectory:
-    """The cut along +x of the workpiece frame that ``path`` describes, knots at the controller step."""
-    path = cell.path
-    start = [*path.start, cell.stock.max[2] - path.depth_of_cut]
-    return Trajectory.straight_line(start, [1.0, 0.0, 0.0], path.length, path.feed_rate, cell.timing.controller_step)
-
-
-def fed_path(cell: Cell) -> TimedPath:
-    """The tool path of ``path.file`` run under the limits of the controller alone.
-
-    A recorded trajectory has its times already and keeps them. Raises InputError where the file cannot be read, the
-    pass would take days, or the path does not belong to tool and stock.
-    """
-    path = _read(cell.path)
-    timed = path if isinstance(path, TimedPath) else time_path(path, cell.timing)
-    _check_duration(cell, timed.trajectory)
-    check_path(cell.path.file, timed, cell.tool, cell.stock)
-    return timed
-
-
-def read_program(path: Path) -> SourceProgram:
-    """What the program of ``path.file`` says beside its moves; empty for a recording."""
-    read = _read(path)
-    return SourceProgram() if isinstance(read, TimedPath) else read.program
-
-
-def within_joint_limits(cell: Cell, timed: TimedPath, joints_of) -> TimedPath:
-    """The same path, slower where a joint would exceed its speed or acceleration.
-
-    joints_of(trajectory): joint positions [rad], (n, 6), at the knots. Raises InputError where a point is out of reach.
-    """
-    try:
-        joints = joints_of(timed.trajectory)
-    except (ReachError, JointLimitError, SingularityError) as error:
-        raise _unreachable(cell, timed, error) from None
-    if timed.timed_by_source:
-        return timed
-    slower = limit_by_joints(timed.trajectory, joints, cell.arm.joint_speed_limit, cell.arm.joint_acceleration_limit)
-    return dataclasses.replace(timed, trajectory=slower)
-
-
-def _read(path: Path) -> Toolpath | TimedPath:
-    if is_recording(path.file):
-        return read_recorded(path.file, path.topic, path.feed_rate)
-    try:
-        found = os.stat(path.file)
-    except (OSError, ValueError) as error:
-        raise InputError(path.file, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
-    toolpath = _program(path.file, path.tool, path.feed_rate, (found.st_mtime_ns, found.st_size))
-    if not path.length:  # else the feed is that of the straight cut, which the file replaces
-        check_feed(path.file, toolpath, path.feed_rate)
-    return toolpath
-
-
-@functools.lru_cache(maxsize=1)
-def _program(file: str, tool: str, feed: float, stamp: tuple) -> Toolpath:
-    """The tool path of a file, read once as long as its stamp is the same."""
-    return read_toolpath(file, tool, feed)
-
-
-def _unreachable(cell: Cell, timed: TimedPath, error: ReachError | JointLimitError | SingularityError) -> InputError:
-    """The refusal of the arm with point and line, and a hint where the path is far larger than the stock."""
-    point = error.index[0] if error.index else 0
-    line = int(timed.toolpath.line[timed.block[point] if point else 0]) or None
-    reason = str(error).removesuffix(f" (pose {point})")
-    extent = np.ptp(timed.toolpath.position[:, :2], axis=0).max()
-    stock = (cell.stock.max - cell.stock.min)[:2].max()
-    if extent > WIDE * stock:
-        reason += f"; the path is {extent / stock:.0f} times as wide as the stock, check the unit (G20, G21)"
-    return InputError(cell.path.file, f"point {point + 1} of the path: {reason}", line)
-
-
-def _check_duration(cell: Cell, run: Trajectory) -> None:
-    """Memory and time of a pass are in proportion to its steps; a path of days is a mistake of the feed."""
-    steps = run.duration_ns * 1e-9 / cell.exchange.period
+def check_duration(file: str, run: Trajectory, exchange: Exchange, tool: Tool, stock: Stock) -> None:
+    """Raise InputError or ParameterError for a path of days, a mistake of the feed: cost grows with the steps."""
+    steps = run.duration_ns * 1e-9 / exchange.period
     if not steps <= MOST_STEPS:
         shown = f"{run.duration_ns * 1e-9:.4g} s, {steps:.3g} exchange periods, more than {MOST_STEPS:g}"
-        raise InputError(cell.path.file, f"would take {shown}: cut it in pieces, or raise exchange.period_ms")
-    sinks = sinking(run.time, run.position[:, 2], float(cell.stock.max[2]))
-    check_effort(cell.exchange, cell.tool, cell.stock, run.duration_ns * 1e-9, sinks)
+        raise InputError(file, f"would take {shown}: cut it in pieces, or raise exchange.period_ms")
+    sinks = sinking(run.time, run.position[:, 2], float(stock.max[2]))
+    check_effort(exchange, tool, stock, run.duration_ns * 1e-9, sinks)
 
 
 def check_effort(exchange: Exchange, tool: Tool, stock: Stock, duration: float, sinks: tuple = (0.0, 0.0)) -> None:
-    """Raise ParameterError for a pass of a duration [s] that nobody can mean; sinks: what ``sinking`` says of it."""
+    """Raise ParameterError for a pass of an implausible duration [s]; sinks: the result of ``sinking``."""
     turns = duration * tool.spindle_speed / (2.0 * math.pi)
     teeth = turns * 2.0 * math.pi / exchange.micro_step * tool.teeth * exchange.iterations
     if not teeth <= MOST_TOOTH_STEPS:
@@ -148,14 +62,14 @@ def sinking(time: np.ndarray, height: np.ndarray, top: float) -> tuple[float, fl
 
 
 def check_postures(count: int, spacing: float) -> None:
-    """Raise ParameterError for more postures along a path than anybody can mean; spacing [m]: what was asked for."""
+    """Raise ParameterError for implausibly many postures along a path; spacing [m]: distance between two postures."""
     if count > MOST_POSTURES:
         allowed = f"larger: the arm would be modelled at {count} postures, more than {MOST_POSTURES}"
         raise ParameterError("dynamics.posture_spacing_mm", spacing * 1e3, allowed)
 
 
 def check_path(file: str, timed: TimedPath, tool: Tool, stock: Stock) -> None:
-    """Raise InputError, with the line where there is one, for a path that this tool cannot mean in this stock."""
+    """Raise InputError, with the line where there is one, for a path that does not belong to tool and stock."""
     path = timed.toolpath
     if path.rapid[1:].all():
         raise InputError(file, "has no cutting move: every block is a rapid one")
@@ -166,7 +80,7 @@ def check_path(file: str, timed: TimedPath, tool: Tool, stock: Stock) -> None:
 
 
 def _other_spindle(path: Toolpath, tool: Tool) -> tuple[str, int] | None:
-    """A programmed spindle, where there is one, must turn as that of the model does: else why not, and the block."""
+    """Return the reason and the block where the programmed spindle differs from the spindle of the cell."""
     cutting = np.flatnonzero(~path.rapid[1:]) + 1
     speed = path.spindle_speed[cutting]
     other = np.abs(np.abs(speed) - tool.spindle_speed) > SAME_SPEED
@@ -186,7 +100,7 @@ def _other_spindle(path: Toolpath, tool: Tool) -> tuple[str, int] | None:
 
 
 def _tilted(path: Toolpath) -> tuple[str, int] | None:
-    """The cut knows one tool axis, z of the workpiece."""
+    """Return the reason and the block where the tool tilts: the cut supports one tool axis, z of the workpiece."""
     axis = rotation_from_quaternion(path.quaternion)[:, :, 2]
     tilt = np.arctan2(np.hypot(axis[:, 0], axis[:, 1]), -axis[:, 2])
     over = ~path.rapid & (tilt > UPRIGHT)
@@ -201,7 +115,7 @@ def _tilted(path: Toolpath) -> tuple[str, int] | None:
 
 
 def _beside_stock(timed: TimedPath, tool: Tool, stock: Stock) -> tuple[str, int] | None:
-    """A path that leaves the stock alone must be a mistake of placement, or of the unit."""
+    """Return the reason and the block of a path that misses the stock: a wrong placement, or a wrong unit."""
     run = timed.trajectory
     step = tool.radius / 8 / max(float(np.max(run.feed(run.time_ns))), 1e-6)
     stamps = np.linspace(0, run.duration_ns, 2 + int(min(run.time[-1] / step, MOST_STEPS))).astype(np.int64)
@@ -221,7 +135,7 @@ def _extent(low: np.ndarray, high: np.ndarray) -> str:
 
 
 def check_feed(file: str, path: Toolpath, feed: float) -> None:
-    """Raise InputError where the program has feeds of its own, not that of the cell [m/s]; 0: the cell has none."""
+    """Raise InputError where the feeds of the program differ from the feed of the cell [m/s]; 0: the cell has none."""
     other = ~path.rapid & (np.abs(path.feed - feed) > SAME_FEED)
     if feed and other.any():
         block = int(np.argmax(other))

@@ -39,9 +39,9 @@ class Plant:
 
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int) -> Trajectory:
-    """Where a plant without load has the tool that is told to follow ``reference`` in its pass ``number``.
+    """Return the path of the unloaded tool of a plant that follows ``reference`` in its pass ``number``.
 
-    Behind the play of the joints straight lines join the ends of the exchange periods.
+    With the play of the joints straight lines join the ends of the exchange periods.
     """
     how = cell.imperfections
     if how.backlash.any():
@@ -62,10 +62,10 @@ def imperfect_course(cell: Cell, reference: Trajectory, number: int) -> Trajecto
 def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     """A plant drawn from ``cell.uncertainty``: log-normal factors with median 1, a shifted stock, imperfections.
 
-    Frequencies scatter by the masses that move: stiffness has a factor of its own.
+    Frequencies scatter by the masses that move: stiffness has a separate factor.
 
-    Where the part lies otherwise than thought, the robot runs its programme in the same place, so it is the stock that
-    moves under the path; by how much the postures differ is no matter. The size of the shift is limited to 3 standard
+    Where the place of the part is wrong, the robot runs its program in the same place, so the stock moves under the
+    path; the difference of the postures does not matter. The size of the shift is limited to 3 standard
     deviations. The imperfections are drawn evenly from none to what the uncertainties say, the backlash of all joints
     alike.
     """

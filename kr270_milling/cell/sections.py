@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
+import pathlib
 import re
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.bag.recorded_path import is_recording
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter, specs
+from kr270_milling.trajectory.readers import READERS
 
-__all__ = ["Limits", "Part", "Path", "Program", "Uncertainty", "Workpiece"]
+__all__ = ["Limits", "Path", "Program", "Tolerances", "Uncertainty", "Workpiece"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,18 +80,24 @@ class Path(Record):
         "slot", choices=("slot", "up", "down"), text="lobes over speed: sense of a cut that is no slot"
     )
 
+    @property
+    def recorded(self) -> bool:
+        """Whether ``file`` is a recording."""
+        reader = READERS.get(pathlib.Path(self.file).suffix.lower())
+        return reader is not None and reader.recorded
+
     def check(self) -> None:
-        if self.topic and not is_recording(self.file):
+        if self.topic and not self.recorded:
             raise ParameterError("topic", self.topic, "empty where path.file is no recording (.mcap)")
-        for spec in specs(Path):
-            if not self.file and spec.kind is float and not getattr(self, spec.name) > 0.0:
+        for spec in () if self.file else specs(Path):
+            if spec.kind is float and not getattr(self, spec.name) > 0.0:
                 value = getattr(self, spec.name) / spec.scale
                 raise ParameterError(spec.key, value, "above 0 for a straight cut (or give path.file)")
 
 
 @dataclass(frozen=True, eq=False)
 class Limits(Record):
-    """YAML ``limits``: beyond these a path is not to be run, or is told to be doubtful.
+    """YAML ``limits``: beyond these limits a path must not run, or gets a warning.
 
     wrist_angle: A4 and A6 turn 1 / sin(A5) times as fast as the tool, 19 times at 3 deg, and the least correction
     across the wrist makes them swing. elbow_angle: the nearly stretched arm turns A3 by 11 times what its reach asks
@@ -123,7 +130,7 @@ class Limits(Record):
 
 
 @dataclass(frozen=True, eq=False)
-class Part(Record):
+class Tolerances(Record):
     """Tolerances [m]: half widths of the band about the nominal surface; 0: none is asked for.
 
     A feature takes its own tolerance, else that of walls or floors, else ``tolerance``.

@@ -27,10 +27,11 @@ from kr270_milling.commands.console import (
 )
 from kr270_milling.commands.options import FEWEST_PLANTS, PLANTS
 from kr270_milling.commands.progress import progress
+from kr270_milling.compensation.methods import METHODS
 from kr270_milling.compensation.revision import chord_error
 from kr270_milling.decision.compensation import VerdictOrder, compensate, limit_sentence
 from kr270_milling.decision.part import write_part
-from kr270_milling.programs.files import source_hash, write_programs
+from kr270_milling.programs.files import write_programs
 from kr270_milling.report import ReportTable, decision_block, write_report
 
 DEVIATIONS = (("pass", "name", 2), ("static", "static_deviation_mm", um), ("max", "max_deviation_mm", um))
@@ -39,7 +40,7 @@ DEVIATIONS = (("pass", "name", 2), ("static", "static_deviation_mm", um), ("max"
 def run(args) -> Answer:
     source, cell = find_file(args.cell), cell_of(args)
     method = args.method or cell.compensation.method
-    motions = args.krl or ["LIN" if method == "linear" else cell.program.motion]
+    motions = args.krl or [cell.program.motion if METHODS[method].smooth else "LIN"]
     plant = plant_of(args, cell)
     with staged(args.out) as (draft, final):
         motion = "LIN" if "LIN" in motions else motions[0]  # these are blended
@@ -99,7 +100,7 @@ def _correction(cell, revised, by) -> dict:
         found["remaining_errors_mm"] = [1e3 * error for error in by.errors]
     found["identified"] = by.identified and by.identified.as_dict()
     found["note"] = by.note or None
-    if by.method == "linear":
+    if not by.chosen.smooth:
         found["chord_error_mm"] = 1e3 * chord_error(cell.target())
     return found
 
@@ -111,7 +112,7 @@ def _write(draft, final, cell, done, motions, args, source) -> dict:
     with progress("files"):
         files = write_programs(
             draft, cell, done.original.reference, revised.reference, method=revised.name, date=date,
-            motions=motions if checked.may_be_run or args.force else None, source=source_hash(cell),
+            motions=motions if checked.may_be_run or args.force else None, source=cell.programmed.sha256,
             findings=checked.lines(), released=checked.may_be_run,
         )  # fmt: skip
         placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
@@ -124,7 +125,7 @@ def _write(draft, final, cell, done, motions, args, source) -> dict:
 def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
     """Report with the error maps, and the part as it is predicted."""
     revised = done.revised
-    title = f"{cell.path.file.rsplit('/', 1)[-1]}: before and after compensation ({revised.name})"
+    title = f"{cell.programmed.file_name}: before and after compensation ({revised.name})"
     report = write_report(
         draft, cell, (done.original, revised), title=title, source=str(source), command=command_line(args), date=date,
         parts=done.parts, decision=decision_block(done.decision, done.checked), tables=[_joints_table(cell, revised)],
@@ -149,7 +150,7 @@ def _shown(cell, done, found: dict, args):
     """What people read, the decision first."""
     checked = done.checked
     yield _first_line(done)
-    if cell.path.file:
+    if done.parts:
         yield _features(found["features"], found["method"])
     else:
         yield table_of("Predicted path deviation [um]", DEVIATIONS, found["passes"])

@@ -41,14 +41,14 @@ def simulate(args) -> Answer:
         summary = _summary(cell, ran)
         residue = residue_of(cell, ran.result)
         summary["simulated_pass"] = residue.as_dict()
-        part = assess(cell, ran) if cell.path.file else None
+        part = None if cell.programmed.straight else assess(cell, ran)
         tolerance = judge(cell, ran, part)
         summary["tolerance"] = tolerance.as_dict()
         if part:
             summary |= {key: value for key, value in part.as_dict().items() if key != "name"}
         if draft and final:
             files = write_series(draft, cell, [ran])
-            if cell.path.file:
+            if not cell.programmed.straight:
                 files.append(draft / "part.stl")
                 write_part(files[-1], cell, ran.result)
             summary["files"] = [str(final(path)) for path in files]

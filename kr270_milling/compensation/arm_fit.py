@@ -1,8 +1,8 @@
-"""What passes tell of the arm: frequency and damping of the modes that matter, static gain and compliance.
+"""The arm fitted to passes: frequency and damping of the modes that matter, static gain and compliance.
 
 Fitted to (deviation now - deviation of the uncorrected pass) = response to the correction and, where the wrench of the
 passes is known, to deviation of the uncorrected pass = displacement under wrench and inertia + a constant offset. All
-are factors on the model's values with log-normal priors, so what the passes do not show stays that of the model.
+are factors on the model's values with log-normal priors, so the model stays where the passes show nothing.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from kr270_milling.compensation.response import ArmResponse, Segments
 
-__all__ = ["Evidence", "Identified", "fit"]
+__all__ = ["Evidence", "Identified", "fit_arm"]
 
 #: assumed: standard deviations of the logarithms of gain, compliance, frequencies and damping ratios before any pass
 PRIOR = {"gain": 0.1, "softness": 0.2, "frequency": 0.2, "damping": 0.7}
@@ -22,7 +22,7 @@ OFFSET = 50e-6  #: [m], assumed: standard deviation of a constant offset between
 MODEL_ERROR = 1e-6  #: [m], assumed: what the model of the cut leaves unexplained of the uncorrected pass
 DIFFERENCE_ERROR = 0.3e-6  #: [m], assumed: the same of the difference of two passes, in which most of it cancels
 MATTERS = 0.003  #: share of the sensitivity to all modes that a mode must have to be fitted
-RESOLVED = 1.0  #: [rad] that a mode goes on within a part: of a faster one means over the parts tell little
+RESOLVED = 1.0  #: [rad] of a mode within a part: means over the parts say little about a faster mode
 SCAN = np.exp(np.arange(-0.4, 0.41, 0.05)), (0.4, 1.0, 2.5)  #: factors on frequency and damping that are tried first
 KEPT = 4  #: latest corrected passes that are fitted
 
@@ -39,7 +39,7 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Identified:
-    """What was fitted; modes that the passes do not show are missing."""
+    """The fitted values; modes that the passes do not show are missing."""
 
     gain: float  #: of the tool's response to the reference
     compliance_factor: float  #: on the static compliance of the model
@@ -71,7 +71,7 @@ class _Problem:
         return np.concatenate([[0.0, 0.0], np.full(n, np.log(frequency)), np.full(n, np.log(damping)), np.zeros(3)])
 
     def arm_of(self, numbers: np.ndarray) -> ArmResponse:
-        """The other modes share the mean factors of those that are fitted: a wrong mass or damping is wrong for all."""
+        """Return the arm; modes that are not fitted take the mean factors of the fitted modes."""
         fitted = numbers[2:-3].reshape(2, -1)  # logarithms, of frequencies and of damping ratios
         mean = fitted.mean(axis=1, keepdims=True) if fitted.size else np.zeros((2, 1))
         factors = np.tile(np.exp(mean), (1, self.arm.order))
@@ -80,20 +80,20 @@ class _Problem:
 
     def residuals(self, numbers: np.ndarray) -> np.ndarray:
         arm, first, (single, double) = self.arm_of(numbers), self.first, self.sigma
-        found = [numbers / self.prior]
+        parts = [numbers / self.prior]
         if first.wrench is not None:
             model = self._uncorrected(arm) + numbers[-3:]
-            found.append((self.weight * (model - first.deviation) / single).ravel())
+            parts.append((self.weight * (model - first.deviation) / single).ravel())
         for ran in self.later:
             model = arm.follow(self.segments, ran.cubic) - arm.follow(self.segments, first.cubic)
             if first.wrench is not None and ran.wrench is not None:
-                model = model + arm.give_way(self.segments, ran.wrench - first.wrench)
-            found.append((self.weight * (model - (ran.deviation - first.deviation)) / double).ravel())
-        return np.concatenate(found)
+                model = model + arm.deflect(self.segments, ran.wrench - first.wrench)
+            parts.append((self.weight * (model - (ran.deviation - first.deviation)) / double).ravel())
+        return np.concatenate(parts)
 
     def _uncorrected(self, arm: ArmResponse) -> np.ndarray:
         swing = arm.swing(self.segments, self.path, self.approach)
-        return swing if self.first.wrench is None else arm.give_way(self.segments, self.first.wrench) + swing
+        return swing if self.first.wrench is None else arm.deflect(self.segments, self.first.wrench) + swing
 
     def _sensitive(self) -> np.ndarray:
         """Modes whose frequency changes what the passes show, and slow enough for the means over the parts."""
@@ -112,11 +112,11 @@ class _Problem:
             yield other.follow(self.segments, ran.cubic) - self.arm.follow(self.segments, ran.cubic)
 
 
-def fit(
+def fit_arm(
     arm: ArmResponse, segments: Segments, path: np.ndarray, approach: np.ndarray, passes: tuple[Evidence, ...],
     weight: np.ndarray, noise: float,
 ) -> tuple[ArmResponse, Identified | None]:  # fmt: skip
-    """The arm that explains the passes, the uncorrected one first, and what of it was fitted.
+    """Return the arm that explains the passes, the uncorrected pass first, and the fitted values.
 
     path: cubics of the programmed path, (m, 4, 3); approach: its velocity before [m/s], (3,); weight: (m, parts);
     noise: standard deviation of the deviation of a part [m]. Nothing is fitted before the first corrected pass where
@@ -130,8 +130,8 @@ def fit(
     if rest @ rest > rest.size:  # the model leaves more than the errors that are supposed
         starts = [problem.start(frequency, damping) for frequency in SCAN[0] for damping in SCAN[1]]
         best = min(starts, key=lambda numbers: float(np.sum(problem.residuals(numbers) ** 2)))
-    found = least_squares(problem.residuals, best, x_scale=problem.prior, ftol=1e-6, xtol=1e-6, max_nfev=30).x
-    fitted = problem.arm_of(found)
+    numbers = least_squares(problem.residuals, best, x_scale=problem.prior, ftol=1e-6, xtol=1e-6, max_nfev=30).x
+    fitted = problem.arm_of(numbers)
     return fitted, Identified(
         fitted.gain,
         fitted.softness,

@@ -1,59 +1,58 @@
-"""The methods ``inverse`` and ``learned``: what passes showed, the arm that explains it, the correction that follows.
+"""The methods ``inverse`` and ``learned``: passes, the arm that explains the passes, and the correction that follows.
 
 A pass is explained by deviation = displacement under wrench and inertia + response to the correction + rest. The next
-correction takes away what the model gives for a tool that runs on its path, and of the rest, averaged over the passes
-and (where it is noisy) over the distance of two knots, the share g = max(0, 1 - noise^2 / rest^2): none of a rest that
-is no larger than the stated noise of the measurement, all of it where nothing is noisy.
+correction removes the modelled deviation of a tool that runs on its path. It also removes the share
+g = max(0, 1 - noise^2 / rest^2) of the rest, averaged over the passes and, if noisy, over the distance of two knots:
+nothing of a rest below the stated noise of the measurement, all of a rest without noise.
 """
 
 from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Callable
+import functools
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from kr270_milling.compensation.arm_fit import Evidence, Identified, fit
-from kr270_milling.compensation.lifted import Course, Lifted
+from kr270_milling.compensation.arm_fit import Evidence, Identified, fit_arm
+from kr270_milling.compensation.lifted import KnotConditions, Lifted
+from kr270_milling.compensation.models import CellModels
 from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
-from kr270_milling.compensation.revision import KnotsError, PassRecord, RevisionError
+from kr270_milling.compensation.revision import KnotsError, PassRecord, RevisionError, resting_segments
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["Learner"]
 
 UNSCORED = 0.05  #: weight of deviations before full engagement and in the air
-FREE = 0.3  #: weight of these in the fit of the arm: a tool out of load tells a constant offset from compliance
-ALONG = 0.1  #: weight of deviations along the feed, which are a matter of time and not of the part
-SMOOTHNESS = 1e-5  #: weight of the roughness without noise: only keeps the knots from working against each other
-ROUGH = 3e-6  #: [m], assumed: size of the differences of a correction that loads ask for; noise beyond it is smoothed
-MISFIT = 0.05  #: share of its own deviation by which a pass may mislead about that on the path
+FREE = 0.3  #: their weight in the fit of the arm: a tool without load separates a constant offset from the compliance
+ALONG = 0.1  #: weight of deviations along the feed, which change the time and not the part
+SMOOTHNESS = 1e-5  #: weight of the roughness without noise: prevents neighbouring knots from cancelling each other
+ROUGH = 3e-6  #: [m], assumed: size of the differences of a correction against loads; noise beyond it is smoothed
+MISFIT = 0.05  #: error of the deviation on the path that a pass gives, as a share of the deviation of the pass
 
 
 class Learner:
-    """Gathers passes along corrections of one target and makes the next correction.
+    """The passes along corrections of one target, the arm that explains them, and the next correction.
 
-    predict: the model's own pass along a reference; cut: what the model's cut makes of a tool that strays from the
-    target by shifts (k, 3) [m] at times (k,) [ns].
+    criterion: "min_max" or "least_squares"; models: the predicted pass and the modelled cut are used where they exist.
     """
 
     def __init__(
         self,
         target: Trajectory,
         arm: ArmResponse,
-        course: Course,
+        conditions: KnotConditions,
         criterion: str,
-        predict: Callable[[Trajectory], PassRecord] | None = None,
-        cut: Callable[[np.ndarray, np.ndarray], PassRecord] | None = None,
+        models: CellModels,
     ):
         self.target = target
         self.model = arm
         self.arm = arm  #: as the passes show it
-        self.course = course
+        self.conditions = conditions
         self.criterion = criterion
-        self._predict = predict
-        self._cut = cut
+        self._predict = models.predict
+        self._cut = models.cut and functools.partial(models.cut, target)
         self._ideal: np.ndarray | None = None  # wrench of the model's cut on the path itself
         self.segments = Segments.of(target.time_ns)
         self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
@@ -64,6 +63,13 @@ class Learner:
         self._noise = 0.0  # [m], of the deviation of a part
         self._rough = 0.0  # [m], of it in ``expected``
 
+    @classmethod
+    def of_model(cls, target: Trajectory, models: CellModels, criterion: str, smooth: bool) -> Learner:
+        """Return a learner without passes, which knows the model alone."""
+        conditions = KnotConditions(smooth, target.standing, resting_segments(target))
+        arm = models.arm(target) if models.arm else ArmResponse.rigid(len(target) - 1)
+        return cls(target, arm, conditions, criterion, models)
+
     def cubic(self, reference: Trajectory) -> np.ndarray:
         """Cubics of reference minus target, (m, 4, 3); raises KnotsError where their knots differ in time."""
         if not np.array_equal(reference.time_ns, self.target.time_ns):
@@ -71,7 +77,7 @@ class Learner:
         return cubic_coefficients(reference.time_ns, reference.position, reference.velocity) - self.path
 
     def with_pass(self, ran: PassRecord, reference: Trajectory) -> Learner:
-        """One that has also learned from a pass along ``reference``."""
+        """Return a learner that has also learned from a pass along ``reference``."""
         learner = copy.copy(self)
         learner.learn(ran, reference)
         return learner
@@ -85,21 +91,23 @@ class Learner:
         self._noise = ran.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
         weight = np.where(self.scored, 1.0, FREE)
         passes = (*self.passes, last)
-        self.arm, self.identified = fit(self.model, segments, self.path, self.path[0, 1], passes, weight, self._noise)
+        self.arm, self.identified = fit_arm(
+            self.model, segments, self.path, self.path[0, 1], passes, weight, self._noise
+        )
         if last.wrench is not None and last.on_path is None:
             last = dataclasses.replace(last, on_path=self._on_path(last, last.wrench))
         self.passes = (*self.passes, last)
         self.expected = self._expected()
 
     def expect(self) -> Learner:
-        """Without any pass: what the model's arm does under the wrench of the model's cut on the path itself."""
+        """Without any pass: expect the modelled arm under the wrench of the modelled cut on the path itself."""
         if self._cut is None:
             raise RevisionError("without a pass the wrench must come from the model's cut")
         ran = self._cut(self.segments.middle_ns.ravel(), np.zeros((self.segments.middle_ns.size, 3)))
         self._ideal, self.scored = self._wrench(ran), self._scored(ran)
         self.expected = self.arm.swing(self.segments, self.path, self.path[0, 1])
         if self._ideal is not None:
-            self.expected = self.expected + self.arm.give_way(self.segments, self._ideal)
+            self.expected = self.expected + self.arm.deflect(self.segments, self._ideal)
         return self
 
     def _scored(self, ran: PassRecord) -> np.ndarray:
@@ -129,7 +137,7 @@ class Learner:
         segments, last = self.segments, self.passes[-1]
         ideal = self.arm.swing(segments, self.path, self.path[0, 1])
         if last.on_path is not None:
-            ideal = ideal + self.arm.give_way(segments, last.on_path)
+            ideal = ideal + self.arm.deflect(segments, last.on_path)
         rests, shares = [], []
         for ran in self.passes:
             size = np.sqrt(np.mean(ran.deviation[self.scored] ** 2)) if self.scored.any() else 0.0
@@ -148,7 +156,7 @@ class Learner:
         return ideal + share * rest
 
     def _on_path(self, ran: Evidence, wrench: np.ndarray) -> np.ndarray:
-        """w + k (w_c(path) - w_c(path + deviation)): the wrench of a pass, had its tool not strayed.
+        """w + k (w_c(path) - w_c(path + deviation)): the wrench of a pass, had its tool not deviated.
 
         w_c is the wrench of the model's cut, k the factor that explains w with w_c along the strayed path. A tool that
         drifts across the feed turns its chips, one that sinks cuts with its whole end: both damp what the arm does.
@@ -156,34 +164,34 @@ class Learner:
         if self._cut is None:
             return wrench
         time_ns = self.segments.middle_ns.ravel()
-        strayed = self._wrench(self._cut(time_ns, self._modelled(ran).reshape(-1, 3)))
+        deviated = self._wrench(self._cut(time_ns, self._modelled(ran).reshape(-1, 3)))
         if self._ideal is None:
             self._ideal = self._wrench(self._cut(time_ns, np.zeros((time_ns.size, 3))))
-        if strayed is None or self._ideal is None:
+        if deviated is None or self._ideal is None:
             return wrench
-        factor = max(0.0, np.sum(wrench[..., :3] * strayed[..., :3]) / np.sum(strayed[..., :3] ** 2))
-        return wrench + factor * (self._ideal - strayed)
+        factor = max(0.0, np.sum(wrench[..., :3] * deviated[..., :3]) / np.sum(deviated[..., :3] ** 2))
+        return wrench + factor * (self._ideal - deviated)
 
     def _modelled(self, ran: Evidence) -> np.ndarray:
         """Deviation [m], (m, parts, 3), that the arm explains: under the wrench, its inertia and the correction."""
         arm, segments = self.arm, self.segments
         moved = arm.swing(segments, self.path, self.path[0, 1]) + arm.follow(segments, ran.cubic)
-        return moved if ran.wrench is None else moved + arm.give_way(segments, ran.wrench)
+        return moved if ran.wrench is None else moved + arm.deflect(segments, ran.wrench)
 
     def correction(self) -> tuple[np.ndarray, np.ndarray | None]:
         """Values [m] and, of a smooth correction, rates [m/s] at the knots, (k, 3) each."""
-        lifted, base = Lifted(self.arm, self.segments, self.course), self.expected
-        if not self.course.smooth:  # straight lines leave a curved path by themselves
+        lifted, base = Lifted(self.arm, self.segments, self.conditions), self.expected
+        if not self.conditions.smooth:  # straight lines deviate from a curved path without any load
             chords = cubic_coefficients(self.target.time_ns, self.target.position, None) - self.path
             base = base + self.arm.follow(self.segments, chords)
         smoothness = SMOOTHNESS + (self._rough / ROUGH) ** 2
         if self.criterion == "min_max" and not self._rough:
-            found = lifted.min_max(base, self._weight(), smoothness, self.scored)
+            solution = lifted.min_max(base, self._weight(), smoothness, self.scored)
         else:
-            found = lifted.least_squares(base, self._weight(), smoothness)
-        values, rates = found.knots(self.segments)
-        rates[self.course.resting] = 0.0  # up to rounding they are
-        return values, rates if self.course.smooth else None
+            solution = lifted.least_squares(base, self._weight(), smoothness)
+        values, rates = solution.knots(self.segments)
+        rates[self.conditions.resting] = 0.0  # removes the rounding
+        return values, rates if self.conditions.smooth else None
 
     def _weight(self) -> np.ndarray:
         """(m, parts, 3, 3): across the feed one, along it less, where nothing is scored little."""

@@ -7,7 +7,7 @@ nothing of a slowly decaying response is cut off, and the cost is linear in the 
 
 The numbers of one segment are y = [u, u', c, v, a, j]: relative modal coordinates of the arm and their rates, and the
 cubic of the correction, 2 r + 12 of them; the state x at a knot is y without j. Where the correction is smooth j is
-free; where the target stands still the correction has no slope; straight lines have a free v.
+free; where the target stops the correction has no slope; straight lines have a free v.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from kr270_milling.compensation.response import ArmResponse, Segments
 
-__all__ = ["Correction", "Course", "Lifted", "outputs", "transitions", "units"]
+__all__ = ["LiftedCorrection", "KnotConditions", "Lifted", "outputs", "transitions", "units"]
 
 CONTROLS = 6  #: most free numbers of a segment: a and j after a stop
 ROUNDS = 40  #: most reweightings
@@ -28,16 +28,16 @@ TINY = 1e-12  #: of the trace: keeps what no sample sees from making a matrix si
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
-    """What the correction may do in its m + 1 knots."""
+class KnotConditions:
+    """Conditions on the correction at its m + 1 knots."""
 
     smooth: bool  #: C2 between stops; else straight lines
-    resting: np.ndarray  #: (m + 1,) bool: a knot in which the target stands still
-    held: np.ndarray  #: (m,) bool: the target rests all along this segment, so does the correction
+    resting: np.ndarray  #: (m + 1,) bool: the target stops at this knot
+    fixed: np.ndarray  #: (m,) bool: the target rests along the whole segment, and so does the correction
 
 
 @dataclass(frozen=True, eq=False)
-class Correction:
+class LiftedCorrection:
     """Cubics c, v, a, j of the correction, (m, 4, 3), and what is left of the deviation [m], (m, parts, 3)."""
 
     cubic: np.ndarray
@@ -54,15 +54,15 @@ class Correction:
 class Lifted:
     """The response of one arm along one path to every knot, to be solved for any deviation and weight."""
 
-    def __init__(self, arm: ArmResponse, segments: Segments, course: Course):
-        self.order, self.smooth = arm.order, course.smooth
+    def __init__(self, arm: ArmResponse, segments: Segments, conditions: KnotConditions):
+        self.order, self.smooth = arm.order, conditions.smooth
         self._unit = units(arm, segments)
         state = 2 * arm.order + 9
         self._output = outputs(arm, segments) * self._unit
         self._next = transitions(arm, segments) * self._unit / self._unit[:state, None]
-        self._given, self._free, self._first = choices(arm, segments, course, self._unit)
+        self._given, self._free, self._first = choices(arm, segments, conditions, self._unit)
 
-    def least_squares(self, deviation: np.ndarray, weight: np.ndarray, smoothness: float) -> Correction:
+    def least_squares(self, deviation: np.ndarray, weight: np.ndarray, smoothness: float) -> LiftedCorrection:
         """The best correction of deviations d0 [m], (m, parts, 3), under weights W (m, parts, 3, 3).
 
         smoothness: weight of the change of the correction's third (of straight lines: second) difference over a
@@ -81,7 +81,7 @@ class Lifted:
             state = self._next[k] @ local[k]
         left = deviation + (self._output @ local[:, None, :, None])[..., 0]
         cubic = (local * self._unit)[:, 2 * self.order :].reshape(-1, 4, 3)
-        return Correction(cubic, left)
+        return LiftedCorrection(cubic, left)
 
     def _backward(self, cost: np.ndarray, slope: np.ndarray, smoothness: float):
         """The best free numbers of each segment, policy x + push, and P, p at the first knot."""
@@ -108,29 +108,29 @@ class Lifted:
             linear = gradient[:size] + total[:size, size:] @ push[k]
         return policy, push, later, linear
 
-    def min_max(self, deviation, weight, smoothness: float, scored: np.ndarray) -> Correction:
+    def min_max(self, deviation, weight, smoothness: float, scored: np.ndarray) -> LiftedCorrection:
         """As ``least_squares``, but with the least largest deviation in the parts ``scored`` (m, parts).
 
         Lawson's reweighting [Lawson1961]: parts with a large deviation gain weight; the weighted mean square is a lower
         bound of the largest one, so the end is known when it comes near.
         """
         share, least = np.ones(scored.shape), np.inf
-        best: Correction | None = None
+        best: LiftedCorrection | None = None
         for _ in range(ROUNDS if scored.any() else 1):
-            found = self.least_squares(deviation, weight * share[..., None, None], smoothness)
-            size = np.sqrt(np.einsum("kpi,kpij,kpj->kp", found.left, weight, found.left))[scored]
+            solution = self.least_squares(deviation, weight * share[..., None, None], smoothness)
+            size = np.sqrt(np.einsum("kpi,kpij,kpj->kp", solution.left, weight, solution.left))[scored]
             if best is None or size.max() < least:
-                best, least = found, float(size.max(initial=0.0))
+                best, least = solution, float(size.max(initial=0.0))
             now = share[scored]
             if size.max(initial=0.0) < TINY or least <= CLOSE * np.sqrt(np.sum(now * size**2) / np.sum(now)):
                 break
             now = now * size / size.max()
             share[scored] = np.maximum(now / now.mean(), 1e-4)
-        return cast(Correction, best)  # of one round at least
+        return cast(LiftedCorrection, best)  # of one round at least
 
 
 def units(arm: ArmResponse, segments: Segments) -> np.ndarray:
-    """(2 r + 12,): what a one in each number of y stands for, so that all of them are lengths of like size [m]."""
+    """(2 r + 12,): unit of each number of y, chosen so that all numbers are lengths of similar size [m]."""
     time, size = float(np.median(segments.duration)), np.linalg.norm(arm.outward[:1], axis=(0, 1))
     size = np.maximum(size, 1e-6 * size.max(initial=1e-300))
     return np.concatenate([1.0 / size, 1.0 / (size * time), *(np.full(3, time**-i) for i in range(4))])
@@ -151,22 +151,22 @@ def transitions(arm: ArmResponse, segments: Segments) -> np.ndarray:
     duration, r = segments.duration[:, None], arm.order
     h11, h12, h21, h22 = (h[:, 0, None] for h in arm.free(duration))
     of_bend, of_jerk, rate_of_bend, rate_of_jerk = (f[:, 0, :, None] * arm.inward for f in arm.forced(duration))
-    found = np.zeros((len(segments), 2 * r + 9, 2 * r + 12))
-    found[:, :r, :r], found[:, :r, r : 2 * r] = arm.carry * h11, arm.carry * h12
-    found[:, r : 2 * r, :r], found[:, r : 2 * r, r : 2 * r] = arm.carry * h21, arm.carry * h22
+    matrix = np.zeros((len(segments), 2 * r + 9, 2 * r + 12))
+    matrix[:, :r, :r], matrix[:, :r, r : 2 * r] = arm.carry * h11, arm.carry * h12
+    matrix[:, r : 2 * r, :r], matrix[:, r : 2 * r, r : 2 * r] = arm.carry * h21, arm.carry * h22
     if arm.moves:
-        found[:, : 2 * r, 2 * r + 6 :] = np.concatenate(
+        matrix[:, : 2 * r, 2 * r + 6 :] = np.concatenate(
             [arm.carry @ np.dstack([of_bend, of_jerk]), arm.carry @ np.dstack([rate_of_bend, rate_of_jerk])], axis=1
         )
     powers = duration ** np.arange(4) / [1.0, 1.0, 2.0, 6.0]
     for row in range(3):
         for column in range(row, 4):
             rows, columns = (slice(2 * r + 3 * i, 2 * r + 3 * i + 3) for i in (row, column))
-            found[:, rows, columns] = powers[:, column - row, None, None] * np.eye(3)
-    return found
+            matrix[:, rows, columns] = powers[:, column - row, None, None] * np.eye(3)
+    return matrix
 
 
-def choices(arm: ArmResponse, segments: Segments, course: Course, unit: np.ndarray):
+def choices(arm: ArmResponse, segments: Segments, conditions: KnotConditions, unit: np.ndarray):
     """y of a segment, in units, from the state x that arrives and from what is free there: (m, y, x), (m, y, CONTROLS).
 
     The third one gives x at the first knot from c, v, a of the correction there, (x, 9).
@@ -175,38 +175,38 @@ def choices(arm: ArmResponse, segments: Segments, course: Course, unit: np.ndarr
     given, free = np.zeros((m, 2 * r + 12, 2 * r + 9)), np.zeros((m, 2 * r + 12, CONTROLS))
     given[:, : 2 * r + 3, : 2 * r + 3] = np.eye(2 * r + 3)
     jump = -arm.inward * (unit[2 * r + 3] / unit[r : 2 * r, None]) if arm.moves else np.zeros((m, r, 3))
-    if course.smooth:
-        _smooth(given, free, segments, course, r)
+    if conditions.smooth:
+        _smooth(given, free, segments, conditions, r)
     else:
-        _straight(given, free, course, jump, r)
+        _straight(given, free, conditions, jump, r)
     start = np.zeros((2 * r + 9, 9))  # x at the first knot from c, v, a: before it the correction did not move
     start[2 * r :] = np.eye(9)
     start[r : 2 * r, 3:6] = jump[0]
-    if course.resting[0]:
+    if conditions.resting[0]:
         start[:, 3:] = 0.0
     return given, free, start
 
 
-def _smooth(given, free, segments: Segments, course: Course, r: int) -> None:
+def _smooth(given, free, segments: Segments, conditions: KnotConditions, r: int) -> None:
     v, a, j = (slice(2 * r + 3 * i, 2 * r + 3 * i + 3) for i in (1, 2, 3))
     time = segments.duration / np.median(segments.duration)
-    for k in np.flatnonzero(~course.held).tolist():
-        if course.resting[k]:
-            free[k, a, 3:] = np.eye(3)  # a bend of its own after a stop
+    for k in np.flatnonzero(~conditions.fixed).tolist():
+        if conditions.resting[k]:
+            free[k, a, 3:] = np.eye(3)  # a free bend after a stop
         else:
             given[k, v, v] = given[k, a, a] = np.eye(3)
-        if course.resting[k + 1]:  # v + a t + j t^2 / 2 = 0
+        if conditions.resting[k + 1]:  # v + a t + j t^2 / 2 = 0
             given[k, j] = -2.0 / time[k] ** 2 * (given[k, v] + time[k] * given[k, a])
             free[k, j] = -2.0 / time[k] * free[k, a]
         else:
             free[k, j, :3] = np.eye(3)
 
 
-def _straight(given, free, course: Course, jump: np.ndarray, r: int) -> None:
+def _straight(given, free, conditions: KnotConditions, jump: np.ndarray, r: int) -> None:
     v, rate = slice(2 * r + 3, 2 * r + 6), slice(r, 2 * r)
     given[0, v, v] = np.eye(3)
-    for k in range(1, len(course.held)):
+    for k in range(1, len(conditions.fixed)):
         given[k, rate, v] = -jump[k]  # at a corner u' jumps by -dv
-        if not course.held[k]:
+        if not conditions.fixed[k]:
             free[k, v, :3] = np.eye(3)
             free[k, rate, :3] = jump[k]

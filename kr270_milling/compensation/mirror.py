@@ -1,4 +1,4 @@
-"""The static mirror (30)-(32), Fig. 8: the target point that the load carries to where the tool should be."""
+"""The static mirror (30)-(32), Fig. 8: the target point that the load moves onto the programmed point."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Mirror:
 
 
 def loaded_pose(arm: Arm, mount: Mount, joints, wrench, sag_compensated: bool) -> Pose:
-    """t_F = f^-1(F | t_0), (30): where the tool stands that joints (n, 6) command, under wrenches (n, 6), base axes.
+    """t_F = f^-1(F | t_0), (30): loaded tool pose for commanded joints (n, 6), under wrenches (n, 6), base axes.
 
     With ``sag_compensated`` the controller sees to it that the link weights alone do not move the tool; they still
     load the arm.

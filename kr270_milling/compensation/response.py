@@ -1,4 +1,4 @@
-"""How the tool follows the reference and gives way to the wrench: the modes of the arm, in closed form.
+"""Response of the tool to the reference and to the wrench: the modes of the arm, in closed form.
 
 With the reference r (motor side) and the tool z = r + delta, M delta'' + C delta' + K delta = F - M r''. A change of
 the reference moves the tool, mode by mode, by
@@ -29,7 +29,7 @@ FEWEST, MOST = 4, 16  #: parts in a segment
 
 @dataclass(frozen=True, eq=False)
 class Segments:
-    """The m segments between m + 1 knots. The middle of a part stands for it."""
+    """The m segments between m + 1 knots. Values of a part are those at its middle."""
 
     time_ns: np.ndarray  #: knots [ns], (m + 1,)
     parts: int  #: of each segment
@@ -197,7 +197,7 @@ class ArmResponse:
         free = np.stack([h[:, 0] for h in self.free(duration)], axis=1)
         return _march(free, added, corner, self.carry, 1)[0]
 
-    def give_way(self, segments: Segments, wrench: np.ndarray) -> np.ndarray:
+    def deflect(self, segments: Segments, wrench: np.ndarray) -> np.ndarray:
         """Displacement of the tool [m], (m, parts, 3), under mean wrenches (m, parts, 6), from rest."""
         if not self.order:
             return np.zeros(wrench.shape[:2] + (3,))

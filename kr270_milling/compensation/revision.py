@@ -1,7 +1,7 @@
 """Off-line revision of the reference trajectory at the controller step, Fig. 9(a), Fig. 14, in three components.
 
-All methods need what a pass shows: when and where the tool was. A shift of the reference moves the tool by the same
-shift while the displacement under load stays nearly what it was, so ``reference' = target - displacement``.
+Every method needs the times and positions of the tool in a pass. A shift of the reference moves the tool by the same
+shift, and the displacement under load stays nearly the same, so ``reference' = target - displacement``.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.compensation.limiting import UNBOUNDED, Bounds, Limited, describe, limit_change
 from kr270_milling.trajectory.trajectory import Trajectory, slerp
 
-__all__ = ["KnotsError", "PassRecord", "RevisionError", "chord_error", "corrected", "held", "knot_rates", "revise"]
+__all__ = ["KnotsError", "PassRecord", "RevisionError", "chord_error", "corrected", "knot_rates",
+           "resting_segments", "sampled_correction"]  # fmt: skip
 
 SAME_PLACE = 1e-8  #: [m], between two knots at rest: what rounding in a file moves
 ROUNDS = 30  #: of tightening the limits at the knots until the spline between them keeps them too
@@ -27,7 +28,7 @@ class RevisionError(MillingError):
 
 
 class KnotsError(RevisionError):
-    """A pass along a reference trajectory whose knots stand at other times than the target's."""
+    """A pass along a reference trajectory whose knots have other times than the target's."""
 
     def __init__(self, reference: Trajectory, target: Trajectory):
         self.reference, self.target = reference, target
@@ -61,7 +62,7 @@ class PassRecord:
     def mean_wrench(self, knots_ns: np.ndarray) -> np.ndarray:
         """(k, 6): mean over the samples that are nearer to a knot than to any other; 0 where there is none."""
         if self.wrench is None:
-            raise RevisionError("the method mirror needs the wrench of the pass")
+            raise RevisionError("the method needs the wrench of the pass, which was not measured")
         nearest = np.searchsorted(0.5 * (knots_ns[:-1] + knots_ns[1:]), self.time_ns)
         count = np.bincount(nearest, minlength=knots_ns.size)
         total = np.stack([np.bincount(nearest, w, knots_ns.size) for w in self.wrench.T], axis=1)
@@ -87,54 +88,47 @@ class PassRecord:
         return np.column_stack(means)
 
 
-def revise(
-    method: str, target: Trajectory, reference: Trajectory, ran: PassRecord, bounds: Bounds = UNBOUNDED
-) -> tuple[Trajectory, tuple[Limited, ...]]:
-    """The next reference trajectory after a pass along ``reference``, and where its correction was limited.
-
-    method: "linear" (the paper's: sampled displacement, straight lines between the knots) or "spline" (C2 through the
-    same knots).
-    """
+def sampled_correction(target: Trajectory, reference: Trajectory, ran: PassRecord) -> np.ndarray:
+    """c_k = -delta(t_k) [m], (k, 3), Fig. 14: the displacement of a pass along ``reference`` at the target's knots."""
     if len(ran.time_ns) < 2 or not np.all(np.isfinite(ran.position)):
         raise RevisionError("a pass of at least two finite tool positions is needed to revise the reference")
-    knots = -ran.sampled_displacement(reference, target.time_ns)
-    return corrected(target, knots, method, bounds)
+    return -ran.sampled_displacement(reference, target.time_ns)
 
 
 def corrected(
     target: Trajectory,
-    correction: np.ndarray,
-    method: str,
+    offset: np.ndarray,
+    smooth: bool,
     bounds: Bounds = UNBOUNDED,
     *,
-    quaternion: np.ndarray | None = None,
     rates: np.ndarray | None = None,
+    quaternion: np.ndarray | None = None,
 ) -> tuple[Trajectory, tuple[Limited, ...]]:
-    """The target with corrections (k, 3) [m] of its knots and, if given, orientations (k, 4) that go with them.
+    """Add a correction to the target within bounds; return the reference, and where the correction was limited.
 
-    rates: slopes (k, 3) [m/s] that the correction has at the knots as long as nothing of it is limited.
+    offset: the correction [m] of the knots, (k, 3); rates: slopes [m/s] of a smooth correction, (k, 3), None: those of
+    its C2 spline; quaternion: orientations that belong to the offset, (k, 4), None: those of the target.
 
-    "linear" joins the knots by straight lines, as a controller runs LIN motions: on a curved target these are its
-    chords (see ``chord_error``). "mirror" does so where the target does, else it is smooth like the others: the
-    correction has a slope at each knot, C2 in time, C1 where the target stands still, so that an exact stop of the
-    robot program is one of the trajectory. While the target rests the correction is held at its mean: the chips end
-    with the feed, and a tool that crept with the fading load would leave a mark that no program point can undo.
+    Straight lines between the knots are what a controller runs as LIN motions: on a curved target these are its chords
+    (see ``chord_error``). A smooth correction has a slope at each knot. It is C2 in time, and C1 where the target
+    stops, so that an exact stop of the robot program is a stop of the trajectory. While the target rests the correction
+    stays at its mean: the chips end with the feed, and a tool that follows the fading load would leave a mark that no
+    program point can remove. ``rates`` apply only where nothing is limited.
     """
     still = target.standing
-    smooth = method != "linear" and not (method == "mirror" and target.velocity is None)
-    given = np.asarray(correction, float)
+    given = np.asarray(offset, float)
 
     def slopes(knots: np.ndarray) -> np.ndarray | None:
         if rates is not None and np.array_equal(knots, given):
             return rates
         return knot_rates(target.time, knots, still) if smooth else None
 
-    wanted = _held(target, given)
+    wanted = _rested(target, given)
     size = np.linalg.norm(wanted, axis=1, keepdims=True)
     shorter = wanted * np.minimum(1.0, bounds.max_correction / np.maximum(size, 1e-300))
     shorter = _smaller(target, shorter, slopes, bounds)
     knots = _slower(target, shorter, slopes, bounds)
-    found = describe("size", target.time, wanted, shorter) + describe("change", target.time, shorter, knots)
+    limited = describe("size", target.time, wanted, shorter) + describe("change", target.time, shorter, knots)
     slope = slopes(knots)
     velocity = None if slope is None else target.sample_velocity(target.time_ns) + slope
     turned = target.quaternion
@@ -142,18 +136,18 @@ def corrected(
         share = np.linalg.norm(knots, axis=1, keepdims=True) / np.maximum(size, 1e-300)
         turned = slerp(target.quaternion, quaternion, np.where(size > 0, np.minimum(share, 1.0), 1.0))
     position = target.sample(target.time_ns) + knots
-    return Trajectory(target.time_ns, position, turned, velocity, target.frame), found
+    return Trajectory(target.time_ns, position, turned, velocity, target.frame), limited
 
 
-def held(target: Trajectory) -> np.ndarray:
+def resting_segments(target: Trajectory) -> np.ndarray:
     """(k - 1,) True for segments along which the target rests."""
     still = target.standing
     return still[1:] & still[:-1] & (np.linalg.norm(np.diff(target.position, axis=0), axis=1) < SAME_PLACE)
 
 
-def _held(target: Trajectory, correction: np.ndarray) -> np.ndarray:
+def _rested(target: Trajectory, correction: np.ndarray) -> np.ndarray:
     """One correction, the mean, for all knots of a rest of the target."""
-    same = held(target)
+    same = resting_segments(target)
     if not same.any():
         return correction
     rest = np.concatenate([[0], np.cumsum(~same)])
@@ -182,7 +176,7 @@ def _smaller(target: Trajectory, given: np.ndarray, slopes, bounds: Bounds) -> n
         share = np.ones(len(knots))
         for beside in (before[over], before[over] + 1):
             np.minimum.at(share, beside, 0.999 * largest / size[over])
-        knots = _held(target, knots * share[:, None])
+        knots = _rested(target, knots * share[:, None])
     return knots * (largest / size.max())
 
 
@@ -203,7 +197,7 @@ def _slower(target: Trajectory, given: np.ndarray, slopes, bounds: Bounds) -> np
         for segment in (first, last) if tried else ():
             np.multiply.at(most, segment[over], 0.999 * max_change / change[over])
         knots = limit_change(given, most)
-    return knots * (max_change / change.max())  # a spline of the same shape is as steep as it is high
+    return knots * (max_change / change.max())  # the slope of a spline scales with its height
 
 
 def knot_rates(time: np.ndarray, values: np.ndarray, resting: np.ndarray | None) -> np.ndarray:
@@ -228,7 +222,7 @@ def knot_rates(time: np.ndarray, values: np.ndarray, resting: np.ndarray | None)
 
 
 def chord_error(target: Trajectory) -> float:
-    """[m], how far the chords between the knots stand off the target: what "linear" adds on arcs."""
+    """Largest distance [m] of the chords between the knots from the target, which straight lines add on arcs."""
     middle = (target.time_ns[1:] + target.time_ns[:-1]) // 2
     off = target.sample(middle) - 0.5 * (target.position[1:] + target.position[:-1])
     move = np.diff(target.position, axis=0)

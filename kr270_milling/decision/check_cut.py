@@ -121,7 +121,7 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Tool tips, times and blocks half a node step apart, and the node step [m]."""
     target, timed = cell.target(), cell.timed_path
     radius = float(cell.tool.radii.max())
-    length = timed.toolpath.length if timed else cell.path.length
+    length = cell.programmed.length
     area = float(np.prod((cell.stock.max - cell.stock.min)[:2]))
     # length / (step / 2) places of pi (radius / step)^2 nodes each are to stay below MOST_VISITS
     step = max(
@@ -217,8 +217,7 @@ def _spring_back(cell: Cell, ran: ScoredPass) -> float:
     as much from a wall."""
     result = ran.result
     cutting = result.volume > 0.0
-    if cell.timed_path is not None:
-        cutting &= ~cell.timed_path.toolpath.rapid[cell.timed_path.block_at(result.time_ns)]
+    cutting &= ~cell.programmed.rapid_at(result.time_ns)
     return float(np.max(np.linalg.norm(result.deflection[cutting, :3], axis=1), initial=0.0))
 
 
@@ -370,7 +369,7 @@ def residue_of(cell: Cell, result: PassResult) -> Residue:
         residue = np.linalg.norm(np.diff(at_teeth, 4, axis=0), axis=1) / 16.0  # a motion that alternates counts whole
         parts = [float(np.sqrt(np.mean(part**2))) / feed_per_tooth for part in np.array_split(residue, 3)]
         worst = np.fmax(worst, parts[2])
-        grows |= not cell.path.file and parts[2] > SMALL and parts[2] > GROWS * parts[1]
+        grows |= cell.programmed.straight and parts[2] > SMALL and parts[2] > GROWS * parts[1]
     if np.isnan(worst):
         return Residue("no statement", np.nan, limit)
     return Residue("grows" if grows or worst > limit else "repeats", float(worst), limit)

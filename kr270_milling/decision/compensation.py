@@ -11,6 +11,7 @@ from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simula
 from kr270_milling.cell.plant import Plant
 from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.limiting import Limited
+from kr270_milling.compensation.methods import Method
 from kr270_milling.decision.check import Checked, check
 from kr270_milling.decision.findings import violation
 from kr270_milling.decision.part.assessment import PartAssessment, assess_all
@@ -18,7 +19,7 @@ from kr270_milling.decision.tolerance import Judgement, judge
 from kr270_milling.decision.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, monte_carlo
 
 __all__ = [
-    "BUDGET", "NO_METHOD", "USUAL_BUDGET", "Compensation", "Decision", "VerdictOrder", "compensate",
+    "BUDGET", "NO_METHOD", "USUAL_BUDGET", "Decision", "JudgedCompensation", "VerdictOrder", "compensate",
     "limit_sentence",
 ]  # fmt: skip
 
@@ -74,7 +75,7 @@ class VerdictOrder:
 
 
 @dataclass(frozen=True, eq=False)
-class Compensation:
+class JudgedCompensation:
     """Both passes and what is to be thought of them."""
 
     original: ScoredPass
@@ -87,13 +88,13 @@ class Compensation:
 
 def compensate(
     cell: Cell,
-    method: str | None = None,
+    method: str | Method | None = None,
     *,
     plant: Plant | None = None,
     motion: str | None = None,
     verdict: VerdictOrder | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(),
-) -> Compensation:
+) -> JudgedCompensation:
     """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
 
     plant: what runs the passes; motion: of the programs, LIN or SPLINE; progress(text, passes at most): a context that
@@ -103,10 +104,10 @@ def compensate(
     with progress("original") as report:
         original = simulate(cell, progress=report, plant=plant)
     by = compensator(cell, cell.target(), method)
-    with progress(method, by.most_passes) as report:
+    with progress(by.method, by.most_passes) as report:
         revised = compensated(cell, original, method, report, by, plant)
     with progress("surfaces"):
-        parts = assess_all(cell, (original, revised)) if cell.path.file else ()
+        parts = () if cell.programmed.straight else assess_all(cell, (original, revised))
     limited = [
         violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, said=limit_sentence(p, by))
         for p in by.limited
@@ -119,7 +120,7 @@ def compensate(
     if judged:
         recommended = judged.recommended
     decision = Decision(before, after, checked.may_be_run, checked.count("warning"), recommended, judged)
-    return Compensation(original, revised, by, parts, checked, decision)
+    return JudgedCompensation(original, revised, by, parts, checked, decision)
 
 
 def _verdict(cell: Cell, original: ScoredPass, revised: ScoredPass, order: VerdictOrder, report) -> Verdict | None:

@@ -50,7 +50,7 @@ def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Ju
 
     part: its assessment, if it is known already.
     """
-    return judge_part(cell, part or assess(cell, ran)) if cell.path.file else _judge_straight_cut(cell, ran)
+    return _judge_straight_cut(cell, ran) if cell.programmed.straight else judge_part(cell, part or assess(cell, ran))
 
 
 def judge_part(cell: Cell, part: PartAssessment) -> Judgement:

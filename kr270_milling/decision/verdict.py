@@ -16,7 +16,7 @@ from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, expected_deviations, record_of, simulate
 from kr270_milling.cell.plant import Plant, imperfect_course, perturbed
-from kr270_milling.compensation.methods import METHODS
+from kr270_milling.compensation.methods import LEARNED, METHODS
 from kr270_milling.simulation.milling_pass import PassResult, run_pass
 from kr270_milling.simulation.scores import path_deviation
 from kr270_milling.trajectory.trajectory import Trajectory
@@ -30,7 +30,7 @@ SAMPLES = 32
 FEWEST = 8
 SAME = 0.1  #: changes of the largest deviation by less than this share are none
 FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
-TRACKED = "learned, with a tracker"  #: passes of the plant itself are measured and learned from
+TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
 NO_METHOD = "none"  #: run the path as it was programmed
 LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones stay as they are
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
@@ -106,14 +106,14 @@ def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Tra
     """References of the other methods, planned on the same pass; of a tool path, where each takes long, only that of
     the method that the linear model expects to leave the least on 8 plants.
 
-    "learned" takes passes of its own and is tried with a tracker on each plant.
+    A method that repeats takes passes of the plant itself, and ``LEARNED`` is tried with a tracker on each plant.
     """
     found = {}
     for name in METHODS:
-        if name not in (method, "learned"):
+        if name != method and not METHODS[name].repeats:
             with contextlib.suppress(MillingError):
                 found[name] = compensator(cell, cell.target(), name).revise(record_of(cell, original))
-    if not cell.path.file:
+    if cell.programmed.straight:
         return found
     rng = np.random.default_rng(0)
     plants = [perturbed(coarser(cell), rng) for _ in range(FEWEST)]
@@ -131,7 +131,7 @@ def _tracked(cell: Cell, plant: Cell) -> float:
     """Largest deviation [m] of a plant whose own passes are measured and learned from; NaN where that fails."""
     try:
         cuts = Plant(cell, plant)
-        learned = compensated(cell, simulate(cell, plant=cuts), "learned", plant=cuts)
+        learned = compensated(cell, simulate(cell, plant=cuts), LEARNED, plant=cuts)
         return learned.scores.max_deviation
     except MillingError:
         return np.nan
@@ -161,7 +161,7 @@ def monte_carlo(
     if not samples >= 1:
         raise ParameterError("samples", samples, "a whole number of at least 1")
     progress = progress or (lambda *_: None)
-    target, straight, cores = cell.target(), not cell.path.file, _cores()
+    target, straight, cores = cell.target(), cell.programmed.straight, _cores()
     nominal, scored_from = (cell, cell.full_engagement) if straight else (coarser(cell), None)
     references = {method: revised, **(others or {})}
     rng = np.random.default_rng(seed)

@@ -123,16 +123,15 @@ def recording_parameters(cell: Cell, out: Path, name: str, plant: Cell | None = 
         (out / "log" / name).mkdir(exist_ok=True)
         attach.append(str(out / "log" / name / "plant.yaml"))
         write_cell(plant, Path(attach[-1]))
-    if cell.path.file:
-        attach.append(str(Path(cell.path.file).resolve()))  # the nodes run in another directory
+    attach += map(str, cell.programmed.files)
     return {"attach": attach, "command": shlex.join(sys.argv), "directory": str(out / name)}
 
 
 def cell_text(cell: Cell) -> str:
     """Return the cell as YAML text; its numbers are read back bit for bit."""
     tree = _without_empty(tree_of(cell))
-    if cell.path.file:
-        tree["path"]["file"] = str(Path(cell.path.file).resolve())
+    for file in cell.programmed.files:
+        tree["path"]["file"] = str(file)
     text = yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False, default_flow_style=None, width=110)
     return "# Written by kr270_milling: the cell of this run.\n" + text
 

@@ -5,7 +5,6 @@ The manifest beside them says which file goes where, and in which order to try t
 
 from __future__ import annotations
 
-import hashlib
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,7 +24,7 @@ from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityE
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError, offsets
 from kr270_milling.trajectory.trajectory_csv import write_csv
 
-__all__ = ["RSI_TICKS_NS", "as_commanded", "source_hash", "write_joint_table", "write_programs", "write_rsi_table"]
+__all__ = ["RSI_TICKS_NS", "as_commanded", "write_joint_table", "write_programs", "write_rsi_table"]
 
 AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
 BESIDE = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  #: [m], of the approach beside the first point, tried in this order
@@ -38,7 +37,7 @@ def write_programs(
     directory, cell: Cell, original: Trajectory, revised: Trajectory, *, method: str, date: str,
     motions: Sequence[str] | None = (), source: str = "", findings: Sequence[str] = (), released: bool = True,
 ) -> dict[str, list[Path]]:  # fmt: skip
-    """Write everything that a controller or a planner takes; returns the paths by kind.
+    """Write all files for a controller or a planner; return the paths by kind.
 
     "krl_spline", "krl_lin": the modules of both programs, for each of ``motions`` (default: ``program.motion``; None:
     no robot program), in a directory named after motion, method, date and hash; "rsi": revised minus original at each
@@ -46,7 +45,7 @@ def write_programs(
     ``check`` read; "manifest": which file goes where, in which order to try them, and what the columns are.
 
     method: for the names; date: ISO text; source: sha256 of what the original was made from; findings: lines of the
-    check, which stand in every header. A program that is not released has NOT_RELEASED for its name.
+    check, for every header. A program that is not released has NOT_RELEASED for its name.
     """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
         raise InputError("method", f"{method[:40]!r} cannot be part of a file name")
@@ -95,17 +94,6 @@ def as_commanded(cell: Cell, run: Trajectory, joints) -> Trajectory:
     return Trajectory(run.time_ns, tool.position, quaternion_from_rotation(tool.rotation), run.velocity, run.frame)
 
 
-def source_hash(cell: Cell) -> str:
-    """SHA-256 of the tool path file, or "" for a straight cut."""
-    if not cell.path.file:
-        return ""
-    digest = hashlib.sha256()
-    with open(cell.path.file, "rb") as stream:
-        while block := stream.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
-
-
 #: the controller's $FLANGE in ``flange``: its z axis points out of the flange, as x does here (kuka_experimental sets
 #: its tool0 frame, "the $FLANGE coordinate system of the KRC", by the same turn)
 KUKA_FLANGE = Pose.from_abc(np.zeros(3), [0.0, np.pi / 2, 0.0])
@@ -121,34 +109,30 @@ def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
 
 
 def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
-    """Above the first point, a little beside it where an axis would stand at zero: its sign, the bit of T, would be
+    """Above the first point, a little beside it where an axis would be at zero: its sign, the bit of T, would be
     left to rounding, and a controller that finds the other sign looks for the axis a whole turn away.
 
     Raises InputError where the arm cannot reach it.
     """
     above = run.position[:1].copy()
     above[0, 2] = max(above[0, 2], safe_z)
-    found = []
+    approaches = []
     for shift in BESIDE:
         try:
             joints = cell.joints_at(above + [*shift, 0.0], run.quaternion[:1])[0]
         except (ReachError, JointLimitError, SingularityError) as error:
             raise InputError("program.safe_height_mm", f"the approach cannot be reached: {error}") from None
         status, turn = status_turn(cell.arm, joints)
-        found.append(krl.Approach(above[0] + [*shift, 0.0], int(status), int(turn)))
+        approaches.append(krl.Approach(above[0] + [*shift, 0.0], int(status), int(turn)))
         if np.abs(joints).min() > AT_ZERO:
-            return found[-1]
-    return found[0]
+            return approaches[-1]
+    return approaches[0]
 
 
 def _source(cell: Cell, count: int) -> krl_motion.Source | None:
-    """Line and feature of each knot, of a tool path file."""
-    timed = cell.timed_path
-    if timed is None or len(timed.block) != count:
-        return None
-    features = timed.toolpath.features
-    numbers = timed.toolpath.feature[timed.block].tolist()
-    return krl_motion.Source(timed.toolpath.line[timed.block], tuple(features[n] for n in numbers))
+    """Line and feature of each knot; None without a program."""
+    lines, features = cell.programmed.knot_source
+    return krl_motion.Source(lines, features) if len(lines) == count else None
 
 
 def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: int = RSI_TICKS_NS[0]) -> None:

@@ -69,7 +69,7 @@ class Setup:
 
 @dataclass(frozen=True)
 class Heading:
-    """What stands at the top of every file; the date as text, so that the same input gives the same files."""
+    """The header of every file; the date as text, so that the same input gives the same files."""
 
     version: str
     date: str
@@ -80,7 +80,7 @@ class Heading:
     def __post_init__(self):
         for text in (self.version, self.date, self.source_hash, self.method):
             if not re.fullmatch(r"[ -~]{0,100}", text):
-                raise TrajectoryError(f"{text[:100]!r} cannot stand in the header of a program")
+                raise TrajectoryError(f"{text[:100]!r} is not allowed in the header of a program")
 
     def lines(self, program: Program, kind: str, run: Trajectory) -> list[str]:
         """Comment lines."""
@@ -135,7 +135,7 @@ def write_krl(
 
 
 def _modules(main: str, moves: list, frames: list, main_parts: list) -> dict[str, tuple[list[str], list[str]]]:
-    """Name -> lines of .src and of .dat; one piece stands in the main module itself."""
+    """Name -> lines of .src and of .dat; a single piece is in the main module itself."""
     head, foot, places = main_parts
     if len(moves) == 1:
         return {main: ([*head, *moves[0], *foot], [*places, *frames[0]])}

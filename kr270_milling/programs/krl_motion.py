@@ -1,6 +1,6 @@
 """Motions of a robot program: which knots become points, how they are split into modules, how fast each is reached.
 
-Numbers, frames and comments stand as a KR C4 reads them.
+Numbers, frames and comments are written as a KR C4 reads them.
 """
 
 from __future__ import annotations
@@ -81,20 +81,20 @@ def point_numbers(program: Program, original: Trajectory, revised: Trajectory) -
     """Knots that become points, (p,): far enough from the one before in both; the first, the stops and the last."""
     stops, spacing = original.standing, program.point_spacing
     rows = np.stack([original.position, revised.position], axis=1).tolist()
-    last, kept = len(rows) - 1, [0]
+    last, chosen = len(rows) - 1, [0]
 
     def near(k: int) -> bool:
-        return any(math.dist(new, old) < spacing for new, old in zip(rows[k], rows[kept[-1]], strict=True))
+        return any(math.dist(new, old) < spacing for new, old in zip(rows[k], rows[chosen[-1]], strict=True))
 
     for k in range(1, last + 1):
         if stops[k] or k == last:  # a corner must not move to the knot before it
-            while len(kept) > 1 and near(k):
-                kept.pop()
+            while len(chosen) > 1 and near(k):
+                chosen.pop()
             if k == last or not near(k):
-                kept.append(k)
+                chosen.append(k)
         elif not near(k):
-            kept.append(k)
-    return np.array(kept)
+            chosen.append(k)
+    return np.array(chosen)
 
 
 def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, source: Source, most: int) -> list:

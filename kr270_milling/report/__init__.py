@@ -51,11 +51,15 @@ def write_report(
     """
     if not passes:
         raise InputError(title, "a report needs at least one pass")
-    file, timed = cell.path.file, cell.timed_path
+    programmed = cell.programmed
     parts = parts or assess_all(cell, passes)
     decision = decision or judged(cell, passes, parts)
     names = [p.name for p in passes]
-    sizes = [part.whole.max_normal for part in parts] if file else [p.scores.max_deviation for p in passes]
+    sizes = (
+        [part.whole.max_normal for part in parts]
+        if not programmed.straight
+        else [p.scores.max_deviation for p in passes]
+    )
     best = int(np.argmin(sizes))
     pictures, robot, charts = (
         linked(cell, passes, parts, program),
@@ -72,15 +76,15 @@ def write_report(
         "tolerance_um": [1e6 * allowed for allowed in cell.part.of()],
         "stock_mm": [*(cell.stock.min * 1e3), *(cell.stock.max * 1e3)],
         "engaged_s": cell.full_engagement,
-        "part": bool(file),
+        "part": not programmed.straight,
     }
     text = page.page_text(
         page.HERE / "report.html",
         page.SCRIPTS,
         title=title,
         cell=cell,
-        timed=timed,
-        path_file=Path(file).name,
+        timed=programmed.timed,
+        path_file=programmed.file_name,
         speed_rpm=cell.tool.spindle_speed * 30 / np.pi,
         source=Path(source).name,
         command=command,
@@ -91,8 +95,8 @@ def write_report(
         asked=asked(cell, passes),
         tiles=tiles(decision, names, sizes),
         findings=finding_rows(decision),
-        scores=texts.part_scores(parts) if file else texts.line_scores(passes, paper),
-        features=texts.feature_table(parts) if file else None,
+        scores=texts.line_scores(passes, paper) if programmed.straight else texts.part_scores(parts),
+        features=None if programmed.straight else texts.feature_table(parts),
         more=[texts.typographic(t) for t in tables if t.rows],
         details=texts.details(passes),
         inputs=texts.input_rows(cell, robot.joints[0]),

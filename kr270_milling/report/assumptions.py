@@ -56,6 +56,6 @@ def assumptions(cell: Cell, paper: bool) -> list[Assumption]:
         helix=np.degrees(cell.tool.helix),
         micro_step=np.degrees(cell.exchange.micro_step),
         modes="; ".join(f"{name}: {', '.join(f'{f:.2f}' for f in hz[:3])} Hz" for name, hz in modes),
-        way=cell.path.length if cell.timed_path is None else cell.timed_path.toolpath.length,
+        way=cell.programmed.length,
     )
     return rows

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -89,15 +88,10 @@ def _answer(judged: Judgement) -> Answer:
 
 def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
     """The question, in one sentence."""
-    if cell.timed_path is not None:
-        way, duration = cell.timed_path.toolpath.length, cell.target().duration_ns * 1e-9
-        cut = f"{Path(cell.path.file).name} ({way:.3g} m of path in {duration:.3g} s)"
-    else:
-        cut = f"a straight cut of {cell.path.length * 1e3:g} mm, {cell.path.depth_of_cut * 1e3:.4g} mm deep,"
     speed = cell.tool.spindle_speed * 30 / np.pi
     how = f"a {cell.tool.diameter * 1e3:g} mm cutter with {cell.tool.teeth} teeth at {speed:.0f} rpm"
     then = "" if len(passes) == 1 else ", and what does compensation change"
-    return f"How far off does {cell.arm.name} mill {cut} with {how}{then}?"
+    return f"How far off does {cell.arm.name} mill {cell.programmed.description} with {how}{then}?"
 
 
 class Tile(NamedTuple):

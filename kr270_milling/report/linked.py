@@ -78,8 +78,8 @@ def linked(
         series.append(np.where(known, _series(one, assessed)[:, np.where(known, rows, 0)], np.nan))
         cutting[known] |= assessed.cutting[rows[known]]
     chosen = stations([np.where(cutting, values, np.nan) for side, _, force, *_ in series for values in (side, force)])
-    engaged, timed, knots = result.time >= cell.full_engagement - 1e-9, cell.timed_path, cell.target().time_ns
-    line = np.zeros(time_ns.size, np.int64) if timed is None else timed.toolpath.line[timed.block_at(time_ns)]
+    engaged, knots = result.time >= cell.full_engagement - 1e-9, cell.target().time_ns
+    line = cell.programmed.line_at(time_ns)
     return Linked(
         time=time_ns[chosen] * 1e-9,
         way=path.distance[chosen] * 1e3,
@@ -94,7 +94,7 @@ def linked(
         scored=(cutting & engaged)[chosen].astype(np.int64),
         passes=tuple(PassSeries(p.name, *rows[:, chosen]) for p, rows in zip(passes, series, strict=True)),
         source=_source(cell, line[chosen], program),
-        source_name=Path(cell.path.file).name if cell.path.file else "",
+        source_name=cell.programmed.file_name,
     )
 
 
@@ -114,7 +114,7 @@ def _series(one: ScoredPass, part: PartAssessment) -> np.ndarray:
 
 def _source(cell: Cell, used: np.ndarray, program: str | None) -> tuple[SourceLine, ...]:
     """Lines of the tool path file, or of its text: all of a short one, else those that are used."""
-    if not cell.path.file or not used.any():
+    if not used.any():
         return ()
     if program is None:
         try:

@@ -30,7 +30,7 @@ ZERO = ((0.0, ""),)  #: a level
 
 def charts_of(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> list[Chart]:
     """All charts of a straight cut, the force law alone of a tool path."""
-    if cell.path.file:
+    if not cell.programmed.straight:
         return [force_law(cell, 1e-3)]
     result, first = passes[0].result, cell.target().position[0]
     engaged, end = cell.full_engagement, float(result.time[-1])

@@ -15,11 +15,11 @@ from rclpy.exceptions import (
 )
 from rclpy.parameter import Parameter
 
-from kr270_milling.bag.recorded_path import find_tool_path
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.parameter_file import find_file, merge, read_tree
 from kr270_milling.base.record import Record, Spec, build, specs
 from kr270_milling.cell.cell import Cell, with_program
+from kr270_milling.trajectory.readers import find_tool_path
 
 __all__ = ["declare", "declare_cell"]
 

@@ -24,7 +24,6 @@ from pathlib import Path
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.record import read_tree
 from kr270_milling.cell.cell import Cell
-from kr270_milling.programs.files import source_hash
 
 __all__ = ["EngineError", "Rows", "Study", "content", "run_chunks"]
 
@@ -120,7 +119,7 @@ class Study:
 def content(path, cell: Cell) -> str:
     """Return a hash of a parameter file and its tool path: rows of another cell have another hash."""
     tree = json.dumps(read_tree(path), sort_keys=True, default=str)
-    return hashlib.sha256(f"{tree}{source_hash(cell)}".encode()).hexdigest()
+    return hashlib.sha256(f"{tree}{cell.programmed.sha256}".encode()).hexdigest()
 
 
 def _write_whole(path: Path, data: bytes) -> None:

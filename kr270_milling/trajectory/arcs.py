@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-__all__ = ["ArcError", "centre_from_radius", "flatten"]
+__all__ = ["ArcError", "centre_from_radius", "arc_points"]
 
 MOST_TURNS = 1000
 
@@ -28,13 +28,13 @@ def centre_from_radius(start, end, radius: float, clockwise: bool, tolerance: fl
     return (start[0] + dx / 2 - side * height * dy / chord, start[1] + dy / 2 + side * height * dx / chord)
 
 
-def flatten(
+def arc_points(
     start, end, centre, clockwise: bool, closing: float, tolerance: float, turns: int = 0
 ) -> tuple[np.ndarray, float]:
     """Ends of the chords [m], (m, 3), and the curvature [1/m] of an arc or a helix about ``centre``.
 
     start, end [m], (3,); equal in x and y they mean a full circle. closing: how far start and end may differ in their
-    distance from the centre; tolerance: how far the arc may stand off a chord; turns: full ones before the arc.
+    distance from the centre; tolerance: largest distance of the arc from a chord; turns: full ones before the arc.
     The last point is ``end`` itself.
     """
     first = math.hypot(start[0] - centre[0], start[1] - centre[1])

@@ -1,4 +1,4 @@
-"""The modal state of a milling machine, for every language of programs: where the tool stands, how a block moves it.
+"""The modal state of a milling machine, for every language of programs: the place of the tool, the move of a block.
 
 Straight, on an arc of one of three planes, in a drilling cycle. A height of TOP is that of a tool that was taken away.
 """
@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.trajectory.arcs import ArcError, centre_from_radius, flatten
+from kr270_milling.trajectory.arcs import ArcError, arc_points, centre_from_radius
 from kr270_milling.trajectory.drilling import Cycle
 from kr270_milling.trajectory.program_builder import ProgramBuilder
 from kr270_milling.trajectory.toolpath import REACH, TOP
@@ -75,7 +75,7 @@ class Machine:
             self.program.refuse(word, f"the feed {word} must lie between 0 and {most:g} per minute")
 
     def home(self, axes: list[str]) -> None:
-        """The tool leaves the workpiece: up to the top height first, then X and Y are where nobody knows."""
+        """The tool leaves the workpiece: up to the top height first, then X and Y are unknown."""
         self.cycle = None
         if "Z" in axes:
             self.position[2] = TOP
@@ -222,7 +222,7 @@ class Machine:
                 advice = "write G90.1 first or post incremental centres"
                 raise ArcError(f"the arc closes with an absolute centre only; {advice}")
         turns = int(arc.get("TURN", axes.pop("P", 1) - 1))
-        points, curvature = flatten(from_point, to_point, centre, clockwise, closing, CHORD, turns)
+        points, curvature = arc_points(from_point, to_point, centre, clockwise, closing, CHORD, turns)
         if not np.abs(points).max() <= REACH:
             raise ArcError(f"the arc leads more than {REACH:g} m away; wrong unit?")
         chords = np.linalg.norm(np.diff(points[:, :2], axis=0, prepend=[from_point[:2]]), axis=1)

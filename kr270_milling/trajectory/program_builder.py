@@ -1,4 +1,4 @@
-"""A program on the way through its reader: the path of one tool, what is said beside it, what cannot be run."""
+"""A program under construction by its reader: the path of one tool, its statements, and refused words."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MOST_REFUSALS = 10_000  #: a file with more is no program
 class ProgramBuilder(PathBuilder):
     """Collects the moves of one tool and, of all of them, what cannot be run.
 
-    After a retract or a tool change the tool travels at the top height. Refusals are kept apart for each tool, so that
+    After a retract or a tool change the tool travels at the top height. Refusals are separate for each tool, so that
     one tool's part of a program can be run alone.
     """
 
@@ -32,7 +32,7 @@ class ProgramBuilder(PathBuilder):
         self.active = True  #: whether the tool in the spindle is that one
         self.away = False  #: whether the tool was taken away since the last move
         self.named = False  #: whether a comment named the operation since the last cut
-        self.lost = False  #: a move was refused: where the tool stands is not known any more
+        self.lost = False  #: a move was refused: the place of the tool is unknown
         self.title = ""
         self.tool = ""  #: in the spindle
         self.offset = ""  #: work offset
@@ -81,7 +81,7 @@ class ProgramBuilder(PathBuilder):
 
     @property
     def hopeless(self) -> bool:
-        """Whether there are so many refusals that reading on tells nothing."""
+        """Whether there are too many refusals to continue."""
         return len(self._refused) >= MOST_REFUSALS
 
     def refuse(

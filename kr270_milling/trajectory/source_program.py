@@ -1,4 +1,4 @@
-"""What a CAM program says beside its path, and what of it cannot be run: records for all readers."""
+"""Statements of a CAM program beside its path, and words that cannot be run: records for all readers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MOST_LINES = 40  #: kinds that a terminal lists
 
 @dataclass(frozen=True)
 class ReadOver:
-    """A word that does not move the tool, and how often it stands in the program."""
+    """A word that does not move the tool, and its number in the program."""
 
     word: str
     count: int
@@ -61,7 +61,7 @@ class ProgramTool:
 
 @dataclass(frozen=True)
 class SourceProgram:
-    """What the file of a path says beside the moves; empty for a path without a program."""
+    """Statements of a program beside its moves; empty for a path without a program."""
 
     title: str = ""
     tool: str = ""  #: the tool whose moves the path holds, "" where the program names none
@@ -75,7 +75,7 @@ class SourceProgram:
 
     @property
     def summary(self) -> str:
-        """One line about what was read over, "" if nothing was."""
+        """One line about the words that were read over, "" if nothing was."""
         words = ", ".join(f"{r.count} {r.word}" for r in self.read_over)
         return f"read over: {words}" if words else ""
 
@@ -104,7 +104,7 @@ class ProgramError(InputError):
 
 
 def _lines_of(others: list[Refusal]) -> str:
-    """Where else words of the same kind stand."""
+    """Lines of other words of the same kind."""
     if not others:
         return ""
     lines = ", ".join(str(refusal.line) for refusal in others[:3])

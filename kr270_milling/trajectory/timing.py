@@ -1,7 +1,7 @@
 """A tool path becomes a trajectory: feed along the path with limited acceleration and jerk, knots at controller steps.
 
 Blocks that meet tangentially, or in a corner that rounds off by less than the tolerance at some fair speed, are run
-through; at all other corners the tool stops, exactly on a controller step, so that a knot stands in the corner. Between
+through; at all other corners the tool stops, exactly on a controller step, so that a knot is in the corner. Between
 stops the speed is as high as the feeds, the curvature (centripetal acceleration) and S-shaped ramps allow. The ramps
 bound acceleration and jerk *along* the path; across it only the acceleration is bounded. All passes over the blocks
 are linear in their number. Where a joint would run too fast or accelerate too hard, the knots come later.
@@ -200,7 +200,7 @@ class Ramps:
 
     duration: np.ndarray  #: [s], (p,)
     first: np.ndarray  #: [m/s], (p,), speed at the start of the phase
-    last: np.ndarray  #: [m/s], (p,), speed at its end
+    last: np.ndarray  #: [m/s], (p,), speed at the end of each
     edge: np.ndarray  #: (p,), share of the phase in which the acceleration rises, and again falls; 0 < edge <= 1/2
 
     @classmethod

@@ -33,7 +33,7 @@ class ToolpathError(MillingError):
 class Toolpath:
     """Block k runs from position k-1 to position k; block 0 is where the path starts. Arrays become read-only.
 
-    Arcs stand as chords that touch the arc at both ends, with its curvature beside them, so that the arc is not lost.
+    Arcs are chords that touch the arc at both ends, with its curvature, so that the arc is not lost.
     """
 
     position: np.ndarray  #: [m], (n, 3), end of each block, of the tool tip in the workpiece frame

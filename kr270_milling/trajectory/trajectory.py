@@ -21,7 +21,7 @@ __all__ = ["TOOL_DOWN", "Trajectory", "TrajectoryError", "fingerprint", "offsets
 
 #: tool0 in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
 TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
-AT_REST = 1e-6  #: [m/s] a slower tool stands still: 12 nm in a tick of 12 ms are below the resolution of any axis
+AT_REST = 1e-6  #: [m/s] a slower tool is at rest: 12 nm in a tick of 12 ms are below the resolution of any axis
 
 
 class TrajectoryError(MillingError):
@@ -102,7 +102,7 @@ class Trajectory:
 
     @property
     def standing(self) -> np.ndarray:
-        """(n,) True in the knots where the tool stands still; never where straight lines run through the knots."""
+        """(n,) True at the knots where the tool rests; never where straight lines run through the knots."""
         if self.velocity is None:
             return np.zeros(len(self), bool)
         return np.linalg.norm(self.velocity, axis=1) <= AT_REST
@@ -187,7 +187,7 @@ def fingerprint(trajectory: Trajectory) -> str:
 def offsets(original: Trajectory, revised: Trajectory, tick_ns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Revised minus original at every tick: times [ns], (m,), shifts [m], (m, 3), turns as A, B, C [rad], (m, 3).
 
-    Shifts and turns stand in the axes of the trajectories' frame ($BASE); a turn carries the original orientation into
+    Shifts and turns are in the axes of the trajectories' frame ($BASE); a turn carries the original orientation into
     the revised one.
     """
     if original.duration_ns != revised.duration_ns or original.frame != revised.frame:

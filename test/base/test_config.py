@@ -136,7 +136,7 @@ def test_an_exclusive_bound_is_refused_and_an_inclusive_one_taken():
 
 
 @pytest.mark.parametrize("key", ["speed_rpm", "teeth", "on", "mode", "angles_deg", "topics", "inner"])
-def test_a_key_without_a_value_is_told_from_a_missing_one(key):
+def test_a_key_without_a_value_differs_from_a_missing_one(key):
     assert "has no value, it must be" in str(refused({key: None}, key))
 
 

@@ -13,10 +13,11 @@ from splines import spline
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
-from kr270_milling.compensation.lifted import Course, Lifted
+from kr270_milling.compensation.lifted import KnotConditions, Lifted
+from kr270_milling.compensation.methods import METHODS
 from kr270_milling.compensation.mirror import mirror
 from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
-from kr270_milling.compensation.revision import PassRecord, revise
+from kr270_milling.compensation.revision import PassRecord, corrected, sampled_correction
 from kr270_milling.robot import equilibrium, pose
 from kr270_milling.trajectory.trajectory import Trajectory
 
@@ -56,7 +57,8 @@ def test_interpolation_order(method, expected):
         knots = np.round(np.linspace(0, 1.2e9, n + 1)).astype(np.int64)
         target = Trajectory(knots, np.outer(knots * 1e-9, [0.07, 0.0, 0.0]), np.array([1.0, 0, 0, 0]))
         ran = target.sample(time) + np.outer(wave, [0.0, 1.0, 0.0])
-        revised, _ = revise(method, target, target, PassRecord(time, ran))
+        offset = sampled_correction(target, target, PassRecord(time, ran))
+        revised, _ = corrected(target, offset, METHODS[method].smooth)
         inner = slice(len(time) // 4, -len(time) // 4)  # a natural spline is of lower order at its ends
         errors.append(np.abs(revised.sample(time)[inner, 1] + wave[inner]).max())
     return expected, -np.polyfit(np.log(steps), np.log(errors), 1)[0], 0.2
@@ -115,9 +117,9 @@ def test_lifted_inverse():
     smooth = spline(knots, np.random.default_rng(1).normal(0, 50e-6, (25, 3)))
     segments, arm = Segments.of(knots), _one_mode(24)
     deviation = arm.follow(segments, cubic_coefficients(knots, smooth.position, smooth.velocity))
-    course = Course(True, np.zeros(25, bool), np.zeros(24, bool))
+    conditions = KnotConditions(True, np.zeros(25, bool), np.zeros(24, bool))
     weight = np.broadcast_to(np.eye(3), (24, segments.parts, 3, 3))
-    return 0.0, np.abs(Lifted(arm, segments, course).least_squares(deviation, weight, 1e-12).left).max(), 1e-9
+    return 0.0, np.abs(Lifted(arm, segments, conditions).least_squares(deviation, weight, 1e-12).left).max(), 1e-9
 
 
 @check(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -210,7 +213,7 @@ def test_a_spindle_speed_that_the_cell_does_not_give_is_the_programs(tmp_path):
     (tmp_path / "part.nc").write_text(PROGRAM)
     cell = read_cell(find_file("test_piece.yaml"), [*SILENT, f"path.file={tmp_path / 'part.nc'}"])
     assert cell.tool.spindle_speed == pytest.approx(200 * np.pi)
-    assert cell.program_of_path.feeds == pytest.approx((0.015,)) and cell.feed_rate == pytest.approx(0.015)
+    assert cell.programmed.program.feeds == pytest.approx((0.015,)) and cell.feed_rate == pytest.approx(0.015)
 
 
 def test_a_spindle_speed_that_nobody_gives_is_refused(tmp_path):
@@ -228,3 +231,29 @@ def test_a_feed_comes_from_the_cell_where_the_program_has_none_and_may_not_contr
     (tmp_path / "part.nc").write_text(PROGRAM)
     with pytest.raises(InputError, match="its feed is 900 mm/min, but path.feed_rate_m_per_min of the cell says 1200"):
         _ = read_cell(find_file("test_piece.yaml"), other).fed_path
+
+
+# --- the programmed path ---
+
+
+def test_a_straight_cut_and_a_program_answer_the_same_questions(tmp_path):
+    (tmp_path / "part.nc").write_text(PROGRAM)
+    program = read_cell(find_file("test_piece.yaml"), [*SILENT, f"path.file={tmp_path / 'part.nc'}"]).programmed
+    straight = PAPER.programmed
+    stamps = np.linspace(0, program.target.duration_ns, 50).astype(np.int64)
+    assert straight.straight and not program.straight
+    assert (straight.name, program.name) == ("straight cut of 80 mm", "part.nc")
+    assert (straight.files, program.files) == ((), (tmp_path / "part.nc",))
+    assert not straight.line_at(stamps).any() and not straight.rapid_at(stamps).any()
+    assert set(program.line_at(stamps)) == {4, 5, 6} and np.array_equal(
+        program.rapid_at(stamps), program.line_at(stamps) != 5
+    )
+    assert straight.length == 0.08 and program.length == pytest.approx(0.092)
+    assert straight.sha256 == "" and len(program.sha256) == 64
+
+
+def test_a_cell_without_a_recording_does_not_load_the_reader_of_recordings():
+    code = (
+        "import sys, kr270_milling.cell.jobs; sys.exit(any(m == 'mcap' or m.startswith('mcap.') for m in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -8,8 +8,12 @@ import pytest
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.compensation.compensator import Compensation, Compensator, remaining_error
-from kr270_milling.compensation.revision import KnotsError, PassRecord, RevisionError
+from kr270_milling.cell.jobs import compensated, simulate
+from kr270_milling.compensation.compensator import Compensator, remaining_error
+from kr270_milling.compensation.methods import Correction
+from kr270_milling.compensation.models import CellModels
+from kr270_milling.compensation.revision import KnotsError, PassRecord, RevisionError, sampled_correction
+from kr270_milling.compensation.settings import CompensationSettings
 from kr270_milling.trajectory.trajectory import Trajectory
 
 KNOTS = np.arange(0, 1_200_000_001, 50_000_000)
@@ -31,7 +35,7 @@ def pass_along(reference, share=0.0, noise=0.0, wrench=None):
 
 
 def compensator(method, **changes):
-    return Compensator(Compensation(method, **{**LIMITS, **changes}), TARGET)
+    return Compensator(CompensationSettings(method, **{**LIMITS, **changes}), TARGET)
 
 
 def same(first, second):
@@ -165,7 +169,7 @@ def test_another_method_before_any_pass_leaves_the_target():
 
 
 def test_the_method_given_wins_over_that_of_the_parameters():
-    assert Compensator(Compensation("linear"), TARGET, "spline").method == "spline"
+    assert Compensator(CompensationSettings("linear"), TARGET, "spline").method == "spline"
 
 
 def test_what_the_limit_took_away_is_known_until_the_next_revision():
@@ -178,6 +182,33 @@ def test_what_the_limit_took_away_is_known_until_the_next_revision():
     assert found.cut_off == 0.0
 
 
+# --- a method from outside ---
+
+
+class Halved:
+    """Half of the sampled displacement."""
+
+    name, needs_arm, repeats, smooth = "halved", False, True, False
+
+    def revise(self, task):
+        return Correction(0.5 * sampled_correction(task.target, task.reference, task.ran), self.smooth)
+
+
+def test_a_method_object_runs_through_the_compensator_and_a_cell_without_being_in_the_table():
+    by = Compensator(CompensationSettings("linear", **LIMITS), TARGET, Halved())
+    assert by.method == "halved" and by.repeats
+    by.revise(pass_along(TARGET))
+    full = compensator("linear")
+    full.revise(pass_along(TARGET))
+    np.testing.assert_allclose(
+        by.reference.position - TARGET.position, 0.5 * (full.reference.position - TARGET.position), atol=1e-16
+    )
+    cell = read_cell(find_file("paper.yaml"), ["path.length_mm=30", "stock.grid_step_um=40"])
+    original = simulate(cell)
+    ran = compensated(cell, original, Halved())
+    assert ran.name == "halved" and ran.scores.max_deviation < 0.55 * original.scores.max_deviation
+
+
 # --- mirror ---
 
 
@@ -188,7 +219,7 @@ def test_mirror_hands_the_mean_wrench_at_the_knots_over_and_takes_the_modified_p
         asked.append((target, wrench))
         return target.with_position(target.position + [0.0, -30e-6, 10e-6])
 
-    found = Compensator(Compensation("mirror", **LIMITS), TARGET, None, mirror)
+    found = Compensator(CompensationSettings("mirror", **LIMITS), TARGET, models=CellModels(mirror))
     wrench = np.outer(STAMPS * 1e-9, np.arange(6.0))
     found.revise(pass_along(TARGET, wrench=wrench))
     assert asked[0][0] is TARGET
@@ -198,8 +229,13 @@ def test_mirror_hands_the_mean_wrench_at_the_knots_over_and_takes_the_modified_p
     )
 
 
+def test_mirror_without_a_model_of_the_arm_is_refused():
+    with pytest.raises(RevisionError, match="the method mirror needs the model of the arm"):
+        compensator("mirror").revise(pass_along(TARGET, wrench=np.ones((STAMPS.size, 6))))
+
+
 def test_mirror_without_a_wrench_is_refused():
-    found = Compensator(Compensation("mirror"), TARGET, None, lambda t, w: t)
+    found = Compensator(CompensationSettings("mirror"), TARGET, models=CellModels(lambda t, w: t))
     with pytest.raises(RevisionError, match="needs the wrench"):
         found.revise(pass_along(TARGET))
 
@@ -210,15 +246,13 @@ def test_mirror_without_a_wrench_is_refused():
 )  # fmt: skip
 def test_parameters_that_make_no_sense_are_refused(wrong):
     with pytest.raises(ParameterError):
-        Compensation(**({"method": "linear"} | wrong))
+        CompensationSettings(**({"method": "linear"} | wrong))
 
 
 # --- the arm itself ---
 
 
 def test_the_mirror_of_the_papers_case_takes_the_static_part_away():
-    from kr270_milling.cell.jobs import compensated, simulate
-
     cell = read_cell(find_file("paper.yaml"))
     original = simulate(cell)
     mirrored = compensated(cell, original, "mirror")

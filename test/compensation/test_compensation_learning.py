@@ -10,7 +10,7 @@ from small_part import small_part
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate, strayed
+from kr270_milling.cell.jobs import compensated, compensator, deviated_cut, record_of, simulate
 from kr270_milling.cell.plant import Plant
 from kr270_milling.compensation.compensator import noise_floor, remaining_error
 
@@ -102,7 +102,7 @@ def test_the_cut_answers_a_tool_that_sinks(tmp_path):
     assert by.identified.frequency_hz == pytest.approx(model[np.array(by.identified.mode) - 1], rel=0.01)
     assert by.identified.damping_ratio == pytest.approx([0.04] * len(by.identified.mode), rel=0.1)
     (evidence,), scored = by.learner.passes, by.learner.scored
-    rigid = strayed(cell, cell.target(), np.zeros(1, np.int64), np.zeros((1, 3)))
+    rigid = deviated_cut(cell, cell.target(), np.zeros(1, np.int64), np.zeros((1, 3)))
     exact = by.learner.segments.mean(rigid.time_ns - 125_000, rigid.wrench)[scored]  # each is of the period before
 
     def off(wrench):

@@ -6,10 +6,10 @@ import time
 
 import numpy as np
 import pytest
+from arms import one_mode
 from scipy.interpolate import CubicSpline
-from test_compensation_response import one_mode
 
-from kr270_milling.compensation.lifted import Course, Lifted
+from kr270_milling.compensation.lifted import KnotConditions, Lifted
 from kr270_milling.compensation.limiting import Limited
 from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
 
@@ -19,10 +19,10 @@ M = len(SEGMENTS)
 SMOOTH = 1e-3
 
 
-def course(smooth=True, resting=(), held=()) -> Course:
+def course(smooth=True, resting=(), held=()) -> KnotConditions:
     still, rest = np.zeros(M + 1, bool), np.zeros(M, bool)
     still[list(resting)], rest[list(held)] = True, True
-    return Course(smooth, still, rest)
+    return KnotConditions(smooth, still, rest)
 
 
 def deviation(seed=0) -> np.ndarray:
@@ -125,7 +125,7 @@ def test_a_long_path_costs_in_proportion_to_its_length():
         base = one_mode(damping=0.01)
         arm = ArmResponse(*(np.tile(getattr(base, name)[:1], (count,) + (1,) * (getattr(base, name).ndim - 1))
                             for name in ("frequency", "damping", "inward", "outward", "push", "carry")))  # fmt: skip
-        still = Course(True, np.zeros(count + 1, bool), np.zeros(count, bool))
+        still = KnotConditions(True, np.zeros(count + 1, bool), np.zeros(count, bool))
         d0 = 1e-5 * np.sin(segments.middle_ns * 3e-8)[..., None] * np.ones(3)
         weight = np.broadcast_to(np.eye(3), (count, 4, 3, 3))
         begun = time.process_time()

@@ -89,7 +89,7 @@ def test_a_rest_is_held_at_one_correction():
     position[:, 0], velocity[[1, 2, 3, 8, 9, 10], 0] = x, 0.05
     target = Trajectory(time_ns, position, TOOL_DOWN, velocity)
     wanted = np.outer(np.linspace(0, 110e-6, 12), [0.0, 1.0, 0.0])
-    run, limited = corrected(target, wanted, "spline")
+    run, limited = corrected(target, wanted, True)
     rest = slice(4, 8)  # four knots at x = 10 mm
     assert limited == () and np.ptp(run.position[rest], axis=0).max() == 0 and not run.velocity[rest].any()
     assert run.position[4, 1] == pytest.approx(wanted[rest, 1].mean())
@@ -114,10 +114,8 @@ def test_the_mirror_turns_the_tool_against_the_turning_of_the_arm(cell):
     some = Trajectory(target.time_ns[k] - target.time_ns[k[0]], target.position[k], target.quaternion[k])
     wrench = np.tile([80.0, -150.0, 60.0, 20.0, -30.0, 40.0], (len(some), 1))
     by = compensator(cell, some, "mirror")
-    modified = corrected(
-        some, mirrored(cell, some, wrench).position - some.position, "mirror",
-        quaternion=mirrored(cell, some, wrench).quaternion,
-    )[0]  # fmt: skip
+    points = mirrored(cell, some, wrench)
+    modified, _ = corrected(some, points.position - some.position, False, quaternion=points.quaternion)
     assert by.method == "mirror"
     turn, part = np.kron(np.eye(2), cell.workpiece.pose.rotation), cell.workpiece.pose
     loaded = loaded_pose(cell.arm, cell.mount, cell.joints(modified), wrench @ turn.T, True)
@@ -133,7 +131,7 @@ def test_a_shortened_correction_turns_the_tool_by_the_same_share():
     line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.25)
     whole = (Rotation.from_rotvec([0, 2e-3, 0]) * Rotation.from_quat(TOOL_DOWN)).as_quat()
     shift = np.tile([0.0, 4e-4, 0.0], (len(line), 1))
-    run, limited = corrected(line, shift, "mirror", Bounds(1e-4), quaternion=np.tile(whole, (len(line), 1)))
+    run, limited = corrected(line, shift, False, Bounds(1e-4), quaternion=np.tile(whole, (len(line), 1)))
     turned = Rotation.from_quat(run.quaternion) * Rotation.from_quat(TOOL_DOWN).inv()
     assert turned.as_rotvec() == pytest.approx(np.tile([0, 0.5e-3, 0], (len(line), 1)), abs=1e-9)
     (found,) = limited
@@ -165,7 +163,7 @@ def test_limits_hold_along_the_path_and_what_they_took_is_told(cell, passes, met
 def test_a_step_is_taken_half_before_and_half_after_so_that_it_does_not_lag():
     line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.012)
     step = np.outer(np.where(np.arange(len(line)) < 40, 0.0, 80e-6), [0.0, 1.0, 0.0])
-    run, (found,) = corrected(line, step, "linear", Bounds(max_change=10e-6, tick=12e-3))
+    run, (found,) = corrected(line, step, False, Bounds(max_change=10e-6, tick=12e-3))
     y = run.position[:, 1]
     assert np.diff(y).max() == pytest.approx(10e-6) and np.all(np.diff(y) >= 0)
     assert y[:40] + y[79:39:-1] == pytest.approx(np.full(40, 80e-6)) and y[31] == 0 and y[33] > 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from arms import KNOTS, OMEGA, SEGMENTS, ZETA, one_mode
 from scipy.signal import lsim
 from splines import spline
 
@@ -12,24 +13,6 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import arm_response, simulate
 from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
 from kr270_milling.trajectory.trajectory import Trajectory
-
-OMEGA, ZETA = 42.0, 0.04
-KNOTS = np.cumsum([0, 50, 50, 30, 70, 50, 50, 20, 80, 50, 50, 50, 50]) * 1_000_000  # unevenly spaced
-SEGMENTS = Segments(KNOTS, 16)
-
-
-def one_mode(frequency=OMEGA, damping=ZETA) -> ArmResponse:
-    """A mass of 1 kg on a spring across the feed, y; the other axes are rigid."""
-    m, axis = len(SEGMENTS), np.array([0.0, 1.0, 0.0])
-    tile = np.ones((m, 1, 1))
-    return ArmResponse(
-        frequency=np.full((m, 1), frequency),
-        damping=np.full((m, 1), damping),
-        inward=tile * axis[None, None, :],
-        outward=tile * axis[None, :, None],
-        push=tile * np.concatenate([axis, np.zeros(3)])[None, None, :],
-        carry=tile.copy(),
-    )
 
 
 def correction(smooth: bool) -> Trajectory:
@@ -83,10 +66,10 @@ def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last
     time = fine()
     step = np.where(time >= KNOTS[4], force, 0.0)
     expected = lsim(([1.0], [1.0, 2 * ZETA * OMEGA, OMEGA**2]), step, time * 1e-9)[1]
-    found = one_mode().give_way(SEGMENTS, wrench)[..., 1].ravel()
+    found = one_mode().deflect(SEGMENTS, wrench)[..., 1].ravel()
     middle = np.interp(SEGMENTS.middle_ns.ravel(), time, expected)
     assert found == pytest.approx(middle, abs=1e-3 * force / OMEGA**2)  # a cubic over parts of up to 5 ms
-    stiff = one_mode(damping=0.9).scaled(2.0, 1.0, softness=1.5).give_way(SEGMENTS, wrench)[-1, -1, 1]
+    stiff = one_mode(damping=0.9).scaled(2.0, 1.0, softness=1.5).deflect(SEGMENTS, wrench)[-1, -1, 1]
     assert stiff == pytest.approx(1.5 * force / OMEGA**2, rel=1e-3)  # softness alone changes it, not the frequency
 
 

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from kr270_milling.compensation.compensator import Compensation, Compensator
-from kr270_milling.compensation.limiting import Bounds
-from kr270_milling.compensation.revision import PassRecord, RevisionError, knot_rates, revise
+from kr270_milling.compensation.compensator import Compensator
+from kr270_milling.compensation.limiting import UNBOUNDED, Bounds
+from kr270_milling.compensation.revision import PassRecord, RevisionError, corrected, knot_rates, sampled_correction
+from kr270_milling.compensation.settings import CompensationSettings
 from kr270_milling.trajectory.trajectory import Trajectory
 
 SAMPLE_NS = 500_000
@@ -27,10 +28,15 @@ def ran(reference, displacement, scored_from_ns=0):
     return PassRecord(stamps, reference.sample(stamps) + displacement(stamps * 1e-9), scored_from_ns)
 
 
+def sampled(smooth, target, reference, record, bounds=UNBOUNDED):
+    """The reference after a pass along ``reference`` by the sampled displacement, and where it was limited."""
+    return corrected(target, sampled_correction(target, reference, record), smooth, bounds)
+
+
 def revised(method, target, first, criterion="min_max", max_correction=50e-3, max_change=50e-3):
     """The reference after the first pass, and where it was limited."""
     limits = {"max_correction": max_correction, "max_change_per_tick": max_change}
-    by = Compensator(Compensation(method, criterion=criterion, **limits), target)
+    by = Compensator(CompensationSettings(method, criterion=criterion, **limits), target)
     return by.revise(first), by.limited
 
 
@@ -65,14 +71,14 @@ def test_linear_takes_away_what_is_linear_between_the_knots():
     def displacement(t):
         return np.column_stack([np.interp(t, target.time, v) for v in values.T])
 
-    reference, cut_off = revise("linear", target, target, ran(target, displacement))
+    reference, cut_off = sampled(False, target, target, ran(target, displacement))
     assert left(target, reference, displacement) < 1e-16 and cut_off == () and reference.velocity is None
 
 
 def test_spline_takes_away_a_natural_spline_on_the_knots():
     target = line()
     displacement = knot_spline(target, "natural")
-    reference, _ = revise("spline", target, target, ran(target, displacement))
+    reference, _ = sampled(True, target, target, ran(target, displacement))
     assert left(target, reference, displacement) < 1e-16
 
 
@@ -84,27 +90,27 @@ def test_learned_takes_away_any_spline_on_the_knots(criterion):
     assert left(target, reference, displacement) < 1e-3 * 50e-6  # it sees the means of parts of 3.1 ms, not each sample
 
 
-@pytest.mark.parametrize("method", ["linear", "spline"])
-def test_a_second_pass_leads_to_the_same_reference(method):
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_second_pass_leads_to_the_same_reference(smooth):
     """The displacement is taken against the reference that was run, so it does not add up."""
     target = line()
-    first, _ = revise(method, target, target, ran(target, ringing))
-    second, _ = revise(method, target, first, ran(first, ringing))
+    first, _ = sampled(smooth, target, target, ran(target, ringing))
+    second, _ = sampled(smooth, target, first, ran(first, ringing))
     np.testing.assert_allclose(second.position, first.position, atol=1e-16)
 
 
-@pytest.mark.parametrize("method", ["linear", "spline", "learned"])
-def test_a_pass_without_error_is_left_as_it_is(method):
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_pass_without_error_is_left_as_it_is(smooth):
     target = line()
-    reference, _ = revise(method, target, target, ran(target, lambda t: np.zeros((t.size, 3))))
+    reference, _ = sampled(smooth, target, target, ran(target, lambda t: np.zeros((t.size, 3))))
     stamps = np.arange(0, target.duration_ns, 333_333)
     np.testing.assert_allclose(reference.sample(stamps), target.sample(stamps), atol=1e-16)
 
 
-@pytest.mark.parametrize("method", ["linear", "spline", "learned"])
-def test_times_orientation_and_frame_stay(method):
+@pytest.mark.parametrize("smooth", [False, True])
+def test_times_orientation_and_frame_stay(smooth):
     target = line()
-    reference, _ = revise(method, target, target, ran(target, ringing))
+    reference, _ = sampled(smooth, target, target, ran(target, ringing))
     np.testing.assert_array_equal(reference.time_ns, target.time_ns)
     np.testing.assert_array_equal(reference.quaternion, target.quaternion)
     assert reference.frame == target.frame
@@ -112,7 +118,7 @@ def test_times_orientation_and_frame_stay(method):
 
 def test_a_spline_revision_has_no_jump_in_acceleration():
     target = line()
-    reference, _ = revise("spline", target, target, ran(target, ringing))
+    reference, _ = sampled(True, target, target, ran(target, ringing))
     again = CubicSpline(reference.time, reference.position - target.position, bc_type="natural")
     expected = again(reference.time, 1) + target.sample_velocity(target.time_ns)
     np.testing.assert_allclose(reference.velocity, expected, atol=1e-12)
@@ -193,12 +199,12 @@ def test_a_correction_beyond_the_largest_is_shortened_and_it_says_by_how_much(me
     np.testing.assert_allclose(cosine, wanted * given, atol=1e-18)  # the direction stays
 
 
-@pytest.mark.parametrize("method", ["linear", "spline", "learned"])
-def test_a_pass_that_shows_nothing_is_refused(method):
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_pass_that_shows_nothing_is_refused(smooth):
     target = line()
     for stamps, position in (([0], [[0.0, 0, 0]]), ([], np.zeros((0, 3))), ([0, 1], [[0.0, 0, 0], [np.nan, 0, 0]])):
         with pytest.raises(RevisionError):
-            revise(method, target, target, PassRecord(np.array(stamps, np.int64), np.array(position)))
+            sampled(smooth, target, target, PassRecord(np.array(stamps, np.int64), np.array(position)))
 
 
 def test_the_mean_wrench_belongs_to_the_nearest_knot():
@@ -214,11 +220,11 @@ def test_without_a_wrench_there_is_no_mean():
         PassRecord(np.array([0, 1]), np.zeros((2, 3))).mean_wrench(np.array([0, 1]))
 
 
-@pytest.mark.parametrize("method", ["linear", "spline", "learned"])
-def test_a_limited_change_holds_in_every_tick_and_is_told(method):
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_limited_change_holds_in_every_tick_and_is_told(smooth):
     target, most, tick = line(), 6e-6, 12e-3
-    _, nothing = revise(method, target, target, ran(target, ringing), Bounds(max_change=1e-3, tick=tick))
-    limited, found = revise(method, target, target, ran(target, ringing), Bounds(max_change=most, tick=tick))
+    _, nothing = sampled(smooth, target, target, ran(target, ringing), Bounds(max_change=1e-3, tick=tick))
+    limited, found = sampled(smooth, target, target, ran(target, ringing), Bounds(max_change=most, tick=tick))
     stamps = np.arange(0, target.duration_ns, round(tick * 1e9) // 12)
     correction = limited.sample(stamps) - target.sample(stamps)
     assert nothing == () and np.linalg.norm(correction[12:] - correction[:-12], axis=1).max() < 1.05 * most

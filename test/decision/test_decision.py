@@ -12,7 +12,7 @@ from small_part import GCODE, assignments, small_part
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.sections import Part
+from kr270_milling.cell.sections import Tolerances
 from kr270_milling.cli import main
 from kr270_milling.decision.tolerance import judge_part
 
@@ -25,7 +25,7 @@ def part(**features):
 
 
 def cell_with(**tolerances):
-    return SimpleNamespace(part=Part(**tolerances))
+    return SimpleNamespace(part=Tolerances(**tolerances))
 
 
 def test_the_error_that_is_farthest_beyond_its_own_tolerance_decides():

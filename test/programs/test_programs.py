@@ -15,7 +15,7 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import commanded_joints
-from kr270_milling.programs.files import source_hash, write_programs
+from kr270_milling.programs.files import write_programs
 from kr270_milling.trajectory.trajectory import Trajectory
 from kr270_milling.trajectory.trajectory_csv import read_csv
 
@@ -149,11 +149,11 @@ def test_same_input_and_date_give_the_same_files(cell, tmp_path):
     assert written(tmp_path / "a") == written(tmp_path / "b")
 
 
-def test_source_hash_is_that_of_the_tool_path_file(cell):
+def test_the_fingerprint_of_a_path_is_that_of_its_file(cell):
     import hashlib
 
-    assert source_hash(cell) == hashlib.sha256(Path(cell.path.file).read_bytes()).hexdigest()
-    assert source_hash(read_cell(find_file("paper.yaml"))) == ""
+    assert cell.programmed.sha256 == hashlib.sha256(Path(cell.path.file).read_bytes()).hexdigest()
+    assert read_cell(find_file("paper.yaml")).programmed.sha256 == ""
 
 
 @pytest.mark.parametrize("method", ["../x", "", "a/b", "x" * 41])

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kr270_milling.trajectory.arcs import ArcError, centre_from_radius, flatten
+from kr270_milling.trajectory.arcs import ArcError, arc_points, centre_from_radius
 
 finite = st.floats(-0.2, 0.2)
 
@@ -18,7 +18,7 @@ finite = st.floats(-0.2, 0.2)
 def test_chords_lie_within_the_tolerance_of_the_arc_and_end_on_it(x, y, radius, first, sweep, clockwise):
     sign = -1 if clockwise else 1
     start, end = ((x + radius * math.cos(a), y + radius * math.sin(a), 0.0) for a in (first, first + sign * sweep))
-    points, curvature = flatten(start, end, (x, y), clockwise, 1e-9, 2e-6)
+    points, curvature = arc_points(start, end, (x, y), clockwise, 1e-9, 2e-6)
     corners = np.vstack([start, points]) - [x, y, 0]
     middles = (corners[1:] + corners[:-1]) / 2
     assert np.abs(np.hypot(*corners[:, :2].T) - radius).max() < 1e-12
@@ -39,7 +39,7 @@ def test_the_centre_found_from_a_radius_is_as_far_from_both_ends_and_gives_the_r
     radius = factor * chord * (-1 if longer else 1)
     centre = centre_from_radius((x0, y0), (x1, y1), radius, clockwise, 1e-9)
     assert math.dist(centre, (x0, y0)) == pytest.approx(abs(radius)) == math.dist(centre, (x1, y1))
-    points, _ = flatten((x0, y0, 0.0), (x1, y1, 0.0), centre, clockwise, 1e-9, 1e-6)
+    points, _ = arc_points((x0, y0, 0.0), (x1, y1, 0.0), centre, clockwise, 1e-9, 1e-6)
     path = np.vstack([(x0, y0, 0.0), points])
     length = np.hypot(*np.diff(path[:, :2], axis=0).T).sum()
     minor = 2 * abs(radius) * math.asin(chord / 2 / abs(radius))
@@ -48,20 +48,20 @@ def test_the_centre_found_from_a_radius_is_as_far_from_both_ends_and_gives_the_r
 
 def test_equal_start_and_end_mean_a_full_circle_in_either_sense():
     for clockwise in (True, False):
-        points, _ = flatten((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0), clockwise, 1e-9, 1e-6)
+        points, _ = arc_points((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0), clockwise, 1e-9, 1e-6)
         turn = np.unwrap(np.arctan2(points[:, 1], points[:, 0]))
         assert turn[-1] - turn[0] == pytest.approx((-1 if clockwise else 1) * 2 * math.pi * (1 - 1 / len(points)))
 
 
 def test_a_helix_climbs_evenly():
-    points, _ = flatten((1.0, 0.0, 0.0), (-1.0, 0.0, -0.1), (0.0, 0.0), False, 1e-9, 1e-5)
+    points, _ = arc_points((1.0, 0.0, 0.0), (-1.0, 0.0, -0.1), (0.0, 0.0), False, 1e-9, 1e-5)
     np.testing.assert_allclose(points[:, 2], -0.1 * np.arange(1, len(points) + 1) / len(points))
 
 
 @pytest.mark.parametrize("end", [(1.0, 0.1, 0.0), (0.9, 0.0, 0.0)])
 def test_an_arc_whose_ends_differ_in_radius_does_not_close(end):
     with pytest.raises(ArcError, match="does not close"):
-        flatten((1.0, 0.0, 0.0), end, (0.0, 0.0), False, 1e-5, 1e-6)
+        arc_points((1.0, 0.0, 0.0), end, (0.0, 0.0), False, 1e-5, 1e-6)
 
 
 def test_an_arc_longer_than_its_diameter_does_not_close():

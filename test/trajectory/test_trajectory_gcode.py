@@ -133,7 +133,7 @@ def test_a_file_that_ends_in_m_words_is_whole_without_the_end_of_its_line(read):
         (START + "G1 X F100\n", 2, "X has no number"),
         (START + "G1 X1 F100\nG1 X2 Y1", 3, "cut off"),
         (START + "G1 X1e5 F100\n", 2, "E5"),
-        (START + "G1 X1 X2 F100\n", 2, "X stands twice"),
+        (START + "G1 X1 X2 F100\n", 2, "X occurs twice"),
         (START + "G0 G1 X1 F100\n", 2, "G1 contradicts"),
         (START + "G2 X10 Y0 I4 J0 F100\n", 2, "does not close"),
         ("G0 X20 Y0 Z0\nG3 X0 Y20 I0 J0 F100\n", 2, "closes with an absolute centre only; write G90.1"),

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.trajectory.readers import SUFFIXES, read_toolpath
+from kr270_milling.trajectory.readers import READERS, read_path_file, read_toolpath
 from kr270_milling.trajectory.toolpath import REACH, Toolpath
 from kr270_milling.trajectory.trajectory_csv import read_csv
 
@@ -43,8 +43,10 @@ def check(path: Path, data: bytes) -> None:
 
 
 def test_the_whole_examples_are_read_under_every_name_of_their_kind(tmp_path):
-    kinds = {SUFFIXES[suffix]: data for suffix, data in VALID.items()}
-    for suffix, reader in SUFFIXES.items():
+    kinds = {READERS[suffix]: data for suffix, data in VALID.items()}
+    for suffix, reader in READERS.items():
+        if reader.recorded:
+            continue
         (tmp_path / f"part{suffix.upper()}").write_bytes(kinds[reader])
         assert len(read_toolpath(tmp_path / f"part{suffix.upper()}")) >= 2
 
@@ -104,3 +106,12 @@ def test_long_lines_take_no_time(tmp_path, suffix, line):
 def test_another_kind_of_file_is_refused_by_its_name(tmp_path):
     with pytest.raises(InputError, match=r"\.nc"):
         read_toolpath(tmp_path / "part.step")
+
+
+def test_a_tool_of_a_file_without_tools_and_a_recording_as_a_program_are_refused(tmp_path):
+    with pytest.raises(InputError, match="a CSV of points has no tools, so T1 cannot be chosen"):
+        read_path_file(tmp_path / "points.csv", tool="T1")
+    with pytest.raises(InputError, match="a recording has no tools"):
+        read_path_file(tmp_path / "run.mcap", tool="T1")
+    with pytest.raises(InputError, match="is a recording, not a program"):
+        read_toolpath(tmp_path / "run.mcap")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kr270_milling.compensation.revision import corrected, held
+from kr270_milling.compensation.revision import corrected, resting_segments
 from kr270_milling.decision.path_limits import corner_blending
 from kr270_milling.programs.krl import Program
 from kr270_milling.programs.krl_motion import point_numbers
@@ -43,9 +43,9 @@ def test_a_stop_is_one_for_correction_program_and_check_whatever_rounding_left_o
     """A reference that came back from a file or a message whose stop is no exact zero any more."""
     run = corner(speed)
     assert np.flatnonzero(run.standing).tolist() == [0, 5, 6, 11]
-    assert np.flatnonzero(held(run)).tolist() == [5]
+    assert np.flatnonzero(resting_segments(run)).tolist() == [5]
     shift = np.outer(np.linspace(0.0, 50e-6, 12), [0.0, 1.0, 0.0])
-    revised, _ = corrected(run, shift, "spline")
+    revised, _ = corrected(run, shift, True)
     assert np.ptp(revised.position[5:7], axis=0).max() == 0.0  # the correction is held
     points = point_numbers(Program(point_spacing=0.6e-3), run, revised)
     assert STOP in points or STOP + 1 in points  # though it is nearer to the point before than others may be
@@ -54,7 +54,7 @@ def test_a_stop_is_one_for_correction_program_and_check_whatever_rounding_left_o
 
 def test_what_creeps_does_not_stand():
     run = corner(2 * AT_REST)
-    assert not run.standing.any() and not held(run).any()
+    assert not run.standing.any() and not resting_segments(run).any()
     rounded = corner_blending(sharp(2 * AT_REST), moved(sharp(2 * AT_REST)), 1e-3)
     assert [violation.point for violation in rounded] == [STOP + 1]
 

@@ -1,7 +1,7 @@
 """APT source and CL text in: one statement after the other.
 
 Words that move nothing are counted; those that cannot be run are listed all at once. Without UNITS/ the unit is mm.
-A CIRCLE stands before the GOTO of its end. A comment, PPRINT or TOOL PATH names the feature that follows. A tool axis
+A CIRCLE precedes the GOTO of its end. A comment, PPRINT or TOOL PATH names the feature that follows. A tool axis
 i, j, k points from the tip to the spindle; the tool turns about no more than it must.
 """
 
@@ -32,7 +32,7 @@ NO_END = "a CIRCLE/ without the GOTO/ of its end"
 def read_apt(path, tool: str = "", feed: float = 0.0) -> Toolpath:
     """Read an APT source or CL text file; tool: "T1" where several cut; feed [m/s]: for a program without FEDRAT/."""
     program = ProgramBuilder(path, f"T{int(tool)}" if tool.isdigit() else tool)
-    reader = _Reader(program, feed)
+    reader = _AptReader(program, feed)
     reader.read(read_lines(path))
     return program.finish(reader.unit)
 
@@ -41,7 +41,7 @@ class StatementError(ValueError):
     """A statement with values that it cannot have."""
 
 
-class _Reader(Machine):
+class _AptReader(Machine):
     """Runs statements: a move is a block of G0 after RAPID, which holds for one move, else of G1, G2 or G3."""
 
     def __init__(self, program: ProgramBuilder, feed: float):
@@ -61,7 +61,7 @@ class _Reader(Machine):
 
     @property
     def started(self) -> bool:
-        """Whether the program has said where the tool stands."""
+        """Whether the program has stated the place of the tool."""
         return not math.isnan(self.position[0])
 
     # --- lines to statements ---
@@ -293,6 +293,6 @@ def _tool_axis(axis: list[float]) -> tuple[float, float, float, float]:
         raise StatementError(f"the tool axis has the length {length:g} instead of 1")
     i, j, k = (v / length for v in axis)
     if k < -0.999:
-        raise StatementError("the tool comes from below; the tool stands along z; post a 3-axis path")
+        raise StatementError("the tool comes from below; the tool must be parallel to z; post a 3-axis path")
     turn = Rotation.from_quat([-j, i, 0.0, 1 + k])  # the shortest from z to the axis
     return tuple((turn * Rotation.from_quat(TOOL_DOWN)).as_quat(canonical=True).tolist())

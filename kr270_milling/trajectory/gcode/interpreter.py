@@ -42,7 +42,7 @@ class Interpreter(Machine):
                 self.next_tool = f"T{value:g}" if isinstance(value, float) else value
                 groups["T"] = 0
             elif letter in axes:
-                self.program.refuse(letter, f"the word {letter} stands twice in its line")
+                self.program.refuse(letter, f"the word {letter} occurs twice in its line")
             elif letter != "N":
                 axes[letter] = value
         if not REST.isdisjoint(axes):
@@ -118,7 +118,7 @@ class Interpreter(Machine):
             self.silent["M19"] += 1
 
     def _read_over(self, word: str, axes: dict) -> None:
-        """A G word that changes no path, unless it stands with certain words: G5, G74, G75."""
+        """A G word that changes no path, except together with certain words: G5, G74, G75."""
         if word in ("G74", "G75") or (word == "G5" and not axes.keys().isdisjoint("XYIJ")):
             self.program.refuse(word, advice=ADVICE.get(word, UNKNOWN), lost=True)
             axes.clear()
@@ -135,7 +135,7 @@ class Interpreter(Machine):
         word, mode = f"G{groups['home']:g}", groups.pop("motion", None)
         axes_home = [axis for axis in AXES if axis in axes]
         if mode is not None and mode > 1:
-            self.program.refuse(word, f"{word} stands with an arc in one line")
+            self.program.refuse(word, f"{word} occurs with an arc in one line")
         elif mode is not None:
             self.set_mode(mode)
         if not axes_home and word in ("G28", "G30"):

@@ -60,11 +60,11 @@ def read_gcode(path, tool: str = "", feed: float = 0.0) -> Toolpath:
     program = ProgramBuilder(path, f"T{number.group(1)}" if number else tool.strip())
     changes = any(CHANGE.search(_split_comments(line)[0]) for line in lines if "6" in line and CHANGE.search(line))
     machine = Interpreter(program, feed, changes)
-    _Reader(program, machine).read(lines)
+    _GcodeReader(program, machine).read(lines)
     return program.finish(machine.unit)
 
 
-class _Reader:
+class _GcodeReader:
     """Lines to words, comments to names."""
 
     def __init__(self, program: ProgramBuilder, machine: Interpreter):
@@ -113,7 +113,7 @@ class _Reader:
     def _pieces(self, code: str) -> None:
         """A line that is more than words of one letter; nothing of it is run where one piece cannot be."""
         words: list[tuple[str, Any]] = []
-        names: list[tuple[str, str]] = []  # with what stands behind them
+        names: list[tuple[str, str]] = []  # with the text after them
         for match in PIECE.finditer(code):
             kind, text = match.lastgroup, match.group()
             if text == "SUPA":

@@ -19,7 +19,7 @@ MODAL: dict[str, dict[float, object]] = {
     "to_initial": {98: True, 99: False},
 }
 OFFSETS = {n: f"G{n:g}" for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3, *range(505, 600))}
-#: G word -> modal group; two different words of one group cannot stand in one line
+#: G word -> modal group; two different words of one group are not allowed in one line
 G_GROUPS: dict[float, str] = {
     **{word: name for name, words in MODAL.items() for word in words},
     **dict.fromkeys((0, 1, 2, 3), "motion"),
@@ -33,7 +33,7 @@ G_GROUPS: dict[float, str] = {
     92: "preset",
 }
 #: G words that change no path: cancelled modes, look-ahead, exact stop, the length of the tool; 5, 74 and 75 change
-#: none with some of the words that they stand with. Each is a group of its own.
+#: none together with some other words. Each is a separate group.
 G_GROUPS |= {n: f"G{n:g}" for n in (
     5.1, 8, 9, 15, 40, 43, 49, 50, 50.1, 60, 61, 61.1, 61.2, 62, 63, 64, 67, 69, 69.1, 92.1, 92.2, 92.3, 97, 103, 187,
     450, 451, 500, 601, 602, 603, 641, 642, 643, 644, 645, 646, 13.1, 54.4, 290, 291, 126, 127, 40.1, 5, 74, 75,
@@ -50,7 +50,7 @@ DATUM = "let the CAM output coordinates of one work offset, without shift, rotat
 CURVES = "let the CAM output lines and arcs"
 THREADS = "leave threads out of this program; they are bound to the spindle's angle"
 PROBING = "leave probing out of this program"
-AXES5 = "post a 3-axis program: the tool stands along z of the workpiece"
+AXES5 = "post a 3-axis program: the tool must be parallel to z of the workpiece"
 LATHE = "this is a word of lathes; post for a mill"
 POCKETS = "let the CAM output the cycle as G1, G2 and G3 moves"
 UNKNOWN = "it is not known; post for a 3-axis mill with Fanuc, Haas, LinuxCNC or Sinumerik control"

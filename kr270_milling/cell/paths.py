@@ -1,0 +1,255 @@
+"""The programmed path of a cell: ``StraightCut``, or ``ProgramPath`` of a file. Both answer the same questions."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import os
+import pathlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.cell.path import MOST_STEPS, check_duration, check_effort, check_feed, check_path
+from kr270_milling.cell.sections import Path
+from kr270_milling.cutting import Stock, Tool
+from kr270_milling.robot import Arm
+from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
+from kr270_milling.simulation.exchange import Exchange
+from kr270_milling.trajectory.readers import read_path_file
+from kr270_milling.trajectory.source_program import SourceProgram
+from kr270_milling.trajectory.timing import TimedPath, Timing, limit_by_joints, time_path
+from kr270_milling.trajectory.toolpath import Toolpath
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["ProgramPath", "StraightCut"]
+
+WIDE = 5.0  #: ratio of the widths of path and stock above which the unit is probably wrong
+
+
+@dataclass(frozen=True, eq=False)
+class StraightCut:
+    """A cut along +x of the workpiece frame, described by the keys of ``path``."""
+
+    path: Path
+    stock: Stock
+    tool: Tool
+    timing: Timing
+    exchange: Exchange
+
+    #: the path is one line: its scores are those of the paper, and its feed has one direction
+    straight = True
+    file_name = ""
+    files = ()  #: that a copy of the cell needs
+    sha256 = ""  #: of the file
+    program = SourceProgram()
+    spindle_speed_needed = True  #: no program states the spindle speed
+    fed = None  #: the tool path under the limits of the controller alone
+    timed = None  #: the tool path under the limits of controller and joints
+
+    @property
+    def name(self) -> str:
+        return f"straight cut of {1e3 * self.path.length:g} mm"
+
+    @property
+    def description(self) -> str:
+        """The cut as the object of a sentence."""
+        return f"a straight cut of {self.path.length * 1e3:g} mm, {self.path.depth_of_cut * 1e3:.4g} mm deep,"
+
+    @property
+    def length(self) -> float:
+        """[m]"""
+        return self.path.length
+
+    @property
+    def feed_rate(self) -> float:
+        """[m/s]"""
+        return self.path.feed_rate
+
+    @property
+    def full_engagement(self) -> float:
+        """[s], when the middle of a tool that enters along x reaches the border of the stock."""
+        return max(0.0, float(self.stock.min[0] - self.path.start[0])) / self.path.feed_rate
+
+    @property
+    def target(self) -> Trajectory:
+        """The programmed trajectory of the tool tip, knots at the controller step."""
+        start = [*self.path.start, self.stock.max[2] - self.path.depth_of_cut]
+        along, step = [1.0, 0.0, 0.0], self.timing.controller_step
+        return Trajectory.straight_line(start, along, self.path.length, self.path.feed_rate, step)
+
+    before_joint_limits = target
+
+    def check(self) -> None:
+        """Raise ParameterError for a pass of implausible effort."""
+        duration = self.path.length / self.path.feed_rate
+        steps = duration / min(self.exchange.period, self.timing.controller_step)
+        if not steps <= MOST_STEPS:
+            allowed = f"faster: the pass would take {steps:.3g} steps, more than {MOST_STEPS:g}"
+            raise ParameterError("path.feed_rate_m_per_min", self.path.feed_rate * 60.0, allowed)
+        check_effort(self.exchange, self.tool, self.stock, duration)
+
+    @property
+    def knot_source(self) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Line of the program and name of the feature of each knot; empty without a program."""
+        return np.zeros(0, np.int64), ()
+
+    def line_at(self, time_ns: np.ndarray) -> np.ndarray:
+        """Line of the program at times (n,) [ns]; 0: no program."""
+        return np.zeros(time_ns.size, np.int64)
+
+    def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
+        """Whether the tool makes a rapid move at times (n,) [ns]."""
+        return np.zeros(time_ns.size, bool)
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramPath:
+    """The tool path of ``path.file``: G-code, APT, a CSV of points or a recording."""
+
+    path: Path
+    stock: Stock
+    tool: Tool
+    timing: Timing
+    exchange: Exchange
+    arm: Arm
+    joints: Callable[[Trajectory], np.ndarray]  #: trajectory -> joint positions [rad], (n, 6), at its knots
+
+    straight = False
+    full_engagement = 0.0  #: [s], the whole path is scored where it cuts
+
+    @property
+    def name(self) -> str:
+        return self.path.file.rpartition("/")[2]
+
+    file_name = name
+
+    @property
+    def description(self) -> str:
+        """The path as the object of a sentence."""
+        return f"{self.name} ({self.length:.3g} m of path in {self.target.duration_ns * 1e-9:.3g} s)"
+
+    @property
+    def files(self) -> tuple[pathlib.Path, ...]:
+        """The absolute path of the file, since nodes run in another directory."""
+        return (pathlib.Path(self.path.file).resolve(),)
+
+    @property
+    def sha256(self) -> str:
+        """Of the file."""
+        with open(self.path.file, "rb") as stream:
+            digest = hashlib.sha256()
+            while block := stream.read(1 << 20):
+                digest.update(block)
+        return digest.hexdigest()
+
+    @property
+    def length(self) -> float:
+        """[m]"""
+        return self.timed.toolpath.length
+
+    @property
+    def feed_rate(self) -> float:
+        """[m/s], the highest programmed feed of the cutting moves."""
+        toolpath = self.timed.toolpath
+        return float(np.max(toolpath.feed[~toolpath.rapid], initial=0.0))
+
+    @property
+    def spindle_speed_needed(self) -> bool:
+        """Whether no program can state the spindle speed."""
+        return self.path.recorded
+
+    @property
+    def program(self) -> SourceProgram:
+        """The statements of the program beside its moves; empty for a recording."""
+        read = self.fed.toolpath if self.tool.spindle_speed > 0.0 else self._read()
+        return SourceProgram() if isinstance(read, TimedPath) else read.program
+
+    @functools.cached_property
+    def fed(self) -> TimedPath:
+        """The tool path under the limits of the controller alone; a recorded trajectory keeps its times.
+
+        Raises InputError where the file cannot be read, the pass would take days, or the path does not belong to tool
+        and stock.
+        """
+        read = self._read()
+        timed = read if isinstance(read, TimedPath) else time_path(read, self.timing)
+        check_duration(self.path.file, timed.trajectory, self.exchange, self.tool, self.stock)
+        check_path(self.path.file, timed, self.tool, self.stock)
+        return timed
+
+    @functools.cached_property
+    def timed(self) -> TimedPath:
+        """The tool path, slower where a joint would exceed its speed or acceleration.
+
+        Raises InputError where a point is out of reach.
+        """
+        try:
+            joints = self.joints(self.fed.trajectory)
+        except (ReachError, JointLimitError, SingularityError) as error:
+            raise self._unreachable(error) from None
+        if self.fed.timed_by_source:
+            return self.fed
+        speed, acceleration = self.arm.joint_speed_limit, self.arm.joint_acceleration_limit
+        return dataclasses.replace(
+            self.fed, trajectory=limit_by_joints(self.fed.trajectory, joints, speed, acceleration)
+        )
+
+    @property
+    def target(self) -> Trajectory:
+        """The programmed trajectory of the tool tip, knots at the controller step."""
+        return self.timed.trajectory
+
+    @property
+    def before_joint_limits(self) -> Trajectory:
+        """The target under the limits of the controller alone."""
+        return self.fed.trajectory
+
+    def check(self) -> None:
+        """The file is read and checked when it is used."""
+
+    @property
+    def knot_source(self) -> tuple[np.ndarray, tuple[str, ...]]:
+        """Line of the program and name of the feature of each knot; empty without a program."""
+        toolpath, block = self.timed.toolpath, self.timed.block
+        return toolpath.line[block], tuple(toolpath.features[n] for n in toolpath.feature[block].tolist())
+
+    def line_at(self, time_ns: np.ndarray) -> np.ndarray:
+        """Line of the program at times (n,) [ns]; 0: no program."""
+        return self.timed.toolpath.line[self.timed.block_at(time_ns)]
+
+    def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
+        """Whether the tool makes a rapid move at times (n,) [ns]."""
+        return self.timed.toolpath.rapid[self.timed.block_at(time_ns)]
+
+    def _read(self) -> Toolpath | TimedPath:
+        path = self.path
+        try:
+            state = os.stat(path.file)
+        except (OSError, ValueError) as error:
+            raise InputError(path.file, f"cannot be read ({getattr(error, 'strerror', None) or error})") from None
+        read = _read_once(path.file, path.tool, path.topic, path.feed_rate, (state.st_mtime_ns, state.st_size))
+        if not (path.length or path.recorded or isinstance(read, TimedPath)):  # else: the feed of the straight cut
+            check_feed(path.file, read, path.feed_rate)
+        return read
+
+    def _unreachable(self, error: ReachError | JointLimitError | SingularityError) -> InputError:
+        """The error of the arm with point and line, and a hint where the path is far larger than the stock."""
+        point = error.index[0] if error.index else 0
+        toolpath = self.fed.toolpath
+        line = int(toolpath.line[self.fed.block[point] if point else 0]) or None
+        reason = str(error).removesuffix(f" (pose {point})")
+        extent = np.ptp(toolpath.position[:, :2], axis=0).max()
+        width = (self.stock.max - self.stock.min)[:2].max()
+        if extent > WIDE * width:
+            reason += f"; the path is {extent / width:.0f} times as wide as the stock, check the unit (G20, G21)"
+        return InputError(self.path.file, f"point {point + 1} of the path: {reason}", line)
+
+
+@functools.lru_cache(maxsize=1)
+def _read_once(file: str, tool: str, topic: str, feed: float, stamp: tuple) -> Toolpath | TimedPath:
+    """The tool path of a file, read once as long as its stamp is the same."""
+    return read_path_file(file, tool, topic, feed)
