@@ -11,10 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kr270_milling.base.errors import MessageError
+from kr270_milling.base.frames import TOOL, WORKPIECE
 from kr270_milling.base.samples import (
     ClockSample,
+    CompensatorState,
     JointProgram,
     JointSample,
+    LearnedPass,
     PoseSample,
     StockMap,
     Text,
@@ -25,7 +29,6 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.messages.cdr import pack_stamped, unpack_stamped
 from kr270_milling.messages.definitions import deserialise, store_of
 from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
-from kr270_milling.simulation.protocol import TOOL, WORKPIECE, MessageError
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = [
@@ -184,6 +187,33 @@ def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
     return run
 
 
+def _state(record: CompensatorState) -> dict:
+    """A value for each field, and for each learned pass its fields behind ``learned_1.``, ``learned_2.`` ..."""
+    values = {key: getattr(record, key) for key in STATE_KEYS}
+    for number, one in enumerate(record.learned, 1):
+        values |= {f"learned_{number}.{key}": value for key, value in one._asdict().items()}
+    pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
+    message = f"{record.method}, learned from {len(record.learned)} of {record.passes} passes"
+    return {"name": record.name, "message": message, "values": pairs}
+
+
+def _read_state(msg) -> CompensatorState:
+    values = {pair.key: pair.value for pair in msg.values}
+    learned: list[LearnedPass] = []
+    try:
+        while (begin := f"learned_{len(learned) + 1}.") + "fingerprint" in values:
+            recording, found = values[begin + "recording"], values[begin + "fingerprint"]
+            counts = int(values[begin + "poses"]), int(values[begin + "wrenches"])
+            learned.append(LearnedPass(recording, found, *counts))
+        method, passes, finished, target, reference = (values[key] for key in STATE_KEYS)
+        return CompensatorState(
+            msg.name, method, int(passes), finished == "True", target, reference, tuple(learned)
+        )  # fmt: skip
+    except KeyError as error:
+        raise ValueError(f"is no state of a compensator: {error} is missing") from None
+
+
+STATE_KEYS = ("method", "passes", "finished", "target", "reference")
 KINDS = {
     PoseSample: _stamped("geometry_msgs/msg/PoseStamped", PoseSample, 3, 4),
     WrenchSample: _stamped("geometry_msgs/msg/WrenchStamped", WrenchSample, 6),
@@ -195,6 +225,7 @@ KINDS = {
     Text: _stored("std_msgs/msg/String", lambda record: {"data": record.text}, lambda msg: Text(msg.data)),
     JointProgram: _stored("trajectory_msgs/msg/JointTrajectory", _program, _read_program),
     StockMap: _stored("nav_msgs/msg/OccupancyGrid", _map, _read_map),
+    CompensatorState: _stored("diagnostic_msgs/msg/DiagnosticStatus", _state, _read_state),
     Trajectory: Kind(TRAJECTORY, lambda run: serialise(TRAJECTORY, _trajectory(run)), trajectory_from_bytes),
 }
 READERS = {kind.type: kind.read for kind in KINDS.values()}

@@ -11,6 +11,8 @@ from rclpy.parameter import Parameter
 
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.samples import Text
+from kr270_milling.messages.topics import RECORDER
 from kr270_milling.nodes.recording_session import RecordingSession
 from kr270_milling.ros.drain import DRAIN_PERIOD
 from kr270_milling.ros.names import resolved_topic
@@ -37,6 +39,7 @@ class Recorder(ReportingNode):
         about = "also write, and publish, what viewers need and nobody else publishes: /tf, /tf_static, /markers"
         self._viewers = self.declared("viewers", True, about)
         about = "record from the start; where false, from when directory is set"
+        self.open_outlets(RECORDER)
         autostart = self.declared("autostart", True, about)
         about = "the recording's directory, which must not hold one yet; set: end the recording and begin another"
         directory = self.declared("directory", "", about, read_only=False)
@@ -64,6 +67,7 @@ class Recorder(ReportingNode):
         attachments = self._read(_split(self.get_parameter("attach").value))
         writer = BagWriter(directory, attachments=attachments, metadata=metadata)
         self.session = RecordingSession(self, writer, self._topics, self._viewers)
+        self.send([("recording", Text(f"{writer.path.parent.name}/{writer.path.name}"))])
 
     def _read(self, names: list[str]) -> dict[str, bytes]:
         try:
@@ -92,6 +96,7 @@ class Recorder(ReportingNode):
             if session.settled():
                 break
         self.session = None
+        self.send([("recording", Text(""))])
         session.release()
         self.report(OK, "waiting for a directory")
         return session.close()

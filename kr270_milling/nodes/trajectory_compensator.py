@@ -9,9 +9,10 @@ from std_srvs.srv import Trigger
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.protocols import compensator_protocol
 from kr270_milling.compensation.methods import METHODS
-from kr270_milling.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.exchange.compensator import CompensatorProtocol
+from kr270_milling.messages.codec import from_bytes, pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.messages.topics import COMPENSATOR
 from kr270_milling.messages.viewer import path_bytes
 from kr270_milling.ros import topics
 from kr270_milling.ros.drain import DRAIN_PERIOD, aside, drain
@@ -39,10 +40,12 @@ class TrajectoryCompensator(ReportingNode):
         self.cell = declare_cell(self, writable=(METHOD,))
         about = "parameter file of the simulated plant, whose tracker's noise is added to the poses; empty: none"
         plant = self.declared("plant", "", about)
-        self.protocol = compensator_protocol(self.cell, read_cell(find_file(plant)) if plant else None)
+        cuts = read_cell(find_file(plant)) if plant else None
+        self.protocol = CompensatorProtocol(self.cell, cuts, self.get_fully_qualified_name())
         about = "the cell file's path is the target until one is published"
         own = self.declared("use_cell_path", True, about)
-        self.open_outlets("reference_trajectory", "joint_trajectory", "reference_path", "target_path")
+        self.open_outlets(COMPENSATOR)
+        self.hear(topics.RECORDING, self._on_recording)
         self.hear(topics.TARGET_TRAJECTORY, self._on_target)
         pose, wrench = topics.TOOL_POSE, topics.WRENCH
         self._pose = aside(self, pose.type, pose.name, self._on_pose, pose.qos)
@@ -62,6 +65,13 @@ class TrajectoryCompensator(ReportingNode):
     @guarded
     def _on_target(self, data: bytes) -> None:
         self._publish(self.protocol.begin(trajectory_from_bytes(data)), TARGET)
+
+    @guarded
+    def _on_recording(self, data: bytes) -> None:
+        """Take the name of the file to which the next passes are recorded."""
+        self.protocol.recording = from_bytes("std_msgs/msg/String", data).text
+        self.tell(recording=self.protocol.recording)
+        self.publish_report()
 
     def _publish(self, outputs, what: str, missing: int = 0) -> None:
         self.send(outputs)
@@ -96,10 +106,11 @@ class TrajectoryCompensator(ReportingNode):
     def _on_pose(self, data: bytes) -> None:
         sample = pose_from_bytes(data)
         outputs = self.protocol.pose(sample)
-        if self.protocol.ignored == UNHEARD and sample.stamp < self.protocol.end_ns:
+        inbox = self.protocol.inbox
+        if inbox.ignored == UNHEARD and sample.stamp < inbox.end_ns:
             self.report(ERROR, "the pass is under way, but this compensator has not heard its start: it is not used")
         self._revised(outputs)
-        if not self.protocol.under_way or sample.stamp != self.protocol.stamp_ns:
+        if not self.protocol.under_way or sample.stamp != inbox.stamp_ns:
             return
         self.stamp_ns = sample.stamp
         if self._silence.heard():
@@ -122,7 +133,7 @@ class TrajectoryCompensator(ReportingNode):
                 self._revised(self.protocol.finish())
             return
         for what in (self._pose, self._wrench):
-            if not what.get_publisher_count() and (what is self._pose or self.protocol.has_wrench):
+            if not what.get_publisher_count() and (what is self._pose or self.protocol.inbox.has_wrench):
                 self.report(ERROR, f"the pass broke off: nobody publishes {what.topic_name} any more")
                 return
         if self._silence.is_to_be_told(silent):

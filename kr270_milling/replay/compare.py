@@ -82,10 +82,16 @@ class Channel:
         self._tails: list[tuple[int, int]] = []  # (pass, stamp) of those behind the last recorded one of their pass
         self._ends: dict[int, int] = {}  # pass -> latest recomputed stamp
 
-    def recorded(self, stamp: int, data: bytes, refused: bool = False) -> None:
-        """Take the next recorded message; refused: it is compared only if it is what was to be published."""
+    def recorded(self, stamp: int, data: bytes, refused: bool = False, number: int | None = None) -> None:
+        """Take the next recorded message.
+
+        refused: the message is compared only if it is the expected one; number: of its pass, where stamps do not
+        show the pass.
+        """
         self._index += 1
-        if not refused:
+        if number is not None:
+            self._recorded_passes.number = number
+        elif not refused:
             self._recorded_passes.begins(stamp)
             self._holes.add(stamp)
         self._recorded.append(Recorded((self._recorded_passes.number, stamp), self._index, data, refused))
@@ -97,9 +103,15 @@ class Channel:
         self.given += 1
         self._last = data
 
-    def expected(self, stamp: int, record, due: bool = True) -> None:
-        """Take the next record of the protocol; due: it belongs in the recording, which else may leave it out."""
-        self._expected_passes.begins(stamp)
+    def expected(self, stamp: int, record, due: bool = True, number: int | None = None) -> None:
+        """Take the next record of the protocol.
+
+        due: False where the recording may lack the message; number: of its pass, where stamps do not show the pass.
+        """
+        if number is not None:
+            self._expected_passes.number = number
+        else:
+            self._expected_passes.begins(stamp)
         number = self._expected_passes.number
         if due:
             self._ends[number] = stamp

@@ -8,9 +8,10 @@ from kr270_milling.bag.stamps import Passes
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.path import MOST_STEPS
-from kr270_milling.cell.protocols import cut_protocol, robot_protocol
+from kr270_milling.exchange.cut import CutProtocol
+from kr270_milling.exchange.inputs import Output
+from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.replay.compare import Channel
-from kr270_milling.simulation.protocol import Output
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["MOST_AHEAD", "CutFeed", "RobotFeed"]
@@ -63,7 +64,7 @@ class RobotFeed(Feed):
 
     def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
         super().__init__(cell, channels, stop)
-        self.protocol = robot_protocol(cell, deflection_every=1)
+        self.protocol = RobotProtocol(cell, deflection_every=1)
         self._begun = False
         self._same_stamp: list[WrenchSample] = []
 
@@ -108,16 +109,16 @@ class RobotFeed(Feed):
     def _take(self, sample: WrenchSample, asked_again: int) -> None:
         if self._passes.begins(sample.stamp) or not self._begun:
             self._begin(sample.stamp)
-        side = self.protocol.side
-        if side is None or side.done:
+        protocol = self.protocol
+        if not protocol.started or protocol.done:
             return
-        if sample.stamp > side.awaited_ns and self._lack is None:
-            self._lack = side.awaited_ns, "the wrench of this time is not in the recording"
-        elif sample.stamp == side.awaited_ns:
+        if sample.stamp > protocol.awaited_ns and self._lack is None:
+            self._lack = protocol.awaited_ns, "the wrench of this time is not in the recording"
+        elif sample.stamp == protocol.awaited_ns:
             self._lack = None
             for _ in range(asked_again):
-                self._publish(self.protocol.repeat())
-        self._publish(self.protocol.wrench(sample))
+                self._publish(protocol.repeat())
+        self._publish(protocol.wrench(sample))
 
     def _begin(self, stamp: int) -> None:
         self.end_pass()
@@ -138,7 +139,7 @@ class CutFeed(Feed):
 
     def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
         super().__init__(cell, channels, stop)
-        self.protocol = cut_protocol(cell)
+        self.protocol = CutProtocol(cell)
         ((_, self._fresh),) = self.protocol.configure()
         self._maps: list[tuple[int, bytes]] = []
         self._latched = False  # the last map is that of a pass before the recording

@@ -13,11 +13,13 @@ from rclpy.clock import Clock, ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.task import Future
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.units import SECOND
 from kr270_milling.messages.codec import to_bytes
+from kr270_milling.messages.topics import published_by
 from kr270_milling.ros import topics
 from kr270_milling.ros.drain import is_aside
 
@@ -98,6 +100,7 @@ class Reporting(Ending, Node):
     def start_reporting(self) -> None:
         self.refused = 0  #: messages and requests that could not be used
         self.sent: dict[str, int] = {}  #: stamp of the last message of each outlet [ns]
+        self.outlets: dict[str, Publisher] = {}  #: by the names of their topics
         self.stamp_ns = 0  #: time of the pass, the stamp of whatever the node publishes next without one of its own
         self._level, self.message, self._said = OK, "starting", ""
         self._values: dict[str, object] = {}
@@ -119,9 +122,9 @@ class Reporting(Ending, Node):
         """Subscribe to the bytes of a topic."""
         return self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=True)
 
-    def open_outlets(self, *names: str) -> None:
-        """Publishers for outputs of a protocol, by the names that it has for them."""
-        self.outlets = {name: self.create_publisher(*topics.BY_NAME[name]) for name in names}
+    def open_outlets(self, node: str) -> None:
+        """Create the publishers that the table of topics has for a node, by the names of the topics."""
+        self.outlets = {topic.name: self.create_publisher(*topics.BY_NAME[topic.key]) for topic in published_by(node)}
 
     def send(self, outputs) -> None:
         """Publish what a protocol gives."""

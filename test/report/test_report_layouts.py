@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 from kr270_milling.messages.definitions import store_of
-from kr270_milling.replay.robots import TYPES
+from kr270_milling.replay.inputs import TYPES
 from kr270_milling.report.scene import OUTPUTS
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
