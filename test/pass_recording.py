@@ -17,6 +17,7 @@ from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.messages.codec import to_bytes
+from kr270_milling.messages.topics import TOPICS
 
 needs_messages = pytest.mark.skipif(
     importlib.util.find_spec("geometry_msgs") is None, reason="the message definitions of ROS are not installed"
@@ -35,6 +36,7 @@ POSE, TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
 WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"
 REFERENCE, PROGRAM = "trajectory_msgs/msg/MultiDOFJointTrajectory", "trajectory_msgs/msg/JointTrajectory"
 LATCHED = {"durability": "transient_local", "depth": 1}
+LATCHED_TOPICS = {topic.name for topic in TOPICS if topic.latched}
 LATCHED_FIRST = 3  # state, reference and joint trajectory, which the compensator publishes together
 STEPS = 121  # 4 mm at 4 m/min, every 0.5 ms
 
@@ -131,9 +133,7 @@ def write(directory, messages, *, namespaces=("",), attachments=None, cell: str 
     with BagWriter(directory, attachments=kept, metadata={"seed": "1"}) as writer:
         for namespace in namespaces:
             for name, kind in TYPES.items():
-                writer.add_topic(
-                    f"{namespace}/{name}", kind, [LATCHED] if "trajectory" in name or name == "workpiece" else [{}]
-                )
+                writer.add_topic(f"{namespace}/{name}", kind, [LATCHED] if name in LATCHED_TOPICS else [{}])
         for i, message in enumerate(messages):
             for namespace in namespaces:
                 writer.write(f"{namespace}/{message.topic}", message.data, 10**9 + i)

@@ -8,7 +8,7 @@ import time
 from kr270_milling.bag.play_options import PlayOptions
 from kr270_milling.nodes.play_arguments import PLAY, play_options
 
-FIRST = ("/reference_trajectory", "/joint_trajectory")
+FIRST = ("/compensator_state", "/reference_trajectory", "/joint_trajectory")
 
 
 def options(*words: str) -> PlayOptions:

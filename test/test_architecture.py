@@ -64,11 +64,6 @@ def texts():
             yield path, content.decode("utf-8")
 
 
-def test_no_file_is_longer_than_300_lines():
-    long = {path: text.count("\n") for path, text in texts() if path.suffix == ".py" and text.count("\n") > 300}
-    assert not long
-
-
 #: pieces, so that this file does not hold what it looks for
 FORBIDDEN = ("/wo" + "rk/", "/ho" + "me/", "/Us" + "ers/", "/ro" + "ot/", "../sh" + "ared")
 

@@ -81,14 +81,14 @@ class PassInbox:
         self._last_poses = self._last_wrenches = self._iterations
 
     @property
-    def begun(self) -> bool:
+    def started(self) -> bool:
         """Whether a pose of the pass was received."""
         return bool(self._poses)
 
     @property
     def at_end(self) -> bool:
         """Whether the pass lacks nothing but its last wrench."""
-        return self.begun and self._last_poses <= 0
+        return self.started and self._last_poses <= 0
 
     @property
     def complete(self) -> bool:
@@ -160,7 +160,7 @@ class CompensatorProtocol:
         self._first: tuple[LearnedPass, ...] = ()  # the pass along the target
 
     @property
-    def begun(self) -> Compensator:
+    def active(self) -> Compensator:
         """The compensator; raises MessageError before there is a target."""
         if self.compensator is None:
             raise MessageError("there is no target trajectory yet")
@@ -169,7 +169,7 @@ class CompensatorProtocol:
     @property
     def under_way(self) -> bool:
         """Whether the start of a pass was received and its end is not revised yet."""
-        return self.compensator is not None and self.inbox.begun
+        return self.compensator is not None and self.inbox.started
 
     @property
     def at_end(self) -> bool:
@@ -184,13 +184,13 @@ class CompensatorProtocol:
 
     def choose(self, method: str) -> list[Output]:
         """Choose another method; it starts from the pass along the target if there was one."""
-        made = copy.copy(self.begun)  # a refused choice leaves the present one unchanged
+        made = copy.copy(self.active)  # a refused choice leaves the present one unchanged
         made.choose(method)
         return self._continue(made, self._first)
 
     def reset(self) -> list[Output]:
         """Return to the target itself."""
-        made = copy.copy(self.begun)
+        made = copy.copy(self.active)
         made.reset()
         return self._continue(made, ())
 
@@ -220,7 +220,7 @@ class CompensatorProtocol:
         self.passes += 1
         self.missing = received.missing
         self.inbox.clear()  # the pass is over, also if its revision fails
-        made = copy.copy(self.begun)
+        made = copy.copy(self.active)
         first = made.reference is made.target and not made.errors
         made.revise(received.record(self.cell, self.plant, number))
         learned = received.as_learned(self.recording)

@@ -52,7 +52,7 @@ class CutProtocol:
 
     @property
     def under_way(self) -> bool:
-        """Whether a pass has begun and has not reached the end of the reference trajectory."""
+        """Whether a pass was started and has not reached the end of the reference trajectory."""
         return self.step >= 0 and self.stamp_ns < self.end_ns
 
     @property

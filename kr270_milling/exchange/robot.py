@@ -128,7 +128,7 @@ class RobotProtocol:
 
     def _question(self) -> Output:
         if not self.started:
-            raise ExchangeError(0, "no pass has begun")
+            raise ExchangeError(0, "no pass was started")
         self._asked += 1
         return "tool_pose", PoseSample(self.awaited_ns, WORKPIECE, self._tool, self._orientation[self._step])
 

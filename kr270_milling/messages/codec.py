@@ -171,17 +171,17 @@ def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
     once more could change a last bit.
     """
     try:
-        found = read_trajectory(bytes(data))
+        read = read_trajectory(bytes(data))
     except ValueError:
         raise MessageError("trajectory: cannot be read as MultiDOFJointTrajectory") from None
-    if found.frame_id != WORKPIECE:
-        raise MessageError(f"trajectory: the frame is {found.frame_id!r}, but must be {WORKPIECE}")
-    if found.names != (TOOL,):
+    if read.frame_id != WORKPIECE:
+        raise MessageError(f"trajectory: the frame is {read.frame_id!r}, but must be {WORKPIECE}")
+    if read.names != (TOOL,):
         raise MessageError(f"trajectory: must hold one transform a point, of the joint {TOOL}")
-    velocity = found.velocity[:, 0, :3]
+    velocity = read.velocity[:, 0, :3]
     none = np.isnan(velocity).all()
-    position, quaternion = found.position[:, 0], found.quaternion[:, 0]
-    run = Trajectory(found.time, position, quaternion, None if none else velocity, found.frame_id)
+    position, quaternion = read.position[:, 0], read.quaternion[:, 0]
+    run = Trajectory(read.time, position, quaternion, None if none else velocity, read.frame_id)
     if as_sent:
         object.__setattr__(run, "quaternion", np.array(quaternion))
     return run
@@ -202,9 +202,9 @@ def _read_state(msg) -> CompensatorState:
     learned: list[LearnedPass] = []
     try:
         while (begin := f"learned_{len(learned) + 1}.") + "fingerprint" in values:
-            recording, found = values[begin + "recording"], values[begin + "fingerprint"]
+            recording, digest = values[begin + "recording"], values[begin + "fingerprint"]
             counts = int(values[begin + "poses"]), int(values[begin + "wrenches"])
-            learned.append(LearnedPass(recording, found, *counts))
+            learned.append(LearnedPass(recording, digest, *counts))
         method, passes, finished, target, reference = (values[key] for key in STATE_KEYS)
         return CompensatorState(
             msg.name, method, int(passes), finished == "True", target, reference, tuple(learned)
@@ -244,7 +244,7 @@ def to_bytes(record) -> bytes:
 def from_bytes(type_name: str, data: bytes):
     """The record of a serialised message.
 
-    Raises ValueError where the bytes are no such message, KeyError for a type that no record stands for, and what
+    Raises ValueError where the bytes are no such message, KeyError for a type without a record, and what
     ``trajectory_from_bytes`` raises.
     """
     return READERS[type_name](data)

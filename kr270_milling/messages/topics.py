@@ -32,9 +32,9 @@ class Topic:
     record: Callable | None  #: class of the record that the message carries; None: no record
     publisher: str  #: node; empty: the user, or every node
     subscribers: tuple[str, ...] = ()  #: nodes that use the message
-    latched: bool = False  #: the last message is kept for late subscribers
+    latched: bool = False  #: late subscribers receive the last message
     stamped: bool = False  #: the message has the time of the pass
-    needed: bool = True  #: a graph starts a pass only when publisher, subscribers and recorder have found each other
+    needed: bool = True  #: a graph starts a pass only when publisher, subscribers and recorder are matched
     scene: bool = False  #: input of the scene for viewers
     page: bool = False  #: input of the live page
     note: str = ""  #: for the page of the nodes

@@ -76,7 +76,7 @@ class TrajectoryCompensator(ReportingNode):
     def _publish(self, outputs, what: str, missing: int = 0) -> None:
         self.send(outputs)
         self._revision += 1
-        state = self.protocol.begun
+        state = self.protocol.active
         for name, run in (("reference_path", state.reference), ("target_path", state.target)):
             self.outlets[name].publish(path_bytes(run))
         told = {
@@ -119,7 +119,7 @@ class TrajectoryCompensator(ReportingNode):
 
     def _revised(self, outputs) -> None:
         if outputs:
-            self._publish(outputs, f"revised after pass {len(self.protocol.begun.errors)}", self.protocol.missing)
+            self._publish(outputs, f"revised after pass {len(self.protocol.active.errors)}", self.protocol.missing)
 
     @guarded
     def _watch_pass(self) -> None:

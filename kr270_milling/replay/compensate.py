@@ -55,12 +55,12 @@ def compensate(path, method: str | None = None, progress=None) -> list[Revised]:
         with robots.usable("/wrench"):
             passes = [(robot, robot.compensator.last_pass()) for robot in robots.robots.values()]
             try:
-                found = [_revised(robot, last, method) for robot, last in passes if last is not None]
+                revised = [_revised(robot, last, method) for robot, last in passes if last is not None]
             except MillingError as error:
                 raise RecordingError(recording.path, str(error)) from error
-        if not found:
+        if not revised:
             raise RecordingError(recording.path, "holds no complete pass along a recorded reference trajectory")
-    return found
+    return revised
 
 
 def _revised(robot: Robot, last: LastPass, method: str | None) -> Revised:

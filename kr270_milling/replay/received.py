@@ -71,9 +71,9 @@ class EarlierRecordings:
             self._read[file] = self._passes_of(file)
         plant, passes = self._read[file]
         for number, received in enumerate(passes):
-            found = received.until_wrench(stated.wrenches)
-            if found.fingerprint == stated.fingerprint:
-                return found, plant, number
+            learned = received.until_wrench(stated.wrenches)
+            if learned.fingerprint == stated.fingerprint:
+                return learned, plant, number
         raise MissingPass(name, f"{file}: does not hold the pass that the reference trajectory follows from")
 
     def _file(self, name: str) -> Path | None:

@@ -74,10 +74,10 @@ def recompute(path, progress=None) -> Recomputed:
     """
     with Recording(path) as recording:
         _expect_this_version(recording)
-        found = Robots(recording)
-        found.feed(progress)
-        found.finish()
-        robots, cut_off = found.robots.values(), recording.cut_off
+        recomputed = Robots(recording)
+        recomputed.feed(progress)
+        recomputed.finish()
+        robots, cut_off = recomputed.robots.values(), recording.cut_off
         channels = {channel.topic: channel for robot in robots for channel in robot.channels.values()}
         firsts = [channel.first for channel in channels.values() if channel.first]
         first = min(firsts, key=lambda difference: difference.order, default=None)

@@ -152,8 +152,8 @@ class CompensatorFeed:
         """Compare each reference with that of its state, and each joint trajectory with its reference."""
         channel, joints = self._channels["reference_trajectory"], self._channels.get("joint_trajectory")
         pairs = self._pairs()
-        for number, (data, found) in enumerate(self._references):
-            if found is None:
+        for number, (data, known) in enumerate(self._references):
+            if known is None:
                 channel.recorded(0, data, refused=True)
                 continue
             index = pairs.get(number)

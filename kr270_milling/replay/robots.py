@@ -138,15 +138,15 @@ class Robots:
 
     def _find_topics(self) -> dict[str, tuple[str, str]]:
         """Return topic -> (namespace, name) of the topics that have the right name and type."""
-        found = {}
+        places = {}
         for topic, about in self.recording.topics().items():
             namespace, _, name = topic.rpartition("/")
             if TYPES.get(name) == about.type and about.encoding == "cdr" and about.count:
-                found[topic] = namespace, name
-        robots = {ns for ns, name in found.values() if name in ("tool_pose", "wrench", "reference_trajectory")}
+                places[topic] = namespace, name
+        robots = {ns for ns, name in places.values() if name in ("tool_pose", "wrench", "reference_trajectory")}
         if not robots:
             raise RecordingError(self.recording.path, "holds no tool_pose, wrench or reference_trajectory to recompute")
-        return {t: place for t, place in found.items() if place[0] in robots}
+        return {t: place for t, place in places.items() if place[0] in robots}
 
     def _first_references(self) -> dict[str, bytes]:
         """Return the first usable reference of each namespace.

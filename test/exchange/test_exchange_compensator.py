@@ -80,7 +80,7 @@ def test_poses_before_the_start_and_out_of_order_count_for_nothing(protocol, ran
     older, repeated = records[10], records[38]
     outputs = feed(protocol, [*records[:40], older, repeated, *records[40:]])
     assert_revised(outputs, expected(short_cell, ran))
-    assert protocol.missing == 0 and feed(protocol, [records[-2]]) == []  # the end was heard already
+    assert protocol.missing == 0 and feed(protocol, [records[-2]]) == []  # the pass has ended
 
 
 def test_a_new_start_begins_anew(protocol, ran, short_cell):
