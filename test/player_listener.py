@@ -24,12 +24,9 @@ class Listener:
 
     def __init__(self, domain: int, bag, words=(), names=("/tool_pose", "/wrench", *FIRST), arguments=()):
         import rclpy
-        from geometry_msgs.msg import PoseStamped, WrenchStamped
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
-        from rosgraph_msgs.msg import Clock
-        from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
         from kr270_milling.nodes.player import Player
         from kr270_milling.ros import topics
@@ -43,15 +40,12 @@ class Listener:
         self.executor.add_node(self.node)
         self.heard: list[tuple[str, bytes]] = []
         self.times: dict[str, list[float]] = {}
-        types = {"tool_pose": PoseStamped, "wrench": WrenchStamped, "reference_trajectory": MultiDOFJointTrajectory,
-                 "joint_trajectory": JointTrajectory, "clock": Clock}  # fmt: skip
         self.player = Player(
             options(str(bag), "--start-paused", *words), context=self.context, cli_args=["--ros-args", *arguments]
         )
         for name in names:
-            latched = "trajectory" in name
-            qos = topics.LATCHED if latched else 1000
-            kind = types[name.rpartition("/")[2]]
+            topic = topics.BY_NAME[name.rpartition("/")[2]]
+            kind, qos = topic.type, topics.LATCHED if topic.qos is topics.LATCHED else 1000
             self.node.create_subscription(kind, name, lambda data, n=name: self._hear(n, data), qos, raw=True)
         self.until(lambda: all(self.node.count_publishers(name) for name in names))
         self.executor.add_node(self.player)
