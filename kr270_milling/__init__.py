@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from kr270_milling.api import verdict_of as verdict
     from kr270_milling.trajectory.trajectory import Trajectory
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __all__ = ["Trajectory", "check", "compensate", "read_cell", "read_recording", "simulate", "verdict"]
 
 #: name -> module and name there; imported when asked for, so that the command line starts at once

@@ -13,8 +13,11 @@ from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.protocols import compensator_protocol, cut_protocol, robot_protocol
-from kr270_milling.messages.codec import serialise, to_bytes
+from kr270_milling.exchange.compensator import CompensatorProtocol
+from kr270_milling.exchange.cut import CutProtocol
+from kr270_milling.exchange.robot import RobotProtocol
+from kr270_milling.messages.codec import to_bytes
+from kr270_milling.messages.topics import TOPICS
 
 needs_messages = pytest.mark.skipif(
     importlib.util.find_spec("geometry_msgs") is None, reason="the message definitions of ROS are not installed"
@@ -33,6 +36,8 @@ POSE, TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
 WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"
 REFERENCE, PROGRAM = "trajectory_msgs/msg/MultiDOFJointTrajectory", "trajectory_msgs/msg/JointTrajectory"
 LATCHED = {"durability": "transient_local", "depth": 1}
+LATCHED_TOPICS = {topic.name for topic in TOPICS if topic.latched}
+LATCHED_FIRST = 3  # state, reference and joint trajectory, which the compensator publishes together
 STEPS = 121  # 4 mm at 4 m/min, every 0.5 ms
 
 
@@ -57,31 +62,44 @@ def cell_of(method: str = "linear", iterations: int = 1, every: int = 1):
         return read_cell(file)
 
 
-def diagnostics(node: str, values: dict[str, str]) -> Message:
-    """One diagnostic status of a node."""
-    pairs = [{"key": key, "value": value} for key, value in values.items()]
-    fields = {"status": [{"name": node, "values": pairs}]}
-    return Message("diagnostics", serialise("diagnostic_msgs/msg/DiagnosticArray", fields), 0)
-
-
 def reference_data(run) -> bytes:
     return to_bytes(run)
 
 
+def one_pass(method: str = "linear", iterations: int = 1, passes: int = 1, every: int = 1) -> tuple[Message, ...]:
+    """What the protocols of the nodes publish in some passes of one file, in the order of causes."""
+    latched, *ran = passes_of(method, ("r/r.mcap",) * passes, iterations, every)
+    return (*latched, *(message for one in ran for message in one))
+
+
+def files_of(method: str, names: tuple[str, ...], plant=None) -> list[list[Message]]:
+    """The messages of each pass where every pass has a file NAME/NAME.mcap, with those that are latched before it."""
+    parts = passes_of(method, tuple(f"{name}/{name}.mcap" for name in names), 1, 1, plant)
+    return [[*before[-LATCHED_FIRST:], *part] for before, part in zip(parts, parts[1:], strict=False)]
+
+
 @functools.cache
-def one_pass(
-    method: str = "linear", iterations: int = 1, passes: int = 1, every: int = 1, plant=None
-) -> tuple[Message, ...]:
-    """What the protocols of the nodes publish in some passes, in the order of causes; plant: of robot and cut."""
+def passes_of(
+    method: str, files: tuple[str, ...], iterations: int = 1, every: int = 1, plant=None
+) -> list[list[Message]]:
+    """What is published before the first pass, and in each pass; plant: of robot and cut."""
     cell = cell_of(method, iterations, every)
     cuts = plant or cell
-    robot, cut, compensator = robot_protocol(cuts), cut_protocol(cuts), compensator_protocol(cell, plant)
-    found = messages(compensator.begin(cell.target()))
-    for _ in range(passes):
-        robot.reference = compensator.compensator.reference
+    robot, cut, compensator = RobotProtocol(cuts), CutProtocol(cuts), CompensatorProtocol(cell, plant)
+    found = [messages(compensator.begin(cell.target()))]
+    for file in files:
+        robot.reference, compensator.recording = compensator.compensator.reference, file
         cut.configure()
-        found += _exchange(robot, cut, compensator)
-    return tuple(found)
+        found.append(_exchange(robot, cut, compensator))
+    return found
+
+
+def ran_by(compensator, file: str) -> list[Message]:
+    """A pass of the linear cell along the reference of a compensator, recorded to a file."""
+    robot, cut = RobotProtocol(cell_of()), CutProtocol(cell_of())
+    robot.reference, compensator.recording = compensator.compensator.reference, file
+    cut.configure()
+    return _exchange(robot, cut, compensator)
 
 
 def messages(outputs) -> list[Message]:
@@ -105,7 +123,8 @@ def _exchange(robot, cut, compensator) -> list[Message]:
 
 TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states": JOINTS,
          "robot_description": "std_msgs/msg/String", "reference_trajectory": REFERENCE, "joint_trajectory": PROGRAM,
-         "workpiece": "nav_msgs/msg/OccupancyGrid", "diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}  # fmt: skip
+         "workpiece": "nav_msgs/msg/OccupancyGrid", "compensator_state": "diagnostic_msgs/msg/DiagnosticStatus",
+         "target_trajectory": REFERENCE}  # fmt: skip
 
 
 def write(directory, messages, *, namespaces=("",), attachments=None, cell: str | None = None) -> Path:
@@ -114,9 +133,7 @@ def write(directory, messages, *, namespaces=("",), attachments=None, cell: str 
     with BagWriter(directory, attachments=kept, metadata={"seed": "1"}) as writer:
         for namespace in namespaces:
             for name, kind in TYPES.items():
-                writer.add_topic(
-                    f"{namespace}/{name}", kind, [LATCHED] if "trajectory" in name or name == "workpiece" else [{}]
-                )
+                writer.add_topic(f"{namespace}/{name}", kind, [LATCHED] if name in LATCHED_TOPICS else [{}])
         for i, message in enumerate(messages):
             for namespace in namespaces:
                 writer.write(f"{namespace}/{message.topic}", message.data, 10**9 + i)

@@ -10,7 +10,7 @@ import time
 from kr270_milling.bag.play_options import PlayOptions
 from kr270_milling.nodes.play_arguments import PLAY, play_options
 
-FIRST = ("/reference_trajectory", "/joint_trajectory")
+FIRST = ("/compensator_state", "/reference_trajectory", "/joint_trajectory")
 
 
 def options(*words: str) -> PlayOptions:
@@ -26,15 +26,13 @@ class Listener:
 
     def __init__(self, domain: int, bag, words=(), names=("/tool_pose", "/wrench", *FIRST), arguments=()):
         import rclpy
-        from geometry_msgs.msg import PoseStamped, WrenchStamped
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
-        from rclpy.qos import DurabilityPolicy, QoSProfile
-        from rosgraph_msgs.msg import Clock
-        from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+        from rclpy.qos import QoSProfile
 
         from kr270_milling.nodes.player import Player
+        from kr270_milling.ros import topics
         from kr270_milling.ros.environment import keep_to_this_host
 
         keep_to_this_host()
@@ -46,19 +44,15 @@ class Listener:
         self.reader.add_node(self.node)
         self.messages: list[tuple[str, bytes]] = []
         self.times: dict[str, list[float]] = {}
-        types = {"tool_pose": PoseStamped, "wrench": WrenchStamped, "reference_trajectory": MultiDOFJointTrajectory,
-                 "joint_trajectory": JointTrajectory, "clock": Clock}  # fmt: skip
         self.player = Player(
             options(str(bag), "--start-paused", *words), context=self.context, cli_args=["--ros-args", *arguments]
         )
         subscriptions = []
         for name in names:
-            qos = QoSProfile(depth=1000)  # a depth of 1 loses latched messages on a busy machine
-            if "trajectory" in name:
-                qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
-            kind = types[name.rpartition("/")[2]]
+            topic = topics.BY_NAME[name.rpartition("/")[2]]
+            qos = QoSProfile(depth=1000, durability=topic.qos.durability)  # a depth of 1 loses latched messages
             callback = functools.partial(self._on_message, name)
-            subscriptions.append(self.node.create_subscription(kind, name, callback, qos, raw=True))
+            subscriptions.append(self.node.create_subscription(topic.type, name, callback, qos, raw=True))
         self.ended = False
         self.thread = threading.Thread(target=self._receive)  # the player must not delay its subscriber
         self.until(lambda: all(subscription.get_publisher_count() for subscription in subscriptions))

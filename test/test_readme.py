@@ -15,6 +15,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cli import COMMANDS, _parser, main
 from kr270_milling.compensation.methods import METHODS
+from kr270_milling.messages.topics import topic_table
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
@@ -181,19 +182,8 @@ def test_the_demo_prints_what_is_shown(demo):
     assert re.search(r"\nran as: four ROS 2 nodes .*\nreport: out/report.html\n$", block("demo output"))
 
 
-def test_the_topics_are_those_of_the_graph():
-    pytest.importorskip("rclpy")
-    from kr270_milling.ros import topics
-
-    known = {t.name: t.type for t in vars(topics).values() if isinstance(t, topics.Topic)}
-    shown = {}
-    for names, types, *_ in rows("topic (relative)"):
-        names, types = re.findall(r"`([/\w]+)`", names), re.findall(r"\w+_msgs[/\w]*", types)
-        shown |= dict(zip(names, types, strict=True))
-    assert set(shown) == set(known)
-    for name, kind in shown.items():
-        package, _, message = kind.partition("/")
-        assert known[name].__module__.startswith(package) and message in ("", known[name].__name__), name
+def test_the_table_of_topics_is_that_of_the_package():
+    assert topic_table() in (ROOT / "kr270_milling" / "nodes" / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_methods_are_all_named_in_their_order():
@@ -244,8 +234,7 @@ def test_queue_and_silence_are_as_said():
 
     text = " ".join(TEXT.split())
     assert f"After {SILENT:g} s of silence in mid-pass the other nodes publish a warning" in text
-    known = [t for t in vars(topics).values() if isinstance(t, topics.Topic)]
-    (depth,) = {t.qos.depth for t in known if t.qos.durability.name == "VOLATILE"}
+    (depth,) = {t.qos.depth for t in topics.BY_NAME.values() if t.qos.durability.name == "VOLATILE"}
     assert f"a history of {depth} messages" in text
 
 

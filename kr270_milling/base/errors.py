@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import reprlib
 
-__all__ = ["MillingError", "ParameterError", "ConfigError", "InputError", "RecordingError", "one_line"]
+__all__ = [
+    "ConfigError", "InputError", "MessageError", "MillingError", "ParameterError", "RecordingError", "one_line",
+]  # fmt: skip
 
 
 class MillingError(Exception):
@@ -67,3 +69,7 @@ class RecordingError(MillingError):
     def __init__(self, path, reason: str, offset: int | None = None):
         self.path, self.reason, self.offset = str(path), reason, offset
         super().__init__(f"{self.path}: {reason}" + ("" if offset is None else f" (at byte {offset})"))
+
+
+class MessageError(MillingError):
+    """A message that cannot be used; the node reports it and drops it."""

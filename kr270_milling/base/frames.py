@@ -11,7 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-__all__ = ["Pose", "rotation_from_abc", "abc_from_rotation", "rotation_from_quaternion", "quaternion_from_rotation"]
+__all__ = [
+    "JOINT_NAMES", "TOOL", "WORKPIECE", "Pose", "abc_from_rotation", "quaternion_from_rotation", "rotation_from_abc",
+    "rotation_from_quaternion",
+]  # fmt: skip
+
+TOOL, WORKPIECE = "tool0", "workpiece"  #: frames of the messages
+JOINT_NAMES = tuple(f"joint_a{i}" for i in range(1, 7))
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 __all__ = [
-    "ClockSample", "JointProgram", "JointSample", "PoseSample", "StockMap", "Text", "TwistSample", "WrenchSample",
+    "ClockSample", "CompensatorState", "JointProgram", "JointSample", "LearnedPass", "PoseSample", "StockMap", "Text",
+    "TwistSample", "WrenchSample",
 ]  # fmt: skip
 
 
@@ -104,3 +105,25 @@ class StockMap(Sample):
     resolution: float  #: [m], side of a cell, as float32 holds it
     corner: np.ndarray = _values(3)  #: [m], (3,), of cell (0, 0)
     cells: np.ndarray = _values(-1, -1, kind=np.int8)  #: percent, (nx, ny)
+
+
+class LearnedPass(NamedTuple):
+    """A pass that a reference trajectory follows from."""
+
+    recording: str  #: file of the pass with its directory, such as original/original.mcap; empty: not recorded
+    fingerprint: str  #: of all poses and wrenches that the compensator received
+    poses: int
+    wrenches: int
+
+
+@dataclass(frozen=True, eq=False)
+class CompensatorState(Sample):
+    """What the compensator publishes of itself with each reference trajectory (diagnostic_msgs/DiagnosticStatus)."""
+
+    name: str  #: of the node
+    method: str
+    passes: int  #: completed passes
+    finished: bool  #: the method will not improve the reference any more
+    target: str  #: fingerprint of the target trajectory
+    reference: str  #: fingerprint of the reference trajectory
+    learned: tuple[LearnedPass, ...]  #: the passes that the reference follows from, in their order

@@ -246,6 +246,8 @@ class Graph:
             plant = plant.replace(imperfections=plant.imperfections.replace(first_pass=self.passes))
         self.driver.set_parameters(RECORDER, recording_parameters(self.cell, self.out, name, plant), UP)
         self._wait_matched(recorded=True)
+        file = f"{name}/{name}.mcap"
+        self.driver.until(lambda: self._value("recording") == file, "naming the recording", MATCH, COMPENSATOR)
 
     def end_recording(self) -> None:
         """Close the file of the recorder, then create the next workpiece."""

@@ -9,13 +9,12 @@ from collections.abc import Callable, Mapping
 from kr270_milling.base.errors import MillingError, one_line
 from kr270_milling.graph.driver import Driver, compatible
 from kr270_milling.graph.processes import Child, RunError
+from kr270_milling.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT, TOPICS
 from kr270_milling.ros.node import LOST
 
 __all__ = [
     "COMPENSATOR", "CUT", "LOST", "QUIET", "RECORDER", "ROBOT", "AlreadyRunning", "Hooks", "Watchdog", "unmatched",
 ]  # fmt: skip
-
-ROBOT, CUT, COMPENSATOR, RECORDER = "compliant_robot", "cutting_process", "trajectory_compensator", "recorder"
 
 QUIET = 1.0  # [s] without a report, after which the run prints a warning
 HELD_UP = 0.5  # [s] between two checks; after a longer time this process first takes the reports that wait
@@ -95,30 +94,16 @@ class Watchdog:
             (self._quiet.add if silent > QUIET else self._quiet.discard)(name)
 
 
-#: (publisher, topic) -> subscribers that must be matched before a pass
-NEEDED = {
-    (ROBOT, "tool_pose"): {CUT, COMPENSATOR, RECORDER},
-    (ROBOT, "deflection"): {RECORDER},
-    (ROBOT, "joint_states"): {RECORDER},
-    (ROBOT, "robot_description"): {RECORDER},
-    (ROBOT, "clock"): {RECORDER},
-    (CUT, "wrench"): {ROBOT, COMPENSATOR, RECORDER},
-    (CUT, "workpiece"): {RECORDER},
-    (COMPENSATOR, "reference_trajectory"): {ROBOT, CUT, RECORDER},
-    (COMPENSATOR, "joint_trajectory"): {RECORDER},
-    (COMPENSATOR, "target_path"): {RECORDER},
-    (COMPENSATOR, "reference_path"): {RECORDER},
-}
-
-
 def unmatched(driver: Driver, recorded: bool) -> str:
     """Return what is not matched yet, in a few words; empty when a pass may start.
 
     recorded: the recorder must be matched; otherwise it must be unmatched, before the next recording begins.
     """
-    for (publisher, topic), subscribers in NEEDED.items():
-        wanted = subscribers if recorded else subscribers - {RECORDER}
-        if problem := _unmatched(driver, driver.name_of(topic), publisher, wanted, recorded):
+    for topic in TOPICS:
+        wanted = {*topic.subscribers, RECORDER} - {topic.publisher} if recorded else set(topic.subscribers)
+        if topic.needed and (
+            problem := _unmatched(driver, driver.name_of(topic.name), topic.publisher, wanted, recorded)
+        ):
             return problem
     return ""
 

@@ -1,6 +1,6 @@
 """Serialised messages (CDR, version 1) read where they lie, without building objects.
 
-Behind four bytes that tell the byte order every number stands at a multiple of its own size, counted from there.
+Four bytes state the byte order. Every number is aligned to a multiple of its size, counted from the fifth byte.
 A string is its length with the closing NUL (uint32) and its bytes, a sequence is its length (uint32) and its items.
 """
 
@@ -17,7 +17,7 @@ from kr270_milling.base.units import SECOND
 __all__ = ["Cursor", "layout_of", "pack_stamped", "stamp_of", "unpack_alike", "unpack_stamped"]
 
 STAMP = {0: struct.Struct(">iI"), 1: struct.Struct("<iI")}
-FRAME_AT = 16  #: offset of the frame's name in a message that begins with a Header; its length stands before it
+FRAME_AT = 16  #: offset of the frame's name in a message that begins with a Header; the length of the name comes first
 BIG, LITTLE = b"\0\0\0\0", b"\0\1\0\0"  #: the first four bytes of plain CDR, by byte order
 
 
@@ -33,7 +33,7 @@ def stamp_of(data: bytes, schema_has_header: bool = True) -> int | None:
 
 @functools.lru_cache(maxsize=64)
 def _layout(begin: bytes, length: bytes, count: int) -> struct.Struct:
-    """A Header and ``count`` doubles behind it; begin: the first two bytes of the message; length: as it has that of
+    """Layout of a Header and ``count`` doubles; begin: the first two bytes of the message; length: as it has that of
     the frame's name, with its closing NUL. Raises ValueError."""
     if begin not in (BIG[:2], LITTLE[:2]) or len(length) != 4:
         raise ValueError("not plain CDR of version 1 with a header")
@@ -43,13 +43,13 @@ def _layout(begin: bytes, length: bytes, count: int) -> struct.Struct:
 
 @functools.lru_cache(maxsize=64)
 def _packing(frame: str, count: int) -> tuple[Callable, bytes]:
-    """What packs a message, and the name of its frame as it stands there."""
+    """Return the function that packs a message, and the encoded name of its frame."""
     name = frame.encode() + b"\0"
     return _layout(LITTLE[:2], len(name).to_bytes(4, "little"), count).pack, name
 
 
 def pack_stamped(stamp_ns: int, frame: str, values: list[float]) -> bytes:
-    """A message that is a Header and doubles, such as a WrenchStamped: all of them stand behind each other."""
+    """A message that is a Header and doubles, such as a WrenchStamped, without a gap."""
     pack, name = _packing(frame, len(values))
     return pack(LITTLE, stamp_ns // SECOND, stamp_ns % SECOND, len(name), name, *values)
 
@@ -57,7 +57,7 @@ def pack_stamped(stamp_ns: int, frame: str, values: list[float]) -> bytes:
 def unpack_stamped(data: bytes, count: int, alone: bool = False) -> tuple[int, str, list[float]]:
     """Stamp [ns], frame and the ``count`` doubles of such a message; raises ValueError where it is none.
 
-    alone: nothing may stand behind it but padding.
+    alone: only padding may follow.
     """
     layout = _layout(data[:2], data[12:FRAME_AT], count)
     if len(data) < layout.size:
@@ -69,7 +69,7 @@ def unpack_stamped(data: bytes, count: int, alone: bool = False) -> tuple[int, s
 
 
 def layout_of(data: bytes) -> tuple[int, bytes, bytes]:
-    """What is the same in messages whose numbers stand in the same places: length, byte order, length of the frame."""
+    """Return length, byte order and length of the frame: equal in messages with the same offsets."""
     return len(data), data[:2], data[12:FRAME_AT]
 
 
@@ -122,6 +122,6 @@ class Cursor:
         return tuple(self.string() for _ in range(count))
 
     def finish(self) -> None:
-        """Refuse a message that goes on behind its last field, but for padding: it is of another type."""
+        """Raise ValueError where more than padding follows the last field: the message has another type."""
         if len(self.data) - self.offset >= 8:
             raise ValueError("the message is longer than its type")

@@ -11,10 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kr270_milling.base.errors import MessageError
+from kr270_milling.base.frames import TOOL, WORKPIECE
 from kr270_milling.base.samples import (
     ClockSample,
+    CompensatorState,
     JointProgram,
     JointSample,
+    LearnedPass,
     PoseSample,
     StockMap,
     Text,
@@ -25,7 +29,6 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.messages.cdr import pack_stamped, unpack_stamped
 from kr270_milling.messages.definitions import deserialise, store_of
 from kr270_milling.messages.trajectory import TRAJECTORY, read_trajectory
-from kr270_milling.simulation.protocol import TOOL, WORKPIECE, MessageError
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = [
@@ -168,22 +171,49 @@ def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
     once more could change a last bit.
     """
     try:
-        found = read_trajectory(bytes(data))
+        read = read_trajectory(bytes(data))
     except ValueError:
         raise MessageError("trajectory: cannot be read as MultiDOFJointTrajectory") from None
-    if found.frame_id != WORKPIECE:
-        raise MessageError(f"trajectory: the frame is {found.frame_id!r}, but must be {WORKPIECE}")
-    if found.names != (TOOL,):
+    if read.frame_id != WORKPIECE:
+        raise MessageError(f"trajectory: the frame is {read.frame_id!r}, but must be {WORKPIECE}")
+    if read.names != (TOOL,):
         raise MessageError(f"trajectory: must hold one transform a point, of the joint {TOOL}")
-    velocity = found.velocity[:, 0, :3]
+    velocity = read.velocity[:, 0, :3]
     none = np.isnan(velocity).all()
-    position, quaternion = found.position[:, 0], found.quaternion[:, 0]
-    run = Trajectory(found.time, position, quaternion, None if none else velocity, found.frame_id)
+    position, quaternion = read.position[:, 0], read.quaternion[:, 0]
+    run = Trajectory(read.time, position, quaternion, None if none else velocity, read.frame_id)
     if as_sent:
         object.__setattr__(run, "quaternion", np.array(quaternion))
     return run
 
 
+def _state(record: CompensatorState) -> dict:
+    """A value for each field, and for each learned pass its fields behind ``learned_1.``, ``learned_2.`` ..."""
+    values = {key: getattr(record, key) for key in STATE_KEYS}
+    for number, one in enumerate(record.learned, 1):
+        values |= {f"learned_{number}.{key}": value for key, value in one._asdict().items()}
+    pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
+    message = f"{record.method}, learned from {len(record.learned)} of {record.passes} passes"
+    return {"name": record.name, "message": message, "values": pairs}
+
+
+def _read_state(msg) -> CompensatorState:
+    values = {pair.key: pair.value for pair in msg.values}
+    learned: list[LearnedPass] = []
+    try:
+        while (begin := f"learned_{len(learned) + 1}.") + "fingerprint" in values:
+            recording, digest = values[begin + "recording"], values[begin + "fingerprint"]
+            counts = int(values[begin + "poses"]), int(values[begin + "wrenches"])
+            learned.append(LearnedPass(recording, digest, *counts))
+        method, passes, finished, target, reference = (values[key] for key in STATE_KEYS)
+        return CompensatorState(
+            msg.name, method, int(passes), finished == "True", target, reference, tuple(learned)
+        )  # fmt: skip
+    except KeyError as error:
+        raise ValueError(f"is no state of a compensator: {error} is missing") from None
+
+
+STATE_KEYS = ("method", "passes", "finished", "target", "reference")
 KINDS = {
     PoseSample: _stamped("geometry_msgs/msg/PoseStamped", PoseSample, 3, 4),
     WrenchSample: _stamped("geometry_msgs/msg/WrenchStamped", WrenchSample, 6),
@@ -195,6 +225,7 @@ KINDS = {
     Text: _stored("std_msgs/msg/String", lambda record: {"data": record.text}, lambda msg: Text(msg.data)),
     JointProgram: _stored("trajectory_msgs/msg/JointTrajectory", _program, _read_program),
     StockMap: _stored("nav_msgs/msg/OccupancyGrid", _map, _read_map),
+    CompensatorState: _stored("diagnostic_msgs/msg/DiagnosticStatus", _state, _read_state),
     Trajectory: Kind(TRAJECTORY, lambda run: serialise(TRAJECTORY, _trajectory(run)), trajectory_from_bytes),
 }
 READERS = {kind.type: kind.read for kind in KINDS.values()}
@@ -213,7 +244,7 @@ def to_bytes(record) -> bytes:
 def from_bytes(type_name: str, data: bytes):
     """The record of a serialised message.
 
-    Raises ValueError where the bytes are no such message, KeyError for a type that no record stands for, and what
+    Raises ValueError where the bytes are no such message, KeyError for a type without a record, and what
     ``trajectory_from_bytes`` raises.
     """
     return READERS[type_name](data)

@@ -13,6 +13,7 @@ import numpy as np
 from kr270_milling.base.frames import quaternion_from_rotation
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.codec import from_bytes, pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.messages.topics import TOPICS
 from kr270_milling.messages.viewer import (
     ARROW,
     LINE_STRIP,
@@ -29,9 +30,7 @@ from kr270_milling.trajectory.trajectory import Trajectory
 __all__ = ["INPUTS", "OUTPUTS", "Derived", "Scene"]
 
 #: topics that a scene receives, without their namespace
-INPUTS = (
-    "robot_description", "joint_states", "target_trajectory", "reference_trajectory", "tool_pose", "wrench",
-)  # fmt: skip
+INPUTS = tuple(topic.name for topic in TOPICS if topic.scene)
 #: topic -> type of the derived messages; transforms are global, as viewers expect
 OUTPUTS = {"/tf_static": TRANSFORMS, "/tf": TRANSFORMS, "/markers": MARKERS}
 PERIOD_NS = 33_333_333  #: between two messages, 30 Hz

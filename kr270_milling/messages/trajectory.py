@@ -74,7 +74,7 @@ def _alike(cursor: Cursor, bodies: int, window: int) -> np.ndarray:
     formats, offsets = zip(*fields.values(), strict=True)
     stride = cursor.offset - begin
     layout = np.dtype({"names": list(fields), "formats": formats, "offsets": offsets, "itemsize": stride})
-    # where the stride is a multiple of 8 the next point's numbers stand at the same distance
+    # where the stride is a multiple of 8 the numbers of the next point have the same offsets
     rows = 1 if stride % 8 else min(window, (len(cursor.data) - begin) // stride)
     points = np.frombuffer(cursor.data, layout, rows, begin)
     other = np.any([points[f"length_{k}"] != points[f"length_{k}"][0] for k in range(len(WIDTHS))], axis=0)

@@ -8,13 +8,14 @@ import numpy as np
 from rcl_interfaces.msg import FloatingPointRange
 from rclpy.timer import Timer
 
+from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import WrenchSample
-from kr270_milling.cell.protocols import robot_protocol
+from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.messages.codec import trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.messages.topics import ROBOT
 from kr270_milling.ros import topics
 from kr270_milling.ros.node import ERROR, LOST, OK, WARN, ManagedNode, guarded
 from kr270_milling.ros.parameters import declare_cell
-from kr270_milling.simulation.protocol import WORKPIECE
 from kr270_milling.trajectory.trajectory import fingerprint
 
 __all__ = ["CompliantRobot"]
@@ -31,7 +32,7 @@ class CompliantRobot(ManagedNode):
     def __init__(self, **kwargs):
         super().__init__("compliant_robot", **kwargs)
         self.cell = declare_cell(self)
-        self.protocol = robot_protocol(self.cell)
+        self.protocol = RobotProtocol(self.cell)
         about = "seconds of the pass in a second of the wall clock; 0: as fast as possible"
         limits = [FloatingPointRange(from_value=0.0, to_value=1e6)]
         self.pace = self.declared("pace", 0.0, about, floating_point_range=limits)
@@ -41,14 +42,14 @@ class CompliantRobot(ManagedNode):
         self._unchanged = 0.0  # [s] of the wall clock since the number of subscribers changed
         self._answered = time.monotonic()  # time of the last accepted wrench
         self._checked = time.monotonic()
-        self.open_outlets("tool_pose", "deflection", "joint_states", "clock", "robot_description")
+        self.open_outlets(ROBOT)
         self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
         self.create_timer(LOOK, self._watch_answer)
         self.report(OK, "unconfigured")
 
     def configure(self) -> None:
-        trial = robot_protocol(self.cell)  # compiles before the pass
+        trial = RobotProtocol(self.cell)  # compiles before the pass
         trial.reference = self.cell.target()
         trial.start()
         trial.wrench(WrenchSample(0, WORKPIECE, np.zeros(6)))
@@ -72,29 +73,29 @@ class CompliantRobot(ManagedNode):
     @guarded
     def _watch_answer(self) -> None:
         """Start the pass when cut and reference are present; repeat the pose, and give up, when no wrench arrives."""
-        side = self.protocol.side
+        protocol = self.protocol
         held_up, self._checked = time.monotonic() - self._checked, time.monotonic()
         settled = self._is_settled(held_up)
         if held_up > RETRY:
             self._answered = max(self._answered, self._checked)  # this process itself was stopped
-        if not self.active or (side is not None and (side.done or self._given_up)):
+        if not self.active or (protocol.started and (protocol.done or self._given_up)):
             return
         cut = self.outlets["tool_pose"].get_subscription_count() and self._wrench.get_publisher_count()
-        if side is None:
-            if cut and settled and self.protocol.reference is not None:
+        if not protocol.started:
+            if cut and settled and protocol.reference is not None:
                 self._start()
             return
         silent = time.monotonic() - self._answered
-        if not cut and not side.awaited_ns:
+        if not cut and not protocol.awaited_ns:
             self.activate()  # the cut left before the pass began
-        elif side.awaited_ns and (not cut or silent > LOST):
+        elif protocol.awaited_ns and (not cut or silent > LOST):
             what = "no wrench: its publisher is gone" if not cut else f"no wrench for {LOST:g} s"
             self._given_up = True
             self.report(ERROR, f"{what}; the cutting process is gone and the pass is given up")
         elif silent > RETRY:
             silence = "no wrench from the cutting process: repeating the tool pose"
-            self.report(WARN, silence if side.awaited_ns else "the cutting process is not active yet")
-            self.send(self.protocol.repeat())
+            self.report(WARN, silence if protocol.awaited_ns else "the cutting process is not active yet")
+            self.send(protocol.repeat())
 
     def _is_settled(self, since: float) -> bool:
         """Return whether the numbers of subscribers are unchanged for ``SETTLE``; since: [s] since the last check.
@@ -133,7 +134,7 @@ class CompliantRobot(ManagedNode):
         """Publish the outputs; with a pace, delay the next tool pose to the wall clock."""
         self._answered = time.monotonic()
         if self.pace > 0.0 and not self.protocol.done:
-            ahead = self._started + self.protocol.of_pass().awaited_ns * 1e-9 / self.pace - self._answered
+            ahead = self._started + self.protocol.awaited_ns * 1e-9 / self.pace - self._answered
             if ahead > AHEAD:
                 self._answered += ahead
                 self._late = outputs[:1]
@@ -145,12 +146,12 @@ class CompliantRobot(ManagedNode):
     def _ask_late(self) -> None:
         if self._pace_timer is not None:
             self.destroy_timer(self._pace_timer)
-        if self.protocol.side is not None:
+        if self.protocol.started:
             self.send(self._late)
 
     def _finish(self) -> None:
         wall = time.monotonic() - self._started
-        values = {"largest_correction_um": f"{self.protocol.of_pass().correction * 1e6:.6f}", "wall_s": repr(wall)}
+        values = {"largest_correction_um": f"{self.protocol.correction * 1e6:.6f}", "wall_s": repr(wall)}
         if self.protocol.large_correction:
             self.report(WARN, "pass complete, but the corrections are large: shorten exchange.period_ms", **values)
         else:

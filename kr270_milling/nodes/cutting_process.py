@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from std_srvs.srv import Trigger
 
-from kr270_milling.cell.protocols import cut_protocol
+from kr270_milling.exchange.cut import CutProtocol, NoWorkpiece
 from kr270_milling.messages.codec import pose_from_bytes, trajectory_from_bytes
+from kr270_milling.messages.topics import CUT
 from kr270_milling.ros import topics
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
 from kr270_milling.ros.parameters import declare_cell
-from kr270_milling.simulation.protocol import NoWorkpiece
 
 __all__ = ["CuttingProcess"]
 
@@ -23,11 +23,11 @@ class CuttingProcess(ManagedNode):
     def __init__(self, **kwargs):
         super().__init__("cutting_process", **kwargs)
         self.cell = declare_cell(self)
-        self.protocol = cut_protocol(self.cell)
+        self.protocol = CutProtocol(self.cell)
         self._robots = 0
         self._silence = Silence()
         self._mapped = True  # the published map shows the present part
-        self.open_outlets("wrench", "workpiece")
+        self.open_outlets(CUT)
         self._pose = self.subscribe(topics.TOOL_POSE, self._on_pose)
         self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self.create_service(Trigger, "~/publish_workpiece", self._on_request)
@@ -108,9 +108,9 @@ class CuttingProcess(ManagedNode):
         return response
 
     def watch(self) -> dict:
-        side = self.protocol.side
+        volume = self.protocol.removed_volume
         return {
             "state": self.state,
             "pass_time_s": f"{self.stamp_ns * 1e-9:.6f}",
-            "removed_volume_m3": repr(float(side.cut.removed_volume)) if side else "",
+            "removed_volume_m3": "" if volume is None else repr(volume),
         }

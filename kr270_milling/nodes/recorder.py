@@ -11,6 +11,8 @@ from rclpy.parameter import Parameter
 
 from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.base.samples import Text
+from kr270_milling.messages.topics import RECORDER
 from kr270_milling.nodes.recording_session import RecordingSession
 from kr270_milling.ros.names import resolved_topic
 from kr270_milling.ros.node import OK, ReportingNode
@@ -39,6 +41,7 @@ class Recorder(ReportingNode):
         about = "also record and publish /tf, /tf_static and /markers for viewers, where no other node publishes them"
         self._viewers = self.declared("viewers", True, about)
         about = "record from the start; false: from the moment when directory is set"
+        self.open_outlets(RECORDER)
         autostart = self.declared("autostart", True, about)
         about = "directory of the recording, which must not contain a recording; a new value begins another recording"
         directory = self.declared("directory", "", about, read_only=False)
@@ -66,6 +69,7 @@ class Recorder(ReportingNode):
         attachments = self._read(_split(self.get_parameter("attach").value))
         writer = BagWriter(directory, attachments=attachments, metadata=metadata)
         self.session = RecordingSession(self, writer, self._topics, self._viewers)
+        self.send([("recording", Text(f"{writer.path.parent.name}/{writer.path.name}"))])
 
     def _read(self, names: list[str]) -> dict[str, bytes]:
         try:
@@ -94,6 +98,7 @@ class Recorder(ReportingNode):
             if session.settled():
                 break
         self.session = None
+        self.send([("recording", Text(""))])
         session.release()
         self.report(OK, "waiting for a directory")
         return session.close()

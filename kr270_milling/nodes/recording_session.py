@@ -41,7 +41,8 @@ class RecordingSession:
         self._viewers = viewers
         self._scenes: dict[str, Scene] = {}  # of each robot, by its namespace
         self._live: dict[str, Publisher | None] = {}  # topics for viewers; None where the type is not installed
-        self._subscriptions: dict[str, Subscription | None] = {}
+        # the recorder does not record its own topics: a player would repeat the name of the recording
+        self._subscriptions: dict[str, Subscription | None] = {o.topic_name: None for o in node.outlets.values()}
         self._stopped = False
         self._before = -1
         self._refused = 0  # messages

@@ -9,9 +9,10 @@ from std_srvs.srv import Trigger
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.protocols import compensator_protocol
 from kr270_milling.compensation.methods import METHODS
-from kr270_milling.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.exchange.compensator import CompensatorProtocol
+from kr270_milling.messages.codec import from_bytes, pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.messages.topics import COMPENSATOR
 from kr270_milling.messages.viewer import path_bytes
 from kr270_milling.ros import topics
 from kr270_milling.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
@@ -39,10 +40,12 @@ class TrajectoryCompensator(ReportingNode):
         self.cell = declare_cell(self, writable=(METHOD,))
         about = "parameter file of the simulated plant, whose tracker's noise is added to the poses; empty: none"
         plant = self.declared("plant", "", about)
-        self.protocol = compensator_protocol(self.cell, read_cell(find_file(plant)) if plant else None)
+        cuts = read_cell(find_file(plant)) if plant else None
+        self.protocol = CompensatorProtocol(self.cell, cuts, self.get_fully_qualified_name())
         about = "the cell file's path is the target until one is published"
         own = self.declared("use_cell_path", True, about)
-        self.open_outlets("reference_trajectory", "joint_trajectory", "reference_path", "target_path")
+        self.open_outlets(COMPENSATOR)
+        self.subscribe(topics.RECORDING, self._on_recording)
         self.subscribe(topics.TARGET_TRAJECTORY, self._on_target)
         pose, wrench = topics.TOOL_POSE, topics.WRENCH
         self._pose = polled_subscription(self, pose.type, pose.name, self._on_pose, pose.qos)
@@ -63,10 +66,17 @@ class TrajectoryCompensator(ReportingNode):
     def _on_target(self, data: bytes) -> None:
         self._publish(self.protocol.begin(trajectory_from_bytes(data)), TARGET)
 
+    @guarded
+    def _on_recording(self, data: bytes) -> None:
+        """Take the name of the file to which the next passes are recorded."""
+        self.protocol.recording = from_bytes("std_msgs/msg/String", data).text
+        self.set_values(recording=self.protocol.recording)
+        self.publish_report()
+
     def _publish(self, outputs, what: str, missing: int = 0) -> None:
         self.send(outputs)
         self._revision += 1
-        state = self.protocol.begun
+        state = self.protocol.active
         for name, run in (("reference_path", state.reference), ("target_path", state.target)):
             self.outlets[name].publish(path_bytes(run))
         values = {
@@ -96,12 +106,13 @@ class TrajectoryCompensator(ReportingNode):
     def _on_pose(self, data: bytes) -> None:
         sample = pose_from_bytes(data)
         outputs = self.protocol.pose(sample)
-        if self.protocol.ignored == WITHOUT_START and sample.stamp < self.protocol.end_ns:
+        inbox = self.protocol.inbox
+        if inbox.ignored == WITHOUT_START and sample.stamp < inbox.end_ns:
             self.report(
                 ERROR, "the pass is under way, but this compensator did not receive its start: the pass is not used"
             )
         self._revised(outputs)
-        if not self.protocol.under_way or sample.stamp != self.protocol.stamp_ns:
+        if not self.protocol.under_way or sample.stamp != inbox.stamp_ns:
             return
         self.stamp_ns = sample.stamp
         if self._silence.end():
@@ -110,8 +121,7 @@ class TrajectoryCompensator(ReportingNode):
 
     def _revised(self, outputs) -> None:
         if outputs:
-            state = self.protocol.begun
-            self._publish(outputs, f"revised after pass {len(state.errors)}", self.protocol.missing)
+            self._publish(outputs, f"revised after pass {len(self.protocol.active.errors)}", self.protocol.missing)
 
     @guarded
     def _watch_pass(self) -> None:
@@ -125,7 +135,7 @@ class TrajectoryCompensator(ReportingNode):
                 self._revised(self.protocol.finish())
             return
         for what in (self._pose, self._wrench):
-            if not what.get_publisher_count() and (what is self._pose or self.protocol.has_wrench):
+            if not what.get_publisher_count() and (what is self._pose or self.protocol.inbox.has_wrench):
                 self.report(ERROR, f"the pass broke off: {what.topic_name} has no publisher")
                 return
         if self._silence.is_due(silent):

@@ -13,14 +13,12 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.ros import topics
 from kr270_milling.ros.node import Ending
 from kr270_milling.ros.polling import POLL_PERIOD, poll, polled_subscription
-from kr270_milling.watch.feed import Feed
+from kr270_milling.watch.feed import INPUTS, Feed
 from kr270_milling.watch.server import Events
 
 __all__ = ["Watcher"]
 
 GONE = 2.0  #: [s] of the wall clock without any publisher, after which the graph has ended
-LATCHED = (topics.TARGET_TRAJECTORY, topics.REFERENCE_TRAJECTORY)
-LOOP = (topics.TOOL_POSE, topics.WRENCH, topics.DIAGNOSTICS)
 
 
 class Watcher(Ending, Node):
@@ -34,12 +32,12 @@ class Watcher(Ending, Node):
         self._events = events
         self._feed = Feed()
         self._present: float | None = None
-        self._subscriptions_of = [self._subscribe(topic) for topic in (*LATCHED, *LOOP)]
+        self._subscriptions_of = [self._subscribe(topics.BY_NAME[name]) for name in INPUTS]
         self.create_timer(POLL_PERIOD, self._poll)
         self.create_timer(0.2, self._check_graph)
 
     def _subscribe(self, topic: topics.Topic):
-        latched = topic in LATCHED
+        latched = topic.qos is topics.LATCHED
         qos = QoSProfile(
             depth=topic.qos.depth,
             reliability=ReliabilityPolicy.RELIABLE if latched else ReliabilityPolicy.BEST_EFFORT,

@@ -14,7 +14,7 @@ import numpy as np
 from kr270_milling import __version__
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
-from kr270_milling.base.frames import Pose, quaternion_from_rotation
+from kr270_milling.base.frames import JOINT_NAMES, Pose, quaternion_from_rotation
 from kr270_milling.base.units import seconds
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
@@ -29,7 +29,6 @@ __all__ = ["RSI_TICKS_NS", "as_commanded", "write_joint_table", "write_programs"
 AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
 BESIDE = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  #: [m], of the approach beside the first point, tried in this order
 RSI_TICKS_NS = (4_000_000, 12_000_000)
-JOINT_NAMES = ("joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6")
 NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
 
 

@@ -1,4 +1,4 @@
-"""The cell that a recording was made with, out of its attachments."""
+"""The cell that a recording was made with, from its attachments."""
 
 from __future__ import annotations
 
@@ -9,27 +9,21 @@ import yaml
 
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import ConfigError, RecordingError, one_line
-from kr270_milling.base.parameter_file import read_tree, read_yaml
+from kr270_milling.base.parameter_file import read_yaml
 from kr270_milling.cell.cell import Cell, read_cell
 
-__all__ = ["CELL", "cell_of", "is_first_version", "plant_of"]
+__all__ = ["cell_of", "plant_of"]
 
 CELL, PLANT = "cell.yaml", "plant.yaml"
 LONGEST_NAME = 200  # [bytes], of an attached file
 MOST_ATTACHED = 64 * 1024 * 1024  # [bytes] of attachments that are unpacked to read the cell
-#: what version 0.1.0 did where its cells have no key for it: group, key, value
-FIRST_VERSION = (
-    ("dynamics", "reference_inertia", "false"),
-    ("cutting", "moments", "false"),
-    ("cutting", "chip_angle", "nominal"),
-)
 
 
 def cell_of(recording: Recording) -> Cell:
-    """The cell that the recording was made with: the attached ``cell.yaml``, or the only attached YAML file.
+    """Return the cell of the attached ``cell.yaml``, or of the only attached YAML file.
 
-    Files that it names (includes, a tool path) are taken from the attachments too, and only then from the shipped
-    ones. Raises RecordingError, ConfigError.
+    Files that the cell names (includes, a tool path) are read from the attachments, else from the shipped files.
+    Raises RecordingError, ConfigError.
     """
     names = _names(recording)
     parameter_files = [n for n in names if n.endswith((".yaml", ".yml")) and n != PLANT]
@@ -42,17 +36,12 @@ def cell_of(recording: Recording) -> Cell:
 
 
 def plant_of(recording: Recording, cell: Cell) -> Cell:
-    """What cut in the pass: the attached ``plant.yaml``, else the cell itself."""
+    """Return the cell that cut in the pass: the attached ``plant.yaml``, else the cell itself."""
     return _read(recording, PLANT) if PLANT in _names(recording) else cell
 
 
-def is_first_version(recording: Recording) -> bool:
-    """Whether version 0.1.0 wrote it."""
-    return recording.library.startswith("kr270_milling/0.1.")
-
-
 def _names(recording: Recording) -> set[str]:
-    """Of the attachments that can be files in one directory."""
+    """Return the names of the attachments that can be files in one directory."""
     return {about.name for about in recording.attachments if _is_plain(about.name)}
 
 
@@ -68,7 +57,7 @@ def _read(recording: Recording, main: str) -> Cell:
             Path(directory, name).write_bytes(recording.attachment(name))
         _localise(recording, file, names, set())
         try:
-            cell = read_cell(file, _first_version_terms(file) if is_first_version(recording) else ())
+            cell = read_cell(file)
             cell.timed_path  # noqa: B018 - reads the tool path while its file is there
         except ConfigError as error:
             where = f"{recording.path}, attached {Path(error.file).name}"
@@ -76,25 +65,17 @@ def _read(recording: Recording, main: str) -> Cell:
     return cell
 
 
-def _first_version_terms(file: Path) -> tuple[str, ...]:
-    """Assignments for keys that a cell does not have because version 0.1.0 did not know them.
-
-    It had eq. (1) as printed, forces only, and chips over the nominal angle.
-    """
-    tree = read_tree(file)
-    lacking = [(g, k, v) for g, k, v in FIRST_VERSION if isinstance(tree.get(g), dict) and k not in tree[g]]
-    return tuple(f"{group}.{key}={value}" for group, key, value in lacking)
-
-
 def _localise(recording: Recording, file: Path, names: set[str], seen: set[str]) -> None:
-    """Let a parameter file, and those that it includes, name the attached files, wherever they lay; none of them may
-    make us read any other file of this machine but a shipped one."""
+    """Make a parameter file, and its includes, name the attached files instead of their original places.
+
+    Raises RecordingError where a parameter file names a file that is neither attached nor shipped.
+    """
     seen.add(file.name)
     try:
         tree = read_yaml(file)
         parameters = tree["/**"]["ros__parameters"]
     except (ConfigError, LookupError, TypeError):
-        return  # read_cell tells what is wrong
+        return  # read_cell reports the error
     includes, path = (parameters.get("includes"), parameters.get("path")) if isinstance(parameters, dict) else ([], {})
     includes, path = includes if isinstance(includes, list) else [], path if isinstance(path, dict) else {}
     named = [*includes, *filter(None, [path.get("file")])]

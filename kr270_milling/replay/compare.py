@@ -56,7 +56,7 @@ class Expected(NamedTuple):
 class Channel:
     """One topic: what was recorded and what is recomputed, each in its own order, matched by pass and stamp.
 
-    The two need not come in step: whoever is ahead waits. rank: place of the topic in the chain of causes.
+    Recorded and expected messages may come in any order. rank: place of the topic in the chain of causes.
     """
 
     def __init__(self, topic: str, rank: int = 0):
@@ -66,11 +66,11 @@ class Channel:
         self.differing = 0
         self.missing = 0  #: recomputed, but not in the recording
         self.repeated = 0  #: the same message once more: a retry
-        self.given = 0  #: taken as they are, because their cause is not in the recording
+        self.given = 0  #: not compared, because their cause is not in the recording
         self.refused = 0  #: that no node can have used
         self.first: Difference | None = None
         self._abandoned = 0  # recorded in a pass that could not be recomputed to its end
-        self._holes = GapCounter()  # told by the recorded stamps alone
+        self._holes = GapCounter()  # from the recorded stamps alone
         self._recorded: deque[Recorded] = deque()
         self._expected: deque[Expected] = deque()
         self._recorded_passes = Passes()
@@ -79,27 +79,39 @@ class Channel:
         self._last = b""  # recorded
         self._last_expected: Expected | None = None
         self._skipped = 0  # missing although later ones of the same pass are there
-        self._tails: list[tuple[int, int]] = []  # (pass, stamp) of those behind the last recorded one of their pass
+        self._tails: list[tuple[int, int]] = []  # (pass, stamp) of missing messages after the last recorded one
         self._ends: dict[int, int] = {}  # pass -> latest recomputed stamp
 
-    def recorded(self, stamp: int, data: bytes, refused: bool = False) -> None:
-        """Take the next recorded message; refused: it is compared only if it is what was to be published."""
+    def recorded(self, stamp: int, data: bytes, refused: bool = False, number: int | None = None) -> None:
+        """Take the next recorded message.
+
+        refused: the message is compared only if it is the expected one; number: of its pass, where stamps do not
+        show the pass.
+        """
         self._index += 1
-        if not refused:
+        if number is not None:
+            self._recorded_passes.number = number
+        elif not refused:
             self._recorded_passes.begins(stamp)
             self._holes.add(stamp)
         self._recorded.append(Recorded((self._recorded_passes.number, stamp), self._index, data, refused))
         self._match()
 
     def take(self, data: bytes) -> None:
-        """Take the next recorded message as it is."""
+        """Take the next recorded message without a comparison."""
         self._index += 1
         self.given += 1
         self._last = data
 
-    def expected(self, stamp: int, record, due: bool = True) -> None:
-        """Take the next record of the protocol; due: it belongs in the recording, which else may leave it out."""
-        self._expected_passes.begins(stamp)
+    def expected(self, stamp: int, record, due: bool = True, number: int | None = None) -> None:
+        """Take the next record of the protocol.
+
+        due: False where the recording may lack the message; number: of its pass, where stamps do not show the pass.
+        """
+        if number is not None:
+            self._expected_passes.number = number
+        else:
+            self._expected_passes.begins(stamp)
         number = self._expected_passes.number
         if due:
             self._ends[number] = stamp
@@ -115,8 +127,8 @@ class Channel:
         while self._recorded and self._expected:
             recorded, expected = self._recorded[0], self._expected[0]
             alike = recorded.order == expected.order
-            found = difference(expected.record, recorded.data) if alike else ("the message", "there", None)
-            if found is None:
+            mismatch = difference(expected.record, recorded.data) if alike else ("the message", "there", None)
+            if mismatch is None:
                 self.compared += 1
                 self._last = self._recorded.popleft().data
                 self._last_expected = self._expected.popleft()
@@ -134,7 +146,7 @@ class Channel:
                 if alike:
                     self.compared += 1
                     self._last_expected = self._expected.popleft()
-                self.first = self.first or self._difference(recorded, *found)
+                self.first = self.first or self._difference(recorded, *mismatch)
 
     def _difference(self, recorded: Recorded, field: str, there: object, expected: object) -> Difference:
         order = (*recorded.order, self.rank)
@@ -154,7 +166,7 @@ class Channel:
             self._skipped += 1
 
     def finish(self) -> None:
-        """No more will come: what is repeated at the end is not waiting for anything, what is not there is missing."""
+        """Complete the comparison: remaining recorded messages may be repeated, remaining expected ones are missing."""
         while self._recorded and (self._recorded[0].refused or self._recorded[0].data == self._last):
             refused = self._recorded.popleft().refused
             self.refused += refused
@@ -179,9 +191,11 @@ class Channel:
         return self._recorded[0].order[1] if self._recorded else 0
 
     def lacking(self, under_way: int, done: bool, iterations: int = 1) -> int:
-        """Recomputed messages that the recording should have: no hole in its stamps tells of them, and they were not
-        made in the last ``under_way`` [ns] of a pass that may have broken off. done: the last pass did not.
-        iterations: messages of one stamp."""
+        """Return how many recomputed messages the recording lacks although its stamps show no gap.
+
+        Messages of the last ``under_way`` [ns] of a pass that broke off do not count. done: the last pass is
+        complete; iterations: messages of one stamp.
+        """
         whole = self._expected_passes.number if done else -1
         ends = sum(number == whole or stamp < self._ends[number] - under_way for number, stamp in self._tails)
         return ends + max(0, self._skipped - iterations * self._holes.missing)

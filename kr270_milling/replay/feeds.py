@@ -8,20 +8,21 @@ from kr270_milling.bag.stamps import Passes
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.path import MOST_STEPS
-from kr270_milling.cell.protocols import cut_protocol, robot_protocol
+from kr270_milling.exchange.cut import CutProtocol
+from kr270_milling.exchange.inputs import Output
+from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.replay.compare import Channel
-from kr270_milling.simulation.protocol import Output
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["MOST_AHEAD", "CutFeed", "RobotFeed"]
 
-MOST_AHEAD = 10  # exchange periods that a message may stand before its cause in the file
+MOST_AHEAD = 10  # exchange periods that a message may precede its cause in the file
 
 Stop = Callable[[int, str], None]  # (stamp [ns], reason)
 
 
 class Feed:
-    """What robot and cut share: where their outputs go, and from where on an input is not in the recording."""
+    """Base of robot and cut: the comparison of outputs, and the first input that is not in the recording."""
 
     outputs: tuple[str, ...] = ()
 
@@ -41,7 +42,7 @@ class Feed:
                 self._channels[name].expected(stamp, record, due)
 
     def end_pass(self) -> None:
-        """An input that is missing counts if outputs wait that it led to; else the live node missed it too."""
+        """Report a missing input if recorded outputs follow from it; else the live node missed it too."""
         channels = [self._channels[name] for name in self.outputs if name in self._channels]
         if self._lack is not None and any(channel.waiting for channel in channels):
             self._stop(*self._lack)
@@ -63,12 +64,12 @@ class RobotFeed(Feed):
 
     def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
         super().__init__(cell, channels, stop)
-        self.protocol = robot_protocol(cell, deflection_every=1)
+        self.protocol = RobotProtocol(cell, deflection_every=1)
         self._begun = False
         self._same_stamp: list[WrenchSample] = []
 
     def reference(self, run: Trajectory) -> None:
-        """The reference of the next pass. Raises ValueError for one that no machine of this size can simulate."""
+        """Take the reference of the next pass. Raises ValueError for an implausibly long one."""
         if self.cell.clock.steps(run.duration_ns) > MOST_STEPS:
             raise ValueError(f"the reference trajectory takes {run.duration_ns * 1e-9:g} s")
         self.protocol.reference = run
@@ -78,7 +79,7 @@ class RobotFeed(Feed):
         self._publish(self.protocol.describe())
 
     def wrench(self, sample: WrenchSample) -> None:
-        """The next wrench. Where the exchange is iterated, those of one stamp wait until they are all there."""
+        """Take the next wrench; the wrenches of one stamp are processed together."""
         if self._same_stamp and self._same_stamp[0].stamp != sample.stamp:
             self._flush()
         self._same_stamp.append(sample)
@@ -86,13 +87,15 @@ class RobotFeed(Feed):
             self._flush()
 
     def finish(self) -> None:
-        """No more will come."""
+        """Complete the comparison after the last message."""
         self._flush()
         self.end_pass()
 
     def _flush(self) -> None:
-        """Of a question that the robot repeated the file tells nothing certain: it stands on another topic. But more
-        answers than iterations tell of it, equal to the ones before them."""
+        """Take the wrenches of one stamp.
+
+        More equal wrenches than iterations show that the robot repeated its question; the file does not show when.
+        """
         samples, self._same_stamp = self._same_stamp, []
         surplus = len(samples) - self.cell.exchange.iterations
         same = [one.frame == other.frame and one.wrench.tobytes() == other.wrench.tobytes()
@@ -108,16 +111,16 @@ class RobotFeed(Feed):
     def _take(self, sample: WrenchSample, asked_again: int) -> None:
         if self._passes.begins(sample.stamp) or not self._begun:
             self._begin(sample.stamp)
-        side = self.protocol.side
-        if side is None or side.done:
+        protocol = self.protocol
+        if not protocol.started or protocol.done:
             return
-        if sample.stamp > side.awaited_ns and self._lack is None:
-            self._lack = side.awaited_ns, "the wrench of this time is not in the recording"
-        elif sample.stamp == side.awaited_ns:
+        if sample.stamp > protocol.awaited_ns and self._lack is None:
+            self._lack = protocol.awaited_ns, "the wrench of this time is not in the recording"
+        elif sample.stamp == protocol.awaited_ns:
             self._lack = None
             for _ in range(asked_again):
-                self._publish(self.protocol.repeat())
-        self._publish(self.protocol.wrench(sample))
+                self._publish(protocol.repeat())
+        self._publish(protocol.wrench(sample))
 
     def _begin(self, stamp: int) -> None:
         self.end_pass()
@@ -138,7 +141,7 @@ class CutFeed(Feed):
 
     def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
         super().__init__(cell, channels, stop)
-        self.protocol = cut_protocol(cell)
+        self.protocol = CutProtocol(cell)
         ((_, self._fresh),) = self.protocol.configure()
         self._maps: list[tuple[int, bytes]] = []
         self._latched = False  # the last map is that of a pass before the recording
@@ -153,8 +156,8 @@ class CutFeed(Feed):
             self._channels["workpiece"].expected(0, self._fresh)  # of this pass, which none can begin without
         next_step = self.protocol.step + 1
         if self.cell.clock.step(sample.stamp) > next_step and self._lack is None:
-            begun = "the tool pose of this time is not in the recording"
-            reason = begun if next_step else "the recording begins in the middle of a pass"
+            lost = "the tool pose of this time is not in the recording"
+            reason = lost if next_step else "the recording begins in the middle of a pass"
             self._lack = int(self.cell.clock.stamp(next_step)), reason
         self._publish(self.protocol.pose(sample))
         if self.protocol.step == next_step:
@@ -162,10 +165,10 @@ class CutFeed(Feed):
         self._compare_maps()
 
     def workpiece(self, stamp: int, data: bytes) -> None:
-        """A recorded map; it shows the fresh part at stamp 0, else the part behind the last pose that was answered.
+        """Compare a recorded map: the fresh part at stamp 0, else the part after the last pose that was answered.
 
-        It may stand a little before that pose in the file, or behind it. The first map may be latched from a pass
-        before. Where poses are missing, no map can be compared. The cut cannot have made any other one.
+        In the file the map may come shortly before or after this pose. The first map may be latched from an earlier
+        pass. Where poses are missing, no map can be compared.
         """
         channel = self._channels["workpiece"]
         near, ahead = MOST_AHEAD * self.cell.exchange.period * 1e9, stamp - self.protocol.stamp_ns
@@ -195,7 +198,7 @@ class CutFeed(Feed):
                 self._channels["workpiece"].take(data)
 
     def finish(self) -> None:
-        """No more will come."""
+        """Complete the comparison after the last message."""
         self.end_pass()
         for _, data in self._maps:
             self._channels["workpiece"].take(data)

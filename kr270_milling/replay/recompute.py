@@ -1,17 +1,19 @@
-"""A recording recomputed: its inputs once more through the nodes' protocols, its outputs compared bit for bit.
+"""Recompute a recording: feed its inputs to the protocols of the nodes and compare the outputs bit for bit.
 
-No ROS graph and no clock: the messages come in the order of the file. Several robots in their namespaces are recomputed
-side by side, with the cell of the recording.
+There is no ROS graph and no clock: the messages come in the order of the file. Robots in several namespaces are
+recomputed together, with the cell of the recording.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from kr270_milling import __version__
 from kr270_milling.bag.reader import Recording
 from kr270_milling.bag.verify import findings
+from kr270_milling.base.errors import RecordingError
 from kr270_milling.replay.compare import Channel, Difference
 from kr270_milling.replay.feeds import MOST_AHEAD
 from kr270_milling.replay.robots import Robot, Robots, Stop
@@ -19,13 +21,16 @@ from kr270_milling.replay.robots import Robot, Robots, Stop
 __all__ = ["Recomputed", "recompute"]
 
 EXCHANGE = ("tool_pose", "wrench")
+LIBRARY = re.compile(r"kr270_milling/(\d+\.\d+)\.")
 
 
 @dataclass(frozen=True)
 class Recomputed:
-    """The verdict: "identical", "different", "damaged" where all that was compared is the same, but a checksum or an
-    index of the file does not fit, or "incomplete" where a model could not go on, or where not all was compared that
-    should have been."""
+    """The verdict of a recompute.
+
+    "different": one message at least has other bits; "damaged": a checksum or an index of the file does not fit;
+    "incomplete": a model could not continue, or messages were not compared; else "identical".
+    """
 
     file: str
     cut_off: bool
@@ -33,7 +38,7 @@ class Recomputed:
     first: Difference | None
     stops: tuple[Stop, ...]
     version: str  #: of the package that wrote the recording
-    damage: tuple[str, ...] = ()  #: what does not fit in the file
+    damage: tuple[str, ...] = ()  #: checksums and indices that do not fit
 
     @property
     def compared(self) -> int:
@@ -63,12 +68,16 @@ class Recomputed:
 
 
 def recompute(path, progress=None) -> Recomputed:
-    """Recompute a recording; progress(messages done, of all). Raises RecordingError, ConfigError where that cannot
-    be tried at all."""
+    """Recompute a recording; progress(messages done, of all).
+
+    Raises RecordingError and ConfigError where a recompute is not possible, as for a recording of another version.
+    """
     with Recording(path) as recording:
-        found = Robots(recording)
-        found.feed(progress)
-        robots, cut_off = found.robots.values(), recording.cut_off
+        _expect_this_version(recording)
+        recomputed = Robots(recording)
+        recomputed.feed(progress)
+        recomputed.finish()
+        robots, cut_off = recomputed.robots.values(), recording.cut_off
         channels = {channel.topic: channel for robot in robots for channel in robot.channels.values()}
         firsts = [channel.first for channel in channels.values() if channel.first]
         first = min(firsts, key=lambda difference: difference.order, default=None)
@@ -79,37 +88,35 @@ def recompute(path, progress=None) -> Recomputed:
         return Recomputed(str(recording.path), cut_off, channels, first, tuple(stops), version, damage)
 
 
-class Lack(Stop):
-    """Something that was not compared, although no model stopped."""
-
-    def __str__(self) -> str:
-        return f"{self.robot or '/'}: {self.reason}"
+def _expect_this_version(recording: Recording) -> None:
+    """Raise RecordingError where another minor version of this package wrote the recording."""
+    recorded = LIBRARY.match(recording.library)
+    if recorded and recorded[1] != ".".join(__version__.split(".")[:2]):
+        version = recording.library.partition("/")[2]
+        raise RecordingError(recording.path, f"recorded by {version}; recompute it with that version")
 
 
 def _incomplete(robot: Robot, cut_off: bool) -> Iterator[Stop]:
-    """Why the recompute of a robot is not complete, although its models did not stop.
+    """Return why the recompute of a robot is not complete, although its models did not stop.
 
-    Where a pass broke off, or the file, some periods may be under way: causes without effects, and the other way round.
+    Where a pass or the file broke off, the last periods may lack causes or effects.
     """
     namespace, exchange, done = robot.namespace, robot.cell.exchange, robot.robot.protocol.done
     names = [name for name, c in robot.channels.items() if c.waiting and not c.compared]
     if names:
-        yield Stop(namespace, 0, f"the inputs of {', '.join(names)} are not in the recording")
+        yield Stop(namespace, None, f"the inputs of {', '.join(names)} are not in the recording")
         return
     if not any(robot.channels[name].compared for name in EXCHANGE if name in robot.channels):
-        yield Lack(namespace, 0, "no pass is in the recording, so that no tool_pose and no wrench was compared")
+        yield Stop(namespace, None, "no pass is in the recording: no tool_pose and no wrench was compared")
         return
     allowed = 0 if done and not cut_off else MOST_AHEAD * exchange.iterations
     for channel in robot.channels.values():
         if channel.waiting > allowed:
             reason = f"{channel.waiting} messages on {channel.topic} from {channel.leftover * 1e-9:.6f} s on were not "
-            yield Lack(namespace, channel.leftover, reason + "compared, since no recorded input leads to them")
+            yield Stop(namespace, None, reason + "compared: no recorded input leads to these messages")
     under_way = round(MOST_AHEAD * exchange.period * 1e9)
     for name, channel in () if cut_off else robot.channels.items():
         count = channel.lacking(under_way, done, exchange.iterations if name in EXCHANGE else 1)
-        if count > (name == "joint_trajectory"):  # a recorder may be stopped right behind the reference it belongs to
+        if count > (name == "joint_trajectory"):  # a recorder may stop between it and its reference
             reason = f"{count} messages that belong on {channel.topic} are not in the recording"
-            yield Lack(namespace, 0, reason + ", and no gap in the stamps tells of them")
-    if not robot.revises:
-        reason = "learned was another algorithm in version 0.1.0: its references are taken as they were recorded"
-        yield Lack(namespace, 0, reason)
+            yield Stop(namespace, None, reason + ", and the stamps show no gap")

@@ -1,4 +1,4 @@
-"""A pass out of its recording: the same record that a simulation makes, so that scores and reports are the same."""
+"""Read a pass from its recording, as the same record that a simulation returns."""
 
 from __future__ import annotations
 
@@ -52,15 +52,15 @@ class Rows(NamedTuple):
 def topic_of(recording: Recording, name: str, namespace: str | None = None) -> str:
     """The full name of one of the graph's topics in a recording; raises RecordingError where there is not just one."""
     if namespace is not None:
-        found = [f"/{namespace.strip('/')}/{name}".replace("//", "/")]
-        found = [topic for topic in found if topic in recording.topics()]
+        matches = [f"/{namespace.strip('/')}/{name}".replace("//", "/")]
+        matches = [topic for topic in matches if topic in recording.topics()]
     else:
-        found = [topic for topic in recording.topics() if topic.rpartition("/")[2] == name]
-    if len(found) != 1:
-        several = f"is there several times ({', '.join(found)}): name a namespace" if found else "is not recorded"
+        matches = [topic for topic in recording.topics() if topic.rpartition("/")[2] == name]
+    if len(matches) != 1:
+        several = f"exists several times ({', '.join(matches)}): name a namespace" if matches else "is not recorded"
         several += f" in the namespace {namespace}" if namespace is not None else ""
         raise RecordingError(recording.path, f"the topic {name} {several}")
-    return found[0]
+    return matches[0]
 
 
 def pass_from_recording(path, name: str | None = None, namespace: str | None = None) -> RecordedPass:
@@ -68,12 +68,12 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
     with Recording(path) as recording:
         cell = cell_of(recording)
         plant = plant_of(recording, cell)
-        reference, wall, found = _read(recording, namespace)
+        reference, wall, series = _read(recording, namespace)
         program = _program(recording, cell)
     last = cell.clock.steps(reference.duration_ns)
     if last > MOST_STEPS:
         raise RecordingError(recording.path, f"its reference trajectory takes {reference.duration_ns * 1e-9:g} s")
-    recorded = {kind: _by_step(cell, series, last) for kind, series in found.items()}
+    recorded = {kind: _by_step(cell, one, last) for kind, one in series.items()}
     course = imperfect_course(plant, reference, 0)
     whole = recorded | {"deflection": _all_deflections(plant, reference, course, recorded)}
     steps = functools.reduce(lambda a, b: np.intersect1d(a, b, True), (rows.step for rows in whole.values()))
@@ -100,31 +100,31 @@ def _read(recording: Recording, namespace: str | None) -> tuple[Trajectory, floa
     if DIAGNOSTICS in recording.topics():
         decode = recording.decoder(DIAGNOSTICS)
         others[DIAGNOSTICS] = lambda data: walls.extend(_wall_times(decode(data)))
-    found = dict(zip(SERIES, several(recording, list(topics.values()), others), strict=True))
+    series = dict(zip(SERIES, several(recording, list(topics.values()), others), strict=True))
     if not runs:
         raise RecordingError(recording.path, f"{topic} has no message")
-    passes = int(np.count_nonzero(found["deflection"].stamp == 0))  # published once an exchange
+    passes = int(np.count_nonzero(series["deflection"].stamp == 0))  # published once an exchange
     if passes > 1:
-        raise RecordingError(recording.path, f"holds {passes} passes; every pass needs a recording of its own")
+        raise RecordingError(recording.path, f"holds {passes} passes; each pass needs a separate recording")
     try:
-        return trajectory_from_bytes(runs[0]), walls[-1], found
+        return trajectory_from_bytes(runs[0]), walls[-1], series
     except MillingError as error:
         raise RecordingError(recording.path, f"a message on {topic} is no path of the tool: {error}") from error
 
 
 def _wall_times(diagnostics) -> Iterator[float]:
-    """[s], as the robot said it."""
+    """Return the wall time [s] that the robot reported."""
     for pair in (pair for status in diagnostics.status for pair in status.values if pair.key == "wall_s"):
         with contextlib.suppress(ValueError):
             yield float(pair.value)
 
 
-def _by_step(cell: Cell, found: TopicSeries, last: int) -> Rows:
+def _by_step(cell: Cell, series: TopicSeries, last: int) -> Rows:
     """Of a repeated stamp the last, which is what counted when an exchange was iterated."""
-    step = np.rint(found.stamp / (cell.clock.period * 1e9)).astype(np.int64)
-    rows = np.flatnonzero((step >= 0) & (step <= last) & (cell.clock.stamp(step) == found.stamp))[::-1]
+    step = np.rint(series.stamp / (cell.clock.period * 1e9)).astype(np.int64)
+    rows = np.flatnonzero((step >= 0) & (step <= last) & (cell.clock.stamp(step) == series.stamp))[::-1]
     steps, latest = np.unique(step[rows], return_index=True)
-    return Rows(steps, found.values[rows[latest]])
+    return Rows(steps, series.values[rows[latest]])
 
 
 def _lost(cell: Cell, recorded: dict[str, Rows], last: int) -> int:
@@ -144,12 +144,12 @@ def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, rec
     model, whole = plant.arm_model(reference), plant.clock.steps(course.duration_ns) + 1
     count = np.flatnonzero(np.append(wrench.step, -1) != np.arange(len(wrench.step) + 1))[0]  # without a hole
     pushes = model.push(course, plant.clock.stamp(np.arange(whole)))
-    found = follow(model, pushes, wrench.values[: min(count, whole)])
-    known = there.step < len(found)
-    other = (found[there.step[known]].view(np.int64) != there.values[known].view(np.int64)).any(axis=1)
-    end = int(there.step[known][np.argmax(other)]) if other.any() else len(found)
+    computed = follow(model, pushes, wrench.values[: min(count, whole)])
+    known = there.step < len(computed)
+    other = (computed[there.step[known]].view(np.int64) != there.values[known].view(np.int64)).any(axis=1)
+    end = int(there.step[known][np.argmax(other)]) if other.any() else len(computed)
     later = there.step >= end
-    return Rows(np.append(np.arange(end), there.step[later]), np.append(found[:end], there.values[later], axis=0))
+    return Rows(np.append(np.arange(end), there.step[later]), np.append(computed[:end], there.values[later], axis=0))
 
 
 def _program(recording: Recording, cell: Cell) -> str | None:

@@ -1,238 +1,288 @@
-"""The compensator of a recording: its protocol, fed with the recorded pass, what it publishes compared."""
+"""The compensator of a recording: each state that it published, recomputed from the passes that the state names."""
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator
+import copy
+from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.samples import PoseSample, WrenchSample
+from kr270_milling.base.samples import CompensatorState, LearnedPass, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.protocols import compensator_protocol
+from kr270_milling.cell.jobs import compensator
 from kr270_milling.compensation.compensator import Compensator
 from kr270_milling.compensation.methods import METHODS
-from kr270_milling.compensation.protocol import CompensatorProtocol
-from kr270_milling.compensation.revision import KnotsError
-from kr270_milling.messages.codec import to_bytes, trajectory_from_bytes
-from kr270_milling.replay.compare import Channel, difference
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.compensation.revision import PassRecord
+from kr270_milling.exchange.compensator import ReceivedPass, end_of, joint_program
+from kr270_milling.messages.codec import from_bytes, trajectory_from_bytes
+from kr270_milling.messages.topics import TOPICS
+from kr270_milling.replay.compare import Channel
+from kr270_milling.replay.received import EarlierRecordings, MissingPass, PassCollector
+from kr270_milling.trajectory.trajectory import Trajectory, fingerprint
 
-__all__ = ["CompensatorFeed", "Report", "read_report"]
+__all__ = ["CompensatorFeed", "LastPass"]
 
-
-class Report(NamedTuple):
-    """What the compensator told of itself in /diagnostics."""
-
-    method: str
-    finished: bool
+(STATE_TYPE,) = (topic.type for topic in TOPICS if topic.record is CompensatorState)
 
 
-def read_report(values: dict[str, str]) -> Report | None:
-    """From the keys and values of a diagnostic status; None where it is not the compensator's."""
-    method, finished = values.get("method", ""), values.get("finished")
-    return Report(method, finished == "True") if method in METHODS and finished in ("True", "False") else None
+class StateMessage(NamedTuple):
+    data: bytes
+    state: CompensatorState | None  # None: the message cannot be read
+
+
+class ReferenceMessage(NamedTuple):
+    data: bytes
+    fingerprint: str | None  # None: the nodes refuse the message
+
+
+class Rebuilt(NamedTuple):
+    compensator: Compensator
+    state: CompensatorState
+
+
+class LastPass(NamedTuple):
+    """The last complete pass of a recording."""
+
+    received: ReceivedPass
+    number: int  #: in the file
+    state: CompensatorState | None  #: of the compensator when the pass began
+    reference: Trajectory  #: along which the pass ran
+    published: bytes | None  #: the next reference trajectory
 
 
 class CompensatorFeed:
-    """tool_pose and wrench of a pass in; the revised reference_trajectory and joint_trajectory compared.
+    """Collects states, references and passes; ``finish`` compares the states and references with recomputed ones.
 
-    The first reference in the recording is what was run. Whether an earlier pass made it is told by the reports:
-    the first in the file (``opening``) and the latest before the pass came to its end. The wrench that answers the
-    last pose may have come before the live revision or not in time: both revisions are tried.
+    A state names the passes that its reference follows from. They are in this recording or in the files that the
+    state names. The fingerprint decides whether it is the same pass.
     """
 
-    def __init__(self, cell: Cell, plant: Cell, channels: dict[str, Channel], stop, opening: Report | None):
-        self.protocol = compensator_protocol(cell, None if plant is cell else plant)
-        self.target = cell.target()
-        self.report: Report | None = None
-        self.on_pass: Callable[[CompensatorFeed, bytes | None], None] = lambda feed, published: None
-        self.revisions: list[CompensatorProtocol] = []  #: of a complete pass, the likely one first
-        self.known = False  #: whether the state is the node's, and not made up from reports
+    def __init__(
+        self, cells: tuple[Cell, Cell], channels: dict[str, Channel], place: tuple[Path, str],
+        stop: Callable[[int | None, str], None],
+    ):  # fmt: skip
+        self.cell, plant = cells
+        self._plant = None if plant is self.cell else plant
         self._channels = channels
         self._stop = stop
-        self._opening = opening or Report(cell.compensation.method, False)
-        self._published: list[bytes] = []  # references that were recorded and not compared yet
-        self._begun = False
-        self._without: CompensatorProtocol | None = None  # the protocol as if the last wrench did not come
-        self._undecided = False
+        target = self.cell.target()
+        self._targets = {fingerprint(target): target}
+        self._end_ns = end_of(self.cell, target)
+        self._collector = PassCollector(self.cell, self._end_ns)
+        self._place = place  # of the recording: file, namespace
+        self._earlier: dict[int, EarlierRecordings] = {}  # by the end stamp of a pass
+        self._states: list[StateMessage] = []
+        self._references: list[ReferenceMessage] = []
+        self._starts: list[tuple[int, int]] = []  # of each pass: states and references that came before it
+        self._start = (0, 0)
+        self._claimed: set[int] = set()  # passes of this file that a state names
+        self._records: dict[str, tuple[LearnedPass, PassRecord]] = {}  # by the stated fingerprint
+        self._made: dict[tuple, Compensator] = {}
 
-    @property
-    def method(self) -> str:
-        """The method that the node used, as it told, or that of the cell."""
-        return (self.report or self._opening).method
+    def target(self, target: Trajectory) -> None:
+        """Take a target of the user."""
+        self._targets[fingerprint(target)] = target
+        self._end_ns = end_of(self.cell, target)
+        self._collector.inbox.end_ns = self._end_ns
 
-    def _state(self, ran: Trajectory | None = None, finished: bool = False, method: str | None = None) -> Compensator:
-        """A compensator before any pass, or behind unknown passes that led to the reference ``ran``."""
-        state = self.protocol.models.compensator(self.target, method or self.method)
-        if ran is not None and not _same(state.reference, ran):
-            state.resume(ran, finished)
-        return state
+    def state(self, data: bytes) -> None:
+        """Take the next state of the compensator."""
+        try:
+            state = from_bytes(STATE_TYPE, data)
+        except ValueError:
+            state = None
+        self._states.append(StateMessage(data, state if state is not None and state.method in METHODS else None))
 
-    def begin(self, data: bytes) -> None:
-        """The reference that the first pass runs; where it stands in the file does not matter."""
-        run = trajectory_from_bytes(data, as_sent=True)
-        state = self._state(run)
-        self.known = state.reference is not run
-        self.protocol.resume(state)
-
-    @property
-    def lacks_passes(self) -> bool:
-        """Whether what is run, and what follows from it, comes from passes that are not in this recording."""
-        return not self.known and self.protocol.begun.repeats
-
-    def goes_on_from(self, before: CompensatorFeed | None) -> bool:
-        """Begin with the state behind an earlier recording, if it leads to what is run here, by this method."""
-        if before is None or not before.known:
-            return False
-        state, run = before.protocol, self.protocol.begun.reference
-        if not _same(state.begun.reference, run):
-            state.choose(self.method)
-        self.known = _same(state.begun.reference, run)
-        self.protocol = state if self.known else self.protocol
-        return self.known
-
-    def reference(self, data: bytes) -> None:
-        """The next recorded reference; the first is the one that is run."""
-        if not self._begun:
-            self._begun = True
-            self._compare_with(data, _first_that_gives(data, self._unrevised()))
-            return
-        self._published.append(data)
-        if self.revisions or not self.protocol.under_way:
-            self._compare()
-
-    def new_target(self, target: Trajectory) -> None:
-        """A target of the user."""
-        self.target = target
-        self.known = False
+    def reference(self, data: bytes, run: Trajectory | None) -> None:
+        """Take the next reference trajectory; run: None where the nodes refuse the message."""
+        self._references.append(ReferenceMessage(data, None if run is None else fingerprint(run)))
 
     def sample(self, sample: PoseSample | WrenchSample) -> None:
-        """The next tool_pose or wrench, one that can be used."""
-        if isinstance(sample, PoseSample) and sample.stamp == 0 and (self.protocol.stamp_ns > 0 or self.revisions):
-            self._compare()
-        protocol = self.protocol
-        if sample.stamp >= protocol.end_ns and protocol.under_way and self._without is None:
-            if not self.known:
-                self._restore()
-            self._without = protocol.twin()
-        if isinstance(sample, PoseSample) and self._without is not None:
-            self._without.pose(sample)
-        try:
-            revised = protocol.pose(sample) if isinstance(sample, PoseSample) else protocol.wrench(sample)
-        except MillingError as error:
-            self._without = None
-            self._undecided = False
-            self._refused(error)
-            return
-        if revised:
-            self._revised([protocol])
+        """Take the next tool_pose or wrench that was checked."""
+        passes = len(self._collector.passes)
+        self._collector.sample(sample)
+        if len(self._collector.passes) > passes:
+            self._starts.append(self._start)
+        if isinstance(sample, PoseSample) and sample.stamp == 0:
+            self._start = len(self._states), len(self._usable())
+
+    def _usable(self) -> list[ReferenceMessage]:
+        return [reference for reference in self._references if reference.fingerprint is not None]
+
+    # --- comparison ---
 
     def finish(self) -> None:
-        """No more will come."""
-        if self._published or self.protocol.at_end or self.revisions:
-            self._compare()
+        """Compare what was recorded."""
+        self._close()
+        rebuilt = [self._compare_state(index) for index in range(len(self._states))]
+        self._compare_references(rebuilt)
 
-    def revised_by(self, method: str) -> Compensator:
-        """What another method makes of the complete pass."""
-        before, ran = self.revisions[0].last_pass
-        state = self._state(before.reference, before.finished, method)
-        state.revise(ran)
-        return state
+    def _close(self) -> None:
+        passes = len(self._collector.passes)
+        self._collector.finish()
+        if len(self._collector.passes) > passes:
+            self._starts.append(self._start)
 
-    def _revised(self, revisions: list[CompensatorProtocol]) -> None:
-        """The pass is complete: with what the live node may go on."""
-        without, self._without = self._without, None
-        undecided, self._undecided = self._undecided, False
+    def _compare_state(self, index: int) -> Rebuilt | None:
+        data, state = self._states[index]
+        channel = self._channels["compensator_state"]
+        if state is None:
+            channel.recorded(0, data, refused=True)
+            return None
         try:
-            if without is not None and without.finish():
-                revisions = [*revisions, without]
+            rebuilt = self._rebuild(state, index)
         except MillingError as error:
-            self._refused(error)
-        if not revisions:
-            return
-        self.revisions = [] if undecided else revisions
-        if self._published:
-            self._compare()
-
-    def _refused(self, error: MillingError) -> None:
-        """No revision is possible: the live node told so, and published none. But with other knots than the target's
-        this is not the reference, or not the target, that the live node had."""
-        if isinstance(error, KnotsError):
-            self._stop(self.protocol.end_ns, str(error))
-
-    def _restore(self) -> None:
-        """The state in which the node was before this pass ended, as far as the file tells."""
-        protocol, finished = self.protocol, self.report is not None and self.report.finished
-        reference = protocol.begun.reference
-        protocol.compensator = state = self._state(reference, finished)
-        if state.reference is reference and state.repeats and not finished:
-            reason = "neither this recording nor one beside it holds the passes before this one"
-            self._stop(protocol.end_ns, f"{reason}, from which {self.method} goes on")
-            self._undecided = True
-
-    def _compare(self) -> None:
-        """The recorded references with those that follow from the pass before, if one is complete.
-
-        Where the recording has a hole in the pass, another reference is no difference: the live node may have had all.
-        """
-        published, self._published = self._published, []
-        if self.protocol.at_end and not self.revisions:  # the last wrench is not in the file
-            self._revised([])
-        if self.revisions:
-            try:
-                self.on_pass(self, published[0] if published else None)
-            except MillingError as error:  # another method was asked, which cannot revise this pass
-                self._stop(self.protocol.end_ns, str(error))
-        for data in published:
-            found = _first_that_gives(data, self._candidates())
-            differs = found is None and any(not r.missing + r.missing_wrenches for r in self.revisions)
-            found = self.revisions[0] if differs else found
-            self.known = found is not None
-            self.protocol = found or self.protocol
-            self._compare_with(data, found)
-            if found is None or differs:  # what is run next is what was sent, whatever led to it
-                sent = trajectory_from_bytes(data, as_sent=True)
-                state = self.protocol.begun if self.known else self._state(sent)
-                state.reference = sent
-                self.protocol.resume(state)
-        self.revisions = []
-
-    def _compare_with(self, data: bytes, found: CompensatorProtocol | None) -> None:
-        """A recorded reference, and the joint positions that belong to it, with those of a protocol."""
-        channel = self._channels["reference_trajectory"]
-        if found is None:
+            self._stop(None, str(error))
             channel.take(data)
+            return None
+        number, stamp = self._when(index)
+        channel.expected(stamp, rebuilt.state, number=number)
+        channel.recorded(stamp, data, number=number)
+        return rebuilt
+
+    def _when(self, index: int) -> tuple[int, int]:
+        """Return number and end stamp of the pass before a state; it sorts the first differences of the topics."""
+        first, state = self._states[0].state, self._states[index].state
+        if index == 0 or first is None or state is None or state.passes <= first.passes:
+            return 0, 0
+        return state.passes - first.passes - 1, self._end_ns
+
+    def _compare_references(self, rebuilt: list[Rebuilt | None]) -> None:
+        """Compare each reference with that of its state, and each joint trajectory with its reference."""
+        channel, joints = self._channels["reference_trajectory"], self._channels.get("joint_trajectory")
+        pairs = self._pairs()
+        for number, (data, known) in enumerate(self._references):
+            if known is None:
+                channel.recorded(0, data, refused=True)
+                continue
+            index = pairs.get(number)
+            made = None if index is None else rebuilt[index]
+            if index is not None and made is not None:
+                when, stamp = self._when(index)
+                channel.expected(stamp, made.compensator.reference, number=when)
+                channel.recorded(stamp, data, number=when)
+            else:
+                channel.take(data)
+                if index is None and number > 0:
+                    self._stop(None, "a reference trajectory was published without its compensator_state")
+            if joints is not None:
+                joints.expected(0, joint_program(self.cell, trajectory_from_bytes(data, as_sent=True)))
+        for index, made in enumerate(rebuilt[:-1]):  # a recorder may stop between the last state and its reference
+            if made is not None and index not in pairs.values():
+                when, stamp = self._when(index)
+                channel.expected(stamp, made.compensator.reference, number=when)
+
+    def _pairs(self) -> dict[int, int]:
+        """Return the state of each reference: by the fingerprint in the state, else in their order."""
+        left = [index for index, message in enumerate(self._states) if message.state is not None]
+        pairs = {}
+        for number, reference in enumerate(self._references):
+            for index in left:
+                stated = self._states[index].state
+                if stated is not None and reference.fingerprint == stated.reference:
+                    pairs[number] = index
+                    left.remove(index)
+                    break
+        others = [n for n, r in enumerate(self._references) if r.fingerprint is not None and n not in pairs]
+        return pairs | dict(zip(others, left, strict=False))
+
+    # --- recompute of a state ---
+
+    def _rebuild(self, stated: CompensatorState, index: int) -> Rebuilt:
+        """Return the compensator that follows from the stated passes; raises MillingError where one is missing."""
+        target = self._targets.get(stated.target)
+        if target is None:
+            raise MissingPass("", f"the target trajectory {stated.target} of the compensator is not in the recording")
+        before = {one.fingerprint for _, state in self._states[:index] if state for one in state.learned}
+        here = [index > 0 and one.fingerprint not in before for one in stated.learned]
+        passes = [self._learned(one, new) for one, new in zip(stated.learned, here, strict=True)]
+        made = self._revised(target, stated.method, [record for _, record in passes])
+        state = CompensatorState(
+            stated.name, made.method, stated.passes, made.finished, fingerprint(target), fingerprint(made.reference),
+            tuple(one for one, _ in passes),
+        )  # fmt: skip
+        return Rebuilt(made, state)
+
+    def _revised(self, target: Trajectory, method: str, records: list[PassRecord]) -> Compensator:
+        key: tuple = (method, id(target))
+        made = self._made.setdefault(key, compensator(self.cell, target, method))
+        for record in records:
+            key += (id(record),)
+            if key not in self._made:
+                made = copy.copy(made)
+                made.revise(record)
+                self._made[key] = made
+            made = self._made[key]
+        return made
+
+    def _learned(self, stated: LearnedPass, new: bool) -> tuple[LearnedPass, PassRecord]:
+        """Return a pass as this recording or an earlier one has it; new: no state before this one names the pass."""
+        if stated.fingerprint not in self._records:
+            received, plant, number = self._received(stated, new)
+            record = received.record(self.cell, plant, number)
+            self._records[stated.fingerprint] = received.as_learned(stated.recording), record
+        return self._records[stated.fingerprint]
+
+    def _received(self, stated: LearnedPass, new: bool) -> tuple[ReceivedPass, Cell | None, int]:
+        path, _ = self._place
+        if not new and stated.recording != f"{path.parent.name}/{path.name}":
+            earlier = self._earlier.setdefault(self._end_ns, EarlierRecordings(*self._place, self._end_ns))
+            return earlier.find(stated)
+        passes = {
+            number: received.until_wrench(stated.wrenches)
+            for number, received in enumerate(self._collector.passes)
+            if number not in self._claimed
+        }
+        same = (number for number, received in passes.items() if received.fingerprint == stated.fingerprint)
+        number = next(same, next(iter(passes), None))
+        if number is None:
+            raise MissingPass(stated.recording, "the reference trajectory follows from a pass that was not recorded")
+        self._claimed.add(number)
+        received = passes[number]
+        there = received.pose_ns.size, received.wrench_ns.size
+        if there != (stated.poses, stated.wrenches):
+            reason = (
+                f"the compensator received {stated.poses} poses and {stated.wrenches} wrenches of a pass, of which "
+            )
+            raise MissingPass(stated.recording, reason + "the recording has {} and {}".format(*there))
+        return received, self._plant, number
+
+    # --- the last pass, for another revision ---
+
+    def last_pass(self) -> LastPass | None:
+        """Return the last complete pass; None where the recording has none."""
+        self._close()
+        usable = self._usable()
+        if not self._collector.passes or not usable:
+            return None
+        number = len(self._collector.passes) - 1
+        received, (states, references) = self._collector.passes[number], self._starts[number]
+        for _, state in self._states:
+            for one in () if state is None else state.learned:
+                known = received.until_wrench(one.wrenches)
+                received = known if known.fingerprint == one.fingerprint else received
+        in_force = self._states[max(states, 1) - 1].state if self._states else None
+        ran, *later = usable[max(references, 1) - 1 :]
+        reference = trajectory_from_bytes(ran.data, as_sent=True)
+        return LastPass(received, number, in_force, reference, later[0].data if later else None)
+
+    def revise(self, last: LastPass, method: str | None = None) -> tuple[Compensator, Trajectory]:
+        """Return the compensator after the last pass, and its target. Raises MillingError.
+
+        method: default the recorded one. Another method starts from the reference of the pass.
+        """
+        state = last.state
+        target = self._targets.get(state.target) if state is not None else list(self._targets.values())[-1]
+        if target is None:
+            raise MissingPass("", "the target trajectory of the compensator is not in the recording")
+        if state is not None and method in (None, state.method):
+            made = copy.copy(self._rebuild(state, 0).compensator)
         else:
-            channel.expected(0, found.begun.reference)
-            channel.recorded(0, data)
-        self.revisions = []
-        if "joint_trajectory" in self._channels:
-            program = self.protocol.joint_program(trajectory_from_bytes(data, as_sent=True))
-            self._channels["joint_trajectory"].expected(0, program)
-
-    def _candidates(self) -> Iterator[CompensatorProtocol]:
-        """States that the node may be in now, the likely one first."""
-        yield from self.revisions
-        yield from self._unrevised()
-        if self.known and not self.revisions and self.protocol.begun.first is not None:
-            for method in METHODS:
-                other = self.protocol.twin()
-                with contextlib.suppress(MillingError):
-                    other.choose(method)
-                    yield other
-
-    def _unrevised(self) -> Iterator[CompensatorProtocol]:
-        """After a new target or a reset."""
-        fresh = self.protocol.twin()
-        fresh.resume(self._state())
-        yield fresh
-
-
-def _first_that_gives(data: bytes, protocols: Iterator[CompensatorProtocol]) -> CompensatorProtocol | None:
-    """The first protocol whose reference has the bits of a recorded one."""
-    return next((one for one in protocols if difference(one.begun.reference, data) is None), None)
-
-
-def _same(one: Trajectory, other: Trajectory) -> bool:
-    return difference(one, to_bytes(other)) is None
+            made = compensator(self.cell, target, method)
+            if fingerprint(last.reference) != fingerprint(target):
+                if method is None and made.repeats:
+                    raise MissingPass("", f"{made.method} needs the passes before this one, and no state names them")
+                made.resume(last.reference, state is not None and state.finished)
+        made.revise(last.received.record(self.cell, self._plant, last.number))
+        return made, target

@@ -12,11 +12,13 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.task import Future
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.units import SECOND
 from kr270_milling.messages.codec import to_bytes
+from kr270_milling.messages.topics import published_by
 from kr270_milling.ros import topics
 from kr270_milling.ros.polling import is_polled
 from kr270_milling.ros.rclpy_private import RobustLifecycleNode
@@ -106,6 +108,7 @@ class Reporting(Ending, Node):
     def start_reporting(self) -> None:
         self.refused = 0  #: messages and requests that could not be used
         self.sent: dict[str, int] = {}  #: stamp of the last message of each output [ns]
+        self.outlets: dict[str, Publisher] = {}  #: by the names of their topics
         self.stamp_ns = 0  #: time of the pass, for messages without a stamp
         self._level, self.message = OK, "starting"
         self._values: dict[str, object] = {}
@@ -126,9 +129,9 @@ class Reporting(Ending, Node):
         """Subscribe to the serialised messages of a topic."""
         return self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=True)
 
-    def open_outlets(self, *names: str) -> None:
-        """Create the publishers of a protocol's outputs, by their names in the protocol."""
-        self.outlets = {name: self.create_publisher(*topics.BY_NAME[name]) for name in names}
+    def open_outlets(self, node: str) -> None:
+        """Create the publishers that the table of topics has for a node, by the names of the topics."""
+        self.outlets = {topic.name: self.create_publisher(*topics.BY_NAME[topic.key]) for topic in published_by(node)}
 
     def send(self, outputs) -> None:
         """Publish the outputs of a protocol."""

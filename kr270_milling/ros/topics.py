@@ -1,17 +1,15 @@
-"""The topics of the graph: name, message type, quality of service. Names are relative."""
+"""The table of topics as ROS needs it: ``topics.TOOL_POSE`` has message class, name and quality of service."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from nav_msgs.msg import OccupancyGrid, Path
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import JointState
-from std_msgs.msg import String
-from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+
+from kr270_milling.messages.topics import TOPICS
+from kr270_milling.ros.names import message_class
+
+__all__ = ["BY_NAME", "LATCHED", "LOOP", "Topic"]
 
 #: the loop of one exchange: lockstep, one message in flight; the publisher's history is so long that a recorder which
 #: was stopped for two seconds can still request the messages that it missed
@@ -33,25 +31,13 @@ class Topic(NamedTuple):
     qos: QoSProfile
 
 
-TARGET_TRAJECTORY = Topic(MultiDOFJointTrajectory, "target_trajectory", LATCHED)
-REFERENCE_TRAJECTORY = Topic(MultiDOFJointTrajectory, "reference_trajectory", LATCHED)
-JOINT_TRAJECTORY = Topic(JointTrajectory, "joint_trajectory", LATCHED)
-TARGET_PATH = Topic(Path, "target_path", LATCHED)
-REFERENCE_PATH = Topic(Path, "reference_path", LATCHED)
-TOOL_POSE = Topic(PoseStamped, "tool_pose", LOOP)
-WRENCH = Topic(WrenchStamped, "wrench", LOOP)
-DEFLECTION = Topic(TwistStamped, "deflection", LOOP)
-JOINT_STATES = Topic(JointState, "joint_states", LOOP)
-WORKPIECE = Topic(OccupancyGrid, "workpiece", LATCHED)
-ROBOT_DESCRIPTION = Topic(String, "robot_description", LATCHED)
-DIAGNOSTICS = Topic(DiagnosticArray, "/diagnostics", LOOP)
-CLOCK = Topic(Clock, "clock", LOOP)  # of the robot's namespace: two robots have two times
+#: name without slash -> topic
+BY_NAME = {t.key: Topic(message_class(t.type), t.name, LATCHED if t.latched else LOOP) for t in TOPICS}
 
-#: the topics of the protocols' outputs, by the names that these have for them
-BY_NAME = {
-    topic.name: topic
-    for topic in (
-        TOOL_POSE, WRENCH, DEFLECTION, JOINT_STATES, CLOCK, WORKPIECE, ROBOT_DESCRIPTION, REFERENCE_TRAJECTORY,
-        JOINT_TRAJECTORY, TARGET_PATH, REFERENCE_PATH,
-    )
-}  # fmt: skip
+
+def __getattr__(name: str) -> Topic:
+    """Return a topic by its name in capitals."""
+    try:
+        return BY_NAME[name.lower()]
+    except KeyError:
+        raise AttributeError(f"the table of topics has no {name.lower()}") from None

@@ -14,7 +14,7 @@ __all__ = ["Clock", "Exchange", "Publish"]
 
 @dataclass(frozen=True, eq=False)
 class Exchange(Record):
-    """YAML ``exchange``: how often robot and cutting process tell each other pose and wrench."""
+    """YAML ``exchange``: how often robot and cutting process exchange pose and wrench."""
 
     period: float = parameter(0.5e-3, unit="ms", above=0.0, high=20.0, text="exchange period H")
     micro_step: float = parameter(np.radians(1.0), unit="deg", low=0.01, high=15.0, text="spindle angle a micro-step")
@@ -37,7 +37,7 @@ class Exchange(Record):
 
 @dataclass(frozen=True, eq=False)
 class Publish(Record):
-    """YAML ``publish``: what comes less often than every exchange; pose and wrench, from which all follows, do not."""
+    """YAML ``publish``: topics that are published less often than every exchange, unlike pose and wrench."""
 
     every: int = parameter(
         0, low=0, high=1_000_000,

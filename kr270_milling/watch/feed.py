@@ -8,13 +8,14 @@ import numpy as np
 
 from kr270_milling.messages.cdr import stamp_of
 from kr270_milling.messages.codec import deserialise, pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.messages.topics import TOPICS
 from kr270_milling.simulation.scores import path_deviation
 from kr270_milling.trajectory.trajectory import Trajectory
 
 __all__ = ["INPUTS", "PERIOD_NS", "Feed"]
 
 #: topics of the feed, without their namespace
-INPUTS = ("target_trajectory", "reference_trajectory", "tool_pose", "wrench", "diagnostics")
+INPUTS = tuple(topic.key for topic in TOPICS if topic.page)
 PERIOD_NS = 33_333_333  #: of the pass between two samples
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 

@@ -12,11 +12,12 @@ from scipy.signal import lsim, lti
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
+from kr270_milling.exchange.cut import CutProtocol
+from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.simulation.arm_model import arm_model
 from kr270_milling.simulation.dynamics import advance, discretise, modes
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.simulation.milling_pass import CompliantArm
-from kr270_milling.simulation.sides import CuttingSide, RobotSide
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory
 
 STIFFNESS, MASS, ZETA = 1.395e6, 790.4, 0.18  # [N/m], [kg]: the paper's arm across the feed
@@ -189,13 +190,18 @@ def test_correction():
 @check("two sides of the exchange against the compiled pass", "self-consistent: bit for bit", "m, N")
 def test_sides():
     cell = read_cell(find_file("paper.yaml"), (SHORT,))
-    target, compiled = cell.target(), simulate(cell).result
-    robot, cutting = RobotSide(cell.arm_model(target), cell.clock, target), CuttingSide(cell.cut(), cell.clock)
-    worst = 0.0
+    compiled, robot, cut, worst = simulate(cell).result, RobotProtocol(cell, 1), CutProtocol(cell), 0.0
+    robot.reference = cell.target()
+    cut.configure()
+    ((_, pose),) = robot.start()
     for n in range(robot.steps + 1):
-        tool = robot.tool.copy()
-        wrench = cutting.answer(robot.awaited_ns, tool)
-        deflection = robot.answer(robot.awaited_ns, wrench)
-        gaps = (tool - compiled.tool[n], wrench - compiled.wrench[n], deflection - compiled.deflection[n])
+        ((_, answer),) = cut.pose(pose)
+        outputs = dict(robot.wrench(answer))
+        gaps = (
+            pose.position - compiled.tool[n],
+            answer.wrench - compiled.wrench[n],
+            outputs["deflection"].twist - compiled.deflection[n],
+        )
         worst = max(worst, *(np.abs(gap).max() for gap in gaps))
+        pose = outputs.get("tool_pose")
     return 0.0, worst, 0.0

@@ -211,7 +211,7 @@ def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_
     stamps = short_cell.clock.stamp(np.arange(3))
     for stamp, tool in zip(stamps.tolist(), short_cell.target().sample(stamps), strict=True):
         publishers[0].publish(pose_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
-        world.until(lambda at=stamp: cut.stamp_ns == at and cut.protocol.side.step >= 0)
+        world.until(lambda at=stamp: cut.stamp_ns == at and cut.protocol.step >= 0)
     world.step(0.3)
     assert not told.reported("/cutting_process", "a second robot")
     world.partner("second").create_publisher(*topics.TOOL_POSE)

@@ -10,13 +10,15 @@ from same_bits import same_bits
 
 pytest.importorskip("rclpy")
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
 from ros_messages import from_msg
 
-from kr270_milling.base.samples import PoseSample, TwistSample, WrenchSample
-from kr270_milling.messages.codec import pose_from_bytes, to_bytes, trajectory_from_bytes, wrench_from_bytes
-from kr270_milling.simulation.protocol import MessageError, checked_pose, checked_wrench, in_workpiece_axes
+from kr270_milling.base.errors import MessageError
+from kr270_milling.base.samples import CompensatorState, LearnedPass, PoseSample, TwistSample, WrenchSample
+from kr270_milling.exchange.inputs import checked_pose, checked_wrench, in_workpiece_axes
+from kr270_milling.messages.codec import from_bytes, pose_from_bytes, to_bytes, trajectory_from_bytes, wrench_from_bytes
 from kr270_milling.trajectory.trajectory import Trajectory, TrajectoryError
 
 STAMPS = st.integers(0, 2**31 * 10**9 - 1)
@@ -112,3 +114,16 @@ def test_trajectory_comes_back_and_one_of_something_else_is_refused():
     bad = data.replace(np.float64(1e-3).tobytes(), np.float64(np.nan).tobytes())
     with pytest.raises(TrajectoryError):
         trajectory_from_bytes(bad)
+
+
+def test_the_state_of_the_compensator_comes_back_and_rclpy_reads_it():
+    learned = (LearnedPass("original/original.mcap", "ab" * 32, 121, 120), LearnedPass("", "cd" * 32, 3, 0))
+    state = CompensatorState("/left/trajectory_compensator", "learned", 2, True, "01234567", "89abcdef", learned)
+    data = to_bytes(state)
+    again = from_bytes("diagnostic_msgs/msg/DiagnosticStatus", data)
+    assert vars(again) == vars(state)
+    read = deserialize_message(data, DiagnosticStatus)
+    assert (read.level, read.name) == (DiagnosticStatus.OK, state.name)
+    assert {pair.key: pair.value for pair in read.values}["learned_1.recording"] == "original/original.mcap"
+    with pytest.raises(ValueError, match="state of a compensator"):
+        from_bytes("diagnostic_msgs/msg/DiagnosticStatus", data.replace(b"finished", b"finishes"))

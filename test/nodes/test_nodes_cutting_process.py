@@ -9,9 +9,11 @@ pytest.importorskip("rclpy")
 import ros_messages as messages
 from std_srvs.srv import Trigger
 
+from kr270_milling.base.frames import WORKPIECE
+from kr270_milling.base.samples import PoseSample
+from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.nodes.cutting_process import CuttingProcess
 from kr270_milling.ros import topics
-from kr270_milling.simulation.sides import CuttingSide
 
 OK, WARN, ERROR = 0, 1, 2
 NAME = "/cutting_process"
@@ -65,20 +67,22 @@ def robot(world, short_cell, cut):
 
 
 def test_every_pose_is_answered_with_the_wrench_of_the_plain_cut(robot, short_cell):
-    plain = CuttingSide(short_cell.cut(), short_cell.clock)
+    plain = CutProtocol(short_cell)
+    plain.configure()
     for step, stamp in enumerate(robot.stamps):
         answered, wrench = robot.exchange(step)
         assert answered == stamp
-        assert np.array_equal(wrench, plain.answer(stamp, robot.course[step]))
+        ((_, expected),) = plain.pose(PoseSample(stamp, WORKPIECE, robot.course[step], robot.turn[step]))
+        assert np.array_equal(wrench, expected.wrench)
     assert np.abs(wrench).max() > 0.0
 
 
 def test_repeated_pose_gets_the_same_answer_and_cuts_nothing(robot, cut):
     for step in range(len(robot.stamps)):
         first = robot.exchange(step)[1]
-        removed = cut.protocol.side.cut.removed_volume
+        removed = cut.protocol.removed_volume
         assert np.array_equal(robot.exchange(step)[1], first)
-        assert cut.protocol.side.cut.removed_volume == removed
+        assert cut.protocol.removed_volume == removed
 
 
 def test_stamp_going_backwards_is_refused_and_the_pass_goes_on(world, robot):
@@ -166,7 +170,7 @@ def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, robot, cut
     depth = cut.cell.stock.max[2] - cut.cell.stock.min[2]
     # the map rounds a cell's share to a percent of the stock's height: half a percent of each touched cell
     touched = np.count_nonzero(cells) * maps[2].info.resolution ** 2
-    assert abs(cells.sum() * depth - cut.protocol.side.cut.removed_volume) <= 0.005 * touched * depth + 1e-15
+    assert abs(cells.sum() * depth - cut.protocol.removed_volume) <= 0.005 * touched * depth + 1e-15
 
 
 def test_request_before_configure_is_answered_with_a_sentence(world, short_cell, tmp_path):

@@ -202,7 +202,7 @@ def out_of_reach(monkeypatch) -> None:
     def refuse(cell, reference):
         raise ReachError(3.0, (0.5, 2.5))
 
-    monkeypatch.setattr("kr270_milling.cell.protocols.commanded_joints", refuse)
+    monkeypatch.setattr("kr270_milling.exchange.compensator.commanded_joints", refuse)
 
 
 def test_reset_and_method_that_are_refused_are_answered_with_the_sentence(machine, node, monkeypatch):

@@ -11,23 +11,29 @@ import pass_recording as made
 import pytest
 from pass_recording import STEPS, flip, force_offset
 
+from kr270_milling import __version__
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import ConfigError, MillingError, RecordingError
 from kr270_milling.base.samples import Text
-from kr270_milling.cell.protocols import cut_protocol, robot_protocol
+from kr270_milling.cli import main
+from kr270_milling.exchange.cut import CutProtocol
+from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.messages.codec import to_bytes
 from kr270_milling.replay.compensate import compensate
 from kr270_milling.replay.recompute import recompute
+from kr270_milling.replay.recorded import pass_from_recording
 
 pytestmark = made.needs_messages
+LATCHED = ("compensator_state", "reference_trajectory", "joint_trajectory")
 
 
 def test_a_recorded_exchange_is_recomputed_to_the_last_bit_on_every_channel(tmp_path):
     found = recompute(made.write(tmp_path / "r", made.one_pass()))
     assert found.verdict == "identical" and found.first is None and not found.stops
+    both = {"/compensator_state": 2, "/reference_trajectory": 2, "/joint_trajectory": 2}
     counts = {topic: c.compared for topic, c in found.channels.items()}
     assert counts == {"/tool_pose": STEPS, "/wrench": STEPS, "/deflection": STEPS, "/joint_states": STEPS,
-                      "/reference_trajectory": 2, "/joint_trajectory": 2, "/workpiece": 1}  # fmt: skip
+                      "/workpiece": 1} | both  # fmt: skip
     assert all(c.waiting == c.missing == c.given == 0 for c in found.channels.values())
 
 
@@ -67,7 +73,7 @@ def test_a_changed_map_of_the_workpiece_is_found(tmp_path):
 
 
 def described(text: str) -> list:
-    ((_, record),) = robot_protocol(made.cell_of()).describe()
+    ((_, record),) = RobotProtocol(made.cell_of()).describe()
     return [made.Message("robot_description", to_bytes(Text(text) if text else record), 0)]
 
 
@@ -85,7 +91,7 @@ def test_a_changed_description_is_found_but_not_in_a_recording_of_another_versio
 
 def fresh_map() -> list[made.Message]:
     """What the cut publishes when it is configured, before every pass."""
-    return made.messages(cut_protocol(made.cell_of()).configure())
+    return made.messages(CutProtocol(made.cell_of()).configure())
 
 
 def test_a_map_that_is_latched_from_the_pass_before_is_not_compared_with_this_one(tmp_path):
@@ -111,7 +117,9 @@ def test_a_missing_input_stops_the_recompute_at_its_stamp(tmp_path, topic, who):
     messages = made.changed(made.one_pass(), topic, 40, lambda data: None)
     found = recompute(made.write(tmp_path / "r", messages))
     assert found.verdict == "incomplete" and found.first is None
-    assert [(s.stamp_ns, f"the {who} of this time" in s.reason) for s in found.stops] == [(40 * 500_000, True)]
+    first, *others = found.stops
+    assert first.stamp_ns == 40 * 500_000 and f"the {who} of this time" in first.reason
+    assert ["the compensator received 121 poses and 121 wrenches" in str(stop) for stop in others] == [True]
     output = "/deflection" if topic == "wrench" else "/wrench"
     assert found.channels[output].compared == 40
 
@@ -161,8 +169,8 @@ def test_outputs_of_either_pass_are_missed(tmp_path, number):
 
 
 def test_a_recording_without_any_exchange_is_not_called_identical(tmp_path):
-    found = recompute(made.write(tmp_path / "r", made.one_pass()[:1]))
-    assert found.compared == 1 and found.verdict == "incomplete"
+    found = recompute(made.write(tmp_path / "r", made.one_pass()[: made.LATCHED_FIRST]))
+    assert found.compared == 3 and found.verdict == "incomplete"
     assert "no pass is in the recording" in str(found.stops[0])
 
 
@@ -174,8 +182,22 @@ def test_a_recorder_that_was_stopped_in_mid_pass_has_lost_nothing(tmp_path, end)
 
 @pytest.mark.parametrize("end", range(200, 212))
 def test_a_pass_that_broke_off_and_was_started_again_has_lost_nothing(tmp_path, end):
-    found = recompute(made.write(tmp_path / "r", [*made.one_pass()[:end], *made.one_pass()[2:]]))
+    found = recompute(made.write(tmp_path / "r", [*made.one_pass()[:end], *made.one_pass()[made.LATCHED_FIRST :]]))
     assert found.verdict == "identical", found.stops
+
+
+@pytest.mark.parametrize("version", ["0.1.0", "0.2.0", "0.4.1", "1.3.0"])
+def test_a_recording_of_another_version_is_left_to_that_version(tmp_path, monkeypatch, version, capsys):
+    monkeypatch.setattr("kr270_milling.bag.writer.__version__", version)
+    bag = made.write(tmp_path / "r", made.one_pass())
+    assert main(["replay", str(bag), "--recompute"]) == 2
+    assert f"recorded by {version}; recompute it with that version" in capsys.readouterr().err
+    assert pass_from_recording(bag).complete
+
+
+def test_a_recording_of_another_patch_of_this_version_is_recomputed(tmp_path, monkeypatch):
+    monkeypatch.setattr("kr270_milling.bag.writer.__version__", __version__.rpartition(".")[0] + ".99")
+    assert recompute(made.write(tmp_path / "r", made.one_pass())).verdict == "identical"
 
 
 @pytest.mark.parametrize("job", [recompute, compensate])
@@ -191,10 +213,10 @@ def test_a_flipped_bit_in_the_first_chunk_is_one_sentence(tmp_path, job):
 
 
 def test_a_pass_that_began_before_the_recording_is_not_guessed(tmp_path):
-    messages = [m for m in made.one_pass() if m.stamp > 5_000_000 or "trajectory" in m.topic]
+    messages = [m for m in made.one_pass() if m.stamp > 5_000_000 or m.topic in LATCHED]
     found = recompute(made.write(tmp_path / "r", messages))
     assert found.verdict == "incomplete"
-    assert all("middle of a pass" in s.reason for s in found.stops) and len(found.stops) == 2
+    assert sum("middle of a pass" in s.reason for s in found.stops) == 2
 
 
 def test_a_repeated_pose_and_its_repeated_answer_are_a_retry(tmp_path):
@@ -233,9 +255,10 @@ def test_a_recording_that_was_cut_off_is_compared_up_to_its_end(tmp_path):
     assert 0 < found.channels["/wrench"].compared < STEPS
 
 
-def test_messages_of_other_topics_may_come_before_their_causes(tmp_path):
+@pytest.mark.parametrize("index", [0, 1], ids=["state", "reference"])
+def test_messages_of_other_topics_may_come_before_their_causes(tmp_path, index):
     messages = list(made.one_pass())
-    late = messages.pop(0)  # a recorder that heard the latched reference after the pass had begun
+    late = messages.pop(index)  # a recorder that received a latched message after the pass had begun
     messages.insert(30, late)
     assert recompute(made.write(tmp_path / "r", messages)).verdict == "identical"
 
@@ -272,7 +295,7 @@ def test_a_recording_of_something_else_is_refused(tmp_path):
 @pytest.mark.parametrize("seed", range(30))
 def test_messages_with_any_content_end_in_a_verdict_or_a_sentence(tmp_path, seed):
     random = np.random.default_rng(seed)
-    messages = list(made.one_pass()[:60]) + [m for m in made.one_pass()[60:] if "trajectory" in m.topic]
+    messages = list(made.one_pass()[:60]) + [m for m in made.one_pass()[60:] if m.topic in LATCHED]
     for _ in range(3):
         at = int(random.integers(len(messages)))
         data = bytearray(messages[at].data)

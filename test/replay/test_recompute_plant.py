@@ -31,12 +31,11 @@ def plant(tmp_path_factory):
 @pytest.fixture(scope="module")
 def recordings(plant, tmp_path_factory):
     """One recording a pass, as ``run --plant`` makes them."""
-    folder, messages = tmp_path_factory.mktemp("plant"), made.one_pass("learned", 1, len(PASSES), plant=plant)
-    starts = [i for i, m in enumerate(messages) if m.topic == "reference_trajectory"]
-    for number, name in enumerate(PASSES):
+    folder = tmp_path_factory.mktemp("plant")
+    for number, (name, messages) in enumerate(zip(PASSES, made.files_of("learned", PASSES, plant), strict=True)):
         of_pass = plant.replace(imperfections=plant.imperfections.replace(first_pass=number))
         attached = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(of_pass)}
-        made.write(folder / name, messages[starts[number] : starts[number + 1] + 2], attachments=attached)
+        made.write(folder / name, messages, attachments=attached)
     return folder
 
 
@@ -45,7 +44,7 @@ def test_every_pass_is_identical_when_recomputed(recordings, name):
     found = recompute(recordings / name)
     assert found.verdict == "identical", (found.first, found.stops)
     assert found.channels["/tool_pose"].compared == made.STEPS
-    assert found.channels["/reference_trajectory"].compared == 1 + (name == "original")
+    assert found.channels["/reference_trajectory"].compared == 2
 
 
 def test_the_passes_are_those_of_the_plain_loop(recordings, plant):
@@ -63,7 +62,7 @@ def test_the_passes_are_those_of_the_plain_loop(recordings, plant):
 def test_the_random_numbers_of_another_pass_are_a_difference(recordings, plant, tmp_path):
     attached = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(plant)}
     later = plant.replace(imperfections=plant.imperfections.replace(first_pass=1))
-    messages = made.one_pass("learned", 1, 1, plant=later)
+    (messages,) = made.files_of("learned", ("r",), later)
     assert recompute(made.write(tmp_path / "r", messages, attachments=attached)).verdict == "different"
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 
 import pass_recording as made
 import pytest
 
 from kr270_milling.bag.reader import Recording
 from kr270_milling.base.errors import ConfigError, RecordingError
-from kr270_milling.base.parameter_file import find_file
 from kr270_milling.replay.attached import cell_of
 
 pytestmark = made.needs_messages
@@ -70,16 +68,3 @@ def test_merged_keys_that_double_with_every_line_are_refused_at_once(tmp_path):
 
 def test_an_attachment_with_an_endless_name_is_left_alone(tmp_path):
     assert cell_in(tmp_path / "r", cell__yaml=made.cell_text(), **{"n" * 3000: ""}).path.length == pytest.approx(4e-3)
-
-
-@pytest.mark.parametrize("library, expected", [("0.1.0", False), ("0.2.0", True)])
-def test_a_cell_that_does_not_know_a_term_is_computed_as_its_version_did(tmp_path, monkeypatch, library, expected):
-    whole = Path(find_file("paper.yaml")).read_text()
-    new = ("reference_inertia", "moments")
-    silent = "".join(line for line in whole.splitlines(True) if not any(key in line for key in new))
-    monkeypatch.setattr("kr270_milling.bag.writer.__version__", library)
-    cell = cell_in(tmp_path / "a", cell__yaml=silent)
-    assert cell.dynamics.reference_inertia is expected and cell.cutting.moments is expected
-    assert cell.cutting.chip_angle == ("previous_centre" if expected else "nominal")
-    said = silent.replace("gravity: true", "gravity: true\n      reference_inertia: true")
-    assert cell_in(tmp_path / "b", cell__yaml=said).dynamics.reference_inertia

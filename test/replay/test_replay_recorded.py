@@ -44,7 +44,7 @@ def test_a_recording_with_its_end_and_a_hole_before_is_not_complete(tmp_path):
 
 def test_a_reference_that_nobody_can_mean_is_refused(tmp_path):
     reference = Trajectory([0, 2 * 10**18], [[0, 0, 0], [1e-3, 0, 0]], [[1, 0, 0, 0]] * 2)
-    messages = [made.Message("reference_trajectory", to_bytes(reference), 0), *made.one_pass()[1:]]
+    messages = [made.Message("reference_trajectory", to_bytes(reference), 0), *made.one_pass()[made.LATCHED_FIRST :]]
     with pytest.raises(RecordingError, match="its reference trajectory takes 2e"):
         pass_from_recording(made.write(tmp_path / "r", messages))
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from kr270_milling.messages.definitions import store_of
 from kr270_milling.messages.scene import OUTPUTS
-from kr270_milling.replay.robots import TYPES
+from kr270_milling.replay.inputs import TYPES
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 KNOWN = (

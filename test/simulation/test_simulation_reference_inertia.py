@@ -15,7 +15,6 @@ from kr270_milling.simulation.arm_model import arm_model
 from kr270_milling.simulation.dynamics import approach, modes, push, reference_motion
 from kr270_milling.simulation.exchange import Clock
 from kr270_milling.simulation.milling_pass import CompliantArm
-from kr270_milling.simulation.sides import CuttingSide, RobotSide
 from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory
 
 RANDOM = np.random.default_rng(11)
@@ -254,23 +253,6 @@ def test_a_correction_that_sets_out_at_once_is_a_corner_in_the_programmed_motion
 
 def cell(*assignments):
     return read_cell(find_file("paper.yaml"), ("path.length_mm=14.4", *assignments))
-
-
-@pytest.mark.parametrize("options", [(), ("dynamics.follow_pose=true",), ("exchange.iterations=2",)])
-def test_the_sides_of_the_exchange_equal_the_compiled_pass_bit_for_bit(options):
-    moving = cell("dynamics.reference_inertia=true", *options)
-    target = moving.target()
-    bent = target.with_position(target.position + along_y(RANDOM.normal(size=len(target)) * 2e-5))
-    compiled = simulate(moving, bent).result
-    robot = RobotSide(moving.arm_model(bent), moving.clock, bent, moving.exchange.iterations)
-    cutting, n = CuttingSide(moving.cut(), moving.clock), 0
-    while not robot.done:
-        wrench = cutting.answer(robot.awaited_ns, robot.tool)
-        deflection = robot.answer(robot.awaited_ns, wrench)
-        if deflection is not None:
-            np.testing.assert_array_equal(deflection, compiled.deflection[n])
-            n += 1
-    assert n == len(compiled.time)
 
 
 def test_the_paper_has_eq_1_as_printed_and_every_other_cell_the_moving_reference():

@@ -1,0 +1,259 @@
+"""Protocol of the compensator: poses and wrenches of a pass in, revised trajectory out."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import MessageError
+from kr270_milling.base.frames import JOINT_NAMES
+from kr270_milling.base.samples import CompensatorState, JointProgram, LearnedPass, PoseSample, WrenchSample
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import commanded_joints, compensator, pass_record
+from kr270_milling.compensation.compensator import Compensator
+from kr270_milling.compensation.revision import PassRecord
+from kr270_milling.exchange.inputs import Output, checked_pose, checked_wrench, in_workpiece_axes
+from kr270_milling.trajectory.trajectory import Trajectory, fingerprint
+
+__all__ = ["CompensatorProtocol", "PassInbox", "ReceivedPass", "end_of", "joint_program"]
+
+
+@dataclass(frozen=True, eq=False)
+class ReceivedPass:
+    """Poses and wrenches of one pass in workpiece axes; a repeated stamp keeps its last message."""
+
+    pose_ns: np.ndarray  #: stamps [ns], (n,), ascending
+    position: np.ndarray  #: tool centre [m], (n, 3)
+    wrench_ns: np.ndarray  #: stamps [ns], (m,), ascending
+    wrench: np.ndarray  #: [N, N m], (m, 6)
+
+    @property
+    def fingerprint(self) -> str:
+        """SHA-256 of all arrays, hexadecimal."""
+        arrays = (self.pose_ns, self.position, self.wrench_ns, self.wrench)
+        return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()
+
+    @property
+    def missing(self) -> int:
+        """Number of poses that are missing, where poses come at one period."""
+        return _missing(self.pose_ns)
+
+    def until_wrench(self, count: int) -> ReceivedPass:
+        """Return the pass with its first ``count`` wrenches only."""
+        return ReceivedPass(self.pose_ns, self.position, self.wrench_ns[:count], self.wrench[:count])
+
+    def as_learned(self, recording: str) -> LearnedPass:
+        """Return what the compensator publishes of a pass; recording: its file."""
+        return LearnedPass(recording, self.fingerprint, self.pose_ns.size, self.wrench_ns.size)
+
+    def record(self, cell: Cell, plant: Cell | None, number: int) -> PassRecord:
+        """Return the record for a revision: wrenches interpolated to the stamps of the poses, 0 where none came.
+
+        plant: the simulated plant; the noise of its tracker in pass ``number`` is added to the poses.
+        """
+        wrench = np.zeros((self.pose_ns.size, 6))
+        if self.wrench_ns.size:
+            wrench = np.column_stack([np.interp(self.pose_ns, self.wrench_ns, axis) for axis in self.wrench.T])
+        tracker = None if plant is None else plant.imperfections
+        return pass_record(cell, self.pose_ns, self.position, wrench, tracker, number)
+
+
+class PassInbox:
+    """Collects poses and wrenches of one pass that ends at the stamp ``end_ns``.
+
+    A pass is complete when pose and wrench have reached the end, each as often as the exchange is iterated.
+    """
+
+    def __init__(self, end_ns: int, iterations: int):
+        self.end_ns = end_ns
+        self._iterations = iterations
+        self.clear()
+
+    def clear(self, wrenches: dict[int, WrenchSample] | None = None) -> None:
+        """Await the next pass; wrenches: those of this pass that came before its first pose."""
+        self._poses: dict[int, PoseSample] = {}  # by their stamps, ascending
+        self._wrenches: dict[int, WrenchSample] = dict(wrenches or {})
+        self._early: dict[int, WrenchSample] = {}
+        self._ignored = 0
+        self._last_poses = self._last_wrenches = self._iterations
+
+    @property
+    def started(self) -> bool:
+        """Whether a pose of the pass was received."""
+        return bool(self._poses)
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the pass lacks nothing but its last wrench."""
+        return self.started and self._last_poses <= 0
+
+    @property
+    def complete(self) -> bool:
+        """Whether all messages of the pass have come."""
+        return self.at_end and self._last_wrenches <= 0
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the last pose that counts."""
+        return next(reversed(self._poses), 0)
+
+    @property
+    def ignored(self) -> int:
+        """Number of poses of a pass whose start was not received."""
+        return 0 if self._poses else self._ignored
+
+    @property
+    def has_wrench(self) -> bool:
+        """Whether a wrench of the pass was received."""
+        return bool(self._wrenches)
+
+    def pose(self, sample: PoseSample) -> None:
+        """Take a pose that was checked."""
+        if sample.stamp == 0 and list(self._poses) != [0]:  # a later start begins another pass
+            self.clear(self._early)
+        last = next(reversed(self._poses), -1)
+        if sample.stamp != last and (sample.stamp < last or last >= self.end_ns or (last < 0 < sample.stamp)):
+            self._ignored += 1  # older than the last one, after the end, or before the start
+            return
+        self._poses[sample.stamp] = sample  # repeated where the exchange is iterated, or the robot asked again
+        self._last_poses -= sample.stamp >= self.end_ns
+
+    def wrench(self, sample: WrenchSample) -> None:
+        """Take a wrench that was checked."""
+        if sample.stamp == 0 and list(self._poses) != [0]:
+            self._early = {0: sample}  # it may overtake the pose that it answers
+        elif self._poses:
+            self._wrenches[sample.stamp] = sample
+            self._last_wrenches -= sample.stamp >= self.end_ns
+
+    def received(self) -> ReceivedPass:
+        """Return what has come; the wrenches of a tool frame are turned by the pose before them."""
+        stamps, poses = np.array(list(self._poses), np.int64), list(self._poses.values())
+        times = np.array(sorted(self._wrenches), np.int64)
+        nearest = np.maximum(np.searchsorted(stamps, times, side="right") - 1, 0).tolist()
+        samples = [self._wrenches[stamp] for stamp in times.tolist()]
+        turned = [in_workpiece_axes(s, poses[k].quaternion) for s, k in zip(samples, nearest, strict=True)]
+        position = np.array([pose.position for pose in poses], float).reshape(-1, 3)
+        return ReceivedPass(stamps, position, times, np.array(turned, float).reshape(-1, 6))
+
+
+class CompensatorProtocol:
+    """tool_pose and wrench in; compensator_state, reference_trajectory and joint_trajectory out.
+
+    plant: the cell that is simulated in the place of a real one, with its tracker; name: of the node.
+    ``finish`` completes a pass without its last wrench. A refused message leaves the state unchanged.
+    """
+
+    def __init__(self, cell: Cell, plant: Cell | None = None, name: str = "trajectory_compensator"):
+        self.cell = cell
+        self.plant = plant
+        self.name = name
+        self.recording = ""  #: file that the passes are recorded to, as the recorder publishes it
+        self.compensator: Compensator | None = None
+        self.passes = 0  #: completed passes
+        self.missing = 0  #: poses that the last completed pass lacks
+        self.inbox = PassInbox(0, cell.exchange.iterations)
+        self._learned: tuple[LearnedPass, ...] = ()  # the passes that the reference follows from
+        self._first: tuple[LearnedPass, ...] = ()  # the pass along the target
+
+    @property
+    def active(self) -> Compensator:
+        """The compensator; raises MessageError before there is a target."""
+        if self.compensator is None:
+            raise MessageError("there is no target trajectory yet")
+        return self.compensator
+
+    @property
+    def under_way(self) -> bool:
+        """Whether the start of a pass was received and its end is not revised yet."""
+        return self.compensator is not None and self.inbox.started
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the pass lacks nothing but its last wrench."""
+        return self.under_way and self.inbox.at_end
+
+    def begin(self, target: Trajectory) -> list[Output]:
+        """Continue along another target; raises MillingError where it is refused."""
+        outputs = self._continue(compensator(self.cell, target), ())
+        self._first = ()
+        return outputs
+
+    def choose(self, method: str) -> list[Output]:
+        """Choose another method; it starts from the pass along the target if there was one."""
+        made = copy.copy(self.active)  # a refused choice leaves the present one unchanged
+        made.choose(method)
+        return self._continue(made, self._first)
+
+    def reset(self) -> list[Output]:
+        """Return to the target itself."""
+        made = copy.copy(self.active)
+        made.reset()
+        return self._continue(made, ())
+
+    def pose(self, sample: PoseSample) -> list[Output]:
+        """Take a pose; raises MessageError, and the errors of a revision."""
+        checked_pose(sample)
+        if self.compensator is None:
+            return []
+        self.inbox.pose(sample)
+        return self._revise() if self.inbox.complete else []
+
+    def wrench(self, sample: WrenchSample) -> list[Output]:
+        """Take a wrench; raises MessageError, and the errors of a revision."""
+        checked_wrench(sample)
+        if self.compensator is None:
+            return []
+        self.inbox.wrench(sample)
+        return self._revise() if self.inbox.complete else []
+
+    def finish(self) -> list[Output]:
+        """Revise without the last wrench if the pass lacks nothing else."""
+        return self._revise() if self.at_end else []
+
+    def _revise(self) -> list[Output]:
+        received = self.inbox.received()
+        number = self.passes
+        self.passes += 1
+        self.missing = received.missing
+        self.inbox.clear()  # the pass is over, also if its revision fails
+        made = copy.copy(self.active)
+        first = made.reference is made.target and not made.errors
+        made.revise(received.record(self.cell, self.plant, number))
+        learned = received.as_learned(self.recording)
+        outputs = self._continue(made, (*self._learned, learned))
+        if first:
+            self._first = (learned,)
+        return outputs
+
+    def _continue(self, made: Compensator, learned: tuple[LearnedPass, ...]) -> list[Output]:
+        """Return the outputs of a new state; an error comes before anything has changed."""
+        program = joint_program(self.cell, made.reference)
+        self.compensator, self._learned = made, learned
+        self.inbox = PassInbox(end_of(self.cell, made.reference), self.cell.exchange.iterations)
+        state = CompensatorState(
+            self.name, made.method, self.passes, made.finished, fingerprint(made.target), fingerprint(made.reference),
+            learned,
+        )  # fmt: skip
+        return [("compensator_state", state), ("reference_trajectory", made.reference), ("joint_trajectory", program)]
+
+
+def end_of(cell: Cell, reference: Trajectory) -> int:
+    """Return the stamp [ns] of the last exchange of a pass along a reference."""
+    return int(cell.clock.stamp(cell.clock.steps(reference.duration_ns)))
+
+
+def joint_program(cell: Cell, reference: Trajectory) -> JointProgram:
+    """Return what a joint controller runs for a reference; raises MillingError where that is not possible."""
+    return JointProgram("base_link", JOINT_NAMES, reference.time_ns, commanded_joints(cell, reference))
+
+
+def _missing(stamps: np.ndarray) -> int:
+    """Number of messages that are missing in a pass, where they come at one period."""
+    if stamps.size < 2:
+        return 0
+    steps = np.diff(stamps) / np.median(np.diff(stamps))
+    return int(np.sum(np.rint(steps) - 1)) if np.max(np.abs(steps - np.rint(steps))) < 0.25 else 0

@@ -1,0 +1,115 @@
+"""Protocol of the cutting process: it answers each tool pose with the mean wrench of the path to this pose.
+
+The node hands its messages to this object, and a recompute the recorded ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.frames import WORKPIECE
+from kr270_milling.base.samples import PoseSample, StockMap, WrenchSample
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cutting import Cut
+from kr270_milling.exchange.inputs import ExchangeError, Output, checked_pose
+
+__all__ = ["CutProtocol", "NoWorkpiece"]
+
+MAP_STEP = 0.2e-3  # [m], of the published workpiece map
+
+
+class NoWorkpiece(MillingError):
+    """The cutting process is not configured."""
+
+    def __init__(self):
+        super().__init__("no workpiece yet: configure first")
+
+
+class CutProtocol:
+    """tool_pose in; wrench and workpiece out. A pass needs a fresh workpiece: ``configure``."""
+
+    def __init__(self, cell: Cell):
+        self.cell = cell
+        self.cut: Cut | None = None  #: the tool on the workpiece
+        self.step = -1  #: last exchange that was answered; -1 before the first one
+        self.stamp_ns = 0  #: of the last answer
+        self.end_ns = 0  #: of the reference trajectory; 0 where it is not known
+        self._clock = cell.clock
+
+    def configure(self) -> list[Output]:
+        """Create a fresh workpiece and return its map, so that late subscribers do not see the previous part."""
+        self.cut = self.cell.cut()
+        self.cut.touch()
+        self.step, self.stamp_ns = -1, 0
+        self._before = self._tool = np.zeros(3)  # tool centre of the previous exchange, and of the last one
+        self._wrench = np.zeros(6)
+        return self.workpiece()
+
+    def release(self) -> None:
+        """Drop the workpiece."""
+        self.cut, self.step = None, -1
+
+    @property
+    def under_way(self) -> bool:
+        """Whether a pass was started and has not reached the end of the reference trajectory."""
+        return self.step >= 0 and self.stamp_ns < self.end_ns
+
+    @property
+    def at_end(self) -> bool:
+        """Whether the pass has reached the end of the reference trajectory."""
+        return self.step > 0 and not self.under_way
+
+    @property
+    def removed_volume(self) -> float | None:
+        """[m^3]; None without a workpiece."""
+        return None if self.cut is None else float(self.cut.removed_volume)
+
+    def pose(self, sample: PoseSample) -> list[Output]:
+        """Answer a tool_pose. A repeated one gets the same answer.
+
+        Raises MessageError, ExchangeError or NoWorkpiece where the pose is refused.
+        """
+        checked_pose(sample)
+        if self.cut is None:
+            raise NoWorkpiece
+        self._answer(self.cut, sample.stamp, sample.position)
+        self.stamp_ns = sample.stamp
+        return [("wrench", WrenchSample(sample.stamp, WORKPIECE, self._wrench))]
+
+    def _answer(self, cut: Cut, stamp_ns: int, tool: np.ndarray) -> None:
+        """Update the wrench. Raises ExchangeError for a stamp that is neither the next nor the last one."""
+        step = self._clock.step(stamp_ns)
+        if step == 0 and self.step <= 0:
+            self.step, self._tool, self._wrench = 0, np.array(tool), np.zeros(6)
+        elif step == 0:
+            raise ExchangeError(stamp_ns, "a new pass needs a fresh workpiece: configure the cutting process again")
+        elif self.step < 0:
+            raise ExchangeError(stamp_ns, "the pass is under way, but this cutting process has not seen its start")
+        elif step == self.step + 1:
+            self._sweep(cut, step, self._tool, tool)
+        elif step == self.step:
+            if not np.array_equal(tool, self._tool):  # the exchange is iterated
+                cut.restore()
+                self._sweep(cut, step, self._before, tool)
+        else:
+            relation = "is older than" if 0 <= step < self.step else "does not follow"
+            last = self._clock.stamp(self.step) * 1e-9
+            raise ExchangeError(stamp_ns, f"{relation} the last one, {last:.6f} s")
+
+    def _sweep(self, cut: Cut, step: int, start: np.ndarray, end: np.ndarray) -> None:
+        n = self._clock.micro_steps
+        self._wrench = cut.sweep(start, end, (step - 1) * n, n)
+        self.step, self._before, self._tool = step, start, np.array(end)
+
+    def workpiece(self) -> list[Output]:
+        """Return the map of the part after the last answer; raises NoWorkpiece."""
+        if self.cut is None:
+            raise NoWorkpiece
+        stock = self.cell.stock
+        thinning = max(1, round(MAP_STEP / stock.grid_step))
+        _, _, surface = self.cut.heights(thinning=thinning)
+        removed = (stock.max[2] - surface) / (stock.max[2] - stock.min[2])
+        left = np.rint(100 * (1 - removed)).astype(np.int8)
+        resolution = float(np.float32(thinning * stock.grid_step))  # the message has 32 bits for it
+        return [("workpiece", StockMap(self.stamp_ns, WORKPIECE, resolution, stock.min, left))]

@@ -1,0 +1,144 @@
+"""Protocol of the compliant robot: it predicts the tool pose, receives a wrench, corrects.
+
+The robot node hands its messages to this object, and a recompute the recorded ones.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kr270_milling.base.frames import JOINT_NAMES, WORKPIECE
+from kr270_milling.base.samples import ClockSample, JointSample, PoseSample, Text, TwistSample, WrenchSample
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.plant import imperfect_course
+from kr270_milling.exchange.inputs import ExchangeError, Output, checked_wrench, in_workpiece_axes
+from kr270_milling.robot.urdf import urdf
+from kr270_milling.simulation.milling_pass import CompliantArm
+from kr270_milling.trajectory.trajectory import Trajectory
+
+__all__ = ["RobotProtocol"]
+
+CLOCK_PERIOD = 0.01  # [s] of the pass, at least, from one clock message to the next
+
+
+class RobotProtocol:
+    """Reference trajectory and wrench in; tool_pose, deflection, joint_states and clock out.
+
+    deflection_every: exchange periods from one deflection to the next; default: as ``publish.every`` states.
+    """
+
+    def __init__(self, cell: Cell, deflection_every: int | None = None):
+        self.cell = cell
+        self.reference: Trajectory | None = None  #: of the next pass
+        self.passes = 0  #: completed passes
+        self.started = False  #: a pass runs, or has run to its end
+        self.done = False  #: the pass has run to its end
+        self.steps = 0  #: exchange periods of the pass
+        self.awaited_ns = 0  #: stamp of the next wrench
+        self.correction = 0.0  #: [m], largest distance between corrected and predicted tool centre in this pass
+        self._iterations = cell.exchange.iterations
+        self._deflection_every = deflection_every or cell.thinned_steps
+        self._joints_every = cell.thinned_steps
+        self._clock_every = cell.steps_of(CLOCK_PERIOD)
+
+    def describe(self) -> list[Output]:
+        """Return the URDF for viewers."""
+        cell = self.cell
+        return [("robot_description", Text(urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose)))]
+
+    def start(self) -> list[Output]:
+        """Begin a pass along ``reference``. Raises ExchangeError where there is none."""
+        cell, reference = self.cell, self.reference
+        if reference is None:
+            raise ExchangeError(0, "a pass needs a reference trajectory")
+        course = imperfect_course(cell, reference, self.passes)
+        model = cell.arm_model(reference)
+        self.steps = cell.clock.steps(course.duration_ns)
+        stamps = cell.clock.stamp(np.arange(self.steps + 1))
+        self._stamps: list[int] = stamps.tolist()  # a list gives an item in a tenth of the time of an array
+        self._unloaded = course.sample(stamps)  # [m], (steps + 1, 3)
+        self._orientation = course.sample_orientation(stamps)  # (steps + 1, 4)
+        self._joints = cell.joints_along(reference, stamps[:: self._joints_every])  # the encoders are at the motors
+        self._arm = CompliantArm(model, model.push(course, stamps))
+        self._tool = self._unloaded[0]  # predicted tool centre [m], (3,)
+        self._step = 0  # whose wrench is awaited
+        self._iteration = 0
+        self._asked = 0  # tool poses published since the last wrench
+        self._stale = 0  # wrenches to come that answer a repeated tool pose
+        self.awaited_ns = 0
+        self.correction = 0.0
+        self.started, self.done = True, False
+        return [self._question()]
+
+    def stop(self) -> None:
+        """End the pass."""
+        self.started = self.done = False
+
+    @property
+    def large_correction(self) -> bool:
+        """Whether the largest correction exceeds its limit, a share of the feed per tooth."""
+        if not self.started or self.reference is None:
+            return False
+        feed = float(np.max(self.reference.feed(self.reference.time_ns)))
+        tooth_rate = self.cell.tool.spindle_speed / (2 * math.pi) * self.cell.tool.teeth
+        return self.correction > self.cell.exchange.warn_correction * feed / tooth_rate
+
+    def repeat(self) -> list[Output]:
+        """Return the last tool_pose again; only one of its answers will be used."""
+        return [self._question()]
+
+    def wrench(self, sample: WrenchSample) -> list[Output]:
+        """Take an answer. An answer with another stamp than the awaited one is ignored; raises MessageError."""
+        if not self.started or self.done:
+            return []
+        checked_wrench(sample)
+        if sample.stamp != self.awaited_ns:
+            return []
+        if self._stale:
+            self._stale -= 1
+            return []
+        self._stale, self._asked = self._asked - 1, 0
+        wrench = in_workpiece_axes(sample, self._orientation[self._step])
+        if self._step > 0 and self._iteration + 1 < self._iterations:
+            self._iteration += 1
+            self._tool = self._unloaded[self._step] + self._arm.predict(wrench)[:3]
+            return [self._question()]
+        step, deflection = self._step, self._correct(wrench)
+        self._step, self._iteration = step + 1, 0
+        if step == self.steps:
+            self.done = True
+            self.passes += 1
+            return self._state(step, sample.stamp, deflection)
+        self._stale = 0
+        self.awaited_ns = self._stamps[self._step]
+        self._tool = self._unloaded[self._step] + self._arm.predict()[:3]
+        # the tool pose comes first, so that the cut works while the other messages are published
+        return [self._question(), *self._state(step, sample.stamp, deflection)]
+
+    def _correct(self, wrench: np.ndarray) -> np.ndarray:
+        """Return the deflection (6,) at the end of the period; the pass starts at rest, without load."""
+        if self._step == 0:
+            return np.zeros(6)
+        deflection = self._arm.correct(wrench)
+        x, y, z = (self._unloaded[self._step] + deflection[:3] - self._tool).tolist()
+        self.correction = max(self.correction, math.sqrt(x * x + y * y + z * z))
+        return deflection
+
+    def _question(self) -> Output:
+        if not self.started:
+            raise ExchangeError(0, "no pass was started")
+        self._asked += 1
+        return "tool_pose", PoseSample(self.awaited_ns, WORKPIECE, self._tool, self._orientation[self._step])
+
+    def _state(self, step: int, stamp_ns: int, deflection: np.ndarray) -> list[Output]:
+        outputs: list[Output] = []
+        if step % self._deflection_every == 0:
+            outputs.append(("deflection", TwistSample(stamp_ns, WORKPIECE, deflection)))
+        if step % self._joints_every == 0:
+            joints = self._joints[step // self._joints_every]
+            outputs.append(("joint_states", JointSample(stamp_ns, JOINT_NAMES, joints)))
+        if step % self._clock_every == 0:
+            outputs.append(("clock", ClockSample(stamp_ns)))
+        return outputs

@@ -1,0 +1,252 @@
+"""The protocols of robot and cut: records in, records out, against the compiled pass."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+from kr270_milling.base.errors import MessageError
+from kr270_milling.base.record import find_file
+from kr270_milling.base.samples import PoseSample, WrenchSample
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.exchange.cut import CutProtocol, NoWorkpiece
+from kr270_milling.exchange.inputs import ExchangeError
+from kr270_milling.exchange.robot import RobotProtocol
+
+H = 500_000  # [ns], exchange period
+DOWN = np.array([1.0, 0.0, 0.0, 0.0])
+IN_METAL = "path.start_mm=[-5, 0]"  # the cut begins with the first exchange
+
+
+@functools.cache
+def cell_with(*assignments):
+    return read_cell(find_file("paper.yaml"), ("path.length_mm=14.4", *assignments))
+
+
+def protocols(cell):
+    robot, cut = RobotProtocol(cell, deflection_every=1), CutProtocol(cell)
+    robot.reference = cell.target()
+    cut.configure()
+    return robot, cut
+
+
+def iterated(cell, iterations: int):
+    return cell.replace(exchange=cell.exchange.replace(iterations=iterations))
+
+
+def records(outputs, topic: str) -> list:
+    return [record for name, record in outputs if name == topic]
+
+
+def column(outputs, topic: str, field: str) -> np.ndarray:
+    return np.array([getattr(record, field) for record in records(outputs, topic)])
+
+
+def run(robot, cut, disturb=lambda robot, cut, pose: [], steps: float = np.inf) -> list:
+    """All outputs of a pass, or of its first steps; disturb: what else happens at a pose, and what that gives."""
+    outputs = robot.start()
+    found = list(outputs)
+    while (poses := records(outputs, "tool_pose")) and poses[-1].stamp <= steps * H:
+        outputs = disturb(robot, cut, poses[-1])
+        answers = [cut.pose(pose) for pose in (poses[-1], *records(outputs, "tool_pose"))]
+        outputs = [output for ((_, wrench),) in answers for output in robot.wrench(wrench)]
+        found += [answers[0][0], *outputs]
+    return found
+
+
+def started(steps: int = 3):
+    """Robot and cut after some steps of a pass in metal, the outputs so far, and the next pose."""
+    robot, cut = protocols(cell_with(IN_METAL))
+    outputs = run(robot, cut, steps=steps)
+    *before, following = records(outputs, "tool_pose")
+    return robot, cut, before, records(outputs, "wrench"), following
+
+
+@pytest.mark.parametrize("options", [
+    (), ("exchange.iterations=2",), ("exchange.iterations=3",), ("exchange.period_ms=0.0208333333333333",),
+    ("dynamics.follow_pose=true",), ("dynamics.reference_inertia=true", "dynamics.follow_pose=true"),
+    ("tool.runout_um=[0, 5, -5, 2]",),
+])  # fmt: skip
+def test_the_protocols_give_the_compiled_pass_bit_for_bit(options):
+    cell = cell_with(*options)
+    robot, cut = protocols(cell)
+    outputs, expected = run(robot, cut), simulate(cell).result
+    np.testing.assert_array_equal(column(outputs, "deflection", "twist"), expected.deflection)
+    np.testing.assert_array_equal(column(outputs, "deflection", "stamp"), expected.time_ns)
+    for topic, field, series in (("tool_pose", "position", expected.tool), ("wrench", "wrench", expected.wrench)):
+        last = {record.stamp: getattr(record, field) for record in records(outputs, topic)}  # of the iterated ones
+        np.testing.assert_array_equal(list(last.values()), series)
+    assert column(outputs, "joint_states", "stamp").tolist() == expected.time_ns[:: cell.thinned_steps].tolist()
+    assert column(outputs, "clock", "stamp").tolist() == expected.time_ns[:: cell.steps_of(0.01)].tolist()
+    assert robot.correction == expected.correction.max() and cut.cut.removed_area == expected.removed_area
+    assert robot.done and robot.passes == 1 and robot.wrench(WrenchSample(robot.awaited_ns, "workpiece", DOWN)) == []
+    iterations = cell.exchange.iterations
+    stamps = column(outputs, "tool_pose", "stamp").tolist()
+    assert stamps[: 1 + iterations] == [0] + iterations * [stamps[1]] and len(stamps) == 1 + iterations * robot.steps
+
+
+@pytest.mark.parametrize("options", [(), ("dynamics.follow_pose=true",), ("exchange.iterations=2",)])
+def test_the_protocols_follow_a_bent_reference_that_moves_the_arm_bit_for_bit(options):
+    cell = cell_with("dynamics.reference_inertia=true", *options)
+    target = cell.target()
+    shift = np.zeros((len(target), 3))
+    shift[:, 1] = np.random.default_rng(5).normal(size=len(target)) * 2e-5
+    robot, cut = protocols(cell)
+    robot.reference = target.with_position(target.position + shift)
+    outputs, expected = run(robot, cut), simulate(cell, robot.reference).result
+    np.testing.assert_array_equal(column(outputs, "deflection", "twist"), expected.deflection)
+
+
+def test_the_pass_starts_at_rest_without_load(short_cell):
+    outputs = run(*protocols(short_cell), steps=0)
+    assert not column(outputs, "wrench", "wrench")[0].any() and not column(outputs, "deflection", "twist")[0].any()
+    np.testing.assert_array_equal(outputs[0][1].position, short_cell.target().position[0])
+
+
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_a_question_that_is_asked_twice_changes_nothing(short_cell, iterations):
+    """Its second answer must not count as that of the next iteration."""
+    cell = iterated(short_cell, iterations)
+
+    def ask_again(robot, cut, pose):
+        return robot.repeat() if pose.stamp in (0, H, 40 * H) else []
+
+    disturbed, plain = run(*protocols(cell), ask_again), run(*protocols(cell))
+    np.testing.assert_array_equal(column(disturbed, "deflection", "twist"), column(plain, "deflection", "twist"))
+
+
+def test_a_robot_refuses_what_it_cannot_use_and_continues(short_cell):
+    def disturb(robot, cut, pose):
+        for values, frame in ((np.full(6, np.nan), "workpiece"), (np.ones(6), "base_link")):
+            with pytest.raises(MessageError):
+                robot.wrench(WrenchSample(pose.stamp, frame, values))
+        for stamp in (pose.stamp + 1, pose.stamp - H, pose.stamp + H):
+            assert robot.wrench(WrenchSample(stamp, "workpiece", np.ones(6))) == []
+        return []
+
+    disturbed, plain = run(*protocols(short_cell), disturb), run(*protocols(short_cell))
+    np.testing.assert_array_equal(column(disturbed, "deflection", "twist"), column(plain, "deflection", "twist"))
+
+
+def test_a_cut_refuses_what_it_cannot_use_and_continues(short_cell):
+    def disturb(robot, cut, pose):
+        at, turn = pose.position, pose.quaternion
+        for bad in (("tool0", at, turn), ("workpiece", at * np.nan, turn), ("workpiece", at, 2 * turn)):
+            with pytest.raises(MessageError):
+                cut.pose(PoseSample(pose.stamp, *bad))
+        return []
+
+    disturbed, plain = run(*protocols(short_cell), disturb), run(*protocols(short_cell))
+    np.testing.assert_array_equal(column(disturbed, "wrench", "wrench"), column(plain, "wrench", "wrench"))
+
+
+def test_a_robot_without_a_reference_or_a_pass_does_not_ask(short_cell):
+    robot = RobotProtocol(short_cell)
+    for ask in (robot.start, robot.repeat):
+        with pytest.raises(ExchangeError):
+            ask()
+    assert robot.wrench(WrenchSample(0, "workpiece", np.zeros(6))) == [] and not robot.large_correction
+
+
+def test_a_repeated_pose_gets_the_same_wrench_and_cuts_nothing():
+    _, cut, poses, wrenches, _ = started()
+    area = cut.cut.removed_area
+    for _ in range(3):
+        ((_, again),) = cut.pose(poses[-1])
+        np.testing.assert_array_equal(again.wrench, wrenches[-1].wrench)
+    assert cut.cut.removed_area == area and again.wrench.any()
+
+
+def test_another_pose_at_the_same_stamp_is_swept_from_the_exchange_before():
+    """As in an iterated exchange: first elsewhere, then here, is the same as here at once."""
+    _, cut, poses, wrenches, following = started()
+    elsewhere = poses[-1]._replace(position=poses[-1].position + [3e-5, 2e-5, 0.0])
+    assert np.any(cut.pose(elsewhere)[0][1].wrench != wrenches[-1].wrench)
+    np.testing.assert_array_equal(cut.pose(poses[-1])[0][1].wrench, wrenches[-1].wrench)
+    _, untouched, *_ = started()
+    np.testing.assert_array_equal(cut.pose(following)[0][1].wrench, untouched.pose(following)[0][1].wrench)
+
+
+@pytest.mark.parametrize(
+    ("jump", "reason"), [(2, "does not follow"), (100, "does not follow"), (-1, "is older"), (0.3, "does not follow")]
+)
+def test_gaps_and_backward_stamps_are_refused_and_change_nothing(jump, reason):
+    _, cut, poses, _, following = started()
+    area, stamp = cut.cut.removed_area, poses[-1].stamp + round(jump * H)
+    with pytest.raises(ExchangeError, match=reason) as caught:
+        cut.pose(following._replace(stamp=stamp))
+    assert caught.value.stamp_ns == stamp and cut.cut.removed_area == area
+    cut.pose(following)  # the pass continues
+
+
+@pytest.mark.parametrize("stamp", [-H, 3, H])
+def test_a_cut_that_has_not_seen_the_start_refuses_the_pass(stamp):
+    _, fresh = protocols(cell_with())
+    with pytest.raises(ExchangeError, match="has not seen its start"):
+        fresh.pose(PoseSample(stamp, "workpiece", np.zeros(3), DOWN))
+
+
+def test_a_second_pass_needs_a_fresh_workpiece():
+    _, cut, poses, *_ = started()
+    with pytest.raises(ExchangeError, match="fresh workpiece"):
+        cut.pose(poses[0])
+
+
+def test_the_start_may_be_repeated_from_elsewhere_until_the_pass_is_under_way():
+    robot, cut = protocols(cell_with())
+    ((_, pose),) = robot.start()
+    for position in (pose.position + 1e-3, pose.position):
+        assert not cut.pose(pose._replace(position=position))[0][1].wrench.any()
+    np.testing.assert_array_equal(cut.pose(pose._replace(stamp=H))[0][1].wrench, np.zeros(6))
+
+
+def test_what_a_caller_does_to_its_arrays_afterwards_does_not_matter():
+    def spoil(robot, cut, pose):
+        tool = pose.position.copy()
+        cut.pose(pose._replace(position=tool))
+        tool[:] = np.nan
+        return []
+
+    cell = cell_with(IN_METAL)
+    spoilt, plain = run(*protocols(cell), spoil, 6), run(*protocols(cell), steps=6)
+    np.testing.assert_array_equal(column(spoilt, "tool_pose", "position"), column(plain, "tool_pose", "position"))
+    robot, cut, _, _, following = started()
+    ((_, answer),) = cut.pose(following)
+    wrench = answer.wrench.copy()
+    outputs = robot.wrench(answer._replace(wrench=wrench))
+    wrench[:] = np.nan
+    assert np.isfinite(robot.wrench(cut.pose(outputs[0][1])[0][1])[0][1].position).all()
+
+
+def test_a_cut_without_a_workpiece_says_so(short_cell):
+    cut = CutProtocol(short_cell)
+    with pytest.raises(NoWorkpiece, match="configure first"):
+        cut.pose(PoseSample(0, "workpiece", np.zeros(3), DOWN))
+    with pytest.raises(NoWorkpiece):
+        cut.workpiece()
+
+
+def test_the_map_is_that_of_the_part_and_a_fresh_one_is_whole(short_cell):
+    robot, cut = protocols(short_cell)
+    ((_, fresh),) = cut.configure()
+    assert fresh.stamp == 0 and set(fresh.cells.ravel().tolist()) == {100}
+    run(robot, cut)
+    ((_, used),) = cut.workpiece()
+    assert used.stamp == cut.stamp_ns == short_cell.clock.stamp(robot.steps) and used.cells.min() < 100
+    share = (100 - used.cells.astype(float)) / 100
+    volume = share.sum() * used.resolution**2 * (short_cell.stock.max[2] - short_cell.stock.min[2])
+    # a cell of the map holds the node in its middle, rounded to a percent of the height: half a percent of each cell
+    bound = 0.005 * np.count_nonzero(share) * used.resolution**2 * (short_cell.stock.max[2] - short_cell.stock.min[2])
+    assert abs(volume - cut.removed_volume) <= 2 * bound
+
+
+def test_a_pass_is_under_way_from_its_first_pose_to_the_end_of_the_reference(short_cell):
+    robot, cut = protocols(short_cell)
+    cut.end_ns = short_cell.target().duration_ns
+    assert not cut.under_way
+    seen = []
+    run(robot, cut, lambda robot, cut, pose: seen.append(cut.under_way) or [])
+    assert seen == [False] + [True] * (len(seen) - 1) and not cut.under_way and cut.at_end
