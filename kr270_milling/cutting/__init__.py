@@ -1,6 +1,6 @@
 """The cut: tool, force laws, workpiece grid, sweep of the teeth [Klimchik2012, section 4]."""
 
-from kr270_milling.cutting.cut import Cut, SweepError, UndoError
+from kr270_milling.cutting.cut import Cut, CutModel, EngagementCut, SweepError, UndoError
 from kr270_milling.cutting.force_law import ForceLaw
 from kr270_milling.cutting.fractional import KLIMCHIK2012, FractionalLaw, fractional
 from kr270_milling.cutting.grid import GridError, Stock
@@ -11,7 +11,7 @@ from kr270_milling.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.cutting.tool import Tool
 
 __all__ = [
-    "AL7075_T6", "KLIMCHIK2012", "LAWS", "Cut", "ForceLaw", "SweepError", "UndoError", "GridError", "Stock", "Cutting",
-    "FractionalLaw", "LinearEdgeLaw", "fractional", "linear_edge", "Params", "State", "make_params", "make_state",
-    "NO_FORCES", "sweep", "undo", "Tool",
+    "AL7075_T6", "KLIMCHIK2012", "LAWS", "NO_FORCES", "Cut", "CutModel", "Cutting", "EngagementCut", "ForceLaw",
+    "FractionalLaw", "GridError", "LinearEdgeLaw", "Params", "State", "Stock", "SweepError", "Tool", "UndoError",
+    "fractional", "linear_edge", "make_params", "make_state", "sweep", "undo",
 ]  # fmt: skip

@@ -7,14 +7,32 @@ import math
 import numpy as np
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.cutting.cut_step import cut_along, cut_step, cut_undo
+from kr270_milling.cutting.engagement import (
+    EngagementParams,
+    EngagementState,
+    make_engagement_params,
+    make_engagement_state,
+)
 from kr270_milling.cutting.grid import TILE, GridError, Stock, levels_in_window
 from kr270_milling.cutting.lanes import LANES
 from kr270_milling.cutting.laws import Cutting
-from kr270_milling.cutting.state import FAILED, LEVEL_SUM, NODES_CUT, TILES, log_size, make_log, make_params, make_state
-from kr270_milling.cutting.sweep import NO_FORCES, sweep, sweep_along, undo
+from kr270_milling.cutting.state import (
+    FAILED,
+    LEVEL_SUM,
+    NODES_CUT,
+    TILES,
+    Params,
+    State,
+    log_size,
+    make_log,
+    make_params,
+    make_state,
+)
+from kr270_milling.cutting.sweep import NO_FORCES
 from kr270_milling.cutting.tool import Tool
 
-__all__ = ["Cut", "SweepError", "UndoError"]
+__all__ = ["Cut", "CutModel", "EngagementCut", "SweepError", "UndoError"]
 
 MOST_NODES = 400  #: of a map along the longer side of the stock
 
@@ -38,19 +56,17 @@ class SweepError(MillingError):
         )
 
 
-class Cut:
-    """The cutting process. ``params`` and ``state`` are what compiled loops hand to ``sweep`` themselves.
+class CutModel:
+    """The cutting process: one interface for both models. Compiled loops hand ``params`` and ``state`` to ``cut_step``.
 
-    micro_step: of the spindle angle [rad], a whole part of a revolution; log_size: nodes that restore() can put back,
-    default: enough for any sweep of up to a revolution.
+    tool, cutting, stock: records of the parameter file; the grid of ``stock`` is that of the model.
     """
 
-    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, log_size: int | None = None):
+    params: Params | EngagementParams
+    state: State | EngagementState
+
+    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock):
         self.tool, self.cutting, self.stock = tool, cutting, stock
-        self.params = make_params(tool, cutting, stock, micro_step)
-        self.state = make_state(self.params, stock, log_size or 1 << 22)
-        self._log_grows = log_size is None
-        self._room = (0, 0.0)  # micro-steps and distance [m] of a sweep that the log has room for
         self.torque = 0.0  #: mean spindle torque of the last sweep [N m]
 
     def sweep(self, pose_from, pose_to, first: int, n: int, forces: np.ndarray = NO_FORCES) -> np.ndarray:
@@ -63,10 +79,9 @@ class Cut:
         sound = start.shape == end.shape == (3,) and all(map(math.isfinite, start.tolist() + end.tolist()))
         if not sound or first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):
             raise SweepError(pose_from, pose_to, first, n)
-        if self._log_grows and n <= self.params.steps:
-            self._make_room(n, math.dist(start.tolist(), end.tolist()))
+        self._make_room(n, math.dist(start.tolist(), end.tolist()))
         wrench = np.empty(6)
-        self.torque = sweep(self.state, self.params, start, end, int(first), int(n), forces, wrench)
+        self.torque = cut_step(self.state, self.params, start, end, int(first), int(n), forces, wrench)
         if self.state.ints[FAILED]:
             raise GridError(self.state.pool.size // TILE**2)
         return wrench
@@ -79,18 +94,13 @@ class Cut:
         """
         positions, steps = np.ascontiguousarray(positions, float), np.ascontiguousarray(steps, np.int64)
         wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
-        sweep_along(self.state, self.params, positions, steps, NO_FORCES, wrench, torque, volume)
+        cut_along(self.state, self.params, positions, steps, NO_FORCES, wrench, torque, volume)
         if self.state.ints[FAILED]:
             raise GridError(self.state.pool.size // TILE**2)
         return wrench, torque, volume
 
     def _make_room(self, n: int, distance: float) -> None:
-        """For the undo log of n micro-steps over a distance [m]; for twice of it, so that this is seldom needed."""
-        if n > self._room[0] or distance > self._room[1]:
-            self._room = max(n, self._room[0]), max(2.0 * distance, self._room[1])
-            size = log_size(self.params, *self._room)
-            if size > self.state.log_level.size - LANES:
-                self.state = self.state._replace(**make_log(size))
+        """Have an undo log for n micro-steps over a distance [m]."""
 
     def touch(self, most: int = 1 << 26) -> None:
         """Have the memory of the stock, up to so many bytes, so that no sweep waits for the system to clear a page."""
@@ -99,8 +109,13 @@ class Cut:
 
     def restore(self) -> None:
         """Take the last sweep back, once. Raises UndoError."""
-        if not undo(self.state):
-            raise UndoError(self.state.log_level.size - LANES)
+        if not cut_undo(self.state):
+            raise UndoError(self.undo_size)
+
+    @property
+    def undo_size(self) -> int:
+        """Nodes that ``restore`` can put back."""
+        return self.state.log_level.size
 
     @property
     def removed_area(self) -> float:
@@ -141,3 +156,50 @@ class Cut:
     def map_heights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """``heights`` of the whole stock, thinned to some 400 nodes along its longer side."""
         return self.heights(thinning=self.map_thinning)
+
+
+class Cut(CutModel):
+    """The sweep of the teeth: each tooth in each micro-step of the spindle angle.
+
+    micro_step: of the spindle angle [rad], a whole part of a revolution; log_size: nodes that restore() can put back,
+    default: enough for any sweep of up to a revolution.
+    """
+
+    params: Params
+    state: State
+
+    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, log_size: int | None = None):
+        super().__init__(tool, cutting, stock)
+        self.params = make_params(tool, cutting, stock, micro_step)
+        self.state = make_state(self.params, stock, log_size or 1 << 22)
+        self._log_grows = log_size is None
+        self._room = (0, 0.0)  # micro-steps and distance [m] of a sweep that the log has room for
+
+    def _make_room(self, n: int, distance: float) -> None:
+        """Have an undo log for n micro-steps over twice the distance [m], so that this is seldom needed."""
+        if not self._log_grows or n > self.params.steps:
+            return
+        if n > self._room[0] or distance > self._room[1]:
+            self._room = max(n, self._room[0]), max(2.0 * distance, self._room[1])
+            size = log_size(self.params, *self._room)
+            if size > self.undo_size:
+                self.state = self.state._replace(**make_log(size))
+
+    @property
+    def undo_size(self) -> int:
+        return self.state.log_level.size - LANES  # the vector step writes that far beyond the last node
+
+
+class EngagementCut(CutModel):
+    """The mean force of the engagement, for steps of some milliseconds: ``engagement`` has the equations.
+
+    stock: with the coarse grid of this model; micro_step [rad]: the unit in which a step counts spindle angle.
+    """
+
+    params: EngagementParams
+    state: EngagementState
+
+    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float):
+        super().__init__(tool, cutting, stock)
+        self.params = make_engagement_params(tool, cutting, stock, micro_step)
+        self.state = make_engagement_state(self.params, stock)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from kr270_milling.cutting.compiled import compiled, inlined
 from kr270_milling.cutting.fill import clear_quad, clear_sector, tally_log
@@ -24,7 +23,7 @@ from kr270_milling.cutting.state import (
     TILES,
 )
 
-__all__ = ["NO_FORCES", "sweep", "sweep_along", "undo"]
+__all__ = ["NO_FORCES", "sweep", "undo"]
 
 NO_FORCES = np.empty((0, 3))  #: pass this as ``forces`` if the force of each micro-step is not wanted
 FAR = 0.1  # of the radius: how far the tool may move in a window for the rim band to be used
@@ -77,21 +76,6 @@ def sweep(s, p, pose_from, pose_to, first, n, forces, wrench):
     if p.moments:
         wrench[5] = -p.sense * (sum_torque / n)  # what turns the spindle turns its housing the other way
     return sum_torque / n
-
-
-@njit(cache=True, error_model="numpy", nogil=True)  # several workpieces are swept at once
-def sweep_along(s, p, positions, steps, no_forces, wrench, torque, volume):
-    """Sweep from each position (n, 3) [m] to the next, which is reached at micro-steps (n,) counted from the start.
-
-    Fills the rows from 1 on: mean wrench (n, 6) [N, N m], mean torque (n,) [N m], removed volume (n,) [m^3].
-    """
-    per_node = p.spacing * p.spacing
-    for k in range(1, positions.shape[0]):
-        before = s.floats[LEVEL_SUM]
-        torque[k] = sweep(
-            s, p, positions[k - 1], positions[k], steps[k - 1], steps[k] - steps[k - 1], no_forces, wrench[k]
-        )
-        volume[k] = (s.floats[LEVEL_SUM] - before) * per_node
 
 
 @compiled

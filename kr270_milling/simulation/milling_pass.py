@@ -13,9 +13,9 @@ import numpy as np
 from numba import njit
 
 from kr270_milling.base.errors import MillingError
-from kr270_milling.cutting import Cut, GridError, UndoError, sweep, undo
+from kr270_milling.cutting import CutModel, GridError, UndoError
+from kr270_milling.cutting.cut_step import cut_step, cut_undo
 from kr270_milling.cutting.grid import TILE
-from kr270_milling.cutting.lanes import LANES
 from kr270_milling.cutting.state import FAILED, LEVEL_SUM
 from kr270_milling.simulation.dynamics import ArmModel, advance
 from kr270_milling.simulation.exchange import Clock
@@ -137,9 +137,9 @@ def _exchange(first, last, iterations, reference, arm, state, wrench, cut_state,
         for k in range(iterations):
             advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot predicts
             tool[n + 1] = reference[n + 1] + deflection[:3]
-            if k > 0 and not undo(cut_state):
+            if k > 0 and not cut_undo(cut_state):
                 return False
-            torque = sweep(  # the cut answers
+            torque = cut_step(  # the cut answers
                 cut_state, cut_params, tool[n], tool[n + 1], n * micro_steps, micro_steps, no_forces, answer
             )
         advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot corrects
@@ -153,7 +153,7 @@ def _exchange(first, last, iterations, reference, arm, state, wrench, cut_state,
 
 def run_pass(
     model: ArmModel,
-    cut: Cut,
+    cut: CutModel,
     clock: Clock,
     target: Trajectory,
     reference: Trajectory,
@@ -182,7 +182,7 @@ def run_pass(
         if cut.state.ints[FAILED]:
             raise GridError(cut.state.pool.size // TILE**2)
         if not whole:
-            raise UndoError(cut.state.log_level.size - LANES)
+            raise UndoError(cut.undo_size)
         _refuse_flight(stamps[first : last + 1], out[1][first : last + 1])
         if progress is not None:
             progress(last, n)
