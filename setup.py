@@ -13,14 +13,12 @@ setup(
         package: [
             "py.typed",
             "cell/draft.yaml",
-            "programs/*.txt",
-            "report/page/*.html",
-            "report/page/*.css",
-            "report/page/*.js",
-            "report/page/*.txt",
-            "watch/*.html",
+            "decide/programs/*.txt",
+            "show/report/page/*.html",
+            "show/report/page/*.css",
+            "show/report/page/*.js",
+            "show/report/page/*.txt",
         ]
-        + ["watch/*.js"]
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + package]),
@@ -70,6 +68,6 @@ setup(
     license="Apache-2.0",
     entry_points={
         "console_scripts": ["kr270_milling = kr270_milling.cli:main"]
-        + [f"{node} = kr270_milling.nodes.start:start" for node in nodes]
+        + [f"{node} = kr270_milling.live.nodes.start:start" for node in nodes]
     },
 )

@@ -10,19 +10,20 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
+from kr270_milling.base.version import __version__
+
 if TYPE_CHECKING:
     from kr270_milling.api import check, compensate, read_cell, read_recording, simulate
     from kr270_milling.api import verdict_of as verdict
-    from kr270_milling.trajectory.trajectory import Trajectory
+    from kr270_milling.path.trajectory import Trajectory
 
-__version__ = "0.3.0"
-__all__ = ["Trajectory", "check", "compensate", "read_cell", "read_recording", "simulate", "verdict"]
+__all__ = ["Trajectory", "__version__", "check", "compensate", "read_cell", "read_recording", "simulate", "verdict"]
 
 #: name -> module and name there; imported when asked for, so that the command line starts at once
 _PLACES = {
     **{name: ("api", name) for name in ("check", "compensate", "read_cell", "read_recording", "simulate")},
     "verdict": ("api", "verdict_of"),
-    "Trajectory": ("trajectory.trajectory", "Trajectory"),
+    "Trajectory": ("path.trajectory", "Trajectory"),
 }
 
 

@@ -14,11 +14,11 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell as cells
 from kr270_milling.cell import jobs
 from kr270_milling.cell.cell import Cell
-from kr270_milling.compensation.methods import Method
-from kr270_milling.decision import check as checks
-from kr270_milling.decision import compensation, tolerance, verdict
-from kr270_milling.report.series import COLUMNS, series_lines, series_rows
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.decide import check as checks
+from kr270_milling.decide import compensation, tolerance, verdict
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.methods import Method
+from kr270_milling.show.report.series import COLUMNS, series_lines, series_rows
 
 if TYPE_CHECKING:
     import pandas
@@ -119,7 +119,7 @@ def verdict_of(cell: Cell, reference: Trajectory, samples: int = verdict.SAMPLES
 
 def read_recording(path, namespace: str | None = None) -> Pass:
     """The pass of a recording (.mcap or its directory); raises RecordingError."""
-    from kr270_milling.replay.recorded import pass_from_recording
+    from kr270_milling.exchange.replay.recorded import pass_from_recording
 
     place = Path(path)
     found: Sequence[Path] = sorted(place.glob("*.mcap")) if place.is_dir() else [place]

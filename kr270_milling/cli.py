@@ -12,7 +12,7 @@ import signal
 import sys
 from typing import NamedTuple
 
-from kr270_milling import __version__
+from kr270_milling.base.version import __version__
 
 __all__ = ["COMMANDS", "Entry", "main"]
 
@@ -27,7 +27,7 @@ class Entry(NamedTuple):
 
     def load(self, name: str):
         """Import the module and return the command."""
-        return importlib.import_module(f"kr270_milling.commands.{self.module}").COMMANDS[name]
+        return importlib.import_module(f"kr270_milling.show.commands.{self.module}").COMMANDS[name]
 
 
 COMMANDS = {
@@ -186,7 +186,7 @@ def _parser(argv: list[str]) -> argparse.ArgumentParser:
     chosen = next((a for a in argv if not a.startswith("-")), None)
     for name, entry in COMMANDS.items():
         if name == chosen:
-            from kr270_milling.commands.command import add_command
+            from kr270_milling.show.commands.command import add_command
 
             add_command(sub, name, entry.text, entry.load(name))
         else:

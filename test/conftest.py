@@ -74,7 +74,7 @@ def ros_environment(domain, monkeypatch):
 @pytest.fixture(scope="session", autouse=True)
 def no_lines_of_progress():
     """On a busy machine a command may take seconds, and say so; the tests look at what else it says."""
-    from kr270_milling.commands import progress
+    from kr270_milling.show.commands import progress
 
     progress.LINE_PERIOD = 1e6
 
@@ -91,7 +91,7 @@ def short_cell():
 def demo(tmp_path_factory):
     """``kr270_milling demo --plain``, run once: its passes, what it prints for people and what as JSON."""
     from kr270_milling.cli import main
-    from kr270_milling.commands import demo as command
+    from kr270_milling.show.commands import demo as command
 
     told, answer = [], command._answer
     directory = str(tmp_path_factory.mktemp("demo") / "out")
@@ -109,7 +109,7 @@ def demo(tmp_path_factory):
 def world(domain, monkeypatch):
     """Nodes in one context, stepped by hand."""
     pytest.importorskip("rclpy")
-    from kr270_milling.ros.environment import keep_to_this_host
+    from kr270_milling.live.ros.environment import keep_to_this_host
 
     keep_to_this_host()
     with contextlib.closing(World(domain)) as made:
@@ -136,7 +136,7 @@ class World:
 
     def add(self, kind, *arguments: str, cell=None, directory: Path | None = None, **kwargs):
         """A node of this package; arguments as behind --ros-args; cell: its parameters."""
-        from kr270_milling.graph.processes import write_cell
+        from kr270_milling.live.graph.processes import write_cell
 
         arguments = list(arguments)
         if cell is not None:
@@ -197,7 +197,7 @@ class Diagnostics:
     """What the nodes said in /diagnostics."""
 
     def __init__(self, world: World, node):
-        from kr270_milling.ros import topics
+        from kr270_milling.live.ros import topics
 
         self.all: list[tuple[str, int, str]] = []  # node, level, message
         self.last: dict = {}  # node -> values

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from kr270_milling.cutting import AL7075_T6, KLIMCHIK2012, Cutting
+from kr270_milling.physics.cutting import AL7075_T6, KLIMCHIK2012, Cutting
 
 PAPER_LAW = Cutting(fractional=KLIMCHIK2012)
 ALUMINIUM = Cutting(law="linear_edge", linear_edge=AL7075_T6)

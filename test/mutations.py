@@ -15,15 +15,19 @@ import tempfile
 from pathlib import Path
 
 TOP = Path(__file__).resolve().parents[1]
-LOADS, BALANCE = "robot/loads.py", "robot/elastostatics.py"
-MASS, SWEEP = "robot/mass.py", "cutting/sweep.py"
-FRACTIONAL, EDGE = "cutting/fractional.py", "cutting/linear_edge.py"
-LOAD = "cutting/load.py"
-MOTION, MIRROR, REVISION = "simulation/dynamics.py", "compensation/mirror.py", "compensation/revision.py"
-MEASURED = "simulation/arm_model.py"
-RESPONSE, LIFTED = "compensation/response.py", "compensation/lifted.py"
-LEARNING = "compensation/learning.py"
-PLAY = "simulation/imperfections.py"
+LOADS, BALANCE = "physics/robot/loads.py", "physics/robot/elastostatics.py"
+MASS, SWEEP = "physics/robot/mass.py", "physics/cutting/sweep.py"
+FRACTIONAL, EDGE = "physics/cutting/fractional.py", "physics/cutting/linear_edge.py"
+LOAD = "physics/cutting/load.py"
+MOTION, MIRROR, REVISION = (
+    "physics/motion/dynamics.py",
+    "physics/compensation/mirror.py",
+    "physics/compensation/revision.py",
+)
+MEASURED = "physics/motion/arm_model.py"
+RESPONSE, LIFTED = "physics/compensation/response.py", "physics/compensation/lifted.py"
+LEARNING = "physics/compensation/learning.py"
+PLAY = "physics/motion/imperfections.py"
 TESTS = {
     LOADS: ["robot_loads", "robot_equilibrium", "robot_elastostatics"],
     BALANCE: ["robot_equilibrium", "robot_elastostatics"],

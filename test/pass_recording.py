@@ -9,15 +9,15 @@ from pathlib import Path
 
 import pytest
 
-from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.robot import RobotProtocol
-from kr270_milling.messages.codec import to_bytes
-from kr270_milling.messages.topics import TOPICS
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.messages.topics import TOPICS
 
 needs_messages = pytest.mark.skipif(
     importlib.util.find_spec("geometry_msgs") is None, reason="the message definitions of ROS are not installed"

@@ -7,8 +7,8 @@ import functools
 import threading
 import time
 
-from kr270_milling.bag.play_options import PlayOptions
-from kr270_milling.nodes.play_arguments import PLAY, play_options
+from kr270_milling.live.nodes.play_arguments import PLAY, play_options
+from kr270_milling.recordings.bag.play_options import PlayOptions
 
 FIRST = ("/compensator_state", "/reference_trajectory", "/joint_trajectory")
 
@@ -31,9 +31,9 @@ class Listener:
         from rclpy.node import Node
         from rclpy.qos import QoSProfile
 
-        from kr270_milling.nodes.player import Player
-        from kr270_milling.ros import topics
-        from kr270_milling.ros.environment import keep_to_this_host
+        from kr270_milling.live.nodes.player import Player
+        from kr270_milling.live.ros import topics
+        from kr270_milling.live.ros.environment import keep_to_this_host
 
         keep_to_this_host()
         self.context = Context()

@@ -5,8 +5,8 @@ from __future__ import annotations
 from rclpy.serialization import deserialize_message, serialize_message
 
 from kr270_milling.base.units import SECOND
-from kr270_milling.messages.codec import from_bytes, to_bytes, type_of
-from kr270_milling.ros.names import message_class
+from kr270_milling.live.ros.names import message_class
+from kr270_milling.recordings.messages.codec import from_bytes, to_bytes, type_of
 
 __all__ = ["from_msg", "ns_from_stamp", "to_msg"]
 

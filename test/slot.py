@@ -11,10 +11,10 @@ import math
 
 import numpy as np
 
-from kr270_milling.cutting.cut import Cut
-from kr270_milling.cutting.grid import Stock
-from kr270_milling.cutting.laws import Cutting
-from kr270_milling.cutting.tool import Tool
+from kr270_milling.physics.cutting.cut import Cut
+from kr270_milling.physics.cutting.grid import Stock
+from kr270_milling.physics.cutting.laws import Cutting
+from kr270_milling.physics.cutting.tool import Tool
 
 __all__ = ["slot_chip", "slot_force", "slot_errors", "fitted_order", "convergence"]
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import Cell, read_cell
-from kr270_milling.trajectory.timing import TimedPath
+from kr270_milling.path.timing import TimedPath
 
 GCODE = """\
 G21 G90 S8000 M3

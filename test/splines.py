@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 
 __all__ = ["spline"]
 

@@ -14,7 +14,7 @@ import kr270_milling
 
 ROOT = Path(__file__).resolve().parent.parent
 #: the folders that may import ROS; nothing else may
-WITH_ROS = ("ros", "graph", "nodes")
+WITH_ROS = ("live",)
 
 
 def test_the_import_contracts_are_kept():

@@ -14,18 +14,18 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cli import COMMANDS, _parser, main
-from kr270_milling.compensation.methods import METHODS
-from kr270_milling.messages.topics import topic_table
+from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.recordings.messages.topics import topic_table
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
     ROOT / name
     for name in (
-        "README.md", "CONTRIBUTING.md", "config/README.md", "kr270_milling/nodes/README.md",
-        "kr270_milling/bag/README.md", "kr270_milling/trajectory/README.md", "kr270_milling/guide/tutorial.md",
+        "README.md", "CONTRIBUTING.md", "config/README.md", "kr270_milling/live/nodes/README.md",
+        "kr270_milling/recordings/bag/README.md", "kr270_milling/path/README.md", "kr270_milling/guide/tutorial.md",
         "kr270_milling/guide/numbers.md",
         "kr270_milling/guide/design.md", "kr270_milling/guide/extending.md", "test/faults/README.md",
-        "kr270_milling/studies/README.md",
+        "kr270_milling/studies/maps/README.md",
     )
 ]  # fmt: skip
 TEXT = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
@@ -102,7 +102,7 @@ def test_the_readme_is_short():
 
 def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("kr270_milling.decision.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
+    monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
     page = (ROOT / "kr270_milling/guide/tutorial.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"<!-- pocket.nc -->\n```\n(.*?)```", page, re.DOTALL)
     Path("pocket.nc").write_text(program)
@@ -147,9 +147,9 @@ def test_the_console_scripts_are_those_of_the_setup():
 
 
 def test_the_nodes_have_the_parameters_that_are_set_by_hand(world, short_cell, tmp_path):
-    from kr270_milling.nodes.compliant_robot import CompliantRobot
-    from kr270_milling.nodes.cutting_process import CuttingProcess
-    from kr270_milling.nodes.recorder import Recorder
+    from kr270_milling.live.nodes.compliant_robot import CompliantRobot
+    from kr270_milling.live.nodes.cutting_process import CuttingProcess
+    from kr270_milling.live.nodes.recorder import Recorder
 
     made = {
         "compliant_robot": world.add(CompliantRobot, cell=short_cell, directory=tmp_path),
@@ -183,7 +183,7 @@ def test_the_demo_prints_what_is_shown(demo):
 
 
 def test_the_table_of_topics_is_that_of_the_package():
-    assert topic_table() in (ROOT / "kr270_milling" / "nodes" / "README.md").read_text(encoding="utf-8")
+    assert topic_table() in (ROOT / "kr270_milling" / "live" / "nodes" / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_methods_are_all_named_in_their_order():
@@ -229,8 +229,8 @@ def test_what_was_identified_is_in_the_shipped_cell():
 
 def test_queue_and_silence_are_as_said():
     pytest.importorskip("rclpy")
-    from kr270_milling.ros import topics
-    from kr270_milling.ros.node import SILENT
+    from kr270_milling.live.ros import topics
+    from kr270_milling.live.ros.node import SILENT
 
     text = " ".join(TEXT.split())
     assert f"After {SILENT:g} s of silence in mid-pass the other nodes publish a warning" in text

@@ -15,16 +15,16 @@ from kr270_milling.base.record import Record, build, override, parameter, read_t
 from kr270_milling.cell.path import check_postures
 from kr270_milling.cell.paths import ProgramPath, StraightCut
 from kr270_milling.cell.sections import Limits, Path, Program, Tolerances, Uncertainty, Workpiece
-from kr270_milling.compensation.settings import CompensationSettings
-from kr270_milling.cutting import Cut, Cutting, Stock, Tool
-from kr270_milling.robot import Arm, Mount, inverse_near, pose
-from kr270_milling.simulation.arm_model import Dynamics, arm_model, modal_models
-from kr270_milling.simulation.dynamics import ArmModel, ModalModel, approach
-from kr270_milling.simulation.exchange import Clock, Exchange, Publish
-from kr270_milling.simulation.imperfections import Imperfections
-from kr270_milling.trajectory.readers import find_tool_path
-from kr270_milling.trajectory.timing import TimedPath, Timing
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.path.cam.readers import find_tool_path
+from kr270_milling.path.timing import TimedPath, Timing
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.settings import CompensationSettings
+from kr270_milling.physics.cutting import Cut, Cutting, Stock, Tool
+from kr270_milling.physics.motion.arm_model import Dynamics, arm_model, modal_models
+from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, approach
+from kr270_milling.physics.motion.exchange import Clock, Exchange, Publish
+from kr270_milling.physics.motion.imperfections import Imperfections
+from kr270_milling.physics.robot import Arm, Mount, inverse_near, pose
 
 __all__ = ["Cell", "read_cell", "with_program"]
 

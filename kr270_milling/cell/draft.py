@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.trajectory.toolpath import Toolpath
+from kr270_milling.path.toolpath import Toolpath
 
 __all__ = ["draft_text", "stock_of", "straight_text"]
 

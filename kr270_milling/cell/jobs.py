@@ -12,18 +12,18 @@ from kr270_milling.base.column import as_dict
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import Plant
-from kr270_milling.compensation.compensator import Compensator
-from kr270_milling.compensation.learning import Learner
-from kr270_milling.compensation.methods import Method, method_of
-from kr270_milling.compensation.mirror import Mirror, mirror
-from kr270_milling.compensation.models import CellModels
-from kr270_milling.compensation.response import ArmResponse
-from kr270_milling.compensation.revision import PassRecord
-from kr270_milling.simulation.dynamics import ModalModel
-from kr270_milling.simulation.imperfections import Imperfections
-from kr270_milling.simulation.milling_pass import PassResult, run_pass
-from kr270_milling.simulation.scores import Scores, score
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.compensator import Compensator
+from kr270_milling.physics.compensation.learning import Learner
+from kr270_milling.physics.compensation.methods import Method, method_of
+from kr270_milling.physics.compensation.mirror import Mirror, mirror
+from kr270_milling.physics.compensation.models import CellModels
+from kr270_milling.physics.compensation.response import ArmResponse
+from kr270_milling.physics.compensation.revision import PassRecord
+from kr270_milling.physics.motion.dynamics import ModalModel
+from kr270_milling.physics.motion.imperfections import Imperfections
+from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
+from kr270_milling.physics.motion.scores import Scores, score
 
 __all__ = [
     "ScoredPass", "arm_response", "commanded_joints", "compensated", "compensator", "expected_deviations",

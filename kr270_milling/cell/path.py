@@ -11,11 +11,11 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import rotation_from_quaternion
-from kr270_milling.cutting import Stock, Tool
-from kr270_milling.simulation.exchange import Exchange
-from kr270_milling.trajectory.timing import TimedPath
-from kr270_milling.trajectory.toolpath import Toolpath
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.path.timing import TimedPath
+from kr270_milling.path.toolpath import Toolpath
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.cutting import Stock, Tool
+from kr270_milling.physics.motion.exchange import Exchange
 
 __all__ = ["MOST_STEPS", "check_duration", "check_effort", "check_feed", "check_path", "check_postures", "sinking"]
 

@@ -15,15 +15,15 @@ import numpy as np
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.cell.path import MOST_STEPS, check_duration, check_effort, check_feed, check_path
 from kr270_milling.cell.sections import Path
-from kr270_milling.cutting import Stock, Tool
-from kr270_milling.robot import Arm
-from kr270_milling.robot.errors import JointLimitError, ReachError, SingularityError
-from kr270_milling.simulation.exchange import Exchange
-from kr270_milling.trajectory.readers import read_path_file
-from kr270_milling.trajectory.source_program import SourceProgram
-from kr270_milling.trajectory.timing import TimedPath, Timing, limit_by_joints, time_path
-from kr270_milling.trajectory.toolpath import Toolpath
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.path.cam.readers import read_path_file
+from kr270_milling.path.source_program import SourceProgram
+from kr270_milling.path.timing import TimedPath, Timing, limit_by_joints, time_path
+from kr270_milling.path.toolpath import Toolpath
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.cutting import Stock, Tool
+from kr270_milling.physics.motion.exchange import Exchange
+from kr270_milling.physics.robot import Arm
+from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 
 __all__ = ["ProgramPath", "StraightCut"]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
-from kr270_milling.robot import jacobian
-from kr270_milling.simulation.imperfections import Imperfections, play
-from kr270_milling.simulation.milling_pass import PassResult, run_pass
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.imperfections import Imperfections, play
+from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
+from kr270_milling.physics.robot import jacobian
 
 __all__ = ["Plant", "imperfect_course", "perturbed"]
 

@@ -12,7 +12,7 @@ import numpy as np
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter, specs
-from kr270_milling.trajectory.readers import READERS
+from kr270_milling.path.cam.readers import READERS
 
 __all__ = ["Limits", "Path", "Program", "Tolerances", "Uncertainty", "Workpiece"]
 

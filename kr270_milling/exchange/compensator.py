@@ -13,10 +13,10 @@ from kr270_milling.base.frames import JOINT_NAMES
 from kr270_milling.base.samples import CompensatorState, JointProgram, LearnedPass, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints, compensator, pass_record
-from kr270_milling.compensation.compensator import Compensator
-from kr270_milling.compensation.revision import PassRecord
 from kr270_milling.exchange.inputs import Output, checked_pose, checked_wrench, in_workpiece_axes
-from kr270_milling.trajectory.trajectory import Trajectory, fingerprint
+from kr270_milling.path.trajectory import Trajectory, fingerprint
+from kr270_milling.physics.compensation.compensator import Compensator
+from kr270_milling.physics.compensation.revision import PassRecord
 
 __all__ = ["CompensatorProtocol", "PassInbox", "ReceivedPass", "end_of", "joint_program"]
 

@@ -11,8 +11,8 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import PoseSample, StockMap, WrenchSample
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cutting import Cut
 from kr270_milling.exchange.inputs import ExchangeError, Output, checked_pose
+from kr270_milling.physics.cutting import Cut
 
 __all__ = ["CutProtocol", "NoWorkpiece"]
 

@@ -14,9 +14,9 @@ from kr270_milling.base.samples import ClockSample, JointSample, PoseSample, Tex
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import imperfect_course
 from kr270_milling.exchange.inputs import ExchangeError, Output, checked_wrench, in_workpiece_axes
-from kr270_milling.robot.urdf import urdf
-from kr270_milling.simulation.milling_pass import CompliantArm
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.milling_pass import CompliantArm
+from kr270_milling.physics.robot.urdf import urdf
 
 __all__ = ["RobotProtocol"]
 

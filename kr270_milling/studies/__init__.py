@@ -1,1 +1,0 @@
-"""Many cells at once: stability lobes, maps of placements, sweeps of keys."""

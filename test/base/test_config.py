@@ -25,8 +25,8 @@ from kr270_milling.base.record import (
     specs,
 )
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cutting import Tool
-from kr270_milling.robot import Arm
+from kr270_milling.physics.cutting import Tool
+from kr270_milling.physics.robot import Arm
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 

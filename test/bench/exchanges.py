@@ -16,12 +16,12 @@ from pathlib import Path
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.graph.graph import Graph
-from kr270_milling.graph.processes import RunError
-from kr270_milling.graph.watchdog import RECORDER
-from kr270_milling.replay.recompute import recompute
-from kr270_milling.replay.recorded import pass_from_recording
-from kr270_milling.ros.environment import child_environment
+from kr270_milling.exchange.replay.recompute import recompute
+from kr270_milling.exchange.replay.recorded import pass_from_recording
+from kr270_milling.live.graph.graph import Graph
+from kr270_milling.live.graph.processes import RunError
+from kr270_milling.live.graph.watchdog import RECORDER
+from kr270_milling.live.ros.environment import child_environment
 
 __all__ = ["bench_exchanges"]
 

@@ -9,12 +9,12 @@ import tempfile
 from pathlib import Path
 
 from bench.writer import bench_writer
-from kr270_milling.bag.reader import Recording
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.graph.graph import Graph
-from kr270_milling.replay.recorded import pass_from_recording
-from kr270_milling.ros.environment import child_environment, require_ros
+from kr270_milling.exchange.replay.recorded import pass_from_recording
+from kr270_milling.live.graph.graph import Graph
+from kr270_milling.live.ros.environment import child_environment, require_ros
+from kr270_milling.recordings.bag.reader import Recording
 
 __all__ = ["bench_ros"]
 
@@ -87,7 +87,7 @@ def _recorder_large(out: Path) -> dict:
 def _record(out: Path, rate: int, count: int, size: int) -> tuple[int, float, float, int]:
     """Messages sent, seconds that took, seconds until they were written, messages in the recording."""
     environment = child_environment()
-    node = [sys.executable, "-m", "kr270_milling.nodes", "recorder", "--ros-args", "-p", f"directory:={out}"]
+    node = [sys.executable, "-m", "kr270_milling.live.nodes", "recorder", "--ros-args", "-p", f"directory:={out}"]
     source = [sys.executable, str(Path(__file__).with_name("source.py")), str(rate), str(count), str(size)]
     quiet = {"env": environment, "stderr": subprocess.DEVNULL}
     with subprocess.Popen([*node, "-p", "topics:=bench"], **quiet) as recorder:

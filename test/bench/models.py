@@ -16,7 +16,7 @@ from bench.plain_pass import plain_pass
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.commands.bench import POSTURES, posture_job
+from kr270_milling.show.commands.bench import POSTURES, posture_job
 
 __all__ = ["bench_models"]
 

@@ -17,9 +17,9 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import HistoryPolicy, QoSProfile
 
 from kr270_milling.base.samples import PoseSample, StockMap
-from kr270_milling.messages.codec import to_bytes
-from kr270_milling.ros import topics
-from kr270_milling.ros.environment import keep_to_this_host
+from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.environment import keep_to_this_host
+from kr270_milling.recordings.messages.codec import to_bytes
 
 __all__ = ["main"]
 

@@ -21,8 +21,8 @@ from pathlib import Path
 from unittest import mock
 
 from kr270_milling.base.record import find_file
-from kr270_milling.studies import engine
-from kr270_milling.studies.sweep import Sweep, parse_axis
+from kr270_milling.studies.maps import engine
+from kr270_milling.studies.maps.sweep import Sweep, parse_axis
 
 VARY = "dynamics.damping_ratio=0.02:0.22:0.02", "path.depth_of_cut_mm=0.1:2.1:0.05"  # 11 x 41 passes
 SHARE = 5  # of the chunks in a plain loop: one in so many

@@ -16,9 +16,9 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 
 from kr270_milling.base.samples import PoseSample, WrenchSample
-from kr270_milling.messages.codec import to_bytes
-from kr270_milling.ros import topics
-from kr270_milling.ros.environment import keep_to_this_host
+from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.environment import keep_to_this_host
+from kr270_milling.recordings.messages.codec import to_bytes
 
 POSE = to_bytes(PoseSample(0, "workpiece", np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])))
 WRENCH = to_bytes(WrenchSample(0, "workpiece", np.zeros(6)))

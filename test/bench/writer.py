@@ -10,8 +10,8 @@ from pathlib import Path
 
 from mcap.writer import Writer
 
-from kr270_milling.bag.writer import BagWriter
-from kr270_milling.messages.definitions import definition
+from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.definitions import definition
 
 __all__ = ["bench_writer"]
 

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
-from kr270_milling.simulation.arm_model import arm_model
-from kr270_milling.simulation.dynamics import ArmModel, modes
-from kr270_milling.simulation.milling_pass import CompliantArm
+from kr270_milling.physics.cutting import Cut, Cutting, LinearEdgeLaw, Stock, Tool
+from kr270_milling.physics.motion.arm_model import arm_model
+from kr270_milling.physics.motion.dynamics import ArmModel, modes
+from kr270_milling.physics.motion.milling_pass import CompliantArm
 
 __all__ = ["BENCHMARK", "Milling", "Mode", "growth", "limit_depth"]
 

@@ -8,7 +8,7 @@ from book import check
 from posture import PAPER, SPINDLE, arm_of, postures
 from scipy.spatial.transform import Rotation
 
-from kr270_milling.robot import (
+from kr270_milling.physics.robot import (
     BARE,
     compliance,
     equilibrium,
@@ -20,8 +20,8 @@ from kr270_milling.robot import (
     stiffness,
     wrench_for_pose,
 )
-from kr270_milling.robot.inverse import branches
-from kr270_milling.robot.loads import load_torque
+from kr270_milling.physics.robot.inverse import branches
+from kr270_milling.physics.robot.loads import load_torque
 
 KILONEWTON = 1000 * np.array([0.6, -0.64, 0.48, 0.0, 0.0, 0.0])
 ARMS = ("kr270_2", "kr270_r2700_ultra")

@@ -13,13 +13,13 @@ from splines import spline
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
-from kr270_milling.compensation.lifted import KnotConditions, Lifted
-from kr270_milling.compensation.methods import METHODS
-from kr270_milling.compensation.mirror import mirror
-from kr270_milling.compensation.response import ArmResponse, Segments, cubic_coefficients
-from kr270_milling.compensation.revision import PassRecord, corrected, sampled_correction
-from kr270_milling.robot import equilibrium, pose
-from kr270_milling.trajectory.trajectory import Trajectory
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted
+from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.physics.compensation.mirror import mirror
+from kr270_milling.physics.compensation.response import ArmResponse, Segments, cubic_coefficients
+from kr270_milling.physics.compensation.revision import PassRecord, corrected, sampled_correction
+from kr270_milling.physics.robot import equilibrium, pose
 
 WRENCH = np.array([800.0, -600.0, 400.0, 60.0, -90.0, 40.0])  # [N, N m]
 ALPHA = 0.9

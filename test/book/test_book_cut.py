@@ -11,7 +11,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from slot import convergence
 
-from kr270_milling.cutting import AL7075_T6, Cut, Cutting, Stock, Tool
+from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, Stock, Tool
 
 FEED, DEPTH = 0.125e-3, 1e-3  # [m] a tooth, [m]
 

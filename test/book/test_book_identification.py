@@ -9,17 +9,17 @@ import numpy as np
 from book import check
 
 from kr270_milling.base.record import find_file
-from kr270_milling.cutting import LinearEdgeLaw, Tool
-from kr270_milling.identification import forces
-from kr270_milling.identification.compliance import fit
-from kr270_milling.identification.cuts import Cuts, engagement
-from kr270_milling.identification.materials import find_material
-from kr270_milling.identification.modes import find_modes
-from kr270_milling.identification.plan import Bench, Candidates, Planner, candidates, read_test_pose
-from kr270_milling.identification.problem import Problem
-from kr270_milling.identification.signals import Signals
-from kr270_milling.robot.analysis import read_arm
-from kr270_milling.robot.arm import Compensator
+from kr270_milling.physics.cutting import LinearEdgeLaw, Tool
+from kr270_milling.physics.robot.analysis import read_arm
+from kr270_milling.physics.robot.arm import Compensator
+from kr270_milling.studies.identification import forces
+from kr270_milling.studies.identification.compliance import fit
+from kr270_milling.studies.identification.cuts import Cuts, engagement
+from kr270_milling.studies.identification.materials import find_material
+from kr270_milling.studies.identification.modes import find_modes
+from kr270_milling.studies.identification.plan import Bench, Candidates, Planner, candidates, read_test_pose
+from kr270_milling.studies.identification.problem import Problem
+from kr270_milling.studies.identification.signals import Signals
 
 FILE = find_file("test_piece.yaml")
 ARM, MOUNT = read_arm(FILE)

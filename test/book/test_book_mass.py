@@ -8,7 +8,7 @@ from book import check
 from posture import PAPER, SPINDLE, arm_of, postures
 from rigid_arm import rigid_arm
 
-from kr270_milling.robot import (
+from kr270_milling.physics.robot import (
     BARE,
     beam_mass,
     cartesian_mass,
@@ -19,7 +19,7 @@ from kr270_milling.robot import (
     mode_frequencies,
     rigid_joint_mass,
 )
-from kr270_milling.robot.mass import assembled_mass
+from kr270_milling.physics.robot.mass import assembled_mass
 
 MASS, LENGTH, RHO_I = 7.0, 1.7, (0.9, 0.4, 0.6)  # [kg], [m], [kg m]
 

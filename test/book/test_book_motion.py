@@ -14,11 +14,11 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.robot import RobotProtocol
-from kr270_milling.simulation.arm_model import arm_model
-from kr270_milling.simulation.dynamics import advance, discretise, modes
-from kr270_milling.simulation.exchange import Clock
-from kr270_milling.simulation.milling_pass import CompliantArm
-from kr270_milling.trajectory.trajectory import TOOL_DOWN, Trajectory
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
+from kr270_milling.physics.motion.arm_model import arm_model
+from kr270_milling.physics.motion.dynamics import advance, discretise, modes
+from kr270_milling.physics.motion.exchange import Clock
+from kr270_milling.physics.motion.milling_pass import CompliantArm
 
 STIFFNESS, MASS, ZETA = 1.395e6, 790.4, 0.18  # [N/m], [kg]: the paper's arm across the feed
 OMEGA = np.sqrt(STIFFNESS / MASS)

@@ -10,7 +10,7 @@ from book import check
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, mean_force, simulate
-from kr270_milling.report.tables import TABLE_2
+from kr270_milling.show.report.tables import TABLE_2
 
 TABLE = "[Klimchik2012], Table 2"
 ORIGINAL, LINEAR = TABLE_2["original"], TABLE_2["linear"]

@@ -12,7 +12,7 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import ConfigError, find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import commanded_joints
-from kr270_milling.robot import Mount, equilibrium, pose
+from kr270_milling.physics.robot import Mount, equilibrium, pose
 
 FILE = find_file("paper.yaml")
 PAPER = read_cell(FILE)
@@ -166,7 +166,7 @@ def test_the_ultra_mills_the_same_line_from_its_own_file():
 
 
 def _ultra():
-    from kr270_milling.robot.analysis import read_arm
+    from kr270_milling.physics.robot.analysis import read_arm
 
     return read_arm(find_file("kr270_r2700_ultra.yaml"))[0]
 

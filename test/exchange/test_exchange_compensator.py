@@ -10,7 +10,7 @@ from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.exchange.compensator import CompensatorProtocol
-from kr270_milling.trajectory.trajectory import fingerprint
+from kr270_milling.path.trajectory import fingerprint
 
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
 

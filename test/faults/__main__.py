@@ -16,9 +16,9 @@ from faults.rows import COLUMNS, expected_seconds, run_faults
 from faults.soak import COLUMNS as SOAK_COLUMNS
 from faults.soak import run_soak
 from kr270_milling.base.errors import InputError, MillingError
-from kr270_milling.commands.console import print_json
-from kr270_milling.commands.progress import progress
-from kr270_milling.ros.environment import require_ros
+from kr270_milling.live.ros.environment import require_ros
+from kr270_milling.show.commands.console import print_json
+from kr270_milling.show.commands.progress import progress
 
 
 def main(arguments: list[str] | None = None) -> int:

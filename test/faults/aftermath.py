@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.bag.info import info
-from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.series import series
-from kr270_milling.replay.attached import cell_of
-from kr270_milling.replay.recompute import recompute
-from kr270_milling.simulation.milling_pass import PassResult
+from kr270_milling.exchange.replay.attached import cell_of
+from kr270_milling.exchange.replay.recompute import recompute
+from kr270_milling.physics.motion.milling_pass import PassResult
+from kr270_milling.recordings.bag.info import info
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.series import series
 
 __all__ = ["Recorded", "is_alive", "read_back"]
 

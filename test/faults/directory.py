@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from kr270_milling.graph.plan import fresh_directory
+from kr270_milling.live.graph.plan import fresh_directory
 
 __all__ = ["output_directory"]
 

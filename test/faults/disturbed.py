@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kr270_milling.cell.cell import Cell
-from kr270_milling.graph.graph import Graph
-from kr270_milling.graph.processes import Child
-from kr270_milling.graph.watchdog import ROBOT, Hooks
+from kr270_milling.live.graph.graph import Graph
+from kr270_milling.live.graph.processes import Child
+from kr270_milling.live.graph.watchdog import ROBOT, Hooks
 
 __all__ = ["Disturbed", "Message"]
 

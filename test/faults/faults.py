@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from faults.disturbed import Disturbed
-from kr270_milling.bag.records import mcap_file
-from kr270_milling.graph.graph import CELL
-from kr270_milling.graph.watchdog import COMPENSATOR, CUT, RECORDER, ROBOT
+from kr270_milling.live.graph.graph import CELL
+from kr270_milling.live.graph.watchdog import COMPENSATOR, CUT, RECORDER, ROBOT
+from kr270_milling.recordings.bag.records import mcap_file
 
 __all__ = ["ENDS", "FAULTS", "GOES_ON", "Fault"]
 

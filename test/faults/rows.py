@@ -15,7 +15,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
-from kr270_milling.simulation.milling_pass import PassResult
+from kr270_milling.physics.motion.milling_pass import PassResult
 
 __all__ = ["Row", "expected_seconds", "fault_cell", "run_faults"]
 

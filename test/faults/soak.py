@@ -13,11 +13,11 @@ from pathlib import Path
 
 from faults.footprint import Footprint, footprint, slope
 from faults.rows import fault_cell
-from kr270_milling.bag.reader import Recording
-from kr270_milling.graph.graph import Graph
-from kr270_milling.graph.processes import RunError
-from kr270_milling.graph.watchdog import Hooks
-from kr270_milling.ros.environment import child_environment
+from kr270_milling.live.graph.graph import Graph
+from kr270_milling.live.graph.processes import RunError
+from kr270_milling.live.graph.watchdog import Hooks
+from kr270_milling.live.ros.environment import child_environment
+from kr270_milling.recordings.bag.reader import Recording
 
 __all__ = ["COLUMNS", "Growth", "run_soak"]
 
@@ -128,7 +128,7 @@ def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]
     found = Growth("recorder (one long recording)", "s")
     environment = child_environment()
     names = ",".join(TOPICS)
-    node = [sys.executable, "-m", "kr270_milling.nodes", "recorder", "--ros-args", "-p", f"directory:={out}"]
+    node = [sys.executable, "-m", "kr270_milling.live.nodes", "recorder", "--ros-args", "-p", f"directory:={out}"]
     source = [sys.executable, str(Path(__file__).with_name("source.py")), str(RATE), str(seconds)]
     with (
         open(out.parent / "recorder.log", "wb") as log,

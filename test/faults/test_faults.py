@@ -25,10 +25,10 @@ from faults.footprint import footprint, slope
 from faults.rows import run_faults
 from faults.soak import Growth
 from faults.trial import Trial, judge_words
-from kr270_milling.graph import graph, watchdog
-from kr270_milling.graph.graph import Graph
-from kr270_milling.graph.processes import Child, RunError
-from kr270_milling.graph.watchdog import LOST, QUIET, RECORDER, Watchdog
+from kr270_milling.live.graph import graph, watchdog
+from kr270_milling.live.graph.graph import Graph
+from kr270_milling.live.graph.processes import Child, RunError
+from kr270_milling.live.graph.watchdog import LOST, QUIET, RECORDER, Watchdog
 
 PACKAGE = Path(__file__).resolve().parents[2] / "kr270_milling"
 
@@ -65,7 +65,7 @@ def test_reaction_other_than_the_designed_one_fails_the_row():
 
 FORGETFUL = """#!{python}
 import sys, time
-from kr270_milling.nodes import recording_session, start
+from kr270_milling.live.nodes import recording_session, start
 take, seen, forgotten = recording_session.poll, [], []
 def poll(subscriptions):  # the first poll after a stop
     seen.append(time.monotonic())
@@ -74,7 +74,7 @@ def poll(subscriptions):  # the first poll after a stop
     taken = take(subscriptions)
     return [] if forgotten else taken
 recording_session.poll = poll
-sys.argv = sys.argv[3:]  # behind "-m kr270_milling.nodes"
+sys.argv = sys.argv[3:]  # behind "-m kr270_milling.live.nodes"
 raise SystemExit(start.start("recorder"))
 """
 
@@ -160,7 +160,7 @@ def test_domain_of_the_user_is_kept_and_else_a_free_one_is_said(monkeypatch):
 
 
 def test_timers_of_a_node_run_on_while_its_own_clock_stands_still(world):
-    from kr270_milling.ros.node import ReportingNode
+    from kr270_milling.live.ros.node import ReportingNode
 
     node = world.add(ReportingNode, "-p", "use_sim_time:=true", name="still")
     told = world.diagnostics(world.partner())
@@ -197,8 +197,8 @@ def test_runner_that_was_held_up_itself_hears_the_reports_first():
 def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_path):
     import ros_messages as messages
 
-    from kr270_milling.nodes.cutting_process import CuttingProcess
-    from kr270_milling.ros import topics
+    from kr270_milling.live.nodes.cutting_process import CuttingProcess
+    from kr270_milling.live.ros import topics
 
     cut = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     robot = world.partner("robot")
@@ -219,8 +219,8 @@ def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_
 
 
 def test_compensator_that_comes_in_mid_pass_says_that_it_has_not_heard_the_start(world, short_cell, tmp_path):
-    from kr270_milling.nodes.trajectory_compensator import TrajectoryCompensator
-    from kr270_milling.ros import topics
+    from kr270_milling.live.nodes.trajectory_compensator import TrajectoryCompensator
+    from kr270_milling.live.ros import topics
 
     world.add(TrajectoryCompensator, cell=short_cell, directory=tmp_path)
     machine = world.partner("machine")

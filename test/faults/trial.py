@@ -9,8 +9,8 @@ from faults.aftermath import Recorded, read_back
 from faults.disturbed import Disturbed, Message
 from faults.faults import ENDS, GOES_ON, Fault
 from kr270_milling.base.errors import MillingError
-from kr270_milling.graph.graph import NOT_COMPLETE
-from kr270_milling.simulation.milling_pass import PassResult
+from kr270_milling.live.graph.graph import NOT_COMPLETE
+from kr270_milling.physics.motion.milling_pass import PassResult
 
 __all__ = ["NAMED_WITHIN", "TOO_LATE", "Trial", "judge_words", "run_trial"]
 

@@ -14,12 +14,12 @@ from hostile import POSTURE, SHORT, ask, refused, refused_or_sound
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.writer import BagWriter
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import Record, build, find_file, flatten, specs
 from kr270_milling.cell.cell import Cell, read_cell
-from kr270_milling.replay.attached import cell_of
+from kr270_milling.exchange.replay.attached import cell_of
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.writer import BagWriter
 
 FLAT = flatten(read_cell(find_file("paper.yaml"), SHORT))
 KEYS = sorted(FLAT)

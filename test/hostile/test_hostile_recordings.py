@@ -17,13 +17,13 @@ from mcap.writer import CompressionType, Writer
 from test_recording_reader import Whole, poses, write_mcap
 from test_recording_samples import record
 
-from kr270_milling.bag.export import export
-from kr270_milling.bag.info import info
-from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.recover import recover
-from kr270_milling.bag.series import series
-from kr270_milling.bag.verify import findings
 from kr270_milling.base.errors import RecordingError
+from kr270_milling.recordings.bag.export import export
+from kr270_milling.recordings.bag.info import info
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.recover import recover
+from kr270_milling.recordings.bag.series import series
+from kr270_milling.recordings.bag.verify import findings
 
 MB = 1024 * 1024
 BEGIN = b"\x89MCAP0\r\n" + struct.pack("<BQI4sI", 1, 12, 4, b"ros2", 0)
@@ -31,9 +31,9 @@ READ_ALL = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (2_000_000_000, 2_000_000_000))
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.bag.reader import Recording
-from kr270_milling.bag.recover import recover
-from kr270_milling.bag.verify import findings
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.recover import recover
+from kr270_milling.recordings.bag.verify import findings
 
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for file in sys.argv[1:]:
@@ -175,17 +175,17 @@ def test_a_message_of_an_undefined_channel_is_an_error(tmp_path):
 ])  # fmt: skip
 def test_definitions_chunks_and_messages_are_limited(tmp_path, monkeypatch, name, limit, sentence):
     path = write_mcap(tmp_path / "a.mcap", poses(range(100)), chunk_size=500)
-    monkeypatch.setattr(f"kr270_milling.bag.{name}", limit)
+    monkeypatch.setattr(f"kr270_milling.recordings.bag.{name}", limit)
     with pytest.raises(RecordingError, match=sentence), Recording(path) as recording:
         list(recording.messages())
 
 
 def test_a_series_that_unfolds_far_beyond_the_file_is_refused(tmp_path, monkeypatch):
     path = write_mcap(tmp_path / "a.mcap", [(0, poses([0])[0][1])] * 20_000, chunk_size=8 * MB)
-    monkeypatch.setattr("kr270_milling.bag.series.LIMIT_PER_BYTE", 1)
+    monkeypatch.setattr("kr270_milling.recordings.bag.series.LIMIT_PER_BYTE", 1)
     with Recording(path) as recording:
         assert len(series(recording, "/tool_pose").values) == 20_000
-        monkeypatch.setattr("kr270_milling.bag.series.BASE_LIMIT", 1000)
+        monkeypatch.setattr("kr270_milling.recordings.bag.series.BASE_LIMIT", 1000)
         with pytest.raises(RecordingError, match="times the size of the file"):
             series(recording, "/tool_pose")
 

@@ -83,7 +83,7 @@ def test_a_report_of_a_recording_shows_its_texts_and_does_not_run_them(tmp_path)
 @pytest.mark.parametrize("command", [["info"], ["replay", "--recompute"], ["export", "--csv", "{out}"]])
 def test_texts_of_a_recording_do_not_steer_the_terminal(command, tmp_path):
     pytest.importorskip("geometry_msgs")
-    from kr270_milling.bag.writer import BagWriter
+    from kr270_milling.recordings.bag.writer import BagWriter
 
     evil = "\x1b[2J\x1b]0;owned\x07\r\n"
     with BagWriter(tmp_path / "a", attachments={f"{evil}.yaml": evil}, metadata={evil: evil}) as writer:

@@ -1,0 +1,209 @@
+"""All checks of one cell, and of a corrected trajectory in it; and of numbers that no arm, tool or placement has."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass, simulate
+from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
+from kr270_milling.decide.findings import SEVERITIES, Finding, Violation, gathered, separate, violation
+from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
+from kr270_milling.decide.stability import Stability, chatter_violations, stability_statement
+from kr270_milling.path.source_program import SourceProgram
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.milling_pass import FLIGHT, PassError
+from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
+
+RAPID_MOVES = "removed by rapid moves"
+MOST_LINES = 10  #: of the program that the line about rapid moves names
+
+__all__ = ["RAPID_MOVES", "Checked", "cell_violations", "check"]
+
+ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm that cannot bear its load
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """What was found, the worst first."""
+
+    findings: tuple[Finding, ...]
+    points: int
+    ran: ScoredPass | None  #: the pass that was simulated, if the arm can make it
+    program: SourceProgram  #: what the file of the path says beside its moves
+    stability: Stability | None  #: of the programmed path, if the arm can follow it
+    residue: Residue | None  #: of the pass that was simulated
+    rapid_moves: tuple[Finding, ...] | None = None  #: each one through material; None: the arm cannot make the path
+
+    def __repr__(self) -> str:
+        return f"<Checked: {self.summary}>"
+
+    @property
+    def may_be_run(self) -> bool:
+        """Whether nothing was found that forbids it."""
+        return not self.count("stop")
+
+    def count(self, severity: str) -> int:
+        """Findings of that severity, like ones counted once."""
+        return sum(f.severity == severity for f in self.findings)
+
+    @property
+    def summary(self) -> str:
+        """One line: points, counts, and whether the path may be run."""
+        counts = ", ".join(f"{self.count(s)} {s}{'' if self.count(s) == 1 else 's'}" for s in ("stop", "warning"))
+        verdict = "may be run, after a test in T1" if self.may_be_run else "must not be run"
+        return f"{self.points} points, {counts}: the path {verdict}"
+
+    def lines(self) -> list[str]:
+        """What terminal, report and program headers print: one line a finding, then the summary."""
+        read_over = [self.program.summary] if self.program.summary else []
+        stability = [one.text for one in (self.stability, self.residue) if one]
+        findings = (f"{f.severity:8} {f.text}" for f in self.findings)
+        return [*read_over, *findings, self.rapid_text, *stability, self.summary]
+
+    @property
+    def rapid_volume_mm3(self) -> float | None:
+        """What rapid moves remove; None where the arm cannot make the path."""
+        return None if self.rapid_moves is None else sum((f.amounts["volume_mm3"] for f in self.rapid_moves), 0.0)
+
+    @property
+    def rapid_text(self) -> str:
+        """One line: the volume, and the lines of the program where there are some."""
+        if self.rapid_moves is None:
+            return f"{RAPID_MOVES}: not known, the arm cannot make the path"
+        lines = list(dict.fromkeys(str(f.where.line) for f in self.rapid_moves if f.where.line))
+        more = f" and {len(lines) - MOST_LINES} more" if len(lines) > MOST_LINES else ""
+        where = f" (line{'s' * (len(lines) > 1)} {', '.join(lines[:MOST_LINES])}{more})" if lines else ""
+        return f"{RAPID_MOVES}: {self.rapid_volume_mm3:.4g} mm3{where}"
+
+    def as_dict(self) -> dict:
+        """For JSON; values and limits in the unit that stands beside them."""
+        return {
+            "may_be_run": self.may_be_run,
+            "points": self.points,
+            **{f"{severity}s": self.count(severity) for severity in SEVERITIES},
+            "findings": [f.as_dict() for f in self.findings],
+            "removed_by_rapid_moves_mm3": self.rapid_volume_mm3,
+            "rapid_moves": None if self.rapid_moves is None else [f.as_dict() for f in self.rapid_moves],
+            "stability": self.stability and self.stability.as_dict(),
+            "simulated_pass": self.residue and self.residue.as_dict(),
+            "read_over": [{"word": word.word, "count": word.count} for word in self.program.read_over],
+        }
+
+
+def check(
+    cell: Cell, reference: Trajectory | None = None, motion: str | None = None, ran: ScoredPass | None = None,
+    progress=None, more: Iterable[Violation] = (),
+) -> Checked:  # fmt: skip
+    """Check the cell's own path, or a corrected one; motion: LIN or SPLINE.
+
+    Default: LIN for a correction in straight lines of a smooth path, as compensate writes it, else that of ``program``.
+
+    ran: the pass along it, if it was simulated already; more: violations that are known already. Where the arm cannot
+    make the path, nothing is simulated. Raises InputError for a path that cannot be read or misses the stock, and for a
+    reference of another path.
+    """
+    fed = cell.fed_path
+    programmed = cell.target() if fed is None else fed.trajectory
+    run = programmed if reference is None else reference
+    found, joints = arm_violations(cell, run)
+    stability = residue = rapid_moves = None
+    reachable = joints is not None and not any(v.kind == "joint limit" for v in found)
+    if reachable and reference is None and fed is not None:
+        run = cell.target()  # slowed down to what the joints can do
+        found, _ = arm_violations(cell, run)
+    found += [*cell_violations(cell), *more]
+    if reachable:
+        target = cell.target()
+        straight = run.velocity is None and target.velocity is not None
+        found += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
+        ran, cut = _cut(cell, run, ran, progress)
+        found += cut
+        rapid_moves = separate(cell, run, "rapid in material", cut)
+        with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
+            stability = stability_statement(cell)
+            found += chatter_violations(stability, run.time)
+        residue = residue_of(cell, ran.result) if ran else None
+        if residue and residue.word == "grows":
+            found.append(violation("growing vibration", residue.residue, residue.limit, percent=100 * residue.residue))
+    program = fed.toolpath.program if fed else SourceProgram()
+    return Checked(
+        gathered(cell, run, found), len(run), ran if reachable else None, program, stability, residue, rapid_moves
+    )
+
+
+def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:
+    """The pass along ``run``, simulated where it was not yet, and what it shows."""
+    try:
+        ran = ran or simulate(cell, run, "checked", progress)
+    except PassError as error:
+        point = int(np.searchsorted(run.time, error.at)) + 1
+        failed = violation("deflection", error.deflection, FLIGHT, point, said=error)
+    except DeflectionError as error:
+        failed = violation("joint deflection", error.deflection, error.limit, said=error)
+    except (UnstableLoadError, EquilibriumError) as error:
+        failed = violation("load on the arm", error.load_factor, 1.0, said=error)
+    else:
+        return ran, cut_violations(cell, run, ran)
+    return None, [failed, *contact_violations(cell, run)]
+
+
+def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) -> list[Violation]:
+    if not np.array_equal(target.time_ns, run.time_ns):
+        raise InputError("reference", f"its times are not those of the {len(target)} points of this cell's path")
+    if run is target:
+        return []
+    how = cell.compensation
+    found = correction_size(target, run, how.tick_ns, how.max_correction)
+    found += correction_per_tick(target, run, how.tick_ns, how.max_change_per_tick)
+    if motion == "LIN":
+        found += corner_blending(target, run, cell.program.blend_distance, cell.limits.blending_share)
+    return found
+
+
+#: [rad/(N m)], joint compliances of heavy arms lie at 0.1 to 10 urad/(N m) (Table 1 of [Klimchik2012]: 0.15 to 2.13)
+COMPLIANCE = 1e-8, 1e-4
+#: [kg], links of arms that carry a milling spindle (Table 1: 18 to 337)
+LINK_MASS = 1.0, 2e3
+WIDEST_GRID = 0.05  #: of the tool's radius: with fewer nodes across a cut its force is noise
+
+
+def cell_violations(cell: Cell) -> list[Violation]:
+    """What is unlikely in the parameter file; all are warnings, for the user may have an unlikely cell."""
+    arm, step, widest = cell.arm, cell.stock.grid_step, WIDEST_GRID * cell.tool.radius
+    reach = arm.a1 + arm.a2 + arm.forearm + arm.d6 + float(np.linalg.norm(cell.mount.xyz))
+    away = float(np.hypot(*cell.workpiece.xyz[:2]))
+    found = _unlikely("compliance", arm.joint_compliance, COMPLIANCE) + _unlikely("mass", arm.link_mass, LINK_MASS)
+    if step > widest:
+        found.append(violation("tool and grid", step, widest, diameter=1e3 * cell.tool.diameter))
+    if away > reach:
+        found.append(violation("envelope", away, reach))
+    return found + _posture(cell)
+
+
+def _unlikely(kind: str, values: np.ndarray, bounds: tuple[float, float]) -> list[Violation]:
+    """The first value that is not within the bounds."""
+    over = np.flatnonzero(~((values >= bounds[0]) & (values <= bounds[1])))
+    return [violation(kind, values[k], bounds[int(values[k] > bounds[1])], number=k + 1) for k in over[:1]]
+
+
+def _posture(cell: Cell) -> list[Violation]:
+    """Joints outside the limits, or all so small that they must be radians."""
+    q, arm = np.asarray(cell.posture), cell.arm
+    key = "start_joints_deg" if cell.start_joints.size else "posture_hint_deg"
+    beyond = np.maximum(q - arm.joint_upper, arm.joint_lower - q)
+    k = int(np.argmax(beyond))
+    degrees = np.degrees(np.abs(q))
+    if beyond[k] > 0.0:
+        limit = arm.joint_upper[k] if q[k] > arm.joint_upper[k] else arm.joint_lower[k]
+        said = f"axis {k + 1} is at {np.degrees(q[k]):.4g} deg"
+        return [violation("posture", q[k], limit, key=key, said=said)]
+    if np.any(degrees > 0.0) and np.all(degrees <= 2.0 * np.pi) and np.any(degrees % 1.0 > 1e-9):
+        said = f"all within {degrees.max():.3g} deg, as radians would be"
+        return [violation("posture", np.radians(degrees.max()), np.radians(2.0 * np.pi), key=key, said=said)]
+    return []

@@ -1,0 +1,375 @@
+"""Checks of the cut: is anything removed, do rapid moves or plunges meet material, can tool and spindle do it;
+does vibration grow in the simulated pass."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decide.findings import Violation, stretches, violation, violations
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.milling_pass import PassResult
+
+__all__ = [
+    "Engagement",
+    "Residue",
+    "contact_violations",
+    "cut_violations",
+    "engagement",
+    "rapid_violations",
+    "residue_of",
+]
+
+NODES_PER_RADIUS = 50  #: of the height map, along its axes
+MOST_VISITS = 2e9  #: of nodes, about a nanosecond each; a longer path takes a coarser map
+MOST_NODES = 2e7  #: of the height map, 20 bytes each; a small cutter in a large stock takes a coarser map
+#: [rad], from x of the workpiece to the first axis of the map. The tangent is the golden ratio less 1: no wall along x,
+#: y or a diagonal lies on a row of nodes, so that a long contact far narrower than the node step still covers nodes
+MAP_TURN = math.atan((math.sqrt(5.0) - 1.0) / 2.0)
+VERTICAL = 1e-20  #: [m^2], square of the horizontal length below which a move is vertical
+LEAST_MARGIN = 1e-9  #: [m], rounding of heights and radii
+CORE = 0.2  #: share of the radius about the axis where a cutter that is not centre-cutting has no edge
+PLUNGE = 0.5  #: sine of the slope below which a way down is a ramp: 30 deg
+UNLIKELY_FEED = 0.25  #: of the diameter, a tooth: no cutter takes that, so a unit has slipped
+FEWEST_TEETH = 60  #: in one stretch of cutting; fewer say nothing about growth
+CHATTERS = 0.02  #: share of the feed per tooth, root mean square
+#: limit over grid step per feed per tooth; the grid makes a stable pocket ring by 0.016 to 0.019 of it (measured at
+#: steps of 0.25 to 2.5 feeds per tooth), so that the factor is two
+GRID_NOISE = 0.04
+GROWS = 1.5  #: ratio of the last third of a straight cut to the middle one
+SMALL = 0.001  #: share of the feed per tooth below which growth is numerical noise
+
+
+@dataclass(frozen=True, eq=False)
+class Engagement:
+    """At m places along the programmed path, workpiece frame."""
+
+    position: np.ndarray  #: tool tip [m], (m, 3)
+    time: np.ndarray  #: [s], (m,)
+    rapid: np.ndarray  #: on a rapid move, (m,)
+    block: np.ndarray  #: of the tool path that leads to the place, (m,)
+    series: np.ndarray  #: number of the rapid moves between two cutting moves, from 1; 0: a cutting move; (m,)
+    depth: np.ndarray  #: deepest material above the tip within the tool's radius [m], (m,)
+    inner: np.ndarray  #: deepest material that a rapid move meets within the radius less ``margin`` [m], (m,)
+    core: np.ndarray  #: deepest material above the tip about the tool's axis [m], (m,)
+    volume: np.ndarray  #: that rapid moves remove on the way to the place [m^3], (m,)
+
+
+def engagement(cell: Cell, margin: float, shift: np.ndarray | None = None) -> Engagement:
+    """Run the programmed path through the stock on a height map of nodes; default: without deflection.
+
+    ``inner`` compares the rapid moves between two cutting moves, as a whole, with the material before the first of
+    them. The distance between places and the stiffness of the arm therefore do not matter.
+
+    margin [m]: ``inner`` leaves out contacts that are no deeper or no wider; shift (m, 3) [m]: of the places, as
+    a pass deviates from the path. ``inner`` belongs to the place that removes the material.
+    """
+    position, time, block, step = _places(cell)
+    timed = cell.timed_path
+    rapid = np.zeros(len(block), bool) if timed is None else timed.toolpath.rapid[block]
+    series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
+    depth, inner, core, volume = met = np.zeros((4, len(position)))
+    radius = float(cell.tool.radii.max())
+    moved = position if shift is None else position + shift
+    turn = _turn()
+    surface, origin = _fresh_map(cell, moved, radius, step)
+    path = np.column_stack([moved[:, :2] @ turn.T, moved[:, 2]])
+    margin = max(margin, LEAST_MARGIN)
+    radii = radius, max(radius - margin, 0.0), CORE * radius
+    earlier = np.zeros(surface.shape), np.full(surface.shape, -1, np.int32)
+    _mill(surface, *earlier, origin, step, path, series, radii, margin, met)
+    return Engagement(position, time, rapid, block, series, depth, inner, core, volume)
+
+
+def _turn() -> np.ndarray:
+    """From the workpiece frame to the axes of the map, (2, 2)."""
+    c, s = math.cos(MAP_TURN), math.sin(MAP_TURN)
+    return np.array([[c, s], [-s, c]])
+
+
+def _fresh_map(cell: Cell, position: np.ndarray, radius: float, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Heights of the uncut stock [m] at the nodes that the tool can reach, -inf outside, and the first node [m]."""
+    low, high, turn = cell.stock.min, cell.stock.max, _turn()
+    near = np.maximum(low[:2], position[:, :2].min(axis=0) - radius)
+    far = np.maximum(near, np.minimum(high[:2], position[:, :2].max(axis=0) + radius))
+    corners = np.array([[x, y] for x in (near[0], far[0]) for y in (near[1], far[1])]) @ turn.T
+    origin = corners.min(axis=0) + 0.5 * step
+    shape = np.maximum(1, np.ceil(np.ptp(corners, axis=0) / step)).astype(int)
+    surface = np.full(tuple(shape), high[2])
+    _clear_outside(surface, origin, step, turn, low, high)
+    return surface, origin
+
+
+@njit(cache=True)
+def _clear_outside(surface, origin, step, turn, low, high):
+    """Set the nodes that are not over the stock to -inf."""
+    for i in range(surface.shape[0]):
+        u = origin[0] + i * step
+        for j in range(surface.shape[1]):
+            v = origin[1] + j * step
+            x, y = turn[0, 0] * u + turn[1, 0] * v, turn[0, 1] * u + turn[1, 1] * v
+            if x < low[0] or x > high[0] or y < low[1] or y > high[1]:
+                surface[i, j] = -np.inf
+
+
+def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Tool tips, times and blocks half a node step apart, and the node step [m]."""
+    target, timed = cell.target(), cell.timed_path
+    radius = float(cell.tool.radii.max())
+    length = cell.programmed.length
+    area = float(np.prod((cell.stock.max - cell.stock.min)[:2]))
+    # length / (step / 2) places of pi (radius / step)^2 nodes each are to stay below MOST_VISITS
+    step = max(
+        radius / NODES_PER_RADIUS,
+        (2.0 * np.pi * length * radius**2 / MOST_VISITS) ** (1.0 / 3.0),
+        math.sqrt(area / MOST_NODES),
+    )
+    count = 2 + int(2.0 * length / step)
+    if timed is None:
+        time_ns = np.linspace(0, target.duration_ns, count).astype(np.int64)
+        return target.sample(time_ns), time_ns * 1e-9, np.zeros(count, int), step
+    ends = np.cumsum(timed.toolpath.block_length)
+    distance = np.sort(np.concatenate([np.linspace(0.0, timed.toolpath.length, count), ends[1:]]))  # every corner too
+    block = np.clip(np.searchsorted(ends, distance), 0, len(ends) - 1)  # where two meet, the one that ends
+    time = np.interp(distance, timed.distance_at(target.time_ns), target.time)
+    return timed.toolpath.on_path(distance)[0], time, block, step
+
+
+@njit(cache=True)
+def _mill(surface, before, by, origin, step, position, series, radii, margin, met):
+    """Lower the surface to the lowest height of the tip on the straight way to each place, and note what was there.
+
+    by: the last place on a rapid move that lowered a node, -1: none; before: height of the node before its series.
+    """
+    depth, inner, core, volume = met
+    square, square_inner, square_core = radii[0] ** 2, radii[1] ** 2, radii[2] ** 2
+    contact, start = False, 0  # whether the present series of rapid moves has lowered a node; first place of the series
+    for k in range(position.shape[0]):
+        x, y, z = position[k]
+        last_x, last_y, last_z = position[max(k - 1, 0)]
+        move_x, move_y = x - last_x, y - last_y
+        way, lower = move_x**2 + move_y**2, min(last_z, z)
+        if k == 0 or series[k] != series[k - 1]:
+            contact, start = False, k
+        first_i = max(int((min(x, last_x) - radii[0] - origin[0]) / step), 0)
+        first_j = max(int((min(y, last_y) - radii[0] - origin[1]) / step), 0)
+        for i in range(first_i, min(int((max(x, last_x) + radii[0] - origin[0]) / step) + 1, surface.shape[0])):
+            away_x = origin[0] + i * step - last_x
+            for j in range(first_j, min(int((max(y, last_y) + radii[0] - origin[1]) / step) + 1, surface.shape[1])):
+                if surface[i, j] <= lower and not (contact and by[i, j] >= start):
+                    continue
+                away_y = origin[1] + j * step - last_y
+                along, beside = 0.0, away_x**2 + away_y**2
+                if way > VERTICAL:
+                    along = (away_x * move_x + away_y * move_y) / way
+                    beside -= along**2 * way
+                tip = _lowest(along, beside, way, square, last_z, z)
+                over = surface[i, j] - tip
+                if over > 0.0:
+                    depth[k] = max(depth[k], over)
+                    if (away_x - move_x) ** 2 + (away_y - move_y) ** 2 < square_core:
+                        core[k] = max(core[k], over)
+                    if series[k]:
+                        contact = True
+                        volume[k] += over * step**2
+                        if by[i, j] < start:
+                            before[i, j] = surface[i, j]
+                        by[i, j] = k
+                    surface[i, j] = tip
+                if contact and by[i, j] >= start:
+                    deep = before[i, j] - _lowest(along, beside, way, square_inner, last_z, z)
+                    if deep > margin:
+                        inner[by[i, j]] = max(inner[by[i, j]], deep)
+
+
+@njit(cache=True, inline="always")
+def _lowest(along, beside, way, square, last_z, z):
+    """Lowest height of a straight way while a node is within the radius; inf where it never is.
+
+    along: of the node's projection, a share of the way; beside: square of its distance from the line of the way; way:
+    square of the horizontal length; square: of the radius; last_z, z: heights at both ends.
+    """
+    if beside >= square:
+        return np.inf
+    if way <= VERTICAL:
+        return min(last_z, z)
+    half = np.sqrt((square - beside) / way)
+    first, last = max(along - half, 0.0), min(along + half, 1.0)
+    if first > last:
+        return np.inf
+    return last_z + (z - last_z) * (last if z < last_z else first)
+
+
+def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
+    """What the simulated pass along ``run``, and the programmed path in the stock, show; by the points of ``run``."""
+    if not ran.result.removed_volume > 0.0:
+        return [violation("stock missed", 0.0, 0.0, 1)]
+    return _spindle(cell, run, ran) + _tool(cell) + contact_violations(cell, run, ran)
+
+
+def _spring_back(cell: Cell, ran: ScoredPass) -> float:
+    """[m], largest deflection while the tool feeds through material: a tool that springs back when the cut ends removes
+    as much from a wall."""
+    result = ran.result
+    cutting = result.volume > 0.0
+    cutting &= ~cell.programmed.rapid_at(result.time_ns)
+    return float(np.max(np.linalg.norm(result.deflection[cutting, :3], axis=1), initial=0.0))
+
+
+def _spindle(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
+    knot = np.clip(np.searchsorted(run.time_ns, ran.result.time_ns), 1, len(run) - 1)  # the one that is next
+    torque = np.zeros(len(run))
+    np.maximum.at(torque, knot, ran.result.torque)
+    found = violations("spindle torque", torque, cell.limits.spindle_torque)
+    return found + violations("spindle power", torque * cell.tool.spindle_speed, cell.limits.spindle_power)
+
+
+def _tool(cell: Cell) -> list[Violation]:
+    """Feed per tooth and cutting speed, from the fastest cutting move."""
+    tool, found = cell.tool, []
+    teeth_a_second = tool.spindle_speed / (2.0 * np.pi) * tool.teeth
+    feed, speed = cell.feed_rate / teeth_a_second, tool.spindle_speed * tool.radius
+    if tool.max_feed_per_tooth and feed > tool.max_feed_per_tooth:
+        found.append(violation("feed per tooth", feed, tool.max_feed_per_tooth, most="the cutter takes"))
+    elif feed > (unlikely := UNLIKELY_FEED * tool.diameter):
+        most = "a quarter of the cutter's diameter"
+        found.append(violation("feed per tooth", feed, unlikely, severity="warning", most=most))
+    if tool.max_cutting_speed and speed > tool.max_cutting_speed:
+        found.append(violation("cutting speed", speed, tool.max_cutting_speed))
+    return found
+
+
+def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = None) -> list[Violation]:
+    """What the tool meets along the programmed path: material at rapid, below the stock, fixtures."""
+    low, high, radius = cell.stock.min, cell.stock.max, cell.tool.radii.max()
+    margin, below, flutes = cell.limits.rapid_contact, cell.limits.below_stock, cell.tool.flute_length
+    met = engagement(cell, margin)
+    points = _points(run, met)
+    beneath = np.where(_over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
+    found = rapid_violations(cell, run, met, ran)
+    found += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points)
+    for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
+        inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
+        found += violations(
+            "in the fixture", inside, 0.0, inside > 0.0, points=points, subject=f"fixture {number}"
+        )  # fmt: skip
+    if flutes:
+        found += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points)
+    if not cell.tool.centre_cutting:
+        depth, over = _plunges(met)
+        found += violations("plunge", depth, 0.0, over, points=points)
+    return found
+
+
+def _points(run: Trajectory, met: Engagement) -> np.ndarray:
+    """The point of the program that each place of the path leads to, from 1."""
+    return np.clip(np.searchsorted(run.time, met.time - 1e-6), 0, len(run) - 1) + 1
+
+
+def rapid_violations(cell: Cell, run: Trajectory, met: Engagement, ran: ScoredPass | None = None) -> list[Violation]:
+    """Rapid moves through material, by the points of ``run``; met: engagement with the margin ``limits.rapid_contact``.
+
+    Where the programmed path has none, the simulated pass ``ran`` decides: its rapid moves must not enter the material
+    that its cutting moves leave, further than the arm springs back.
+    """
+    margin = cell.limits.rapid_contact
+    contacts = _rapid_moves(cell, met, _points(run, met), margin)
+    if contacts or ran is None or not met.rapid.any():
+        return contacts
+    result = ran.result
+    error = result.actual - result.target
+    shift = np.stack([np.interp(1e9 * met.time, result.time_ns, error[:, k]) for k in range(3)], axis=1)
+    margin += _spring_back(cell, ran)
+    return _rapid_moves(cell, engagement(cell, margin, shift), _points(run, met), margin)
+
+
+def _rapid_moves(cell: Cell, met: Engagement, points: np.ndarray, margin: float) -> list[Violation]:
+    """One violation for each rapid move through material: deepest contact, length of the contact, removed volume.
+
+    The last move of a series counts what the moves without such a contact remove at the rim.
+    """
+    contacts = []
+    length = np.linalg.norm(np.diff(met.position, axis=0, prepend=met.position[:1]), axis=1)
+    contact = met.inner > margin
+    blocks = np.unique(met.block[contact])
+    at_rim = ~np.isin(met.block, blocks)
+    rest = np.bincount(met.series[at_rim], met.volume[at_rim], minlength=len(met.series) + 1)
+    for block in blocks[::-1].tolist():
+        rows = np.flatnonzero(met.block == block)
+        worst = rows[np.argmax(met.inner[rows])]
+        volume = met.volume[rows].sum() + rest[met.series[worst]]
+        rest[met.series[worst]] = 0.0
+        amounts = {"length_mm": 1e3 * float(length[rows[contact[rows]]].sum()), "volume_mm3": 1e9 * float(volume)}
+        depth, point = met.inner[worst], int(points[worst])
+        contacts.append(violation("rapid in material", depth, margin, point, block=block, amounts=amounts))
+    return contacts[::-1]
+
+
+def _over(met: Engagement, low: np.ndarray, high: np.ndarray, radius: float) -> np.ndarray:
+    """Where the tool stands over or in a box, seen from above, (m,)."""
+    beside = met.position[:, :2] - np.clip(met.position[:, :2], low[:2], high[:2])
+    return np.hypot(*beside.T) < radius
+
+
+def _plunges(met: Engagement) -> tuple[np.ndarray, np.ndarray]:
+    """Steep ways down into material: depth of the whole way so far [m] and whether it is one, (m,) each."""
+    move = np.diff(met.position, axis=0, prepend=met.position[:1])
+    steep = -move[:, 2] > PLUNGE * np.linalg.norm(move, axis=1)
+    over = steep & (met.core > 0.0)
+    so_far = np.cumsum(np.where(over, met.core, 0.0))
+    return so_far - np.maximum.accumulate(np.where(over, 0.0, so_far)), over
+
+
+@dataclass(frozen=True)
+class Residue:
+    """Vibration from tooth to tooth in a simulated pass, in which the arm moves and tool and spindle are rigid."""
+
+    word: str  #: "repeats", "grows" or "no statement"
+    residue: float  #: root mean square from tooth to tooth, a share of the feed per tooth; NaN without a statement
+    limit: float = CHATTERS  #: the same share, above which the vibration grows
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        if self.word == "no statement":
+            return f"simulated pass (arm only): no cut of {FEWEST_TEETH} teeth without a break to compare"
+        share = f"{100 * self.residue:.2g}" if self.residue >= SMALL else f"less than {100 * SMALL:g}"
+        word = "vibration grows" if self.word == "grows" else "the motion repeats"
+        return f"simulated pass (arm only): {word}, from tooth to tooth {share} % of the feed per tooth remain"
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return {"word": self.word, "residue_share": self.residue, "limit_share": self.limit}
+
+
+def residue_of(cell: Cell, result: PassResult) -> Residue:
+    """The part of the tool's motion that does not repeat from tooth to tooth, in the worst stretch of cutting.
+
+    Sampled once a tooth period T, a stable cut repeats itself but for the slow swinging of the arm, whose fourth
+    difference over teeth is small: A (w T)^4 / 16 for a swing of amplitude A and circular frequency w, 0.02 % of it at
+    20 Hz and 533 teeth a second. A chattering cut does not repeat itself: its motion is no multiple of the tooth
+    period and grows until the teeth leave the material, so that a straight cut is also judged by whether its residue
+    grows. What swings slower than a tenth of the tooth frequency is left to the deviation.
+    """
+    period = 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
+    feed_per_tooth = cell.feed_rate * period
+    limit = max(CHATTERS, GRID_NOISE * cell.stock.grid_step / max(feed_per_tooth, 1e-12))
+    worst, grows, seconds = np.nan, False, result.time
+    for first, last in stretches(result.volume > 0.0):
+        time = seconds[first:last]
+        teeth = np.arange(time[0], time[-1], period)
+        if teeth.size < FEWEST_TEETH:
+            continue
+        at_teeth = np.stack([np.interp(teeth, time, result.deflection[first:last, k]) for k in range(2)], 1)
+        residue = np.linalg.norm(np.diff(at_teeth, 4, axis=0), axis=1) / 16.0  # a motion that alternates counts whole
+        parts = [float(np.sqrt(np.mean(part**2))) / feed_per_tooth for part in np.array_split(residue, 3)]
+        worst = np.fmax(worst, parts[2])
+        grows |= cell.programmed.straight and parts[2] > SMALL and parts[2] > GROWS * parts[1]
+    if np.isnan(worst):
+        return Residue("no statement", np.nan, limit)
+    return Residue("grows" if grows or worst > limit else "repeats", float(worst), limit)

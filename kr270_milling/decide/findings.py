@@ -1,0 +1,257 @@
+"""Findings: what a check says, where, how far beyond which limit, and what to do about it.
+
+``KINDS`` describes every check once; checks make violations of it, and ``gathered`` makes findings of those. Terminal,
+JSON, report and the header of every robot program print the same findings.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kr270_milling.cell.cell import Cell
+from kr270_milling.path.trajectory import Trajectory
+
+__all__ = ["KINDS", "SEVERITIES", "Finding", "Kind", "Place", "Violation", "gathered", "separate", "stretches",
+           "violation", "violations"]  # fmt: skip
+
+DEG = 180.0 / math.pi
+ROUNDING = 1e-5  #: share of a limit that a value may lie above it: what was cut down to the limit is not beyond it
+EXCEEDS = " exceeds {limit:.4g} {unit} ({where}): {value:.4g} {unit} at point {point}"
+SEVERITIES = ("stop", "warning", "note")  #: the worst first; "stop": must not be run
+
+
+#: unit of a finding -> factor from SI
+SCALES = {"mm": 1e3, "um": 1e6, "mm3": 1e9, "deg": DEG, "deg/s": DEG, "deg/s^2": DEG, "%": 100.0, "kW": 1e-3,
+          "m/min": 60.0, "urad/(N m)": 1e6}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One check. The sentence is a format string with the keys that ``violation`` names."""
+
+    unit: str  #: of value and limit, as they are shown
+    sentence: str
+    advice: str
+    severity: str = "stop"
+
+    @property
+    def scale(self) -> float:
+        return SCALES.get(self.unit, 1.0)
+
+
+KINDS = {
+    "reach": Kind("m",
+        "out of reach at {where}: the wrist centre would be {value:.4f} m from axis 2 at point {point}, but the arm "
+        "reaches from {least:.4f} to {limit:.4f} m",
+        "Move the workpiece nearer to the arm, or turn the tool."),
+    "joint limit": Kind("deg",
+        "{subject} leaves its range of {low:g} to {high:g} deg at {where}: {value:.3f} deg at point {point}",
+        "Move or turn the workpiece, or choose another branch by posture_hint_deg."),
+    "singularity": Kind("",
+        "near the {subject} singularity at {where}: {measure:.4g} {of} at point {point}, at least {wanted:.4g} is "
+        "wanted",
+        "Move the workpiece, or tilt the mount so that the wrist stays bent."),
+    "configuration flip": Kind("",
+        "the configuration flips between points {before} and {point}: status S {limit:.0f} becomes {value:.0f}",
+        "Move the workpiece until the arm keeps its configuration along the path."),
+    "joint speed": Kind("deg/s", "the speed of {axis}" + EXCEEDS,
+        "Lower the feed there, or keep away from the singularity."),
+    "joint acceleration": Kind("deg/s^2", "the acceleration of {axis}" + EXCEEDS,
+        "Lower timing.acceleration_m_per_s2, or round the corner."),
+    "axis reversal": Kind("um",
+        "{subject} reverses at point {point}: its backlash lets the tool jump by {value:.3g} um",
+        "It shows on the part unless a load holds the axis to one side.", "note"),
+    "correction size": Kind("mm", "the correction" + EXCEEDS,
+        "Check compliances and force law; then raise compensation.max_correction_mm."),
+    "correction per tick": Kind("um", "the change of the correction per tick" + EXCEEDS,
+        "Use method inverse, or raise compensation.max_change_per_tick_um."),
+    "correction limited": Kind("mm", "{said}",
+        "Lower the feed there, or raise the limit in section compensation.", "warning"),
+    "corner blending": Kind("%", "the share of the correction that corner blending takes" + EXCEEDS,
+        "Lower program.blend_distance_mm, or use SPLINE motions.", "warning"),
+    "spindle torque": Kind("N m", "the spindle torque" + EXCEEDS, "Lower depth, width or feed of the cut."),
+    "spindle power": Kind("kW", "the spindle power" + EXCEEDS, "Lower depth, width, feed or speed of the cut."),
+    "stock missed": Kind("mm3", "the path removes nothing from the stock", "Check datum, unit and stock."),
+    "rapid in material": Kind("mm",
+        "a rapid move goes {length_mm:.4g} mm through material, {value:.4g} mm deep at point {point}, and removes "
+        "{volume_mm3:.4g} mm3",
+        "Retract above the stock before the rapid move, or feed there (G1)."),
+    "below the stock": Kind("mm", "the tool is {value:.4g} mm below the bottom of the stock at point {point}",
+        "Raise the path or lower the stock's bottom; limits.below_stock_mm allows it."),
+    "in the fixture": Kind("mm", "the tool enters {subject} at point {point}, {value:.4g} mm below its top",
+        "Move the fixture or the path."),
+    "depth of cut": Kind("mm", "the cut is {value:.4g} mm deep at point {point}, the flutes are {limit:.4g} mm",
+        "Mill in more levels, or take a tool with a longer flute."),
+    "plunge": Kind("mm",
+        "the cutter plunges {value:.4g} mm into material at point {point}, but it is not centre-cutting",
+        "Let the CAM enter by a ramp or helix, or from outside, or take a centre-cutting tool."),
+    "feed per tooth": Kind("mm", "{value:.4g} mm a tooth is more than {most}, {limit:.4g} mm",
+        "Check the unit of the feed and the number of teeth; lower F or raise S."),
+    "cutting speed": Kind("m/min", "the teeth run at {value:.4g} m/min, but the cutter takes {limit:.4g}",
+        "Lower the spindle speed."),
+    "chatter": Kind("mm",
+        "{subject}: a cut {value:.3g} mm deep at point {point} is {words} of {limit:.3g} mm, chatter at {hertz:.4g} Hz",
+        "Lower the depth of cut, or move to a stable spindle speed (kr270_milling stability)."),
+    "growing vibration": Kind("1",
+        "vibration grows in the simulated pass: {percent:.2g} % of the feed per tooth remain from tooth to tooth",
+        "Lower the depth of cut, or move to a stable spindle speed (kr270_milling stability)."),
+    "deflection": Kind("mm", "{said}", "Check force law, feed per tooth, compliances and masses."),
+    "joint deflection": Kind("deg", "{said}", "Check compliances and masses; the linear springs do not hold so far."),
+    "load on the arm": Kind("1", "{said}", "Check masses and compliances: the arm does not bear its own weight."),
+    "tool and grid": Kind("mm", "the grid step of {value:.4g} mm is coarse for a cutter of {diameter:.4g} mm diameter",
+        "Check tool.diameter_mm, or lower stock.grid_step_um.", "warning"),
+    "envelope": Kind("m", "the workpiece is {value:.4g} m from axis 1, the arm reaches {limit:.4g} m",
+        "Check workpiece.xyz_mm and its unit: it is on base_link, in mm.", "warning"),
+    "compliance": Kind("urad/(N m)",
+        "joint {number} gives way by {value:.3g} urad/(N m), arms of this size by 0.01 to 100",
+        "Check arm.joint_compliance and its unit, urad per N m.", "warning"),
+    "mass": Kind("kg", "link {number} has {value:.3g} kg, links of arms of this size 1 to 2000 kg",
+        "Check arm.link_mass_kg and mount.mass_kg.", "warning"),
+    "posture": Kind("deg", "{key}: {said}", "Give the posture within the limits of the arm, in degrees.", "warning"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A stretch of points that offend against one limit, named by the worst of them."""
+
+    kind: str
+    point: int | None  #: number of the worst point, from 1 as in the robot program; None where it belongs to none
+    value: float  #: there, in SI units
+    limit: float
+    severity: str
+    sentence: str
+    subject: str = ""  #: of what kind there are several: an axis, a singularity
+    amounts: dict[str, float] = field(default_factory=dict)  #: more numbers of the sentence, units in their names
+    block: int | None = None  #: of the tool path; None: that of the point
+
+
+def violation(
+    kind: str, value: float, limit: float, point: int | None = None, *, severity: str = "", subject: str = "",
+    block: int | None = None, amounts: dict[str, float] | None = None, **words,
+) -> Violation:  # fmt: skip
+    """value and limit in SI units; severity: default that of the kind; words, amounts: what else its sentence names.
+
+    block: of the tool path, default: the block that starts at or contains the point.
+    """
+    known, amounts = KINDS[kind], amounts or {}
+    sentence = known.sentence.format(
+        value=value * known.scale, limit=limit * known.scale, unit=known.unit, point=point, subject=subject, **amounts,
+        **words,
+    )  # fmt: skip
+    return Violation(kind, point, float(value), float(limit), severity or known.severity, sentence, subject, amounts,
+                     block)  # fmt: skip
+
+
+def violations(
+    kind: str,
+    value: np.ndarray,
+    limit,
+    over: np.ndarray | None = None,
+    *,
+    worst: np.ndarray | None = None,
+    points: np.ndarray | None = None,
+    **words,
+) -> list[Violation]:
+    """One violation for each stretch of True in ``over`` (n,), named by its worst place.
+
+    value (n,) and limit, a number or (n,): of the places in SI units. over: default: value above limit, or NaN; worst
+    (n,): is largest at the worst place, default: value, NaN the worst; points (n,): of the program, default 1 to n;
+    words: as for ``violation``, arrays (n,) by place.
+    """
+    value = np.asarray(value, float)
+    limits = np.broadcast_to(limit, len(value))
+    over = ~(value <= limits * (1 + ROUNDING)) if over is None else over
+    points = np.arange(1, len(value) + 1) if points is None else points
+    worst = np.where(np.isnan(value), np.inf, value) if worst is None else worst
+    found = []
+    for start, stop in stretches(over):
+        k = start + int(np.argmax(worst[start:stop]))
+        first, last = int(points[start]), int(points[stop - 1])
+        where = f"point {first}" if first == last else f"points {first} to {last}"
+        said = {name: word[k] if isinstance(word, np.ndarray) else word for name, word in words.items()}
+        found.append(violation(kind, value[k], limits[k], int(points[k]), where=where, **said))
+    return found
+
+
+def stretches(flags: np.ndarray) -> list[list[int]]:
+    """[first, stop) of each stretch of True in flags (n,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return edges.reshape(-1, 2).tolist()
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a finding is; None where it belongs to no point of the path."""
+
+    point: int | None = None  #: number in the robot program, from 1
+    line: int | None = None  #: in the file of the tool path
+    feature: str | None = None  #: of the part
+    position_mm: tuple[float, float, float] | None = None  #: of the tool tip, workpiece frame
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Like things that a check found, named by the worst of them."""
+
+    severity: str
+    what: str
+    where: Place
+    value: float  #: at the worst place, in ``unit``
+    limit: float
+    unit: str
+    advice: str
+    sentence: str  #: of the worst one
+    count: int = 1
+    amounts: dict[str, float] = field(default_factory=dict)  #: more numbers of the worst one, units in their names
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return dataclasses.asdict(self)
+
+    @property
+    def text(self) -> str:
+        """One line, as every output prints it."""
+        times = "" if self.count == 1 else f", and {self.count - 1} more of the kind"
+        line = "" if self.where.line is None else f" (line {self.where.line})"
+        return f"{self.sentence}{line}{times}. {self.advice}"
+
+
+def gathered(cell: Cell, run: Trajectory, found: Iterable[Violation]) -> tuple[Finding, ...]:
+    """One finding for all violations of a kind, severity and subject, named by the worst; the worst severity first."""
+    groups: dict[tuple[str, str, str], list[Violation]] = {}
+    for one in found:
+        groups.setdefault((one.severity, one.kind, one.subject), []).append(one)
+    findings = [_finding(cell, run, group) for group in groups.values()]
+    return tuple(sorted(findings, key=lambda f: (SEVERITIES.index(f.severity), f.where.point or 0)))
+
+
+def separate(cell: Cell, run: Trajectory, kind: str, found: Iterable[Violation]) -> tuple[Finding, ...]:
+    """One finding for each violation of a kind, in the order of the path."""
+    return tuple(_finding(cell, run, [one]) for one in found if one.kind == kind)
+
+
+def _finding(cell: Cell, run: Trajectory, group: Sequence[Violation]) -> Finding:
+    worst = max(group, key=lambda v: np.inf if np.isnan(v.value) else abs(v.value - v.limit))
+    kind = KINDS[worst.kind]
+    value, limit = worst.value * kind.scale, worst.limit * kind.scale
+    place = _place(cell, run, worst.point, worst.block)
+    return Finding(worst.severity, worst.kind, place, value, limit, kind.unit, kind.advice, worst.sentence, len(group),
+                   worst.amounts)  # fmt: skip
+
+
+def _place(cell: Cell, run: Trajectory, point: int | None, block: int | None) -> Place:
+    if point is None:
+        return Place()
+    x, y, z = (1e3 * v for v in run.position[min(point, len(run)) - 1].tolist())
+    fed = cell.fed_path
+    if fed is None:
+        return Place(point, None, None, (x, y, z))
+    block = int(fed.block[min(point, len(fed.block)) - 1]) if block is None else block
+    line, feature = int(fed.toolpath.line[block]), fed.toolpath.features[int(fed.toolpath.feature[block])]
+    return Place(point, line or None, feature or None, (x, y, z))

@@ -1,0 +1,140 @@
+"""What a pass does to the part, feature by feature: path deviation, force, torque, power, surface errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from kr270_milling.base.column import as_dict, column
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decide.part.course import Course, course, deviations
+from kr270_milling.decide.part.surface import IdealPart, Surface, ideal_part, surface
+
+__all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all"]
+
+QUANTILE = 0.95
+
+
+@dataclass(frozen=True)
+class FeatureRow:
+    """One feature, or the whole part. Magnitudes in SI units; NaN where there is nothing to measure.
+
+    The deviation is that of the tool while it cuts. A deviation on ground that is cut away later does not stay on the
+    part: walls and floor only count what remains.
+    """
+
+    name: str
+    #: of the path on which material was removed
+    cut_length: float = column("cut_length_mm", 1e3, unit="mm", short="cut")
+    #: deviation to the side of the path while cutting
+    max_normal: float = column("max_normal_um", 1e6, "largest deviation to the side", "um", short="max")
+    mean_normal: float = column("mean_normal_um", 1e6, "mean", "um", short="mean")
+    #: 95 % of the time the deviation is smaller
+    quantile_normal: float = column("q95_normal_um", 1e6, "95 %", "um", short="95 %")
+    max_vertical: float = column("max_vertical_um", 1e6)
+    #: error of the walls that remain
+    max_wall: float = column("max_wall_error_um", 1e6, "largest wall error", "um", short="wall")
+    mean_wall: float = column("mean_wall_error_um", 1e6)
+    #: error of the floor that remains
+    max_floor: float = column("max_floor_error_um", 1e6, "largest floor error", "um", short="floor")
+    mean_floor: float = column("mean_floor_error_um", 1e6)
+    #: mean of an exchange period
+    max_force: float = column("max_force_n", 1.0, "largest force", "N", short="force")
+    max_torque: float = column("max_torque_n_m")
+    max_power: float = column("max_power_w", 1.0, "largest power", "W", short="power")
+
+    def as_dict(self) -> dict:
+        """Return the values for JSON; keys end in their unit."""
+        return {"feature": self.name, **as_dict(self)}
+
+
+@dataclass(frozen=True, eq=False)
+class PartAssessment:
+    """Series at the ends of the n exchange periods of a pass (first row: the start), workpiece frame."""
+
+    name: str
+    path: Course
+    deviation: np.ndarray  #: actual minus target: tangential, normal to the left, vertical [m], (n + 1, 3)
+    cutting: np.ndarray  #: material was removed in the period that ends here, (n + 1,)
+    force: np.ndarray  #: magnitude of the mean over each period [N], (n + 1,)
+    torque: np.ndarray  #: of the spindle [N m], (n + 1,)
+    power: np.ndarray  #: [W], (n + 1,)
+    surface: Surface
+
+    @cached_property
+    def rows(self) -> tuple[FeatureRow, ...]:
+        """The features in the order of the path, those that cut."""
+        every = (self._row(name, self.path.feature == k, k) for k, name in enumerate(self.path.features))
+        return tuple(row for row in every if row.cut_length > 0.0)
+
+    @cached_property
+    def whole(self) -> FeatureRow:
+        return self._row("whole part", np.ones(self.cutting.size, bool), None)
+
+    def _row(self, name: str, here: np.ndarray, feature: int | None) -> FeatureRow:
+        mine, left = self.cutting & here, self.surface
+        normal = np.abs(self.deviation[mine, 1])
+        wall = np.abs(left.walls.error if feature is None else left.walls.error[left.walls.feature == feature])
+        floor = np.abs(left.floors.errors(feature))
+        return FeatureRow(
+            name=name,
+            cut_length=float(np.diff(self.path.distance, prepend=0.0)[mine].sum()),
+            max_normal=_of(np.max, normal),
+            mean_normal=_of(np.mean, normal),
+            quantile_normal=_of(lambda values: np.quantile(values, QUANTILE), normal),
+            max_vertical=_of(np.max, np.abs(self.deviation[mine, 2])),
+            max_wall=_of(np.max, wall),
+            mean_wall=_of(np.mean, wall),
+            max_floor=_of(np.max, floor),
+            mean_floor=_of(np.mean, floor),
+            max_force=_of(np.max, self.force[mine]),
+            max_torque=_of(np.max, self.torque[mine]),
+            max_power=_of(np.max, self.power[mine]),
+        )
+
+    def table(self) -> list[dict]:
+        """One dict for each feature that cuts, and the last for the whole part; keys end in their unit."""
+        return [row.as_dict() for row in (*self.rows, self.whole)]
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return {
+            "name": self.name,
+            "features": [row.as_dict() for row in self.rows],
+            "whole_part": self.whole.as_dict(),
+            "wall_points": int(self.surface.walls.error.size),
+            "floor_resolution_um": self.surface.floor_resolution * 1e6,
+        }
+
+
+def _of(measure, values: np.ndarray) -> float:
+    return float(measure(values)) if values.size else np.nan
+
+
+def assess(cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None) -> PartAssessment:
+    """Assess a pass of a cell; ideal: the part that the target itself leaves, if it is known already."""
+    result, path = ran.result, course(cell, ran.result.time_ns)
+    return PartAssessment(
+        ran.name,
+        path,
+        deviations(path, result.actual - result.target),
+        result.volume > 0.0,
+        np.linalg.norm(result.wrench[:, :3], axis=1),
+        result.torque,
+        result.torque * cell.tool.spindle_speed,
+        surface(cell, path, result.target, result.actual, ideal, result.heights),
+    )
+
+
+def assess_all(cell: Cell, passes: Sequence[ScoredPass]) -> tuple[PartAssessment, ...]:
+    """Several passes of one cell, two at a time; the part of the rigid arm is made once."""
+    first = passes[0].result
+    ideal = ideal_part(cell, course(cell, first.time_ns), first.target)
+    same = [np.array_equal(p.result.target, first.target) for p in passes]
+    with ThreadPoolExecutor(2) as pool:  # the sweep of a workpiece runs without the interpreter's lock
+        return tuple(pool.map(lambda p, s: assess(cell, p, ideal if s else None), passes, same))

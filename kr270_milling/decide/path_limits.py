@@ -1,0 +1,173 @@
+"""Checks of a path by itself: what the arm does along it, and how large and hasty a correction is.
+
+Knots that offend one after another make one violation, named by the worst of them; points are counted from 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.cell.cell import Cell
+from kr270_milling.decide.findings import Violation, violation, violations
+from kr270_milling.path.timing import joint_rates
+from kr270_milling.path.trajectory import Trajectory, offsets
+from kr270_milling.physics.robot import inverse_near, jacobian, singularity_measures, status_turn
+from kr270_milling.physics.robot.errors import SingularityError
+from kr270_milling.physics.robot.inverse import branches
+
+__all__ = ["arm_violations", "axis_reversals", "corner_blending", "correction_per_tick", "correction_size",
+           "joint_rate_violations"]  # fmt: skip
+
+LEAST_JUMP = 1e-7  #: [m], of the tool where an axis reverses; a smaller one shows nowhere
+LEAST_TURN = 1e-5  #: [rad]; smaller movements of a joint are noise
+LEAST_ROUNDING = 1e-7  #: [m], of a corner; less is no matter
+MOST_TURNED = 4 * np.pi  #: [rad], of joints that have no limits
+
+
+def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.ndarray | None]:
+    """Everything found about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
+    tool = cell.workpiece.pose @ Pose(run.position, rotation_from_quaternion(run.quaternion))
+    found = _reach(cell, tool)
+    if found:
+        return found, None
+    unlimited = cell.arm.replace(joint_lower=np.full(6, -MOST_TURNED), joint_upper=np.full(6, MOST_TURNED))
+    try:
+        joints = inverse_near(unlimited, cell.mount, tool, cell.posture)
+    except SingularityError as error:
+        point = error.index[0] + 1
+        return [Violation("singularity", point, error.measure, 0.0, "stop", f"point {point}: {error}")], None
+    at_rest = run.velocity is not None and not run.velocity[[0, -1]].any()
+    lever = np.linalg.norm(jacobian(cell.arm, cell.mount, joints)[:, :3], axis=1)  # |d position / d joint|
+    limits = cell.arm.joint_speed_limit, cell.arm.joint_acceleration_limit
+    found = _joint_limits(cell, joints) + _singularities(cell, joints) + _flips(cell, joints)
+    found += joint_rate_violations(run.time, joints, *limits, at_rest)
+    return found + axis_reversals(joints, cell.limits.backlash, lever), joints
+
+
+def _reach(cell: Cell, tool: Pose) -> list[Violation]:
+    angles, distance = branches(cell.arm, cell.mount, tool, cell.posture)
+    lost, nearest = ~np.isfinite(angles).all(-1).any(-1), distance.min(-1)
+    least, most = abs(cell.arm.a2 - cell.arm.forearm), cell.arm.a2 + cell.arm.forearm
+    worst = np.maximum(nearest - most, least - nearest)
+    return violations("reach", nearest, most, lost, worst=worst, least=least)
+
+
+def _joint_limits(cell: Cell, joints: np.ndarray) -> list[Violation]:
+    found = []
+    for axis, (low, high) in enumerate(zip(cell.arm.joint_lower, cell.arm.joint_upper, strict=True)):
+        angle = joints[:, axis]
+        beyond = np.maximum(angle - high, low - angle)
+        found += violations(
+            "joint limit", angle, np.where(angle > high, high, low), beyond > 1e-12, worst=beyond,
+            subject=f"axis {axis + 1}", low=np.degrees(low), high=np.degrees(high),
+        )  # fmt: skip
+    return found
+
+
+def _singularities(cell: Cell, joints: np.ndarray) -> list[Violation]:
+    arm, limits = cell.arm, cell.limits
+    measures = singularity_measures(arm, joints) * [arm.a2 + arm.forearm, 1.0, 1.0]
+    elbow, wrist = np.arcsin(np.minimum(measures[:, 1:], 1.0)).T
+    rows = [
+        ("shoulder", measures[:, 0], limits.shoulder_distance, 1e3, "mm from axis 1 to the wrist centre"),
+        ("elbow", elbow, limits.elbow_angle, 180 / np.pi, "deg of the stretched arm"),
+        ("wrist", wrist, limits.wrist_angle, 180 / np.pi, "deg of A5"),
+    ]
+    found = []
+    for which, value, least, scale, unit in rows:
+        words = dict(subject=which, measure=value * scale, wanted=least * scale, of=unit)
+        found += violations("singularity", value, least, value < least, worst=-value, **words)
+    return found
+
+
+def _flips(cell: Cell, joints: np.ndarray) -> list[Violation]:
+    status, _ = status_turn(cell.arm, joints)
+    return [
+        violation("configuration flip", int(status[k]), int(status[k - 1]), k + 1, before=k)
+        for k in (np.flatnonzero(np.diff(status)) + 1).tolist()
+    ]
+
+
+def joint_rate_violations(time, joints, speed_limit, acceleration_limit, at_rest: bool = True) -> list[Violation]:
+    """Where a joint runs faster between two knots (named by the later one), or accelerates harder, than it may.
+
+    time [s], (n,); joints [rad], (n, 6); limits [rad/s], [rad/s^2], (6,); at_rest: as for ``joint_rates``.
+    """
+    rates = joint_rates(np.asarray(time), np.asarray(joints, float), at_rest)
+    found = []
+    for kind, values, limits in zip(
+        ("joint speed", "joint acceleration"), rates, (speed_limit, acceleration_limit), strict=True
+    ):
+        points = np.arange(1, len(joints) + 1)[-len(values) :]
+        for axis, most in enumerate(limits):
+            found += violations(kind, np.abs(values[:, axis]), most, points=points, axis=f"axis {axis + 1}")
+    return found
+
+
+def axis_reversals(joints, backlash, lever) -> list[Violation]:
+    """Where a joint turns back, so that its backlash [rad], (6,), shows.
+
+    joints [rad], (n, 6); lever: distance of the tool tip from each axis [m], (n, 6), so that the tool jumps by
+    backlash times lever. An axis that pauses and goes on in the same sense does not reverse.
+    """
+    found = []
+    for axis, play in enumerate(backlash):
+        for k in _turns(joints[:, axis].tolist()):
+            jump = float(play * lever[k, axis])
+            if jump >= LEAST_JUMP:
+                found.append(violation("axis reversal", jump, 0.0, k + 1, subject=f"axis {axis + 1}"))
+    return sorted(found, key=lambda v: v.point or 0)
+
+
+def _turns(angle: list[float]) -> list[int]:
+    """Knots at the extremes after which ``angle`` goes back by more than noise."""
+    turns, extreme, sense = [], 0, 0
+    for k, value in enumerate(angle):
+        gone = value - angle[extreme]
+        if gone * sense > 0:
+            extreme = k  # further in the same sense
+        elif abs(gone) > LEAST_TURN:
+            if sense:
+                turns.append(extreme)
+            extreme, sense = k, 1 if gone > 0 else -1
+    return turns
+
+
+def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:
+    """Where the correction [m] is larger than allowed, at a knot or at a tick on the way to it."""
+    time_ns, shift, _ = offsets(original, revised, tick_ns)
+    size = np.linalg.norm(revised.position - original.position, axis=1)
+    size = np.fmax(size, _on_the_way(original, time_ns, np.linalg.norm(shift, axis=1)))
+    return violations("correction size", size, limit)
+
+
+def correction_per_tick(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:
+    """Where the correction [m] changes by more from one tick to the next than the controller takes."""
+    time_ns, shift, _ = offsets(original, revised, tick_ns)
+    change = np.linalg.norm(np.diff(shift, axis=0), axis=1)
+    return violations("correction per tick", _on_the_way(original, time_ns[1:], change), limit)
+
+
+def _on_the_way(original: Trajectory, time_ns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The largest value of the ticks that lead to each knot, (n,)."""
+    largest = np.zeros(len(original))
+    np.maximum.at(largest, np.clip(np.searchsorted(original.time_ns, time_ns), 1, len(original) - 1), values)
+    return largest
+
+
+def corner_blending(original: Trajectory, revised: Trajectory, blend_distance: float, share=0.5) -> list[Violation]:
+    """Where the controller's blending of LIN motions rounds off more than a share of the correction at the knot [m].
+
+    A parabola that leaves the corner's legs at the distance d, at most half a leg, misses the corner by d sin(t/2) / 2
+    for a turn by t. Knots where the tool stops are not blended.
+    """
+    legs = np.diff(revised.position, axis=0)
+    length = np.linalg.norm(legs, axis=1)
+    ahead = legs / np.where(length > 0, length, 1.0)[:, None]
+    half_sine = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 2
+    distance = np.minimum(blend_distance, np.minimum(length[:-1], length[1:]) / 2)
+    rounded = np.where(original.standing[1:-1], 0.0, distance * half_sine / 2)
+    correction = np.linalg.norm(revised.position - original.position, axis=1)[1:-1]
+    ratio = np.where(rounded < LEAST_ROUNDING, 0.0, rounded / np.maximum(correction, 1e-9))
+    return violations("corner blending", ratio, share, points=np.arange(2, len(ratio) + 2))

@@ -1,0 +1,158 @@
+"""What a controller runs, from a cell and its original and revised trajectory: programs, offsets, joint positions.
+
+The manifest beside them says which file goes where, and in which order to try them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import write_files
+from kr270_milling.base.frames import JOINT_NAMES, Pose, quaternion_from_rotation
+from kr270_milling.base.units import seconds
+from kr270_milling.base.version import __version__
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import commanded_joints
+from kr270_milling.decide.programs import krl, krl_motion
+from kr270_milling.path.trajectory import Trajectory, TrajectoryError, offsets
+from kr270_milling.path.trajectory_csv import write_csv
+from kr270_milling.physics.robot import pose, status_turn
+from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
+
+__all__ = ["RSI_TICKS_NS", "as_commanded", "write_joint_table", "write_programs", "write_rsi_table"]
+
+AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
+BESIDE = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  #: [m], of the approach beside the first point, tried in this order
+RSI_TICKS_NS = (4_000_000, 12_000_000)
+NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
+
+
+def write_programs(
+    directory, cell: Cell, original: Trajectory, revised: Trajectory, *, method: str, date: str,
+    motions: Sequence[str] | None = (), source: str = "", findings: Sequence[str] = (), released: bool = True,
+) -> dict[str, list[Path]]:  # fmt: skip
+    """Write all files for a controller or a planner; return the paths by kind.
+
+    "krl_spline", "krl_lin": the modules of both programs, for each of ``motions`` (default: ``program.motion``; None:
+    no robot program), in a directory named after motion, method, date and hash; "rsi": revised minus original at each
+    tick; "joints": joint positions of both, named as well; "trajectory": the revised one as CSV, which ``simulate`` and
+    ``check`` read; "manifest": which file goes where, in which order to try them, and what the columns are.
+
+    method: for the names; date: ISO text; source: sha256 of what the original was made from; findings: lines of the
+    check, for every header. A program that is not released has NOT_RELEASED for its name.
+    """
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
+        raise InputError("method", f"{method[:40]!r} cannot be part of a file name")
+    place = Path(directory)
+    joints = commanded_joints(cell, original), commanded_joints(cell, revised)
+    commanded = as_commanded(cell, original, joints[0]), as_commanded(cell, revised, joints[1])
+    program = cell.program if released else cell.program.replace(name=NOT_RELEASED)
+    heading = krl.Heading(__version__, date, source, method, tuple(findings))
+    label = f"{method}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
+    setup, origin = _setup(cell, *commanded), _source(cell, len(original))
+    files: dict[str, list[Path]] = {}
+    programs = []
+    for motion in dict.fromkeys(() if motions is None else motions or (program.motion,)):
+        folder = place / f"krl_{motion.lower()}_{label}"
+        folder.mkdir(parents=True, exist_ok=True)
+        written = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, heading, origin)
+        files[f"krl_{motion.lower()}"] = written
+        programs.append((motion, folder.name, len(written)))
+    tick_ns = cell.compensation.tick_ns
+    tick_ns = tick_ns if tick_ns in RSI_TICKS_NS else RSI_TICKS_NS[-1]
+    files["rsi"] = [place / f"rsi_offsets_{label}.csv"]
+    files["joints"] = [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"]
+    files["trajectory"] = [place / f"reference_{method}.csv"]
+    files["manifest"] = [place / "MANIFEST.txt"]
+    write_rsi_table(files["rsi"][0], *commanded, tick_ns)
+    for path, run, q in zip(files["joints"], (original, revised), joints, strict=True):
+        write_joint_table(path, run, q)
+    write_csv(files["trajectory"][0], revised, joints[1])
+    text = krl.filled(
+        "manifest.txt", released=released, programs=programs, name=program.name, files=files,
+        tick_ms=f"{tick_ns / 1e6:g}", findings=findings,
+    )  # fmt: skip
+    write_files({files["manifest"][0]: [text]})
+    return files
+
+
+def as_commanded(cell: Cell, run: Trajectory, joints) -> Trajectory:
+    """The points that make a controller's own inverse kinematics arrive at ``joints`` [rad], (n, 6).
+
+    They are the trajectory itself unless the link weights are for us to compensate, which the controller knows
+    nothing of.
+    """
+    if cell.compensation.sag_compensated:
+        return run
+    tool = cell.workpiece.pose.inverse() @ pose(cell.arm, cell.mount, joints)
+    return Trajectory(run.time_ns, tool.position, quaternion_from_rotation(tool.rotation), run.velocity, run.frame)
+
+
+#: the controller's $FLANGE in ``flange``: its z axis points out of the flange, as x does here (kuka_experimental sets
+#: its tool0 frame, "the $FLANGE coordinate system of the KRC", by the same turn)
+KUKA_FLANGE = Pose.from_abc(np.zeros(3), [0.0, np.pi / 2, 0.0])
+
+
+def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
+    """$TOOL is the mount, $BASE the workpiece."""
+    safe_z = float(cell.stock.max[2]) + cell.program.safe_height
+    approaches = _approach(cell, original, safe_z), _approach(cell, revised, safe_z)
+    mount, to_kuka = cell.mount, KUKA_FLANGE.inverse()
+    centre = tuple(to_kuka.apply(mount.mass_centre).tolist())
+    return krl.Setup(to_kuka @ mount.pose, cell.workpiece.pose, approaches, safe_z, mount.mass, centre)
+
+
+def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
+    """Above the first point, a little beside it where an axis would be at zero: its sign, the bit of T, would be
+    left to rounding, and a controller that finds the other sign looks for the axis a whole turn away.
+
+    Raises InputError where the arm cannot reach it.
+    """
+    above = run.position[:1].copy()
+    above[0, 2] = max(above[0, 2], safe_z)
+    approaches = []
+    for shift in BESIDE:
+        try:
+            joints = cell.joints_at(above + [*shift, 0.0], run.quaternion[:1])[0]
+        except (ReachError, JointLimitError, SingularityError) as error:
+            raise InputError("program.safe_height_mm", f"the approach cannot be reached: {error}") from None
+        status, turn = status_turn(cell.arm, joints)
+        approaches.append(krl.Approach(above[0] + [*shift, 0.0], int(status), int(turn)))
+        if np.abs(joints).min() > AT_ZERO:
+            return approaches[-1]
+    return approaches[0]
+
+
+def _source(cell: Cell, count: int) -> krl_motion.Source | None:
+    """Line and feature of each knot; None without a program."""
+    lines, features = cell.programmed.knot_source
+    return krl_motion.Source(lines, features) if len(lines) == count else None
+
+
+def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: int = RSI_TICKS_NS[0]) -> None:
+    """The offsets at every RSI tick (4 or 12 ms): time_s, dX, dY, dZ [mm], dA, dB, dC [deg]."""
+    if tick_ns not in RSI_TICKS_NS:
+        raise TrajectoryError(f"RSI corrects every 4 or 12 ms, not every {tick_ns / 1e6:g} ms")
+    time_ns, shift, turn = offsets(original, revised, tick_ns)
+    rows = np.hstack([shift * 1e3, np.degrees(turn)]) + 0.0  # + 0.0 turns -0.0 into 0.0
+    _write_rows(path, "dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg", time_ns, rows, "{:.6f}".format)
+
+
+def write_joint_table(path, trajectory: Trajectory, joints) -> None:
+    """A joint trajectory: time_s, then a column of positions [deg] for each joint; joints [rad], (n, 6)."""
+    table = np.degrees(np.asarray(joints, float))
+    if table.shape != (len(trajectory), len(JOINT_NAMES)) or not np.isfinite(table).all():
+        raise TrajectoryError("a joint table needs one finite value per knot and joint")
+    _write_rows(path, ",".join(f"{name}_deg" for name in JOINT_NAMES), trajectory.time_ns, table, repr)
+
+
+def _write_rows(path, names: str, time_ns: np.ndarray, rows: np.ndarray, text: Callable[[float], str]) -> None:
+    lines = [f"time_s,{names}\n"]
+    for time, row in zip(time_ns.tolist(), rows.tolist(), strict=True):
+        lines.append(f"{seconds(time)},{','.join(map(text, row))}\n")
+    write_files({path: lines})

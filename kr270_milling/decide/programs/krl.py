@@ -1,0 +1,192 @@
+"""Robot programs for a KR C4: the original and the compensated trajectory side by side, with the same point numbers.
+
+NAME_ORG and NAME_CMP are a main module each (.src, .dat), which calls NAME_ORG_001, ... when the points exceed the line
+limit. Point k is knot k-1 of both trajectories. SPLINE: SPL segments with their speed, one block from stop to stop;
+the controller's own spline runs through the points and may differ from the trajectory between them. LIN: straight
+lines, blended by C_DIS except where the tool stops. The robot also stops where one module ends and the next begins,
+so modules end at stops where they can. A dwell is not written: the speed of the next move covers its time.
+
+The main module goes from home to the safe height above the first point, down to it, along the path, up and home; the
+spindle's and the coolant's own commands come from ``program``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import jinja2
+import numpy as np
+
+from kr270_milling.base.files import write_files
+from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.cell.sections import Program
+from kr270_milling.decide.programs.krl_motion import (
+    Source,
+    axis_text,
+    comments,
+    frame_row,
+    frame_text,
+    modules_of,
+    motion_lines,
+    number,
+    point_numbers,
+    point_speeds,
+    position_text,
+)
+from kr270_milling.path.trajectory import Trajectory, TrajectoryError
+
+__all__ = ["Approach", "Heading", "Setup", "filled", "trajectory_hash", "write_krl"]
+
+KINDS = {"ORG": "original trajectory", "CMP": "compensated trajectory"}
+HEAD = ("&ACCESS RVP", "&REL 1", "&PARAM EDITMASK = *")
+EXTERNAL = (";FOLD EXTERNAL DECLARATIONS", "EXT BAS (BAS_COMMAND :IN,REAL :IN)", ";ENDFOLD")
+FRAME_LINES = 20  #: of a module beside heading, templates and motions
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """The E6POS that a PTP from home leads to, at the safe height above the first point."""
+
+    position: np.ndarray  #: [m], (3,), in $BASE
+    status: int  #: S
+    turn: int  #: T
+
+
+@dataclass(frozen=True, eq=False)
+class Setup:
+    """What the controller must know of the cell beside the points."""
+
+    tool: Pose  #: tool0 in $FLANGE, whose z points out of the flange ($TOOL)
+    base: Pose  #: the workpiece frame on $ROBROOT ($BASE)
+    approaches: tuple[Approach, Approach]  #: of the original and of the compensated program
+    safe_z: float  #: [m], height of the retract in the workpiece frame
+    load_mass: float = 0.0  #: [kg], spindle and tool
+    load_centre: tuple[float, float, float] = (0.0, 0.0, 0.0)  #: [m], in $FLANGE
+
+
+@dataclass(frozen=True)
+class Heading:
+    """The header of every file; the date as text, so that the same input gives the same files."""
+
+    version: str
+    date: str
+    source_hash: str = ""  #: SHA-256 of the recording or the tool path
+    method: str = ""  #: of the compensation
+    findings: tuple[str, ...] = ()  #: of the check
+
+    def __post_init__(self):
+        for text in (self.version, self.date, self.source_hash, self.method):
+            if not re.fullmatch(r"[ -~]{0,100}", text):
+                raise TrajectoryError(f"{text[:100]!r} is not allowed in the header of a program")
+
+    def lines(self, program: Program, kind: str, run: Trajectory) -> list[str]:
+        """Comment lines."""
+        return comments([
+            f"{KINDS[kind]}, points 1 to {len(run)}, {program.motion}" + (f", method {self.method}" * (kind == "CMP")),
+            "SIMULATION RESULT: VERIFY IN T1 WITH REDUCED OVERRIDE BEFORE MILLING",
+            f"kr270_milling {self.version}, {self.date}",
+            f"sha256 of this trajectory {trajectory_hash(run)}",
+            f"sha256 of its source {self.source_hash or 'not given'}",
+            *self.findings,
+        ])  # fmt: skip
+
+
+def trajectory_hash(trajectory: Trajectory) -> str:
+    """SHA-256 over the numbers of a trajectory."""
+    digest = hashlib.sha256(trajectory.frame.encode())
+    for array in (trajectory.time_ns, trajectory.position, trajectory.quaternion, trajectory.velocity):
+        digest.update(b"-" if array is None else np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes())
+    return digest.hexdigest()
+
+
+def write_krl(
+    directory, program: Program, setup: Setup, original: Trajectory, revised: Trajectory, heading: Heading,
+    source: Source | None = None,
+) -> list[Path]:  # fmt: skip
+    """Write all modules of both programs, or none; returns their paths.
+
+    source: line and feature of each knot, for comments. Raises TrajectoryError for trajectories of different knots,
+    and for more points than the modules can hold.
+    """
+    if not np.array_equal(original.time_ns, revised.time_ns) or original.frame != revised.frame:
+        raise TrajectoryError("the original and the revised trajectory must share their knots and frame")
+    source = source or Source(np.zeros(len(original), int), ("",) * len(original))
+    points, stops = point_numbers(program, original, revised), original.standing
+    notes = {kind: heading.lines(program, kind, run) for kind, run in (("ORG", original), ("CMP", revised))}
+    head, foot = _head_and_foot(program, setup)
+    most = program.line_limit - FRAME_LINES - max(map(len, notes.values())) - len(head) - len(foot)
+    if most < 20:
+        raise TrajectoryError(f"program.line_limit of {program.line_limit} lines has no room beside the heading")
+    pieces = modules_of(program, points, stops, source, most)
+    files: dict[Path, list[str]] = {}
+    for kind, run in (("ORG", original), ("CMP", revised)):
+        speed = point_speeds(program, run, points)
+        moves = [motion_lines(program, points, piece, speed, stops, source) for piece in pieces]
+        frames = [_frames(run, points[slice(*piece)]) for piece in pieces]
+        modules = _modules(f"{program.name}_{kind}", moves, frames, [head, foot, _places(program, setup, kind, run)])
+        for name, (src, dat) in modules.items():
+            files[Path(directory) / f"{name}.src"] = [*HEAD, f"DEF {name}( )", *notes[kind], *src, "END"]
+            files[Path(directory) / f"{name}.dat"] = [*HEAD, f"DEFDAT {name}", *notes[kind], *EXTERNAL, *dat, "ENDDAT"]
+    write_files({path: (line + "\n" for line in lines) for path, lines in files.items()}, newline="\r\n")
+    return list(files)
+
+
+def _modules(main: str, moves: list, frames: list, main_parts: list) -> dict[str, tuple[list[str], list[str]]]:
+    """Name -> lines of .src and of .dat; a single piece is in the main module itself."""
+    head, foot, places = main_parts
+    if len(moves) == 1:
+        return {main: ([*head, *moves[0], *foot], [*places, *frames[0]])}
+    names = [f"{main}_{n:03d}" for n in range(1, len(moves) + 1)]
+    calls = [f"{name}( )" for name in names]
+    return {main: ([*head, *calls, *foot], places)} | dict(zip(names, zip(moves, frames, strict=True), strict=True))
+
+
+def _rows(run: Trajectory) -> np.ndarray:
+    """X, Y, Z [mm], A, B, C [deg] of the knots, (n, 6)."""
+    return frame_row(Pose(run.position, rotation_from_quaternion(run.quaternion)))
+
+
+def _frames(run: Trajectory, numbers: np.ndarray) -> list[str]:
+    rows = _rows(run)
+    return [f"DECL FRAME XP{k + 1}={{{frame_text(rows[k])}}}" for k in numbers.tolist()]
+
+
+def _places(program: Program, setup: Setup, kind: str, run: Trajectory) -> list[str]:
+    """Home, approach, first point and retract."""
+    first, retract = _rows(run)[[0, -1]]
+    retract[2] = max(retract[2], 1e3 * setup.safe_z)
+    start = setup.approaches[list(KINDS).index(kind)]
+    above = [*(1e3 * start.position), *first[3:]]
+    home = [f"DECL E6AXIS {program.home}={{{axis_text(np.degrees(program.home_angles))}}}"]
+    return [
+        *(home if program.home_angles.size else []),
+        f"DECL E6POS XAPPROACH={{{position_text(above, start.status, start.turn)}}}",
+        f"DECL FRAME XP1={{{frame_text(first)}}}",
+        f"DECL FRAME XRETRACT={{{frame_text(retract)}}}",
+    ]
+
+
+def _head_and_foot(program: Program, setup: Setup) -> list[list[str]]:
+    """Everything before the first motion along the path, and everything after the last one."""
+    x, y, z = (number(1e3 * v, 3) for v in setup.load_centre)
+    text = filled(
+        "main.txt",
+        program=program,
+        number=number,
+        load=f"$LOAD={{M {number(setup.load_mass, 3)},CM {{X {x},Y {y},Z {z},A 0.0,B 0.0,C 0.0}}}}",
+        tool=f"{{{frame_text(frame_row(setup.tool))}}}",
+        base=f"{{{frame_text(frame_row(setup.base))}}}",
+        approach_feed=number(max(program.approach_feed, 1e-3), 3),
+    )
+    return [part.splitlines() for part in text.split("\u00b6\n")]
+
+
+def filled(template: str, **values) -> str:
+    """The text of a template of this folder."""
+    text = Path(__file__).with_name(template).read_text(encoding="utf-8")
+    return jinja2.Template(
+        text, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True
+    ).render(**values)

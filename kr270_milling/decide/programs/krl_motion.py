@@ -1,0 +1,149 @@
+"""Motions of a robot program: which knots become points, how they are split into modules, how fast each is reached.
+
+Numbers, frames and comments are written as a KR C4 reads them.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.frames import Pose, abc_from_rotation
+from kr270_milling.cell.sections import Program
+from kr270_milling.path.trajectory import Trajectory, TrajectoryError
+
+__all__ = [
+    "Source", "axis_text", "comments", "frame_row", "frame_text", "modules_of", "motion_lines", "number",
+    "point_numbers", "point_speeds", "position_text",
+]  # fmt: skip
+
+WIDEST = 100  #: characters of a comment line
+EXTERNAL_AXES = ",".join(f"E{i} 0.0" for i in range(1, 7))
+
+
+def number(value: float, digits: int) -> str:
+    """With so many decimals, and no minus before a zero."""
+    text = f"{value:.{digits}f}"
+    return text.removeprefix("-") if not text.strip("-0.") else text
+
+
+def frame_row(pose: Pose) -> np.ndarray:
+    """X, Y, Z [mm], A, B, C [deg], (..., 6)."""
+    return np.concatenate([pose.position * 1e3, np.degrees(abc_from_rotation(pose.rotation))], axis=-1)
+
+
+def frame_text(row: Sequence[float] | np.ndarray) -> str:
+    """X, Y, Z [mm] to 0.1 um, A, B, C [deg] to 1e-5."""
+    texts = [number(v, 4 if i < 3 else 5) for i, v in enumerate(row)]
+    return ",".join(f"{name} {text}" for name, text in zip("XYZABC", texts, strict=True))
+
+
+def position_text(row: Sequence[float], status: int, turn: int) -> str:
+    """An E6POS."""
+    return f"{frame_text(row)},S {status},T {turn},{EXTERNAL_AXES}"
+
+
+def axis_text(degrees: Sequence[float]) -> str:
+    """An E6AXIS."""
+    return ",".join(f"A{i} {number(v, 4)}" for i, v in enumerate(degrees, 1)) + f",{EXTERNAL_AXES}"
+
+
+def comments(texts: Iterable[str]) -> list[str]:
+    """Each text as comment lines that a controller's editor shows."""
+    ascii_only = (text.encode("ascii", "replace").decode() for text in texts)
+    return [f"; {line}" for text in ascii_only for line in textwrap.wrap(text, WIDEST)]
+
+
+GAUSS = np.polynomial.legendre.leggauss(4)
+SLOWEST = 1e-3  #: [m/s], the step of the speeds that are written
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Where the n knots come from."""
+
+    line: np.ndarray  #: in the file of the tool path, (n,), 0: none
+    feature: tuple[str, ...]  #: of the part, (n,), "": none
+
+    def comment(self, k: int, before: int) -> list[str]:
+        """The comment before point k, where line or feature are not those of the point before."""
+        if (self.line[k], self.feature[k]) == (self.line[before], self.feature[before]) or not self.line[k]:
+            return []
+        name = f" ({self.feature[k]})" if self.feature[k] else ""
+        return [f"; line {self.line[k]}{name}"]
+
+
+def point_numbers(program: Program, original: Trajectory, revised: Trajectory) -> np.ndarray:
+    """Knots that become points, (p,): far enough from the one before in both; the first, the stops and the last."""
+    stops, spacing = original.standing, program.point_spacing
+    rows = np.stack([original.position, revised.position], axis=1).tolist()
+    last, chosen = len(rows) - 1, [0]
+
+    def near(k: int) -> bool:
+        return any(math.dist(new, old) < spacing for new, old in zip(rows[k], rows[chosen[-1]], strict=True))
+
+    for k in range(1, last + 1):
+        if stops[k] or k == last:  # a corner must not move to the knot before it
+            while len(chosen) > 1 and near(k):
+                chosen.pop()
+            if k == last or not near(k):
+                chosen.append(k)
+        elif not near(k):
+            chosen.append(k)
+    return np.array(chosen)
+
+
+def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, source: Source, most: int) -> list:
+    """Ranges of points after the first, [from, to), one for each module of ``most`` lines; they end at stops if near.
+
+    Raises TrajectoryError for more points than the modules of a main module can hold.
+    """
+    pieces, start, lines = [], 1, 0
+    for i in range(1, len(points)):
+        stop = bool(stops[points[i]])
+        lines += 2 if program.motion == "LIN" else 1 + 2 * stop
+        lines += len(source.comment(points[i], points[i - 1]))
+        if lines > most - 4 or (stop and lines > 0.75 * most):
+            pieces.append((start, i + 1))
+            start, lines = i + 1, 0
+    if start < len(points):
+        pieces.append((start, len(points)))
+    if len(pieces) > 999:
+        raise TrajectoryError(f"{len(points)} points need more than 999 modules of {program.line_limit} lines")
+    if len(pieces) > 1 and len(pieces) > most:
+        reason = f"{len(points)} points need {len(pieces)} modules, more than a main module of"
+        raise TrajectoryError(f"{reason} {program.line_limit} lines can call; raise program.line_limit")
+    return pieces
+
+
+def motion_lines(program: Program, points: np.ndarray, piece, speed, stops, source: Source) -> list[str]:
+    """SPLINE blocks from stop to stop, or LIN motions blended by C_DIS, over the points of one module."""
+    lines: list[str] = []
+    first, end = piece
+    rests = True
+    for i in range(first, end):
+        k, starts, rests = int(points[i]), rests, bool(stops[points[i]]) or i == end - 1
+        feed, comment = f"$VEL.CP={number(speed[i], 3)}", source.comment(k, points[i - 1])
+        if program.motion == "LIN":
+            blend = "" if rests or not program.blend_distance else " C_DIS"
+            lines += [*comment, feed, f"LIN XP{k + 1}{blend}"]
+        else:
+            lines += [*["SPLINE"] * starts, *comment, f"SPL XP{k + 1} WITH {feed}", *["ENDSPLINE"] * rests]
+    return lines
+
+
+def point_speeds(program: Program, run: Trajectory, points: np.ndarray) -> np.ndarray:
+    """Mean speed [m/s], (p,), along the motion that leads to each point; 0 for the first."""
+    step = np.diff(run.time_ns)
+    if program.motion == "LIN" or run.velocity is None:
+        position = run.position[points]
+        length = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    else:
+        places = run.time_ns[:-1, None] + np.rint((1 + GAUSS[0]) / 2 * step[:, None]).astype(np.int64)
+        way = np.concatenate([[0.0], np.cumsum(run.feed(places) @ (GAUSS[1] / 2) * step * 1e-9)])
+        length = np.diff(way[points])
+    return np.concatenate([[0.0], np.maximum(length / np.diff(run.time[points]), SLOWEST)])

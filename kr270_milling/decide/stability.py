@@ -1,0 +1,230 @@
+"""Stability statement of a cell: depth of cut against the limit of each feature, with the modes of arm and tool.
+
+Every distinct engagement of a feature (angles, feed and its direction) is evaluated in the posture of its deepest cut.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.frames import rotation_from_abc
+from kr270_milling.cell.cell import Cell
+from kr270_milling.decide.arcs import Arcs, arcs_along
+from kr270_milling.decide.findings import Violation, violation
+from kr270_milling.physics.motion.dynamics import ModalModel
+from kr270_milling.physics.motion.monodromy import Modes
+from kr270_milling.physics.motion.stability import DEPTHS, Lobe, StabilityMap, has_uniform_pitch, stability_map
+
+__all__ = ["FeatureLimit", "Stability", "chatter_violations", "feature_limits", "modes_of", "stability_statement"]
+
+ANGLE = math.radians(10.0)  #: to which angles of engagement are rounded
+FULL = math.radians(75.0)  #: beyond this angle a tooth is taken as cutting to 90 deg, where its chip ends
+DIRECTION = math.radians(30.0)  #: to which feed directions are rounded
+FEED = 1e-4  #: [m/s], to which feeds are rounded
+FEWEST_TEETH = 10  #: of an engagement; vibration has no time to grow in fewer
+MARGIN = 0.8  #: share of the limit depth above which a cut gets a warning
+BRACKET = 1.6  #: factor between the depths at which a limit is bracketed
+
+
+@dataclass(frozen=True)
+class FeatureLimit:
+    """The engagement of one feature that comes nearest to its limit, or goes farthest beyond."""
+
+    name: str
+    depth: float  #: of the cut [m]
+    limit: Lobe
+    entry: float  #: angle of a tooth [rad], from the feed in the sense of rotation
+    exit: float  #: [rad]
+    time: float  #: of the place [s]
+
+    @property
+    def word(self) -> str:
+        """ "chatter" above the limit, "near the limit" within 20 % below, else "stable"."""
+        if self.depth > self.limit.depth_limit:
+            return "chatter"
+        return "near the limit" if self.depth > MARGIN * self.limit.depth_limit else "stable"
+
+    @property
+    def numbers(self) -> str:
+        """Depth, limit and chatter frequency."""
+        if math.isinf(self.limit.depth_limit):
+            return f"{1e3 * self.depth:.3g} mm, limit above {1e3 * DEPTHS[-1]:.0f} mm"
+        hertz = self.limit.chatter_frequency / (2.0 * math.pi)
+        return f"{1e3 * self.depth:.3g} mm, limit {1e3 * self.limit.depth_limit:.3g} mm, chatter at {hertz:.4g} Hz"
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        angles = {"entry_deg": math.degrees(self.entry), "exit_deg": math.degrees(self.exit)}
+        return {"feature": self.name, "depth_mm": 1e3 * self.depth, **angles, **self.limit.as_dict(), "word": self.word,
+                "stable": self.depth <= self.limit.depth_limit}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Statement for the whole path."""
+
+    features: tuple[FeatureLimit, ...]
+    with_tool: bool  #: whether the modes of tool and spindle are known
+    uniform_pitch: bool = True
+
+    @property
+    def worst(self) -> FeatureLimit | None:
+        """The feature with the largest depth against its limit; None where nothing is milled."""
+        return max(self.features, key=lambda one: one.depth / one.limit.depth_limit, default=None)
+
+    @property
+    def word(self) -> str:
+        """ "stable", "near the limit", "chatter" or "unknown"."""
+        return self.worst.word if self.worst else "unknown"
+
+    @property
+    def text(self) -> str:
+        """One line, the same in every output."""
+        if self.worst:
+            known = f"{self.word} ({self.worst.name}: {self.worst.numbers})"
+        else:
+            known = "unknown (nothing is milled)" if self.uniform_pitch else "unknown (variable pitch)"
+        if self.with_tool:
+            return f"stability: arm, tool and spindle: {known}"
+        return f"stability: arm: {known}; tool and spindle: unknown (no tool.modes)"
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return {
+            "word": self.word,
+            "text": self.text,
+            "tool_modes": self.with_tool,
+            "features": [one.as_dict() for one in self.features],
+        }
+
+
+def stability_statement(cell: Cell) -> Stability:
+    """The statement of a cell whose arm can follow the path."""
+    with_tool = bool(cell.tool.modes.frequency.size)
+    if not has_uniform_pitch(cell.tool):
+        return Stability((), with_tool, uniform_pitch=False)
+    return Stability(tuple(feature_limits(cell)), with_tool)
+
+
+def chatter_violations(stability: Stability, time: np.ndarray) -> list[Violation]:
+    """A stop for each feature above its limit, a warning for each within 20 % below; time: of the points [s], (n,)."""
+    offences = []
+    for one in stability.features:
+        if one.word == "stable":
+            continue
+        point = int(np.clip(np.searchsorted(time, one.time - 1e-6), 0, len(time) - 1)) + 1
+        above = one.word == "chatter"
+        words = "above the stability limit" if above else "less than 20 % below the stability limit"
+        hertz = one.limit.chatter_frequency / (2.0 * math.pi)
+        offences.append(
+            violation("chatter", one.depth, one.limit.depth_limit, point, severity="stop" if above else "warning",
+                      subject=one.name, words=words, hertz=hertz)
+        )  # fmt: skip
+    return offences
+
+
+def modes_of(cell: Cell, arm: bool = True, model: ModalModel | None = None) -> Modes:
+    """The modes of the arm, and those of ``tool.modes``; arm: False leaves out the former.
+
+    model: of the arm in another posture than where the path starts. Raises ParameterError where that leaves no mode.
+    """
+    tool = cell.tool.modes
+    own = Modes(2.0 * np.pi * tool.frequency, tool.damping_ratio, tool.shapes.reshape(-1, 3))
+    if not arm and not tool.frequency.size:
+        raise ParameterError("tool.modes", [], "given where the arm is left out: there is no mode that could chatter")
+    if not arm:
+        return own
+    model = model or cell.modal_model
+    ratio = np.full(model.frequency.size, cell.dynamics.damping_ratio) if model.damping is None else model.damping
+    return Modes(
+        np.append(own.frequency, model.frequency),
+        np.append(own.damping_ratio, ratio),
+        np.vstack([own.shape, (model.output[:3] @ model.shape).T]),
+    )
+
+
+def feature_limits(cell: Cell, arm: bool = True) -> list[FeatureLimit]:
+    """The engagement of each feature with the largest depth against its limit, in the order of the path.
+
+    arm: False leaves out the modes of the arm. Raises ParameterError for a variable pitch.
+    """
+    tool = cell.tool
+    if not has_uniform_pitch(tool):
+        raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
+    arcs = arcs_along(cell)
+    groups = _groups(arcs, FEWEST_TEETH * cell.feed_rate * 2.0 * np.pi / (tool.spindle_speed * tool.teeth))
+    limits = []
+    for number in dict.fromkeys(arcs.feature.tolist()):
+        places = [rows for key, rows in groups.items() if key[0] == number]
+        if places:
+            limits.append(_feature_limit(cell, arm, arcs, places))
+    return limits
+
+
+def _groups(arcs: Arcs, shortest: float) -> dict[tuple, np.ndarray]:
+    """Places (m,) of each distinct engagement that lasts for ``shortest`` [m]; the deepest and widest place first.
+
+    Where no engagement of a feature lasts so long, all count.
+    """
+    entry = np.where(arcs.entry < -FULL, -9, np.round(arcs.entry / ANGLE)).astype(int)
+    leave = np.where(arcs.exit > FULL, 9, np.round(arcs.exit / ANGLE)).astype(int)
+    entry, leave = np.minimum(entry, 8), np.maximum(leave, np.minimum(entry, 8) + 1)
+    turn = np.round(arcs.heading / DIRECTION).astype(int) % round(2.0 * np.pi / DIRECTION)
+    keys = np.column_stack([arcs.feature, entry, leave, turn, np.round(arcs.feed / FEED).astype(int)])
+    groups: dict[tuple, list[int]] = {}
+    for row, key in enumerate(map(tuple, keys.tolist())):
+        groups.setdefault(key, []).append(row)
+    long = {key: rows for key, rows in groups.items() if len(rows) * arcs.spacing >= shortest}
+    some = {key[0] for key in long}
+    long |= {key: rows for key, rows in groups.items() if key[0] not in some}
+    width = arcs.exit - arcs.entry
+    return {key: np.array(rows)[np.lexsort((-width[rows], -arcs.depth[rows]))] for key, rows in long.items()}
+
+
+def _feature_limit(cell: Cell, arm: bool, arcs: Arcs, places: Sequence[np.ndarray]) -> FeatureLimit:
+    """The worst of the engagements of one feature.
+
+    Another engagement is worse where its own depth, times the least ratio of limit to depth so far, is unstable.
+    """
+    width = arcs.exit - arcs.entry
+    deepest_first = sorted((int(rows[0]) for rows in places), key=lambda k: (-arcs.depth[k], -width[k]))
+    worst, limit, ratio = -1, (math.inf, math.nan), math.inf
+    for place in deepest_first:
+        depth = float(arcs.depth[place])
+        engaged = _map_at(cell, arm, arcs, place)
+        if worst >= 0 and all(engaged.stable(depth * ratio * BRACKET**-step) for step in range(3)):
+            continue
+        depths = depth * BRACKET ** np.arange(-6.0, 40.0)
+        candidate = engaged.limit(np.append(depths[depths < DEPTHS[-1]], max(depth, DEPTHS[-1])))
+        if worst < 0 or candidate[0] / depth < ratio:
+            worst, limit = place, candidate
+            ratio = min(candidate[0], DEPTHS[-1]) / depth
+    entry, leave = _angles(arcs, worst)
+    lobe = Lobe(cell.tool.spindle_speed, *limit)
+    name = arcs.features[int(arcs.feature[worst])]
+    return FeatureLimit(name, float(arcs.depth[worst]), lobe, entry, leave, float(arcs.time[worst]))
+
+
+def _angles(arcs: Arcs, place: int) -> tuple[float, float]:
+    """Entry and exit [rad] of a place; an arc that nearly reaches the side of the tool reaches it."""
+    entry, leave = float(arcs.entry[place]), float(arcs.exit[place])
+    return (-0.5 * math.pi if entry < -FULL else entry), (0.5 * math.pi if leave > FULL else leave)
+
+
+def _map_at(cell: Cell, arm: bool, arcs: Arcs, place: int) -> StabilityMap:
+    """The loop of arm, tool and cut at one place, in axes with x along the feed there."""
+    model = None
+    if arm:
+        turn = cell.target().sample_orientation(np.array([round(1e9 * float(arcs.time[place]))]))
+        model = cell.modes_at(cell.joints_at(arcs.position[place][None], turn))[0]
+    modes = modes_of(cell, arm, model)
+    along = rotation_from_abc(np.array([arcs.heading[place], 0.0, 0.0]))
+    turned = Modes(modes.frequency, modes.damping_ratio, modes.shape @ along)  # rows: Rz(-heading) phi
+    tool = cell.tool
+    feed_per_tooth = 2.0 * math.pi * float(arcs.feed[place]) / (tool.spindle_speed * tool.teeth)
+    return stability_map(turned, tool, cell.cutting, feed_per_tooth, *_angles(arcs, place), tool.spindle_speed)

@@ -1,0 +1,284 @@
+"""Does the compensation help when the plant is not the model? A Monte Carlo answer in one word and its bands."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from kr270_milling.base.errors import MillingError, ParameterError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, expected_deviations, record_of, simulate
+from kr270_milling.cell.plant import Plant, imperfect_course, perturbed
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.methods import LEARNED, METHODS
+from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
+from kr270_milling.physics.motion.scores import path_deviation
+
+__all__ = ["HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "Verdict", "alternatives", "coarser",
+           "deviations", "judge", "monte_carlo", "run_sample"]  # fmt: skip
+
+HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
+LEVELS = (0.05, 0.5, 0.95)
+SAMPLES = 32
+FEWEST = 8
+SAME = 0.1  #: changes of the largest deviation by less than this share are none
+FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
+TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
+NO_METHOD = "none"  #: run the path as it was programmed
+LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones stay as they are
+DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
+
+
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What the samples say. Deviations in rows of (largest, static) [m], one a sample; NaN: the plant failed."""
+
+    word: str  #: "helps", "does not matter" or "cannot be trusted here"
+    reason: str
+    original: np.ndarray  #: (n, 2)
+    compensated: np.ndarray  #: (n, 2)
+    seed: int | None
+    methods: dict[str, np.ndarray] = field(default_factory=dict)  #: largest deviation [m], (n,), by method
+
+    def __repr__(self) -> str:
+        return f"<Verdict: {self.text}>"
+
+    @property
+    def recommended(self) -> str:
+        """The method, planned on the model, that is no risk and leaves the least deviation to 95 % of the plants.
+
+        "none" where no method makes the part better by 10 %.
+        """
+        before = self.original[:, 0]
+        sound = {NO_METHOD: _high(before) * (1.0 - SAME)}
+        for name, rows in self.methods.items():
+            if name != TRACKED and judge(before[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
+                sound[name] = _high(rows)
+        return min(sound, key=sound.__getitem__)
+
+    @property
+    def text(self) -> str:
+        """The word with the band of what the compensation leaves."""
+        low, middle, high = (1e6 * value for value in self.bands("compensated")["max"])
+        return f"{self.word} ({len(self.original)} plants: {middle:.3g} um, 5 to 95 % {low:.3g} to {high:.3g})"
+
+    def bands(self, which: str) -> dict[str, tuple[float, ...]]:
+        """5, 50 and 95 % of the largest and of the static deviation [m]; which: "original" or "compensated"."""
+        return {name: _band(rows) for name, rows in zip(("max", "static"), getattr(self, which).T, strict=True)}
+
+    def as_dict(self) -> dict:
+        """For JSON; each band is 5, 50, 95 %."""
+        methods = {NO_METHOD: self.original[:, 0], **self.methods}
+        return {
+            "verdict": self.word,
+            "reason": self.reason,
+            "samples": len(self.original),
+            "seed": self.seed,
+            "failed": int(np.isnan(self.compensated).any(axis=1).sum()),
+            "recommended_method": self.recommended,
+            "methods": {name: [1e3 * value for value in _band(rows)] for name, rows in methods.items()},
+            **{
+                which: {f"{k}_deviation_mm": [1e3 * v for v in band] for k, band in self.bands(which).items()}
+                for which in ("original", "compensated")
+            },
+        }
+
+
+def _band(rows: np.ndarray) -> tuple[float, ...]:
+    """5, 50 and 95 % of rows (n,), NaN left out."""
+    known = rows[np.isfinite(rows)]
+    return tuple(np.quantile(known, LEVELS).tolist()) if known.size else (np.nan,) * 3
+
+
+def _high(rows: np.ndarray) -> float:
+    """What 95 % of the plants stay below [m]; one that failed counts as far off."""
+    return float(np.quantile(np.nan_to_num(rows, nan=1.0), 0.95))
+
+
+def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Trajectory]:
+    """References of the other methods, planned on the same pass; of a tool path, where each takes long, only that of
+    the method that the linear model expects to leave the least on 8 plants.
+
+    A method that repeats takes passes of the plant itself, and ``LEARNED`` is tried with a tracker on each plant.
+    """
+    found = {}
+    for name in METHODS:
+        if name != method and not METHODS[name].repeats:
+            with contextlib.suppress(MillingError):
+                found[name] = compensator(cell, cell.target(), name).revise(record_of(cell, original))
+    if cell.programmed.straight:
+        return found
+    rng = np.random.default_rng(0)
+    plants = [perturbed(coarser(cell), rng) for _ in range(FEWEST)]
+    with ThreadPoolExecutor(_cores()) as pool:
+        rows = np.array(list(pool.map(lambda plant: expected_deviations(plant, list(found.values())), plants)))
+    best = list(found)[int(np.argmin(np.quantile(rows, 0.95, axis=0)))]
+    return {best: found[best]}
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0))
+
+
+def _tracked(cell: Cell, plant: Cell) -> float:
+    """Largest deviation [m] of a plant whose own passes are measured and learned from; NaN where that fails."""
+    try:
+        cuts = Plant(cell, plant)
+        learned = compensated(cell, simulate(cell, plant=cuts), LEARNED, plant=cuts)
+        return learned.scores.max_deviation
+    except MillingError:
+        return np.nan
+
+
+def monte_carlo(
+    cell: Cell,
+    revised: Trajectory,
+    samples: int = SAMPLES,
+    seed: int = 1,
+    *,
+    budget: float = np.inf,
+    give_up: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    estimate: Callable[[int, float], None] = lambda *_: None,
+    method: str = "compensated",
+    others: dict[str, Trajectory] | None = None,
+) -> Verdict | None:
+    """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
+
+    budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8; give_up: None is
+    returned where 8 take longer as well. progress(done, plants) and estimate(plants, seconds) are told what is to come.
+    method: the name of the revised trajectory; others: trajectories of other methods, to recommend one; with them the
+    first 8 plants of a straight cut also learn from their own passes. The plants run in as many threads as there are
+    cores; the numbers do not depend on how many.
+    """
+    if not samples >= 1:
+        raise ParameterError("samples", samples, "a whole number of at least 1")
+    progress = progress or (lambda *_: None)
+    target, straight, cores = cell.target(), cell.programmed.straight, _cores()
+    nominal, scored_from = (cell, cell.full_engagement) if straight else (coarser(cell), None)
+    references = {method: revised, **(others or {})}
+    rng = np.random.default_rng(seed)
+    plants = [perturbed(nominal, rng) for _ in range(samples)]
+
+    def run(k: int) -> tuple[np.ndarray, float | None]:
+        rows = run_sample(plants[k], target, (target, *references.values()), scored_from)
+        tracks = others and straight and k < FEWEST
+        return rows, _tracked(cell, plants[k]) if tracks else None
+
+    start = time.perf_counter()
+    found = [run(0)]
+    each = (time.perf_counter() - start) / cores
+    count = min(samples, max(FEWEST, int(min(budget / each, samples))))
+    if give_up and count * each > budget:
+        return None
+    estimate(count, count * each)
+    pool = ThreadPoolExecutor(cores)
+    try:
+        for row in pool.map(run, range(1, count)):
+            progress(len(found), count)
+            found.append(row)
+            if len(found) >= FEWEST and time.perf_counter() - start > budget:
+                break
+    finally:  # after an interrupt only the plants that run are waited for
+        pool.shutdown(cancel_futures=True)
+    progress(len(found), len(found))
+    rows = np.stack([row for row, _ in found])
+    methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
+    tracked = [value for _, value in found if value is not None]
+    if tracked:
+        methods[TRACKED] = np.array(tracked)
+    word, reason = judge(rows[:, 0, 0], rows[:, 1, 0], cell.uncertainty.matters_above)
+    return Verdict(word, reason, rows[:, 0], rows[:, 1], seed, methods)
+
+
+def judge(original: np.ndarray, compensated: np.ndarray, matters_above: float) -> tuple[str, str]:
+    """The verdict and its reason from the largest deviations [m], (n,), of the same plants on both trajectories.
+
+    In this order: more than 5 % of the plants fail on the compensated trajectory and not on the original: cannot be
+    trusted. 95 % of the originals stay below ``matters_above`` [m] and 95 % of the compensated as well: does not
+    matter. 90 % of the plants change by less than 10 %: does not matter. More than 5 % become worse: cannot be
+    trusted. Half of them gain less than 10 %: does not matter. Else it helps.
+    """
+    lost = float(np.mean(np.isnan(compensated) & np.isfinite(original)))
+    if lost > FAILING:
+        return UNTRUSTED, f"{100 * lost:.0f} % of the plants fail on the compensated trajectory"
+    both = np.isfinite(original) & np.isfinite(compensated)
+    if not both.any():
+        return UNTRUSTED, "no plant survives either trajectory"
+    before, after = original[both], compensated[both]
+    worst = max(np.quantile(before, 0.95), np.quantile(after, 0.95))
+    if worst < matters_above:
+        return INDIFFERENT, f"95 % of the plants stay below {1e6 * worst:.3g} um either way"
+    low, middle, high = np.quantile(after / np.maximum(before, 1e-300), LEVELS)
+    share = f"the largest deviation becomes {100 * middle:.0f} % of what it was ({100 * low:.0f} to {100 * high:.0f} %)"
+    if low > 1.0 - SAME and high < 1.0 + SAME:
+        return INDIFFERENT, share
+    if high >= 1.0:
+        return UNTRUSTED, f"{share}: more than 5 % of the plants become worse"
+    if middle > 1.0 - SAME:
+        return INDIFFERENT, share
+    return HELPS, share
+
+
+def run_sample(
+    plant: Cell, target: Trajectory, references: Sequence[Trajectory], scored_from: float | None
+) -> np.ndarray:
+    """Largest and static deviation [m], (k, 2), of one plant along k references; NaN where it does not survive one.
+
+    The references are corrections of one target: the arm's model along the target holds for all.
+    """
+    rows = np.full((len(references), 2), np.nan)
+    try:
+        model = plant.arm_model(target)
+        for k, reference in enumerate(references):
+            course = imperfect_course(plant, reference, k)
+            ran = run_pass(model, plant.cut(), plant.clock, target, course, plant.exchange.iterations)
+            found = deviations(ran, target, scored_from)
+            rows[k] = found if found[0] < DIVERGED else np.nan
+    except MillingError:
+        pass
+    return rows
+
+
+def coarser(cell: Cell) -> Cell:
+    """For the many passes along a tool path: a grid step of up to half the feed per tooth, at most three times its own,
+    and exchange periods and micro-steps of the spindle twice as long where they are short.
+
+    On the shipped test piece the largest deviation then moves by less than 1 %, far below the bands, and a pass takes
+    a quarter of the time.
+    """
+    turns = cell.tool.spindle_speed / (2.0 * math.pi)
+    fed = cell.fed_path
+    if fed is None:
+        return cell
+    feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
+    step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))
+    how = cell.exchange
+    if how.period <= LONG_PERIOD and how.micro_step <= LONG_STEP:
+        how = how.replace(period=2.0 * how.period, micro_step=2.0 * how.micro_step)
+    return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=how)
+
+
+def deviations(result: PassResult, target: Trajectory, scored_from: float | None) -> tuple[float, float]:
+    """Largest and static path deviation [m] of a pass.
+
+    scored_from [s]: of a straight cut, as in its scores: from there on, and the mean over the last quarter. None: of a
+    tool path, while it cuts; static is then the mean magnitude.
+    """
+    deviation = path_deviation(result.actual, result.target, target.sample_velocity(result.time_ns))
+    if scored_from is not None:
+        scored = result.time >= scored_from - 1e-9
+        scored[-1] = True
+        return float(np.abs(deviation[scored]).max()), float(abs(deviation[-max(1, deviation.size // 4) :].mean()))
+    cutting = result.volume > 0.0
+    if not cutting.any():
+        return math.nan, math.nan
+    size = np.abs(deviation[cutting])
+    return float(size.max()), float(size.mean())

@@ -1,0 +1,79 @@
+"""Compute the revised reference trajectory from a recorded pass, by the same compensator as on line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import MillingError, RecordingError
+from kr270_milling.cell.jobs import commanded_joints
+from kr270_milling.exchange.replay.compare import difference
+from kr270_milling.exchange.replay.revisions import LastPass
+from kr270_milling.exchange.replay.robots import Robot, Robots
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.recordings.bag.reader import Recording
+
+__all__ = ["Revised", "compensate"]
+
+
+@dataclass(frozen=True, eq=False)
+class Revised:
+    """The revision after the last complete pass of one robot in a recording."""
+
+    robot: str  #: namespace
+    method: str
+    reference: Trajectory
+    joints: np.ndarray  #: [rad], (n, 6), at its knots
+    remaining_error: float  #: [m], of the recorded pass
+    largest_correction: float  #: [m], of a knot against the target
+    published: bool | None  #: the live node published the same bits; None: not recorded, or another method was chosen
+
+    def as_dict(self) -> dict:
+        return dict(
+            robot=self.robot or "/",
+            method=self.method,
+            remaining_error_um=self.remaining_error * 1e6,
+            largest_correction_um=self.largest_correction * 1e6,
+            identical_to_published=self.published,
+            time_ns=self.reference.time_ns,
+            position_m=self.reference.position,
+            quaternion_xyzw=self.reference.quaternion,
+            velocity_m_per_s=self.reference.velocity,
+            joints_rad=self.joints,
+        )
+
+
+def compensate(path, method: str | None = None, progress=None) -> list[Revised]:
+    """Return one revision per robot; ``method`` takes the place of the recorded one.
+
+    Raises RecordingError where no pass is complete, or where the pass cannot be revised.
+    """
+    with Recording(path) as recording:
+        robots = Robots(recording)
+        robots.feed(progress, Robot.feed_compensator)
+        with robots.usable("/wrench"):
+            passes = [(robot, robot.compensator.last_pass()) for robot in robots.robots.values()]
+            try:
+                revised = [_revised(robot, last, method) for robot, last in passes if last is not None]
+            except MillingError as error:
+                raise RecordingError(recording.path, str(error)) from error
+        if not revised:
+            raise RecordingError(recording.path, "holds no complete pass along a recorded reference trajectory")
+    return revised
+
+
+def _revised(robot: Robot, last: LastPass, method: str | None) -> Revised:
+    made, target = robot.compensator.revise(last, method)
+    own = last.state is None or method in (None, last.state.method)
+    published = difference(made.reference, last.published) is None if own and last.published is not None else None
+    shift = made.reference.position - target.sample(made.reference.time_ns)
+    return Revised(
+        robot.namespace,
+        made.method,
+        made.reference,
+        commanded_joints(robot.cell, made.reference),
+        made.errors[-1],
+        float(np.linalg.norm(shift, axis=1).max()),
+        published,
+    )

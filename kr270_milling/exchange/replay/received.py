@@ -1,0 +1,100 @@
+"""Passes as the compensator received them: collected from this recording, or read from the recordings it names."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path, PurePosixPath
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.samples import LearnedPass, PoseSample, WrenchSample
+from kr270_milling.cell.cell import Cell
+from kr270_milling.exchange.compensator import PassInbox, ReceivedPass
+from kr270_milling.exchange.replay.attached import cell_of, plant_of
+from kr270_milling.exchange.replay.inputs import INPUTS
+from kr270_milling.recordings.bag.reader import Recording
+
+__all__ = ["EarlierRecordings", "MissingPass", "PassCollector"]
+
+TOPICS = ("tool_pose", "wrench")
+
+
+class MissingPass(MillingError):
+    """A pass that the compensator learned from and that cannot be read; recording: the file that holds it."""
+
+    def __init__(self, recording: str, reason: str):
+        self.recording = recording
+        super().__init__(reason)
+
+
+class PassCollector:
+    """Collects the passes that reach the end stamp ``end_ns``, one after another."""
+
+    def __init__(self, cell: Cell, end_ns: int):
+        self.inbox = PassInbox(end_ns, cell.exchange.iterations)
+        self.passes: list[ReceivedPass] = []
+
+    def sample(self, sample: PoseSample | WrenchSample) -> None:
+        """Take the next pose or wrench that was checked."""
+        if isinstance(sample, WrenchSample):
+            self.inbox.wrench(sample)
+        else:
+            if sample.stamp == 0 and self.inbox.stamp_ns > 0:
+                self.finish()  # the last wrench of the previous pass is not in the file
+            self.inbox.pose(sample)
+        if self.inbox.complete:
+            self.finish()
+            self.inbox.clear()
+
+    def finish(self) -> None:
+        """Close a pass that lacks nothing but its last wrench."""
+        if self.inbox.at_end:
+            self.passes.append(self.inbox.received())
+
+
+class EarlierRecordings:
+    """The passes in the recordings that a compensator names; a recording is read when a pass of it is needed."""
+
+    def __init__(self, path: Path, namespace: str, end_ns: int):
+        self._path = path
+        self._namespace = namespace
+        self._end_ns = end_ns
+        self._read: dict[Path, tuple[Cell | None, list[ReceivedPass]]] = {}  # file -> plant, passes
+
+    def find(self, stated: LearnedPass) -> tuple[ReceivedPass, Cell | None, int]:
+        """Return a pass, the plant that ran it and its number in its file; raises MissingPass."""
+        name = stated.recording
+        file = self._file(name)
+        if file is None:
+            reason = f"{name} is missing" if name else "a pass was not recorded"
+            raise MissingPass(name, f"{reason}, and the reference trajectory follows from it")
+        if file not in self._read:
+            self._read[file] = self._passes_of(file)
+        plant, passes = self._read[file]
+        for number, received in enumerate(passes):
+            learned = received.until_wrench(stated.wrenches)
+            if learned.fingerprint == stated.fingerprint:
+                return learned, plant, number
+        raise MissingPass(name, f"{file}: does not hold the pass that the reference trajectory follows from")
+
+    def _file(self, name: str) -> Path | None:
+        """Return the file in a neighbouring directory, or in the directory of this recording."""
+        parts = PurePosixPath(name).parts[-2:]
+        if not name or ".." in parts or not all(part.isprintable() for part in parts):
+            return None
+        folder = self._path.parent
+        files = [folder.parent.joinpath(*parts), folder / parts[-1]]
+        with contextlib.suppress(OSError):
+            return next((file for file in files if file.is_file() and file != self._path), None)
+        return None
+
+    def _passes_of(self, file: Path) -> tuple[Cell | None, list[ReceivedPass]]:
+        names = {f"{self._namespace}/{name}": name for name in TOPICS}
+        with Recording(file) as recording:
+            cell = cell_of(recording)
+            plant = plant_of(recording, cell)
+            collector = PassCollector(cell, self._end_ns)
+            for message in recording.messages(set(names), as_written=True):
+                with contextlib.suppress(MillingError):  # refused by the live node as well
+                    collector.sample(INPUTS[names[message.topic]](message.data))
+            collector.finish()
+        return None if plant is cell else plant, collector.passes

@@ -1,0 +1,152 @@
+"""Messages for viewers such as RViz and Foxglove: transforms, the path coloured by its error, the force.
+
+Bytes of the graph's topics in, bytes of ``/tf``, ``/tf_static`` and ``/markers`` out; time is the stamp of messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from kr270_milling.base.frames import quaternion_from_rotation
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.robot.urdf_links import Link, links_of
+from kr270_milling.recordings.messages.cdr import stamp_of
+from kr270_milling.recordings.messages.codec import (
+    from_bytes,
+    pose_from_bytes,
+    trajectory_from_bytes,
+    wrench_from_bytes,
+)
+from kr270_milling.recordings.messages.topics import TOPICS
+from kr270_milling.recordings.messages.viewer import (
+    ARROW,
+    LINE_STRIP,
+    MARKERS,
+    TRANSFORMS,
+    Marker,
+    Placed,
+    markers_bytes,
+    transforms_bytes,
+)
+
+__all__ = ["INPUTS", "OUTPUTS", "Derived", "Scene"]
+
+#: topics that a scene receives, without their namespace
+INPUTS = tuple(topic.name for topic in TOPICS if topic.scene)
+#: topic -> type of the derived messages; transforms are global, as viewers expect
+OUTPUTS = {"/tf_static": TRANSFORMS, "/tf": TRANSFORMS, "/markers": MARKERS}
+PERIOD_NS = 33_333_333  #: between two messages, 30 Hz
+MOST_POINTS = 200  #: of the path; beyond, every second point is removed
+FULL_ERROR = 100e-6  #: [m], of the far end of the colours
+ARROW_LENGTH = 1e-3  #: [m/N]
+WORKPIECE = "workpiece"
+LOW, HIGH = np.array([0.03, 0.31, 0.59, 1.0]), np.array([0.90, 0.35, 0.05, 1.0])  #: colours of no and of full error
+REMOVED = np.array([0.6, 0.65, 0.7, 0.6])
+FORCE = np.array([0.0, 0.5, 0.35, 1.0])
+
+
+class Derived(NamedTuple):
+    """A message that a scene derived."""
+
+    topic: str
+    type: str
+    data: bytes
+    stamp_ns: int
+
+
+class Scene:
+    """One robot. ``take`` receives the messages of its topics and yields the derived messages."""
+
+    def __init__(self):
+        self._links: tuple[Link, ...] = ()
+        self._target: Trajectory | None = None
+        self._fresh()
+        self._tool_width = 0.02
+
+    def _fresh(self) -> None:
+        self._points: list[np.ndarray] = []
+        self._errors: list[float] = []
+        self._cuts: list[bool] = []
+        self._spacing = 1
+        self._count = 0
+        self._pose_due = self._wrench_due = self._joints_due = 0
+        self._force = np.zeros(3)
+
+    def take(self, name: str, data: bytes) -> Iterator[Derived]:
+        """name: of the topic without its namespace. Raises MillingError, ValueError if the bytes are not a message."""
+        if name == "robot_description":
+            self._links = links_of(from_bytes("std_msgs/msg/String", data).text)
+            self._tool_width = self._width()
+            yield Derived("/tf_static", TRANSFORMS, transforms_bytes(0, self._frames(np.zeros(6), moving=False)), 0)
+        elif name == "target_trajectory" or (name == "reference_trajectory" and self._target is None):
+            self._target = trajectory_from_bytes(data)
+        elif name in ("joint_states", "tool_pose", "wrench"):
+            yield from self._of_the_pass(name, data, stamp_of(data) or 0)
+
+    def _of_the_pass(self, name: str, data: bytes, stamp: int) -> Iterator[Derived]:
+        if name == "tool_pose" and stamp == 0 and self._pose_due > PERIOD_NS:
+            self._fresh()  # the next pass
+        if name == "joint_states":
+            if self._links and (stamp >= self._joints_due or stamp == 0):
+                self._joints_due = stamp + PERIOD_NS
+                joints = from_bytes("sensor_msgs/msg/JointState", data).position
+                yield Derived("/tf", TRANSFORMS, transforms_bytes(stamp, self._frames(joints, moving=True)), stamp)
+        elif name == "wrench":
+            if stamp >= self._wrench_due:
+                self._wrench_due = stamp + PERIOD_NS
+                self._force = np.asarray(wrench_from_bytes(data).wrench[:3])
+        elif stamp >= self._pose_due:
+            self._pose_due = stamp + PERIOD_NS
+            self._add_point(stamp, np.asarray(pose_from_bytes(data).position))
+            yield Derived("/markers", MARKERS, markers_bytes(stamp, self._markers()), stamp)
+
+    def _frames(self, joints: np.ndarray, moving: bool) -> list[Placed]:
+        placed = []
+        for link in self._links:
+            if link.parent < 0 or (link.joint >= 0) != moving:
+                continue
+            rotation = link.rotation @ _turn(link.axis, joints[link.joint]) if moving else link.rotation
+            parent = self._links[link.parent].name
+            placed.append(Placed(parent, link.name, link.xyz, quaternion_from_rotation(rotation)))
+        return placed
+
+    def _width(self) -> float:
+        """[m], of the tool's tip in the description."""
+        tools = [mesh for link in self._links if link.name == "tool0" for mesh in link.meshes if mesh.colour == "tool"]
+        return 2 * float(np.hypot(*tools[0].vertex[:, :2].T).max()) if tools else 0.02
+
+    def _add_point(self, stamp: int, position: np.ndarray) -> None:
+        self._count += 1
+        if self._count % self._spacing:
+            return
+        error = 0.0 if self._target is None else float(np.linalg.norm(position - self._target.sample(stamp)))
+        self._points.append(position)
+        self._errors.append(error)
+        self._cuts.append(float(np.linalg.norm(self._force)) > 0.1)
+        if len(self._points) > MOST_POINTS:
+            self._points, self._errors, self._cuts = self._points[::2], self._errors[::2], self._cuts[::2]
+            self._spacing *= 2
+
+    def _markers(self) -> list[Marker]:
+        points = np.array(self._points).reshape(-1, 3)
+        share = np.clip(np.array(self._errors) / FULL_ERROR, 0.0, 1.0)[:, None]
+        cut = points[np.array(self._cuts, bool)]
+        markers = []
+        if len(points) > 1:
+            markers.append(Marker("path", WORKPIECE, LINE_STRIP, 1e-3, points, LOW + share * (HIGH - LOW)))
+        if len(cut) > 1:
+            markers.append(Marker("removed", WORKPIECE, LINE_STRIP, self._tool_width, cut, REMOVED))
+        if len(points):
+            ends = np.stack([points[-1], points[-1] + ARROW_LENGTH * self._force])
+            markers.append(Marker("force", WORKPIECE, ARROW, 4e-3, ends, FORCE))
+        return markers
+
+
+def _turn(axis: np.ndarray, angle: float) -> np.ndarray:
+    """Rotation about a unit axis (Rodrigues): I + sin(a) K + (1 - cos(a)) K^2."""
+    x, y, z = axis
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)

@@ -1,0 +1,107 @@
+"""The passes of a run: the original pass, then those of each method, each scored from its recording."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.exchange.replay.recorded import pass_from_recording
+from kr270_milling.live.graph.graph import Graph, PassRun
+from kr270_milling.physics.compensation.compensator import Compensator
+
+__all__ = ["RanPass", "fresh_directory", "run_plan"]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class RanPass:
+    """One row of the table of a run."""
+
+    run: PassRun
+    scored: ScoredPass
+    messages_lost: int
+    learning: tuple[RanPass, ...] = ()  #: every pass of a method that repeats; the row itself is the best of them
+
+    def row(self) -> dict:
+        """Return the row with the keys that the command prints."""
+        duration = float(self.scored.result.time[-1])
+        row = {
+            **self.scored.row(),
+            "recording": str(self.run.recording),
+            "duration_s": duration,
+            "wall_s": self.run.wall_s,
+            "real_time_factor": duration / self.run.wall_s,
+            "messages_lost": self.messages_lost,
+        }
+        return {**row, "learning": [ran.row() for ran in self.learning]} if self.learning else row
+
+
+def fresh_directory(out) -> Path:
+    """Return ``out``, or a new ``out/run_N`` where ``out`` contains recordings: recordings are never overwritten."""
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    if not any(out.glob("*/*.mcap")) and not (out / "cell.yaml").exists():
+        return out
+    for number in range(2, 100_000):
+        try:
+            (out / f"run_{number}").mkdir()
+        except FileExistsError:
+            continue
+        return out / f"run_{number}"
+    raise FileExistsError(f"{out}: contains too many runs")
+
+
+def run_plan(
+    graph: Graph,
+    methods: Sequence[str],
+    passes: int | None = None,
+    say: Callable[[str], None] = lambda text: None,
+) -> list[RanPass]:
+    """Run the original pass, then those of each method.
+
+    passes: number of passes with the original (default: as needed)
+    say: called with a sentence at the start of each pass.
+    """
+    numbers = itertools.count(1)
+    most = _most_passes(graph.cell, methods, passes)
+
+    def run(name: str) -> RanPass:
+        say(f"{name}, pass {next(numbers)} of at most {most}")
+        pass_run = graph.run_pass(name)
+        recorded = pass_from_recording(pass_run.recording, name, graph.driver.namespace)
+        return RanPass(pass_run, recorded.scored, recorded.lost_to_end)
+
+    original = run("original")
+    rows = [original]
+    for method in methods:
+        if passes is not None and passes < 2:
+            break
+        graph.choose(method)
+        if graph.repeats:
+            rows.append(_repeated(method, run, original, passes and passes - 1))
+            continue
+        for number in range(1, passes or 2):
+            rows.append(run(method if number == 1 else f"{method}_{number}"))
+    return rows
+
+
+def _most_passes(cell: Cell, methods: Sequence[str], passes: int | None) -> int:
+    """Return the largest possible number of passes."""
+    if passes is not None:
+        return 1 + len(methods) * (passes - 1)
+    limits = (Compensator(cell.compensation, cell.target(), method).most_passes for method in methods)
+    return 1 + sum(1 if most is None else most for most in limits)
+
+
+def _repeated(method: str, run: Callable[[str], RanPass], original: RanPass, most: int | None) -> RanPass:
+    """Run passes until the compensator is finished, at most ``most``; return the pass along the best reference."""
+    tried: list[RanPass] = []
+    while not (tried and tried[-1].run.finished) and (most is None or len(tried) < most):
+        tried.append(run(f"{method}_{len(tried) + 1}"))
+    errors = tried[-1].run.errors  # the first error is that of the original pass
+    best = [original, *tried][min(range(len(errors)), key=errors.__getitem__)]
+    named = dataclasses.replace(best.scored, name=method)
+    return dataclasses.replace(best, scored=named, learning=tuple(tried))

@@ -1,0 +1,146 @@
+"""Node processes: command line and parameter file, start in a separate session, and stop."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+import yaml
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.record import tree_of
+from kr270_milling.cell.cell import Cell
+from kr270_milling.live.ros.environment import child_environment
+
+__all__ = ["Child", "RunError", "cell_text", "recording_parameters", "ros_arguments", "stop", "write_cell"]
+
+GRACE = 3.0  # [s] for a node to close its files and to leave the graph, before it is killed
+TOGETHER = "milling_cell"  # the program that holds several nodes
+
+
+class RunError(MillingError):
+    """The run cannot continue; node: the failed node; reason: what happened."""
+
+    def __init__(self, node: str, reason: str):
+        self.node, self.reason = node, reason
+        super().__init__(f"{node}: {reason}")
+
+
+@contextlib.contextmanager
+def _signals_blocked() -> Iterator[None]:
+    """Block signals in a process that starts within, until it installs its handlers (``nodes.start``)."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class Child:
+    """A process with one node or several; its output goes to a log below ``logs``."""
+
+    def __init__(self, nodes: Sequence[str], arguments: Iterable[str], logs: Path):
+        self.name = "+".join(nodes)
+        self.log = logs / f"{self.name}.log"
+        program = nodes if len(nodes) == 1 else (TOGETHER, *nodes)
+        command = [sys.executable, "-m", "kr270_milling.live.nodes", *program, *arguments]
+        with open(self.log, "ab") as stream, _signals_blocked():
+            self.process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=stream, stderr=subprocess.STDOUT, cwd=logs,
+                env=child_environment(), start_new_session=True,
+            )  # fmt: skip
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
+    @property
+    def alive(self) -> bool:
+        return self.process.poll() is None
+
+    def why_ended(self) -> str:
+        """Return why the process ended, in one sentence."""
+        code = self.process.returncode
+        if code < 0:
+            return f"was ended by {signal.Signals(-code).name}"
+        return f"ended with exit code {code} ({self.last_line() or 'it printed nothing'}; see {self.log})"
+
+    def last_line(self) -> str:
+        """Return the last line of the log that is not empty."""
+        with open(self.log, "rb") as stream:
+            stream.seek(max(0, os.fstat(stream.fileno()).st_size - 4096))
+            lines = stream.read().decode("utf-8", "replace").split("\n")
+        return next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+    def keep_to(self, cores: set[int]) -> None:
+        """Run every present and future thread of the process on these cores only."""
+        for task in os.listdir(f"/proc/{self.pid}/task") if self.alive else ():
+            with contextlib.suppress(OSError):  # the thread has ended
+                os.sched_setaffinity(int(task), cores)
+
+    def signal(self, number: int) -> None:
+        if self.alive:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self.pid, number)
+
+
+def stop(children: Iterable[Child], grace: float = GRACE) -> list[str]:
+    """Interrupt all nodes at once and wait; kill those that do not end within ``grace`` [s] and return their names."""
+    children = [c for c in children if c.alive]
+    for child in children:
+        child.signal(signal.SIGINT)
+        child.signal(signal.SIGCONT)  # a stopped process handles no signal
+    end = time.monotonic() + grace
+    while any(child.alive for child in children) and time.monotonic() < end:
+        time.sleep(0.01)
+    killed = [child for child in children if child.alive]
+    for child in killed:
+        child.signal(signal.SIGKILL)
+        child.process.wait()
+    return [child.name for child in killed]
+
+
+def ros_arguments(parameters: Path, namespace: str, *more: str) -> list[str]:
+    """Return the arguments of a node with a parameter file in a namespace."""
+    space = ["-r", f"__ns:={namespace}"] if namespace != "/" else []
+    return ["--ros-args", "--params-file", str(parameters), *space, *more]
+
+
+def recording_parameters(cell: Cell, out: Path, name: str, plant: Cell | None = None) -> dict:
+    """Return the recorder's parameters for the pass ``name``; the directory, which starts the recording, comes last.
+
+    plant: the cell that robot and cut run, where it differs from the planned one; it is attached as well.
+    """
+    attach = [str(out / "cell.yaml")]
+    if plant is not None:
+        (out / "log" / name).mkdir(exist_ok=True)
+        attach.append(str(out / "log" / name / "plant.yaml"))
+        write_cell(plant, Path(attach[-1]))
+    attach += map(str, cell.programmed.files)
+    return {"attach": attach, "command": shlex.join(sys.argv), "directory": str(out / name)}
+
+
+def cell_text(cell: Cell) -> str:
+    """Return the cell as YAML text; its numbers are read back bit for bit."""
+    tree = _without_empty(tree_of(cell))
+    for file in cell.programmed.files:
+        tree["path"]["file"] = str(file)
+    text = yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False, default_flow_style=None, width=110)
+    return "# Written by kr270_milling: the cell of this run.\n" + text
+
+
+def write_cell(cell: Cell, path: Path) -> None:
+    path.write_text(cell_text(cell), encoding="utf-8")
+
+
+def _without_empty(tree: dict) -> dict:
+    """Remove empty lists, whose type ROS cannot derive, and groups that are then empty, which ROS refuses."""
+    values = {key: _without_empty(value) if isinstance(value, dict) else value for key, value in tree.items()}
+    return {key: value for key, value in values.items() if value or not isinstance(value, (list, dict))}

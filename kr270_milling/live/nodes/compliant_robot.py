@@ -1,0 +1,161 @@
+"""Node: a simulated compliant robot follows ``reference_trajectory`` under the ``wrench`` of the cut."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from rcl_interfaces.msg import FloatingPointRange
+from rclpy.timer import Timer
+
+from kr270_milling.base.frames import WORKPIECE
+from kr270_milling.base.samples import WrenchSample
+from kr270_milling.exchange.robot import RobotProtocol
+from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.node import ERROR, LOST, OK, WARN, ManagedNode, guarded
+from kr270_milling.live.ros.parameters import declare_cell
+from kr270_milling.path.trajectory import fingerprint
+from kr270_milling.recordings.messages.codec import trajectory_from_bytes, wrench_from_bytes
+from kr270_milling.recordings.messages.topics import ROBOT
+
+__all__ = ["CompliantRobot"]
+
+RETRY = 0.5  # [s] of the wall clock without a wrench, after which the tool pose is published again
+LOOK = 0.1  # [s] of the wall clock between two checks
+SETTLE = 0.5  # [s] of the wall clock without a new subscriber before a pass starts: a recorder discovers the topics
+AHEAD = 0.005  # [s] of the wall clock that a paced pass may be ahead
+
+
+class CompliantRobot(ManagedNode):
+    """Receive the wrench, publish tool pose and deflection; ``RobotProtocol`` computes, the node starts and paces."""
+
+    def __init__(self, **kwargs):
+        super().__init__("compliant_robot", **kwargs)
+        self.cell = declare_cell(self)
+        self.protocol = RobotProtocol(self.cell)
+        about = "seconds of the pass in a second of the wall clock; 0: as fast as possible"
+        limits = [FloatingPointRange(from_value=0.0, to_value=1e6)]
+        self.pace = self.declared("pace", 0.0, about, floating_point_range=limits)
+        self._pace_timer: Timer | None = None
+        self._given_up = False
+        self._listeners: tuple[int, ...] = ()
+        self._unchanged = 0.0  # [s] of the wall clock since the number of subscribers changed
+        self._answered = time.monotonic()  # time of the last accepted wrench
+        self._checked = time.monotonic()
+        self.open_outlets(ROBOT)
+        self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
+        self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
+        self.create_timer(LOOK, self._watch_answer)
+        self.report(OK, "unconfigured")
+
+    def configure(self) -> None:
+        trial = RobotProtocol(self.cell)  # compiles before the pass
+        trial.reference = self.cell.target()
+        trial.start()
+        trial.wrench(WrenchSample(0, WORKPIECE, np.zeros(6)))
+        self.send(self.protocol.describe())
+        self.protocol.stop()
+        self.report(OK, "configured")
+
+    def activate(self) -> None:
+        self.protocol.stop()
+        self.report(OK, "waiting for a reference trajectory and a cutting process")
+
+    def deactivate(self) -> None:
+        self.protocol.stop()
+        self.report(OK, "stopped")
+
+    @guarded
+    def _on_reference(self, data: bytes) -> None:
+        self.protocol.reference = trajectory_from_bytes(data)
+        self.set_values(reference=fingerprint(self.protocol.reference))
+
+    @guarded
+    def _watch_answer(self) -> None:
+        """Start the pass when cut and reference are present; repeat the pose, and give up, when no wrench arrives."""
+        protocol = self.protocol
+        held_up, self._checked = time.monotonic() - self._checked, time.monotonic()
+        settled = self._is_settled(held_up)
+        if held_up > RETRY:
+            self._answered = max(self._answered, self._checked)  # this process itself was stopped
+        if not self.active or (protocol.started and (protocol.done or self._given_up)):
+            return
+        cut = self.outlets["tool_pose"].get_subscription_count() and self._wrench.get_publisher_count()
+        if not protocol.started:
+            if cut and settled and protocol.reference is not None:
+                self._start()
+            return
+        silent = time.monotonic() - self._answered
+        if not cut and not protocol.awaited_ns:
+            self.activate()  # the cut left before the pass began
+        elif protocol.awaited_ns and (not cut or silent > LOST):
+            what = "no wrench: its publisher is gone" if not cut else f"no wrench for {LOST:g} s"
+            self._given_up = True
+            self.report(ERROR, f"{what}; the cutting process is gone and the pass is given up")
+        elif silent > RETRY:
+            silence = "no wrench from the cutting process: repeating the tool pose"
+            self.report(WARN, silence if protocol.awaited_ns else "the cutting process is not active yet")
+            self.send(protocol.repeat())
+
+    def _is_settled(self, since: float) -> bool:
+        """Return whether the numbers of subscribers are unchanged for ``SETTLE``; since: [s] since the last check.
+
+        A long time without a check counts as two periods only: other nodes on the core were stopped as well.
+        """
+        listeners = tuple(outlet.get_subscription_count() for outlet in self.outlets.values())
+        self._unchanged = self._unchanged + min(since, 2.0 * LOOK) if listeners == self._listeners else 0.0
+        self._listeners = listeners
+        return self._unchanged >= SETTLE
+
+    def _start(self) -> None:
+        outputs = self.protocol.start()
+        self._given_up = False
+        self._started = time.monotonic()
+        self.report(OK, "pass running")
+        self._answer(outputs)
+
+    @guarded
+    def _on_wrench(self, data: bytes) -> None:
+        if not self.active or self._given_up or self.protocol.done:
+            return
+        sample = wrench_from_bytes(data)
+        outputs = self.protocol.wrench(sample)
+        if not outputs and not self.protocol.done:
+            return  # not the awaited wrench
+        if sample.stamp == 0:
+            self._started = time.monotonic()  # the cutting process may have started late
+            self.report(OK, "pass running")
+        self.stamp_ns = sample.stamp
+        self._answer(outputs)
+        if self.protocol.done:
+            self._finish()
+
+    def _answer(self, outputs) -> None:
+        """Publish the outputs; with a pace, delay the next tool pose to the wall clock."""
+        self._answered = time.monotonic()
+        if self.pace > 0.0 and not self.protocol.done:
+            ahead = self._started + self.protocol.awaited_ns * 1e-9 / self.pace - self._answered
+            if ahead > AHEAD:
+                self._answered += ahead
+                self._late = outputs[:1]
+                self._pace_timer = self.create_timer(ahead, self._ask_late)
+                outputs = outputs[1:]
+        self.send(outputs)
+
+    @guarded
+    def _ask_late(self) -> None:
+        if self._pace_timer is not None:
+            self.destroy_timer(self._pace_timer)
+        if self.protocol.started:
+            self.send(self._late)
+
+    def _finish(self) -> None:
+        wall = time.monotonic() - self._started
+        values = {"largest_correction_um": f"{self.protocol.correction * 1e6:.6f}", "wall_s": repr(wall)}
+        if self.protocol.large_correction:
+            self.report(WARN, "pass complete, but the corrections are large: shorten exchange.period_ms", **values)
+        else:
+            self.report(OK, "pass complete", **values)
+
+    def watch(self) -> dict:
+        return {"state": self.state, "pass_time_s": f"{self.stamp_ns * 1e-9:.6f}"}

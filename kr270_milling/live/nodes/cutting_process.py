@@ -1,0 +1,116 @@
+"""Node: the cutting process answers every ``tool_pose`` with the mean ``wrench`` of the movement to this pose."""
+
+from __future__ import annotations
+
+import numpy as np
+from std_srvs.srv import Trigger
+
+from kr270_milling.exchange.cut import CutProtocol, NoWorkpiece
+from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
+from kr270_milling.live.ros.parameters import declare_cell
+from kr270_milling.recordings.messages.codec import pose_from_bytes, trajectory_from_bytes
+from kr270_milling.recordings.messages.topics import CUT
+
+__all__ = ["CuttingProcess"]
+
+LOOK = 0.1  # [s] of the wall clock between two checks of the robot
+
+
+class CuttingProcess(ManagedNode):
+    """Receive the tool pose, publish the process wrench; ``CutProtocol`` computes."""
+
+    def __init__(self, **kwargs):
+        super().__init__("cutting_process", **kwargs)
+        self.cell = declare_cell(self)
+        self.protocol = CutProtocol(self.cell)
+        self._robots = 0
+        self._silence = Silence()
+        self._mapped = True  # the published map shows the present part
+        self.open_outlets(CUT)
+        self._pose = self.subscribe(topics.TOOL_POSE, self._on_pose)
+        self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
+        self.create_service(Trigger, "~/publish_workpiece", self._on_request)
+        self.create_timer(LOOK, self._watch_robot)
+        self.report(OK, "unconfigured")
+
+    def configure(self) -> None:
+        self._compile()
+        self.send(self.protocol.configure())
+        self._mapped = True
+        self.stamp_ns = 0
+        self.report(OK, "configured: fresh workpiece")
+
+    def _compile(self) -> None:
+        """Compile or load the compiled sweep before the pass."""
+        above = np.array([0.0, 0.0, float(self.cell.stock.max[2]) + 1.0])
+        self.cell.cut().sweep(above, above, 0, 1)
+
+    def activate(self) -> None:
+        self._robots = 0  # not counted yet
+        self.report(OK, "waiting for the tool")
+
+    def deactivate(self) -> None:
+        if not self._mapped:
+            self._publish_map()
+        self.report(OK, "stopped")
+
+    def cleanup(self) -> None:
+        self.protocol.release()
+        self.report(OK, "unconfigured")
+
+    @guarded
+    def _on_pose(self, data: bytes) -> None:
+        if not self.active:
+            return
+        again = self._silence.end()
+        self.send(self.protocol.pose(pose_from_bytes(data)))
+        self._mapped = False
+        self.stamp_ns = self.protocol.stamp_ns
+        if self._robots == 0 and self.protocol.step == 1:
+            self._robots = self._pose.get_publisher_count()
+            self.report(OK, "cutting")
+        elif again:
+            self.report(OK, "cutting again")
+
+    @guarded
+    def _on_reference(self, data: bytes) -> None:
+        self.protocol.end_ns = trajectory_from_bytes(data).duration_ns
+
+    @guarded
+    def _watch_robot(self) -> None:
+        silent = self._silence.seconds()
+        if self.active and not self._mapped and self.protocol.at_end and silent > LOOK:
+            self._publish_map()  # of a pass by hand; a run deactivates the cut at once
+        if not self.active or not self.protocol.under_way:
+            return
+        robots = self._pose.get_publisher_count()
+        if not robots:
+            self.report(ERROR, "the robot is gone in mid-pass: tool_pose has no publisher")
+        elif self._robots and robots > self._robots:
+            self.report(ERROR, "a second robot publishes in mid-pass: was compliant_robot restarted? Begin a new pass")
+        elif self._silence.is_due(silent):
+            self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: is the robot gone?")
+
+    @guarded
+    def _publish_map(self) -> bool:
+        try:
+            self.send(self.protocol.workpiece())
+        except NoWorkpiece as error:
+            self.report(WARN, str(error))
+            return False
+        self._mapped = True
+        return True
+
+    def _on_request(self, _, response):
+        response.success = bool(self._publish_map())
+        response.message = "" if response.success else str(NoWorkpiece())
+        return response
+
+    def watch(self) -> dict:
+        volume = self.protocol.removed_volume
+        return {
+            "state": self.state,
+            "pass_time_s": f"{self.stamp_ns * 1e-9:.6f}",
+            "removed_volume_m3": "" if volume is None else repr(volume),
+        }

@@ -1,0 +1,218 @@
+"""Node: play a recording back onto topics, as serialised messages."""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import sys
+import time
+
+from rclpy.duration import Duration
+from rclpy.exceptions import NameValidationException
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Trigger
+
+from kr270_milling.base.errors import RecordingError, one_line
+from kr270_milling.base.process import end_process
+from kr270_milling.live.nodes.play_arguments import PLAY, play_options
+from kr270_milling.live.ros.names import NameRefused, message_class, plain_topic
+from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, guarded, stamp_from_ns
+from kr270_milling.live.ros.spin import own_arguments, run_node
+from kr270_milling.recordings.bag.bagmeta import read_qos
+from kr270_milling.recordings.bag.play_options import PlayOptions
+from kr270_milling.recordings.bag.playback import PlayClock, is_latched, opening, passage, span
+from kr270_milling.recordings.bag.reader import RawMessage, Recording
+
+__all__ = ["Player", "main", "play", "qos_of"]
+
+TICK = 0.001  # [s] between two checks for due messages
+AT_ONCE = 500  # messages in one check at most, so that signals and services are handled in between
+DEPTH = 1000  # messages that may wait for a slow reader
+#: topics of the whole graph, which a namespace of the player does not move
+GLOBAL = ("/clock", "/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
+FOREVER = 9_000_000_000  # [s]; rosbag2 writes a larger value for "no limit"
+
+
+class Player(ReportingNode):
+    """Publish the messages of a recording at the pace of their log times; end after the last message."""
+
+    def __init__(self, options: PlayOptions, progress=None, **kwargs):
+        self.recording = Recording(options.file)
+        try:
+            super().__init__("player", **kwargs)
+            self._prepare(options)
+        except BaseException:
+            self.recording.close()
+            raise
+        self._progress = progress
+        self.count, self.rounds = 0, 0
+        for name, paused in (("pause", True), ("resume", False), ("toggle_paused", None)):
+            self.create_service(Trigger, f"~/{name}", functools.partial(self._set_paused, paused))
+        self._begin_at = time.monotonic() + options.delay
+        self._start()
+        self._timer = self.create_timer(TICK, self._tick)
+        self.report(OK, "paused" if options.start_paused else "playing")
+
+    def _prepare(self, options: PlayOptions) -> None:
+        self.options = options
+        known = self.recording.topics()
+        missing = sorted(set(options.topics or ()) - set(known))
+        if missing:
+            raise RecordingError(self.recording.path, f"has no topic {', '.join(missing)}")
+        self._outlets = {}
+        for topic, about in known.items():
+            own_clock = options.clock is not None and topic == "/clock"
+            if about.count and not own_clock and (options.topics is None or topic in options.topics):
+                outlet = self._outlet(topic, about)
+                if outlet is not None:
+                    self._outlets[topic] = outlet
+        if not self._outlets:
+            raise RecordingError(self.recording.path, "contains no message that can be played")
+        self._span = span(self.recording, options)
+        self._clock_publisher = self.create_publisher(Clock, "/clock", 10) if options.clock else None
+
+    def _outlet(self, topic: str, about):
+        """Create the publisher of a topic; return None, with a warning, where name or type cannot be used."""
+        try:
+            if about.encoding != "cdr":
+                raise NameRefused(f"its encoding is {about.encoding}")
+            kind, name = message_class(about.type), plain_topic(topic)
+            return self.create_publisher(kind, name if name in GLOBAL else name.lstrip("/"), qos_of(about))
+        except (NameRefused, NameValidationException, ImportError) as error:
+            self.get_logger().warning(one_line(f"{topic} is not played: {error}"))
+            return None
+
+    def _start(self) -> None:
+        start, end = self._span
+        paused = self.options.start_paused and self.rounds == 0
+        self._pace = PlayClock(start, self.options.rate, self._begin_at, paused)
+        topics = set(self._outlets)
+        first = opening(self.recording, start, topics)
+        self._opening, self._passage = first, passage(self.recording, start, end, topics)
+        self._next: RawMessage | None = None
+        self._clock_due = start  # log time [ns] of the next /clock
+
+    @guarded
+    def _tick(self) -> None:
+        try:
+            self._play_on(time.monotonic())
+        except RecordingError as error:  # nothing can be read after a damage, also in a loop
+            self.end(str(error))
+            self.report(ERROR, str(error))
+
+    def _play_on(self, now: float) -> None:
+        if self.done or self._pace.paused or now < self._begin_at:
+            return
+        position = self._pace.position(now)
+        for message in self._opening:
+            self._publish(message)
+        self._opening = []
+        for _ in range(AT_ONCE):
+            if self._next is None:
+                self._next = next(self._passage, None)
+            if self._next is None:
+                self._end()
+                return
+            if self._next.log_time > position:
+                break
+            self._publish(self._next)
+            self._next = None
+        self._publish_clock(position)
+
+    def _publish(self, message) -> None:
+        self._outlets[message.topic].publish(message.data)
+        self.count += 1
+        self.stamp_ns = message.log_time
+        if self._progress is not None:
+            start, end = self._span
+            self._progress(max(message.log_time - start, 0), max(end - start, 1))
+
+    def _publish_clock(self, position: int) -> None:
+        if self._clock_publisher is not None and self.options.clock and position >= self._clock_due:
+            self._clock_publisher.publish(Clock(clock=stamp_from_ns(position)))
+            period = max(1, int(1e9 * self.options.rate / self.options.clock))
+            self._clock_due += period * ((position - self._clock_due) // period + 1)
+
+    def _end(self) -> None:
+        self.rounds += 1
+        if self.options.loop:
+            self._begin_at = time.monotonic()
+            self._start()
+        else:
+            self.end()
+
+    def _set_paused(self, wanted: bool | None, _, response):
+        """Pause or resume; wanted: None toggles."""
+        paused = not self._pace.paused if wanted is None else wanted
+        (self._pace.pause if paused else self._pace.resume)(time.monotonic())
+        self.report(WARN if paused else OK, "paused" if paused else "playing")
+        response.success = True
+        return response
+
+    def watch(self) -> dict:
+        return {"messages": getattr(self, "count", 0), "rounds": getattr(self, "rounds", 0)}
+
+    def close(self) -> None:
+        """After the last message: wait until the subscribers have received it, and close the file."""
+        if self.done:
+            for outlet in self._outlets.values():
+                outlet.wait_for_all_acked(Duration(seconds=1))
+        self.recording.close()
+        self.get_logger().info(f"{self.count} messages played")
+
+
+def qos_of(about) -> QoSProfile:
+    """Return a recorded topic's quality of service: reliable or latched only if all its publishers were.
+
+    Discovery does not report the depth; an unknown depth becomes 1 for latched topics, else ``DEPTH``.
+    """
+    profiles = read_qos(about.metadata.get("offered_qos_profiles", ""))
+    latched = is_latched(about)
+    reliable = all(p.get("reliability") in ("reliable", "system_default", 1, 0) for p in profiles)
+    depths = [p["depth"] for p in profiles if isinstance(p.get("depth"), int) and 0 < p["depth"] <= DEPTH]
+    qos = QoSProfile(
+        depth=max(depths, default=1 if latched else DEPTH),
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        liveliness=LivelinessPolicy.AUTOMATIC,
+    )
+    if len(profiles) == 1:
+        for key in ("deadline", "lifespan", "liveliness_lease_duration"):
+            limit = _duration(profiles[0].get(key))
+            if limit is not None:
+                setattr(qos, key, limit)
+    return qos
+
+
+def _duration(value) -> Duration | None:
+    if not isinstance(value, dict) or not all(isinstance(value.get(k), int) for k in ("sec", "nsec")):
+        return None
+    seconds, rest = value["sec"], value["nsec"]
+    limited = 0 <= seconds < FOREVER and 0 <= rest < 10**9 and (seconds or rest)
+    return Duration(seconds=seconds, nanoseconds=rest) if limited else None
+
+
+def play(options: PlayOptions, ros_args: list[str] | None = None, progress=None) -> tuple[int, int]:
+    """Run the player as this process; return its exit code and the number of published messages."""
+    players: list[Player] = []
+
+    def make(**kwargs) -> Player:
+        players.append(Player(options, progress, **kwargs))
+        return players[0]
+
+    code = run_node(make, ros_args or [])
+    return code, sum(player.count for player in players)
+
+
+def main() -> int:
+    """Console script ``player``."""
+    parser = argparse.ArgumentParser(
+        prog="player", description="Play a recording back onto topics.", epilog="example: player out/pass1 --rate 0.5"
+    )
+    parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording")
+    for names, keywords in PLAY:
+        parser.add_argument(*names, **keywords)
+    code, _ = play(play_options(parser.parse_args(own_arguments())), sys.argv)
+    return end_process(code)

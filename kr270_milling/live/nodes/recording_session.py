@@ -1,0 +1,194 @@
+"""One file of a recorder: subscribe to the topics, write the messages, count the missing ones."""
+
+from __future__ import annotations
+
+import contextlib
+import fnmatch
+import functools
+import time
+from collections.abc import Sequence
+
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from kr270_milling.base.errors import MillingError, RecordingError
+from kr270_milling.exchange.scene import INPUTS, Derived, Scene
+from kr270_milling.live.ros.names import NameRefused, message_class
+from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode
+from kr270_milling.live.ros.polling import DEPTH, PolledMessage, in_order, poll, polled_subscription
+from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
+
+__all__ = ["RecordingSession"]
+
+DERIVED_QOS = QoSProfile(  # latched, so that late subscribers of a player receive them
+    depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
+)
+ONLY_BY_NAME = ("/rosout", "/parameter_events")
+
+
+class RecordingSession:
+    """The open file of a recorder.
+
+    topics: recorded names with * and ?, empty for all; viewers: also record and publish the topics for viewers that no
+    other node publishes.
+    """
+
+    def __init__(self, node: ReportingNode, writer: BagWriter, topics: Sequence[str], viewers: bool):
+        self.writer = writer
+        self._node = node
+        self._topics = topics
+        self._viewers = viewers
+        self._scenes: dict[str, Scene] = {}  # of each robot, by its namespace
+        self._live: dict[str, Publisher | None] = {}  # topics for viewers; None where the type is not installed
+        # the recorder does not record its own topics: a player would repeat the name of the recording
+        self._subscriptions: dict[str, Subscription | None] = {o.topic_name: None for o in node.outlets.values()}
+        self._stopped = False
+        self._before = -1
+        self._refused = 0  # messages
+        self._waiting: list[PolledMessage] = []  # arrived during the last poll
+        self._published: set[str] = set()  # topics with a publisher
+        self._left: set[str] = set()  # topics whose publisher has left
+        node.report(OK, f"recording to {writer.path}")
+
+    def _is_wanted(self, topic: str) -> bool:
+        return any(fnmatch.fnmatchcase(topic, t) for t in self._topics) if self._topics else topic not in ONLY_BY_NAME
+
+    def discover(self) -> None:
+        """Subscribe to new topics, close an old chunk, report publishers that have left."""
+        for topic, types in self._node.get_topic_names_and_types():
+            if topic in self._subscriptions or not self._is_wanted(topic):
+                continue
+            publishers = self._node.get_publishers_info_by_topic(topic)
+            if publishers:
+                self._subscribe(topic, types, publishers)
+        self._write(self.writer.tick, time.monotonic())
+        self._check_publishers()
+
+    def _check_publishers(self) -> None:
+        published = {t for t, s in self._subscriptions.items() if s is not None and s.get_publisher_count()}
+        before, self._left = self._left, (self._left | self._published) - published
+        self._published = published
+        if self._left - before and not self._stopped:
+            self._node.report(WARN, f"no publisher any more: {', '.join(sorted(self._left))}")
+
+    def _on_scene(self, topic: str, data: bytes, published: int) -> None:
+        self.writer.write(topic, data, published)
+        namespace, _, name = topic.rpartition("/")
+        scene = self._scenes.setdefault(namespace, Scene())
+        derived: list[Derived] = []
+        with contextlib.suppress(MillingError, ValueError):  # recorded; nothing to show
+            derived += scene.take(name, data)
+        for message in derived:
+            name = namespace + message.topic
+            if name in self._live or (name not in self._subscriptions and self._is_wanted(name)):
+                self.writer.add_topic(name, message.type, [DERIVED_QOS])
+                self.writer.write(name, message.data, published)
+                self._show(name, message.type, message.data)
+
+    def _show(self, name: str, type_name: str, data: bytes) -> None:
+        """Publish a derived message for viewers of the running graph, where its type is installed."""
+        if name not in self._live:
+            self._subscriptions[name] = None  # published by this node and written already
+            self._live[name] = None
+            with contextlib.suppress(ImportError, NameRefused):
+                self._live[name] = self._node.create_publisher(message_class(type_name), name, DERIVED_QOS)
+        publisher = self._live[name]
+        if publisher is not None:
+            publisher.publish(data)
+
+    def _subscribe(self, topic: str, types: list[str], publishers) -> None:
+        try:
+            if len(types) != 1:
+                raise RecordingError(self.writer.path, f"{topic} has several types: {', '.join(types)}")
+            kind = message_class(types[0])
+            self.writer.add_topic(topic, types[0], [p.qos_profile for p in publishers])
+        except (ImportError, NameRefused, RecordingError) as error:
+            self._subscriptions[topic] = None
+            self._node.report(WARN, f"{topic} is not recorded: {error}")
+            return
+
+        follow = self._viewers and topic.rpartition("/")[2] in INPUTS
+        write = functools.partial(self._on_scene if follow else self.writer.write, topic)
+        self._subscriptions[topic] = polled_subscription(self._node, kind, topic, write, _matching(publishers))
+
+    def poll(self) -> None:
+        """Write the messages that have arrived, in the order of arrival.
+
+        Messages that arrive during the poll wait for the next poll: the subscriptions are polled one after another, and
+        a file that ends here must contain every message that precedes a written one.
+        """
+        begin = self._node.get_clock().now().nanoseconds
+        messages = poll(s for s in self._subscriptions.values() if s is not None)
+        ready = self._waiting + [message for message in messages if message.arrival <= begin]
+        self._waiting = [message for message in messages if message.arrival > begin]
+        for message in in_order(ready):
+            self._write(message.callback, message.data, message.published)
+
+    def _write(self, call, *args) -> None:
+        """Write, count a refused message, and stop at the first error of the file, which stays readable."""
+        if self._stopped:
+            return
+        try:
+            call(*args)
+        except MessageRefused as refused:
+            self._refused += 1
+            if self._refused == 1:  # the report and the file count all of them
+                self._node.report(WARN, f"a message is not recorded: {refused}")
+        except RecordingError as error:
+            self._stopped = True
+            self._node.end(str(error))
+            self._node.report(ERROR, str(error))
+
+    def watch(self) -> dict:
+        """Return values for the report of the node."""
+        return {
+            "file": self.writer.path,
+            "messages": self.writer.count,
+            "latest_ns": " ".join(f"{c.topic}={c.gaps.last}" for c in self.writer.channels.values() if c.gaps.last),
+            "missing": sum(entry.get("missing", 0) for entry in self.writer.report().values()),
+            "refused": self._refused,
+        }
+
+    def settled(self) -> bool:
+        """Poll, and return whether no message arrived since the last call."""
+        self.poll()
+        before, self._before = self._before, self.writer.count
+        return before == self.writer.count and not self._waiting
+
+    def close(self) -> str | None:
+        """Close the file and log the missing messages; return a sentence if that failed."""
+        if self._stopped:
+            return None
+        try:
+            self.writer.close()
+        except RecordingError as error:
+            return str(error)
+        logger = self._node.get_logger()
+        for topic, entry in self.writer.report().items():
+            if entry.get("missing"):
+                missing, total = entry["missing"], entry["count"] + entry["missing"]
+                logger.warning(f"{topic}: {missing} of {total} messages are missing")
+            if entry.get("refused"):
+                logger.warning(f"{topic}: {entry['refused']} messages were refused and are not recorded")
+        logger.info(f"{self.writer.count} messages in {self.writer.path}")
+        return None
+
+    def release(self) -> None:
+        """Unsubscribe from the topics; the node continues without this file."""
+        for subscription in filter(None, self._subscriptions.values()):
+            self._node.destroy_subscription(subscription)
+        for publisher in filter(None, self._live.values()):
+            self._node.destroy_publisher(publisher)
+
+
+def _matching(publishers) -> QoSProfile:
+    """Return the quality of service that matches every publisher: reliable or latched only if all publishers are."""
+    reliable = all(p.qos_profile.reliability == ReliabilityPolicy.RELIABLE for p in publishers)
+    latched = all(p.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for p in publishers)
+    return QoSProfile(
+        depth=DEPTH,
+        history=HistoryPolicy.KEEP_LAST,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )

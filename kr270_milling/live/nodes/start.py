@@ -1,0 +1,66 @@
+"""Start a node, or several in one process. Signals end the process from here on, also during the imports.
+
+Several nodes share one executor. Parameters and remapping with a node name concern this node, as in a component
+container: ``-p compliant_robot:pace:=1.0``, ``-r cutting_process:wrench:=force``, sections of a parameter file.
+Without a name they concern all nodes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import signal
+import sys
+from pathlib import Path
+
+__all__ = ["NODES", "start"]
+
+#: node -> class in the module of the same name
+CLASSES = {
+    "compliant_robot": "CompliantRobot",
+    "cutting_process": "CuttingProcess",
+    "trajectory_compensator": "TrajectoryCompensator",
+    "recorder": "Recorder",
+}
+NODES = (*CLASSES, "player", "milling_cell")
+
+
+def start(name: str | None = None) -> int:
+    """Run the program ``name`` (default: as called) as this process; return its exit code, or end with it."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _end)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))  # blocked by ``run`` until here
+    name = name or Path(sys.argv[0]).stem
+    if name == "player":
+        from kr270_milling.live.nodes.player import main
+
+        return main()
+    from kr270_milling.live.ros.spin import run_nodes
+
+    names = _chosen_nodes() if name == "milling_cell" else [name]
+    return run_nodes([_node_class(node) for node in names])
+
+
+def _end(number, frame) -> None:
+    """End at once: no file is open yet."""
+    os._exit(0)
+
+
+def _node_class(name: str) -> type:
+    return getattr(importlib.import_module(f"kr270_milling.live.nodes.{name}"), CLASSES[name])
+
+
+def _chosen_nodes() -> list[str]:
+    """Return the nodes on the command line of ``milling_cell``."""
+    from kr270_milling.live.ros.spin import own_arguments
+
+    parser = argparse.ArgumentParser(prog="milling_cell", description="Run several nodes in one process.")
+    parser.add_argument(
+        "nodes", metavar="NODE", nargs="*", default=["compliant_robot", "cutting_process"], help=", ".join(CLASSES)
+    )
+    names = parser.parse_args(own_arguments()).nodes
+    unknown = [name for name in names if name not in CLASSES]
+    if unknown or len(set(names)) < len(names):
+        parser.error(f"{unknown[0]!r} is not one of {', '.join(CLASSES)}" if unknown else "each node may be named once")
+    return names

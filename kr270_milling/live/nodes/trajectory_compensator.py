@@ -1,0 +1,175 @@
+"""Node: the compensator publishes the reference trajectory, and after each pass the revised one (Fig. 9)."""
+
+from __future__ import annotations
+
+import time
+
+from rcl_interfaces.msg import SetParametersResult
+from std_srvs.srv import Trigger
+
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.exchange.compensator import CompensatorProtocol
+from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ReportingNode, Silence, guarded
+from kr270_milling.live.ros.parameters import declare_cell
+from kr270_milling.live.ros.polling import POLL_PERIOD, poll, polled_subscription
+from kr270_milling.path.trajectory import fingerprint
+from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.recordings.messages.codec import (
+    from_bytes,
+    pose_from_bytes,
+    trajectory_from_bytes,
+    wrench_from_bytes,
+)
+from kr270_milling.recordings.messages.topics import COMPENSATOR
+from kr270_milling.recordings.messages.viewer import path_bytes
+
+__all__ = ["TrajectoryCompensator"]
+
+METHOD = "compensation.method"
+TARGET = "the target itself"
+LOOK = 0.1  # [s] of the wall clock between two checks of the publishers
+WITHOUT_START = 20  # poses of a pass without its start, after which the node reports an error
+LAST_WRENCH = 0.5  # [s] of the wall clock to wait for the wrench of the last pose
+
+
+class TrajectoryCompensator(ReportingNode):
+    """Receive poses and wrenches of a pass, publish the revised trajectory; ``CompensatorProtocol`` computes.
+
+    Poses and wrenches come from the simulator, a robot cell or a recording.
+    """
+
+    def __init__(self, **kwargs):
+        super().__init__("trajectory_compensator", **kwargs)
+        self.cell = declare_cell(self, writable=(METHOD,))
+        about = "parameter file of the simulated plant, whose tracker's noise is added to the poses; empty: none"
+        plant = self.declared("plant", "", about)
+        cuts = read_cell(find_file(plant)) if plant else None
+        self.protocol = CompensatorProtocol(self.cell, cuts, self.get_fully_qualified_name())
+        about = "the cell file's path is the target until one is published"
+        own = self.declared("use_cell_path", True, about)
+        self.open_outlets(COMPENSATOR)
+        self.subscribe(topics.RECORDING, self._on_recording)
+        self.subscribe(topics.TARGET_TRAJECTORY, self._on_target)
+        pose, wrench = topics.TOOL_POSE, topics.WRENCH
+        self._pose = polled_subscription(self, pose.type, pose.name, self._on_pose, pose.qos)
+        self._wrench = polled_subscription(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self._revision = 0
+        self._ended: float | None = None  # arrival of the last pose [s of the monotonic clock]
+        self._silence = Silence()
+        self.add_on_set_parameters_callback(self._on_parameters)
+        self.create_timer(LOOK, self._watch_pass)
+        self.create_timer(POLL_PERIOD, self._poll)
+        if own:
+            self._publish(self.protocol.begin(self.cell.target()), TARGET)
+        else:
+            self.report(OK, "waiting for a target trajectory")
+
+    @guarded
+    def _on_target(self, data: bytes) -> None:
+        self._publish(self.protocol.begin(trajectory_from_bytes(data)), TARGET)
+
+    @guarded
+    def _on_recording(self, data: bytes) -> None:
+        """Take the name of the file to which the next passes are recorded."""
+        self.protocol.recording = from_bytes("std_msgs/msg/String", data).text
+        self.set_values(recording=self.protocol.recording)
+        self.publish_report()
+
+    def _publish(self, outputs, what: str, missing: int = 0) -> None:
+        self.send(outputs)
+        self._revision += 1
+        state = self.protocol.active
+        for name, run in (("reference_path", state.reference), ("target_path", state.target)):
+            self.outlets[name].publish(path_bytes(run))
+        values = {
+            "revision": self._revision,  # number of the published reference
+            "method": state.method,
+            "repeats": state.repeats,
+            "passes": len(state.errors),
+            "remaining_error_um": " ".join(repr(float(e) * 1e6) for e in state.errors),
+            "finished": state.finished,
+            "reference": fingerprint(state.reference),
+        }
+        but = f", shortened by up to {state.cut_off * 1e6:.1f} um to the limit" if state.cut_off > 0.0 else ""
+        if missing:
+            but = f", of which {missing} poses did not arrive"
+        self.report(WARN if but else OK, f"reference: {what}{but}", **values)
+
+    @guarded
+    def _poll(self) -> None:
+        for message in poll((self._pose, self._wrench)):
+            message.callback(message.data)
+
+    @guarded
+    def _on_wrench(self, data: bytes) -> None:
+        self._revised(self.protocol.wrench(wrench_from_bytes(data)))
+
+    @guarded
+    def _on_pose(self, data: bytes) -> None:
+        sample = pose_from_bytes(data)
+        outputs = self.protocol.pose(sample)
+        inbox = self.protocol.inbox
+        if inbox.ignored == WITHOUT_START and sample.stamp < inbox.end_ns:
+            self.report(
+                ERROR, "the pass is under way, but this compensator did not receive its start: the pass is not used"
+            )
+        self._revised(outputs)
+        if not self.protocol.under_way or sample.stamp != inbox.stamp_ns:
+            return
+        self.stamp_ns = sample.stamp
+        if self._silence.end():
+            self.report(OK, "the pass continues")
+        self._ended = time.monotonic() if self.protocol.at_end else None
+
+    def _revised(self, outputs) -> None:
+        if outputs:
+            self._publish(outputs, f"revised after pass {len(self.protocol.active.errors)}", self.protocol.missing)
+
+    @guarded
+    def _watch_pass(self) -> None:
+        """Finish without a last wrench that does not arrive; report publishers that leave in mid-pass."""
+        silent = self._silence.seconds()
+        if not self.protocol.under_way:
+            return
+        if self.protocol.at_end:
+            ended = time.monotonic() if self._ended is None else self._ended
+            if time.monotonic() - ended > LAST_WRENCH or not self._wrench.get_publisher_count():
+                self._revised(self.protocol.finish())
+            return
+        for what in (self._pose, self._wrench):
+            if not what.get_publisher_count() and (what is self._pose or self.protocol.inbox.has_wrench):
+                self.report(ERROR, f"the pass broke off: {what.topic_name} has no publisher")
+                return
+        if self._silence.is_due(silent):
+            self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: waiting for it")
+
+    def _on_parameters(self, changes) -> SetParametersResult:
+        """Accept another method while the node runs; it starts from the pass along the target."""
+        for change in changes:
+            if change.name == METHOD and change.value not in METHODS:
+                return SetParametersResult(successful=False, reason=f"{METHOD} must be one of {', '.join(METHODS)}")
+            if change.name == METHOD and self.protocol.compensator is not None and not self._choose(change.value):
+                return SetParametersResult(successful=False, reason=self.message)
+        return SetParametersResult(successful=True)
+
+    @guarded
+    def _choose(self, method: str) -> bool:
+        """Choose a method; return None where the method is refused, with the reason in the node's message."""
+        self._publish(self.protocol.choose(method), f"method {method}")
+        return True
+
+    @guarded
+    def _reset(self) -> bool:
+        self._publish(self.protocol.reset(), TARGET)
+        return True
+
+    def _on_reset(self, _, response):
+        if self.protocol.compensator is None:
+            response.success, response.message = False, "no target trajectory yet"
+            return response
+        response.success = bool(self._reset())
+        response.message = "" if response.success else self.message
+        return response

@@ -1,0 +1,70 @@
+"""Environment of the processes of a graph: discovery on this host only, unless the user chooses otherwise.
+
+This file does not import ROS, so that the command line can report a missing ROS in one sentence.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.parameter_file import find_file
+
+__all__ = ["RosMissing", "child_environment", "keep_to_this_host", "require_ros"]
+
+PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
+FAST_DDS = "rmw_fastrtps_cpp"
+RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+#: set by the bootstrapper of the ROS wheels after it added this interpreter's libraries to LD_LIBRARY_PATH
+GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
+#: a node ends when its parent is no longer this process, so that a killed runner leaves no orphans
+PARENT = "KR270_MILLING_PARENT"
+
+
+class RosMissing(MillingError):
+    """rclpy is not installed."""
+
+    def __init__(self):
+        super().__init__(
+            "ROS 2 is not installed: run \"pip install 'kr270_milling[ros]'\", or source the setup file of an "
+            "installed ROS 2 first"
+        )
+
+
+def require_ros() -> None:
+    """Raises RosMissing."""
+    if importlib.util.find_spec("rclpy") is None:
+        raise RosMissing
+
+
+def this_host_only(environ: Mapping[str, str]) -> dict[str, str]:
+    """Return the variables to add: the shipped profile and a discovery range, where the user has set none."""
+    if environ.get(RANGE, "LOCALHOST") != "LOCALHOST":
+        return {}  # the user opens discovery to other hosts
+    added = {RANGE: "LOCALHOST"}
+    other = environ.get("RMW_IMPLEMENTATION", FAST_DDS) != FAST_DDS or any(environ.get(name) for name in PROFILES)
+    if not other:
+        added[PROFILES[0]] = str(Path(find_file("fastdds.xml")).resolve())
+        if RANGE not in environ:  # the profile alone opens less: LOCALHOST adds sockets on every interface to send from
+            added[RANGE] = "SYSTEM_DEFAULT"
+    return added
+
+
+def keep_to_this_host() -> None:
+    """Set the variables of this process; call this before the first ROS context is created."""
+    os.environ.update(this_host_only(os.environ))
+
+
+def child_environment() -> dict[str, str]:
+    """Return the environment of a node that this process starts, also with another interpreter."""
+    environ = {**os.environ, **this_host_only(os.environ), PARENT: str(os.getpid())}
+    environ.pop(GUARD, None)
+    for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        environ.setdefault(library, "1")  # small matrices only: more threads slow the other nodes down
+    package = str(Path(__file__).resolve().parents[3])
+    if "site-packages" not in package:  # a source checkout that is not installed
+        environ["PYTHONPATH"] = os.pathsep.join(filter(None, [package, environ.get("PYTHONPATH")]))
+    return environ

@@ -1,0 +1,69 @@
+"""Check names from users and files before ROS gets them, so that the error is a sentence of this package."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import re
+from pathlib import Path
+
+from rclpy.exceptions import NameValidationException
+from rclpy.validate_namespace import validate_namespace
+
+from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.live.ros.rclpy_private import RCLError
+
+__all__ = ["NameRefused", "full_namespace", "message_class", "plain_topic", "resolved_topic"]
+
+TYPE = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)")
+TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+
+class NameRefused(MillingError):
+    """A topic or a message type that cannot be used here."""
+
+
+def message_class(type_name: str) -> type:
+    """Return the class of a message type such as geometry_msgs/msg/Pose. Raises NameRefused.
+
+    The name may come from a foreign file: only packages of messages are imported.
+    """
+    parts = TYPE.fullmatch(type_name)
+    if parts is None:
+        raise NameRefused(f"{type_name!r} is not the name of a message type, such as std_msgs/msg/String")
+    package, name = parts.groups()
+    spec = importlib.util.find_spec(package)  # imports nothing for a top-level package
+    places = (spec.submodule_search_locations if spec is not None else None) or []
+    if not any(Path(place, "msg", "__init__.py").is_file() for place in places):
+        raise NameRefused(f"the message package {package} is not installed")
+    kind = getattr(importlib.import_module(f"{package}.msg"), name, None)
+    if kind is None or not hasattr(kind, "SLOT_TYPES"):
+        raise NameRefused(f"the message package {package} has no {name}")
+    return kind
+
+
+def plain_topic(topic: str) -> str:
+    """Return a topic name from a file; it must not contain substitutions. Raises NameRefused."""
+    if TOPIC.fullmatch(topic) is None or len(topic) > 200:
+        raise NameRefused("this is not the name of a topic")
+    return topic
+
+
+def resolved_topic(node, name: str, where: str) -> str:
+    """Return the full name of a topic from a user. Raises InputError; where: the place of the name."""
+    try:
+        return node.resolve_topic_name(name)
+    except (RCLError, NameValidationException, ValueError, TypeError):
+        what = "must be the name of a topic: letters, digits and '_', in parts between '/' that begin with no digit"
+        raise InputError(where, f"{name!r} {what}") from None
+
+
+def full_namespace(name: str, where: str) -> str:
+    """Return a namespace from a user with its first slash. Raises InputError; where: the place of the name."""
+    full = "/" + name.removeprefix("/")
+    try:
+        validate_namespace(full)
+    except (NameValidationException, ValueError, TypeError):
+        what = "must be a ROS namespace: letters, digits and '_', in parts between '/' that begin with no digit"
+        raise InputError(where, f"{name!r} {what}") from None
+    return full

@@ -1,0 +1,264 @@
+"""Base classes of all nodes: diagnostics, guarded callbacks, guarded lifecycle transitions."""
+
+from __future__ import annotations
+
+import functools
+import os
+import time
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.clock import Clock, ClockType
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.task import Future
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.units import SECOND
+from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.polling import is_polled
+from kr270_milling.live.ros.rclpy_private import RobustLifecycleNode
+from kr270_milling.recordings.messages.codec import to_bytes
+from kr270_milling.recordings.messages.topics import published_by
+
+__all__ = ["LOST", "SILENT", "ManagedNode", "ReportingNode", "Silence", "guarded", "stamp_from_ns"]
+
+OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
+REPORT_PERIOD = 0.2  # [s] of the wall clock
+SILENT = 2.6  # [s] of the wall clock without a message, after which a node warns; a stop of 2 s gives no warning
+LOST = 4.0  # [s] of the wall clock without an answer, after which a node or a run gives up
+HELD_UP = 0.5  # [s] between two checks; after a longer time this process itself was stopped
+HARDWARE = "simulated robot cell"  # hardware_id of every status: no node of this package represents a machine
+OWN = ("/rosout", "/parameter_events")  # topics of every ROS node
+
+
+def stamp_from_ns(ns: int) -> Time:
+    return Time(sec=ns // SECOND, nanosec=ns % SECOND)
+
+
+def guarded(callback):
+    """Report the errors of a callback: a MillingError in /diagnostics; any other ends the node with exit code 1."""
+
+    @functools.wraps(callback)
+    def wrapped(self, *args):
+        try:
+            return callback(self, *args)
+        except Exception as error:  # noqa: BLE001 - every error is reported
+            self.refused += isinstance(error, MillingError)
+            self.fail(error, callback.__name__)
+        return None
+
+    return wrapped
+
+
+class Silence:
+    """Time since the last message of a partner, without the time in which this process was stopped."""
+
+    def __init__(self):
+        self._reported = False
+        self.end()
+
+    def end(self) -> bool:
+        """Note a message of the partner; return whether it ends a reported silence."""
+        self._last = self._checked = time.monotonic()
+        was_reported, self._reported = self._reported, False
+        return was_reported
+
+    def seconds(self) -> float:
+        """Return the silence [s of the wall clock]; call this several times a second."""
+        now = time.monotonic()
+        if now - self._checked > HELD_UP:
+            self._last = now
+        self._checked = now
+        return now - self._last
+
+    def is_due(self, silent: float) -> bool:
+        """Return True once for each silence [s] that exceeds ``SILENT``."""
+        before, self._reported = self._reported, self._reported or silent > SILENT
+        return self._reported and not before
+
+
+class Ending:
+    """Mixin: a node that may end its process (``spin.run_nodes``)."""
+
+    done = False  #: the node has nothing more to do
+    failure: str | None = None  #: sentence of a failed node; the exit code is then 1
+    lap: Future | None = None  #: the executor returns when this future is done
+
+    def end(self, failure: str | None = None) -> None:
+        """End the process after the current callback."""
+        self.done, self.failure = True, failure or self.failure
+        if self.lap is not None:
+            self.lap.set_result(None)
+
+    def settled(self) -> bool:
+        """After a signal: return whether every message that arrived is processed."""
+        return True
+
+    def close(self) -> str | None:
+        """Close files before the process ends; return a sentence if that failed."""
+        return None
+
+
+class Reporting(Ending, Node):
+    """Mixin: one diagnostic status of the node, published five times a second and at every change."""
+
+    def start_reporting(self) -> None:
+        self.refused = 0  #: messages and requests that could not be used
+        self.sent: dict[str, int] = {}  #: stamp of the last message of each output [ns]
+        self.outlets: dict[str, Publisher] = {}  #: by the names of their topics
+        self.stamp_ns = 0  #: time of the pass, for messages without a stamp
+        self._level, self.message = OK, "starting"
+        self._values: dict[str, object] = {}
+        self._report_publisher = self.create_publisher(*topics.DIAGNOSTICS)
+        self._report_timer = self.create_timer(REPORT_PERIOD, self.publish_report)
+
+    def create_timer(self, timer_period_sec: float, callback, *args, **kwargs):
+        """Create a timer on the monotonic clock, which continues when the wall clock is set back."""
+        kwargs = {"clock": Clock(clock_type=ClockType.STEADY_TIME), **kwargs}
+        return super().create_timer(timer_period_sec, callback, *args, **kwargs)
+
+    def declared(self, name: str, default, about: str, read_only: bool = True, **fields):
+        """Declare a parameter of the node itself and return its value; fields: of its descriptor."""
+        descriptor = ParameterDescriptor(description=about, read_only=read_only, **fields)
+        return self.declare_parameter(name, default, descriptor).value
+
+    def subscribe(self, topic: topics.Topic, callback):
+        """Subscribe to the serialised messages of a topic."""
+        return self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=True)
+
+    def open_outlets(self, node: str) -> None:
+        """Create the publishers that the table of topics has for a node, by the names of the topics."""
+        self.outlets = {topic.name: self.create_publisher(*topics.BY_NAME[topic.key]) for topic in published_by(node)}
+
+    def send(self, outputs) -> None:
+        """Publish the outputs of a protocol."""
+        for name, record in outputs:
+            self.outlets[name].publish(to_bytes(record))
+            self.sent[name] = getattr(record, "stamp", 0)
+
+    def report(self, level, message: str, **values) -> None:
+        """Set the node's status; log and publish a new message at once."""
+        changed = (level, message) != (self._level, self.message)
+        self._level, self.message = level, message
+        self._values.update(values)
+        if changed:
+            logger = self.get_logger()  # rclpy ties a severity to the calling line
+            if level == OK:
+                logger.info(message)
+            elif level == WARN:
+                logger.warning(message)
+            else:
+                logger.error(message)
+            self.publish_report()
+
+    def fail(self, error: Exception, where: str) -> None:
+        """Report an error; an error other than a MillingError ends the node."""
+        if isinstance(error, MillingError):
+            self.report(ERROR, str(error))
+        else:
+            self.end(f"{type(error).__name__} in {where}: {error}")
+            self.report(ERROR, str(self.failure))
+
+    def set_values(self, **values) -> None:
+        """Set values of the next report and leave its message unchanged."""
+        self._values.update(values)
+
+    def watch(self) -> dict[str, object]:
+        """Return further values of the report; a node overrides this."""
+        return {}
+
+    @property
+    def subscriptions(self):
+        """Subscriptions that an executor serves: all but the polled ones, which EventsExecutor would take."""
+        return (s for s in super().subscriptions if not is_polled(s))
+
+    def _matches(self) -> dict[str, str]:
+        """Return the matched subscribers and publishers of each topic: a pass starts when both ends are matched."""
+        listeners = {p.topic_name: p.get_subscription_count() for p in self.publishers}
+        sources = {s.topic_name: s.get_publisher_count() for s in super().subscriptions}
+        ends = {"listeners": listeners, "sources": sources}
+        return {k: " ".join(f"{t}={n}" for t, n in v.items() if t not in OWN) for k, v in ends.items()}
+
+    def publish_report(self) -> None:
+        sent = " ".join(f"{self.outlets[name].topic_name}={ns}" for name, ns in self.sent.items() if ns)
+        values = {"pid": os.getpid(), **self._values, **self.watch(), **self._matches(), "sent_ns": sent}
+        values["refused"] = self.refused
+        status = DiagnosticStatus(
+            level=self._level,
+            name=self.get_fully_qualified_name(),
+            hardware_id=HARDWARE,
+            message=self.message,
+            values=[KeyValue(key=k, value=str(v)) for k, v in values.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = stamp_from_ns(self.stamp_ns)
+        self._report_publisher.publish(array)
+
+
+class ReportingNode(Reporting, Node):
+    """A plain node with diagnostics."""
+
+    def __init__(self, name: str, **kwargs):
+        Node.__init__(self, name, **kwargs)
+        self.start_reporting()
+
+
+class ManagedNode(Reporting, RobustLifecycleNode):
+    """A lifecycle node that reports why a transition failed.
+
+    A child implements ``configure``, ``activate``, ``deactivate`` and ``cleanup``; with the parameter ``autostart``
+    the node configures and activates itself.
+    """
+
+    def __init__(self, name: str, **kwargs):
+        RobustLifecycleNode.__init__(self, name, **kwargs)
+        self.start_reporting()
+        self.active = False
+        about = "configure and activate without a request; for a node that is started by hand"
+        self._autostart = self.declared("autostart", False, about)
+        self._start_timer = self.create_timer(0.01, self._start_alone) if self._autostart else None
+
+    def _start_alone(self) -> None:
+        if self._start_timer is not None:
+            self._start_timer.cancel()
+        if self.trigger_configure() == TransitionCallbackReturn.SUCCESS:
+            self.trigger_activate()
+
+    def configure(self) -> None: ...
+
+    def activate(self) -> None: ...
+
+    def deactivate(self) -> None: ...
+
+    def cleanup(self) -> None: ...
+
+    def _transition(self, step, name: str) -> TransitionCallbackReturn:
+        try:
+            step()
+        except Exception as error:  # noqa: BLE001 - every error is reported
+            self.fail(error, name)
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_configure(self, state):
+        return self._transition(self.configure, "configure")
+
+    def on_activate(self, state):
+        self.active = True
+        result = self._transition(self.activate, "activate")
+        self.active = result == TransitionCallbackReturn.SUCCESS
+        return result
+
+    def on_deactivate(self, state):
+        self.active = False
+        return self._transition(self.deactivate, "deactivate")
+
+    def on_cleanup(self, state):
+        return self._transition(self.cleanup, "cleanup")
+
+    def on_shutdown(self, state):
+        self.active = False
+        return TransitionCallbackReturn.SUCCESS

@@ -1,0 +1,140 @@
+"""Run nodes as a process: exit code 0 on SIGINT and SIGTERM, one sentence and another exit code on failure."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+
+import rclpy
+from rclpy.context import Context
+from rclpy.exceptions import ParameterException
+from rclpy.experimental.events_executor import EventsExecutor
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.utilities import remove_ros_args
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.process import end_process, flush
+from kr270_milling.live.ros.environment import PARENT, keep_to_this_host
+
+__all__ = ["own_arguments", "run_node", "run_nodes"]
+
+LAP = 0.1  # [s] between two checks for signals and for the parent process
+STOPS = (signal.SIGINT, signal.SIGTERM)
+
+
+def own_arguments() -> list[str]:
+    """Return the words of this process's command line that are not for ROS.
+
+    Raises SystemExit with code 2, after a sentence on standard error, where ROS refuses the words that are for ROS.
+    """
+    try:
+        return remove_ros_args(sys.argv)[1:]
+    except Exception as error:  # noqa: BLE001 - rclpy raises several exception types for arguments that it refuses
+        _print_error(error)
+        raise SystemExit(2) from None
+
+
+def _print_error(error: Exception) -> None:
+    """Print one line on standard error."""
+    print(f"{os.path.basename(sys.argv[0])}: {' '.join(str(error).split())}", file=sys.stderr)
+
+
+def run_node(make: Callable, args: list[str] | None = None) -> int:
+    """Spin one node, ``make(context=...)``; see ``run_nodes``."""
+    return run_nodes([make], args)
+
+
+def run_nodes(makes: Sequence[Callable], args: list[str] | None = None) -> int:
+    """Spin nodes with one executor until a signal arrives, the parent process ends, or a node is done.
+
+    Exit code: 0 after a signal or when done, 1 when a node failed, 2 when a node could not be made (bad parameters).
+    Without ``args`` the process belongs to the nodes and ends here; otherwise the exit code is returned.
+    The handlers replace those of rclpy, which sometimes end with exit code 1; EventsExecutor.spin() does not return on
+    a signal.
+    """
+    signals: list[int] = []
+    before = {number: signal.signal(number, lambda caught, _: signals.append(caught)) for number in STOPS}
+    if args is None:
+        use_batch_scheduling()
+    code = _run_nodes(makes, args, signals)
+    if args is None:
+        end_process(code)
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    return code
+
+
+def use_batch_scheduling() -> None:
+    """Set SCHED_BATCH, where the kernel has it, so that a process that wakes up does not interrupt its waker.
+
+    An exchange wakes every subscriber of its messages. On two cores each subscriber would interrupt the robot or the
+    cut, whose work all others wait for.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+
+
+def _run_nodes(makes: Sequence[Callable], args: list[str] | None, signals: list[int]) -> int:
+    keep_to_this_host()
+    context = Context()
+    try:
+        rclpy.init(args=args, context=context, signal_handler_options=SignalHandlerOptions.NO)
+    except Exception as error:  # noqa: BLE001 - rclpy raises several exception types for arguments that it refuses
+        _print_error(error)
+        return 2
+    nodes: list = []
+    try:
+        for make in makes:
+            nodes.append(make(context=context))
+    except (MillingError, ParameterException) as error:
+        _print_error(error)
+        return 2
+    executor = EventsExecutor(context=context)
+    for node in nodes:
+        executor.add_node(node)
+    code = _spin(nodes, executor, signals)
+    _leave_graph(nodes, executor, context)
+    return code
+
+
+def _leave_graph(nodes: list, executor, context: Context) -> None:
+    """Destroy the nodes, so that their partners notice at once. All files are closed and all messages are printed.
+
+    Fast DDS sometimes blocks here (eProsima/Fast-DDS#6502) and keeps Python's lock. Then a signal ends the process, or
+    the ``run`` that started it.
+    """
+    flush()
+    for number in STOPS:
+        signal.signal(number, signal.SIG_DFL)
+    executor.shutdown()
+    for node in nodes:
+        node.destroy_node()
+    context.try_shutdown()
+
+
+def _spin(nodes: list, executor, signals: list[int]) -> int:
+    """Spin until the end, let the nodes write what they have received, and return the exit code."""
+    parent = int(os.environ.get(PARENT, 0))
+    while not signals and not any(node.done for node in nodes):
+        lap = Future()  # one lap is many callbacks: returning after each callback took a tenth of an exchange
+        for node in nodes:
+            node.lap = lap
+        executor.spin_until_future_complete(lap, timeout_sec=LAP)
+        if parent and os.getppid() != parent:
+            break
+    for _ in range(20):  # take the messages that arrived before the signal
+        settled = [node.settled() for node in nodes]  # without short-circuit: each node polls
+        if all(settled):
+            break
+        executor.spin_once(timeout_sec=0.05)
+    code = 0
+    for node in nodes:
+        closing_failure = node.close()
+        if failure := node.failure or closing_failure:
+            print(f"{node.get_name()}: {failure}", file=sys.stderr)
+            code = 1
+    return code

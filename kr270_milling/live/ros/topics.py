@@ -1,0 +1,43 @@
+"""The table of topics as ROS needs it: ``topics.TOOL_POSE`` has message class, name and quality of service."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from kr270_milling.live.ros.names import message_class
+from kr270_milling.recordings.messages.topics import TOPICS
+
+__all__ = ["BY_NAME", "LATCHED", "LOOP", "Topic"]
+
+#: the loop of one exchange: lockstep, one message in flight; the publisher's history is so long that a recorder which
+#: was stopped for two seconds can still request the messages that it missed
+LOOP = QoSProfile(depth=20_000, history=HistoryPolicy.KEEP_LAST, reliability=ReliabilityPolicy.RELIABLE)
+#: late subscribers receive the last message
+LATCHED = QoSProfile(
+    depth=1,
+    history=HistoryPolicy.KEEP_LAST,
+    reliability=ReliabilityPolicy.RELIABLE,
+    durability=DurabilityPolicy.TRANSIENT_LOCAL,
+)
+
+
+class Topic(NamedTuple):
+    """Unpacks into the arguments of ``create_publisher``."""
+
+    type: type
+    name: str
+    qos: QoSProfile
+
+
+#: name without slash -> topic
+BY_NAME = {t.key: Topic(message_class(t.type), t.name, LATCHED if t.latched else LOOP) for t in TOPICS}
+
+
+def __getattr__(name: str) -> Topic:
+    """Return a topic by its name in capitals."""
+    try:
+        return BY_NAME[name.lower()]
+    except KeyError:
+        raise AttributeError(f"the table of topics has no {name.lower()}") from None

@@ -1,0 +1,31 @@
+"""The words of APT and CL text: what their units are, what is read over, what is refused and with which advice."""
+
+from __future__ import annotations
+
+from kr270_milling.path.cam.machine import INCH, MM
+
+__all__ = ["ADVICE", "CENTRE", "DATUM", "FEEDS", "LENGTHS", "MILL", "SILENT", "SPINDLE_WORDS"]
+
+LENGTHS = {"MM": MM, "INCHES": INCH, "INCH": INCH, "IN": INCH, "CM": 1e-2}
+#: unit of FEDRAT -> length [m], None: that of UNITS, and whether it is per revolution
+FEEDS = {"MMPM": (MM, False), "IPM": (INCH, False), "PERMIN": (None, False), "MMPR": (MM, True), "IPR": (INCH, True),
+         "PERREV": (None, True)}  # fmt: skip
+#: words without effect on the path
+SILENT = frozenset({
+    "REMARK", "MACHIN", "COOLNT", "DISPLY", "PAINT", "INTOL", "OUTTOL", "TOLER", "END-OF-PATH", "STOP", "OPSTOP",
+    "OPSKIP", "DELAY", "DWELL", "REWIND", "SEQNO", "AUXFUN", "PREFUN", "INSERT", "LEADER", "CLEARP", "CLEARANCE",
+    "CHECK", "SETMODE", "MODE", "CATPROCESS", "OP", "TPRINT", "CAMERA", "HEAD", "ROTABL", "THICK", "ORIGIN", "LETTER",
+    "OVPLOT", "PIVOTZ", "RETRCT", "SAFETY", "SELECT", "SET", "MULTAX", "MCHTOL", "ARCSLP", "POSTN", "PLUNGE", "BREAK",
+})  # fmt: skip
+CENTRE = "let the CAM output the path of the tool's centre"
+MILL = "post CL data of a 3-axis mill: GOTO, CIRCLE, FEDRAT, RAPID"
+ARCS = "let the CAM output arcs as CIRCLE/ about z or as GOTO moves"
+DATUM = "let the CAM output coordinates of one system"
+MACROS = "let the CAM output CL data without macros, loops and geometry statements"
+ADVICE = {
+    "CYCLE": "let the CAM output drilling as GOTO moves", "THREAD": "leave threads out", "PROBE": "leave probing out",
+    **dict.fromkeys(("TLON", "INDIRV", "GOFWD", "NURBS", "ARCMOV", "MOVARC", "HELIX"), ARCS),
+    **dict.fromkeys(("TRACUT", "TRANS", "COPY", "CSYS", "ROTATE"), DATUM),
+    **dict.fromkeys(("LOOPST", "LOOPND", "MACRO", "CALL", "IF", "JUMPTO", "TERMAC"), MACROS),
+}  # fmt: skip
+SPINDLE_WORDS = ("ON", "RPM", "CLW", "LOW", "MEDIUM", "HIGH", "AUTO", "RANGE")

@@ -1,0 +1,103 @@
+"""What comments of posts say: names of operations, and tools with their diameters and teeth."""
+
+from __future__ import annotations
+
+import re
+
+from kr270_milling.path.source_program import ProgramTool
+
+__all__ = ["described_tool", "operation_name"]
+
+NUMBER = r"([0-9]+\.?[0-9]*|\.[0-9]+)"
+#: lines by which posts announce an operation: FreeCAD, OpenBuilds, Vectric, Estlcam
+ANNOUNCED = re.compile(
+    r"(?:begin operation|toolpath ?(?:name)?|operation \d+ of \d+|operation|op(?: ?\d+)?)\s*[:=]-?\s*(\S.*)", re.I
+)
+NAME = re.compile(r"[^\W_][\w .,/+#&'-]*(?:\([\w ]*\))?[\w .]*")
+#: comments that look like names: what begins and ends, hints to the operator, notes of a post
+NO_NAME = re.compile(
+    r"(?:begin|end|start|finish operation|stop|block|path|exported|post|output|file|date|time|compensated|"
+    r"machine|vendor|model|description|document|setup|units?|material|program|made|generated|created|msg|debug|"
+    r"print|when using|moves|rapid moves|using|tools?|t\d+|tc|set|safe|spindle|coolant|work|stock|www|http|"
+    r"default tool|feature|n/?a|no|mm|inch|x|y|z|wcs|total|this|return|go|move|retract|penetrate|header|"
+    r"footer)\b",
+    re.I,
+)
+LONGEST_NAME = 48
+MOST_WORDS = 7
+
+TOOL_NUMBER = re.compile(r"\s*(?:tool\s*[-#:]?\s*|t\s*)0*(\d+)\b", re.I)
+ANY_NUMBER = re.compile(r"\bT0*(\d+)\b", re.I)
+NO_TOOL = re.compile(r"\s*(?:stock|material|block|wcs|part)\b", re.I)
+SAYS_DIAMETER = re.compile(r"\bdia", re.I)
+OLD_MASTERCAM = re.compile(r"(.*?)TOOL\s*-\s*0*(\d+)\s+DIA\. OFF", re.I)
+DIAMETER = re.compile(
+    rf"(?:tool dia\.?|\bdiam(?:eter)?|\bdia\.?|\bd|ø)\s*[-=:.]?\s*{NUMBER}(?![\d/])\s*(mm|in|inch|\")?(?!\s*\. off)",
+    re.I,
+)
+BEFORE = re.compile(rf"{NUMBER}\s*dia(?:m|meter)?\b", re.I)
+METRIC = re.compile(rf"{NUMBER}\s*mm\b", re.I)
+FRACTION = re.compile(r"(?<![\w.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|flat|ball|end|\s|$)", re.I)
+INCH_MARK = re.compile(rf"{NUMBER}\s*(?:\"|''|in\b|inch)", re.I)
+TEETH = re.compile(r"(?:(\d+)\s*-?\s*(?:flutes?|flt|fl|teeth)\b|\bz\s*=\s*(\d+)\b|\b(\d+)f\b)", re.I)
+KIND = re.compile(
+    r"(?:flat|ball|bull ?nose|face|chamfer|shell|slot|spot|center|twist|square|rough\w*|thread|carbide|\s|-)*"
+    r"(?:end ?mills?|mill|drill|tap|reamer|probe|cutter|engrav\w*|v-?bit|face ?mill|fly ?cutter)\b",
+    re.I,
+)
+
+
+def operation_name(comment: str) -> tuple[str, bool]:
+    """The name of an operation that a comment gives, and whether it says that it is one; "" for other comments."""
+    announced = ANNOUNCED.fullmatch(comment)
+    if announced and re.search(r"[^\W\d_]", announced.group(1)):
+        return announced.group(1).strip()[:LONGEST_NAME], True
+    if len(comment) > LONGEST_NAME or len(comment.split()) > MOST_WORDS or not NAME.fullmatch(comment):
+        return "", False
+    if not re.search(r"[^\W\d_]{2}", comment) or NO_NAME.match(comment) or comment.endswith((".", ",")):
+        return "", False
+    tool = described_tool(comment, 1e-3, "")
+    if tool is not None and (tool.teeth or (tool.diameter and tool.description)):
+        return "", False
+    return comment, False
+
+
+def described_tool(comment: str, unit: float, changed: str | None = None) -> ProgramTool | None:
+    """The tool that a comment describes; lengths without a unit are in ``unit`` [m]; changed: the tool of its line."""
+    if NO_TOOL.match(comment):
+        return None
+    old = OLD_MASTERCAM.match(comment)
+    numbered = TOOL_NUMBER.match(comment)
+    inside = ANY_NUMBER.search(comment)
+    number = next((match.group(k) for match, k in ((old, 2), (numbered, 1), (inside, 1)) if match), "")
+    name = f"T{int(number)}" if number else changed
+    diameter = _diameter(comment, unit)
+    teeth = TEETH.search(comment)
+    kind = KIND.search(comment)
+    if name is None or not (kind or teeth or (diameter and (number or SAYS_DIAMETER.search(comment)))):
+        return None
+    count = int(next(filter(None, teeth.groups()))) if teeth else 0
+    words = " ".join(kind.group().split()).lower().strip("- ") if kind else ""
+    return ProgramTool(name, words, diameter, count if 1 <= count <= 20 else 0)
+
+
+def _diameter(comment: str, unit: float) -> float:
+    """[m]; 0 where the comment gives none, or a number that is no diameter of a cutter."""
+    comment = comment.split("- ZMIN")[0]
+    comment = re.sub(r"\|\s*[HD]\s*\d+\s*(?=\||$)", "|", comment)  # offset numbers of Mastercam
+    comment = re.sub(r"DIA\. OFF\.\s*-\s*\d+", "", comment)
+    diameter = 0.0
+    if given := list(DIAMETER.finditer(comment)):
+        number, mark = given[-1].groups()
+        scale = {"mm": 1e-3, "in": 0.0254, "inch": 0.0254, '"': 0.0254}.get((mark or "").lower(), unit)
+        diameter = float(number) * scale
+    elif before := BEFORE.search(comment):
+        diameter = float(before.group(1)) * unit
+    elif metric := METRIC.search(comment):
+        diameter = float(metric.group(1)) * 1e-3
+    elif fraction := FRACTION.search(comment):
+        whole, above, below = fraction.groups()
+        diameter = (int(whole or 0) + int(above) / max(int(below), 1)) * 0.0254
+    elif inches := INCH_MARK.search(comment):
+        diameter = float(inches.group(1)) * 0.0254
+    return diameter if 1e-5 < diameter <= 0.2 else 0.0

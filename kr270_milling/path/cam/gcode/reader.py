@@ -1,0 +1,213 @@
+"""G-code in: the path of one tool, and what the program says beside it.
+
+Fanuc, Haas, LinuxCNC, GRBL and Sinumerik dialects: planes and helices, units, incremental moves and centres, retracts
+(G28, G30, G53, SUPA), drilling cycles, feeds per minute, revolution and inverse time. Words that move nothing are
+counted (``SourceProgram.read_over``); those that cannot be run are listed all at once. Without a unit word the unit is
+mm. A line with the sign of block skip is run, as with the switch off.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from kr270_milling.base.text import read_lines, short, unended
+from kr270_milling.path.cam.comments import operation_name
+from kr270_milling.path.cam.gcode.interpreter import Interpreter
+from kr270_milling.path.cam.gcode.words import ADVICE, MACROS, SILENT, UNKNOWN
+from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.toolpath import Toolpath
+
+__all__ = ["read_gcode"]
+
+NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
+WORD = re.compile(rf"([A-Z])[ \t]*({NUMBER})")
+SIMPLE = re.compile(rf"(?:[ \t]*[A-Z][ \t]*{NUMBER})*[ \t]*")  # a line of words of one letter alone
+#: a comment in brackets, nested twice at most where they pair, or after a semicolon; the brackets of a call are none
+COMMENT = re.compile(
+    r"(?P<call>[A-Z_]{2,}[0-9_]*[ \t]*\([^()]*\))"
+    r"|\((?P<nested>(?:[^()]|\((?:[^()]|\([^()]*\))*\))*)\)|\((?P<plain>[^)]*)\)|;(?P<last>.*)|(?P<open>\(.*)",
+    re.I,
+)
+#: the pieces of an upper-case line without comments, whose names say what they are
+PIECE = re.compile(
+    rf"""(?P<blank>[ \t]+)
+    |(?P<macro>[\#\[\]<]\S*|O[ \t]*<\S*|R[0-9]*[ \t]*=\S*)
+    |(?P<call>[A-Z_]{{2,}}[0-9_]*[ \t]*\([^()]*\))
+    |(?P<assigned>[A-Z][A-Z0-9_]{{0,15}}[ \t]*=[ \t]*(?:(?:AC|IC|DC)[ \t]*\([ \t]*{NUMBER}[ \t]*\)|{NUMBER}|"[^"]*"))
+    |(?P<word>[A-Z][ \t]*{NUMBER})
+    |(?P<name>[A-Z_]{{2,}}[A-Z0-9_]*(?![A-Z0-9_]*[ \t]*=))
+    |(?P<expression>[A-Z][-+.]*(?:[ \t]*[\#\[\]<]|=)\S*)
+    |(?P<bare>[A-Z][-+.]*(?![A-Z0-9]))
+    |(?P<rest>\S+|.)""",
+    re.VERBOSE | re.DOTALL,
+)
+ASSIGNED = re.compile(rf"([A-Z][A-Z0-9_]*)[ \t]*=[ \t]*(?:(AC|IC|DC)[ \t(]*)?(?:({NUMBER})|\"(.*)\")")
+CHANGE = re.compile(r"(?<![A-Z])M0*6(?![0-9.])", re.I)
+TITLE = re.compile(r"\s*[O:]\s*[0-9]+\s*", re.I)
+LABEL = re.compile(r"\s*(?:N\s*[0-9]+|[O:]\s*[0-9]+)?\s*", re.I)
+LAST = re.compile(r"\s*(?:N\s*[0-9]+)?(?:\s*M\s*[0-9]{1,2})+\s*", re.I)
+MOST_COMMENTS = 2000
+
+
+def read_gcode(path, tool: str = "", feed: float = 0.0) -> Toolpath:
+    """Read the path of one tool; raises ProgramError with all words that cannot be run.
+
+    tool: "T1", needed where the program cuts with several; feed [m/s]: for a program without F, 0 for none.
+    """
+    lines = read_lines(path)
+    number = re.fullmatch(r"\s*[Tt]?0*([0-9]+)\s*", tool)
+    program = ProgramBuilder(path, f"T{number.group(1)}" if number else tool.strip())
+    changes = any(CHANGE.search(_split_comments(line)[0]) for line in lines if "6" in line and CHANGE.search(line))
+    machine = Interpreter(program, feed, changes)
+    _GcodeReader(program, machine).read(lines)
+    return program.finish(machine.unit)
+
+
+class _GcodeReader:
+    """Lines to words, comments to names."""
+
+    def __init__(self, program: ProgramBuilder, machine: Interpreter):
+        self.program = program
+        self.machine = machine
+        self.announced = ""  #: operation that a post announced by word
+        self.percent = 0
+
+    def read(self, lines: list[str]) -> None:
+        """Up to the end of the program, or of the file."""
+        for self.program.line, line in enumerate(lines, 1):
+            if SIMPLE.fullmatch(line):
+                self._run(line)
+            else:
+                self._line(line.strip())
+            if self.machine.ended or self.program.hopeless:
+                return
+        # a program without an end may be cut off, unless it ends in M words, which move nothing
+        if (reason := unended(lines)) and not LAST.fullmatch(_split_comments(lines[-1])[0]):
+            self.program.refuse("", reason)
+
+    def _run(self, line: str) -> None:
+        words = [(letter, float(text)) for letter, text in WORD.findall(line)]
+        if words:
+            self.machine.run(words)
+
+    def _line(self, line: str) -> None:
+        if line[:1] == "%":
+            self.percent += 1
+            self.machine.ended = line == "%" and self.percent > 1 and len(self.program) > 1
+            return
+        code, comments = _split_comments(line)
+        if code[:1] == "/":
+            code = code.lstrip("/0123456789 ") if code[1:2].isdigit() else code[1:]
+            self.program.silent["/"] += 1
+        if code[:1] == ":":
+            code = "O" + code[1:]
+        if comments:
+            self._comments(code, comments)
+        code = code.upper()
+        if SIMPLE.fullmatch(code):
+            self._run(code)
+        else:
+            self._pieces(code)
+
+    def _pieces(self, code: str) -> None:
+        """A line that is more than words of one letter; nothing of it is run where one piece cannot be."""
+        words: list[tuple[str, Any]] = []
+        names: list[tuple[str, str]] = []  # with the text after them
+        for match in PIECE.finditer(code):
+            kind, text = match.lastgroup, match.group()
+            if text == "SUPA":
+                words.append(("G", 53.0))
+            elif kind == "word":
+                words.append((text[0], float(text[1:])))
+            elif kind == "assigned":
+                self._assigned(text, words, names)
+            elif kind in ("name", "call"):
+                name, bracket, rest = text.partition("(")
+                names.append((name.strip(), bracket + rest))
+            elif kind != "blank":
+                self._refuse(kind, text)
+                break
+        else:
+            if self._known(names):
+                self.machine.run(words)
+        self.machine.absolute = {}
+
+    def _assigned(self, text: str, words: list, names: list) -> None:
+        """What Sinumerik writes with a sign of equality: X=AC(1), CR=5, S1=3000, Z1=0, T="MILL 10"."""
+        name, mode, number, quoted = ASSIGNED.findall(text)[0]
+        letter, numbered = name[0], name[1:].isdigit()
+        if not number:
+            words += [("T", quoted.strip())] if name == "T" and quoted.strip() else []
+        elif name in ("CR", "TURN") or len(name) == 1:
+            words.append((name, float(number)))
+            if mode in ("AC", "IC"):
+                self.machine.absolute[name] = mode == "AC"
+        elif numbered and letter in "SM":
+            words.append((letter, float(number)))
+        elif numbered and letter in "XYZ":  # of the machine: it goes home
+            words[:] = [word for word in words if word not in (("G", 74), ("G", 75))]
+            words += [("G", 28.0), (letter, 0.0)]
+        else:
+            names.append((name, text[len(name) :]))
+
+    def _refuse(self, kind: str | None, text: str) -> None:
+        if kind in ("macro", "expression"):
+            self.program.refuse(text, advice=MACROS, lost=True)
+        elif kind == "bare":
+            self.program.refuse(text, f"the word {text} has no number")
+        elif text[0] == "(":
+            self.program.refuse("(", "a comment is opened with ( but not closed", "close the bracket")
+        elif re.match(r",[RCA][0-9.]", text):
+            self.program.refuse(text, f"{short(text)!r} is no G-code word", ADVICE["RND"], lost=True)
+        else:
+            advice = "a word is a letter and a number, or put a remark in brackets"
+            self.program.refuse(text, f"{short(text)!r} is no G-code word", advice)
+
+    def _known(self, names: list[tuple[str, str]]) -> bool:
+        """Whether the words of several letters in a line let it be run."""
+        known = True
+        for name, rest in names:
+            reset = not rest and name in ("TRANS", "ROT", "SCALE", "MIRROR")
+            idle = name == "CYCLE800" and not re.search(r"[1-9]", rest.split(",,")[-1])
+            if name in SILENT or reset or idle:
+                self.program.silent[name] += 1
+            else:
+                known = False
+                self.program.refuse(name, advice=ADVICE.get(name, UNKNOWN), lost=True)
+        return known
+
+    def _comments(self, code: str, comments: list[str]) -> None:
+        title = TITLE.fullmatch(code) is not None
+        if len(self.program.comments) < MOST_COMMENTS:
+            match = re.search(r"T\s*0*([0-9]+)", code, re.I)
+            tool = f"T{match.group(1)}" if match else self.machine.next_tool
+            self.program.comments += [(comment, tool) for comment in comments]
+        if title and not self.program.title:
+            self.program.title = comments[0]
+        if LABEL.fullmatch(code):
+            self._name(comments[0], title)
+
+    def _name(self, comment: str, title: bool) -> None:
+        name, announced = operation_name(comment)
+        if announced:
+            self.announced = name
+        elif comment.lower().startswith("finish operation"):
+            self.announced = ""
+            return
+        if name and (announced or not self.announced):
+            self.program.name_feature(name)
+            self.program.named = not title
+
+
+def _split_comments(line: str) -> tuple[str, list[str]]:
+    """Code and comments of a line; a bracket that is opened and not closed stays in the code."""
+    comments: list[str] = []
+
+    def code(match: re.Match) -> str:
+        if match["call"] or match["open"]:
+            return match.group()
+        comments.append((match["nested"] or match["plain"] or match["last"] or "").strip())
+        return " "
+
+    return COMMENT.sub(code, line), comments

@@ -1,0 +1,101 @@
+"""The G and M words of milling controllers: what each sets, what is read over, what is refused and with which advice.
+
+Sources: NIST RS274/NGC (Kramer 2000), the LinuxCNC G-code reference, Haas mill programming manual, Fanuc 0i manuals,
+Sinumerik 840D ISO and DIN dialects.
+"""
+
+from __future__ import annotations
+
+from kr270_milling.path.cam.machine import INCH, MM
+
+__all__ = ["ADVICE", "G_GROUPS", "MODAL", "M_GROUPS", "OFFSETS", "SILENT", "UNKNOWN"]
+
+#: what a machine keeps -> the G words that set it, and to what
+MODAL: dict[str, dict[float, object]] = {
+    "unit": {20: INCH, 70: INCH, 700: INCH, 21: MM, 71: MM, 710: MM},
+    "incremental": {90: False, 91: True},
+    "absolute_centre": {90.1: True, 91.1: False},
+    "plane": {17: 17, 18: 18, 19: 19},
+    "to_initial": {98: True, 99: False},
+}
+OFFSETS = {n: f"G{n:g}" for n in (54, 55, 56, 57, 58, 59, 59.1, 59.2, 59.3, *range(505, 600))}
+#: G word -> modal group; two different words of one group are not allowed in one line
+G_GROUPS: dict[float, str] = {
+    **{word: name for name, words in MODAL.items() for word in words},
+    **dict.fromkeys((0, 1, 2, 3), "motion"),
+    **dict.fromkeys((73, 80, 81, 82, 83, 85, 86, 89), "cycle"),  # drilling and boring cycles, expanded; 80: their end
+    **dict.fromkeys((93, 94, 95), "feed"),
+    **dict.fromkeys((28, 30, 53, 153), "home"),
+    **dict.fromkeys((*OFFSETS, 54.1, 154), "offset"),
+    4: "dwell",
+    10: "data",
+    52: "shift",
+    92: "preset",
+}
+#: G words that change no path: cancelled modes, look-ahead, exact stop, the length of the tool; 5, 74 and 75 change
+#: none together with some other words. Each is a separate group.
+G_GROUPS |= {n: f"G{n:g}" for n in (
+    5.1, 8, 9, 15, 40, 43, 49, 50, 50.1, 60, 61, 61.1, 61.2, 62, 63, 64, 67, 69, 69.1, 92.1, 92.2, 92.3, 97, 103, 187,
+    450, 451, 500, 601, 602, 603, 641, 642, 643, 644, 645, 646, 13.1, 54.4, 290, 291, 126, 127, 40.1, 5, 74, 75,
+)}  # fmt: skip
+M_GROUPS: dict[float, str] = {
+    **dict.fromkeys((2, 30, 99, 17), "end"),
+    **dict.fromkeys((3, 4, 5, 13, 14, 19), "spindle"),
+    6: "tool",
+}
+
+CENTRE = "let the CAM output the path of the tool's centre (compensation in the computer)"
+MACROS = "post without macros and sub-programs, every move in one program"
+DATUM = "let the CAM output coordinates of one work offset, without shift, rotation, mirror or scale"
+CURVES = "let the CAM output lines and arcs"
+THREADS = "leave threads out of this program; they are bound to the spindle's angle"
+PROBING = "leave probing out of this program"
+AXES5 = "post a 3-axis program: the tool must be parallel to z of the workpiece"
+LATHE = "this is a word of lathes; post for a mill"
+POCKETS = "let the CAM output the cycle as G1, G2 and G3 moves"
+UNKNOWN = "it is not known; post for a 3-axis mill with Fanuc, Haas, LinuxCNC or Sinumerik control"
+
+HEIDENHAIN = "a program of a Heidenhain control; post it as ISO (DIN) G-code"
+
+
+def _each(names: str, advice: str) -> dict[str, str]:
+    return dict.fromkeys(names.split(), advice)
+
+
+#: words that cannot be run -> what to do
+ADVICE = {
+    **_each("G41 G42 G41.1 G42.1 G141", CENTRE),
+    **_each("G65 G66 G66.1 M98 M97 M96 M72 M198", MACROS),
+    **_each(
+        """IF ENDIF ELSE WHILE ENDWHILE END GOTO GOTOF GOTOB FOR ENDFOR DO REPEAT CALL EXTCALL DEF SUB EQ NE LOOP
+        ENDLOOP CASE SETVN DEFINE UNTIL RETURN EXTERN ENDSUB ENDREPEAT ELSEIF BREAK CONTINUE THEN""",
+        MACROS,
+    ),
+    **_each("G16 G51 G51.1 G68 G110 G111 G112 G44 G100 G101", DATUM),
+    **_each("TRANS ATRANS ROT AROT ROTS AROTS SCALE ASCALE MIRROR AMIRROR", DATUM),
+    **_each("G5 G5.2 G5.3 G6 G6.1 G6.2 G6.3 G2.3 G3.3", CURVES),
+    **_each("BSPLINE CSPLINE ASPLINE POLY CIP CT INVCW INVCCW RND RNDM CHF CHR ANG", CURVES),
+    **_each("G43.4 G43.5 G68.2 G53.1 G234 G254 G255 G43.1 G107 G12.1 G7.1 M128 M129", AXES5),
+    **_each("TRAORI CYCLE800 TRANSMIT TRACYL TCARR PAROT TOROT", AXES5),
+    **_each("G33 G33.1 G74 G76 G84 G84.2 G84.3 G88 G331 G332 M29 CYCLE84 CYCLE840 CYCLE70", THREADS),
+    **_each("G96 G7 G32 G72", LATHE),
+    **_each("G87 G12 G13 G150 G34 G47", POCKETS),
+    **_each(
+        """MCALL CYCLE81 CYCLE82 CYCLE83 CYCLE85 CYCLE86 CYCLE89 POCKET3 POCKET4 CYCLE61 CYCLE62 CYCLE63 CYCLE64 CYCLE71
+        CYCLE72 CYCLE76 CYCLE77 CYCLE79 CYCLE899 SLOT1 SLOT2 HOLES1 HOLES2 LONGHOLE""",
+        POCKETS,
+    ),
+    **_each("G22 G23 G31 G36 G37 G35 G136 G38.2 G38.3 G38.4 G38.5", PROBING),
+    **_each("MEAS MEAW CYCLE977 CYCLE978 CYCLE998", PROBING),
+    **_each("BEGIN PGM", HEIDENHAIN),
+}
+#: names that change no path: dynamics, compressors, orientation of nothing, messages, modes that end
+SILENT = frozenset(
+    _each(
+        """DIAMOF DIAMON DIAM90 FFWON FFWOF SOFT BRISK DRIVE COMPOF COMPON COMPCAD COMPCURV COMPSURF CFTCP CFC CFIN
+        TRAFOOF STOPRE UPATH SPATH KONT KONTC KONTT NORM CUT2D WORKPIECE CYCLE832 MSG GROUP_BEGIN GROUP_END GROUP_ADDEND
+        DYNNORM DYNFINISH DYNROUGH DYNSEMIFIN DYNPOS DYNPREC PROC SETMS SPOS ADIS ADISPOS FGROUP FNORM FLIN ORIWKS
+        ORIMKS ORIAXES DISPLOF SAVE ACC OVR SPCON SPCOF FRESH CTOL OTOL STOLF LIMS VELOLIM JERKLIM ACCLIM""",
+        "",
+    )
+)

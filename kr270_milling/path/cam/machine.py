@@ -1,0 +1,297 @@
+"""The modal state of a milling machine, for every language of programs: the place of the tool, the move of a block.
+
+Straight, on an arc of one of three planes, in a drilling cycle. A height of TOP is that of a tool that was taken away.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius
+from kr270_milling.path.cam.drilling import Cycle
+from kr270_milling.path.cam.program_builder import ProgramBuilder
+from kr270_milling.path.toolpath import REACH, TOP
+
+__all__ = ["INCH", "MM", "Machine"]
+
+INCH = 0.0254  #: [m]
+MM = 0.001  #: [m]
+AXES = {"X": 0, "Y": 1, "Z": 2}
+CENTRES = ("I", "J", "K")
+OF_ARCS = (*CENTRES, "R", "CR", "TURN")
+MOVING = ("X", "Y", "Z", *CENTRES, "R", "CR")
+#: plane -> its two axes, so that a positive turn leads from the first to the second, and the axis across it
+PLANES = {17: (0, 1, 2), 18: (2, 0, 1), 19: (1, 2, 0)}
+CHORD = 2e-6  #: [m], arcs to chords
+CLOSING = 10e-6  #: [m], centre of an arc to both ends, or 0.1 % of its radius
+FLAT = 1e4  #: [m], a radius beyond it cannot be meant
+REPEATS = 1000  #: holes that one block drills in a row
+START = "start with G0 X Y Z"
+
+
+class Machine:
+    """Runs blocks: moves go to the program's path, what cannot be run to its refusals.
+
+    Lengths inside are in [m], NaN where the program has not said where an axis is.
+    """
+
+    def __init__(self, program: ProgramBuilder, feed: float):
+        self.program = program
+        self.unit = MM  #: of lengths in blocks
+        self.position: list[float] = [math.nan] * 3
+        self.mode: int | None = None  #: 0 to 3
+        self.incremental = False
+        self.absolute_centre = False
+        self.absolute: dict[str, bool] = {}  #: letters of this block that are absolute or not, whatever the mode
+        self.plane = 17
+        self.to_initial = True  #: G98
+        self.cycle: Cycle | None = None
+        self.feed_mode = 94  #: per minute; 95: per revolution, 93: inverse time
+        self.feed: float | None = feed or None  #: [m/s], [m/rev] or [1/s]; at first what the cell says
+        self.ended = False
+
+    # --- what moves no tool through material ---
+
+    def set_mode(self, mode: float | None) -> None:
+        """G0 to G3, which end a cycle."""
+        self.mode = None if mode is None else int(mode)
+        self.cycle = None
+
+    def set_feed_mode(self, mode: int) -> None:
+        """A feed of one kind means nothing as another."""
+        if mode != self.feed_mode:
+            self.feed_mode = mode
+            self.feed = None
+
+    def set_feed(self, value: float, unit: float) -> None:
+        """The number of a feed, lengths in ``unit`` [m]."""
+        most = 60 * REACH / unit
+        if 0 <= value <= most:
+            self.feed = {94: value * unit / 60, 95: value * unit, 93: value / 60}[self.feed_mode]
+        else:
+            word = f"F{value:g}"
+            self.program.refuse(word, f"the feed {word} must lie between 0 and {most:g} per minute")
+
+    def home(self, axes: list[str]) -> None:
+        """The tool leaves the workpiece: up to the top height first, then X and Y are unknown."""
+        self.cycle = None
+        if "Z" in axes:
+            self.position[2] = TOP
+            self.program.rapid(tuple(self.position))
+        for axis in axes:
+            if axis != "Z":
+                self.position[AXES[axis]] = math.nan
+                self.program.away = True
+
+    def change_tool(self, tool: str) -> None:
+        """The tool of the moves that follow, if it is another one."""
+        if tool not in ("", self.program.tool):
+            self.program.change_tool(tool)
+            self.cycle = None
+
+    # --- blocks ---
+
+    def move(self, axes: dict[str, float], mode: float | None = None, cycle: float | None = None) -> None:
+        """Move as a block says and take the words that this needs out of ``axes``.
+
+        mode: 0 to 3 where the block says G0 to G3; cycle: 73 to 89 where it begins or, 80, ends a cycle.
+        """
+        if mode is not None:
+            self.set_mode(mode)
+        if cycle == 80 or (cycle is not None and not axes):
+            self.cycle = cycle = None
+        if cycle is not None or (self.cycle is not None and not axes.keys().isdisjoint("XYZ")):
+            self._drill(cycle, axes)
+        elif not axes.keys().isdisjoint(MOVING):
+            self._move(axes)
+
+    def _move(self, axes: dict) -> None:
+        if self.mode is None:
+            word = next(letter for letter in axes if letter in MOVING)
+            self.program.refuse(word, f"the word {word} without G0, G1, G2 or G3", derived=True)
+        start, end = tuple(self.position), self._end(axes)
+        arc = {letter: axes.pop(letter) for letter in OF_ARCS if letter in axes}
+        self.position = list(end)
+        if self.mode == 0:
+            self._surplus(arc)
+            self.program.rapid(end)
+        elif self.mode is not None:
+            self._cut(start, end, arc, axes)
+
+    def _end(self, axes: dict) -> tuple[float, ...]:
+        """Where the block leads; words of lengths are taken out of ``axes``."""
+        end = list(self.position)
+        for letter, axis in AXES.items():
+            value = axes.pop(letter, None)
+            if value is None:
+                continue
+            end[axis] = value * self.unit
+            if not self.absolute.get(letter, not self.incremental):
+                end[axis] += self.position[axis]
+                if not math.isfinite(end[axis]):
+                    reason = "a G91 move before an absolute position is known"
+                    self.program.refuse(letter, reason, START, derived=True)
+            if not abs(end[axis]) <= REACH and math.isfinite(end[axis]):
+                word = f"{letter}{value:g}"
+                self.program.refuse(word, f"{word} lies more than {REACH:g} m away; wrong unit?", lost=True)
+                end[axis] = math.nan
+        return tuple(end)
+
+    def _surplus(self, arc: dict) -> None:
+        letter = next((letter for letter, value in arc.items() if value), "")
+        if letter:
+            reason = f"the word {letter} belongs to G2 or G3, not to G{self.mode}"
+            self.program.refuse(letter, reason, derived=True)
+
+    def _cut(self, start, end, arc: dict, axes: dict) -> None:
+        straight = self.mode == 1
+        known = not any(map(math.isnan, start))
+        if not known and straight and self._approach(start, end):
+            self.program.rapid(end)
+        elif not known or (not straight and start[2] == TOP):
+            reason = f"G{self.mode} before X, Y and Z are known"
+            self.program.refuse(f"G{self.mode}", reason, START, derived=True)
+        elif any(map(math.isnan, end)):
+            return
+        elif straight:
+            self._surplus(arc)
+            self._feed_to(start, [end], math.dist(start, end))
+        else:
+            try:
+                points, length, curvature = self._arc(start, end, arc, axes)
+            except ArcError as error:
+                self.program.refuse(f"G{self.mode}", str(error), derived=True)
+            else:
+                self._feed_to(start, points, length, curvature)
+
+    def _approach(self, start, end) -> bool:
+        """Whether a G1 from an unknown place stays above the part: posts may feed where others go rapidly."""
+        if all(map(math.isfinite, end)):
+            return self.program.last is None or start[2] == TOP
+        return end[2] == start[2] or math.isnan(end[2]) or end[2] > 0
+
+    def _feed_to(self, start, ends: list, length: float, curvature: float = 0.0) -> None:
+        feed = self._feed_rate(length if math.isfinite(length) else 0.0)
+        if feed:
+            self.program.cut(start, ends, feed, curvature)
+        elif length and feed == 0:
+            self.program.refuse("F", "zero feed on a cutting move", derived=True)
+        elif length:
+            advice = "give path.feed_rate_m_per_min in the cell"
+            self.program.refuse("F", "a cutting move without a feed", advice, derived=True)
+
+    def _feed_rate(self, length: float) -> float | None:
+        """[m/s] over a move of ``length`` [m]; None where no feed was given."""
+        speed = self.program.spindle_speed
+        if self.feed is None or self.feed_mode == 94:
+            return self.feed
+        if self.feed_mode == 95:
+            return self.feed * abs(speed) / (2 * math.pi) if speed else None
+        return self.feed * length
+
+    # --- arcs ---
+
+    def _arc(self, start, end, arc: dict, axes: dict) -> tuple[list, float, float]:
+        """Points along an arc, its length [m], its curvature in the xy plane [1/m]."""
+        plane = PLANES[self.plane]
+        first, second, across = (CENTRES[axis] for axis in plane)
+        from_point, to_point = ([point[axis] for axis in plane] for point in (start, end))
+        far = next((letter for letter in arc if letter != "TURN" and not abs(arc[letter]) * self.unit <= FLAT), None)
+        if far:
+            raise ArcError(f"{far}{arc[far]:g} is more than {FLAT / 1e3:g} km; wrong unit?")
+        if arc.get(across) and not self.absolute_centre:
+            raise ArcError(f"{across} does not belong to an arc of G{self.plane}")
+        radius = arc.get("R", arc.get("CR"))
+        centres = [letter for letter in (first, second) if letter in arc]
+        if radius is not None and centres:
+            raise ArcError(f"an arc is given by {' and '.join(centres)} or by R, not by both")
+        if radius is None and not centres:
+            raise ArcError(f"G{self.mode} without {first}, {second} or R")
+        clockwise = self.mode == 2
+        if radius is not None:
+            centre = centre_from_radius(from_point, to_point, radius * self.unit, clockwise, CLOSING)
+            closing = _closing(from_point, centre)
+        else:
+            given = [arc.get(letter, 0.0) * self.unit for letter in (first, second)]
+            absolute = [self.absolute.get(letter, self.absolute_centre) for letter in (first, second)]
+            centre = tuple(given[n] if absolute[n] else from_point[n] + given[n] for n in (0, 1))
+            closing = _closing(from_point, centre)
+            if _misses(from_point, to_point, centre, closing) and not _misses(from_point, to_point, given, closing):
+                advice = "write G90.1 first or post incremental centres"
+                raise ArcError(f"the arc closes with an absolute centre only; {advice}")
+        turns = int(arc.get("TURN", axes.pop("P", 1) - 1))
+        points, curvature = arc_points(from_point, to_point, centre, clockwise, closing, CHORD, turns)
+        if not np.abs(points).max() <= REACH:
+            raise ArcError(f"the arc leads more than {REACH:g} m away; wrong unit?")
+        chords = np.linalg.norm(np.diff(points[:, :2], axis=0, prepend=[from_point[:2]]), axis=1)
+        swept = 2 / abs(curvature) * np.arcsin(np.clip(abs(curvature) * chords / 2, 0, 1)).sum()
+        length = math.hypot(swept, to_point[2] - from_point[2])
+        ends = list(map(tuple, points[:, np.argsort(plane)].tolist()))
+        return ends, length, curvature if self.plane == 17 else 0.0
+
+    # --- cycles ---
+
+    def _drill(self, kind: float | None, axes: dict) -> None:
+        """One block of a drilling cycle: a hole at its X, Y, or several in a row with G91 and L or K."""
+        floor, level, peck = (axes.pop(letter, None) for letter in "ZRQ")
+        repeats = axes.pop("L", axes.pop("K", 1.0))
+        for letter in ("P", "I", "J"):
+            axes.pop(letter, None)
+        cycle = self.cycle = self.cycle or Cycle(0, self.position[2], self.position[2])
+        if kind is not None:
+            cycle.kind = int(kind)
+        if level is not None:
+            cycle.retract = level * self.unit + (cycle.initial if self.incremental else 0.0)
+        if floor is not None:
+            cycle.bottom = floor * self.unit + (cycle.retract if self.incremental else 0.0)
+        if peck is not None:
+            cycle.peck = abs(peck) * self.unit
+        if not 0 <= repeats <= REPEATS or (repeats > 1 and not self.incremental):
+            self.program.refuse("L", f"a hole is not drilled {repeats:g} times at one place", lost=True)
+            return
+        place = {axis: axes.pop(axis) for axis in "XY" if axis in axes}
+        for _ in range(int(repeats)):
+            x, y, _ = self._end(dict(place))
+            if not self._hole(x, y, cycle):
+                return
+
+    def _hole(self, x: float, y: float, cycle: Cycle) -> bool:
+        word = f"G{cycle.kind}"
+        if not all(map(math.isfinite, (x, y, cycle.retract, cycle.bottom))):
+            reason = "a drilling cycle whose X, Y, Z and R are not all known"
+            self.program.refuse(word, reason, START, derived=True)
+            return False
+        if not max(abs(cycle.bottom), abs(cycle.retract)) <= REACH or cycle.bottom > cycle.retract:
+            self.program.refuse(word, "the cycle does not lead from R down to Z within reach")
+            return False
+        try:
+            strokes = cycle.strokes()
+        except ValueError as error:
+            self.program.refuse(word, str(error))
+            return False
+        height = max(self.position[2], cycle.retract)
+        self.program.rapid((*self.position[:2], height))
+        self.program.rapid((x, y, height))
+        at = (x, y, cycle.retract)
+        self.program.rapid(at)
+        for z, rapid in strokes:
+            if rapid:
+                self.program.rapid((x, y, z))
+            else:
+                self._feed_to(at, [(x, y, z)], abs(z - at[2]))
+            at = (x, y, z)
+        back = max(cycle.initial, cycle.retract) if self.to_initial and not math.isnan(cycle.initial) else cycle.retract
+        self.program.rapid((x, y, back))
+        self.position = [x, y, back]
+        return True
+
+
+def _closing(start, centre) -> float:
+    """[m], by how much the ends of an arc may differ in their distance from its centre."""
+    return max(CLOSING, min(0.5e-3, 1e-3 * math.dist(start[:2], centre)))
+
+
+def _misses(start, end, centre, closing: float) -> bool:
+    return abs(math.dist(start[:2], centre) - math.dist(end[:2], centre)) > closing

@@ -1,0 +1,185 @@
+"""A program under construction by its reader: the path of one tool, its statements, and refused words."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+
+from kr270_milling.base.errors import one_line
+from kr270_milling.base.text import short
+from kr270_milling.path.cam.comments import described_tool
+from kr270_milling.path.source_program import ProgramError, ProgramTool, ReadOver, Refusal, SourceProgram
+from kr270_milling.path.toolpath import TOP, PathBuilder, Toolpath, cut_features
+
+__all__ = ["ProgramBuilder"]
+
+SAME_SPEED = 0.1  #: [rad/s], 1 rpm: spindle speeds that differ by less are one
+MOST_REFUSALS = 10_000  #: a file with more is no program
+
+
+class ProgramBuilder(PathBuilder):
+    """Collects the moves of one tool and, of all of them, what cannot be run.
+
+    After a retract or a tool change the tool travels at the top height. Refusals are separate for each tool, so that
+    one tool's part of a program can be run alone.
+    """
+
+    def __init__(self, source, selected: str):
+        super().__init__(source)
+        self.selected = selected  #: the tool whose moves are wanted, "" for all
+        self.active = True  #: whether the tool in the spindle is that one
+        self.away = False  #: whether the tool was taken away since the last move
+        self.named = False  #: whether a comment named the operation since the last cut
+        self.lost = False  #: a move was refused: the place of the tool is unknown
+        self.title = ""
+        self.tool = ""  #: in the spindle
+        self.offset = ""  #: work offset
+        self.comments: list[tuple[str, str]] = []  #: with the tool of their line
+        self.known: dict[str, ProgramTool] = {}  #: what words, not comments, say of tools
+        self.silent: Counter[str] = Counter()  #: words that move nothing
+        self._tools: dict[str, int] = {}  #: name -> line of its first change
+        self._cuts: Counter[str] = Counter()  #: tool -> cutting blocks
+        self._offsets: dict[tuple[str, str], int] = {}  #: (tool, offset) while cutting -> first line
+        self._refused: list[tuple[str, Refusal]] = []  #: with the tool in the spindle
+
+    # --- moves ---
+
+    def rapid(self, end: tuple) -> None:
+        """Go to a point; nothing is recorded until X, Y and Z are known."""
+        if not self.active or any(map(math.isnan, end)):
+            return
+        if self.last is not None and (self.away or self.last[2] == TOP):
+            self.move((*self.last[:2], TOP), 0.0, True, self.line)
+            self.move((*end[:2], TOP), 0.0, True, self.line)
+        self.away = False
+        self.move(end, 0.0, True, self.line)
+
+    def cut(self, start: tuple, ends: list, feed: float, curvature: float = 0.0) -> None:
+        """Feed through points, from a start that is known."""
+        self.named = False
+        self._cuts[self.tool] += 1
+        self._offsets.setdefault((self.tool, self.offset), self.line)
+        if not self.active:
+            return
+        if self.last != start or self.away:
+            self.rapid(start)
+        for end in ends:
+            self.move(end, feed, False, self.line, curvature)
+
+    def change_tool(self, tool: str) -> None:
+        """The tool of the moves that follow; they make a feature of its name where no comment names the operation."""
+        self.away = self.away or bool(self.tool) or len(self) > 0
+        self.tool = tool
+        self.active = self.selected in ("", tool)
+        self._tools.setdefault(tool, self.line)
+        if not self.named:
+            self.name_feature(tool)
+
+    # --- what cannot be run ---
+
+    @property
+    def hopeless(self) -> bool:
+        """Whether there are too many refusals to continue."""
+        return len(self._refused) >= MOST_REFUSALS
+
+    def refuse(
+        self, word: str, reason: str = "", advice: str = "", lost: bool = False, derived: bool = False, line: int = 0
+    ) -> None:
+        """A word that cannot be run.
+
+        lost: it may have moved the tool, so that what follows from its place is not refused once more; derived: it may
+        only follow from an earlier one; line: other than the one that is read.
+        """
+        if derived and self.lost:
+            return
+        refusal = Refusal(line or self.line, one_line(short(word)), one_line(reason), advice)
+        self._refused.append((self.tool, refusal))
+        self.lost = self.lost or lost
+
+    # --- at the end ---
+
+    def finish(self, unit: float) -> Toolpath:
+        """The path with its program; unit [m]: of lengths in comments. Raises ProgramError with all refusals."""
+        program = self._program(unit)
+        if program.refused:
+            raise ProgramError(self.source, program)
+        return self.build(program)
+
+    def _program(self, unit: float) -> SourceProgram:
+        columns = self.columns()
+        cutting = columns["rapid"] == 0
+        lines = columns["line"][cutting].astype(int).tolist()
+        speeds = dict(zip(columns["spindle_speed"][cutting][::-1].tolist(), lines[::-1], strict=True))
+        speeds = dict(sorted(speeds.items(), key=lambda item: item[1]))  # each with the first line that it holds in
+        tools = self._described_tools(unit)
+        cutters = [tool for tool in tools if tool.cuts]
+        chosen = self.selected or (cutters[0].name if cutters else "")
+        offsets = {name: line for (tool, name), line in self._offsets.items() if not self.selected or tool == chosen}
+        # words before the first tool concern every one
+        refused = [r for tool, r in self._refused if not self.selected or tool in ("", self.selected)]
+        refused += self._selection(cutters)
+        if not refused or len(cutters) < 2:
+            refused += _several_speeds(speeds) + _several_offsets(offsets)
+        names = list(self.features)
+        return SourceProgram(
+            title=self.title,
+            tool=chosen,
+            tools=tools,
+            spindle_speeds=tuple(speed for speed in speeds if speed),
+            feeds=tuple(np.unique(columns["feed"][cutting]).tolist()),
+            work_offset=next(filter(None, offsets), self.offset),
+            operations=tuple(names[k] for k in cut_features(columns)),
+            read_over=tuple(ReadOver(word, count) for word, count in self.silent.most_common()),
+            refused=tuple(sorted(refused, key=lambda refusal: refusal.line)),
+        )
+
+    def _described_tools(self, unit: float) -> tuple[ProgramTool, ...]:
+        """Every tool that the program changes to, with what its comments say; "" for cuts before the first one."""
+        names = ({"": 1} if self._cuts[""] else {}) | self._tools
+        only = next(iter(names)) if len(names) == 1 else None
+        known = dict(self.known)
+        for comment, changed in self.comments:
+            tool = described_tool(comment, unit, changed or only)
+            if tool is not None:
+                known[tool.name] = known[tool.name].completed(tool) if tool.name in known else tool
+        described = ((name, line, known.get(name, ProgramTool(name))) for name, line in names.items())
+        return tuple(
+            ProgramTool(name, tool.description, tool.diameter, tool.teeth, line, self._cuts[name])
+            for name, line, tool in described
+        )
+
+    def _selection(self, cutters: list[ProgramTool]) -> list[Refusal]:
+        listing = ", ".join(f"{tool.label or 'the one before the first T'} from line {tool.line}" for tool in cutters)
+        if self.selected and self.selected not in [tool.name for tool in cutters]:
+            reason = f"the program does not cut with {self.selected}; it does with {listing}"
+            return [Refusal(self.line, self.selected, reason, "")]
+        if self.selected or len(cutters) < 2:
+            return []
+        advice = f"choose one with path.tool (init: --tool), for example {cutters[0].name or cutters[1].name}"
+        reason = f"the program cuts with {len(cutters)} tools: {listing}"
+        return [Refusal(cutters[1].line, cutters[1].name, reason, advice)]
+
+
+def _several_speeds(speeds: dict[float, int]) -> list[Refusal]:
+    distinct: list[tuple[float, int]] = []
+    for speed, line in speeds.items():
+        if speed and all(abs(speed - known) > SAME_SPEED for known, _ in distinct):
+            distinct.append((speed, line))
+    words = [(f"S{abs(speed) * 30 / math.pi:.6g}{' M4' if speed < 0 else ''}", line) for speed, line in distinct]
+    return _several("spindle speeds", words)
+
+
+def _several_offsets(offsets: dict[str, int]) -> list[Refusal]:
+    return _several("work offsets", list({name or "G54": line for name, line in offsets.items()}.items()))
+
+
+def _several(what: str, words: list[tuple[str, int]]) -> list[Refusal]:
+    """A refusal of the second of several words, with their lines."""
+    if len(words) < 2:
+        return []
+    listing = ", ".join(f"{word} (line {line})" for word, line in words[:6])
+    return [
+        Refusal(words[1][1], words[1][0].split()[0], f"{len(words)} {what}: {listing}", "post one program for each")
+    ]

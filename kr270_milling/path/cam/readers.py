@@ -1,0 +1,117 @@
+"""The readers of all tool path files, by the end of their names; and the reader of points in a CSV table."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from kr270_milling.base.errors import InputError, RecordingError
+from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_abc
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.record import UNITS
+from kr270_milling.base.table import read_table
+from kr270_milling.path.timing import TimedPath
+from kr270_milling.path.toolpath import REACH, PathBuilder, Toolpath
+
+__all__ = ["READERS", "PathReader", "find_tool_path", "read_path_file", "read_points", "read_toolpath", "reader_of"]
+
+LENGTHS, FEEDS = ("m", "mm", "um"), ("mm_per_min", "m_per_min", "mm_per_s", "m_per_s")
+UNITS_OF = dict.fromkeys("xyz", LENGTHS) | dict.fromkeys("abc", ("deg",)) | {"feed": FEEDS}
+COLUMNS = {f"{name}_{unit}": (name, UNITS[unit]) for name, units in UNITS_OF.items() for unit in units}
+EXAMPLE = "x_mm,y_mm,z_mm,feed_mm_per_min or x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min"
+
+
+def read_points(path) -> Toolpath:
+    """Read a CSV of points; a, b, c are KUKA angles of tool0 in the workpiece frame; the feed leads to its point."""
+    table = read_table(path, COLUMNS, whole=True)
+    names, scales = zip(*(COLUMNS[name] for name in table.names), strict=True)
+    if sorted(names) not in (sorted({"x", "y", "z", "feed"}), sorted(UNITS_OF)):
+        raise InputError(path, f"the header must be {EXAMPLE}", 1)
+    builder = PathBuilder(path)
+    for number, row in zip(table.lines, (table.numbers(table.names) * scales).tolist(), strict=True):
+        values = dict(zip(names, row, strict=True))
+        point = values["x"], values["y"], values["z"]
+        if not max(map(abs, point)) <= REACH:
+            raise InputError(path, f"the point lies more than {REACH:g} m away; wrong unit?", number)
+        if not 0 < values["feed"] <= REACH:
+            raise InputError(path, "zero feed" if values["feed"] == 0 else "the feed is out of range", number)
+        if "a" in values:
+            rotation = rotation_from_abc([values["a"], values["b"], values["c"]])
+            builder.quaternion = tuple(quaternion_from_rotation(rotation).tolist())
+        builder.move(point, values["feed"], len(builder) == 0, number)
+    return builder.build()
+
+
+@dataclass(frozen=True)
+class PathReader:
+    """The function that reads one kind of file; its module is imported when a file of that kind is read."""
+
+    module: str
+    function: str
+    options: tuple[str, ...] = ()  #: keywords of the function, named as the keys of ``path``
+
+    @property
+    def recorded(self) -> bool:
+        """Whether the file is a recording: one topic of several, and no program."""
+        return "topic" in self.options
+
+    def read(self, path, **options) -> Toolpath | TimedPath:
+        return getattr(importlib.import_module(self.module), self.function)(path, **options)
+
+
+GCODE = PathReader("kr270_milling.path.cam.gcode.reader", "read_gcode", ("tool", "feed"))
+APT = PathReader("kr270_milling.path.cam.apt.reader", "read_apt", ("tool", "feed"))
+POINTS = PathReader("kr270_milling.path.cam.readers", "read_points")
+RECORDING = PathReader("kr270_milling.recordings.bag.recorded_path", "read_recorded", ("topic", "feed"))
+#: the reader of each kind of file, by the end of the name
+READERS: dict[str, PathReader] = {
+    **dict.fromkeys((".nc", ".gcode", ".ngc", ".tap", ".cnc", ".mpf", ".spf", ".ncc", ".eia", ".iso", ".txt"), GCODE),
+    **dict.fromkeys((".apt", ".cl", ".cls", ".aptsource", ".ncl"), APT),
+    ".csv": POINTS,
+    ".mcap": RECORDING,
+}
+
+
+def reader_of(path) -> PathReader:
+    """Return the reader of a file by its name; raise InputError for an unknown kind."""
+    reader = READERS.get(Path(path).suffix.lower())
+    if reader is None:
+        raise InputError(path, f"is no tool path by its name; known are {', '.join(READERS)}")
+    return reader
+
+
+def find_tool_path(name: str, beside: Path = Path()) -> Path:
+    """Return a tool path file: beside another file, a shipped one, or the file in the directory of a recording.
+
+    Raises ConfigError, RecordingError.
+    """
+    if not os.path.isdir(beside / name):
+        return find_file(name, beside)
+    files = sorted(path for path in (beside / name).iterdir() if path.suffix == ".mcap")
+    if len(files) != 1:
+        raise RecordingError(beside / name, f"holds {len(files)} MCAP files where a recording has one")
+    return files[0]
+
+
+def read_path_file(path, tool: str = "", topic: str = "", feed: float = 0.0) -> Toolpath | TimedPath:
+    """Read G-code, APT/CL, a CSV of points or a recording; raise InputError with the line number, or RecordingError.
+
+    tool: "T1", of a program with several; topic: of a recording with several paths; feed [m/s]: for a file without
+    feed, 0 for none.
+    """
+    reader = reader_of(path)
+    if tool and "tool" not in reader.options:
+        kind = "recording" if reader.recorded else "CSV of points"
+        raise InputError(path, f"a {kind} has no tools, so {tool} cannot be chosen")
+    given = {"tool": tool, "topic": topic, "feed": feed}
+    return reader.read(path, **{name: given[name] for name in reader.options})
+
+
+def read_toolpath(path, tool: str = "", feed: float = 0.0) -> Toolpath:
+    """Read the tool path of a CAM program or of a CSV of points, as ``read_path_file``."""
+    toolpath = None if reader_of(path).recorded else read_path_file(path, tool, feed=feed)
+    if not isinstance(toolpath, Toolpath):
+        raise InputError(path, "is a recording, not a program")
+    return toolpath

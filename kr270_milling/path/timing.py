@@ -1,0 +1,295 @@
+"""A tool path becomes a trajectory: feed along the path with limited acceleration and jerk, knots at controller steps.
+
+Blocks that meet tangentially, or in a corner that rounds off by less than the tolerance at some fair speed, are run
+through; at all other corners the tool stops, exactly on a controller step, so that a knot is in the corner. Between
+stops the speed is as high as the feeds, the curvature (centripetal acceleration) and S-shaped ramps allow. The ramps
+bound acceleration and jerk *along* the path; across it only the acceleration is bounded. All passes over the blocks
+are linear in their number. Where a joint would run too fast or accelerate too hard, the knots come later.
+
+A ramp from v0 to v1 raises the acceleration at the jerk j, holds it at most at a, and lowers it again: it lasts
+2 sqrt(|v1 - v0| / j) while the acceleration stays below a, |v1 - v0| / a + a / j otherwise, and covers the mean speed
+times that. Every ramp starts and ends without acceleration, so ramps can be joined in any order.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.record import Record, parameter
+from kr270_milling.path.toolpath import Toolpath, ToolpathError
+from kr270_milling.path.trajectory import Trajectory, TrajectoryError
+
+__all__ = [
+    "Ramps", "TimedPath", "Timing", "joint_rates", "limit_by_joints", "peak_speeds", "ramp_time", "reachable",
+    "time_path", "vertex_speeds",
+]  # fmt: skip
+
+TANGENT = 1e-3  #: [rad] smaller turns come from rounded coordinates; at 4 m/min and 50 ms they cut 0.4 um
+FAIR = 0.2  #: share of the feed below which a corner is not worth rounding
+MOST_KNOTS = 5_000_000  # a trajectory takes some 200 bytes a knot while it is made
+
+
+@dataclass(frozen=True, eq=False)
+class Timing(Record):
+    """What the controller allows along a path."""
+
+    controller_step: float = parameter(0.05, unit="ms", low=1.0, high=1000.0, text="time between knots")
+    acceleration: float = parameter(2.0, unit="m_per_s2", above=0.0, high=50.0, text="along and across the path")
+    jerk: float = parameter(20.0, unit="m_per_s3", above=0.0, high=5000.0, text="along the path")
+    rapid_feed: float = parameter(0.2, unit="m_per_min", above=0.0, high=180.0, text="speed of G0 and RAPID moves")
+    corner_tolerance: float = parameter(1e-5, unit="um", low=0.0, high=1e4, text="how far a corner may be rounded off")
+
+    @property
+    def step_ns(self) -> int:
+        return round(self.controller_step * 1e9)
+
+
+@dataclass(frozen=True, eq=False)
+class TimedPath:
+    """A trajectory and where on its tool path each knot lies."""
+
+    toolpath: Toolpath
+    trajectory: Trajectory
+    block: np.ndarray  #: (m,), block of the tool path that each knot lies on
+    distance: np.ndarray  #: [m], (m,), along the path
+    timed_by_source: bool = False  #: it came with its times, nothing is to change them
+
+    def distance_at(self, time_ns) -> np.ndarray:
+        """Distance along the path [m] at times [ns]."""
+        k, u, step = self.trajectory.locate(time_ns)
+        u, step = u[..., 0], step[..., 0]
+        if self.trajectory.velocity is None:
+            return self.distance[k] + u * (self.distance[k + 1] - self.distance[k])
+        speed = np.linalg.norm(self.trajectory.velocity, axis=1)
+        move, v0, v1 = self.distance[k + 1] - self.distance[k], speed[k] * step, speed[k + 1] * step
+        return self.distance[k] + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
+
+    def block_at(self, time_ns) -> np.ndarray:
+        """Block of the tool path at times [ns]."""
+        return self.toolpath.block_at(self.distance_at(time_ns))
+
+
+def time_path(toolpath: Toolpath, timing: Timing) -> TimedPath:
+    """Run a tool path under the limits; the trajectory starts and ends at rest and has velocities at its knots."""
+    ramps, stops, ends = _ramps(toolpath, timing)
+    time_ns = np.arange(stops[-1] + 1, dtype=np.int64) * timing.step_ns
+    distance, speed, _ = ramps.sample(np.arange(stops[-1] + 1) * timing.controller_step)
+    distance[stops], speed[stops], speed[0] = ends, 0.0, 0.0  # without the rounding, so that a stop is known as one
+    position, tangent, quaternion = toolpath.on_path(distance)
+    position[-1] = toolpath.position[-1]
+    run = Trajectory(time_ns, position, quaternion, speed[:, None] * tangent)
+    return TimedPath(toolpath, run, toolpath.block_at(distance), distance)
+
+
+def _segments(toolpath: Toolpath, timing: Timing) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Blocks run as one: lengths [m], (m,), speed limits [m/s], (m,), and limits where they meet, (m + 1,)."""
+    bend = np.maximum(np.abs(toolpath.curvature[1:]), 1e-12)
+    feed = np.where(toolpath.rapid[1:], timing.rapid_feed, toolpath.feed[1:])
+    limit = np.minimum(feed, np.sqrt(timing.acceleration / bend))  # centripetal
+    corner = _corner_speeds(toolpath, timing, np.minimum(limit[:-1], limit[1:]))
+    joined = (limit[:-1] == limit[1:]) & (corner >= limit[1:])
+    starts = np.flatnonzero(np.concatenate([[True], ~joined]))
+    cap = np.concatenate([[0.0], corner[starts[1:] - 1], [0.0]])
+    return np.add.reduceat(toolpath.block_length[1:], starts), limit[starts], cap
+
+
+def _ramps(toolpath: Toolpath, timing: Timing) -> tuple[Ramps, np.ndarray, np.ndarray]:
+    """The phases of motion along the whole path, the knots at which the tool stops, and their distances [m]."""
+    step, bounds = timing.controller_step, (timing.acceleration, timing.jerk)
+    length, limit, cap = _segments(toolpath, timing)
+    vertex = vertex_speeds(cap, length, *bounds)
+    first, last = vertex[:-1], vertex[1:]
+    peak = peak_speeds(first, last, limit, length, *bounds)
+    up, down = ramp_time(peak - first, *bounds), ramp_time(peak - last, *bounds)
+    cruise = np.maximum(length - (first + peak) / 2 * up - (peak + last) / 2 * down, 0.0) / peak
+
+    run = np.concatenate([[0], np.cumsum(vertex[1:-1] == 0)])  # stop to stop
+    final = np.flatnonzero(last == 0)  # the segment that ends each run
+    duration = np.bincount(run, up + cruise + down)
+    steps = np.maximum(np.ceil(duration / step - 1e-9), 1)
+    if not steps.sum() <= MOST_KNOTS:
+        raise ToolpathError(f"it would last {steps.sum() * step:.3g} s; is the feed right?")
+    missing = steps * step - duration
+    softer = cruise[final] >= missing  # brake so gently that the stop falls on a step; else run a little slower
+    down[final] += np.where(softer, 2 * missing, 0.0)
+    cruise[final] -= np.where(softer, missing, 0.0)
+    slower = np.where(softer, 1.0, steps * step / duration)[run, None]
+
+    durations = np.stack([up, cruise, down], axis=1) * slower
+    speeds = np.stack([first, peak, peak, last], axis=1) / slower
+    ramps = Ramps.make(durations.ravel(), speeds[:, :3].ravel(), speeds[:, 1:].ravel(), *bounds)
+    return ramps, np.cumsum(steps.astype(np.int64)), np.cumsum(length)[final]
+
+
+def _corner_speeds(toolpath: Toolpath, timing: Timing, limit: np.ndarray) -> np.ndarray:
+    """Speed [m/s], (n-2,), at which each corner between two blocks may be run; 0: stop.
+
+    Between two knots a step h apart the trajectory rounds a turn by the angle t off by v h sin(t/2) / 4 at most, and
+    changes its velocity by 2 v sin(t/2) within the step, or within one block where blocks are shorter. A fifth of the
+    tolerance is left for the speed that the tool gains or loses within that step.
+    """
+    k = np.arange(1, len(toolpath))
+    start, end = toolpath.tangent(k, np.zeros(k.size)), toolpath.tangent(k, toolpath.plane_length[k])
+    half = np.linalg.norm(start[1:] - end[:-1], axis=1) / 2  # sin(t / 2)
+    safe = np.maximum(half, 1e-12)
+    step, length = timing.controller_step, toolpath.block_length[1:]
+    rounding = 0.8 * 4 * timing.corner_tolerance / (step * safe)
+    turning = timing.acceleration * step / (2 * safe)
+    dense = np.sqrt(timing.acceleration * (length[:-1] + length[1:]) / (4 * safe))
+    speed = np.minimum(np.minimum(rounding, turning), np.minimum(dense, limit))
+    speed = np.where(half < TANGENT / 2, limit, speed)
+    return np.where(speed >= FAIR * limit, speed, 0.0)
+
+
+def ramp_time(change, acceleration: float, jerk: float) -> np.ndarray:
+    """Shortest duration [s] of a ramp by ``change`` [m/s]."""
+    change = np.abs(change)
+    gentle = 2 * np.sqrt(change / jerk)
+    return np.where(change <= acceleration**2 / jerk, gentle, change / acceleration + acceleration / jerk)
+
+
+def reachable(speed: float, length: float, acceleration: float, jerk: float) -> float:
+    """The highest speed [m/s] that a ramp from ``speed`` reaches within ``length`` [m]; closed form."""
+    edge = acceleration**2 / jerk  # change of speed at which the acceleration just reaches its limit
+    if length <= (2 * speed + edge) * acceleration / jerk:
+        # (2 v + x^2) x = length sqrt(j) with x^2 the change of speed: the one real root of a cubic
+        p, q = 2 * speed, length * math.sqrt(jerk)
+        if p <= 1e-12 * q ** (2 / 3):
+            x = q ** (1 / 3)
+        else:
+            x = 2 * math.sqrt(p / 3) * math.sinh(math.asinh(1.5 * q / p * math.sqrt(3 / p)) / 3)
+        return speed + x * x
+    half = speed + edge / 2
+    return speed - half + math.sqrt(half**2 + 2 * acceleration * length - 2 * speed * edge)
+
+
+def vertex_speeds(cap: np.ndarray, length: np.ndarray, acceleration: float, jerk: float) -> np.ndarray:
+    """Highest speeds [m/s], (m+1,), at the ends of m segments, below ``cap`` (m+1,) and within reach of each other."""
+    speeds, lengths = cap.tolist(), length.tolist()
+    for i, distance in enumerate(lengths):
+        if speeds[i + 1] > speeds[i]:
+            speeds[i + 1] = min(speeds[i + 1], reachable(speeds[i], distance, acceleration, jerk))
+    for i in range(len(lengths) - 1, -1, -1):
+        if speeds[i] > speeds[i + 1]:
+            speeds[i] = min(speeds[i], reachable(speeds[i + 1], lengths[i], acceleration, jerk))
+    return np.array(speeds)
+
+
+def peak_speeds(first, last, cap, length, acceleration: float, jerk: float) -> np.ndarray:
+    """Highest speed [m/s], (m,), within each segment that leaves room for the ramps at both ends."""
+
+    def room(peak):
+        up, down = ramp_time(peak - first, acceleration, jerk), ramp_time(peak - last, acceleration, jerk)
+        return length - (first + peak) / 2 * up - (peak + last) / 2 * down
+
+    low, high = np.maximum(first, last), np.array(cap, float)
+    fits = room(high) >= 0
+    for _ in range(60):
+        middle = (low + high) / 2
+        good = room(middle) >= 0
+        low, high = np.where(good, middle, low), np.where(good, high, middle)
+    return np.where(fits, cap, low)
+
+
+@dataclass(frozen=True, eq=False)
+class Ramps:
+    """Phases of motion along a path, one after the other from time 0; a cruise is a ramp between equal speeds."""
+
+    duration: np.ndarray  #: [s], (p,)
+    first: np.ndarray  #: [m/s], (p,), speed at the start of the phase
+    last: np.ndarray  #: [m/s], (p,), speed at the end of each
+    edge: np.ndarray  #: (p,), share of the phase in which the acceleration rises, and again falls; 0 < edge <= 1/2
+
+    @classmethod
+    def make(cls, duration, first, last, acceleration: float, jerk: float) -> Ramps:
+        change = np.abs(np.asarray(last) - first)
+        steep = change > acceleration**2 / jerk
+        edge = np.where(steep, acceleration / jerk / np.where(steep, ramp_time(change, acceleration, jerk), 1.0), 0.5)
+        return cls(np.asarray(duration, float), np.asarray(first, float), np.asarray(last, float), edge)
+
+    @property
+    def start(self) -> np.ndarray:
+        """[s], (p + 1,)"""
+        return np.concatenate([[0.0], np.cumsum(self.duration)])
+
+    def sample(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distance [m], speed [m/s] and acceleration [m/s^2] at times [s], (m,)."""
+        start = self.start
+        travelled = np.concatenate([[0.0], np.cumsum((self.first + self.last) / 2 * self.duration)])
+        k = np.clip(np.searchsorted(start, time, side="right") - 1, 0, len(self.duration) - 1)
+        duration = np.where(self.duration[k] > 0, self.duration[k], 1.0)
+        u = np.clip((time - start[k]) / duration, 0, 1)
+        edge, change = self.edge[k], self.last[k] - self.first[k]
+        scale = 1 / (1 - edge)
+        v, rest = u, 1 - u
+        slope = scale * np.minimum(1, np.minimum(u, rest) / edge)
+        speed = np.where(u < edge, v**2 / (2 * edge), v - edge / 2) * scale
+        speed = np.where(rest < edge, 1 - scale * rest**2 / (2 * edge), speed)
+        way = np.where(u < edge, v**3 / (6 * edge), edge**2 / 6 + (v - edge) * v / 2) * scale
+        way = np.where(rest < edge, u - 0.5 + scale * rest**3 / (6 * edge), way)
+        distance = travelled[k] + duration * (self.first[k] * u + change * way)
+        return distance, self.first[k] + change * speed, change * slope / duration
+
+
+ROUNDS = 200
+
+
+def joint_rates(time, joints, at_rest: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """Joint speeds between the knots [rad/s], (n-1, 6), and accelerations at the knots [rad/s^2], (n, 6).
+
+    time [s], (n,); joints [rad], (n, 6). at_rest: the motion starts and ends at rest, else with its first and last
+    speed.
+    """
+    step = np.diff(time)[:, None]
+    speed = np.diff(joints, axis=0) / step
+    inner = 2 * np.diff(speed, axis=0) / (step[1:] + step[:-1])
+    if at_rest:  # from rest the mean speed of the first step is half of what it gains
+        first, last = 2 * speed[:1] / step[:1], -2 * speed[-1:] / step[-1:]
+    else:
+        first = last = np.zeros((1, speed.shape[1]))
+    return speed, np.concatenate([first, inner, last])
+
+
+def limit_by_joints(trajectory: Trajectory, joints, speed_limit, acceleration_limit) -> Trajectory:
+    """The same knots at later times, so that no joint exceeds its speed and acceleration; time steps only grow.
+
+    joints [rad], (n, 6), at the knots; speed_limit [rad/s] and acceleration_limit [rad/s^2], (6,). Steps are stretched
+    where the limits are exceeded, round by round; what 200 rounds leave over is taken off the whole by a uniform
+    stretch. Speeds and accelerations are those of ``joint_rates``.
+    """
+    joints = np.asarray(joints, float)
+    speed_limit, acceleration_limit = np.asarray(speed_limit, float), np.asarray(acceleration_limit, float)
+    if joints.shape[:1] != (len(trajectory),) or not np.isfinite(joints).all():
+        raise TrajectoryError("it needs finite joint positions for each of its knots")
+    if not (np.all(speed_limit > 0) and np.all(acceleration_limit > 0)):
+        raise TrajectoryError("the joint limits must be above 0")
+    velocity = trajectory.velocity
+    at_rest = velocity is not None and not velocity[0].any() and not velocity[-1].any()
+    old = np.diff(trajectory.time)
+    speed, _ = joint_rates(trajectory.time, joints, at_rest)
+    step = old * np.maximum(1, (np.abs(speed) / speed_limit).max(axis=1))
+
+    def excess() -> np.ndarray:
+        """By how much each knot exceeds its accelerations, (n,)."""
+        time = np.concatenate([[0], np.cumsum(step)])
+        return (np.abs(joint_rates(time, joints, at_rest)[1]) / acceleration_limit).max(axis=1)
+
+    for _ in range(ROUNDS):
+        over = excess()
+        if over.max() <= 1:
+            break
+        grow = np.sqrt(np.maximum(over, 1)) * np.where(over > 1, 1 + 1e-6, 1)
+        step = step * np.maximum(grow[:-1], grow[1:])
+    step = step * max(1.0, np.sqrt(excess().max()) * (1 + 1e-9))
+    ratio = step / old
+    if not (ratio > 1).any():
+        return trajectory
+    step_ns = np.maximum(np.ceil(step * 1e9 - 1e-3).astype(np.int64), np.diff(trajectory.time_ns))
+    time_ns = np.concatenate([[0], np.cumsum(step_ns)])
+    if velocity is not None:
+        at_knot = (np.concatenate([ratio[:1], ratio]) + np.concatenate([ratio, ratio[-1:]])) / 2
+        velocity = velocity / at_knot[:, None]
+    return Trajectory(time_ns, trajectory.position, trajectory.quaternion, velocity, trajectory.frame)

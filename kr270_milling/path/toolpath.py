@@ -1,0 +1,193 @@
+"""A tool path as a milling programme gives it: blocks with a feed rate, not yet with times; and what collects them."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.path.source_program import SourceProgram
+from kr270_milling.path.trajectory import TOOL_DOWN, slerp
+
+__all__ = ["REACH", "TOP", "PathBuilder", "Toolpath", "ToolpathError", "cut_features"]
+
+#: [m] no coordinate of a part in a robot cell is larger; beyond it the unit must be wrong
+REACH = 100.0
+
+
+NO_PROGRAM = SourceProgram()
+
+
+class ToolpathError(MillingError):
+    """A tool path that cannot be run; index is the first offending block, None where it is not one block."""
+
+    def __init__(self, reason: str, index: int | None = None):
+        self.reason, self.index = reason, index
+        super().__init__(f"tool path{'' if index is None else f', block {index}'}: {reason}")
+
+
+@dataclass(frozen=True, eq=False)
+class Toolpath:
+    """Block k runs from position k-1 to position k; block 0 is where the path starts. Arrays become read-only.
+
+    Arcs are chords that touch the arc at both ends, with its curvature, so that the arc is not lost.
+    """
+
+    position: np.ndarray  #: [m], (n, 3), end of each block, of the tool tip in the workpiece frame
+    feed: np.ndarray  #: [m/s], (n,), as programmed; not used where ``rapid``
+    rapid: np.ndarray  #: (n,) bool
+    line: np.ndarray  #: (n,) int64, line in the source, from 1
+    feature: np.ndarray  #: (n,) int64, index into ``features``
+    features: tuple[str, ...]  #: names of the features of the part; the first is "" for blocks of no feature
+    curvature: np.ndarray  #: [1/m], (n,), in the xy plane, positive counterclockwise seen from +z; 0: straight
+    spindle_speed: np.ndarray  #: [rad/s], (n,), clockwise, negative: counterclockwise; 0: off or not given
+    quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tool0 in the workpiece frame at the end of each block
+    program: SourceProgram = NO_PROGRAM  #: what the source says beside its moves
+
+    def __post_init__(self):
+        position = np.array(self.position, float)
+        if position.ndim != 2 or position.shape[1] != 3 or len(position) < 2:
+            raise ToolpathError("it needs a start and at least one move")
+        for name in ("position", "feed", "rapid", "line", "feature", "curvature", "spindle_speed", "quaternion"):
+            kind = {"rapid": bool, "line": np.int64, "feature": np.int64}.get(name, float)
+            values = np.array(getattr(self, name), kind)
+            shape = (len(position),) + {"position": (3,), "quaternion": (4,)}.get(name, ())
+            if values.shape != shape:
+                raise ToolpathError(f"{name} has the shape {values.shape}, but must have {shape}")
+            bad = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
+            if bad.any():
+                raise ToolpathError(f"its {name} is not finite", int(np.argmax(bad)))
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        stuck = ~(self.feed > 0) & ~self.rapid
+        if stuck[1:].any():
+            raise ToolpathError("a cutting move needs a feed above 0", int(np.argmax(stuck[1:])) + 1)
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+    @property
+    def block_length(self) -> np.ndarray:
+        """[m], (n,), along the arcs; 0 for block 0."""
+        return np.hypot(self.plane_length, np.diff(self.position[:, 2], prepend=self.position[0, 2]))
+
+    @property
+    def plane_length(self) -> np.ndarray:
+        """[m], (n,), of the projection of each block onto the xy plane."""
+        chord = np.hypot(*np.diff(self.position[:, :2], axis=0, prepend=self.position[:1, :2]).T)
+        bent = np.abs(self.curvature) > 0
+        curvature = np.where(bent, np.abs(self.curvature), 1.0)
+        return np.where(bent, 2 / curvature * np.arcsin(np.clip(curvature * chord / 2, 0, 1)), chord)
+
+    @property
+    def length(self) -> float:
+        """[m]"""
+        return float(self.block_length.sum())
+
+    def block_at(self, distance) -> np.ndarray:
+        """The block, from 1, that holds each distance [m] along the path."""
+        ends = np.cumsum(self.block_length)
+        return np.clip(np.searchsorted(ends, distance, side="right"), 1, len(self) - 1)
+
+    def tangent(self, block: np.ndarray, way: np.ndarray) -> np.ndarray:
+        """Unit tangent, (m, 3), at the distance ``way`` [m] from the start of a block, measured in the xy plane."""
+        move = self.position[block] - self.position[block - 1]
+        plane = self.plane_length[block]
+        heading = np.arctan2(move[:, 1], move[:, 0]) + self.curvature[block] * (way - plane / 2)
+        flat = np.stack([plane * np.cos(heading), plane * np.sin(heading), move[:, 2]], axis=1)
+        return flat / np.linalg.norm(flat, axis=1, keepdims=True)
+
+    def on_path(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position [m], unit tangent and quaternion at distances [m], (m,), along the path; arcs are arcs again."""
+        block, length = self.block_at(distance), self.block_length
+        share = np.clip((distance - np.cumsum(length)[block - 1]) / length[block], 0, 1)
+        plane, bend = self.plane_length[block], self.curvature[block]
+        start, move = self.position[block - 1], self.position[block] - self.position[block - 1]
+        position = start + share[:, None] * move
+        arc = bend != 0
+        heading = (np.arctan2(move[:, 1], move[:, 0]) - bend * plane / 2)[arc]
+        turned, bent = heading + (bend * share * plane)[arc], bend[arc]
+        position[arc, 0] = start[arc, 0] + (np.sin(turned) - np.sin(heading)) / bent
+        position[arc, 1] = start[arc, 1] - (np.cos(turned) - np.cos(heading)) / bent
+        quaternion = slerp(self.quaternion[block - 1], self.quaternion[block], share[:, None])
+        return position, self.tangent(block, share * plane), quaternion
+
+
+#: height of a tool that was sent home: the highest one of the program, which ``PathBuilder.build`` puts in
+TOP = math.inf
+#: more blocks than this cannot be meant (a full circle of 100 m radius within 2 um has 16,000)
+MOST_BLOCKS = 20_000_000
+MOST_FEATURES = 200  #: a part with more of them is named by something that is no feature
+#: columns of the blocks while they are collected
+COLUMNS: dict[str, int | slice] = {
+    "position": slice(0, 3), "quaternion": slice(3, 7), "feed": 7, "curvature": 8, "spindle_speed": 9, "rapid": 10,
+    "line": 11, "feature": 12,
+}  # fmt: skip
+
+
+class PathBuilder:
+    """Collects blocks; moves that go nowhere are left out, a feature without a cutting move is none."""
+
+    def __init__(self, source):
+        self.source = source
+        self.line = 1  #: that is read
+        self.features: dict[str, int] = {"": 0}
+        self.feature = 0  #: that the moves make
+        self.spindle_speed = 0.0  #: [rad/s]
+        self.quaternion = TOOL_DOWN
+        self.last: tuple[float, float, float] | None = None  #: where the last move went
+        self._last_quaternion = TOOL_DOWN
+        self._blocks = array("d")
+
+    def __len__(self) -> int:
+        return len(self._blocks) // 13
+
+    def name_feature(self, name: str) -> None:
+        """The moves that follow make this feature."""
+        self.feature = self.features.setdefault(name, len(self.features))
+
+    def move(self, position: tuple[float, float, float], feed: float, rapid: bool, line: int, curvature=0.0) -> None:
+        """Append one block; position [m], feed [m/s], curvature [1/m]."""
+        self.line = line
+        if position == self.last:
+            if self.quaternion != self._last_quaternion:
+                raise InputError(self.source, "the tool turns without moving; that has no feed", line)
+            return
+        if len(self) >= MOST_BLOCKS:
+            raise InputError(self.source, f"the path has more than {MOST_BLOCKS} blocks", line)
+        self.last, self._last_quaternion = position, self.quaternion
+        numbers = (feed, curvature, self.spindle_speed, rapid, line, self.feature)
+        self._blocks.extend((*position, *self.quaternion, *numbers))
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The blocks so far, by the names of the fields of a Toolpath."""
+        blocks = np.frombuffer(self._blocks).reshape(-1, 13)
+        return {name: blocks[:, column] for name, column in COLUMNS.items()}
+
+    def build(self, program: SourceProgram = NO_PROGRAM) -> Toolpath:
+        """The path; raises InputError where it never moves."""
+        columns = self.columns()
+        position, away = columns["position"], np.isinf(columns["position"][:, 2])
+        if away.any():
+            position = position.copy()
+            position[away, 2] = 0.0 if away.all() else position[~away, 2].max()
+            moves = np.append(True, np.any(np.diff(position, axis=0) != 0, axis=1))
+            columns = {name: values[moves] for name, values in (columns | {"position": position}).items()}
+        line, feature = columns["line"], columns["feature"].astype(np.int64)
+        if len(line) < 2:
+            raise InputError(self.source, "the path never moves", int(line[0]) if len(line) else self.line)
+        cut = cut_features(columns)
+        index = np.zeros(len(self.features), np.int64)
+        index[cut] = np.arange(1, len(cut) + 1)
+        names = list(self.features)
+        columns["feature"] = index[feature]
+        return Toolpath(**columns, features=("", *(names[k] for k in cut)), program=program)
+
+
+def cut_features(columns: dict[str, np.ndarray]) -> list[int]:
+    """Numbers of the features with cutting moves, without the unnamed one, in the order of the program."""
+    numbers = np.unique(columns["feature"][columns["rapid"] == 0]).astype(int).tolist()
+    return [k for k in numbers if k][:MOST_FEATURES]

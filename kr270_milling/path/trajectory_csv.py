@@ -1,0 +1,76 @@
+"""Trajectories as CSV files: one knot per row, in mm, mm/s and degrees as all our tables."""
+
+from __future__ import annotations
+
+import itertools
+from decimal import Decimal
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import write_files
+from kr270_milling.base.table import Table, read_table
+from kr270_milling.base.units import seconds
+from kr270_milling.path.trajectory import Trajectory, TrajectoryError
+
+__all__ = ["write_csv", "read_csv"]
+
+KNOT = ("time_s", "x_mm", "y_mm", "z_mm", "qx", "qy", "qz", "qw")
+VELOCITY = ("vx_mm_per_s", "vy_mm_per_s", "vz_mm_per_s")
+LATEST = 9e9  #: [s], what nanoseconds in 64 bits hold
+JOINTS = ("a1_deg", "a2_deg", "a3_deg", "a4_deg", "a5_deg", "a6_deg")
+
+
+def write_csv(path, trajectory: Trajectory, joints=None) -> None:
+    """Write the knots, their velocities if there are any, and joint angles [rad], (n, 6), if given.
+
+    Every number but the angles is read back to the last bit.
+    """
+    header, columns = list(KNOT), [_in_mm(trajectory.position), _texts(trajectory.quaternion)]
+    if trajectory.velocity is not None:
+        header += VELOCITY
+        columns.append(_in_mm(trajectory.velocity))
+    if joints is not None:
+        header += JOINTS
+        columns.append(_texts(np.degrees(np.asarray(joints, float)).reshape(len(trajectory), 6)))
+    rows = (itertools.chain.from_iterable(parts) for parts in zip(*columns, strict=True))
+    times = map(seconds, trajectory.time_ns.tolist())
+    lines = (f"{time},{','.join(row)}\n" for time, row in zip(times, rows, strict=True))
+    write_files({path: (line for part in ([",".join(header) + "\n"], lines) for line in part)})
+
+
+def _texts(values: np.ndarray) -> list[list[str]]:
+    return [list(map(repr, row)) for row in values.tolist()]
+
+
+def _in_mm(values: np.ndarray) -> list[list[str]]:
+    """Metres as texts in mm: the decimal point is moved, so that no bit is lost."""
+    return [[str(Decimal(repr(v)).scaleb(3)) for v in row] for row in values.tolist()]
+
+
+def read_csv(path, frame: str = "workpiece") -> tuple[Trajectory, np.ndarray | None]:
+    """Read what ``write_csv`` wrote: the trajectory and the joint angles [rad], (n, 6), or None."""
+    table = read_table(path, KNOT + VELOCITY + JOINTS, KNOT, whole=True)
+    rows = table.numbers(table.names)
+    column = {name: _in_m(table, name) if "_mm" in name else rows[:, k] for k, name in enumerate(table.names)}
+    several = {part[0]: [name in column for name in part] for part in (VELOCITY, JOINTS)}
+    if any(any(there) != all(there) for there in several.values()):
+        raise InputError(path, f"the header must be {','.join(KNOT)}, then velocities and joint angles if any", 1)
+    table.refuse(np.abs(column["time_s"]) > LATEST, "a time is too large")
+
+    def columns(names) -> np.ndarray:
+        return np.stack([column[name] for name in names], -1)
+
+    time_ns = np.rint(column["time_s"] * 1e9).astype(np.int64)
+    joints = columns(JOINTS) if JOINTS[0] in column else None
+    velocity = columns(VELOCITY) if VELOCITY[0] in column else None
+    try:
+        run = Trajectory(time_ns, columns(KNOT[1:4]), columns(KNOT[4:]), velocity, frame)
+    except TrajectoryError as error:
+        raise InputError(path, error.reason, None if error.index is None else table.lines[error.index]) from None
+    return run, None if joints is None else np.radians(joints)
+
+
+def _in_m(table: Table, name: str) -> np.ndarray:
+    """A column in mm or mm/s as m or m/s, without losing a bit."""
+    return np.array([float(Decimal(text).scaleb(-3)) for text in table.texts(name)])

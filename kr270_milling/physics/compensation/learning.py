@@ -1,0 +1,213 @@
+"""The methods ``inverse`` and ``learned``: passes, the arm that explains the passes, and the correction that follows.
+
+A pass is explained by deviation = displacement under wrench and inertia + response to the correction + rest. The next
+correction removes the modelled deviation of a tool that runs on its path. It also removes the share
+g = max(0, 1 - noise^2 / rest^2) of the rest, averaged over the passes and, if noisy, over the distance of two knots:
+nothing of a rest below the stated noise of the measurement, all of a rest without noise.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import functools
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.arm_fit import Evidence, Identified, fit_arm
+from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted
+from kr270_milling.physics.compensation.models import CellModels
+from kr270_milling.physics.compensation.response import ArmResponse, Segments, cubic_coefficients
+from kr270_milling.physics.compensation.revision import KnotsError, PassRecord, RevisionError, resting_segments
+
+__all__ = ["Learner"]
+
+UNSCORED = 0.05  #: weight of deviations before full engagement and in the air
+FREE = 0.3  #: their weight in the fit of the arm: a tool without load separates a constant offset from the compliance
+ALONG = 0.1  #: weight of deviations along the feed, which change the time and not the part
+SMOOTHNESS = 1e-5  #: weight of the roughness without noise: prevents neighbouring knots from cancelling each other
+ROUGH = 3e-6  #: [m], assumed: size of the differences of a correction against loads; noise beyond it is smoothed
+MISFIT = 0.05  #: error of the deviation on the path that a pass gives, as a share of the deviation of the pass
+
+
+class Learner:
+    """The passes along corrections of one target, the arm that explains them, and the next correction.
+
+    criterion: "min_max" or "least_squares"; models: the predicted pass and the modelled cut are used where they exist.
+    """
+
+    def __init__(
+        self,
+        target: Trajectory,
+        arm: ArmResponse,
+        conditions: KnotConditions,
+        criterion: str,
+        models: CellModels,
+    ):
+        self.target = target
+        self.model = arm
+        self.arm = arm  #: as the passes show it
+        self.conditions = conditions
+        self.criterion = criterion
+        self._predict = models.predict
+        self._cut = models.cut and functools.partial(models.cut, target)
+        self._ideal: np.ndarray | None = None  # wrench of the model's cut on the path itself
+        self.segments = Segments.of(target.time_ns)
+        self.path = cubic_coefficients(target.time_ns, target.position, target.velocity)
+        self.identified: Identified | None = None
+        self.passes: tuple[Evidence, ...] = ()
+        #: deviation on the path without a correction [m], (m, parts, 3)
+        self.expected = np.zeros((len(self.segments), self.segments.parts, 3))
+        self._noise = 0.0  # [m], of the deviation of a part
+        self._rough = 0.0  # [m], of it in ``expected``
+
+    @classmethod
+    def of_model(cls, target: Trajectory, models: CellModels, criterion: str, smooth: bool) -> Learner:
+        """Return a learner without passes, which knows the model alone."""
+        conditions = KnotConditions(smooth, target.standing, resting_segments(target))
+        arm = models.arm(target) if models.arm else ArmResponse.rigid(len(target) - 1)
+        return cls(target, arm, conditions, criterion, models)
+
+    def cubic(self, reference: Trajectory) -> np.ndarray:
+        """Cubics of reference minus target, (m, 4, 3); raises KnotsError where their knots differ in time."""
+        if not np.array_equal(reference.time_ns, self.target.time_ns):
+            raise KnotsError(reference, self.target)
+        return cubic_coefficients(reference.time_ns, reference.position, reference.velocity) - self.path
+
+    def with_pass(self, ran: PassRecord, reference: Trajectory) -> Learner:
+        """Return a learner that has also learned from a pass along ``reference``."""
+        learner = copy.copy(self)
+        learner.learn(ran, reference)
+        return learner
+
+    def learn(self, ran: PassRecord, reference: Trajectory) -> None:
+        """Take a pass along ``reference`` into account."""
+        segments, time_ns = self.segments, ran.time_ns
+        deviation = segments.middle(time_ns, ran.position - self.target.sample(time_ns))
+        last = self._evidence(ran, self.cubic(reference), deviation)
+        self.scored = self._scored(ran)
+        self._noise = ran.noise / np.sqrt(max(1.0, time_ns.size / self.scored.size))
+        weight = np.where(self.scored, 1.0, FREE)
+        passes = (*self.passes, last)
+        self.arm, self.identified = fit_arm(
+            self.model, segments, self.path, self.path[0, 1], passes, weight, self._noise
+        )
+        if last.wrench is not None and last.on_path is None:
+            last = dataclasses.replace(last, on_path=self._on_path(last, last.wrench))
+        self.passes = (*self.passes, last)
+        self.expected = self._expected()
+
+    def expect(self) -> Learner:
+        """Without any pass: expect the modelled arm under the wrench of the modelled cut on the path itself."""
+        if self._cut is None:
+            raise RevisionError("without a pass the wrench must come from the model's cut")
+        ran = self._cut(self.segments.middle_ns.ravel(), np.zeros((self.segments.middle_ns.size, 3)))
+        self._ideal, self.scored = self._wrench(ran), self._scored(ran)
+        self.expected = self.arm.swing(self.segments, self.path, self.path[0, 1])
+        if self._ideal is not None:
+            self.expected = self.expected + self.arm.deflect(self.segments, self._ideal)
+        return self
+
+    def _scored(self, ran: PassRecord) -> np.ndarray:
+        """(m, parts) bool: parts in which a sample is scored, and those before them."""
+        scored = self.segments.mean(ran.time_ns, ran.scored[:, None].astype(float)).ravel() > 0.0
+        scored[:-1] |= scored[1:]  # up to the edge of the first part
+        return scored.reshape(len(self.segments), self.segments.parts)
+
+    def _evidence(self, ran: PassRecord, cubic: np.ndarray, deviation: np.ndarray) -> Evidence:
+        """Where nothing measured the wrench it is that of the first pass, and that of the model's own pass."""
+        wrench = self._wrench(ran)
+        if wrench is None and self.passes:
+            return dataclasses.replace(self.passes[0], cubic=cubic, deviation=deviation)
+        if wrench is None and self._predict is not None:
+            wrench = self._wrench(self._predict(self.target))
+        return Evidence(cubic, deviation, wrench)
+
+    def _wrench(self, ran: PassRecord) -> np.ndarray | None:
+        """In each part, (m, parts, 6); None where it is not known."""
+        if ran.wrench is None or not ran.wrench.any():
+            return None
+        middle = np.concatenate([ran.time_ns[:1], (ran.time_ns[1:] + ran.time_ns[:-1]) // 2])
+        return self.segments.mean(middle, ran.wrench)  # each is the mean of the period that ends at its stamp
+
+    def _expected(self) -> np.ndarray:
+        """Deviation [m], (m, parts, 3), of a tool that runs on its path without a correction of the reference."""
+        segments, last = self.segments, self.passes[-1]
+        ideal = self.arm.swing(segments, self.path, self.path[0, 1])
+        if last.on_path is not None:
+            ideal = ideal + self.arm.deflect(segments, last.on_path)
+        rests, shares = [], []
+        for ran in self.passes:
+            size = np.sqrt(np.mean(ran.deviation[self.scored] ** 2)) if self.scored.any() else 0.0
+            rests.append(ran.deviation - self._modelled(ran))
+            shares.append(1.0 / (self._noise**2 + (MISFIT * size) ** 2 + 1e-24))
+        shares = np.array(shares) / np.sum(shares)
+        rest = np.einsum("n,nkpi->kpi", shares, np.array(rests))
+        noise = self._noise**2 * np.sum(shares**2)
+        if noise:  # the mean over a knot's distance, of which a correction can make use
+            width = segments.parts
+            rest = uniform_filter1d(rest.reshape(-1, 3), width, axis=0, mode="nearest").reshape(rest.shape)
+            noise /= width
+        power = np.mean(rest[self.scored] ** 2) if self.scored.any() else 0.0
+        share = max(0.0, 1.0 - noise / max(power, 1e-300))
+        self._rough = share * np.sqrt(noise)
+        return ideal + share * rest
+
+    def _on_path(self, ran: Evidence, wrench: np.ndarray) -> np.ndarray:
+        """w + k (w_c(path) - w_c(path + deviation)): the wrench of a pass, had its tool not deviated.
+
+        w_c is the wrench of the model's cut, k the factor that explains w with w_c along the strayed path. A tool that
+        drifts across the feed turns its chips, one that sinks cuts with its whole end: both damp what the arm does.
+        """
+        if self._cut is None:
+            return wrench
+        time_ns = self.segments.middle_ns.ravel()
+        deviated = self._wrench(self._cut(time_ns, self._modelled(ran).reshape(-1, 3)))
+        if self._ideal is None:
+            self._ideal = self._wrench(self._cut(time_ns, np.zeros((time_ns.size, 3))))
+        if deviated is None or self._ideal is None:
+            return wrench
+        factor = max(0.0, np.sum(wrench[..., :3] * deviated[..., :3]) / np.sum(deviated[..., :3] ** 2))
+        return wrench + factor * (self._ideal - deviated)
+
+    def _modelled(self, ran: Evidence) -> np.ndarray:
+        """Deviation [m], (m, parts, 3), that the arm explains: under the wrench, its inertia and the correction."""
+        arm, segments = self.arm, self.segments
+        moved = arm.swing(segments, self.path, self.path[0, 1]) + arm.follow(segments, ran.cubic)
+        return moved if ran.wrench is None else moved + arm.deflect(segments, ran.wrench)
+
+    def correction(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Values [m] and, of a smooth correction, rates [m/s] at the knots, (k, 3) each."""
+        lifted, base = Lifted(self.arm, self.segments, self.conditions), self.expected
+        if not self.conditions.smooth:  # straight lines deviate from a curved path without any load
+            chords = cubic_coefficients(self.target.time_ns, self.target.position, None) - self.path
+            base = base + self.arm.follow(self.segments, chords)
+        smoothness = SMOOTHNESS + (self._rough / ROUGH) ** 2
+        if self.criterion == "min_max" and not self._rough:
+            solution = lifted.min_max(base, self._weight(), smoothness, self.scored)
+        else:
+            solution = lifted.least_squares(base, self._weight(), smoothness)
+        values, rates = solution.knots(self.segments)
+        rates[self.conditions.resting] = 0.0  # removes the rounding
+        return values, rates if self.conditions.smooth else None
+
+    def _weight(self) -> np.ndarray:
+        """(m, parts, 3, 3): across the feed one, along it less, where nothing is scored little."""
+        feed = self.target.sample_velocity(self.segments.middle_ns)
+        speed = np.linalg.norm(feed, axis=-1, keepdims=True)
+        along = np.where(speed > 0.01 * speed.max(), feed / np.maximum(speed, 1e-300), 0.0)
+        metric = np.eye(3) - (1.0 - ALONG**2) * along[..., None] * along[..., None, :]
+        return np.where(self.scored, 1.0, UNSCORED**2)[..., None, None] * metric
+
+    def inertia(self, time: float) -> float:
+        """[m], size of the tool's displacement by the acceleration of the programmed path at a time [s]."""
+        swing = self.arm.swing(self.segments, self.path, self.path[0, 1]).reshape(-1, 3)
+        return float(np.linalg.norm(swing[self.segments.part_of(np.array([round(time * 1e9)]))[0]]))
+
+    def predicted(self, reference: Trajectory) -> float:
+        """Largest deviation across the feed [m] that the model expects along ``reference`` where it is scored."""
+        left = self.expected + self.arm.follow(self.segments, self.cubic(reference))
+        size = np.einsum("kpi,kpij,kpj->kp", left, self._weight(), left)[self.scored]
+        return float(np.sqrt(size.max(initial=0.0)))

@@ -1,0 +1,28 @@
+"""The models of arm and cut that a compensation method may use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.response import ArmResponse
+from kr270_milling.physics.compensation.revision import PassRecord
+
+__all__ = ["CellModels"]
+
+
+@dataclass(frozen=True, eq=False)
+class CellModels:
+    """Functions of one cell; None: not available."""
+
+    #: target, mean wrenches (k, 6) [N, N m] at its knots -> points that the load moves onto the target, (30)-(32)
+    mirror: Callable[[Trajectory, np.ndarray], Trajectory] | None = None
+    #: target -> the response of the arm along the target; None: the tool follows the reference at once
+    arm: Callable[[Trajectory], ArmResponse] | None = None
+    #: reference -> the pass that the model predicts
+    predict: Callable[[Trajectory], PassRecord] | None = None
+    #: target, times (k,) [ns], shifts (k, 3) [m] of the tool from the target -> wrenches of the modelled cut
+    cut: Callable[[Trajectory, np.ndarray, np.ndarray], PassRecord] | None = None

@@ -1,0 +1,205 @@
+"""One workpiece under one tool: poses in, wrenches out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.physics.cutting.cut_step import cut_along, cut_step, cut_undo
+from kr270_milling.physics.cutting.engagement import (
+    EngagementParams,
+    EngagementState,
+    make_engagement_params,
+    make_engagement_state,
+)
+from kr270_milling.physics.cutting.grid import TILE, GridError, Stock, levels_in_window
+from kr270_milling.physics.cutting.lanes import LANES
+from kr270_milling.physics.cutting.laws import Cutting
+from kr270_milling.physics.cutting.state import (
+    FAILED,
+    LEVEL_SUM,
+    NODES_CUT,
+    TILES,
+    Params,
+    State,
+    log_size,
+    make_log,
+    make_params,
+    make_state,
+)
+from kr270_milling.physics.cutting.sweep import NO_FORCES
+from kr270_milling.physics.cutting.tool import Tool
+
+__all__ = ["Cut", "CutModel", "EngagementCut", "SweepError", "UndoError"]
+
+MOST_NODES = 400  #: of a map along the longer side of the stock
+
+
+class UndoError(MillingError):
+    """The last sweep cannot be taken back."""
+
+    def __init__(self, size: int):
+        self.size = size
+        super().__init__(f"the last sweep cleared more nodes than the {size} that can be taken back")
+
+
+class SweepError(MillingError):
+    """A sweep that makes no sense."""
+
+    def __init__(self, pose_from, pose_to, first: int, n: int):
+        self.pose_from, self.pose_to, self.first, self.n = pose_from, pose_to, first, n
+        super().__init__(
+            f"a sweep from {pose_from} to {pose_to} in {n} micro-steps from number {first} must have positions of "
+            "three finite numbers, at least one micro-step, no negative number, and room for each force if wanted"
+        )
+
+
+class CutModel:
+    """The cutting process: one interface for both models. Compiled loops hand ``params`` and ``state`` to ``cut_step``.
+
+    tool, cutting, stock: records of the parameter file; the grid of ``stock`` is that of the model.
+    """
+
+    params: Params | EngagementParams
+    state: State | EngagementState
+
+    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock):
+        self.tool, self.cutting, self.stock = tool, cutting, stock
+        self.torque = 0.0  #: mean spindle torque of the last sweep [N m]
+
+    def sweep(self, pose_from, pose_to, first: int, n: int, forces: np.ndarray = NO_FORCES) -> np.ndarray:
+        """Move the tool tip straight from one position (3,) [m] to another in n micro-steps, workpiece frame.
+
+        first: number of the first micro-step, counted from the pass's start; forces: (n, 3), filled if given [N].
+        Returns the mean wrench (6,) on the tool, moments about its tip [N, N m]. Raises SweepError, GridError.
+        """
+        start, end = np.array(pose_from, float), np.array(pose_to, float)
+        sound = start.shape == end.shape == (3,) and all(map(math.isfinite, start.tolist() + end.tolist()))
+        if not sound or first < 0 or n < 1 or forces.shape not in ((n, 3), (0, 3)):
+            raise SweepError(pose_from, pose_to, first, n)
+        self._make_room(n, math.dist(start.tolist(), end.tolist()))
+        wrench = np.empty(6)
+        self.torque = cut_step(self.state, self.params, start, end, int(first), int(n), forces, wrench)
+        if self.state.ints[FAILED]:
+            raise GridError(self.state.pool.size // TILE**2)
+        return wrench
+
+    def along(self, positions: np.ndarray, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Move the tool tip through positions (n, 3) [m], reached at micro-steps (n,) from the pass's start.
+
+        Returns the mean wrench (n, 6) [N, N m], the mean spindle torque (n,) [N m] and the volume removed (n,) [m^3] on
+        the way to each position; 0 for the first. Raises GridError.
+        """
+        positions, steps = np.ascontiguousarray(positions, float), np.ascontiguousarray(steps, np.int64)
+        wrench, torque, volume = np.zeros((len(positions), 6)), np.zeros(len(positions)), np.zeros(len(positions))
+        cut_along(self.state, self.params, positions, steps, NO_FORCES, wrench, torque, volume)
+        if self.state.ints[FAILED]:
+            raise GridError(self.state.pool.size // TILE**2)
+        return wrench, torque, volume
+
+    def _make_room(self, n: int, distance: float) -> None:
+        """Have an undo log for n micro-steps over a distance [m]."""
+
+    def touch(self, most: int = 1 << 26) -> None:
+        """Have the memory of the stock, up to so many bytes, so that no sweep waits for the system to clear a page."""
+        used = self.state.ints[TILES] * TILE**2
+        self.state.pool[used : most // self.state.pool.itemsize].fill(0)
+
+    def restore(self) -> None:
+        """Take the last sweep back, once. Raises UndoError."""
+        if not cut_undo(self.state):
+            raise UndoError(self.undo_size)
+
+    @property
+    def undo_size(self) -> int:
+        """Nodes that ``restore`` can put back."""
+        return self.state.log_level.size
+
+    @property
+    def removed_area(self) -> float:
+        """Area that was cut into so far, at whatever depth [m^2]."""
+        return int(self.state.ints[NODES_CUT]) * self.params.spacing**2
+
+    @property
+    def removed_volume(self) -> float:
+        """[m^3]."""
+        return float(self.state.floats[LEVEL_SUM]) * self.params.spacing**2
+
+    @property
+    def tiles(self) -> int:
+        """Tiles of the grid in use."""
+        return int(self.state.ints[TILES])
+
+    def heights(self, low=None, high=None, thinning: int = 1) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Nodes' x (m,) and y (k,) and the part's surface z (m, k) [m], workpiece frame.
+
+        low, high: corners (2,) of a window, default the whole stock; thinning: take one node in so many each way.
+        """
+        axes = []
+        for axis, count in enumerate(self.stock.nodes):
+            places = (np.arange(count) + 0.5) * self.stock.grid_step + self.stock.min[axis]
+            first = 0 if low is None else np.searchsorted(places, low[axis])
+            last = count if high is None else np.searchsorted(places, high[axis], side="right")
+            numbers = np.arange(first, last)[min(thinning, last - first) // 2 :: thinning]  # one at least
+            axes.append((numbers, places[numbers]))
+        (ix, x), (iy, y) = axes
+        levels = levels_in_window(self.state.pool, self.state.table, ix, iy)
+        return x, y, self.stock.max[2] - levels * self.params.level_step
+
+    @property
+    def map_thinning(self) -> int:
+        """One node in so many each way is in ``map_heights``."""
+        return max(1, round(max(self.stock.nodes) / MOST_NODES))
+
+    def map_heights(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """``heights`` of the whole stock, thinned to some 400 nodes along its longer side."""
+        return self.heights(thinning=self.map_thinning)
+
+
+class Cut(CutModel):
+    """The sweep of the teeth: each tooth in each micro-step of the spindle angle.
+
+    micro_step: of the spindle angle [rad], a whole part of a revolution; log_size: nodes that restore() can put back,
+    default: enough for any sweep of up to a revolution.
+    """
+
+    params: Params
+    state: State
+
+    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, log_size: int | None = None):
+        super().__init__(tool, cutting, stock)
+        self.params = make_params(tool, cutting, stock, micro_step)
+        self.state = make_state(self.params, stock, log_size or 1 << 22)
+        self._log_grows = log_size is None
+        self._room = (0, 0.0)  # micro-steps and distance [m] of a sweep that the log has room for
+
+    def _make_room(self, n: int, distance: float) -> None:
+        """Have an undo log for n micro-steps over twice the distance [m], so that this is seldom needed."""
+        if not self._log_grows or n > self.params.steps:
+            return
+        if n > self._room[0] or distance > self._room[1]:
+            self._room = max(n, self._room[0]), max(2.0 * distance, self._room[1])
+            size = log_size(self.params, *self._room)
+            if size > self.undo_size:
+                self.state = self.state._replace(**make_log(size))
+
+    @property
+    def undo_size(self) -> int:
+        return self.state.log_level.size - LANES  # the vector step writes that far beyond the last node
+
+
+class EngagementCut(CutModel):
+    """The mean force of the engagement, for steps of some milliseconds: ``engagement`` has the equations.
+
+    stock: with the coarse grid of this model; micro_step [rad]: the unit in which a step counts spindle angle.
+    """
+
+    params: EngagementParams
+    state: EngagementState
+
+    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float):
+        super().__init__(tool, cutting, stock)
+        self.params = make_engagement_params(tool, cutting, stock, micro_step)
+        self.state = make_engagement_state(self.params, stock)

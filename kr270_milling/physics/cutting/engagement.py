@@ -1,0 +1,385 @@
+"""The mean force of the engagement: the removed volume by its angle about the tool, and the mean force of each angle.
+
+This is the second cutting model behind the interface of ``Cut``. The sweep of the teeth resolves each tooth; this model
+resolves steps of some milliseconds, in which many teeth pass, on a height map with a coarse step.
+
+A step moves the tool tip by d, with m = |d_xy|. Angles phi are counted about the tool axis from the direction of d.
+The new footprint removes a crescent; seen from the middle between both centres the thickness of the crescent is
+m cos(phi). Bin k of the front half covers dphi:
+
+    h_k = m C_k / dphi / (passes of a tooth),  C_k = int_k cos(phi) dphi          mean chip thickness
+    a_k = dV_k / A_k,  f_k = A_k / (R m C_k)                                      depth, share of the bin that cuts
+    F = N / (2 pi) sum_k [F_t(h_k) t_k - F_r(h_k) r_k - F_a(h_k) z] a_k f_k dphi  mean force on the tool
+
+dV_k and A_k are the volume and the area that the bin removes from the map. h_k is free of the noise of the map, and
+dV_k conserves the volume, so the mean force over a length of path has no bias from the step of the map.
+The formula equals the mean of (29) over a revolution [Altintas2012, section 2.8] where the engagement is constant.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from kr270_milling.physics.cutting.compiled import compiled, inlined
+from kr270_milling.physics.cutting.force_law import call_law
+from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count
+from kr270_milling.physics.cutting.laws import Cutting
+from kr270_milling.physics.cutting.state import FAILED, FLOATS, INTS, LEVEL_SUM, LOGGED, NODES_CUT, TILES
+from kr270_milling.physics.cutting.tool import Tool
+
+__all__ = [
+    "EngagementParams",
+    "EngagementState",
+    "engage",
+    "make_engagement_params",
+    "make_engagement_state",
+    "undo_engagement",
+]
+
+BINS = 72  #: K, of a whole turn
+SINES = 4096  #: entries of the table from the place across the feed to the front bin
+FRONT = BINS // 2  # bins that can cut: those ahead of the tool axis
+END_NODES = 0.4  # nodes across the feed in the outermost bins
+LONGEST = 0.25  # of the radius: a longer move is divided
+FLOOR_LEVEL = 5  # place in ints: the whole footprint is cut at least to this level (-1: not known)
+
+
+class EngagementParams(NamedTuple):
+    """Constants of a cut; lengths in metres."""
+
+    radius: float
+    teeth: int
+    sense: float
+    micro_step: float  # [rad]
+    spacing: float  # of nodes
+    origin_x: float  # of node 0
+    origin_y: float
+    nx: int
+    ny: int
+    top: float
+    thickness: float
+    level_step: float
+    tolerance: int  # levels that the tool may sink before its whole footprint is cut again
+    law: int  # address of the compiled force law, see ``force_law.call_law``
+    coefficients: np.ndarray  # of the law [SI], (p,)
+    end_factor: float  # axial force of end cutting over that of the law
+    moments: bool  # whether forces turn the tool about its tip
+    front: np.ndarray  # int16, (SINES + 1,): front bin by (1 + sin(phi)) / 2 in steps of 1 / SINES
+    around: (
+        np.ndarray
+    )  # int16, (2 reach + 1, 2 reach + 1): bin of a whole turn by the place beside the tool axis [nodes]
+    reach: int  # nodes
+    shift: (
+        np.ndarray
+    )  # (64, 64): place of a node within its cell across the feed [nodes], by the last bits of its numbers
+    widths: np.ndarray  # (FRONT,): of the front bins [rad]
+    cosines: np.ndarray  # (FRONT,): C_k
+    directions: np.ndarray  # (FRONT, 2): cos and sin of the middle of each front bin
+
+
+class EngagementState(NamedTuple):
+    """The height map and the last step. Names and layout of the map are those of ``state.State``."""
+
+    pool: np.ndarray  # uint16, (tiles * TILE * TILE,)
+    table: np.ndarray  # int32, tile -> place in the pool or -1
+    ints: np.ndarray  # int64, (INTS,)
+    floats: np.ndarray  # (FLOATS,)
+    last: np.ndarray  # (3,): tool tip at the end of the last step [m]; NaN: none
+    saved_ints: np.ndarray  # as they were before the last step
+    saved_floats: np.ndarray
+    saved_last: np.ndarray
+    log_place: np.ndarray  # int64: nodes that the last step lowered
+    log_level: np.ndarray  # uint16: their levels before
+    area: np.ndarray  # (FRONT,): nodes removed ahead in the present step, by bin
+    volume: np.ndarray  # (FRONT,): levels removed ahead, by bin
+    sunk_area: np.ndarray  # (BINS,): nodes lowered below the former footprint, by bin
+    sunk_volume: np.ndarray  # (BINS,)
+
+
+def make_engagement_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -> EngagementParams:
+    """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle."""
+    nx, ny = stock.nodes
+    radius = float(tool.radii.max())
+    reach = int((1.0 + 0.5 * LONGEST) * radius / stock.grid_step) + 3
+    offset = np.arange(-reach, reach + 1)
+    angle = np.arctan2(offset[None, :], offset[:, None])  # [x, y]
+    # every row of nodes along the feed meets each bin: the outermost bins are at least a node wide across the feed
+    last = max(2.0 * np.pi / BINS, math.acos(max(0.0, 1.0 - END_NODES * stock.grid_step / radius)))
+    inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, FRONT - 1)
+    edges = np.concatenate([[-0.5 * np.pi], inner, [0.5 * np.pi]])
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    return EngagementParams(
+        radius=radius,
+        teeth=tool.teeth,
+        sense=tool.sense,
+        micro_step=micro_step,
+        spacing=stock.grid_step,
+        origin_x=float(stock.min[0]) + 0.5 * stock.grid_step,
+        origin_y=float(stock.min[1]) + 0.5 * stock.grid_step,
+        nx=nx,
+        ny=ny,
+        top=float(stock.max[2]),
+        thickness=stock.thickness,
+        level_step=stock.level_step,
+        tolerance=int(stock.floor_tolerance / stock.level_step),
+        law=cutting.active.address(),
+        coefficients=cutting.coefficients,
+        end_factor=1.0,
+        moments=cutting.moments,
+        front=np.clip(np.searchsorted(np.sin(edges), np.linspace(-1.0, 1.0, SINES + 1)) - 1, 0, FRONT - 1).astype(
+            np.int16
+        ),
+        around=np.clip(np.floor((angle / (2 * np.pi) + 0.5) * BINS), 0, BINS - 1).astype(np.int16),
+        reach=reach,
+        shift=np.random.default_rng(0).uniform(-0.5, 0.5, (64, 64)),
+        widths=np.diff(edges),
+        cosines=np.diff(np.sin(edges)),
+        directions=np.stack([np.cos(middles), np.sin(middles)], -1),
+    )
+
+
+def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementState:
+    """An untouched stock."""
+    tiles = tile_count(stock)
+    footprint = (2 * params.reach + 3) ** 2
+    ints = np.zeros(INTS, np.int64)
+    ints[FLOOR_LEVEL] = -1
+    return EngagementState(
+        pool=np.zeros(min(tiles[0] * tiles[1], MAX_TILES) * TILE**2, np.uint16),
+        table=np.full(tiles, -1, np.int32),
+        ints=ints,
+        floats=np.zeros(FLOATS),
+        last=np.full(3, math.nan),
+        saved_ints=ints.copy(),
+        saved_floats=np.zeros(FLOATS),
+        saved_last=np.full(3, math.nan),
+        log_place=np.empty(8 * footprint, np.int64),
+        log_level=np.empty(8 * footprint, np.uint16),
+        area=np.zeros(FRONT),
+        volume=np.zeros(FRONT),
+        sunk_area=np.zeros(BINS),
+        sunk_volume=np.zeros(BINS),
+    )
+
+
+@compiled
+def engage(s, p, pose_from, pose_to, n, wrench):
+    """Move the tool tip straight from one position to another while the spindle turns by n micro-steps.
+
+    s: state, changed; p: params; positions (3,) [m], workpiece frame; wrench: (6,), filled with the mean force and
+    moment about the tip on the tool [N, N m]. Returns the mean spindle torque [N m].
+    """
+    for j in range(s.ints.size):
+        s.saved_ints[j] = s.ints[j]
+    for j in range(s.floats.size):
+        s.saved_floats[j] = s.floats[j]
+    for j in range(3):
+        s.saved_last[j] = s.last[j]
+    s.ints[LOGGED] = 0
+    if not (s.last[0] == pose_from[0] and s.last[1] == pose_from[1] and s.last[2] == pose_from[2]):
+        s.ints[
+            FLOOR_LEVEL
+        ] = -1  # the tool did not come from its last place: its footprint there is not known to be cut
+    for j in range(6):
+        wrench[j] = 0.0
+    dx, dy, dz = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], pose_to[2] - pose_from[2]
+    parts = 1 + int(math.sqrt(dx * dx + dy * dy) / (LONGEST * p.radius))
+    passes = n * p.micro_step * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
+    torque = 0.0
+    for k in range(parts):
+        a, b = k / parts, (k + 1.0) / parts
+        torque += _part(
+            s, p, pose_from[0] + a * dx, pose_from[1] + a * dy, pose_from[0] + b * dx, pose_from[1] + b * dy,
+            pose_from[2] + b * dz, passes, wrench,
+        )  # fmt: skip
+    for j in range(5):
+        wrench[j] /= parts
+    torque /= parts
+    if p.moments:
+        wrench[5] = -p.sense * torque
+    for j in range(3):
+        s.last[j] = pose_to[j]
+    return torque
+
+
+@compiled
+def _part(s, p, x0, y0, x1, y1, z, passes, wrench):
+    """One straight move of at most a quarter of the radius, at the height of its end; returns the torque."""
+    depth = min(p.top - z, p.thickness)
+    level = max(1, int(depth / p.level_step + 0.5)) if depth > 1e-3 * p.level_step else 0
+    outside = _outside(p, x1, y1)
+    if level == 0 or outside:
+        s.ints[FLOOR_LEVEL] = 0 if level == 0 else level
+        return 0.0
+    whole = level > s.ints[FLOOR_LEVEL] + p.tolerance
+    for k in range(FRONT):
+        s.area[k] = s.volume[k] = 0.0
+    for k in range(BINS):
+        s.sunk_area[k] = s.sunk_volume[k] = 0.0
+    dx, dy = x1 - x0, y1 - y0
+    m = math.sqrt(dx * dx + dy * dy)
+    ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
+    first = s.ints[FLOOR_LEVEL] < 0  # what the footprint removes where the tool appears is no chip of a move
+    _clear(s, p, x0, y0, x1, y1, level, whole, first, ahead_x, ahead_y)
+    s.ints[FLOOR_LEVEL] = level if whole else min(level, s.ints[FLOOR_LEVEL])
+    if passes <= 0.0:
+        return 0.0
+    return _load(s, p, m, ahead_x, ahead_y, passes, wrench)
+
+
+@inlined
+def _outside(p, x, y):
+    """Whether the footprint of the tool misses the stock."""
+    return (
+        x + p.radius < p.origin_x - p.spacing or x - p.radius > p.origin_x + p.nx * p.spacing
+        or y + p.radius < p.origin_y - p.spacing or y - p.radius > p.origin_y + p.ny * p.spacing
+    )  # fmt: skip
+
+
+@inlined
+def _clear(s, p, x0, y0, x1, y1, level, whole, first, ahead_x, ahead_y):
+    """Lower the footprint at (x1, y1) to ``level``; whole: also where the footprint at (x0, y0) was already cut."""
+    scale = 1.0 / p.spacing
+    u0, v0 = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale
+    u1, v1 = (x1 - p.origin_x) * scale, (y1 - p.origin_y) * scale
+    r2 = (p.radius * scale) ** 2
+    across = 0.5 * SINES / math.sqrt(r2)
+    side_x, side_y = -ahead_y * across, ahead_x * across  # sin(phi) in steps of the table, a node
+    zero = 0.5 * SINES + 0.5 - 0.5 * ((u0 + u1) * side_x + (v0 + v1) * side_y)
+    about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
+    frame = (side_x, side_y, across, zero, about_i, about_j)
+    r = p.radius * scale
+    for i in range(max(int(math.ceil(u1 - r)), 0), min(int(math.floor(u1 + r)), p.nx - 1) + 1):
+        half = math.sqrt(max(r2 - (i - u1) * (i - u1), 0.0))
+        low, high = max(int(math.ceil(v1 - half)), 0), min(int(math.floor(v1 + half)), p.ny - 1)
+        old2 = r2 - (i - u0) * (i - u0)
+        if old2 < 0.0:
+            _column(s, p, i, low, high, level, first, frame)
+            continue
+        old = math.sqrt(old2)
+        was_low, was_high = int(math.ceil(v0 - old)), int(math.floor(v0 + old))
+        if was_high < low or was_low > high:
+            _column(s, p, i, low, high, level, first, frame)
+            continue
+        if was_low > low:
+            _column(s, p, i, low, was_low - 1, level, first, frame)
+        if whole:
+            _column(s, p, i, max(low, was_low), min(high, was_high), level, True, frame)
+        if was_high < high:
+            _column(s, p, i, was_high + 1, high, level, first, frame)
+
+
+@inlined
+def _column(s, p, i, low, high, level, sinking, frame):
+    """Lower the nodes (i, low..high) to ``level`` and add what they lose to their bins."""
+    pool, log_place, log_level = s.pool, s.log_place, s.log_level
+    side_x, side_y, wide, zero, about_i, about_j = frame
+    zero += i * side_x
+    j, logged, new, total = low, s.ints[LOGGED], 0, 0
+    while j <= high:
+        stop = min(high, j | 255) + 1
+        slot = s.table[i >> 8, j >> 8]
+        if slot < 0:
+            slot = np.int32(s.ints[TILES])
+            if (np.int64(slot) + 1) << 16 > pool.size:
+                s.ints[FAILED] = 1
+                return
+            s.table[i >> 8, j >> 8] = slot
+            s.ints[TILES] += 1
+        base = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
+        while j < stop:
+            place = np.uint64(base + j)
+            before = np.int64(pool[place])
+            if before < level:
+                pool[place] = level
+                if logged < log_place.size:
+                    log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, before
+                    logged += 1
+                lost = level - before
+                total += lost
+                new += before == 0
+                if sinking:
+                    k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])
+                    s.sunk_area[k] += 1.0
+                    s.sunk_volume[k] += lost
+                else:
+                    k = np.uint64(
+                        p.front[
+                            np.uint64(min(max(zero + j * side_y + wide * p.shift[i & 63, j & 63], 0.0), float(SINES)))
+                        ]
+                    )
+                    s.area[k] += 1.0
+                    s.volume[k] += lost
+            j += 1
+    s.ints[LOGGED] = logged
+    s.ints[NODES_CUT] += new
+    s.floats[LEVEL_SUM] += total * p.level_step
+
+
+@inlined
+def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
+    """Add the mean wrench of the removed bins; returns the mean torque."""
+    cell = p.spacing * p.spacing
+    dphi = 2.0 * math.pi / BINS
+    share = p.teeth / (2.0 * math.pi)
+    local_x = local_y = force_z = moment_x = moment_y = torque = 0.0
+    for k in range(FRONT):
+        if s.area[k] > 0.0:
+            expected = p.radius * m * p.cosines[k]
+            h = m * p.cosines[k] / p.widths[k] / passes
+            height = share * p.widths[k] * s.volume[k] * cell * p.level_step / expected  # a_k f_k N dphi / (2 pi)
+            f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
+            c, d = p.directions[k, 0], p.directions[k, 1]
+            x = (-f_r * c + p.sense * f_t * d) * height
+            y = (-f_r * d - p.sense * f_t * c) * height
+            z = -f_a * height
+            middle = 0.5 * s.volume[k] / s.area[k] * p.level_step  # height above the tip
+            local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
+            moment_x += p.radius * d * z - middle * y
+            moment_y += middle * x - p.radius * c * z
+            torque += f_t * height * p.radius
+    for k in range(BINS):
+        if s.sunk_area[k] > 0.0:  # each tooth takes a layer of all radii: width A / (R dphi), thickness a_k / passes
+            h = s.sunk_area[k] * cell / (p.radius * dphi)
+            height = share * dphi * s.sunk_volume[k] / s.sunk_area[k] * p.level_step / passes
+            f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
+            angle = (k + 0.5) * dphi - math.pi
+            c, d = math.cos(angle), math.sin(angle)
+            z = -f_a * height * p.end_factor
+            wrench[0] += (-f_r * c + p.sense * f_t * d) * height
+            wrench[1] += (-f_r * d - p.sense * f_t * c) * height
+            force_z += z
+            if p.moments:
+                wrench[3] += p.radius * d * z
+                wrench[4] -= p.radius * c * z
+            torque += f_t * height * p.radius
+    wrench[0] += ahead_x * local_x - ahead_y * local_y
+    wrench[1] += ahead_y * local_x + ahead_x * local_y
+    wrench[2] += force_z
+    if p.moments:
+        wrench[3] += ahead_x * moment_x - ahead_y * moment_y
+        wrench[4] += ahead_y * moment_x + ahead_x * moment_y
+    return torque
+
+
+@compiled
+def undo_engagement(s):
+    """Take the last step back; False where the log was too small and nothing was done."""
+    logged = s.ints[LOGGED]
+    if logged >= s.log_place.size:
+        return False
+    for k in range(logged - 1, -1, -1):
+        s.pool[s.log_place[k]] = s.log_level[k]
+    tiles = s.ints[TILES]
+    for j in range(s.ints.size):
+        s.ints[j] = s.saved_ints[j]
+    for j in range(s.floats.size):
+        s.floats[j] = s.saved_floats[j]
+    for j in range(3):
+        s.last[j] = s.saved_last[j]
+    s.ints[TILES] = tiles  # an untouched tile equals none
+    s.ints[LOGGED] = 0
+    return True

@@ -1,0 +1,171 @@
+"""Clearing of grid nodes: a run of nodes in one column, the sector of one tooth, any quadrilateral (compiled).
+
+Lengths here are in node distances and node (i, j) is at (i, j). Intervals are closed and SLACK wider than
+computed: a node on the line between two sectors belongs to both and is cleared, and counted, by the first.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kr270_milling.physics.cutting.compiled import compiled, inlined
+from kr270_milling.physics.cutting.lanes import LANES, lower_lanes
+from kr270_milling.physics.cutting.state import BLOCK, FAILED, LOG_LOST, LOGGED, LOGGED_RUNS, TALLIED, TILES
+
+SLACK = 1e-9
+COLUMNS = np.arange(float(BLOCK))
+VECTOR = 32  # nodes from which on it pays to look first whether anything is left
+
+
+@inlined
+def tally_log(ints, old, tally, level):
+    """Add to tally what the log holds since the last call: nodes, sum of level differences, lowest level, new nodes."""
+    count, new, deficit, lowest = np.uint32(0), np.uint32(0), np.uint64(0), np.uint16(level)
+    for n in range(np.uint64(ints[TALLIED]), np.uint64(ints[LOGGED])):
+        k = min(old[n], np.uint16(level))
+        count += np.uint32(k < np.uint16(level))
+        new += np.uint32(k == 0)
+        deficit += np.uint64(np.uint16(level) - k)
+        lowest = min(lowest, k)
+    tally[0] += np.int64(count)
+    tally[1] += np.int64(deficit)
+    tally[2] = min(tally[2], np.int64(lowest))
+    tally[3] += np.int64(new)
+    ints[TALLIED] = ints[LOGGED]
+
+
+@inlined
+def _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level):
+    """Lower the nodes (ix, ja..jb) to ``level``; the log keeps their old levels and where the run of nodes was."""
+    j = ja
+    while j <= jb:
+        length = min(jb, j | 255) - j + 1
+        slot = table[ix >> 8, j >> 8]
+        if slot < 0:
+            slot = np.int32(ints[TILES])
+            if ((np.int64(slot) + 1) << 16) + LANES > pool.size:
+                ints[FAILED] = 1
+                return
+            table[ix >> 8, j >> 8] = slot
+            ints[TILES] += 1
+        start = (np.int64(slot) << 16) | ((ix & 255) << 8) | (j & 255)
+        j += length
+        if length >= VECTOR and not _any_above(pool, start, length, level):
+            continue
+        if ints[LOGGED] + length + LANES > old.size or ints[LOGGED_RUNS] == runs.shape[0]:
+            tally_log(ints, old, tally, level)
+            ints[LOGGED] = ints[LOGGED_RUNS] = ints[TALLIED] = 0
+            ints[LOG_LOST] = 1
+        _lower(pool, old, np.uint64(start), np.uint64(ints[LOGGED]), np.uint64(length), np.uint16(level))
+        run = np.uint64(ints[LOGGED_RUNS])
+        runs[run, 0], runs[run, 1] = start, length
+        ints[LOGGED_RUNS] += 1
+        ints[LOGGED] += length
+
+
+@inlined
+def _lower(pool, old, start, logged, length, level):
+    """The innermost loop; unsigned numbers, because an index that cannot count from the end costs less."""
+    done, lanes = np.uint64(0), np.uint64(LANES)
+    while done < length:
+        lower_lanes(pool, start + done, old, logged + done, np.uint16(min(length - done, lanes)), level)
+        done += lanes
+
+
+@inlined
+def _any_above(pool, start, length, level):
+    lowest = pool[start]
+    for p in range(start, start + length):
+        lowest = min(lowest, pool[p])
+    return lowest < level
+
+
+@inlined
+def clear_sector(s, sense, u0, v0, x0, y0, u1, v1, x1, y1, radius, inner, nx, ny, level):
+    """Clear what a tooth sweeps outside the radius ``inner`` (at least that, at most the whole sector).
+
+    The tooth line goes from centre (u0, v0), direction (x0, y0), to centre (u1, v1), direction (x1, y1). The outer
+    border is the arc of the tooth's radius through both tips, so that successive sectors tile the plane. Inside
+    ``inner`` the two lines may cross; the caller keeps it beyond that point.
+    """
+    ax, ay, bx, by = u0 + radius * x0, v0 + radius * y0, u1 + radius * x1, v1 + radius * y1
+    gx, gy = 0.5 * (bx - ax), 0.5 * (by - ay)
+    g2 = gx * gx + gy * gy
+    rise = math.sqrt((radius * radius - g2) / g2)  # the arc's centre lies this many half chords beside the chord
+    cx, cy = ax + gx - sense * gy * rise, ay + gy + sense * gx * rise
+    px, py, qx, qy = u0 + inner * x0, v0 + inner * y0, u1 + inner * x1, v1 + inner * y1
+    bulge = g2 / radius + SLACK  # at least the height of the arc over its chord
+    ia = max(math.ceil(min(min(ax, bx), min(px, qx)) - bulge), 0)
+    ib = min(math.floor(max(max(ax, bx), max(px, qx)) + bulge), nx - 1)
+    low = max(min(min(ay, by), min(py, qy)) - bulge, -1.0)
+    high = min(max(max(ay, by), max(py, qy)) + bulge, ny + 1.0)
+    if ia > ib or low > ny - 1 or high < 0.0:
+        return
+    # Beyond the square to the mid direction through the nearer inner corner: nothing below this line is needed.
+    mx, my = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+    base = min(mx * px + my * py, mx * qx + my * qy) - SLACK
+    side0, side1 = sense * x0, -sense * x1  # > 0: the line bounds the sector from below
+    slope0 = slope1 = inverse = 0.0
+    if my != 0.0:
+        inverse = 1.0 / my
+    if side0 != 0.0:
+        slope0 = y0 / x0
+    elif sense * y0 < 0.0:
+        ia = max(ia, math.ceil(u0 - SLACK))
+    else:
+        ib = min(ib, math.floor(u0 + SLACK))
+    if side1 != 0.0:
+        slope1 = y1 / x1
+    elif sense * y1 > 0.0:
+        ia = max(ia, math.ceil(u1 - SLACK))
+    else:
+        ib = min(ib, math.floor(u1 + SLACK))
+    # A line that bounds the sector from one side only is moved to infinity on the other.
+    low_base, high_base = 0.0 if my > 0.0 else -math.inf, 0.0 if my < 0.0 else math.inf
+    low0, high0 = 0.0 if side0 > 0.0 else -math.inf, 0.0 if side0 < 0.0 else math.inf
+    low1, high1 = 0.0 if side1 > 0.0 else -math.inf, 0.0 if side1 < 0.0 else math.inf
+    pool, table, ints, runs, old, tally, spans = s.pool, s.table, s.ints, s.log_runs, s.log_level, s.tally, s.spans
+    for first in range(ia, ib + 1, BLOCK):
+        count = min(BLOCK, ib + 1 - first)
+        for n in range(count):  # without a branch, so that it is compiled to vector instructions
+            x = first + COLUMNS[n]
+            square = radius * radius - (x - cx) * (x - cx)
+            half = math.sqrt(max(square, 0.0))
+            over = (base - mx * x) * inverse
+            line0, line1 = v0 + (x - u0) * slope0, v1 + (x - u1) * slope1
+            lo = max(max(low, cy - half), max(max(low_base + over, low0 + line0), low1 + line1))
+            hi = min(min(high, cy + half), min(min(high_base + over, high0 + line0), high1 + line1))
+            lo, hi = min(lo, ny + 1.0), max(hi, -2.0)  # what a 32-bit number can hold
+            spans[0, n] = max(np.int32(np.ceil(lo - SLACK)), np.int32(0))
+            spans[1, n] = min(np.int32(np.floor(hi + SLACK)), np.int32(ny - 1)) if square >= 0.0 else np.int32(-1)
+        for n in range(count):
+            ja, jb = np.int64(spans[0, n]), np.int64(spans[1, n])
+            if ja <= jb:
+                _clear_column(pool, table, ints, runs, old, tally, first + n, ja, jb, level)
+
+
+@compiled
+def clear_quad(s, xs, ys, nx, ny, level):
+    """Clear the inside (even-odd) of the closed polygon through the four corners xs, ys; it may cross itself."""
+    ia = max(math.ceil(min(min(xs[0], xs[1]), min(xs[2], xs[3])) - SLACK), 0)
+    ib = min(math.floor(max(max(xs[0], xs[1]), max(xs[2], xs[3])) + SLACK), nx - 1)
+    pool, table, ints, runs, old, tally = s.pool, s.table, s.ints, s.log_runs, s.log_level, s.tally
+    for ix in range(ia, ib + 1):
+        n, a, b, c, d = 0, math.inf, math.inf, math.inf, math.inf
+        for i in range(4):
+            j = (i + 1) & 3
+            if (xs[i] <= ix) != (xs[j] <= ix):
+                y = ys[i] + (ix - xs[i]) / (xs[j] - xs[i]) * (ys[j] - ys[i])  # a share of 0 to 1: no overflow
+                n += 1  # insert y into a <= b <= c <= d
+                d = min(d, max(c, y))
+                c = min(c, max(b, y))
+                b = min(b, max(a, y))
+                a = min(a, y)
+        for pair in range(n // 2):
+            lo, hi = (a, b) if pair == 0 else (c, d)
+            ja, jb = math.ceil(max(lo, -1.0) - SLACK), math.floor(min(hi, ny + 1.0) + SLACK)
+            ja, jb = max(ja, 0), min(jb, ny - 1)
+            if ja <= jb:
+                _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level)

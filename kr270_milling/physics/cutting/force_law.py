@@ -1,0 +1,174 @@
+"""What a force law is: coefficients, one compiled function, and what fits, scatters and shows them.
+
+A law is a subclass of ``ForceLaw`` and a row of ``laws.LAWS``; no other file asks for the name of a law.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple, Protocol
+
+import numpy as np
+from llvmlite import ir
+from numba import cfunc, njit, types
+from numba.extending import intrinsic
+
+from kr270_milling.base.record import Record, specs
+from kr270_milling.physics.cutting.tool import Tool
+
+__all__ = ["Cuts", "ForceLaw", "Line", "call_law"]
+
+FORCES = types.UniTuple(types.float64, 3)
+SIGNATURE = FORCES(types.float64, types.CPointer(types.float64))
+POINTS = np.polynomial.legendre.leggauss(48)
+SLOPE_STEP = 1e-3  #: share of the chip thickness over which a law is differentiated
+
+
+class Cuts(Protocol):
+    """n cuts at constant feed and depth with one tool; ``identification.cuts`` has the record."""
+
+    @property
+    def tool(self) -> Tool: ...
+
+    @property
+    def feed_per_tooth(self) -> np.ndarray:
+        """[m], (n,)."""
+
+    @property
+    def depth(self) -> np.ndarray:
+        """[m], (n,)."""
+
+    @property
+    def entry(self) -> np.ndarray:
+        """Angle of a tooth where the chip begins [rad], (n,), from the feed, in the sense of rotation."""
+
+    @property
+    def exit(self) -> np.ndarray:
+        """Angle where the chip ends [rad], (n,)."""
+
+
+class Line(NamedTuple):
+    """A line that the chart of a law shows beside its forces."""
+
+    name: str
+    per_depth: np.ndarray  #: [N/m]
+    colour: int
+
+
+@dataclass(frozen=True, eq=False)
+class ForceLaw(Record):
+    """The coefficients of a law. The class attributes describe the law itself."""
+
+    #: compiled for the sweep: chip thickness h [m] and coefficients [SI] -> F_t, F_r, F_a per depth of cut [N/m]
+    force: ClassVar[Callable]
+    #: coefficients that the verdict varies
+    scattered: ClassVar[tuple[str, ...]]
+    #: coefficients of the axial force, which is linear in each; the verdict varies them where one of them is not 0
+    axial_names: ClassVar[tuple[str, ...]] = ()
+    #: where a fit of the other coefficients starts [SI]; not needed where ``design`` has an answer
+    start: ClassVar[tuple[float, ...]] = ()
+    #: lower and upper ends of the range in which the fit looks for each of these [SI]
+    searched: ClassVar[tuple[tuple[float, float], ...]] = ()
+    least_feeds: ClassVar[int] = 2  #: different feeds per tooth that identify the coefficients
+    symbol: ClassVar[str] = "diamond-open"  #: marker in charts
+    caption: ClassVar[str] = ""  #: a sentence below the chart of the law
+
+    @property
+    def coefficients(self) -> np.ndarray:
+        """All coefficients in their order [SI], (p,)."""
+        return np.array([getattr(self, spec.name) for spec in specs(type(self))])
+
+    @property
+    def axial(self) -> bool:
+        """Whether the law has an axial force."""
+        return any(getattr(self, name) != 0.0 for name in self.axial_names)
+
+    @classmethod
+    def address(cls) -> int:
+        """Where the compiled ``force`` is in the memory of this process; see ``_call_law``."""
+        return _compiled(cls.force).address
+
+    def per_depth(self, h) -> tuple:
+        """F_t / a_p, F_r / a_p and F_a / a_p [N/m] at chip thickness h [m], a number or an array."""
+        h = np.asarray(h, float)
+        forces = np.empty((3, h.size))
+        _fill(self.address(), np.ascontiguousarray(h).ravel(), self.coefficients, forces)
+        return tuple(forces.reshape(3, *h.shape)[k][()] for k in range(3))
+
+    def slopes(self, h: np.ndarray) -> tuple:
+        """K = dF / dh / a_p [N/m^2], tangential, radial and axial, by a central difference; h [m] > 0."""
+        step = SLOPE_STEP * h
+        above, below = self.per_depth(h + step), self.per_depth(h - step)
+        return tuple((a - b) / (2 * step) for a, b in zip(above, below, strict=True))
+
+    def mean_forces(self, cuts: Cuts) -> np.ndarray:
+        """Mean forces over a revolution on the tool [N], (n, 3), workpiece axes, by Gauss' rule.
+
+        With h = f cos(phi), N teeth and the depth a, from entry to exit (29):
+        F_x = N / 2 pi int (F_t sin(phi) - F_r cos(phi)) dphi, F_z = -N / 2 pi int F_a dphi,
+        F_y = -sense N / 2 pi int (F_t cos(phi) + F_r sin(phi)) dphi.
+        """
+        half = (cuts.exit - cuts.entry)[:, None] / 2
+        phi = cuts.entry[:, None] + half * (1 + POINTS[0])
+        sine, cosine = np.sin(phi), np.cos(phi)
+        tangential, radial, axial = self.per_depth(cuts.feed_per_tooth[:, None] * cosine)
+        weight = half * POINTS[1] * (cuts.tool.teeth * cuts.depth / (2 * np.pi))[:, None]
+        f_x = np.sum(weight * (tangential * sine - radial * cosine), axis=1)
+        f_y = -cuts.tool.sense * np.sum(weight * (tangential * cosine + radial * sine), axis=1)
+        return np.stack([f_x, f_y, -np.sum(weight * axial, axis=1)], -1)
+
+    @classmethod
+    def design(cls, cuts: Cuts) -> np.ndarray | None:
+        """Derivatives of the mean forces by the coefficients, (n, 3, p), of a law that is linear in all of them."""
+        return None
+
+    @classmethod
+    def result_keys(cls) -> tuple[str, ...]:
+        """Names of the coefficients in the JSON of ``identify forces``, with units."""
+        return tuple(spec.key for spec in specs(cls))
+
+    def lines(self, h: np.ndarray) -> list[Line]:
+        """Lines that the chart shows beside the forces at chip thicknesses h [m]."""
+        return []
+
+    def marks(self) -> list[tuple[float, str]]:
+        """Chip thicknesses [m] that the chart marks, and their names."""
+        return []
+
+    def assumptions(self, feed_per_tooth: float) -> list[tuple[str, str, str]]:
+        """Subject, value and reason of the assumptions of this law that a report lists; feed_per_tooth [m]."""
+        return []
+
+
+@functools.cache
+def _compiled(force: Callable):
+    return cfunc(SIGNATURE, cache=True, error_model="numpy")(force)
+
+
+def _call_law(typing_context, address, h, coefficients):
+    """Call the law at an address (int64): h [m] and coefficients (p,) -> F_t, F_r, F_a per depth of cut [N/m].
+
+    The address is a number, so one compilation of the sweep serves every law. Numba's own function type costs 130 us a
+    call from Python; the call by address costs some nanoseconds a chip.
+    """
+
+    def codegen(context, builder, signature, arguments):
+        address, h, coefficients = arguments
+        data = context.make_array(signature.args[2])(context, builder, coefficients).data
+        pointer = context.get_value_type(SIGNATURE.args[1])
+        function = ir.FunctionType(context.get_value_type(FORCES), [context.get_value_type(types.float64), pointer])
+        target = builder.inttoptr(address, function.as_pointer())
+        return context.call_function_pointer(builder, target, [h, builder.bitcast(data, pointer)])
+
+    return FORCES(types.int64, types.float64, coefficients), codegen
+
+
+call_law: Callable = intrinsic(_call_law)
+
+
+@njit(cache=True)
+def _fill(address, h, coefficients, forces):
+    for i in range(h.size):
+        forces[0, i], forces[1, i], forces[2, i] = call_law(address, h[i], coefficients)

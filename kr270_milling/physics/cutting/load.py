@@ -1,0 +1,70 @@
+"""Force and moment of a chip on the tool (29), also where a helix makes edges lag; compiled."""
+
+from __future__ import annotations
+
+from kr270_milling.physics.cutting.compiled import inlined
+from kr270_milling.physics.cutting.force_law import call_law
+
+__all__ = ["load"]
+
+SHORT = 1e-6  # [micro-steps]: a shorter lag changes the shares by less than its square
+
+
+@inlined
+def load(s, p, i, step, h, height):
+    """Add the load of a chip of tooth i to the micro-steps in which the edge cuts the chip; h, height [m].
+
+    The tip cuts the chip in this micro-step. At z above the tip the edge reaches the same place, and so the same chip,
+    lag z / R micro-steps later; the motion of the tool in between is neglected. A chip of height H is cut over
+    H lag / R micro-steps; each gets a share of the height: the mean over that micro-step and over this one.
+    """
+    tangential, radial, axial = call_law(p.law, h, p.coefficients)
+    f_t, f_r, f_a = tangential * height, radial * height, axial * height
+    length = height * p.lag / p.radii[i]
+    if length < SHORT:
+        _add(s, p, i, step, step, f_t, f_r, f_a, 1.0, 0.5 * height)
+        return
+    for later in range(int(length) + 2):
+        share = (_hat(length - later) - _hat(-later)) / length
+        if share > 0.0:
+            place = later + (_hat_moment(length - later) - _hat_moment(-later)) / (length * share)
+            _add(s, p, i, step, step + later, f_t, f_r, f_a, share, height * place / length)
+
+
+@inlined
+def _add(s, p, i, step, when, f_t, f_r, f_a, share, z):
+    """Add a share of the forces at z [m] above the tip, where tooth i was in the middle of ``step``.
+
+    F_x = sum(-F_r cos(phi) + F_t sin(phi)), F_y = sum(F_r sin(phi) + F_t cos(phi))   (29) [Klimchik2012], clockwise
+    with the tooth at (cos(phi), -sin(phi)); M = r x F with r = (R c, R d, z), torque = F_t R.
+    """
+    c, d = p.middles[i, step % p.steps, 0], p.middles[i, step % p.steps, 1]
+    force_x = share * (-f_r * c + p.sense * f_t * d)  # (29): -F_r along the tooth, -F_t along its motion
+    force_y = share * (-f_r * d - p.sense * f_t * c)
+    force_z = -share * f_a
+    now = s.loads[when & (s.loads.shape[0] - 1)]
+    now[0] += force_x
+    now[1] += force_y
+    now[2] += force_z
+    if p.moments:
+        now[3] += p.radii[i] * d * force_z - z * force_y  # r x F with r = (R c, R d, z)
+        now[4] += z * force_x - p.radii[i] * c * force_z
+    now[5] += share * (f_t * p.radii[i])
+
+
+@inlined
+def _hat(x):
+    """Integral of the hat 1 - |x| from -1 to x."""
+    if x <= -1.0:
+        return 0.0
+    if x >= 1.0:
+        return 1.0
+    return 0.5 * (1.0 + x) * (1.0 + x) if x < 0.0 else 1.0 - 0.5 * (1.0 - x) * (1.0 - x)
+
+
+@inlined
+def _hat_moment(x):
+    """Integral of x (1 - |x|) from -1 to x."""
+    if x <= -1.0 or x >= 1.0:
+        return 0.0
+    return x * x * (0.5 - abs(x) / 3.0) - 1.0 / 6.0

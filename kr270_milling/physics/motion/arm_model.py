@@ -1,0 +1,133 @@
+"""YAML ``dynamics``, and what it makes of the arm's elastostatics and mass: eq. (1) in workpiece axes, along a path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.frames import Pose
+from kr270_milling.base.record import Record, parameter
+from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, discretise, discretise_reference, modes
+from kr270_milling.physics.robot import Arm, Mount, cartesian_mass, compliance, equilibrium, rotate_matrix
+from kr270_milling.physics.robot.mass import MODELS
+
+__all__ = ["Dynamics", "MeasuredModes", "arm_model", "measured_model", "modal_models"]
+
+#: where rotation and translation of the reference cannot both be met, a radian counts as much as this way [m]:
+#: what a turn about the tool tip moves at the radius of an ordinary cutter
+RADIUS = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredModes(Record):
+    """YAML ``dynamics.modes``: a list with one group a mode, or one group of lists; of one posture, at the tool tip.
+
+    A mode of frequency f, ratio zeta and shape phi answers a wrench w on the tool with
+    phi (phi . w) / (omega^2 - s^2 + 2 i zeta omega s) at the circular frequency s, omega = 2 pi f; workpiece axes.
+    """
+
+    frequency: np.ndarray = parameter([], unit="hz", above=0.0, high=1e4, text="undamped natural frequency of each")
+    damping_ratio: np.ndarray = parameter([], low=0.0, high=0.99, text="damping ratio of each mode")
+    shape: np.ndarray = parameter(
+        [], text="x, y, z [kg^-1/2], rx, ry, rz [rad/m kg^-1/2] of each, mass-normalised; six numbers a mode"
+    )
+
+    def check(self) -> None:
+        n = self.frequency.size
+        if not n <= 6:
+            raise ParameterError("frequency_hz", self.frequency.tolist(), "at most 6 modes")
+        for key, size in (("damping_ratio", n), ("shape", 6 * n)):
+            values = getattr(self, key)
+            if values.size != size:
+                raise ParameterError(key, values.tolist(), f"a list of {size} numbers for {n} modes")
+        shapes = self.shape.reshape(n, 6)
+        if n and np.linalg.matrix_rank(shapes) < n:
+            raise ParameterError("shape", self.shape.tolist(), "shapes of which none is a combination of the others")
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics(Record):
+    """YAML ``dynamics``: how the arm moves under load."""
+
+    mass_model: str = parameter(
+        text="M_C of (25): lumped, all links ride with the tool; consistent, the paper's beams; rigid, rigid links",
+        choices=MODELS,
+    )
+    damping_ratio: float = parameter(low=0.0, high=0.99, text="damping ratio of every mode")
+    gravity: bool = parameter(True, text="linearise about the equilibrium under the link weights")
+    follow_pose: bool = parameter(
+        False, text="stiffness and mass follow the posture along the path; false: at its start"
+    )
+    posture_spacing: float = parameter(5e-3, unit="mm", above=0.0, high=1000.0, text="way between two such postures")
+    reference_inertia: bool = parameter(
+        True, text="the reference moves the motor side: F - M r'' in (1); false: (1) as the paper prints it"
+    )
+    modes: MeasuredModes = MeasuredModes()
+
+    def check(self) -> None:
+        if self.modes.frequency.size and self.follow_pose:
+            raise ParameterError("follow_pose", True, "false where dynamics.modes are given: they are of one posture")
+
+
+def modal_models(arm: Arm, mount: Mount, dynamics: Dynamics, workpiece: Pose, joints: np.ndarray) -> list[ModalModel]:
+    """Modes at postures (n, 6) [rad] in workpiece axes; workpiece: its pose on base_link.
+
+    Where the cell gives measured modes, these at every posture.
+    """
+    if dynamics.modes.frequency.size:
+        return [measured_model(dynamics.modes)] * len(joints)
+    loaded = equilibrium(arm, mount, joints, np.zeros(joints.shape), gravity=dynamics.gravity)
+    to_workpiece = workpiece.rotation.T
+    flexible = rotate_matrix(compliance(loaded, arm), to_workpiece)
+    inert = rotate_matrix(cartesian_mass(arm, mount, joints, dynamics.mass_model), to_workpiece)
+    return [modes(c, _clean(m)) for c, m in zip(flexible, inert, strict=True)]
+
+
+def _clean(mass: np.ndarray) -> np.ndarray:
+    """Turning a matrix whose rotations carry no inertia must leave exact zeros there."""
+    return np.where(np.abs(mass) < 1e-12 * np.abs(mass).max(), 0.0, 0.5 * (mass + mass.T))
+
+
+def measured_model(measured: MeasuredModes) -> ModalModel:
+    """eta'' + 2 zeta omega eta' + omega^2 eta = phi^T F - gamma r'', delta = phi eta.
+
+    gamma = phi^T M for a mass matrix M. No M comes with measured modes, but with six of them phi^T M = phi^-1; with
+    fewer, gamma is the least-squares inverse of phi: above all modes the tool stays where it is in every direction in
+    which some mode moves it, and follows the reference in the others.
+    """
+    shapes = measured.shape.reshape(-1, 6).T  # (6, r)
+    weight = np.array([1.0] * 3 + [RADIUS] * 3)
+    r = measured.frequency.size
+    return ModalModel(
+        inertial=np.arange(r),
+        frequency=2 * np.pi * measured.frequency,
+        shape=np.eye(r),
+        mass=np.eye(r),
+        force=shapes.T,
+        output=shapes,
+        feedthrough=np.zeros((6, 6)),
+        reference=np.linalg.pinv(weight[:, None] * shapes) * weight,
+        damping=measured.damping_ratio,
+    )
+
+
+def arm_model(
+    models: list[ModalModel],
+    damping_ratio: float,
+    period: float,
+    steps_per_knot: float = 1.0,
+    reference_inertia: bool = False,
+    approach: np.ndarray | None = None,
+) -> ArmModel:
+    """Eq. (1) over one exchange period [s]; with several models the arm passes one every steps_per_knot periods.
+
+    reference_inertia: with the term -M r'' of the moving reference; approach: see ``ArmModel``.
+    """
+    stacked = zip(*(discretise(m, damping_ratio, period) for m in models), strict=True)
+    a, b, p, q = (np.ascontiguousarray(s) for s in map(np.stack, stacked))
+    response = np.zeros((*a.shape[:2], 0))
+    if reference_inertia:
+        response = np.stack([discretise_reference(m, damping_ratio, period) for m in models])
+    return ArmModel(a, b, p, q, np.ascontiguousarray(response), float(steps_per_knot), approach)

@@ -1,0 +1,265 @@
+"""Eq. (1), the arm's displacement under the process wrench, discretised exactly for a wrench constant in a period.
+
+M delta'' + C delta' + K delta = F is (1) as printed. The reference r moves the motor side of the arm and not the tool:
+with z = r + delta, M z'' + C (z' - r') + K (z - r) = F, so that -M r'' joins F on the right (``reference_inertia``).
+
+Components without inertia (rotations, in the lumped mass model) follow statically: they are condensed, never
+sliced. State of the others: ``[delta (r,), delta_dot (r,)]`` in workpiece axes.
+
+r has six components in workpiece axes: position [m], and a rotation [rad] whose rate is the angular velocity of the
+reference. Over one exchange period r'' is taken as linear in time, plus a jump of the velocity at its start, where the
+reference has a corner. So positions and velocities at the ends of the periods are met exactly, and a reference that is
+linear or cubic between them is met everywhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numba import njit
+from scipy.linalg import eigh
+from scipy.spatial.transform import Rotation
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.path.trajectory import Trajectory
+
+__all__ = ["ArmModel", "ModalModel", "advance", "approach", "discretise", "discretise_reference", "modes", "push",
+           "reference_motion"]  # fmt: skip
+
+Side = Literal["left", "right"]
+
+
+class DynamicsError(MillingError):
+    """Mass or compliance that cannot belong to an arm."""
+
+
+@dataclass(frozen=True, eq=False)
+class ModalModel:
+    """The undamped modes of M delta'' + K delta = F in the r components that carry inertia."""
+
+    inertial: np.ndarray  #: indices of the components with inertia, (r,)
+    frequency: np.ndarray  #: [rad/s], (r,), ascending
+    shape: np.ndarray  #: mass-normalised modes, (r, r)
+    mass: np.ndarray  #: (r, r)
+    force: np.ndarray  #: wrench -> force on the inertial components, (r, 6)
+    output: np.ndarray  #: inertial components -> deflection, (6, r)
+    feedthrough: np.ndarray  #: static deflection of the components without inertia, (6, 6)
+    reference: np.ndarray  #: r of the six components -> of the inertial ones, (r, 6)
+    damping: np.ndarray | None = None  #: ratio of each mode, (r,); None: that of ``dynamics.damping_ratio``
+
+    def ratios(self, damping_ratio: float) -> np.ndarray:
+        """Damping ratio of each mode, (r,): its own, or damping_ratio for all."""
+        return np.broadcast_to(damping_ratio if self.damping is None else self.damping, self.frequency.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class ArmModel:
+    """Discrete-time arm at n postures along a pass: ``x' = A x + B w + R m``, ``deflection = P x + Q w``.
+
+    m (18,) is the motion of the reference over a period, see ``reference_motion``.
+    """
+
+    transition: np.ndarray  #: A, (n, 2r, 2r)
+    input: np.ndarray  #: B, (n, 2r, 6)
+    output: np.ndarray  #: P, (n, 6, 2r)
+    feedthrough: np.ndarray  #: Q, (n, 6, 6)
+    reference: np.ndarray  #: R, (n, 2r, 18); (n, 2r, 0) where the reference moves the tool itself, (1) as printed
+    steps_per_knot: float  #: exchange periods from one posture to the next
+    approach: np.ndarray | None = None  #: r' before the pass [m/s, rad/s], (6,); None: the first of the reference
+
+    @property
+    def arrays(self) -> tuple:
+        """What ``advance`` takes."""
+        return self.transition, self.input, self.output, self.feedthrough, self.steps_per_knot
+
+    def push(self, reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
+        """R m over each period between the stamps [ns], (periods, 2r); none, (0, 2r), for (1) as printed."""
+        if not self.reference.size:
+            return np.zeros((0, self.order))
+        out = np.zeros((stamps.size - 1, self.order))
+        push(reference_motion(reference, stamps, self.approach), self.reference, self.steps_per_knot, out)
+        return out
+
+    @property
+    def order(self) -> int:
+        return self.transition.shape[-1]
+
+
+def condense(compliance: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Static condensation of (1) to the components with inertia: (index, K (r, r), force (r, 6), P (6, r), Q (6, 6)).
+
+    With ``delta = C (w - M a)``: K = inv(C_ii), the wrench on the other components m acts through C_im, and these
+    follow delta_m = C_mi K delta_i + (C_mm - C_mi K C_im) w_m.
+    """
+    inertial = np.flatnonzero(np.diag(mass) > 0.0)
+    free = np.setdiff1d(np.arange(6), inertial)
+    if inertial.size == 0 or np.any(mass[free]) or np.linalg.eigvalsh(mass[np.ix_(inertial, inertial)])[0] <= 0.0:
+        raise DynamicsError("the mass matrix must be symmetric and positive definite in the components with inertia")
+    softness = compliance[np.ix_(inertial, inertial)]
+    if not (np.isfinite(softness).all() and np.linalg.cond(softness) < 1e12):
+        raise DynamicsError("the compliance matrix is singular or not finite where there is inertia")
+    stiffness = np.linalg.inv(softness)
+    stiffness = 0.5 * (stiffness + stiffness.T)  # rounding only: K_C is symmetric under link weights
+    force, output, feedthrough = np.zeros((inertial.size, 6)), np.zeros((6, inertial.size)), np.zeros((6, 6))
+    force[:, inertial] = output[inertial] = np.eye(inertial.size)
+    if free.size:
+        coupling = stiffness @ compliance[np.ix_(inertial, free)]
+        force[:, free], output[free] = coupling, coupling.T
+        rest = compliance[np.ix_(free, free)] - compliance[np.ix_(free, inertial)] @ coupling
+        feedthrough[np.ix_(free, free)] = rest
+    return inertial, stiffness, force, output, feedthrough
+
+
+def modes(compliance: np.ndarray, mass: np.ndarray) -> ModalModel:
+    """Modes of (1) from the 6x6 compliance [m, rad per N, N m] and mass matrix in the same axes."""
+    inertial, stiffness, force, output, feedthrough = condense(compliance, mass)
+    mass_i = mass[np.ix_(inertial, inertial)]
+    squared, shape = eigh(stiffness, mass_i)
+    if not squared[0] > 0.0:
+        raise DynamicsError("the compliance matrix is not positive definite: no stable equilibrium to vibrate about")
+    return ModalModel(inertial, np.sqrt(squared), shape, mass_i, force, output, feedthrough, np.eye(6)[inertial])
+
+
+def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[np.ndarray, ...]:
+    """A (2r, 2r), B (2r, 6), P (6, 2r), Q (6, 6) over ``period`` [s] for a constant wrench.
+
+    Exact for M delta'' + C delta' + K delta = F   (1) [Klimchik2012].
+    """
+    w, r = model.frequency, model.frequency.size
+    a11, a12, a21, a22 = _free(w, model.ratios(damping_ratio), period)
+    to, back = model.shape, model.shape.T @ model.mass  # eta -> delta, delta -> eta
+    transition = np.block([[to * a11 @ back, to * a12 @ back], [to * a21 @ back, to * a22 @ back]])
+    modal_force = model.shape.T @ model.force
+    driven = np.vstack([to * ((1.0 - a11) / w**2) @ modal_force, to * (-a21 / w**2) @ modal_force])
+    return transition, driven, np.hstack([model.output, np.zeros((6, r))]), model.feedthrough
+
+
+def _free(w: np.ndarray, z: np.ndarray, period: float) -> tuple[np.ndarray, ...]:
+    """a11, a12, a21, a22, each (r,), of the free vibration: (eta, eta') at the end from those at the start."""
+    damped = w * np.sqrt(1.0 - z * z)
+    decay, c, s = np.exp(-z * w * period), np.cos(damped * period), np.sin(damped * period)
+    a11, a12 = decay * (c + z * w / damped * s), decay * s / damped
+    a21, a22 = -decay * w * w / damped * s, decay * (c - z * w / damped * s)
+    return a11, a12, a21, a22
+
+
+def discretise_reference(model: ModalModel, damping_ratio: float, period: float) -> np.ndarray:
+    """R (2r, 18) over ``period`` H [s]: exact for the term -M r'' where r'' is linear in time, after a jump of r'.
+
+    A jump of r' by v leaves z' as it was, so delta' jumps by -v. A modal force t / H leaves
+    eta(H) = (1 - a12 / H - 2 zeta (1 - a11) / (omega H)) / omega^2, and eta'(H) is the derivative of its like.
+    """
+    w, z, h = model.frequency, model.ratios(damping_ratio), period
+    a11, a12, a21, a22 = _free(w, z, h)
+    driven = (1.0 - a11) / w**2, -a21 / w**2
+    ramp = (1.0 - a12 / h - 2.0 * z * (1.0 - a11) / (w * h)) / w**2, (1.0 - a22 + 2.0 * z * a21 / w) / (w**2 * h)
+    to, back = model.shape, model.shape.T @ model.mass @ model.reference  # eta -> delta, r -> eta
+
+    def response(place, speed):
+        return -np.vstack([to * place @ back, to * speed @ back])
+
+    falling = [constant - rising for constant, rising in zip(driven, ramp, strict=True)]  # from 1 to 0
+    return np.hstack([response(a12, a22), response(*falling), response(*ramp)])
+
+
+def reference_motion(reference: Trajectory, stamps: np.ndarray, approach: np.ndarray | None = None) -> np.ndarray:
+    """(n, 18) over the n periods between the stamps [ns]: jump of r', r'' at the start, r'' at the end, six each.
+
+    A cubic over H from rate v to w that moves by p has r'' = (6 p / H - 4 v - 2 w) / H at its start and
+    (-6 p / H + 2 v + 4 w) / H where the period ends. approach: r' before the pass, (6,), for example that of the
+    programmed trajectory: a straight cut enters at its feed rate. None: that of the reference itself.
+    """
+    period = np.diff(stamps)[:, None] * 1e-9
+    moved = np.hstack([np.diff(reference.sample(stamps), axis=0), _turns(reference, stamps)])
+    after, before = _rates(reference, stamps, "right"), _rates(reference, stamps, "left")
+    before[0] = after[0] if approach is None else approach
+    after[stamps >= reference.duration_ns] = 0.0  # then it rests
+    v, w = after[:-1], before[1:]
+    start = (6 * moved / period - 4 * v - 2 * w) / period
+    end = (-6 * moved / period + 2 * v + 4 * w) / period
+    return np.hstack([(after - before)[:-1], start, end])
+
+
+def approach(programmed: Trajectory) -> np.ndarray:
+    """r' (6,) with which a pass begins [m/s, rad/s]: the first of the programmed trajectory, without a correction."""
+    return _rates(programmed, np.zeros(1, np.int64), "right")[0]
+
+
+def _rates(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarray:
+    return np.hstack([reference.sample_velocity(stamps, side), _turning(reference, stamps, side)])
+
+
+def _turns(reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
+    """Rotation vectors (n, 3) [rad] of the reference over the periods, workpiece axes."""
+    if np.ptp(reference.quaternion, axis=0).max() == 0.0:
+        return np.zeros((stamps.size - 1, 3))
+    turned = Rotation.from_quat(reference.sample_orientation(stamps))
+    return (turned[1:] * turned[:-1].inv()).as_rotvec()
+
+
+def _turning(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarray:
+    """Angular velocity (n, 3) [rad/s] of the reference at the stamps, workpiece axes: constant between its knots."""
+    if np.ptp(reference.quaternion, axis=0).max() == 0.0:
+        return np.zeros((stamps.size, 3))
+    knots = Rotation.from_quat(reference.quaternion)
+    rates = (knots[1:] * knots[:-1].inv()).as_rotvec() / np.diff(reference.time)[:, None]
+    segment, _, _ = reference.locate(stamps, side)
+    return np.where(reference.moving(stamps)[:, None], rates[segment], 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def push(motion, response, steps_per_knot, out):
+    """Fill ``out`` (n, 2r): what the motion (n, 18) of the reference adds to the state at the end of each period.
+
+    response: R, (k, 2r, 18) at k postures, interpolated between two of them as in ``advance``.
+    """
+    knots, order = response.shape[0], response.shape[1]
+    for step in range(motion.shape[0]):
+        place = step / steps_per_knot
+        k = min(int(place), knots - 1)
+        m = min(k + 1, knots - 1)
+        f = min(place - k, 1.0) if m > k else 0.0
+        for i in range(order):
+            total = 0.0
+            for j in range(motion.shape[1]):
+                r = response[k, i, j]
+                total += (r + f * (response[m, i, j] - r)) * motion[step, j]
+            out[step, i] = total
+
+
+@njit(cache=True, error_model="numpy")
+def advance(step, state, wrench, pushes, arrays, new_state, deflection):
+    """One exchange period of (1): fills ``new_state`` and ``deflection`` (6,) at the end of the period.
+
+    ``step`` counts exchange periods from the start of the pass; between two postures of the model the matrices are
+    interpolated linearly. pushes: of the moving reference, ``ArmModel.push``; (0, 2r) for (1) as printed.
+    """
+    transition, driven, output, feedthrough, steps_per_knot = arrays
+    n = transition.shape[0]
+    place = step / steps_per_knot
+    k = min(int(place), n - 1)
+    m = min(k + 1, n - 1)
+    f = min(place - k, 1.0) if m > k else 0.0
+    order = state.size
+    for i in range(order):
+        total = 0.0
+        for j in range(order):
+            a = transition[k, i, j]
+            total += (a + f * (transition[m, i, j] - a)) * state[j]
+        for j in range(6):
+            b = driven[k, i, j]
+            total += (b + f * (driven[m, i, j] - b)) * wrench[j]
+        if pushes.shape[0] > 0:
+            total += pushes[step, i]
+        new_state[i] = total
+    for i in range(6):
+        total = 0.0
+        for j in range(order):
+            p = output[k, i, j]
+            total += (p + f * (output[m, i, j] - p)) * new_state[j]
+        for j in range(6):
+            q = feedthrough[k, i, j]
+            total += (q + f * (feedthrough[m, i, j] - q)) * wrench[j]
+        deflection[i] = total

@@ -1,0 +1,193 @@
+"""One milling pass, Fig. 7: the arm predicts the tool's pose, the cut answers with the wrench, the arm corrects.
+
+The functions that the compiled loop calls are the same that a robot node and a cutting node call one by one.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.cutting import CutModel, GridError, UndoError
+from kr270_milling.physics.cutting.cut_step import cut_step, cut_undo
+from kr270_milling.physics.cutting.grid import TILE
+from kr270_milling.physics.cutting.state import FAILED, LEVEL_SUM
+from kr270_milling.physics.motion.dynamics import ArmModel, advance
+from kr270_milling.physics.motion.exchange import Clock
+
+__all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass"]
+
+CHUNK = 200  # exchange periods between two reports of progress
+FLIGHT = 0.05  # [m]; an arm that is linear about its posture is no model of one that is pushed so far
+
+
+class PassError(MillingError):
+    """A pass whose numbers mean nothing: the deflection [m] at a time [s]."""
+
+    def __init__(self, deflection: float, at: float):
+        self.deflection, self.at = deflection, at
+        super().__init__(
+            f"the cut would push the tool {deflection:.3g} m away at {at:.6g} s, for which the linear model of the arm "
+            "does not hold: check the force law, the feed per tooth, the compliances and the masses"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PassResult:
+    """Series of one pass at the ends of its n exchange periods (first row: the start), workpiece axes."""
+
+    time_ns: np.ndarray  #: [ns], (n + 1,)
+    target: np.ndarray  #: programmed tool centre [m], (n + 1, 3)
+    reference: np.ndarray  #: reference of the controller [m], (n + 1, 3)
+    tool: np.ndarray  #: tool centre that the cut was given: predicted [m], (n + 1, 3)
+    deflection: np.ndarray  #: corrected displacement of the arm [m, rad], (n + 1, 6)
+    wrench: np.ndarray  #: mean over each period, on the tool [N, N m], (n + 1, 6)
+    correction: np.ndarray  #: corrected minus predicted tool centre [m], (n + 1,)
+    torque: np.ndarray  #: mean of the spindle over each period [N m], (n + 1,)
+    volume: np.ndarray  #: removed in each period [m^3], (n + 1,)
+    micro_steps: int  #: of the spindle in the whole pass
+    removed_area: float  #: [m^2]
+    removed_volume: float  #: [m^3]
+    wall_time: float  #: [s], of the pass alone
+    heights: np.ndarray | None = None  #: ``Cut.map_heights`` of the finished workpiece [m], (a, b); None: not stored
+
+    @property
+    def time(self) -> np.ndarray:
+        """[s]"""
+        return self.time_ns * 1e-9
+
+    @property
+    def actual(self) -> np.ndarray:
+        """Tool centre [m], (n + 1, 3)."""
+        return self.reference + self.deflection[:, :3]
+
+
+class CompliantArm:
+    """The arm's half of the exchange: state of eq. (1), stepped by ``predict`` and ``correct``.
+
+    pushes: of the reference that it follows, ``ArmModel.push``; None: a reference that does not move.
+    """
+
+    def __init__(self, model: ArmModel, pushes: np.ndarray | None = None):
+        self.model = model
+        self.pushes = np.zeros((0, model.order)) if pushes is None else pushes
+        self.step = 0  #: exchange periods done
+        self.state = np.zeros(model.order)
+        self.wrench = np.zeros(6)
+        self._scratch = np.zeros(model.order)
+
+    def predict(self, wrench: np.ndarray | None = None) -> np.ndarray:
+        """Deflection (6,) at the end of the next period under ``wrench``, or under that of the last period."""
+        deflection = np.zeros(6)
+        wrench = self.wrench if wrench is None else wrench
+        advance(self.step, self.state, wrench, self.pushes, self.model.arrays, self._scratch, deflection)
+        return deflection
+
+    def correct(self, wrench: np.ndarray) -> np.ndarray:
+        """Integrate the period with the wrench (6,) that acted in the period; returns the final deflection (6,)."""
+        deflection = np.zeros(6)
+        advance(self.step, self.state, wrench, self.pushes, self.model.arrays, self._scratch, deflection)
+        self.state, self._scratch = self._scratch, self.state
+        self.wrench = np.array(wrench, float)
+        self.step += 1
+        return deflection
+
+
+def follow(model: ArmModel, pushes: np.ndarray, wrenches: np.ndarray) -> np.ndarray:
+    """Deflections (n + 1, 6) of a pass whose wrenches (n + 1, 6) are known; pushes: see ``CompliantArm``.
+
+    Those that ``CompliantArm.correct`` gives one by one, to the bit.
+    """
+    deflections = np.zeros((len(wrenches), 6))
+    _follow(np.ascontiguousarray(wrenches, float), np.zeros(model.order), pushes, model.arrays, deflections)
+    return deflections
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _follow(wrenches, state, pushes, arrays, deflections):
+    scratch = np.zeros(state.size)
+    for n in range(len(wrenches) - 1):
+        advance(n, state, wrenches[n + 1], pushes, arrays, scratch, deflections[n + 1])
+        state[:] = scratch
+
+
+def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
+    far = ~(np.abs(deflections[:, :3]).max(axis=1) <= FLIGHT)  # NaN is far
+    if far.any():
+        first = int(np.argmax(far))
+        raise PassError(float(np.linalg.norm(deflections[first, :3])), float(stamps[first]) * 1e-9)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _exchange(first, last, iterations, reference, arm, state, wrench, cut_state, cut_params, micro_steps, out):
+    """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large."""
+    tool, deflections, wrenches, corrections, torques, volumes = out
+    pushes, arrays = arm
+    per_node = cut_params.spacing * cut_params.spacing
+    scratch, deflection, answer = np.zeros(state.size), np.zeros(6), wrench.copy()
+    no_forces = np.empty((0, 3))
+    for n in range(first, last):
+        before, torque = cut_state.floats[LEVEL_SUM], 0.0
+        for k in range(iterations):
+            advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot predicts
+            tool[n + 1] = reference[n + 1] + deflection[:3]
+            if k > 0 and not cut_undo(cut_state):
+                return False
+            torque = cut_step(  # the cut answers
+                cut_state, cut_params, tool[n], tool[n + 1], n * micro_steps, micro_steps, no_forces, answer
+            )
+        advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot corrects
+        state[:] = scratch
+        deflections[n + 1], wrenches[n + 1] = deflection, answer
+        corrections[n + 1] = np.sqrt(np.sum((reference[n + 1] + deflection[:3] - tool[n + 1]) ** 2))
+        torques[n + 1], volumes[n + 1] = torque, (cut_state.floats[LEVEL_SUM] - before) * per_node
+    wrench[:] = answer
+    return True
+
+
+def run_pass(
+    model: ArmModel,
+    cut: CutModel,
+    clock: Clock,
+    target: Trajectory,
+    reference: Trajectory,
+    iterations: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> PassResult:
+    """One pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
+
+    progress(done, total) is called every 200 exchange periods. Raises GridError if the grid has no tile left,
+    UndoError if the periods are too long to be iterated, and PassError where the arm would fly off.
+    """
+    n = clock.steps(reference.duration_ns)
+    stamps = clock.stamp(np.arange(n + 1))
+    course = reference.sample(stamps)
+    each = np.zeros(n + 1)
+    out = (np.zeros((n + 1, 3)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6)), each, each.copy(), each.copy())
+    out[0][0] = course[0]
+    state, wrench = np.zeros(model.order), np.zeros(6)
+    arm = (model.push(reference, stamps), model.arrays)
+    carried = (cut.state, cut.params, clock.micro_steps, out)
+    _exchange(0, 0, iterations, course, arm, state, wrench, *carried)  # compiled before the clock runs
+    area, volume, start = cut.removed_area, cut.removed_volume, time.perf_counter()
+    for first in range(0, n, CHUNK):
+        last = min(first + CHUNK, n)
+        whole = _exchange(first, last, iterations, course, arm, state, wrench, *carried)
+        if cut.state.ints[FAILED]:
+            raise GridError(cut.state.pool.size // TILE**2)
+        if not whole:
+            raise UndoError(cut.undo_size)
+        _refuse_flight(stamps[first : last + 1], out[1][first : last + 1])
+        if progress is not None:
+            progress(last, n)
+    wall = time.perf_counter() - start
+    return PassResult(
+        stamps, target.sample(stamps), course, *out, n * clock.micro_steps, cut.removed_area - area,
+        cut.removed_volume - volume, wall,
+    )  # fmt: skip

@@ -1,0 +1,206 @@
+"""Closed-form inverse kinematics of an arm with a spherical wrist, all branches, and along a path; compiled.
+
+Branch: shoulder (the wrist centre in front of axis 1 or at its back), elbow (bent down or up), wrist (sign of A5).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from kr270_milling.base.frames import Pose
+from kr270_milling.physics.robot.arm import Arm, Mount
+from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
+from kr270_milling.physics.robot.kinematics import elbow_and_reach
+
+__all__ = ["BRANCHES", "branches", "branches_at", "inverse_near", "lengths_of", "wrapped"]
+
+#: shoulder, elbow, wrist of the 8 branches, (8, 3)
+BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
+BRANCHES.setflags(write=False)
+STRAIGHT = 1e-12  #: sine of A5 below which the pose determines only the sum of A4 and A6
+SLACK = 1e-12  #: [rad], of the joint limits: rounding
+TWO_PI = 2 * np.pi
+
+
+def _wrapped(angle):
+    """The angle [rad], a number or an array, within a half turn to either side."""
+    return angle - TWO_PI * np.round(angle / TWO_PI)
+
+
+wrapped = njit(cache=True, nogil=True)(_wrapped)
+
+
+def inverse_near(arm: Arm, mount: Mount, pose: Pose, near_q) -> np.ndarray:
+    """The posture [rad], (..., 6), for every pose (...), nearest to a given one, whole turns included.
+
+    near_q of the same batch as the poses: each pose takes the branch nearest to its own near_q. One near_q, (6,),
+    for a path of poses (n,): the branch nearest to it at the first pose is followed without jumps; where the
+    path leads through A5 = 0, A5 changes its sign rather than A4 jumping by 180 deg. Where A5 = 0, A4 stays as it was.
+    Raises ReachError, SingularityError (wrist centre on axis 1), JointLimitError; a jump to another branch is never
+    the answer to a limit.
+    """
+    near_q = np.asarray(near_q, float)
+    if near_q.ndim == 1 and pose.position.ndim == 2:  # one seed for a path
+        q = _along(arm, mount, pose, near_q) if len(pose.position) else np.empty((0, 6))
+    else:
+        shape = np.broadcast_shapes(pose.position.shape[:-1], near_q.shape[:-1])
+        q = _nearest(arm, mount, pose, np.broadcast_to(near_q, shape + (6,)))
+    _check_limits(arm, q)
+    return q
+
+
+def _check_limits(arm: Arm, q: np.ndarray) -> None:
+    """Raise JointLimitError for the first posture (..., 6) [rad] with a joint out of its range."""
+    bad = np.argwhere(~((q >= arm.joint_lower - SLACK) & (q <= arm.joint_upper + SLACK)))
+    if len(bad):
+        *index, joint = (int(i) for i in bad[0])
+        limits = float(arm.joint_lower[joint]), float(arm.joint_upper[joint])
+        raise JointLimitError(joint + 1, float(q[tuple(bad[0])]), limits, tuple(index))
+
+
+def branches(arm: Arm, mount: Mount, pose: Pose, near_q) -> tuple[np.ndarray, np.ndarray]:
+    """All 8 branches [rad], (..., 8, 6), angles within a half turn, limits ignored, NaN where out of reach.
+
+    Second, the distance of the wrist centre from axis 2 [m], (..., 8). near_q (..., 6) gives A4 where A5 = 0.
+    """
+    flange, near_q = pose @ mount.pose.inverse(), np.asarray(near_q, float)
+    shape = np.broadcast_shapes(pose.position.shape[:-1], near_q.shape[:-1])
+    position = np.broadcast_to(flange.position, (*shape, 3)).reshape(-1, 3)
+    rotation = np.broadcast_to(flange.rotation, (*shape, 3, 3)).reshape(-1, 3, 3)
+    near_a4 = np.broadcast_to(near_q[..., 3], shape).reshape(-1)
+    q, distance = np.full((len(position), 8, 6), np.nan), np.empty((len(position), 8))
+    position, rotation, near_a4 = map(np.ascontiguousarray, (position, rotation, near_a4))
+    _fill(lengths_of(arm), position, rotation, near_a4, q, distance)
+    return q.reshape(*shape, 8, 6), distance.reshape(*shape, 8)
+
+
+def lengths_of(arm: Arm) -> tuple[float, ...]:
+    """d1, a1, a2, length of the forearm, d6 [m] and elbow offset [rad], for ``branches_at``."""
+    return tuple(map(float, (arm.d1, arm.a1, arm.a2, arm.forearm, arm.d6, arm.elbow_offset)))
+
+
+@njit(cache=True, nogil=True)
+def _fill(lengths, position, rotation, near_a4, q, distance):
+    for k in range(len(position)):
+        branches_at(lengths, position[k], rotation[k], near_a4[k], q[k], distance[k])
+
+
+@njit(cache=True, nogil=True)
+def branches_at(lengths, position, rotation, near_a4, q, distance):
+    """Fill q (8, 6) [rad] with the branches of one flange pose, and distance (8,) [m]; see ``branches``.
+
+    Wrist centre p - d6 x_6; A2 and A3 by the cosine rule in the triangle of axis 2, axis 3 and wrist centre; A4 to A6
+    from R36 = Rx(-A4) Ry(A5) Rx(-A6). The other sign of A5 is the same orientation: A4 + pi, -A5, A6 + pi.
+    """
+    d1, a1, a2, forearm, d6, elbow_offset = lengths
+    x, y = position[0] - d6 * rotation[0, 0], position[1] - d6 * rotation[1, 0]
+    height, far = position[2] - d6 * rotation[2, 0] - d1, np.hypot(x, y)
+    wrist = np.empty((3, 3))
+    for shoulder in range(2):
+        side = 1.0 - 2.0 * shoulder
+        radius = side * far - a1
+        distance[4 * shoulder : 4 * shoulder + 4] = np.hypot(radius, height)
+        cosine = (radius**2 + height**2 - a2**2 - forearm**2) / (2 * a2 * forearm)
+        if not abs(cosine) < 1.0 + 1e-12:
+            continue
+        q1 = wrapped(-np.arctan2(side * y, side * x))
+        bend = np.arccos(min(1.0, max(-1.0, cosine)))
+        for elbow in range(2):
+            beta = -bend if elbow == 0 else bend  # of the forearm against the upper arm, counted upwards
+            lead = np.arctan2(forearm * np.sin(beta), a2 + forearm * np.cos(beta))
+            q2, q3 = wrapped(lead - np.arctan2(height, radius)), wrapped(elbow_offset - beta)
+            s1, c1, s, c = np.sin(q1), np.cos(q1), np.sin(q2 + q3), np.cos(q2 + q3)
+            for j in range(3):  # R36 = (Rz(-A1) Ry(A2 + A3))^T R
+                wrist[0, j] = c1 * c * rotation[0, j] - s1 * c * rotation[1, j] - s * rotation[2, j]
+                wrist[1, j] = s1 * rotation[0, j] + c1 * rotation[1, j]
+                wrist[2, j] = c1 * s * rotation[0, j] - s1 * s * rotation[1, j] + c * rotation[2, j]
+            q4 = near_a4
+            if np.hypot(wrist[1, 0], wrist[2, 0]) >= STRAIGHT:
+                q4 = np.arctan2(-wrist[1, 0], -wrist[2, 0])
+            s4, c4 = np.sin(q4), np.cos(q4)  # A5 and A6 from Rx(A4) R36 = Ry(A5) Rx(-A6): right for any A4 where A5 = 0
+            q5 = np.arctan2(-(s4 * wrist[1, 0] + c4 * wrist[2, 0]), wrist[0, 0])
+            q6 = np.arctan2(c4 * wrist[1, 2] - s4 * wrist[2, 2], c4 * wrist[1, 1] - s4 * wrist[2, 1])
+            row = 4 * shoulder + 2 * elbow
+            q[row] = q1, q2, q3, q4, q5, q6
+            q[row + 1] = q1, q2, q3, wrapped(q4 + np.pi), -q5, wrapped(q6 + np.pi)
+
+
+def _reach(arm: Arm) -> tuple[float, float]:
+    return abs(arm.a2 - arm.forearm), arm.a2 + arm.forearm
+
+
+def _nearest(arm: Arm, mount: Mount, pose: Pose, near_q: np.ndarray) -> np.ndarray:
+    """For each pose the branch with the least sum of squares of joint angles from near_q, (..., 6)."""
+    every, distance = branches(arm, mount, pose, near_q)
+    every = near_q[..., None, :] + _wrapped(every - near_q[..., None, :])
+    away = np.sum((every - near_q[..., None, :]) ** 2, -1)
+    out = np.argwhere(~np.isfinite(away).any(-1))
+    if len(out):
+        index = tuple(int(i) for i in out[0])
+        raise ReachError(float(distance[index].min()), _reach(arm), index)
+    best = np.argmin(np.where(np.isfinite(away), away, np.inf), -1)
+    q = np.take_along_axis(every, best[..., None, None], -2)[..., 0, :]
+    _check_shoulder(arm, mount, pose)
+    return q
+
+
+def _check_shoulder(arm: Arm, mount: Mount, pose: Pose) -> None:
+    flange = pose @ mount.pose.inverse()
+    centre = flange.position - arm.d6 * flange.rotation[..., :, 0]
+    radius = np.hypot(centre[..., 0], centre[..., 1])
+    bad = np.argwhere(~(radius > 1e-9))
+    if len(bad):
+        index = tuple(int(i) for i in bad[0])
+        raise SingularityError("shoulder", float(radius[index]) / (arm.a2 + arm.forearm), index)
+
+
+def _along(arm: Arm, mount: Mount, path: Pose, seed: np.ndarray) -> np.ndarray:
+    """Postures (n, 6) along a path of poses (n,) on the branch nearest to the seed, (6,)."""
+    first = _nearest(arm, mount, Pose(path.position[0], path.rotation[0]), seed)
+    _check_shoulder(arm, mount, path)
+    row = _row_of(arm, first)
+    unknown = np.full((len(path.position), 6), np.nan)  # no A4 where A5 = 0
+    every, distance = branches(arm, mount, path, unknown)
+    q = every[:, row]
+    lost = np.flatnonzero(~np.isfinite(q[:, :3]).all(-1))
+    if len(lost):
+        raise ReachError(float(distance[lost[0], row]), _reach(arm), (int(lost[0]),))
+    q[:, 3:] = _wrist_along(arm, mount, path, row, q[:, 3:], first)
+    q[0] = first
+    return np.unwrap(q, axis=0)
+
+
+def _row_of(arm: Arm, q: np.ndarray) -> int:
+    """Row in BRANCHES of the branch of a posture (6,), with A5 > 0."""
+    beta, radius = elbow_and_reach(arm, q)
+    return (0 if radius >= 0 else 4) + (0 if _wrapped(beta) <= 0 else 2)
+
+
+def _wrist_along(arm: Arm, mount: Mount, path: Pose, row: int, wrist: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """A4, A5, A6 along a path, (n, 3), without jumps, from the first posture (6,) on.
+
+    row: of the branch with A5 > 0; wrist: angles of this branch, NaN where A5 = 0.
+    """
+    wrist = wrist.copy()
+    known = np.isfinite(wrist[:, 0])
+    known[0] = True
+    wrist[0] = first[3:] if first[4] >= 0 else _flipped(first[3:])
+    last = np.maximum.accumulate(np.where(known, np.arange(len(known)), 0))
+    wrist[:, 0] = wrist[last, 0]
+    straight = ~known
+    if straight.any():
+        near = np.zeros((np.count_nonzero(straight), 6))
+        near[:, 3] = wrist[straight, 0]
+        places = Pose(path.position[straight], path.rotation[straight])
+        wrist[straight] = branches(arm, mount, places, near)[0][:, row, 3:]
+    step = _wrapped(np.diff(wrist, axis=0))
+    flip = _wrapped(_flipped(wrist[1:]) - wrist[:-1])
+    flips = np.sum(flip**2, -1) < np.sum(step**2, -1)
+    sign = (1.0 if first[4] >= 0 else -1.0) * np.cumprod(np.where(np.r_[False, flips], -1, 1))
+    return np.where(sign[:, None] > 0, wrist, _flipped(wrist))
+
+
+def _flipped(wrist: np.ndarray) -> np.ndarray:
+    """The same orientation with the other sign of A5, (..., 3)."""
+    return wrist * [1, -1, 1] + [np.pi, 0, np.pi]

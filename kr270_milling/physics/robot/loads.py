@@ -1,0 +1,101 @@
+"""What weighs on the joint springs: torque of the wrench and of the link weights (6), and its derivative (14), (15).
+
+An arm with a gravity compensator has its moment on joint 2 as well, wherever the weights count.
+
+Wrenches are force and moment on the tool at the tool point, constant in base_link axes, translations first [N, N m].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.physics.robot.arm import NO_COMPENSATOR, Arm, Compensator, Mount
+from kr270_milling.physics.robot.kinematics import LinkFrames, cross
+
+__all__ = ["GRAVITY", "LinkLoads", "link_loads", "load_torque", "load_hessian", "moment_arms"]
+
+GRAVITY = 9.80665  #: standard acceleration of free fall [m/s^2], [BIPM, SI brochure]
+
+
+@dataclass(frozen=True, eq=False)
+class LinkLoads:
+    """The auxiliary loads: masses in the node points O_0..O_6 and in the mount's mass centre, in one gravity field.
+
+    G_j = mass_j * gravity does not depend on the posture, so dG/dtheta, the last term of (15), vanishes.
+    """
+
+    mass: np.ndarray  #: [kg], (8,)
+    gravity: np.ndarray  #: [m/s^2] in base_link, (3,)
+    compensator: Compensator = NO_COMPENSATOR  #: it balances weights, so it is there where they are
+    share: float = 1.0  #: of the whole load that is on: gravity has it already, the compensator's moment gets it
+
+    def part(self, share: float) -> LinkLoads:
+        """The same share of every load."""
+        return LinkLoads(self.mass, share * self.gravity, self.compensator, share * self.share)
+
+    @property
+    def forces(self) -> np.ndarray:
+        """G_j [N], (8, 3)."""
+        return self.mass[:, None] * self.gravity
+
+
+def link_loads(arm: Arm, mount: Mount, gravity: float = GRAVITY) -> LinkLoads:
+    """Weights split to the ends of each link by its mass centre; gravity [m/s^2] points down, 0 switches it off.
+
+    Exact for a rigid link: the axis of joint j passes through O_(j-1), so that end of link j does not move with it.
+    """
+    mass = np.zeros(8)
+    mass[:6] += arm.link_mass * (1 - arm.link_mass_centre)
+    mass[1:7] += arm.link_mass * arm.link_mass_centre
+    mass[7] = mount.mass
+    balanced = arm.compensator if gravity else NO_COMPENSATOR
+    return LinkLoads(mass, np.array([0.0, 0.0, -gravity]), balanced)
+
+
+def moment_arms(frames: LinkFrames, loads: LinkLoads) -> np.ndarray:
+    """First moment of all masses beyond joint i about O_(i-1) [kg m], (..., 6, 3): what weights need, made once."""
+    points = np.concatenate([frames.nodes, frames.mass_centre[..., None, :]], -2)
+    beyond = np.triu(np.ones((6, 8)), 1) * loads.mass  # joint i (row i-1) moves the nodes i..6 and the mount
+    return beyond @ points - beyond.sum(-1)[:, None] * frames.nodes[..., :6, :]
+
+
+def load_torque(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads, masses=None) -> np.ndarray:
+    """Right-hand side of (6): J_G^T G + J_F^T F [N m], (..., 6); masses: ``moment_arms``, where they are known."""
+    masses = moment_arms(frames, loads) if masses is None else masses
+    force, moment = wrench[..., None, :3], wrench[..., None, 3:]
+    arms = frames.tool.position[..., None, :] - frames.nodes[..., :6, :]
+    about_axis = cross(arms, force) + moment + cross(masses, loads.gravity)
+    torque = np.einsum("...ij,...ij->...i", frames.axes, about_axis)
+    if loads.compensator.present:
+        torque[..., 1] += loads.share * loads.compensator.moment(*_joint_2(frames))
+    return torque
+
+
+def _joint_2(frames: LinkFrames):
+    """Cosine and sine of q2, (...,): Ry(q2) = R_1^T R_2."""
+    forward = frames.rotations[..., 0, :, 0]
+    upper_arm = frames.rotations[..., 1, :, :]
+    cosine = np.einsum("...i,...i->...", forward, upper_arm[..., 0])
+    sine = np.einsum("...i,...i->...", forward, upper_arm[..., 2])
+    return cosine, sine
+
+
+def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads, masses=None) -> np.ndarray:
+    """H_theta_theta of (14), (15) [N m/rad], (..., 6, 6): the derivative of ``load_torque`` by the joint angles.
+
+    A point x beyond both joints has d2x / dq_i dq_k = a_min x (a_max x (x - O_max)), which is symmetric. A moment m
+    adds (a_k x a_i) . m for k < i only, because joint k turns the axis i and not the other way round.
+    """
+    masses = moment_arms(frames, loads) if masses is None else masses
+    axes = frames.axes
+    force, moment = wrench[..., None, :3], wrench[..., None, 3:]
+    arms = frames.tool.position[..., None, :] - frames.nodes[..., :6, :]
+    weight = cross(cross(axes, masses), loads.gravity)
+    upper = np.triu(axes @ np.swapaxes(cross(cross(axes, arms), force) + weight, -1, -2))  # i <= k
+    symmetric = upper + np.swapaxes(np.triu(upper, 1), -1, -2)
+    bent = symmetric + np.tril(cross(axes, moment) @ np.swapaxes(axes, -1, -2), -1)
+    if loads.compensator.present:
+        bent[..., 1, 1] += loads.share * loads.compensator.moment_slope(*_joint_2(frames))
+    return bent

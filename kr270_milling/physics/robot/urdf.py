@@ -1,0 +1,181 @@
+"""URDF of the arm for viewers: links with simple solids, joint limits, flange, tool0 and, if wanted, the workpiece.
+
+The solids of arm, spindle and tool are boxes and cylinders, sized by the link lengths. They are for the eye only: own
+primitives by the look of a heavy arm, no maker's meshes. Collision is not their job.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from kr270_milling.base.frames import Pose, abc_from_rotation
+from kr270_milling.physics.robot.arm import AXES, Arm, Mount
+
+__all__ = ["COLOURS", "urdf"]
+
+#: material of a solid -> red, green, blue, from 0 to 1
+COLOURS = {
+    "arm": (0.90, 0.45, 0.10),
+    "dark": (0.22, 0.24, 0.27),
+    "metal": (0.62, 0.65, 0.69),
+    "tool": (0.80, 0.70, 0.30),
+}
+KR270_REACH = 2.35  #: [m], a2 + d4 of the KR 270-2, by whose look the widths are chosen
+STICK_OUT = 0.04  #: [m] of the tool from its holder
+HOLDER = 0.06  #: [m] of the holder from the spindle nose
+HOUSING = 0.36  #: [m] of the spindle
+ORIGIN = NO_TURN = np.zeros(3)
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """A box of ``size`` (x, y, z), or a cylinder of ``size`` (radius, length) along its z axis [m]."""
+
+    size: tuple[float, ...]
+    xyz: np.ndarray  #: of its middle in the frame of the link [m], (3,)
+    rpy: np.ndarray  #: of its axes there, URDF's roll, pitch, yaw [rad], (3,)
+    colour: str
+
+
+def urdf(arm: Arm, mount: Mount, tool_radius: float = 0.01, workpiece: Pose | None = None) -> str:
+    """URDF text: base_link, link_1 to link_6, flange, tool0; joints joint_a1 to joint_a6 [m, rad, kg].
+
+    tool_radius [m] of the cutter that is shown; workpiece: its frame on base_link, as a further fixed link.
+    """
+    root = ET.Element("robot", name="kr270")
+    for name, rgb in COLOURS.items():
+        ET.SubElement(ET.SubElement(root, "material", name=name), "color", rgba=_text([*rgb, 1.0]))
+    solids, ends = _arm_solids(arm), arm.link_vectors
+    _link(root, "base_link", solids[0])
+    for j in range(6):
+        _inertial(_link(root, f"link_{j + 1}", solids[j + 1]), ends[j], float(arm.link_mass[j]))
+    for j in range(6):
+        parent, offset = (f"link_{j}", ends[j - 1]) if j else ("base_link", ORIGIN)
+        joint = _joint(root, f"joint_a{j + 1}", "revolute", parent, f"link_{j + 1}", offset, NO_TURN)
+        ET.SubElement(joint, "axis", xyz=_text(AXES[j]))
+        low, high, speed = arm.joint_lower[j], arm.joint_upper[j], arm.joint_speed_limit[j]
+        ET.SubElement(joint, "limit", lower=f"{low:.9g}", upper=f"{high:.9g}", velocity=f"{speed:.9g}", effort="0")
+    _fixed(root, "flange", "link_6", Pose(ends[5], np.eye(3)), _adapter(mount))
+    _fixed(root, "tool0", "flange", mount.pose, _spindle(mount, tool_radius))
+    if workpiece is not None:
+        _fixed(root, "workpiece", "base_link", workpiece, [])
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode")
+
+
+def _text(values) -> str:
+    return " ".join(f"{float(v) + 0.0:.9g}" for v in values)
+
+
+def _link(root, name: str, solids: list[Solid]):
+    link = ET.SubElement(root, "link", name=name)
+    for solid in solids:
+        visual = ET.SubElement(link, "visual")
+        ET.SubElement(visual, "origin", xyz=_text(solid.xyz), rpy=_text(solid.rpy))
+        geometry = ET.SubElement(visual, "geometry")
+        if len(solid.size) == 3:
+            ET.SubElement(geometry, "box", size=_text(solid.size))
+        else:
+            ET.SubElement(geometry, "cylinder", radius=f"{solid.size[0]:.9g}", length=f"{solid.size[1]:.9g}")
+        ET.SubElement(visual, "material", name=solid.colour)
+    return link
+
+
+def _inertial(link, end: np.ndarray, mass: float) -> None:
+    """A rod from the link's origin to its end, as a viewer needs some number."""
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", xyz=_text(end / 2), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=f"{mass:.9g}")
+    moment = f"{mass * max(float(np.linalg.norm(end)), 0.1) ** 2 / 12:.9g}"
+    ET.SubElement(inertial, "inertia", ixx=moment, iyy=moment, izz=moment, ixy="0", ixz="0", iyz="0")
+
+
+def _joint(root, name: str, kind: str, parent: str, child: str, xyz: np.ndarray, rpy: np.ndarray):
+    joint = ET.SubElement(root, "joint", name=name, type=kind)
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=child)
+    ET.SubElement(joint, "origin", xyz=_text(xyz), rpy=_text(rpy))
+    return joint
+
+
+def _fixed(root, name: str, parent: str, place: Pose, solids: list[Solid]) -> None:
+    """A link fixed in its parent; URDF's roll, pitch, yaw are KUKA's C, B, A."""
+    _link(root, name, solids)
+    _joint(root, f"{parent}_{name}", "fixed", parent, name, place.position, abc_from_rotation(place.rotation)[::-1])
+
+
+def _cylinder(start, end, radius: float, colour: str) -> Solid:
+    """From one point to another [m]."""
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    along = end - start
+    length = float(np.linalg.norm(along))
+    axis = along / length  # roll about x, then pitch about y, then yaw about z bring z there
+    rpy = np.array([0.0, np.arctan2(np.hypot(axis[0], axis[1]), axis[2]), np.arctan2(axis[1], axis[0])])
+    return Solid((radius, length), (start + end) / 2, rpy, colour)
+
+
+def _box(size, middle, colour: str, rpy=NO_TURN) -> Solid:
+    return Solid(tuple(map(float, size)), np.asarray(middle, float), rpy, colour)
+
+
+def _hub(at, radius: float, length: float, colour: str) -> Solid:
+    """A cylinder along y about a joint axis."""
+    half = np.array([0.0, length / 2, 0.0])
+    return _cylinder(np.asarray(at, float) - half, np.asarray(at, float) + half, radius, colour)
+
+
+def _arm_solids(arm: Arm) -> list[list[Solid]]:
+    """Of base_link and link_1 to link_6, each in the frame of its link."""
+    s = (arm.a2 + arm.d4) / KR270_REACH
+    return [
+        [
+            _box((0.80 * s, 0.80 * s, 0.06 * s), (0.0, 0.0, 0.03 * s), "dark"),
+            _cylinder((0, 0, 0.06 * s), (0, 0, 0.42 * arm.d1), 0.30 * s, "dark"),
+        ],
+        [
+            _cylinder((0, 0, 0.42 * arm.d1), (0, 0, 0.80 * arm.d1), 0.33 * s, "arm"),
+            _box((arm.a1 + 0.2 * s, 0.30 * s, 0.36 * s), (0.5 * arm.a1, 0.0, arm.d1 - 0.06 * s), "arm"),
+            _hub((arm.a1, 0.0, arm.d1), 0.20 * s, 0.46 * s, "dark"),
+        ],
+        [
+            _box((arm.a2, 0.20 * s, 0.26 * s), (0.5 * arm.a2, 0.0, 0.0), "arm"),
+            _hub(ORIGIN, 0.19 * s, 0.34 * s, "arm"),
+            _hub((arm.a2, 0.0, 0.0), 0.16 * s, 0.30 * s, "arm"),
+        ],
+        [
+            _hub(ORIGIN, 0.13 * s, 0.40 * s, "dark"),
+            _box((0.42 * s, 0.26 * s, 0.28 * s), (-0.04 * s, 0.0, arm.a3), "arm"),
+        ],
+        [
+            _cylinder((0.12 * s, 0, 0), (0.55 * arm.d4, 0, 0), 0.125 * s, "arm"),
+            _cylinder((0.55 * arm.d4, 0, 0), (arm.d4 - 0.10 * s, 0, 0), 0.105 * s, "arm"),
+            _box((0.20 * s, 0.18 * s, 0.16 * s), (arm.d4 - 0.06 * s, 0.0, 0.0), "arm"),
+        ],
+        [_hub(ORIGIN, 0.095 * s, 0.22 * s, "dark")],
+        [_cylinder((0.02 * s, 0, 0), (arm.d6, 0, 0), 0.085 * s, "metal")],
+    ]
+
+
+def _adapter(mount: Mount) -> list[Solid]:
+    """A box from the flange to the nearest place of the spindle axis."""
+    axis = mount.pose.rotation[:, 2]
+    across = np.asarray(mount.xyz) - axis * float(axis @ mount.xyz)
+    length = float(np.linalg.norm(across))
+    if length < 0.02:
+        return []
+    direction = across / length
+    rotation = np.column_stack([direction, np.cross(axis, direction), axis])
+    return [_box((length, 0.16, 0.20), across / 2, "dark", abc_from_rotation(rotation)[::-1])]
+
+
+def _spindle(mount: Mount, tool_radius: float) -> list[Solid]:
+    """Tool, holder and, where the tip is far enough from the flange, the housing; tool0's z points to the tip."""
+    solids = [_cylinder((0, 0, -STICK_OUT), (0, 0, 0), tool_radius, "tool")]
+    if float(np.linalg.norm(mount.xyz)) > STICK_OUT + HOLDER:
+        nose = -(STICK_OUT + HOLDER)
+        solids.append(_cylinder((0, 0, nose), (0, 0, -STICK_OUT), max(0.025, 1.4 * tool_radius), "metal"))
+        solids.append(_cylinder((0, 0, nose - HOUSING), (0, 0, nose), 0.075, "metal"))
+    return solids

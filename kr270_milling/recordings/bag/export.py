@@ -1,0 +1,219 @@
+"""Export topics as CSV or Parquet files, message by message, with bounded memory. Parquet needs pyarrow."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import importlib.util
+import io
+import itertools
+import json
+import math
+import operator
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError, RecordingError
+from kr270_milling.base.files import staged
+from kr270_milling.base.units import SECOND
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.series import FIXED, stamped
+from kr270_milling.recordings.messages.definitions import plain
+from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajectory
+
+__all__ = ["Exported", "export", "rows"]
+
+MAX_FILES = 100  # of one topic; a new file begins when the columns change
+ROWS, TEXT_BYTES = 1024, 1024 * 1024  # in one group of a Parquet file
+Row = tuple[list[str], list]  # names of the columns, cells
+POINT = [
+    *(f"position_{a}_m" for a in "xyz"),
+    *(f"orientation_{a}" for a in "xyzw"),
+    *(f"velocity_{a}_m_per_s" for a in "xyz"),
+    *(f"angular_velocity_{a}_rad_per_s" for a in "xyz"),
+    *(f"acceleration_{a}_m_per_s2" for a in "xyz"),
+    *(f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"),
+]
+JOINTS = "sensor_msgs/msg/JointState"
+TWIST = "geometry_msgs/msg/TwistStamped"
+
+
+@dataclass
+class Exported:
+    """The written files, and the reason for each topic that was not written."""
+
+    files: list[Path] = field(default_factory=list)
+    refused: dict[str, str] = field(default_factory=dict)  #: topic -> sentence
+
+
+def export(
+    recording: Recording, directory, topics: Collection[str] | None = None, progress: Callable | None = None,
+    kind: str = "csv",
+) -> Exported:  # fmt: skip
+    """Write one file for each topic into a directory; progress(messages done, of all); kind: "csv" or "parquet".
+
+    The result names each topic that cannot be read; the other topics are written. Raises RecordingError for an unknown
+    topic, a full disk, and a missing pyarrow.
+    """
+    if kind == "parquet" and importlib.util.find_spec("pyarrow") is None:
+        raise RecordingError(directory, "Parquet needs the package pyarrow, which is not installed")
+    known = recording.topics()
+    missing = sorted(set(topics or ()) - set(known))
+    if missing:
+        raise RecordingError(recording.path, f"has no topic {', '.join(missing)}")
+    result, done = Exported(), 0
+    try:
+        Path(directory).mkdir(parents=True, exist_ok=True)
+        for topic, about in known.items():
+            if about.count and (topics is None or topic in topics):
+                _export_topic(recording, topic, Path(directory), kind, result)
+            done += about.count
+            if progress:
+                progress(done, recording.count)
+    except OSError as error:
+        raise RecordingError(directory, f"the tables cannot be written: {error.strerror or error}") from error
+    except InputError as error:
+        raise RecordingError(directory, error.reason) from error
+    return result
+
+
+def _export_topic(recording: Recording, topic: str, directory: Path, kind: str, result: Exported) -> None:
+    """Write the files of a topic: a new file each time the columns change. They appear when all are complete."""
+    files: list[Path] = []
+    try:
+        with staged(directory) as (draft, _):
+            for columns, alike in itertools.groupby(rows(recording, topic), key=operator.itemgetter(0)):
+                if len(files) == MAX_FILES:
+                    raise RecordingError(recording.path, f"the columns of {topic} change more than {MAX_FILES} times")
+                files.append(_free_path(directory, topic, kind, [*result.files, *files]))
+                with open(draft / files[-1].name, "xb") as stream:
+                    WRITERS[kind](stream, columns, (cells for _, cells in alike))
+    except RecordingError as error:
+        result.refused[topic] = str(error)
+    else:
+        result.files += files
+
+
+def _free_path(directory: Path, topic: str, suffix: str, taken: list[Path]) -> Path:
+    """Return ``directory/topic.suffix``, with a number if another topic has this name."""
+    number, path = 1, directory / f"{_word(topic)}.{suffix}"
+    while path in taken:
+        number += 1
+        path = directory / f"{_word(topic)}_{number}.{suffix}"
+    return path
+
+
+def _write_csv(stream, columns: list[str], rows: Iterable[list]) -> None:
+    with io.TextIOWrapper(stream, encoding="utf-8", newline="") as text:
+        writer = csv.writer(text)
+        writer.writerow(columns)
+        writer.writerows(rows)  # a number is the shortest text that gives the same bits
+
+
+def _write_parquet(stream, columns: list[str], rows: Iterable[list]) -> None:
+    import pyarrow.parquet
+
+    with contextlib.ExitStack() as stack:
+        writer = None
+        for table in _tables(rows):
+            schema = writer.schema if writer else None
+            group = pyarrow.table(dict(zip(columns, map(list, zip(*table, strict=True)), strict=True)), schema=schema)
+            writer = writer or stack.enter_context(pyarrow.parquet.ParquetWriter(stream, group.schema))
+            writer.write_table(group)
+
+
+WRITERS: dict[str, Callable] = {"csv": _write_csv, "parquet": _write_parquet}
+
+
+def _tables(rows: Iterable[list]) -> Iterator[list[list]]:
+    """Group rows, up to 1024 rows or 1 MB of text."""
+    table: list[list] = []
+    size = 0
+    for row in rows:
+        table.append(row)
+        size += sum(len(cell) for cell in row if isinstance(cell, str))
+        if len(table) == ROWS or size > TEXT_BYTES:
+            yield table
+            table, size = [], 0
+    if table:
+        yield table
+
+
+def rows(recording: Recording, topic: str) -> Iterator[Row]:
+    """Yield the messages of a topic as rows; columns may change from row to row. Raises RecordingError."""
+    kind = recording.topics()[topic].type
+    if kind in FIXED:
+        return _series_rows(recording, topic, kind)
+    if kind == TRAJECTORY:
+        return _trajectory_rows(recording, topic)
+    return _any_rows(recording, topic, _joint_cells if kind == JOINTS else lambda message: _flat(plain(message)))
+
+
+def _series_rows(recording: Recording, topic: str, kind: str) -> Iterator[Row]:
+    units = FIXED[kind]
+    if kind == TWIST:  # a deflection is a displacement in the fields of a velocity
+        deflection = topic.split("/")[-1] == "deflection"
+        linear, angular = ("m", "rad") if deflection else ("m_per_s", "rad_per_s")
+        units = [(name, linear if name.startswith("linear") else angular) for name, _ in units]
+    columns = ["log_time_ns", "stamp_ns", "frame_id", *(f"{name}_{unit}" if unit else name for name, unit in units)]
+    for log_time, stamp, frame, numbers in stamped(recording, topic):
+        yield columns, [log_time, stamp, frame, *numbers]
+
+
+def _trajectory_rows(recording: Recording, topic: str) -> Iterator[Row]:
+    """Yield one row for each point; with several bodies the columns have the name of the body."""
+    for number, message in enumerate(recording.messages([topic], as_written=True)):
+        try:
+            trajectory = read_trajectory(message.data)
+        except ValueError as error:
+            raise RecordingError(recording.path, f"a message on {topic} is not a {TRAJECTORY}: {error}") from error
+        prefixes = [f"{_word(name)}_" if len(trajectory.names) > 1 else "" for name in trajectory.names]
+        columns = ["message", "stamp_ns", "frame_id", "time_from_start_ns"]
+        columns += [prefix + name for prefix in prefixes for name in POINT]
+        bodies = np.concatenate(
+            [trajectory.position, trajectory.quaternion, trajectory.velocity, trajectory.acceleration], axis=2
+        )
+        for time, body in zip(trajectory.time.tolist(), bodies, strict=True):
+            yield columns, [number, trajectory.stamp, trajectory.frame_id, time, *body.ravel().tolist()]
+
+
+def _any_rows(recording: Recording, topic: str, cells_of: Callable[[object], dict]) -> Iterator[Row]:
+    """Yield the rows of any other type."""
+    for message, decoded in recording.decoded([topic], as_written=True):
+        try:
+            cells = {"log_time_ns": message.log_time, **cells_of(decoded)}
+        except ValueError as error:
+            raise RecordingError(recording.path, f"a message on {topic} {error}") from error
+        yield list(cells), list(cells.values())
+
+
+def _joint_cells(state) -> dict:
+    """One column for each joint and quantity; missing values are NaN."""
+    stamp = state.header.stamp
+    cells = {"stamp_ns": stamp.sec * SECOND + stamp.nanosec, "frame_id": state.header.frame_id}
+    for kind, unit in (("position", "rad"), ("velocity", "rad_per_s"), ("effort", "n_m")):
+        values = getattr(state, kind).tolist() or [math.nan] * len(state.name)
+        if len(values) != len(state.name):
+            raise ValueError(f"names {len(state.name)} joints and gives {len(values)} values of {kind}")
+        cells.update({f"{kind}_{_word(name)}_{unit}": value for name, value in zip(state.name, values, strict=True)})
+    return cells
+
+
+def _flat(value: dict, prefix: str = "") -> dict:
+    """One column for each number or text; a sequence is JSON in one cell."""
+    cells = {}
+    for key, item in value.items():
+        if isinstance(item, dict):
+            cells.update(_flat(item, f"{prefix}{key}_"))
+        else:
+            cells[prefix + key] = json.dumps(item) if isinstance(item, list) else item
+    return cells
+
+
+def _word(text: str) -> str:
+    """Replace characters that a file name or a column cannot contain."""
+    return re.sub(r"\W+", "_", text).strip("_")[:100] or "unnamed"

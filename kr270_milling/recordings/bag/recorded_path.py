@@ -1,0 +1,203 @@
+"""The target of a pass from a recording: a nav_msgs/Path, or a MultiDOFJointTrajectory with its times.
+
+A Path contains positions. The stamps of its poses determine the feed; ``feed_rate`` does if all stamps are equal. The
+orientations are used if tool0 z points into the part. If z points straight up in all of them, as in empty orientations
+and in headings of planners, they do not describe a tool, and the tool is vertical.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import RecordingError
+from kr270_milling.path.timing import TimedPath
+from kr270_milling.path.toolpath import REACH, Toolpath
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.messages.cdr import Cursor
+from kr270_milling.recordings.messages.trajectory import TRAJECTORY, TrajectoryRecord, read_trajectory
+
+__all__ = ["PATH", "PathRecord", "read_path", "read_recorded"]
+
+PATH = "nav_msgs/msg/Path"
+TOOL, WORKPIECE = "tool0", "workpiece"
+UPRIGHT = 1e-9  #: horizontal part of the z axis below which an orientation is a mere heading
+
+
+@dataclass(frozen=True, eq=False)
+class PathRecord:
+    """One message; n poses."""
+
+    frames: tuple[str, ...]  #: of the message, then of its poses, each once
+    time: np.ndarray  #: [ns], (n,) int64, the stamps
+    position: np.ndarray  #: [m], (n, 3)
+    quaternion: np.ndarray  #: x y z w, (n, 4)
+
+
+def read_recorded(path, topic: str = "", feed: float = 0.0) -> Toolpath | TimedPath:
+    """Read the one path or trajectory of a recording, or that on ``topic``; feed [m/s]: for a Path without times.
+
+    Raises RecordingError if there is none, if there are several, or if it cannot be run.
+    """
+    with Recording(path) as recording:
+        topic, kind = _topic(recording, topic)
+        try:
+            data = _message(recording, topic)
+            if kind == PATH:
+                return _toolpath(read_path(data), feed)
+            return _timed(read_trajectory(data))
+        except (ValueError, TrajectoryError) as error:
+            reason = getattr(error, "reason", error)
+            point = getattr(error, "index", None)
+            where = "" if point is None else f"point {point + 1}: "
+            raise RecordingError(path, f"{topic}: {where}{reason}") from error
+
+
+def _topic(recording: Recording, wanted: str) -> tuple[str, str]:
+    """Name and type of the topic to read."""
+    fits = {name: t.type for name, t in recording.topics().items() if t.type in (PATH, TRAJECTORY) and t.count}
+    if wanted in fits:
+        return wanted, fits[wanted]
+    listed = ", ".join(f"{name} ({kind})" for name, kind in fits.items())
+    if wanted:
+        raise RecordingError(recording.path, f"has no path on path.topic {wanted!r}, but on: {listed or 'no topic'}")
+    if len(fits) != 1:
+        reason = f"several topics have a path, name one as path.topic: {listed}" if fits else f"has no {PATH} and no "
+        raise RecordingError(recording.path, reason if fits else reason + TRAJECTORY)
+    return next(iter(fits.items()))
+
+
+def _message(recording: Recording, topic: str) -> bytes:
+    """Return the message of a topic; a repeated message may differ only in its stamp."""
+    first = b""
+    for message in recording.messages([topic]):
+        if first and message.data[12:] != first[12:]:
+            raise ValueError("has several different paths; a recording must have one")
+        first = first or message.data
+    if recording.topics()[topic].encoding != "cdr" or not first:
+        raise ValueError("has no message that can be read")
+    return first
+
+
+def read_path(data: bytes) -> PathRecord:
+    """Read one serialised nav_msgs/Path; raises ValueError for other bytes."""
+    cursor = Cursor(data)
+    cursor.number("i"), cursor.number("I")
+    frames = {cursor.string(): None}
+    count = cursor.number("I")
+    if 64 * count > len(data):  # a pose has at least a stamp and seven numbers
+        raise ValueError("the message ends too early")
+    time, numbers = np.empty(count, np.int64), np.empty((count, 7))
+    for k in range(count):
+        seconds, nanoseconds = cursor.number("i"), cursor.number("I")
+        time[k] = seconds * 10**9 + nanoseconds
+        frames[cursor.string()] = None
+        cursor.align(8)
+        numbers[k] = np.frombuffer(data, cursor.order + "f8", 7, cursor.skip(56))
+    cursor.finish()
+    return PathRecord(tuple(frames), time, numbers[:, :3], numbers[:, 3:])
+
+
+def _toolpath(path: PathRecord, feed_rate: float) -> Toolpath:
+    _expect_frame(path.frames[0], *filter(None, path.frames[1:]))  # an empty frame is the frame of the message
+    chosen = _moving(path.position)
+    feed = np.append(0.0, _feeds(path, chosen[1:], feed_rate))
+    return _blocks(chosen, path.position, _orientations(path.quaternion), feed, np.zeros(len(chosen)))
+
+
+def _feeds(path: PathRecord, moves: np.ndarray, feed_rate: float) -> np.ndarray:
+    """Feed [m/s], (n - 1,), from each pose to the next."""
+    step = np.diff(path.time)
+    if not step.any():
+        if not feed_rate > 0.0:
+            raise ValueError("its poses all have one stamp, so they give no feed; set path.feed_rate_m_per_min")
+        return np.full(step.size, feed_rate)
+    bad = (step < 0) | ((step == 0) & moves)
+    if bad.any():
+        k = int(np.argmax(bad))
+        raise ValueError(f"pose {k + 2} needs a later stamp than the pose before")
+    length = np.linalg.norm(np.diff(path.position, axis=0), axis=1)
+    feed = length / np.maximum(step, 1) * 1e9
+    if not feed.max() <= REACH:
+        k = int(np.argmax(feed))
+        raise ValueError(f"by its stamps the tool would go to pose {k + 2} at {feed[k]:.3g} m/s")
+    return _six_digits(feed)
+
+
+def _six_digits(feed: np.ndarray) -> np.ndarray:
+    """Round to six digits: stamps are whole nanoseconds and would turn one feed into many."""
+    unit = 10.0 ** (np.floor(np.log10(np.where(feed > 0, feed, 1.0))) - 5)
+    return np.round(feed / unit) * unit
+
+
+def _orientations(quaternion: np.ndarray) -> np.ndarray:
+    """Orientations of tool0, (n, 4); those of a vertical tool if the poses do not describe a tool."""
+    if not np.isfinite(quaternion).all():
+        raise ValueError("an orientation is not finite")
+    x, y, z, w = quaternion.T
+    if np.all(np.hypot(x, y) <= UPRIGHT):
+        return np.tile(TOOL_DOWN, (len(quaternion), 1))
+    length = np.linalg.norm(quaternion, axis=1)
+    other = ~(np.abs(length - 1.0) < 1e-3)
+    if other.any():
+        raise ValueError(f"the orientation of pose {int(np.argmax(other)) + 1} does not have length 1")
+    up = w**2 + z**2 - x**2 - y**2 > 0.0  # z component of the z axis
+    if up.any():
+        raise ValueError(f"at pose {int(np.argmax(up)) + 1} the z axis of tool0, along the spindle away from "
+                         "the flange, points out of the part")  # fmt: skip
+    return quaternion / length[:, None]
+
+
+def _timed(record: TrajectoryRecord) -> TimedPath:
+    """Return a trajectory as a tool path: a block from knot to knot, curved as the velocities at its ends require."""
+    _expect_frame(record.frame_id)
+    if record.names != (TOOL,):
+        raise ValueError(f"is a trajectory of {', '.join(record.names) or 'nothing'}, not of {TOOL}")
+    chosen, velocity = _moving(record.position[:, 0]), record.velocity[:, 0, :3]
+    none = np.isnan(velocity).all()
+    run = Trajectory(record.time, record.position[:, 0], record.quaternion[:, 0], None if none else velocity)
+    length = np.linalg.norm(np.diff(run.position, axis=0), axis=1)
+    feed = np.append(0.0, length / np.diff(run.time_ns) * 1e9)
+    bend = np.append(0.0, np.zeros(length.size) if run.velocity is None else _bends(run, run.velocity))
+    path = _blocks(chosen, run.position, run.quaternion, feed, bend)
+    ends = np.cumsum(path.block_length)[np.cumsum(chosen) - 1]
+    return TimedPath(path, run, path.block_at(ends), ends, timed_by_source=True)
+
+
+def _bends(run: Trajectory, velocity: np.ndarray) -> np.ndarray:
+    """Curvature [1/m] in the xy plane, (n - 1,), of the arc that turns as the velocity from knot to knot."""
+    plane = velocity[:, :2]
+    cross = plane[:-1, 0] * plane[1:, 1] - plane[:-1, 1] * plane[1:, 0]
+    turn = np.arctan2(cross, np.sum(plane[:-1] * plane[1:], axis=1))
+    chord = np.hypot(*np.diff(run.position[:, :2], axis=0).T)
+    sharp = (np.abs(turn) > np.pi / 2) | (chord == 0)  # a corner or a stop
+    return np.where(sharp, 0.0, 2 * np.sin(turn / 2) / np.where(chord > 0, chord, 1.0))
+
+
+def _blocks(chosen: np.ndarray, position: np.ndarray, quaternion: np.ndarray, feed: np.ndarray, bend: np.ndarray
+            ) -> Toolpath:  # fmt: skip
+    """Return the blocks between chosen points; feed [m/s] and curvature [1/m] are those up to each point."""
+    none = np.zeros(np.count_nonzero(chosen))
+    return Toolpath(
+        position=position[chosen], feed=feed[chosen], rapid=none, line=none, feature=none, features=("",),
+        curvature=bend[chosen], spindle_speed=none, quaternion=quaternion[chosen],
+    )  # fmt: skip
+
+
+def _expect_frame(*frames: str) -> None:
+    other = [frame for frame in frames if frame != WORKPIECE]
+    if other:
+        raise ValueError(f"the frame is {other[0][:40]!r}, but must be {WORKPIECE}")
+
+
+def _moving(position: np.ndarray) -> np.ndarray:
+    """Mark the first point and each point that differs from the point before, (n, 3) -> (n,)."""
+    far = ~(np.abs(position).max(axis=1, initial=0.0) <= REACH)  # NaN is far
+    if far.any():
+        raise ValueError(f"point {int(np.argmax(far)) + 1} is more than {REACH:g} m away or not a number; wrong unit?")
+    chosen = np.any(np.diff(position, axis=0, prepend=np.inf) != 0, axis=1)
+    if np.count_nonzero(chosen) < 2:
+        raise ValueError("the path never moves")
+    return chosen

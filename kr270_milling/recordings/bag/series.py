@@ -1,0 +1,125 @@
+"""Topics of a recording as arrays: messages that consist of a header and numbers."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+
+from kr270_milling.base.errors import RecordingError
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.messages.cdr import layout_of, unpack_alike, unpack_stamped
+
+__all__ = ["FIXED", "TopicSeries", "series", "several", "stamped"]
+
+#: [bytes] of a series: a base, and a multiple of the size of the file
+BASE_LIMIT, LIMIT_PER_BYTE = 64 * 1024 * 1024, 50
+BATCH = 1024 * 1024  # [bytes] of messages that are unpacked together
+#: type -> (column, unit) of the numbers after its header
+FIXED = {
+    "geometry_msgs/msg/PoseStamped": (
+        [(f"position_{a}", "m") for a in "xyz"] + [(f"orientation_{a}", "") for a in "xyzw"]
+    ),
+    "geometry_msgs/msg/WrenchStamped": [(f"force_{a}", "n") for a in "xyz"] + [(f"torque_{a}", "n_m") for a in "xyz"],
+    # the deflection: a small displacement and rotation in the fields of velocities
+    "geometry_msgs/msg/TwistStamped": [(f"linear_{a}", "") for a in "xyz"] + [(f"angular_{a}", "") for a in "xyz"],
+}
+
+
+class TopicSeries(NamedTuple):
+    """A topic of one of the FIXED types; the arrays are read-only."""
+
+    stamp: np.ndarray  #: [ns], (n,) int64
+    values: np.ndarray  #: SI units, (n, 7) position and quaternion x y z w, or (n, 6) translations before rotations
+
+
+def series(recording: Recording, topic: str) -> TopicSeries:
+    """Read a PoseStamped, WrenchStamped or TwistStamped topic as arrays. Raises RecordingError."""
+    return several(recording, [topic])[0]
+
+
+def several(
+    recording: Recording, topics: Sequence[str],
+    others: Mapping[str, Callable[[bytes], object]] = MappingProxyType({}),
+) -> list[TopicSeries]:  # fmt: skip
+    """Read topics of the FIXED types as arrays in one pass through the file.
+
+    others: topic -> a function that receives each message of a further topic. Raises RecordingError.
+    """
+    batches = {topic: _Batch(recording, topic) for topic in topics}
+    receivers = {**{topic: batch.add for topic, batch in batches.items()}, **others}
+    for message in recording.messages(set(receivers), as_written=True):
+        receivers[message.topic](message.data)
+    return [batches[topic].series() for topic in topics]
+
+
+class _Batch:
+    """Collects a topic and unpacks consecutive messages of one layout together."""
+
+    def __init__(self, recording: Recording, topic: str):
+        self._recording, self._topic, self._width = recording, topic, _width(recording, topic)
+        self._limit = BASE_LIMIT + LIMIT_PER_BYTE * recording.size
+        self._layout: tuple = ()
+        self._waiting: list[bytes] = []
+        self._size = 0  # [bytes] of the numbers
+        self._stamps, self._values = [np.empty(0, np.int64)], [np.empty((0, self._width))]
+
+    def add(self, data: bytes) -> None:
+        if (layout := layout_of(data)) != self._layout or len(self._waiting) * len(data) > BATCH:
+            self._unpack()
+            self._layout = layout
+        self._waiting.append(data)
+
+    def _unpack(self) -> None:
+        if not self._waiting:
+            return
+        with _as_recording_error(self._recording, self._topic):
+            stamps, values = unpack_alike(self._waiting, self._width)
+        self._waiting.clear()
+        self._stamps.append(stamps)
+        self._values.append(values)
+        self._size += values.nbytes
+        if self._size > self._limit:
+            size = f"{self._limit} bytes, {LIMIT_PER_BYTE} times the size of the file"
+            raise RecordingError(self._recording.path, f"{self._topic} unfolds into more than {size}")
+
+    def series(self) -> TopicSeries:
+        self._unpack()
+        result = TopicSeries(np.concatenate(self._stamps), np.concatenate(self._values))
+        for column in result:
+            column.setflags(write=False)
+        return result
+
+
+def stamped(recording: Recording, topic: str) -> Iterator[tuple[int, int, str, list[float]]]:
+    """Log time [ns], stamp [ns], frame and numbers of every message of a topic, in the order of the file.
+
+    Raises RecordingError for a message of another type.
+    """
+    width = _width(recording, topic)
+    for message in recording.messages([topic], as_written=True):
+        with _as_recording_error(recording, topic):
+            fields = unpack_stamped(message.data, width, alone=True)
+        yield message.log_time, *fields
+
+
+def _width(recording: Recording, topic: str) -> int:
+    about = recording.topics().get(topic)
+    if about is None:
+        raise RecordingError(recording.path, f"has no topic {topic}")
+    if about.encoding != "cdr" or about.type not in FIXED:
+        raise RecordingError(recording.path, f"{topic} is {about.type or 'of no type'}, which is no series of numbers")
+    return len(FIXED[about.type])
+
+
+@contextlib.contextmanager
+def _as_recording_error(recording: Recording, topic: str) -> Iterator[None]:
+    """Turn a ValueError of a message into a RecordingError."""
+    try:
+        yield
+    except ValueError as error:
+        kind = recording.topics()[topic].type
+        raise RecordingError(recording.path, f"a message on {topic} is not a {kind}: {error}") from error

@@ -1,0 +1,267 @@
+"""Messages as bytes (CDR) and as records, both ways, by rosbags' type store; no ROS is needed.
+
+``to_bytes(record)`` gives the bytes of the message that carries a record, ``from_bytes(type name, bytes)`` the record.
+``serialise`` and ``deserialise`` do the same for messages of any type, from and to nested dicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from kr270_milling.base.errors import MessageError
+from kr270_milling.base.frames import TOOL, WORKPIECE
+from kr270_milling.base.samples import (
+    ClockSample,
+    CompensatorState,
+    JointProgram,
+    JointSample,
+    LearnedPass,
+    PoseSample,
+    StockMap,
+    Text,
+    TwistSample,
+    WrenchSample,
+)
+from kr270_milling.base.units import SECOND
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.recordings.messages.cdr import pack_stamped, unpack_stamped
+from kr270_milling.recordings.messages.definitions import deserialise, store_of
+from kr270_milling.recordings.messages.trajectory import TRAJECTORY, read_trajectory
+
+__all__ = [
+    "deserialise", "from_bytes", "named", "pose_from_bytes", "serialise", "time_fields", "to_bytes",
+    "trajectory_from_bytes", "type_of", "wrench_from_bytes",
+]  # fmt: skip
+
+
+def serialise(type_name: str, fields: Mapping) -> bytes:
+    """The bytes of a message, little endian; fields: nested mappings; what they leave out is zero or empty."""
+    store = store_of(type_name)
+    return bytes(store.serialize_cdr(_message(store, type_name, fields), type_name, little_endian=True))
+
+
+def _message(store, type_name: str, fields: Mapping):
+    """The message object of nested mappings."""
+    known = dict(store.fielddefs[type_name][1])
+    if not set(fields) <= set(known):
+        raise KeyError(f"{type_name} has no field {', '.join(sorted(set(fields) - set(known)))}")
+    return store.types[type_name](*(_value(store, kind, fields.get(name)) for name, kind in known.items()))
+
+
+def _value(store, kind, value):
+    from rosbags.interfaces import Nodetype
+    from rosbags.serde.utils import ndtype
+
+    if kind[0] == Nodetype.NAME:
+        return _message(store, kind[1], {} if value is None else value)
+    if kind[0] == Nodetype.BASE:
+        return value if value is not None else "" if kind[1][0] == "string" else 0
+    (inner, about), length = kind[1]
+    count = length if kind[0] == Nodetype.ARRAY else 0
+    if inner == Nodetype.BASE and about[0] != "string":
+        return np.zeros(count, ndtype(about[0])) if value is None else np.ascontiguousarray(value, ndtype(about[0]))
+    return [_value(store, (inner, about), item) for item in ([None] * count if value is None else value)]
+
+
+class Kind(NamedTuple):
+    """A record's message: its type, record -> bytes, bytes -> record."""
+
+    type: str
+    write: Callable
+    read: Callable
+
+
+def _stored(type_name: str, fields: Callable, record: Callable) -> Kind:
+    """A message that the type store writes from fields, and reads to an object from which a record is made."""
+    return Kind(type_name, lambda r: serialise(type_name, fields(r)), lambda d: record(deserialise(type_name, d)))
+
+
+def _stamped(type_name: str, record: Callable, *widths: int) -> Kind:
+    """A message that is a header and doubles, quick: one of these comes twice in every exchange.
+
+    widths: of the arrays of the record, one or two.
+    """
+    count, first = sum(widths), widths[0]
+
+    def write(sample) -> bytes:
+        values = sample[2].tolist()
+        return pack_stamped(sample[0], sample[1], values if first == count else values + sample[3].tolist())
+
+    def read(data: bytes):
+        stamp, frame, numbers = unpack_stamped(data, count)
+        values = np.array(numbers)
+        return record(stamp, frame, *((values,) if first == count else (values[:first], values[first:])))
+
+    return Kind(type_name, write, read)
+
+
+def time_fields(ns: int) -> dict:
+    """Of a builtin_interfaces Time or Duration."""
+    return {"sec": int(ns) // SECOND, "nanosec": int(ns) % SECOND}
+
+
+def _ns(time) -> int:
+    return time.sec * SECOND + time.nanosec
+
+
+def _header(stamp: int, frame: str) -> dict:
+    return {"stamp": time_fields(stamp), "frame_id": frame}
+
+
+def named(axes: str, values) -> dict:
+    """Of a message with a number per axis, such as a Point or a Quaternion."""
+    return dict(zip(axes, map(float, values), strict=True))
+
+
+def _joints(record: JointSample) -> dict:
+    return {"header": _header(record.stamp, ""), "name": list(record.names), "position": record.position}
+
+
+def _read_joints(msg) -> JointSample:
+    return JointSample(_ns(msg.header.stamp), tuple(msg.name), msg.position)
+
+
+def _program(record: JointProgram) -> dict:
+    points = [
+        {"positions": row, "time_from_start": time_fields(ns)}
+        for ns, row in zip(record.time.tolist(), record.position, strict=True)
+    ]
+    return {"header": _header(0, record.frame), "joint_names": list(record.names), "points": points}
+
+
+def _read_program(msg) -> JointProgram:
+    times = np.array([_ns(point.time_from_start) for point in msg.points], np.int64)
+    rows = np.array([point.positions for point in msg.points]).reshape(-1, len(msg.joint_names))
+    return JointProgram(msg.header.frame_id, tuple(msg.joint_names), times, rows)
+
+
+def _map(record: StockMap) -> dict:
+    info = {"resolution": record.resolution, "width": record.cells.shape[0], "height": record.cells.shape[1]}
+    info["origin"] = {"position": named("xyz", record.corner), "orientation": {"w": 1.0}}
+    return {"header": _header(record.stamp, record.frame), "info": info, "data": record.cells.T.ravel()}
+
+
+def _read_map(msg) -> StockMap:
+    info, p = msg.info, msg.info.origin.position
+    if msg.data.size != info.width * info.height:
+        raise ValueError(f"has {msg.data.size} cells for {info.width} x {info.height}")
+    cells = msg.data.reshape(info.height, info.width).T
+    return StockMap(_ns(msg.header.stamp), msg.header.frame_id, info.resolution, np.array([p.x, p.y, p.z]), cells)
+
+
+def _trajectory(record: Trajectory) -> dict:
+    """One body, the tool; a velocity a point where the trajectory has velocities."""
+    points = []
+    for i, ns in enumerate(record.time_ns.tolist()):
+        turn = named("xyzw", record.quaternion[i])
+        point = {"transforms": [{"translation": named("xyz", record.position[i]), "rotation": turn}]}
+        if record.velocity is not None:
+            point["velocities"] = [{"linear": named("xyz", record.velocity[i])}]
+        points.append({**point, "time_from_start": time_fields(ns)})
+    return {"header": _header(0, record.frame), "joint_names": [TOOL], "points": points}
+
+
+def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
+    """Of a trajectory_msgs/MultiDOFJointTrajectory of the tool; raises MessageError, TrajectoryError.
+
+    as_sent: as its publisher had it. Its quaternions were of length 1 already, and to divide them by their length
+    once more could change a last bit.
+    """
+    try:
+        read = read_trajectory(bytes(data))
+    except ValueError:
+        raise MessageError("trajectory: cannot be read as MultiDOFJointTrajectory") from None
+    if read.frame_id != WORKPIECE:
+        raise MessageError(f"trajectory: the frame is {read.frame_id!r}, but must be {WORKPIECE}")
+    if read.names != (TOOL,):
+        raise MessageError(f"trajectory: must hold one transform a point, of the joint {TOOL}")
+    velocity = read.velocity[:, 0, :3]
+    none = np.isnan(velocity).all()
+    position, quaternion = read.position[:, 0], read.quaternion[:, 0]
+    run = Trajectory(read.time, position, quaternion, None if none else velocity, read.frame_id)
+    if as_sent:
+        object.__setattr__(run, "quaternion", np.array(quaternion))
+    return run
+
+
+def _state(record: CompensatorState) -> dict:
+    """A value for each field, and for each learned pass its fields behind ``learned_1.``, ``learned_2.`` ..."""
+    values = {key: getattr(record, key) for key in STATE_KEYS}
+    for number, one in enumerate(record.learned, 1):
+        values |= {f"learned_{number}.{key}": value for key, value in one._asdict().items()}
+    pairs = [{"key": key, "value": str(value)} for key, value in values.items()]
+    message = f"{record.method}, learned from {len(record.learned)} of {record.passes} passes"
+    return {"name": record.name, "message": message, "values": pairs}
+
+
+def _read_state(msg) -> CompensatorState:
+    values = {pair.key: pair.value for pair in msg.values}
+    learned: list[LearnedPass] = []
+    try:
+        while (begin := f"learned_{len(learned) + 1}.") + "fingerprint" in values:
+            recording, digest = values[begin + "recording"], values[begin + "fingerprint"]
+            counts = int(values[begin + "poses"]), int(values[begin + "wrenches"])
+            learned.append(LearnedPass(recording, digest, *counts))
+        method, passes, finished, target, reference = (values[key] for key in STATE_KEYS)
+        return CompensatorState(
+            msg.name, method, int(passes), finished == "True", target, reference, tuple(learned)
+        )  # fmt: skip
+    except KeyError as error:
+        raise ValueError(f"is no state of a compensator: {error} is missing") from None
+
+
+STATE_KEYS = ("method", "passes", "finished", "target", "reference")
+KINDS = {
+    PoseSample: _stamped("geometry_msgs/msg/PoseStamped", PoseSample, 3, 4),
+    WrenchSample: _stamped("geometry_msgs/msg/WrenchStamped", WrenchSample, 6),
+    TwistSample: _stamped("geometry_msgs/msg/TwistStamped", TwistSample, 6),
+    JointSample: _stored("sensor_msgs/msg/JointState", _joints, _read_joints),
+    ClockSample: _stored(
+        "rosgraph_msgs/msg/Clock", lambda r: {"clock": time_fields(r.stamp)}, lambda msg: ClockSample(_ns(msg.clock))
+    ),
+    Text: _stored("std_msgs/msg/String", lambda record: {"data": record.text}, lambda msg: Text(msg.data)),
+    JointProgram: _stored("trajectory_msgs/msg/JointTrajectory", _program, _read_program),
+    StockMap: _stored("nav_msgs/msg/OccupancyGrid", _map, _read_map),
+    CompensatorState: _stored("diagnostic_msgs/msg/DiagnosticStatus", _state, _read_state),
+    Trajectory: Kind(TRAJECTORY, lambda run: serialise(TRAJECTORY, _trajectory(run)), trajectory_from_bytes),
+}
+READERS = {kind.type: kind.read for kind in KINDS.values()}
+
+
+def type_of(record) -> str:
+    """The type of the message that carries a record or records of a class."""
+    return KINDS[record if isinstance(record, type) else type(record)].type
+
+
+def to_bytes(record) -> bytes:
+    """The message that carries a record, serialised; a Trajectory becomes one of the body tool0."""
+    return KINDS[type(record)].write(record)
+
+
+def from_bytes(type_name: str, data: bytes):
+    """The record of a serialised message.
+
+    Raises ValueError where the bytes are no such message, KeyError for a type without a record, and what
+    ``trajectory_from_bytes`` raises.
+    """
+    return READERS[type_name](data)
+
+
+def pose_from_bytes(data: bytes) -> PoseSample:
+    """Of a geometry_msgs/PoseStamped; raises MessageError."""
+    return _received(PoseSample, data, "tool_pose")
+
+
+def wrench_from_bytes(data: bytes) -> WrenchSample:
+    """Of a geometry_msgs/WrenchStamped; raises MessageError."""
+    return _received(WrenchSample, data, "wrench")
+
+
+def _received(kind: type, data: bytes, topic: str):
+    try:
+        return KINDS[kind].read(data)
+    except ValueError:
+        raise MessageError(f"{topic}: cannot be read as {type_of(kind).rpartition('/')[2]}") from None

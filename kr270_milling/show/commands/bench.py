@@ -1,0 +1,64 @@
+"""``kr270_milling bench``: the time of the sweep of the teeth and of the stiffness model on this machine."""
+
+from __future__ import annotations
+
+import resource
+import statistics
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.physics.robot import equilibrium, stiffness
+from kr270_milling.physics.robot.analysis import read_arm
+from kr270_milling.show.commands.console import Answer
+
+__all__ = ["posture_job", "run"]
+
+REPEATS = 5
+POSTURES = 1000
+
+
+def run(args) -> Answer:
+    times = {**_pass(), **_postures()}
+    return Answer(times, [f"{key:20} {value:.6g}" for key, value in times.items()])
+
+
+def _pass() -> dict:
+    """The paper's pass, 1 deg micro-steps, 10 um grid; the first pass may compile."""
+    cell = read_cell(find_file("paper.yaml"))
+    start = time.perf_counter()
+    result = simulate(cell).result
+    first = time.perf_counter() - start
+    wall = statistics.median(simulate(cell).result.wall_time for _ in range(REPEATS))
+    return {
+        "us_per_step": wall / result.micro_steps * 1e6,
+        "steps": result.micro_steps,
+        "pass_wall_s": wall,
+        "real_time_factor": float(result.time[-1]) / wall,
+        "first_pass_s": first,
+        "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+
+
+def posture_job() -> Callable[[], object]:
+    """The calculation of pose, Jacobian, Hessian and loaded stiffness of POSTURES postures in one batch."""
+    arm, mount = read_arm(find_file("paper.yaml"))
+    around = np.radians([90.0, -50.0, 120.0, 180.0, 25.0, 180.0])
+    q = around + np.random.default_rng(1).uniform(-0.2, 0.2, (POSTURES, 6))
+    wrench = np.tile([100.0, 200.0, -50.0, 1.0, 2.0, 3.0], (POSTURES, 1))
+    return lambda: stiffness(equilibrium(arm, mount, q, wrench), arm)
+
+
+def _postures() -> dict:
+    job = posture_job()
+    job()
+    walls = []
+    for _ in range(REPEATS):
+        start = time.perf_counter()
+        job()
+        walls.append(time.perf_counter() - start)
+    return {"us_per_posture": statistics.median(walls) / POSTURES * 1e6}

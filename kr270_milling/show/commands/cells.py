@@ -1,0 +1,103 @@
+"""The commands about files: ``init`` (a first cell file), ``keys`` (what it may hold), ``stiffness`` (of an arm)."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.live.nodes.play_arguments import numbers
+from kr270_milling.show.commands.command import POSTURE, command, option
+from kr270_milling.show.commands.console import Answer, Table
+
+SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
+
+COMMANDS = {
+    "init": command(
+        "cells.init", "init --gcode config/test_piece.nc",
+        option("--gcode FILE", "the program: G-code or APT/CL"),
+        option("--tool T1", "of a program with several tools: whose moves", default=""),
+        option("--robot", "arm file, also a shipped one by its name", default="kr270_2"),
+    ),
+    "keys": command(
+        "cells.keys", "keys tool",
+        option("section SECTION", "for example tool; default: all", default="", nargs="?"),
+        option("--markdown", "print a table for a page", bool),
+    ),
+    "stiffness": command(
+        "cells.stiffness", "stiffness config/kr270_2.yaml --joints-deg 90,-50,120,180,25,180",
+        option("arm ARM.yaml", "arm or cell file; the flange is the tool point of a bare arm"),
+        option("--joints-deg A1,...,A6", "posture", POSTURE, required=True),
+        option("--wrench FX,FY,FZ,MX,MY,MZ", "[N, N m], default: none", numbers(6), [0.0] * 6),
+        option("--frame", "of wrench and matrices", default="base", choices=("base", "tool")),
+        option("--gravity", "load the arm with its link weights too", bool),
+    ),
+}  # fmt: skip
+
+
+def init(args) -> Answer:
+    from kr270_milling.cell.draft import draft_text, straight_text
+    from kr270_milling.path.cam.readers import read_toolpath
+
+    robot = args.robot if args.robot.endswith(".yaml") else f"{args.robot}.yaml"
+    find_file(robot)
+    if args.gcode is None:
+        text, program = straight_text(robot), None
+    else:
+        path = read_toolpath(args.gcode, args.tool)
+        text, program = draft_text(str(Path(args.gcode).resolve()), path, robot), path.program
+    return Answer({"cell": text, "program": program and asdict(program)}, [text.removesuffix("\n")])
+
+
+def keys(args) -> Answer:
+    from kr270_milling.cell.keys import keys_of
+
+    entries = keys_of(args.section)
+    rows = [("key", "unit", "range", "default", "meaning")]
+    for k in entries:
+        rows.append((k["key"], k["unit"], k["range"], "required" if k["required"] else _shown(k["default"]), k["text"]))
+    if args.markdown:
+        cells = [[f"`{row[0]}`", *(text.replace("|", "or") for text in row[1:])] for row in rows]
+        cells[0][0] = "key"
+        lines = ["| " + " | ".join(row) + " |" for row in [cells[0], ["---"] * 5, *cells[1:]]]
+    else:  # never cut off by the width of the terminal: a key is copied
+        widths = [*(max(len(row[column]) for row in rows) for column in range(4)), 0]
+        lines = ["  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    return Answer({"section": args.section, "keys": entries}, lines)
+
+
+def _shown(default) -> str:
+    if default is None:
+        return "-"
+    if isinstance(default, list):
+        return "[" + ", ".join(map(_shown, default)) + "]"
+    if isinstance(default, float):
+        return f"{default:g}"
+    return str(default).lower() if isinstance(default, bool) else str(default) or '""'
+
+
+def stiffness(args) -> Answer:
+    """Pose, Jacobian, Cartesian stiffness (17) and natural frequencies at one posture."""
+    import numpy as np
+
+    from kr270_milling.physics.robot.analysis import analyse, read_arm
+
+    arm, mount = read_arm(find_file(args.arm))
+    result = analyse(arm, mount, np.radians(args.joints_deg), np.array(args.wrench), args.frame, args.gravity)
+    x, y, z = (f"{v:.6f}" for v in result["position_m"])
+    least = 1e-9 * np.repeat([np.abs(result["deflection"][k : k + 3]).max() for k in (0, 3)], 3)
+    deflection = np.where(np.abs(result["deflection"]) <= least, 0.0, result["deflection"])  # zeros that rounding made
+    columns = (np.diag(result["compliance"]), np.diag(result["stiffness"]), deflection)
+    rows = [
+        [axis, *(f"{value:.4e}" if value else "0" for value in values)]
+        for axis, *values in zip(SIX_AXES, *columns, strict=True)
+    ]
+    title = "Diagonals and deflection under the wrench [m, rad, N]"
+    shown = [
+        f"{arm.name} at {args.joints_deg} deg, {args.frame} frame, tool point at ({x}, {y}, {z}) m\n",
+        Table(title, ["axis", "compliance", "stiffness", "deflection"], rows),
+    ]
+    for model, values in result["mode_frequencies_hz"].items():
+        shown.append(f"natural frequencies, {model} mass: " + ", ".join(f"{v:.2f}" for v in values) + " Hz")
+    shown.append(f"condition number of the Jacobian (lengths in m): {result['condition_number']:.1f}")
+    return Answer(result, [*shown, *(f"warning: {warning}" for warning in result["warnings"])])

@@ -1,0 +1,111 @@
+"""``kr270_milling demo``: the paper's case, original and compensated, with tables and report.
+
+Twice: with eq. (1) as the paper prints it, beside the paper's own results, and with the inertia of the moving arm,
+which the paper leaves out and every real arm has.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+
+from kr270_milling.base.files import staged
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.show.commands.command import PLANT, command, option
+from kr270_milling.show.commands.console import Answer, Table, command_line, now, plant_of
+from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.commands.run import run_passes, summary
+
+METHODS = ("linear", "spline", "learned")
+INERTIA_METHODS = (*METHODS, "inverse")
+AS_PRINTED = "Path deviation [um], eq. (1) as printed, Table 2"
+WITH_INERTIA = "Path deviation [um], with the inertia of the moving arm"
+WITH = ", with inertia"
+NEEDS = "learned and inverse need a tracker or the model: the encoders of the joints do not see the deflection"
+
+COMMANDS = {
+    "demo": command(
+        "demo.run", "demo --out out",
+        option("--out DIR", "where report and series go", default="out"),
+        option("--plain", "the plain loop, also where ROS is installed", bool),
+        *PLANT,
+    ),
+}  # fmt: skip
+
+
+def run(args) -> Answer:
+    from kr270_milling.cell.cell import read_cell
+
+    source = find_file("paper.yaml")
+    cell = read_cell(source)
+    moving = read_cell(source, ["dynamics.reference_inertia=true"])
+    other = args.plant is not None or args.noise_um is not None
+    if args.plain or other or importlib.util.find_spec("rclpy") is None:
+        if Path(args.out, "report.html").exists():
+            print(f"{args.out} holds a report already; it is replaced", file=sys.stderr)
+        loop = "plain loop in one process" + ("" if args.plain or other else ", since rclpy is not installed")
+        with staged(args.out) as (draft, final):
+            passes = _plain(cell, METHODS, plant_of(args, cell))
+            second = _plain(moving, INERTIA_METHODS, plant_of(args, moving), WITH)
+            report = final(_write(draft, cell, passes, second, source, args))
+        return _answer(passes, second, {"report": str(report), "out": args.out, "ran_as": loop})
+    result = run_passes(cell, METHODS, args.out)
+    passes = [ran.scored for ran in result["passes"]]
+    second = _plain(moving, INERTIA_METHODS, None, WITH)
+    loop = f"four ROS 2 nodes and a recorder, graph up in {result['graph_up_s']:.2f} s"
+    report = _write(result["out"], cell, passes, second, source, args)
+    return _answer(passes, second, {**summary(result), "report": str(report), "ran_as": loop})
+
+
+def _plain(cell, methods, plant, suffix: str = "") -> list:
+    from kr270_milling.cell.jobs import compensated, compensator, simulate
+
+    with progress(f"original{suffix}") as report:
+        passes = [simulate(cell, progress=report, plant=plant)]
+    for method in methods:
+        by = compensator(cell, cell.target(), method)
+        with progress(f"{method}{suffix}", by.most_passes) as report:
+            passes.append(compensated(cell, passes[0], method, report, by, plant))
+    return passes
+
+
+def _write(directory, cell, passes, second, source, args):
+    """Report and series; returns the path of the report."""
+    from kr270_milling.show.report import ReportTable, write_report
+    from kr270_milling.show.report.series import write_series
+
+    rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
+    table = ReportTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
+    with progress("report"):
+        report = write_report(
+            directory, cell, passes, title="The milling pass of Klimchik et al. (2012)", source=str(source),
+            command=command_line(args), date=now(), paper=True, tables=(table,),
+        )  # fmt: skip
+        write_series(directory, cell, passes)
+    return report
+
+
+def _answer(passes, second, result: dict) -> Answer:
+    both = {"passes": [p.row() for p in passes], "passes_reference_inertia": [p.row() for p in second]}
+    columns = ["pass", "static", "paper", "max", "paper", "low frequency, model [Hz]"]
+    rows = [[name, static, largest, low] for name, static, _, largest, _, low in map(_row, second)]
+    return Answer({**result, **both}, [
+        Table(AS_PRINTED, columns, [_row(p) for p in passes]),
+        Table(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows),
+        NEEDS,
+        f"ran as: {result['ran_as']}",
+        f"report: {result['report']}",
+    ])  # fmt: skip
+
+
+def _row(p) -> list[str]:
+    from kr270_milling.show.report.tables import TABLE_2
+
+    ours, paper = p.scores, TABLE_2.get(p.name)
+    deviations = [
+        f"{1e6 * getattr(scores, name):.2f}" if scores else ""
+        for name in ("static_deviation", "max_deviation")
+        for scores in (ours, paper)
+    ]
+    return [p.name, *deviations, f"{ours.low_frequency:.2f}"]

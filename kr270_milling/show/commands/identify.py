@@ -1,0 +1,279 @@
+"""``identify``: compliances, force coefficients and modes from measurements; ``compare``: what to identify again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import staged
+from kr270_milling.base.parameter_file import find_file, read_tree
+from kr270_milling.base.version import __version__
+from kr270_milling.live.nodes.play_arguments import bounded, numbers, stretch
+from kr270_milling.show.commands.command import (
+    CELL,
+    POSTURE,
+    Group,
+    command,
+    option,
+)
+from kr270_milling.show.commands.console import Answer, Table, cell_of
+from kr270_milling.show.commands.progress import progress
+
+SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
+QUANTITIES = ("displacement", "velocity", "acceleration")
+DESIGNS = ("planned for the test pose", "A-optimal", "D-optimal")  #: names of ``load_tests.CRITERIA``
+BLIND_DESIGNS = 201  #: random designs, of which the median is shown
+SENSOR_ABC = numbers(3, most=720.0)
+SENSOR_ON = option("--sensor-on", "a plate under the part: part", default="tool", choices=("tool", "part"))
+INCLUDE = option("--out DIR", "write YAML to include and report")
+COMMANDS = {
+    "identify": command(
+        "", "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml",
+        parts={
+            "compliance": ("joint compliances from load tests, or the load tests to make", command(
+                "identify.compliance",
+                "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml --cell config/test_piece.yaml "
+                "--out identified",
+                option("measurements MEASUREMENTS.csv", "one load test a row", nargs="?"),
+                option("--arm ARM.yaml", "arm or cell file to start from", required=True),
+                option("--cell CELL.yaml", "where the arm is to mill (default: --arm, if it is a cell file)"),
+                option("--at A1,...,A6", "posture there [deg]", POSTURE),
+                option("--no-gravity", "leave the link weights out", bool),
+                option("--robust", "take the weight from tests that contradict the others", bool),
+                option("--compensator NAMES", "also fit these of arm.compensator, as stiffness,preload", default=""),
+                Group("plan", (
+                    option("--plan N", "choose the best N load tests for the cell", bounded(1, 1000, int)),
+                    option("--point X,Y,Z", "of load and reflector, flange frame [mm]", numbers(3, most=5e3)),
+                    option("--mass-kg", "to hang; 0: none", bounded(0, 5000), 100.0),
+                    option("--pull-n", "of a horizontal rope; 0: none", bounded(0, 50_000), 800.0),
+                    option("--noise-um", "of a measured coordinate, 1 sigma", bounded(0.001, 1e5), 20.0),
+                    option("--postures", "candidates to choose from", bounded(1, 50_000, int), 2000),
+                    option("--seed", "of the candidates", bounded(0, 2**31, int), 1),
+                )),
+                option("--out DIR", "write YAML to include and report, or table and KRL of the plan"),
+            )),
+            "forces": ("force coefficients from mean forces of cuts, or from recordings of a sensor", command(
+                "identify.forces", "identify forces CUTS.csv --cell config/test_piece.yaml --out identified",
+                option("cuts CUTS.csv", "one cut a row, with its forces or a recording of them"),
+                option("--cell CELL.yaml", "its tool made the cuts"),
+                option("--teeth", "of the tool, instead of the cell's", int),
+                option("--diameter-mm", "of the tool, instead of the cell's", bounded(0, 1000)),
+                option("--rotation", "instead of the cell's", choices=("clockwise", "counterclockwise")),
+                option("--law NAME", "for the YAML file, one of cutting.law", default="linear_edge"),
+                Group("recordings of a sensor", (
+                    option("--topic", "of type geometry_msgs/WrenchStamped", default="wrench"),
+                    option("--spindle-speed-rpm", "instead of the cell's", bounded(0, 1e6)),
+                    option("--tare START:STOP", "seconds of an idle stretch", stretch(0, 1e6)),
+                    option("--sensor-abc A,B,C", "sensor in the workpiece [deg]", SENSOR_ABC),
+                    SENSOR_ON,
+                    option("--sensor-mass-kg", "that hangs on it, where there is no tare", bounded(0, 5000), 0.0),
+                )),
+                INCLUDE,
+            )),
+            "damping": ("frequency and damping of the modes from a ring-down or an impact", command(
+                "identify.damping", "identify damping RECORDING --topic deflection --out identified",
+                option("recording RECORDING", "recording, UFF file, or CSV with time_s, x y z rx ry rz, force_n"),
+                option("--topic", "of a recording", default="deflection"),
+                option("--from S", "seconds after the first sample", bounded(0, 1e6), dest="start"),
+                option("--to S", "seconds after the first sample", bounded(0, 1e6), dest="stop"),
+                option("--band LOW:HIGH", "[Hz] (default: 2:100)", stretch(0.01, 1e5), (2.0, 100.0)),
+                option("--modes N", "at most", bounded(1, 20, int), 6),
+                option("--quantity", "of the channels", default=QUANTITIES[0], choices=QUANTITIES),
+                option("--hammer", "direction of force_n: scales the shapes by the masses", choices=SIX_AXES),
+                option("--cell CELL.yaml", "scales the shapes by its compliance, where no hammer was"),
+                INCLUDE,
+            )),
+            "material": ("published force coefficients of a material", command(
+                "identify.material", "identify material Al7075-T6",
+                option("name NAME", "of a material; without it all are listed", nargs="?"),
+                option("--row", "which, where a material has several", int, 1),
+                option("--out DIR", "write YAML to include"),
+            )),
+        },
+    ),
+    "compare": command(
+        "identify.compare", "compare out/original config/paper.yaml",
+        option("recording RECORDING", "of a force sensor, a tracker, or both"),
+        *CELL,
+        option("--reference FILE.csv", "the pass ran along this, as written by compensate"),
+        option("--force-topic", "WrenchStamped", default="wrench"),
+        option("--pose-topic", "PoseStamped in workpiece axes", default="tool_pose"),
+        option("--sensor-abc A,B,C", "force sensor in the workpiece [deg]", SENSOR_ABC),
+        SENSOR_ON,
+        option("--out DIR", "write a report"),
+    ),
+}  # fmt: skip
+
+
+def _answer(args, outcome) -> Answer:
+    """Print an outcome; with --out also write its files."""
+    files = [str(path) for path in outcome.write(args.out)] if args.out else []
+    result = outcome.result | ({"files": files} if args.out else {})
+    return Answer(result, [*(Table(*table) for table in outcome.tables), *outcome.sentences, *files])
+
+
+def compliance(args) -> Answer:
+    """Identify compliances from load tests, or plan load tests for a cell."""
+    import numpy as np
+
+    from kr270_milling.physics.robot.analysis import read_arm
+    from kr270_milling.show.report.identification.compliance import compliance_outcome
+    from kr270_milling.studies.identification import plan as load_tests
+    from kr270_milling.studies.identification.compliance import fit
+    from kr270_milling.studies.identification.measurements import read_measurements
+    from kr270_milling.studies.identification.problem import Problem
+
+    arm, mount = read_arm(find_file(args.arm))
+    where = find_file(args.cell or args.arm)
+    if args.cell:
+        mount = read_arm(where)[1]
+    pose = load_tests.at_posture(mount, np.radians(args.at)) if args.at else load_tests.read_test_pose(where, mount)
+    if args.plan is not None:
+        return _plan(args, arm, mount, pose)
+    if args.measurements is None:
+        raise InputError("identify compliance", "needs a table of load tests, or --plan N to make one")
+    measured = read_measurements(find_file(args.measurements), arm, mount)
+    compensator = tuple(name.strip() for name in args.compensator.split(",") if name.strip())
+    identified = fit(Problem(arm, mount, measured, not args.no_gravity, compensator), args.robust)
+    return _answer(args, compliance_outcome(identified, pose, Path(args.measurements).name))
+
+
+def _plan(args, arm, mount, pose) -> Answer:
+    """Plan load tests; write their table and program."""
+    import numpy as np
+
+    from kr270_milling.show.report.identification.plan import plan_as_dict, plan_tables, write_plan
+    from kr270_milling.studies.identification import plan as load_tests
+
+    if pose is None:
+        raise InputError(
+            "--plan", "needs the posture where the arm is to mill: name --cell CELL.yaml or --at A1,...,A6"
+        )
+    point = mount.xyz if args.point is None else 1e-3 * np.array(args.point)
+    bench = load_tests.Bench(point, args.mass_kg, args.pull_n, 1e-6 * args.noise_um)
+    choice = load_tests.candidates(arm, mount, bench, args.postures, args.seed)
+    if args.plan > len(choice.tests):
+        raise InputError("--plan", f"asks for {args.plan} load tests, but only {len(choice.tests)} are possible here")
+    planner = load_tests.Planner(arm, mount, choice, pose, not args.no_gravity)
+    designs = {name: planner.best(args.plan, c) for name, c in zip(DESIGNS, load_tests.CRITERIA, strict=True)}
+    rng = np.random.default_rng(args.seed)
+    blind = sorted((planner.random(args.plan, rng) for _ in range(BLIND_DESIGNS)), key=lambda d: d.pose_error)
+    designs[f"random (median of {BLIND_DESIGNS})"] = blind[BLIND_DESIGNS // 2]
+    best = designs[DESIGNS[0]]
+    plan = load_tests.in_order(choice.take(best.rows))
+    result = plan_as_dict(plan, designs, best)
+    if args.out:
+        error = f"expected error {1e6 * best.pose_error:.3f} um per 100 N"
+        notes = [f"load tests planned by kr270_milling {__version__}, {error}", *result["blind_spots"],
+                 "measure the reflector without the load, then with it; dx, dy, dz: difference, base axes"]  # fmt: skip
+        with staged(args.out) as (draft, final):
+            result["files"] = [str(final(path)) for path in write_plan(draft, plan, notes)]
+    tables = (Table(*table) for table in plan_tables(plan, designs))
+    return Answer(result, [*tables, *result["blind_spots"], *result.get("files", ())])
+
+
+def forces(args) -> Answer:
+    """Identify force coefficients from mean forces of cuts."""
+    from kr270_milling.physics.cutting import LAWS
+    from kr270_milling.show.report.identification.forces import force_outcome
+    from kr270_milling.studies.identification import forces as laws
+    from kr270_milling.studies.identification.cuts import Sensor, read_cuts, turn_of
+
+    tool, down = _tool(args)
+    turn = turn_of(args.sensor_abc)
+    sensor = Sensor(args.topic, turn, args.sensor_on == "part", args.tare, args.sensor_mass_kg, down)
+    cuts = read_cuts(find_file(args.cuts), tool, sensor)
+    if args.law not in LAWS:
+        raise InputError("--law", f"is {args.law}, must be one of {', '.join(LAWS)}")
+    return _answer(args, force_outcome(laws.fit_all(cuts, args.law), args.law, Path(args.cuts).name))
+
+
+def _tool(args):
+    """Return the tool, and the direction of gravity in workpiece axes."""
+    import numpy as np
+
+    from kr270_milling.base.record import build
+    from kr270_milling.cell.sections import Workpiece
+    from kr270_milling.physics.cutting.tool import Tool
+
+    tree: dict = {}
+    down = np.array([0.0, 0.0, -1.0])
+    if args.cell:
+        file = find_file(args.cell)
+        whole = read_tree(file)
+        tree = whole.get("tool", {})
+        down = build(Workpiece, whole.get("workpiece", {}), file, "workpiece.").pose.rotation.T @ down
+    given = {"teeth": args.teeth, "diameter_mm": args.diameter_mm, "rotation": args.rotation,
+             "spindle_speed_rpm": args.spindle_speed_rpm}  # fmt: skip
+    tree = tree | {key: value for key, value in given.items() if value is not None}
+    if not {"teeth", "diameter_mm"} <= set(tree):
+        raise InputError("identify forces", "needs the tool: name --cell CELL.yaml, or --teeth and --diameter-mm")
+    if "spindle_speed_rpm" not in tree:
+        tree["spindle_speed_rpm"] = 1000.0  # only recordings need the speed, and a recording has a cell
+    return build(Tool, tree, args.cell or "command line", "tool."), down
+
+
+def damping(args) -> Answer:
+    """Identify frequency and damping of the modes from a ring-down or an impact."""
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.show.report.identification.modes import mode_outcome
+    from kr270_milling.studies.identification import modes
+    from kr270_milling.studies.identification.signals import read_signals
+
+    signals = read_signals(args.recording, args.topic).window(args.start, args.stop)
+    low, high = args.band
+    identified, shapes = modes.find_modes(signals, low, high, args.modes), None
+    if args.hammer:
+        shapes = modes.by_hammer(identified, signals, args.hammer, args.quantity)
+    elif args.cell:
+        shapes = modes.by_compliance(identified, signals, modes.tool_compliance(read_cell(find_file(args.cell))))
+    title = f"Modes between {low:g} and {high:g} Hz from {Path(args.recording).name}"
+    return _answer(args, mode_outcome(identified, signals, shapes, title))
+
+
+def material(args) -> Answer:
+    """Print published force coefficients, or write a file to include."""
+    from kr270_milling.show.report.identification.forces import material_outcome
+    from kr270_milling.studies.identification.materials import find_material, materials
+
+    rows = find_material(args.name) if args.name else materials()
+    if args.out and (not args.name or not 1 <= args.row <= len(rows)):
+        raise InputError("--out", f"needs one material, and a --row from 1 to {len(rows)}")
+    return _answer(args, material_outcome(rows, args.name, rows[args.row - 1] if args.out else None))
+
+
+def compare(args) -> Answer:
+    """Compare a measured pass with the simulated pass."""
+    import numpy as np
+
+    from kr270_milling.cell.jobs import simulate
+    from kr270_milling.path.trajectory_csv import read_csv
+    from kr270_milling.show.report.identification.comparison import comparison_outcome
+    from kr270_milling.studies.identification import comparison
+
+    cell = cell_of(args)
+    measured = _measured(args)
+    reference = read_csv(Path(args.reference))[0] if args.reference else None
+    with progress("milling") as report:
+        ran = simulate(cell, reference, progress=report).result
+    force, tool = (comparison.VectorSeries(ran.time, values) for values in (ran.wrench[:, :3], ran.actual))
+    feed = cell.target().sample_velocity(ran.time_ns)
+    compared = comparison.compare(
+        measured, comparison.PassSeries(force, tool), ran.target, feed, 2 * np.pi / cell.tool.spindle_speed
+    )
+    return _answer(args, comparison_outcome(compared, Path(args.recording).name, Path(args.cell).name))
+
+
+def _measured(args):
+    """Read force and pose of the recording; None for a topic that it does not have."""
+    from kr270_milling.recordings.bag.reader import Recording
+    from kr270_milling.studies.identification import comparison
+    from kr270_milling.studies.identification.cuts import Sensor, force_series, turn_of
+    from kr270_milling.studies.identification.signals import pose_series
+
+    with Recording(args.recording) as recording:
+        names = [topic.rpartition("/")[2] for topic in recording.topics()] + list(recording.topics())
+    sensor = Sensor(args.force_topic, turn_of(args.sensor_abc), args.sensor_on == "part")
+    force = comparison.VectorSeries(*force_series(args.recording, sensor)) if args.force_topic in names else None
+    pose = comparison.VectorSeries(*pose_series(args.recording, args.pose_topic)) if args.pose_topic in names else None
+    return comparison.PassSeries(force, pose)

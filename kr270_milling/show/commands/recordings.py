@@ -1,0 +1,191 @@
+"""The commands about recordings: ``info``, ``export``, ``recover`` and ``report``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from kr270_milling.base.errors import InputError, one_line
+from kr270_milling.base.units import seconds
+from kr270_milling.show.commands.command import RECORDING, command, option
+from kr270_milling.show.commands.console import Answer, columns_of, command_line, now, output_directory, table_of, yes
+from kr270_milling.show.commands.progress import progress
+
+if TYPE_CHECKING:
+    from kr270_milling.exchange.replay.recorded import RecordedPass
+
+
+COMMANDS = {
+    "info": command(
+        "recordings.info", "info out/pass1",
+        RECORDING,
+        option("--verify", "check every byte; exit code 1 on damage", bool),
+    ),
+    "export": command(
+        "recordings.export", "export out/pass1 --csv tables",
+        RECORDING,
+        option("--csv DIR", "write one CSV file per topic into this directory"),
+        option("--parquet DIR", "the same as Parquet; needs pyarrow"),
+        option("--topics TOPIC", "only these", nargs="+"),
+    ),
+    "report": command(
+        "recordings.report", "report out",
+        option(
+            "recordings FILE-or-DIR",
+            "recordings, or directories that hold some; passes of one path are compared on the same scales",
+            nargs="+",
+        ),
+        option("--namespace NAME", "of the robot, where a recording holds several"),
+        option("--out DIR", "where the report goes (default: report in the first DIR, or beside the first FILE)"),
+    ),
+    "recover": command(
+        "recordings.recover", "recover out/pass1",
+        option("file FILE.mcap|DIR", "the damaged recording; it is not touched"),
+        option("--out DIR", "the new recording (default: beside it, with _recovered; none of a whole one)"),
+    ),
+}  # fmt: skip
+
+
+def info(args) -> Answer:
+    from kr270_milling.recordings.bag import info as bag_info
+    from kr270_milling.recordings.bag.reader import Recording
+    from kr270_milling.recordings.bag.verify import findings
+
+    with progress("reading") as report, Recording(args.file, report) as recording:
+        damage = findings(recording, report) if args.verify else []
+        about = {"file": str(recording.path)} if damage else bag_info.info(recording, report)
+    shown = [f"{about['file']}: damaged; recover saves what can be read" if damage else bag_info.info_text(about)]
+    shown += ["  " + one_line(sentence) for sentence in damage]
+    if args.verify and not damage:
+        shown.append("whole: every checksum and index fits")
+    return Answer(about | ({"damage": damage} if args.verify else {}), shown, code=int(bool(damage)))
+
+
+def export(args) -> Answer:
+    """Exit code 1 where a topic cannot be exported."""
+    from kr270_milling.recordings.bag.export import export as export_files
+    from kr270_milling.recordings.bag.reader import Recording
+
+    if not args.csv and not args.parquet:
+        raise InputError("export", "give --csv DIR or --parquet DIR")
+    files: list[Path] = []
+    refused: dict[str, str] = {}
+    with progress("exporting") as report, Recording(args.file, report) as recording:
+        for directory, kind in ((args.csv, "csv"), (args.parquet, "parquet")):
+            if directory:
+                written = export_files(recording, directory, args.topics, report, kind)
+                files += written.files
+                refused |= written.refused
+        last = recording.last_log_time
+    about = {"file": str(recording.path), "cut_off": recording.cut_off, "files": files, "refused": refused}
+    for sentence in () if args.json else refused.values():
+        print("not exported: " + one_line(sentence), file=sys.stderr)
+    cut = [f"{recording.path} was cut off; this is what it holds up to {seconds(last or 0)} s"]
+    return Answer(about, [*(cut if recording.cut_off else ()), *files], code=int(bool(refused)))
+
+
+def recover(args) -> Answer:
+    from kr270_milling.recordings.bag.recover import recover as recover_file
+
+    with progress("recovering") as report:
+        recovered = recover_file(args.file, args.out, report)
+    if recovered.whole and args.out is None:
+        return Answer(recovered.as_dict(), [f"{recovered.source}: is whole, nothing to recover; left as it is"])
+    state = "was whole already" if recovered.whole else f"{recovered.lost_bytes} bytes of it could not be used"
+    shown = [f"{recovered.source}: {state}"]
+    shown += ["  damage: " + one_line(sentence) for sentence in recovered.damage]
+    shown += ["  lost: " + one_line(sentence) for sentence in recovered.dropped]
+    if recovered.lost_messages:
+        shown.append(f"  {recovered.lost_messages} messages are lost")
+    return Answer(recovered.as_dict(), [*shown, f"{recovered.messages} messages in {recovered.directory}"])
+
+
+def report(args) -> Answer:
+    """Of one recording, or of several passes of one path on the same scales."""
+    from kr270_milling.show.report import write_report
+    from kr270_milling.show.report.series import write_series
+
+    places = [Path(place) for place in args.recordings]
+    recorded, copies = _read(places, args.namespace)
+    cell, passes = recorded[0].cell, [one.scored for one in recorded]
+    first = places[0]
+    directory = output_directory(args.out or (first if first.is_dir() else first.parent) / "report")
+    title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
+    with progress("report"):
+        page = write_report(
+            directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
+            program=recorded[0].program,
+        )  # fmt: skip
+        write_series(directory, cell, passes)
+    rows = [{**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete} for one in recorded]
+    about = {"passes": rows, "copies": copies, "report": str(page), "out": str(directory)}
+    return Answer(about, [
+        table_of("Path deviation, from the recordings", _columns(), rows),
+        *(f"skipped, a copy of another pass: {copy}" for copy in copies),
+        f"report: {page}",
+    ])  # fmt: skip
+
+
+def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedPass], list[str]]:
+    """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
+    import numpy as np
+
+    from kr270_milling.exchange.replay.recorded import pass_from_recording
+
+    paths = list(dict.fromkeys(path for place in places for path in _recordings(place)))
+    names = unique_names(paths)
+    recorded: list[RecordedPass] = []
+    copies: list[str] = []
+    with progress("reading") as count, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
+        read = pool.map(lambda path, name: pass_from_recording(path, name, namespace), paths, names)
+        for number, (path, one) in enumerate(zip(paths, read, strict=True), 1):
+            count(number, len(paths))
+            if any(_same(one.scored.result, other.scored.result) for other in recorded):
+                copies.append(str(path))
+                continue
+            target, first = one.cell.target(), (recorded or [one])[0].cell.target()
+            if not np.array_equal(target.time_ns, first.time_ns) or not np.allclose(target.position, first.position):
+                raise InputError(path, f"is a pass of another path than {paths[0]}: give each path a separate report")
+            recorded.append(one)
+    return recorded, copies
+
+
+def _same(one, other) -> bool:
+    """Whether two recorded passes hold the same poses and wrenches: a copy, or what was recovered of one."""
+    import numpy as np
+
+    return all(np.array_equal(getattr(one, key), getattr(other, key)) for key in ("time_ns", "tool", "wrench"))
+
+
+def unique_names(paths: Sequence[Path]) -> list[str]:
+    """The stem of each file, with its directories in front where stems are alike."""
+    names = [path.stem for path in paths]
+    for depth in range(1, 8):
+        if len(set(names)) == len(names):
+            break
+        names = [
+            "/".join((*path.parent.parts[-depth:], path.stem)) if names.count(name) > 1 else name
+            for path, name in zip(paths, names, strict=True)
+        ]
+    return names
+
+
+def _recordings(path: Path) -> list[Path]:
+    """The .mcap files of a file, a recording's directory or a directory of such, in the order of their writing."""
+    if path.is_file():
+        return [path]
+    files = sorted([*path.glob("*.mcap"), *path.glob("*/*.mcap")], key=lambda p: (p.stat().st_mtime_ns, p))
+    if not files:
+        raise InputError(path, "holds no recording (.mcap)" if path.is_dir() else "is no such file or directory")
+    return files
+
+
+def _columns() -> tuple:
+    """Columns of the passes."""
+    from kr270_milling.physics.motion.scores import Scores
+
+    return (("pass", "name", 0), *columns_of(Scores, "static_deviation", "max_deviation"),
+            ("lost", "messages_lost", 0), ("complete", "complete", yes))  # fmt: skip

@@ -1,0 +1,109 @@
+"""``kr270_milling replay``: play a recording onto topics, recompute it, or compensate from it."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from kr270_milling.base.errors import one_line
+from kr270_milling.live.nodes.play_arguments import PLAY, play_options
+from kr270_milling.live.ros.environment import require_ros
+from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.show.commands.command import Group, command, option
+from kr270_milling.show.commands.console import Answer, output_directory, table_of
+from kr270_milling.show.commands.progress import progress
+
+COUNTS = ("compared", "differing", "missing", "repeated", "given", "not_compared")
+COLUMNS = (("topic", "topic", 0), *((name.replace("_", " "), name, str) for name in COUNTS))
+PUBLISHED: dict = {True: "identical to what the node published", False: "NOT what the node published",
+                   None: "not to be compared with a recorded one"}  # fmt: skip
+
+
+COMMANDS = {
+    "replay": command(
+        "replay.run", "replay out/pass1 --recompute",
+        option("file FILE.mcap|DIR", "a recording"),
+        Group(None, (
+            option(
+                "--recompute",
+                "no playback: recompute every output and compare bit for bit; exit code 1 if one differs, is "
+                "missing or is left over, or the recompute cannot continue",
+                bool,
+            ),
+            option("--compensate", "no playback: the revised trajectory from the recorded pass", bool),
+        )),
+        option("--method", "with --compensate: in place of the recorded method", choices=METHODS),
+        option("--out DIR", "with --compensate: write reference_trajectory.csv there"),
+        Group("playback (names as in ros2 bag play)", PLAY),
+        option("--ros-args", "remapping and namespace; the last", default=[], nargs=argparse.REMAINDER),
+    ),
+}  # fmt: skip
+
+
+def run(args) -> Answer:
+    if args.recompute:
+        return _recompute(args)
+    if args.compensate:
+        return _compensate(args)
+    return _play(args)
+
+
+def _play(args) -> Answer:
+    require_ros()
+    from kr270_milling.live.nodes.player import play
+
+    with progress("playing") as report:
+        code, count = play(play_options(args), ["--ros-args", *args.ros_args] if args.ros_args else [], report)
+    return Answer({"file": args.file, "messages": count, "exit_code": code}, [], code=code)
+
+
+def _recompute(args) -> Answer:
+    from kr270_milling.exchange.replay.recompute import recompute
+
+    with progress("recomputing") as report:
+        result = recompute(args.file, report)
+    about = result.as_dict()
+    rows = ({"topic": _shown(topic), **count.as_dict()} for topic, count in sorted(result.channels.items()))
+    shown: list = [table_of(result.file, COLUMNS, rows)]
+    if result.cut_off:
+        shown.append("The recording was cut off; the recorded part was compared.")
+    shown += [*map(_shown, result.stops), *("damage: " + _shown(sentence) for sentence in result.damage)]
+    if result.first:
+        shown.append(f"first difference: {_shown(result.first)}")
+    shown.append(f"{result.verdict}: {result.compared} messages compared bit for bit")
+    if result.verdict == "different" and about["version"] != result.version:
+        shown.append(f"(recorded by version {result.version}, recomputed by {about['version']})")
+    return Answer(about, shown, code=int(result.verdict != "identical"))
+
+
+def _shown(value) -> str:
+    return one_line(str(value))
+
+
+def _compensate(args) -> Answer:
+    from kr270_milling.exchange.replay.compensate import compensate
+
+    with progress("compensating") as report:
+        revisions = compensate(args.file, args.method, report)
+    files = [_write(args.out, revised) for revised in revisions] if args.out else [None] * len(revisions)
+    robots = [revised.as_dict() | {"csv": file} for revised, file in zip(revisions, files, strict=True)]
+    shown = []
+    for revised, file in zip(revisions, files, strict=True):
+        shown += [
+            f"{_shown(revised.robot or '/')}: {revised.method}, {len(revised.reference)} points; the recorded pass was "
+            f"off by up to {revised.remaining_error * 1e6:.2f} um, the largest correction is "
+            f"{revised.largest_correction * 1e6:.2f} um",
+            "  " + PUBLISHED[revised.published],
+            f"  written to {file}" if file else "  (--out DIR writes it as CSV)",
+        ]
+    differs = any(revised.published is False for revised in revisions)
+    return Answer({"file": args.file, "robots": robots}, shown, code=int(differs))
+
+
+def _write(out: str, revised) -> Path:
+    from kr270_milling.path.trajectory_csv import write_csv
+
+    prefix = revised.robot.strip("/").replace("/", "_")
+    path = output_directory(out) / f"{prefix + '_' if prefix else ''}reference_trajectory.csv"
+    write_csv(path, revised.reference, revised.joints)
+    return path

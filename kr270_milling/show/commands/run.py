@@ -1,0 +1,130 @@
+"""The commands that need ROS 2: ``run`` (the passes of a cell as nodes) and ``watch`` (a page of a running graph)."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.live.nodes.play_arguments import bounded
+from kr270_milling.live.ros.environment import require_ros
+from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.show.commands.command import CELL, PLANT, command, option
+from kr270_milling.show.commands.console import Answer, cell_of, columns_of, plant_of, shown_path, table_of
+from kr270_milling.show.commands.progress import progress
+
+LAST_LOOK = 1.0  #: [s] for an open page to receive the last events
+
+
+COMMANDS = {
+    "run": command(
+        "run.run", "run config/paper.yaml --method spline --out out",
+        *CELL,
+        *PLANT,
+        option(
+            "--passes N", "passes in all, with the original one (default: as many as needed)", bounded(1, 1000, int)
+        ),
+        option("--method", "how to compensate; may be given several times", choices=METHODS, action="append"),
+        option("--out DIR", "for recordings, logs, cell.yaml", default="out"),
+        option("--processes", "one process a node; else two nodes share one, which is quicker", bool),
+        option("--namespace NAME", "ROS namespace of the four nodes", default=""),
+    ),
+    "watch": command(
+        "run.watch", "watch --port 8270",
+        option("--namespace NAME", "ROS namespace of the robot", default=""),
+        option("--host", "where it is served (default: 127.0.0.1, this host alone)", default="127.0.0.1"),
+        option("--port", "default: 8270; 0: any that is free", bounded(0, 65535, int), 8270),
+    ),
+}  # fmt: skip
+
+
+def run(args) -> Answer:
+    require_ros()
+    cell = cell_of(args)
+    methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
+    options = args.passes, args.namespace, not args.processes, plant_of(args, cell)
+    ran = run_passes(cell, methods, args.out, *options)
+    up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
+    result = summary(ran)
+    return Answer(result, [table_of("Path deviation, four nodes and a recorder", _columns(), result["passes"]), up])
+
+
+def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:
+    """Run a cell's passes as nodes, with the arm and the material of ``plant`` if there is one.
+
+    Returns graph_up_s, out (the directory used) and passes, a list of RanPass.
+    """
+    from kr270_milling.live.graph.graph import Graph
+    from kr270_milling.live.graph.plan import fresh_directory, run_plan
+    from kr270_milling.live.ros.names import full_namespace
+
+    namespace = full_namespace(namespace, "--namespace") if namespace else ""
+    cuts = None if plant is None else plant.cell
+    if cuts is not None and cuts.clock != cell.clock:
+        allowed = f"{1e3 * cell.clock.period:g} in {cell.clock.micro_steps} micro-steps, as the cell that plans has it"
+        raise ParameterError("plant: exchange.period_ms", 1e3 * cuts.clock.period, allowed)
+    directory = fresh_directory(out)
+    if directory != Path(out):
+        print(f"{out} holds recordings already; this run writes to {directory}", file=sys.stderr)
+    with progress("compiling") as report:
+        _compile(cell)
+        report.say("starting the nodes")
+        graph = Graph(cell, directory, namespace, composed=composed, plant=cuts)
+        try:
+            ran = run_plan(graph.start(), methods, passes, report.say)
+        finally:
+            graph.stop()
+    return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
+
+
+def _compile(cell) -> None:
+    """Compile once what the nodes run, so that no node of the graph waits; the disk keeps the compiled code."""
+    import numpy as np
+
+    from kr270_milling.physics.motion.milling_pass import CompliantArm
+
+    above = np.array([0.0, 0.0, float(cell.stock.max[2]) + 1.0])
+    cell.cut().sweep(above, above, 0, 1)
+    CompliantArm(cell.arm_model(cell.target())).predict()
+
+
+def summary(ran: dict) -> dict:
+    """Return the result for JSON."""
+    return {**ran, "out": str(ran["out"]), "passes": [one.row() for one in ran["passes"]]}
+
+
+def watch(args) -> int:
+    """Print the address and serve the page until Ctrl-C or the end of the graph."""
+    require_ros()
+    from kr270_milling.live.nodes.watcher import Watcher
+    from kr270_milling.live.ros.names import full_namespace
+    from kr270_milling.live.ros.spin import run_node
+    from kr270_milling.live.watch.server import Events, serve
+    from kr270_milling.show.report.watch_page import watch_page
+
+    namespace = full_namespace(args.namespace, "--namespace") if args.namespace else ""
+    events = Events()
+    server = serve(events, watch_page(), args.host, args.port)
+    url = f"http://{args.host}:{server.server_port}/"
+    text = json.dumps({"url": url}) if args.json else f"live view: {url} (Ctrl-C ends it; it ends with the graph)"
+    print(text, flush=True)
+    try:
+        code = run_node(lambda **kwargs: Watcher(events, namespace, **kwargs), [])
+        if not events.ended:
+            events.add({"kind": "end"})
+        time.sleep(LAST_LOOK)
+    finally:
+        server.shutdown()
+        server.server_close()
+    return code
+
+
+def _columns() -> tuple:
+    """Columns of the passes."""
+    from kr270_milling.physics.motion.scores import Scores
+
+    return (("pass", "name", 2), *columns_of(Scores, "static_deviation", "max_deviation"),
+            ("wall [s]", "wall_s", 2), ("x real time", "real_time_factor", 2), ("lost", "messages_lost", 0),
+            ("recording", "recording", shown_path))  # fmt: skip

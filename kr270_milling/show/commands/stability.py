@@ -1,0 +1,76 @@
+"""``kr270_milling stability``: limit depth of cut and chatter frequency over spindle speed."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kr270_milling.base.files import staged
+from kr270_milling.decide.stability import feature_limits
+from kr270_milling.show.commands.console import Answer, cell_of, table_of, yes
+from kr270_milling.show.commands.options import LOBE_SPEEDS
+from kr270_milling.show.commands.progress import progress
+from kr270_milling.show.report.study_page import points, write_page
+from kr270_milling.studies.maps.lobes import lobes
+
+SHOWN = 24  #: rows of the printed table
+
+
+def _depth(value: float) -> str:
+    return "above 100" if value == float("inf") else f"{value:.3f}"
+
+
+def _rigid(cell) -> str:
+    """What a limit without ``tool.modes`` leaves out."""
+    return "" if cell.tool.modes.frequency.size else ", with tool and spindle taken as rigid (no tool.modes)"
+
+
+LOBES = (("spindle speed [rpm]", "spindle_speed_rpm", 0), ("limit depth [mm]", "depth_limit_mm", _depth),
+         ("chatter [Hz]", "chatter_hz", 1))  # fmt: skip
+ALONG = (("feature", "feature", 1), ("from [deg]", "entry_deg", 0), ("to [deg]", "exit_deg", 0),
+         ("depth [mm]", "depth_mm", 3), ("limit [mm]", "depth_limit_mm", _depth),
+         ("chatter [Hz]", "chatter_hz", 1), ("stable", "stable", yes))  # fmt: skip
+
+
+def run(args) -> Answer:
+    cell = cell_of(args)
+    about = {"cell": args.cell, "arm": not args.no_arm}
+    if args.along:
+        rows = [one.as_dict() for one in feature_limits(cell, not args.no_arm)]
+        title = f"Limit depth along the path at {cell.tool.spindle_speed * 30.0 / np.pi:.0f} rpm{_rigid(cell)}"
+        return Answer(about | {"features": rows}, [table_of(title, ALONG, rows)])
+    nominal = cell.tool.spindle_speed * 30.0 / np.pi
+    low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, LOBE_SPEEDS)
+    with progress("stability") as report:
+        results = lobes(cell, (np.linspace(low, high, count) * np.pi / 30.0).tolist(), not args.no_arm, progress=report)
+    rows = [lobe.as_dict() for lobe in results]
+    best = max(rows, key=lambda r: r["depth_limit_mm"])
+    summary = (
+        f"deepest stable cut: {_depth(best['depth_limit_mm'])} mm at {best['spindle_speed_rpm']:.0f} rpm{_rigid(cell)}"
+    )
+    files = _write(args, cell, rows, summary) if args.out else []
+    about |= {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode, "lobes": rows, "files": files}
+    return Answer(about, [table_of("Stability lobes", LOBES, rows[:: max(1, -(-len(rows) // SHOWN))]), summary, *files])
+
+
+def _write(args, cell, rows: list[dict], summary: str) -> list[str]:
+    """Table and picture."""
+    speeds = [row["spindle_speed_rpm"] for row in rows]
+    limit, chatter = ([row[name] for row in rows] for name in ("depth_limit_mm", "chatter_hz"))
+    own = [cell.tool.spindle_speed * 30.0 / math.pi], [1e3 * cell.path.depth_of_cut]
+    lines = {"limit depth": (speeds, limit), **({"the cell": own} if cell.path.depth_of_cut else {})}
+    figures = [
+        points("Below the line the cut is stable", "spindle speed [rpm]", "depth of cut [mm]", lines, ("limit depth",)),
+        points("Chatter at the limit", "spindle speed [rpm]", "frequency [Hz]", {"chatter": (speeds, chatter)}),
+    ]
+    figures[0].update_yaxes(rangemode="tozero")
+    figures = figures[: 1 + any(map(math.isfinite, chatter))]  # none chatters: there is no frequency to show
+    for figure in figures:  # one above the other
+        figure.update_xaxes(range=[min(*speeds, *own[0]), max(*speeds, *own[0])])
+    with staged(args.out) as (draft, final):
+        table = draft / "lobes.csv"
+        text = [",".join(repr(float(value)) for value in row.values()) for row in rows]
+        table.write_text("\n".join([",".join(rows[0]), *text]) + "\n", encoding="utf-8")
+        page = write_page(draft / "lobes.html", f"Stability lobes of {args.cell}", [summary], [], figures)
+        return [str(final(table)), str(final(page))]

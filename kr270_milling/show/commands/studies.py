@@ -1,0 +1,219 @@
+"""The commands on all cores: ``map`` (where to clamp the part, how to turn the tool) and ``sweep`` (any keys)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.files import staged
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.live.nodes.play_arguments import bounded, grid
+from kr270_milling.show.commands.command import CELL, Group, command, option
+from kr270_milling.show.commands.console import Answer, output_directory, table_of
+from kr270_milling.show.commands.progress import progress
+
+MOST = 10_000_000
+BEST = 5  #: placements that are written as cells
+COLUMNS = tuple(
+    (key, key, "{:.4g}".format)
+    for key in ("x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", "error_max_um", "compensated_max_um")
+)
+TURNS = (-180.0, 180.0, 73)  #: [deg] along a path, where --tool-turn does not say otherwise
+TURNED_RECORDING, TURNED_TABLE, TURNED_CELL = "along", "along.csv", "along.yaml"
+
+SCHEDULER = option("--scheduler ADDRESS", "a running Dask scheduler, tcp://host:port")
+PLACES = grid(-1e5, 1e5, 1_000_000)
+
+COMMANDS = {
+    "map": command(
+        "studies.place", "map config/test_piece.yaml --x 1200:1800:13 --y=-300:300:7 --tool-turn=-90:90:7",
+        *CELL,
+        option("--x LOW:HIGH:COUNT", "[mm] of the workpiece's origin on base_link", PLACES),
+        option("--y LOW:HIGH:COUNT", "[mm]", PLACES),
+        option("--z LOW:HIGH:COUNT", "[mm]", PLACES),
+        option("--turn LOW:HIGH:COUNT", "[deg] of the workpiece about z of base_link, on top of the cell's", PLACES),
+        option("--tool-turn LOW:HIGH:COUNT", "[deg] of the tool about its axis", PLACES),
+        option("--out DIR", "where rows, cells and picture go", default="map"),
+        SCHEDULER,
+        option("--chunk N", "placements a file", bounded(1, 100_000, int), 500),
+        Group("along a path", (
+            option(
+                "--along PATH",
+                "turn the tool about its axis along this tool path (default: that of the cell), where the "
+                "workpiece is",
+                nargs="?",
+                const="",
+            ),
+            option("--smooth UM", "how much error [um] a turn of 1 deg/s is worth", bounded(0.001, 1e6), 1.0),
+            option("--places N", "along the path", bounded(3, 5000, int), 200),
+        )),
+    ),
+    "sweep": command(
+        "studies.sweep", "sweep config/paper.yaml --vary path.depth_of_cut_mm=0.2:1:0.2 --out sweep",
+        *CELL,
+        option(
+            "--vary KEY=LOW:HIGH:STEP",
+            "values of a key, also KEY=A,B,C; may be given several times",
+            action="append",
+            required=True,
+        ),
+        option("--samples N", "with --latin: that many rows", int),
+        option("--latin", "a Latin hypercube between the values instead of a grid", bool),
+        option("--seed N", "of --latin", int, 1),
+        option("--out DIR", "where the rows go", default="sweep"),
+        SCHEDULER,
+        option("--chunk N", "rows a file (default: 1 to 8)", bounded(1, 100_000, int), 0),
+    ),
+}  # fmt: skip
+
+
+def place(args) -> Answer:
+    import numpy as np
+
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.show.report.placements import write_map
+    from kr270_milling.studies.maps.engine import Study, content, run_chunks
+    from kr270_milling.studies.maps.placements import Placements, Summary, course_of, write_cells
+
+    if args.along is not None:
+        return _along(args)
+    source = find_file(args.cell).resolve()
+    cell = read_cell(source, args.set)
+    here = [*(1e3 * cell.workpiece.xyz).tolist(), 0.0, 0.0]
+    given = [args.x, args.y, args.z, args.turn, args.tool_turn]
+    scales = [1e-3] * 3 + [np.pi / 180.0] * 2
+    axes = tuple(
+        scale * (np.array([value]) if axis is None else np.linspace(*axis))
+        for axis, value, scale in zip(given, here, scales, strict=True)
+    )
+    placements = Placements(cell, course_of(cell), axes, args.chunk)
+    if len(placements) > MOST:
+        raise ParameterError("map", len(placements), f"at most {MOST} placements in all")
+    plan = {"study": "map", "cell": content(source, cell), "set": args.set, "axes": given, "chunk": args.chunk}
+    study = Study(output_directory(args.out), plan)
+    made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
+    postures = 8 * args.chunk * len(placements.course.position)
+    with progress("map", unit="chunks", rate="postures", each=postures) as report:
+        seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
+    summary = Summary(axes[0], axes[1], BEST)
+    for table in study.tables(placements.chunks):
+        summary.add(table)
+    cells = write_cells(args.out, source, args.set, cell, placements.course, summary.best)
+    rate = made * summary.rows / seconds if seconds else None
+    result = {
+        "rows": summary.rows,
+        "rows_per_s": rate,
+        "postures_per_s": rate and rate * len(placements.course.position),
+        "feasible": summary.feasible,
+        "best": [row | {"cell": str(path)} for row, path in zip(summary.best, cells, strict=True)],
+        "picture": str(write_map(args.out, summary)),
+        "out": args.out,
+    }
+    return Answer(result, [
+        table_of("Best placements: largest static error across the feed [um]", COLUMNS, result["best"]),
+        f"{result['rows']} rows, {result['feasible']} feasible: {result['out']}",
+        *(row["cell"] for row in result["best"]),
+        result["picture"],
+    ])  # fmt: skip
+
+
+def _along(args) -> Answer:
+    """Turn the tool about its axis along a path."""
+    import numpy as np
+
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.jobs import simulate
+    from kr270_milling.studies.maps import along as turning
+    from kr270_milling.studies.maps.placements import course_at
+
+    if any(axis is not None for axis in (args.x, args.y, args.z, args.turn)):
+        raise ParameterError("--along", args.along, "without --x, --y, --z and --turn: the workpiece stays")
+    source = find_file(args.cell).resolve()
+    settings = [*args.set, *([f"path.file={Path(args.along).resolve()}"] if args.along else [])]
+    cell = read_cell(source, settings)
+    with progress("milling") as report:
+        ran = simulate(cell, progress=report).result
+    chosen = np.linspace(0, len(ran.time) - 1, min(args.places, len(ran.time))).astype(int)
+    step = float(ran.time[-1] - ran.time[0]) / (len(chosen) - 1)
+    turns = turning.Turns(cell, course_at(cell, ran, chosen), step, np.degrees(1e-6 * args.smooth))
+    grid = np.radians(np.linspace(*(args.tool_turn or TURNS)))
+    way, same, own = (
+        turning.find_way(turns, grid),
+        turning.constant_way(turns, grid),
+        turning.constant_way(turns, np.zeros(1)),
+    )
+    run, q = turning.turned(cell, ran.time_ns[chosen], way)
+    files = _write(Path(args.out), source, args.set, cell, run, q, way)
+    speed = np.abs(np.diff(q, axis=0)) / np.diff(run.time)[:, None] / cell.arm.joint_speed_limit
+    result = {
+        "rows": len(chosen),
+        "rows_per_s": None,
+        "branch": way.branch,
+        "criterion_um": 1e6 * way.value,
+        "criterion_constant_um": 1e6 * same.value if same else None,
+        "criterion_unturned_um": 1e6 * own.value if own else None,
+        "constant_turn_deg": float(np.degrees(same.turn[0])) if same else None,
+        "error_max_um": 1e6 * float(way.error.max()),
+        "error_max_constant_um": 1e6 * float(same.error.max()) if same else None,
+        "turn_deg": np.degrees([way.turn.min(), way.turn.max()]).tolist(),
+        "joint_speed_share": speed.max(axis=0).tolist(),
+        "slower": float(run.duration_ns / cell.target().duration_ns),
+        "best": [{"cell": str(files[0])}],
+        "files": [str(path) for path in files],
+    }
+    low, high = result["turn_deg"]
+    shown = [f"turning the tool from {low:.4g} to {high:.4g} deg along the path: {1e6 * way.value:.2f} um"]
+    for name, other in (("the best turn that stays the same", same), ("not turned", own)):
+        shown.append(f"{name}: " + (f"{1e6 * other.value:.2f} um" if other else "not within the limits of the joints"))
+    share = f"joints run at up to {100 * speed.max():.0f} % of their speeds"
+    return Answer(result, [
+        *shown,
+        "(root mean square of the static error across the feed and of what turning is worth by --smooth; what corners",
+        "and teeth shake is not in it: compare `simulate` of both cells)",
+        f"{share}, the path takes {result['slower']:.3f} times",
+        *files,
+    ])  # fmt: skip
+
+
+def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
+    """The turned trajectory as a recording, the cell that runs it, and a table with the joint angles."""
+    import numpy as np
+
+    from kr270_milling.path.trajectory_csv import write_csv
+    from kr270_milling.recordings.bag.writer import BagWriter
+    from kr270_milling.recordings.messages.codec import to_bytes
+    from kr270_milling.recordings.messages.trajectory import TRAJECTORY
+    from kr270_milling.studies.maps.placements import place_of, write_cell
+
+    changes = {"path": {"file": TURNED_RECORDING}, "workpiece": place_of(cell.workpiece.pose),
+               "posture_deg": np.degrees(q[0]).tolist()}  # fmt: skip
+    note = f"The tool turns about its axis along the path, from {np.degrees(way.turn[0]):.2f} deg on"
+    with staged(out) as (draft, final):
+        write_cell(draft / TURNED_CELL, source, settings, cell, changes, note)
+        write_csv(draft / TURNED_TABLE, run, q)
+        with BagWriter(draft / TURNED_RECORDING) as writer:
+            writer.add_topic("/target_trajectory", TRAJECTORY)
+            writer.write("/target_trajectory", to_bytes(run), 0)
+        return [final(draft / name) for name in (TURNED_CELL, TURNED_TABLE, TURNED_RECORDING)]
+
+
+def sweep(args) -> Answer:
+    """Full passes with other values of any keys, scores to Parquet."""
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.studies.maps.engine import Study, content, run_chunks
+    from kr270_milling.studies.maps.sweep import Sweep, parse_axis
+
+    if args.latin != (args.samples is not None):
+        raise ParameterError("--samples", args.samples, "given together with --latin")
+    cell = find_file(args.cell).resolve()
+    hashed = content(cell, read_cell(cell, args.set))  # what no row could run is refused before anything is started
+    axes = tuple(parse_axis(text) for text in args.vary)
+    rows = Sweep(str(cell), tuple(args.set), axes, args.samples, args.seed, args.chunk)
+    plan = {"study": "sweep", "cell": hashed, "set": args.set, "vary": args.vary, "samples": args.samples,
+            "seed": args.seed, "chunk": args.chunk}  # fmt: skip
+    study = Study(output_directory(args.out), plan)
+    with progress("sweep", unit="chunks", rate="passes", each=rows.chunk) as report:
+        seconds = run_chunks(study, rows.chunks, rows, args.scheduler, report)
+    failed = sum(bool(text) for table in study.tables(rows.chunks, ["error"]) for text in table["error"].to_pylist())
+    result = {"rows": len(rows), "failed": failed, "out": args.out, "wall_s": seconds}
+    return Answer(result, [f"{len(rows)} rows, {failed} failed (column error), in {seconds:.1f} s: {args.out}"])

@@ -1,0 +1,113 @@
+"""Reports: one self-contained interactive HTML page; every series as CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import write_files
+from kr270_milling.base.record import flatten
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decide.part import PartAssessment, assess_all
+from kr270_milling.show.report import tables as texts
+from kr270_milling.show.report.assumptions import assumptions
+from kr270_milling.show.report.decision_block import DecisionBlock, asked, decision_block, finding_rows, judged, tiles
+from kr270_milling.show.report.linked import linked, part_surface
+from kr270_milling.show.report.page import page
+from kr270_milling.show.report.robot_model import robot_model
+from kr270_milling.show.report.series import write_series
+from kr270_milling.show.report.straight_cut import charts_of
+from kr270_milling.show.report.tables import ReportTable
+
+__all__ = ["DecisionBlock", "ReportTable", "decision_block", "write_report", "write_series"]
+
+
+def write_report(
+    directory,
+    cell: Cell,
+    passes: Sequence[ScoredPass],
+    *,
+    title: str,
+    source: str,
+    command: str,
+    date: str,
+    paper: bool = False,
+    parts: Sequence[PartAssessment] = (),
+    decision: DecisionBlock | None = None,
+    tables: Sequence[ReportTable] = (),
+    program: str | None = None,
+) -> Path:
+    """Write ``report.html`` into the directory, which is made if need be; returns its path.
+
+    passes: the original one first; source: the cell file; command: how this was called; date: as it shall be printed;
+    paper: set the paper's own results and figure numbers beside ours; parts: the assessments of the passes, if they
+    are known already; decision: what was decided, for the first screen (default: what follows from the passes);
+    tables: further ones, after the scores; program: text of the tool path file, where a recording carries it.
+    The file appears whole or not at all. Raises InputError where it cannot be written.
+    """
+    if not passes:
+        raise InputError(title, "a report needs at least one pass")
+    programmed = cell.programmed
+    parts = parts or assess_all(cell, passes)
+    decision = decision or judged(cell, passes, parts)
+    names = [p.name for p in passes]
+    sizes = (
+        [part.whole.max_normal for part in parts]
+        if not programmed.straight
+        else [p.scores.max_deviation for p in passes]
+    )
+    best = int(np.argmin(sizes))
+    pictures, robot, charts = (
+        linked(cell, passes, parts, program),
+        robot_model(cell, passes[best]),
+        charts_of(cell, passes, parts),
+    )
+    data = {  # what the page's scripts draw
+        "linked": pictures,
+        "surface": part_surface(parts),
+        "robot": robot,
+        "charts": charts,
+        "paper": paper,
+        "best": best,
+        "tolerance_um": [1e6 * allowed for allowed in cell.part.of()],
+        "stock_mm": [*(cell.stock.min * 1e3), *(cell.stock.max * 1e3)],
+        "engaged_s": cell.full_engagement,
+        "part": not programmed.straight,
+    }
+    text = page.page_text(
+        page.HERE / "report.html",
+        page.SCRIPTS,
+        title=title,
+        cell=cell,
+        timed=programmed.timed,
+        path_file=programmed.file_name,
+        speed_rpm=cell.tool.spindle_speed * 30 / np.pi,
+        source=Path(source).name,
+        command=command,
+        date=date,
+        paper=paper,
+        paper_source=texts.PAPER,
+        names=names,
+        asked=asked(cell, passes),
+        tiles=tiles(decision, names, sizes),
+        findings=finding_rows(decision),
+        scores=texts.line_scores(passes, paper) if programmed.straight else texts.part_scores(parts),
+        features=None if programmed.straight else texts.feature_table(parts),
+        more=[texts.typographic(t) for t in tables if t.rows],
+        details=texts.details(passes),
+        inputs=texts.input_rows(cell, robot.joints[0]),
+        warning=texts.warning(cell, passes),
+        assumptions=assumptions(cell, paper),
+        configuration=[(key, texts.shown(value, key)) for key, value in flatten(cell).items()],
+        charts=charts,
+        has_source=bool(pictures.source),
+        data=page.to_json(data),
+    )
+    path = Path(directory) / "report.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_files({path: (text,)})
+    return path

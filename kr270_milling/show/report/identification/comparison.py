@@ -1,0 +1,103 @@
+"""A measured pass against the simulated pass as sentences, JSON, table and figures."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kr270_milling.show.report.identification.outcome import Outcome
+from kr270_milling.show.report.study_page import points
+from kr270_milling.studies.identification.comparison import ComparedChannel, Comparison, Line
+
+__all__ = ["advice", "comparison_outcome"]
+
+AGREES = 0.1  #: gains within this share of 1 need no new identification: batches of a material scatter by as much
+RINGS_ALIKE = 0.05  #: relative difference of two frequencies that agree
+DAMPS_ALIKE = 0.5  #: relative difference of two damping ratios that agree
+SURE = 2.0  #: standard deviations
+LARGE = 0.2  #: share of the largest force component from which a component is compared
+MOST_POINTS = 5000  #: of a channel in the figure
+COLUMNS = ("quantity", "measured / simulated", "95 % +-", "offset", "difference RMS")
+UNITS = {"m": (1e6, "um", "um"), "N": (1.0, "n", "N")}  #: unit of a channel -> factor, suffix of keys, unit in tables
+
+
+def comparison_outcome(comparison: Comparison, recording: str, cell: str) -> Outcome:
+    """Return the result of ``compare``; recording, cell: names of the files."""
+    sentences = advice(comparison)
+    lags = [f"the clock of the {name} is {1e3 * lag:.2f} ms behind that of the simulation"
+            for name, lag in comparison.lags.items()]  # fmt: skip
+    result = {
+        "channels": [_as_dict(channel) for channel in comparison.channels],
+        "lag_s": comparison.lags,
+        "ringing": {name: {"frequency_hz": f, "damping_ratio": z} for name, (f, z) in comparison.ringing.items()},
+        "advice": sentences,
+    }
+    title = f"Measured against simulated: {recording} and {cell}"
+    table = ("Measured against simulated", COLUMNS, [_row(channel) for channel in comparison.channels])
+    return Outcome("compare", title, result, [table], [*lags, *sentences], lambda: _figures(comparison))
+
+
+def advice(comparison: Comparison) -> list[str]:
+    """Return what to identify again."""
+    channels, ringing = comparison.channels, comparison.ringing
+    sentences = []
+    largest = max((float(np.abs(c.simulated).mean()) for c in channels if c.unit == "N"), default=0.0)
+    forces = [c for c in channels if c.unit == "N" and np.abs(c.simulated).mean() > LARGE * largest]
+    sentences += [
+        f"{c.name} is {c.line.gain:.2f} +- {SURE * c.line.gain_sigma:.2f} times the simulated one: `identify forces`"
+        for c in forces
+        if _differs(c.line, 1.0)
+    ]
+    deviation = next((c for c in channels if c.name == "deviation"), None)
+    if deviation is not None:
+        weights = [float(np.abs(c.simulated).mean()) for c in forces]
+        expected = float(np.average([c.line.gain for c in forces], weights=weights)) if forces else 1.0
+        if _differs(deviation.line, expected):
+            ratio = deviation.line.gain / expected
+            cause = "`identify compliance`" if forces else "`identify compliance`, or forces, which were not measured"
+            sentences.append(f"the deviation is {ratio:.2f} times what the measured forces explain: {cause}")
+    if all(np.isfinite(values).all() for values in ringing.values()) and ringing:
+        (ours, damping), (theirs, measured) = ringing["simulated"], ringing["measured"]
+        if abs(theirs / ours - 1.0) > RINGS_ALIKE or abs(measured / damping - 1.0) > DAMPS_ALIKE:
+            sentences.append(
+                f"the tool rings at {theirs:.2f} Hz with a damping ratio of {measured:.3f}, "
+                f"simulated {ours:.2f} Hz and {damping:.3f}: `identify damping`"
+            )
+    return sentences or ["measurement and simulation agree: nothing to identify again"]
+
+
+def _differs(line: Line, expected: float) -> bool:
+    away = abs(line.gain - expected)
+    return away > AGREES * max(expected, 0.1) and away > SURE * line.gain_sigma
+
+
+def _rms(channel: ComparedChannel) -> float:
+    return float(((channel.measured - channel.simulated) ** 2).mean() ** 0.5)
+
+
+def _as_dict(channel: ComparedChannel) -> dict:
+    factor, suffix, _ = UNITS[channel.unit]
+    return {
+        "name": channel.name,
+        "gain": channel.line.gain,
+        "gain_ci95": 1.96 * channel.line.gain_sigma,
+        f"offset_{suffix}": factor * channel.line.offset,
+        f"residual_rms_{suffix}": factor * _rms(channel),
+        f"residual_rms_smoothed_{suffix}": factor * channel.line.residual,
+    }
+
+
+def _row(channel: ComparedChannel) -> list[str]:
+    factor, _, unit = UNITS[channel.unit]
+    line, offset = channel.line, factor * channel.line.offset
+    numbers = [f"{line.gain:.3f}", f"{1.96 * line.gain_sigma:.3f}"]
+    return [channel.name, *numbers, f"{offset:.2f} {unit}", f"{factor * _rms(channel):.2f} {unit}"]
+
+
+def _figures(comparison: Comparison) -> list:
+    figures = []
+    for channel in comparison.channels:
+        thin = slice(None, None, max(1, len(channel.time) // MOST_POINTS))
+        series = {"measured": (channel.time[thin], channel.measured[thin]),
+                  "simulated": (channel.time[thin], channel.simulated[thin])}  # fmt: skip
+        figures.append(points(channel.name, "time [s]", f"[{channel.unit}]", series, tuple(series)))
+    return figures

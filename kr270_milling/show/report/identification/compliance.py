@@ -1,0 +1,160 @@
+"""Identified joint compliances as sentences, JSON, table, figures and parameter file."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import stats
+
+from kr270_milling.base.record import specs
+from kr270_milling.physics.robot.arm import Compensator
+from kr270_milling.show.report.identification.outcome import Outcome
+from kr270_milling.show.report.study_page import figure_of, points
+from kr270_milling.studies.identification.compliance import Fit
+from kr270_milling.studies.identification.measurements import Measurements
+from kr270_milling.studies.identification.problem import Cause, Exclusion
+
+__all__ = ["compliance_outcome", "reason", "sentences"]
+
+HARDLY_NORMAL = 0.05  #: p-value of the normality test below which a sentence warns
+OUTLIER = 0.25  #: weight of a load test below which a sentence names the test
+WIDENED = 1.5  #: reduced chi^2 above which a sentence warns
+COLUMNS = ("number", "arm file", "identified", "95 % +-", "identified by the data")
+CAUSES = {
+    Cause.NO_EFFECT: "no measured displacement depends on it",
+    Cause.NO_LOAD: "no load turned it",
+    Cause.ON_AXIS: "the reflector lay on its axis, so its rotation was not measured",
+    Cause.NOISE: "its effect is below the noise, its 95 % interval would include zero",
+}
+
+
+def compliance_outcome(fit: Fit, pose: Measurements | None, source: str) -> Outcome:
+    """Return the result of ``identify compliance``; source: name of the file with the load tests."""
+    problem = fit.problem
+    title = f"Joint compliances of {problem.arm.name} from {len(problem.measured)} load tests, {source}"
+    residual = f"residual {1e6 * fit.residual_rms:.2f} um RMS, normal with p = {fit.normality:.2g}"
+    rows = []
+    columns = zip(problem.names, problem.scale, fit.values, fit.half_widths, fit.free, strict=True)
+    for name, *numbers, free in columns:
+        unit = 1e6 if name.startswith("joint") else 1.0
+        texts = [f"{unit * number:.4g}" if np.isfinite(number) else "-" for number in numbers]
+        rows.append([name, *texts, "yes" if free else "no"])
+    return Outcome(
+        "compliance", title, _as_dict(fit, pose), [(title, COLUMNS, rows)], [residual, *sentences(fit, pose)],
+        lambda: _figures(fit), _sections(fit), "name this file in `includes` after the file of the arm",
+    )  # fmt: skip
+
+
+def reason(fit: Fit, number: int) -> str:
+    """Return why a number was not fitted."""
+    exclusion: Exclusion = fit.exclusions[number]
+    names = fit.problem.names
+    if exclusion.cause is Cause.ALIKE:
+        partner = names[exclusion.partner]
+        return (
+            f"{names[number]}: in every test it moved the reflector as {partner} does, so the data cannot separate them"
+        )
+    return f"{names[number]}: {CAUSES[exclusion.cause]}"
+
+
+def sentences(fit: Fit, pose: Measurements | None = None) -> list[str]:
+    """Return what the numbers mean."""
+    texts = [f"not identified: {reason(fit, k)}; it stays as in the arm file" for k in fit.exclusions]
+    if fit.free.all():
+        texts.append("the data identify every number that was asked for")
+    measured = fit.problem.measured.displacement[:, :3]
+    if np.nansum(measured * (measured - fit.residuals[:, :3])) < 0.0:
+        texts.append("the arm moved against its loads: look at the signs of forces and displacements")
+    outliers = np.flatnonzero(fit.weights < OUTLIER) + 1
+    if outliers.size:
+        texts.append("tests that contradict the others: " + ", ".join(map(str, outliers.tolist())))
+    if fit.normality < HARDLY_NORMAL:
+        texts.append(f"the residuals are hardly normal (p = {fit.normality:.2g}): look for outliers, or a wrong load")
+    if fit.problem.measured.sigma_known and fit.chi2_reduced > WIDENED:
+        factor = np.sqrt(fit.chi2_reduced)
+        texts.append(f"the residuals are {factor:.1f} times what sigma_um states; the intervals are widened by that")
+    if pose is not None:
+        moved, error = fit.at(pose)
+        size = 1e6 * np.sqrt(np.sum(moved**2, axis=1).mean()), 1e6 * np.sqrt(np.mean(error**2))
+        texts.append(f"at the cell's posture 100 N move the tool by {size[0]:.1f} um, known to {size[1]:.2f} um")
+    return texts
+
+
+def _as_dict(fit: Fit, pose: Measurements | None) -> dict:
+    """For JSON; infinite half widths become null there."""
+    result = {
+        "compliance_urad_per_n_m": (1e6 * fit.values[:6]).tolist(),
+        "ci95_urad_per_n_m": (1e6 * fit.half_widths[:6]).tolist(),
+        "identifiable": fit.free[:6].tolist(),
+        "reasons": [reason(fit, k) for k in fit.exclusions],
+        "residual_rms_um": 1e6 * fit.residual_rms,
+        "residuals_um": (1e6 * fit.residuals[:, :3]).tolist(),
+        "weights": fit.weights.tolist(),
+        "chi2_reduced": fit.chi2_reduced,
+        "normality_p": fit.normality,
+        "correlation": fit.correlation.tolist(),
+        "singular_values": fit.singular_values.tolist(),
+        "tests": len(fit.problem.measured),
+    }
+    if np.isfinite(fit.residuals[:, 3:]).any():
+        result["residuals_mrad"] = (1e3 * fit.residuals[:, 3:]).tolist()
+    if fit.problem.compensator:
+        result["compensator"] = {"ci95": _compensator(fit, fit.half_widths), **_compensator(fit, fit.values)}
+    if pose is not None:
+        moved, error = fit.at(pose)
+        result["test_pose"] = {
+            "joints_deg": np.degrees(pose.q[0]).tolist(),
+            "forces_n": pose.wrench[:, :3].tolist(),
+            "displacement_um": (1e6 * moved).tolist(),
+            "error_um": (1e6 * error).tolist(),
+            "share": float(np.sqrt(np.sum(error**2) / np.sum(moved**2))),
+        }
+    return result
+
+
+def _compensator(fit: Fit, numbers: np.ndarray) -> dict[str, float]:
+    """Numbers (p,) [SI] of the compensator in units of the parameter file."""
+    by_name = {spec.name: spec for spec in specs(Compensator)}
+    chosen = [by_name[name] for name in fit.problem.compensator]
+    return {spec.key: float(number / spec.scale) for spec, number in zip(chosen, numbers[6:], strict=True)}
+
+
+def _sections(fit: Fit) -> dict:
+    """Sections of a parameter file: the arm's compliances, and their uncertainty for the verdict."""
+    widths = ", ".join("-" if not np.isfinite(w) else f"{1e6 * w:.2g}" for w in fit.half_widths[:6])
+    arm: dict = {"joint_compliance_urad_per_n_m": ((1e6 * fit.values[:6]).tolist(), f"identified, 95 % +- {widths}")}
+    if fit.problem.compensator:
+        arm["compensator"] = _compensator(fit, fit.values)
+    relative = np.sqrt(np.diag(fit.covariance)[:6]) / np.abs(fit.factors[:6])
+    spread = (np.clip(relative, 1e-4, 1.0).tolist(), "standard deviations from the same fit")
+    return {"arm": arm, "uncertainty": {"joint_compliances": spread}}
+
+
+def _figures(fit: Fit) -> list:
+    """Compliances with their intervals, residuals of each test and against the normal distribution, correlation."""
+    bars = figure_of("Joint compliances", "", "[urad/(N m)]")
+    values, widths = fit.values[:6], np.where(np.isfinite(fit.half_widths[:6]), fit.half_widths[:6], 0.0)
+    spread = dict(type="data", color="#888888", array=(1e6 * widths).tolist())
+    joints, names = fit.problem.names[:6], fit.problem.names
+    bars.add_bar(name="identified, 95 %", x=joints, y=(1e6 * values).tolist(), error_y=spread)
+    bars.add_bar(name="arm file", x=joints, y=(1e6 * fit.problem.arm.joint_compliance).tolist())
+    heat = figure_of("Correlation of the fitted numbers", "", "")
+    heat.add_heatmap(x=names, y=names, z=fit.correlation.tolist(), zmin=-1, zmax=1, colorscale="RdBu",
+                     texttemplate="%{z:.2f}")  # fmt: skip
+    heat.update_layout(yaxis_autorange="reversed", height=480)
+    residuals = 1e6 * fit.residuals[:, :3]
+    tests = np.arange(1, len(residuals) + 1)
+    scaled = np.sort(fit.scaled)
+    normal = stats.norm.ppf((np.arange(scaled.size) + 0.5) / scaled.size)
+    modelled = 1e6 * (fit.problem.measured.displacement - fit.residuals)[:, :3]
+    measured = 1e6 * fit.problem.measured.displacement[:, :3]
+    axes = list(enumerate("xyz"))
+    return [
+        bars,
+        points("Measured against modelled displacement", "modelled [um]", "measured [um]",
+               {a: (modelled[:, i], measured[:, i]) for i, a in axes}),
+        points("Residuals of each load test", "test", "measured less modelled [um]",
+               {a: (tests, residuals[:, i]) for i, a in axes}),
+        points("Residuals against the normal distribution", "normal quantile", "residual [standard deviations]",
+               {"residuals": (normal, scaled), "normal": (normal, normal)}, ("normal",)),
+        heat,
+    ]  # fmt: skip

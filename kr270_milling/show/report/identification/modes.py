@@ -1,0 +1,90 @@
+"""Identified modes as sentences, JSON, table, figures and parameter file."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from kr270_milling.show.report.identification.outcome import Outcome
+from kr270_milling.show.report.study_page import points
+from kr270_milling.studies.identification.modes import Mode
+from kr270_milling.studies.identification.signals import Signals
+
+__all__ = ["mode_outcome"]
+
+COLUMNS = ("mode", "[Hz]", "damping [%]", "by decrement", "energy [%]", "shape x y z rx ry rz")
+MOST_HZ = 200.0  #: end of the spectrum in the figure
+MOST_POINTS = 4000  #: of a signal in the figure
+
+
+def mode_outcome(modes: list[Mode], signals: Signals, shapes: np.ndarray | None, title: str) -> Outcome:
+    """Return the result of ``identify damping``; shapes: mass-normalised shapes, (n, 6); None: not scaled."""
+    duration = len(signals.values) * signals.step
+    axes = [signals.along_axes(mode.shape).tolist() for mode in modes]
+    entries = [
+        {
+            "frequency_hz": mode.frequency,
+            "damping_ratio": mode.damping_ratio,
+            "damping_ratio_log_decrement": mode.decrement,
+            "confirmed": mode.confirmed,
+            "shape": shape,
+            "share_of_energy": mode.share,
+        }
+        for mode, shape in zip(modes, axes, strict=True)
+    ]
+    if shapes is not None:
+        entries = [e | {"mass_normalised_shape": s} for e, s in zip(entries, shapes.tolist(), strict=True)]
+    result = {
+        "modes": entries,
+        "duration_s": duration,
+        "samples_per_s": 1 / signals.step,
+        "channels": list(signals.names),
+    }
+    sentences = [f"{duration:.3g} s at {1 / signals.step:.4g} samples a second"]
+    if not all(mode.confirmed for mode in modes):
+        sentences.append(
+            "the decrement does not confirm each damping ratio: modes are near each other, or ring too briefly"
+        )
+    if shapes is None:
+        sentences.append("the shapes are not scaled: use a hammer (--hammer) or the compliance of a cell (--cell)")
+    rows = [
+        [
+            str(i), f"{mode.frequency:.3f}", f"{100 * mode.damping_ratio:.2f}", f"{100 * mode.decrement:.2f}",
+            f"{100 * mode.share:.0f}", " ".join(f"{v:.2f}" for v in shape),
+        ]
+        for i, (mode, shape) in enumerate(zip(modes, axes, strict=True), 1)
+    ]  # fmt: skip
+    use = "name this file in `includes`, or copy the keys that you need"
+    tables, sections = [(title, COLUMNS, rows)], _sections(modes, shapes)
+    return Outcome("modes", title, result, tables, sentences, lambda: _figures(signals), sections, use)
+
+
+def _sections(modes: list[Mode], shapes: np.ndarray | None) -> dict:
+    """``dynamics.modes`` of a parameter file with mass-normalised shapes (n, 6); without shapes one damping ratio."""
+    if shapes is None:
+        mean = sum(mode.share * mode.damping_ratio for mode in modes)
+        return {"dynamics": {"damping_ratio": (float(mean), "mean over the modes, by energy")}}
+    rows = [
+        {
+            "frequency_hz": mode.frequency,
+            "damping_ratio": (mode.damping_ratio, f"logarithmic decrement {mode.decrement:.3g}"),
+            "shape": shape.tolist(),
+        }
+        for mode, shape in zip(modes, shapes, strict=True)
+    ]
+    return {"dynamics": {"follow_pose": ("false", "modes are of one posture"), "modes": rows}}
+
+
+def _figures(signals: Signals) -> list:
+    """The signal and its spectrum."""
+    time = signals.step * np.arange(len(signals.values))
+    data = signals.values - signals.values.mean(0)
+    frequency = np.fft.rfftfreq(len(data), signals.step)
+    spectrum = np.abs(np.fft.rfft(data, axis=0)) * 2 / len(data)
+    thin = slice(None, None, max(1, len(time) // MOST_POINTS))
+    low = frequency < min(MOST_HZ, frequency[-1])
+    by_channel = {name: (time[thin], data[thin, i]) for i, name in enumerate(signals.names)}
+    spectra = {name: (frequency[low], spectrum[low, i]) for i, name in enumerate(signals.names)}
+    return [
+        points("Signal", "time [s]", "as recorded", by_channel, signals.names),
+        points("Spectrum", "frequency [Hz]", "as recorded", spectra, signals.names),
+    ]

@@ -1,0 +1,40 @@
+"""The result of an identification for terminal, JSON, page and parameter file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kr270_milling.base.files import staged
+from kr270_milling.base.parameter_file import write_include
+from kr270_milling.base.version import __version__
+from kr270_milling.show.report.study_page import write_page
+
+__all__ = ["Outcome"]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A result that can be printed, and written to a directory as a page and as a parameter file."""
+
+    name: str  #: stem of its files
+    title: str
+    result: dict  #: for JSON
+    tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[str]]]]  #: title, columns, rows
+    sentences: Sequence[str]
+    figures: Callable[[], list] | None = None  #: makes the figures of the page; None: no page
+    sections: dict | None = None  #: of the parameter file; None: no parameter file
+    use: str = ""  #: how to include the parameter file
+
+    def write(self, directory) -> list[Path]:
+        """Write page and parameter file; return their paths."""
+        notes = [f"{self.title}, identified by kr270_milling {__version__}", *self.sentences, self.use]
+        files = []
+        with staged(directory) as (draft, final):
+            if self.sections is not None:
+                files.append(write_include(draft / f"{self.name}.yaml", self.sections, notes))
+            if self.figures is not None:
+                page = draft / f"{self.name}.html"
+                files.append(write_page(page, self.title, self.sentences, self.tables, self.figures()))
+            return [final(path) for path in files]

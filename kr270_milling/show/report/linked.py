@@ -1,0 +1,186 @@
+"""The pictures that are linked by place: everything that is known at each station of the passes, and the part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import binary_closing
+
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decide.part import PartAssessment
+from kr270_milling.show.report.charts import envelope_index, stations
+
+__all__ = ["Linked", "PartSurface", "PassSeries", "PassSurface", "SourceLine", "linked", "part_surface"]
+
+LONGEST = 160  #: characters of a source line
+MOST_LINES = 4000  #: of the source; beyond it only those on which a station lies
+MOST_CELLS = 120  #: of the part's map along its longer side
+WALL_BUCKETS = 400
+
+
+@dataclass(frozen=True, eq=False)
+class PassSeries:
+    """One pass at the stations, (k,) each; NaN beyond its end."""
+
+    name: str
+    side: np.ndarray  #: deviation to the left of the path [um]
+    height: np.ndarray  #: deviation upwards [um]
+    force: np.ndarray  #: magnitude of the mean over an exchange period [N]
+    correction: np.ndarray  #: reference minus target, to the left of the path [um]
+    lift: np.ndarray  #: the same, upwards [um]
+
+
+@dataclass(frozen=True)
+class SourceLine:
+    number: int  #: from 1
+    text: str
+
+
+@dataclass(frozen=True, eq=False)
+class Linked:
+    """k stations of the target in the order of time, and every pass there."""
+
+    time: np.ndarray  #: [s], (k,)
+    way: np.ndarray  #: along the path [mm], (k,)
+    x: np.ndarray  #: of the target, workpiece frame [mm], (k,)
+    y: np.ndarray
+    z: np.ndarray
+    line: np.ndarray  #: of the source, (k,); 0: none
+    point: np.ndarray  #: number in the robot program, from 1, (k,): the knot that comes next
+    feature: np.ndarray  #: index into ``features``, (k,)
+    features: tuple[str, ...]
+    cutting: np.ndarray  #: (k,) 0 or 1: material is removed in some pass, within a revolution
+    scored: np.ndarray  #: (k,) 0 or 1: the tool cuts and is fully engaged
+    passes: tuple[PassSeries, ...]
+    source: tuple[SourceLine, ...]
+    source_name: str
+
+
+def linked(
+    cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment], program: str | None = None
+) -> Linked:
+    """Thin the passes to their common stations; the largest deviation and force of every pass are among them.
+
+    program: text of the tool path file, if the file is missing.
+    """
+    result, part = max(zip((p.result for p in passes), parts, strict=True), key=lambda both: len(both[0].time_ns))
+    time_ns, target, path = result.time_ns, result.target, part.path
+    cutting = np.zeros(time_ns.size, bool)
+    series = []
+    for one, assessed in zip(passes, parts, strict=True):
+        rows = np.searchsorted(one.result.time_ns, time_ns)
+        known = rows < one.result.time_ns.size
+        known[known] = one.result.time_ns[rows[known]] == time_ns[known]
+        series.append(np.where(known, _series(one, assessed)[:, np.where(known, rows, 0)], np.nan))
+        cutting[known] |= assessed.cutting[rows[known]]
+    chosen = stations([np.where(cutting, values, np.nan) for side, _, force, *_ in series for values in (side, force)])
+    engaged, knots = result.time >= cell.full_engagement - 1e-9, cell.target().time_ns
+    line = cell.programmed.line_at(time_ns)
+    return Linked(
+        time=time_ns[chosen] * 1e-9,
+        way=path.distance[chosen] * 1e3,
+        x=target[chosen, 0] * 1e3,
+        y=target[chosen, 1] * 1e3,
+        z=target[chosen, 2] * 1e3,
+        line=line[chosen],
+        point=np.clip(np.searchsorted(knots, time_ns[chosen]), 0, knots.size - 1) + 1,
+        feature=path.feature[chosen],
+        features=tuple(path.features),
+        cutting=_joined(cutting, cell)[chosen].astype(np.int64),
+        scored=(cutting & engaged)[chosen].astype(np.int64),
+        passes=tuple(PassSeries(p.name, *rows[:, chosen]) for p, rows in zip(passes, series, strict=True)),
+        source=_source(cell, line[chosen], program),
+        source_name=cell.programmed.file_name,
+    )
+
+
+def _joined(cutting: np.ndarray, cell: Cell) -> np.ndarray:
+    """Without the moments in which no tooth of a tool at work is in the material."""
+    turn = int(np.ceil(2 * np.pi / cell.tool.spindle_speed / cell.clock.period))
+    return binary_closing(np.pad(cutting, turn + 1), np.ones(turn + 1, bool))[turn + 1 : -turn - 1] | cutting
+
+
+def _series(one: ScoredPass, part: PartAssessment) -> np.ndarray:
+    """The rows of PassSeries at all times of the pass, (5, n)."""
+    shift = one.result.reference - one.result.target
+    across = np.sum(shift[:, :2] * part.path.left, axis=1)
+    _, side, height = part.deviation.T * 1e6
+    return np.stack([side, height, part.force, across * 1e6, shift[:, 2] * 1e6])
+
+
+def _source(cell: Cell, used: np.ndarray, program: str | None) -> tuple[SourceLine, ...]:
+    """Lines of the tool path file, or of its text: all of a short one, else those that are used."""
+    if not used.any():
+        return ()
+    if program is None:
+        try:
+            program = Path(cell.path.file).read_text(encoding="utf-8", errors="replace")
+        except OSError:  # it was attached to a recording
+            return ()
+    lines = program.splitlines()
+    wanted = range(1, len(lines) + 1) if len(lines) <= MOST_LINES else np.unique(used[used > 0]).tolist()
+    return tuple(SourceLine(n, lines[n - 1][:LONGEST]) for n in wanted if n <= len(lines))
+
+
+@dataclass(frozen=True, eq=False)
+class PassSurface:
+    """Errors that one pass leaves; positive: material is left standing."""
+
+    name: str
+    floor: np.ndarray  #: [um], (b, a), rows along y; NaN: no floor
+    wall: np.ndarray  #: [um], (w,), at the walls of PartSurface
+
+
+@dataclass(frozen=True, eq=False)
+class PartSurface:
+    """The part as machined, thinned for a picture; axes of the workpiece frame [mm]."""
+
+    x: np.ndarray  #: (a,)
+    y: np.ndarray  #: (b,)
+    z: np.ndarray  #: height of the part, (b, a)
+    wall_x: np.ndarray  #: (w,)
+    wall_y: np.ndarray
+    wall_z: np.ndarray  #: of the upper edge
+    passes: tuple[PassSurface, ...]
+
+
+def part_surface(parts: Sequence[PartAssessment]) -> PartSurface:
+    """The surfaces of all passes on one thinned grid; each cell shows its largest floor error."""
+    floors, walls = parts[0].surface.floors, parts[0].surface.walls
+    share = max(1, -(-max(floors.height.shape) // MOST_CELLS))
+    x, y = (np.nanmean(_blocks(axis[None], 1, share), axis=-1)[0] * 1e3 for axis in (floors.x, floors.y))
+    height = np.nanmean(_blocks(floors.height, share, share), axis=-1) * 1e3
+    errors = [part.surface.walls.error for part in parts]
+    same = [error for error in errors if error.size == walls.error.size]
+    chosen = np.unique(np.concatenate([envelope_index(error, WALL_BUCKETS) for error in same]))
+    wall_x, wall_y, wall_z = walls.position[chosen].T * 1e3
+    top = wall_z + walls.height[chosen] * 1e3
+    unknown = np.full(chosen.size, np.nan)
+    passes = tuple(
+        PassSurface(
+            part.name,
+            _largest(_blocks(part.surface.floors.error, share, share)).T * 1e6,
+            error[chosen] * 1e6 if error.size == walls.error.size else unknown,
+        )
+        for part, error in zip(parts, errors, strict=True)
+    )
+    return PartSurface(x, y, height.T, wall_x, wall_y, top, passes)
+
+
+def _blocks(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
+    """Blocks of rows x columns cells, (b, a, rows * columns); those at the far edges are filled up with NaN."""
+    down, across = -(-values.shape[0] // rows), -(-values.shape[1] // columns)
+    padded = np.full((down * rows, across * columns), np.nan)
+    padded[: values.shape[0], : values.shape[1]] = values
+    return padded.reshape(down, rows, across, columns).transpose(0, 2, 1, 3).reshape(down, across, -1)
+
+
+def _largest(blocks: np.ndarray) -> np.ndarray:
+    """The value of the largest magnitude, with its sign; NaN where there is none."""
+    size = np.where(np.isnan(blocks), -1.0, np.abs(blocks))
+    best = np.argmax(size, axis=-1)
+    return np.take_along_axis(blocks, best[..., None], axis=-1)[..., 0]

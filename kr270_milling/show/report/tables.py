@@ -1,0 +1,179 @@
+"""The tables of the page as texts, with one minus sign and without directories of a machine."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.base.column import Column, columns
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass, mean_force
+from kr270_milling.decide.part import FeatureRow, PartAssessment
+from kr270_milling.physics.motion.scores import Scores
+
+__all__ = ["PAPER", "TABLE_2", "ReportTable", "details", "feature_table", "fixed", "input_rows", "line_scores", "micro",
+           "part_scores", "shown", "typographic", "warning"]  # fmt: skip
+
+UM = 1e6
+#: source of the columns `paper`
+PAPER = (
+    "Klimchik, Bondarenko, Pashkevich, Briot, Furet: Compliance error compensation in robotic-based milling (2012), "
+    "Table 2"
+)
+#: name of a pass -> its scores in Table 2; NaN: not in the table
+TABLE_2 = {
+    "original": Scores(58.1e-6, 63.2e-6, 6.70, np.nan, np.nan),
+    "linear": Scores(0.14e-6, 4.70e-6, 6.70, np.nan, np.nan),
+}
+
+
+@dataclass(frozen=True)
+class ReportTable:
+    """A table on the page; the first column is text, the others are texts that are set right-aligned."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ""
+
+
+def fixed(value: float, digits: int) -> str:
+    """Fixed decimals with a typographer's minus, never "-0"; a dash where there is no number."""
+    if value is None or not np.isfinite(value):
+        return "–"
+    text = f"{value:.{digits}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
+
+
+def micro(text: str) -> str:
+    """With the micro sign where a unit is written um."""
+    return re.sub(r"\bum\b", "µm", text)
+
+
+def shown(value, key: str = "") -> str:
+    """A value of the configuration; of a file only its name."""
+    if isinstance(value, list):
+        return "[" + ", ".join(map(shown, value)) + "]"
+    if isinstance(value, str):
+        return Path(value).name if key.endswith("file") else value
+    return (f"{value:.10g}" if isinstance(value, float) else str(value)).replace("-", "−")
+
+
+def typographic(table: ReportTable) -> ReportTable:
+    """A table of others with the page's minus sign and micro sign, and no "-0.00"."""
+    rows = tuple(tuple(map(_typographic, row)) for row in table.rows)
+    return ReportTable(micro(table.title), tuple(map(micro, table.columns)), rows, micro(table.note))
+
+
+def _typographic(text: str) -> str:
+    if re.fullmatch(r"-0(\.0*)?", text):
+        return text[1:]
+    return micro(re.sub(r"(?<![\w-])-(?=\d)", "−", text))
+
+
+def line_scores(passes: Sequence[ScoredPass], paper: bool) -> ReportTable:
+    """Accuracy before and after of a straight cut; with ``paper`` the numbers of Table 2 beside ours."""
+    heads, rows = ["pass"], [[one.name] for one in passes]
+    for column in _titled(Scores):
+        heads.append(_heading(column))
+        for one, row in zip(passes, rows, strict=True):
+            row.append(_text(column, getattr(one.scores, column.name)))
+        if paper and np.isfinite(getattr(TABLE_2["original"], column.name)):
+            heads.append("paper")
+            for one, row in zip(passes, rows, strict=True):
+                row.append(_text(column, getattr(TABLE_2.get(one.name), column.name, np.nan)))
+    note = (
+        "Path deviation: actual tool centre minus target, perpendicular to the feed. Static: its mean over the last "
+        "quarter of the pass. Largest: its largest magnitude while the tool is fully engaged. Low frequency: the "
+        "lowest lateral mode of the model; ringing: undamped frequency and damping ratio of the pass."
+    )
+    title = "Before and after" + (" (Table 2)" if paper else "")
+    return ReportTable(title, tuple(heads), tuple(map(tuple, rows)), note)
+
+
+def part_scores(parts: Sequence[PartAssessment]) -> ReportTable:
+    """The whole part, one row a pass."""
+    note = (
+        "Deviation: actual tool centre minus target, horizontal and across the path, while the tool cuts. Wall and "
+        "floor: what remains on the finished part, against the part that a rigid arm would leave."
+    )
+    rows = tuple((part.name, *_values(part.whole)) for part in parts)
+    return ReportTable("Before and after, whole part", ("pass", *map(_heading, _titled(FeatureRow))), rows, note)
+
+
+def feature_table(parts: Sequence[PartAssessment]) -> ReportTable:
+    """For each feature one row a pass."""
+    known = [{row.name: row for row in (*part.rows, part.whole)} for part in parts]
+    rows = tuple(
+        (name, part.name, *_values(of[name]))
+        for name in known[0]
+        for part, of in zip(parts, known, strict=True)
+        if name in of
+    )
+    return ReportTable("Feature by feature", ("feature", "pass", *map(_heading, _titled(FeatureRow))), rows)
+
+
+def _values(row: FeatureRow) -> list[str]:
+    return [_text(column, getattr(row, column.name)) for column in _titled(FeatureRow)]
+
+
+def _titled(record) -> list[Column]:
+    """Columns of the report."""
+    return [column for column in columns(record) if column.title]
+
+
+def _heading(column: Column) -> str:
+    return micro(column.heading())
+
+
+def _text(column: Column, value: float) -> str:
+    return fixed(value * column.scale, column.digits)
+
+
+def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
+    """Table 1: name with unit, six values; joints [rad], (6,): the commanded joints at the start."""
+    rows = [
+        ("commanded joint position q at the start [deg]", np.round(np.degrees(joints), 3) + 0.0),
+        ("joint compliance [10⁻⁶ rad/(N m)]", np.round(cell.arm.joint_compliance * UM, 9)),
+        ("link mass [kg]", cell.arm.link_mass),
+    ]
+    return [(name, [shown(value) for value in values.tolist()]) for name, values in rows]
+
+
+def details(passes: Sequence[ScoredPass]) -> ReportTable:
+    """Forces and exchange of every pass."""
+    rows = []
+    for one in passes:
+        result = one.result
+        shift = float(np.linalg.norm(result.reference - result.target, axis=1).max())
+        rows.append((
+            one.name, " / ".join(fixed(v, 2) for v in mean_force(result)), fixed(shift * UM, 2),
+            fixed(result.removed_volume * 1e9, 3), fixed(float(result.correction.max()) * 1e9, 2),
+            str(result.micro_steps), fixed(result.wall_time, 3),
+        ))  # fmt: skip
+    columns = (
+        "pass", "mean force x / y / z, last quarter [N]", "largest shift of the reference [µm]", "removed volume [mm³]",
+        "largest correction of a predicted pose [nm]", "micro-steps", "computed in [s]",
+    )  # fmt: skip
+    note = (
+        "In each exchange period the arm predicts the pose of the tool, the cut answers with the mean wrench on the "
+        "way there, and the arm corrects its pose with that wrench. The correction is what the chip geometry was wrong "
+        "by."
+    )
+    return ReportTable("Forces and exchange", columns, tuple(rows), note)
+
+
+def warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:
+    """Where the exchange was too coarse."""
+    per_tooth = cell.feed_rate * 2 * np.pi / cell.tool.spindle_speed / cell.tool.teeth
+    share = max(float(p.result.correction.max()) for p in passes) / per_tooth
+    if share <= cell.exchange.warn_correction:
+        return ""
+    return (
+        f"The largest correction of a predicted pose is {100 * share:.1f} % of the feed per tooth, above the "
+        f"{100 * cell.exchange.warn_correction:g} % set: use a shorter exchange.period_ms or more exchange.iterations."
+    )

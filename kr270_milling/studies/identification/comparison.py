@@ -1,0 +1,165 @@
+"""Compare a measured pass with the simulated pass: force, tool position, deviation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import fftconvolve
+
+from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.physics.motion.scores import path_deviation, ringing_frequency
+from kr270_milling.studies.identification.signals import resampled
+
+__all__ = [
+    "ComparedChannel", "Comparison", "Line", "NoOverlapError", "PassSeries", "VectorSeries", "best_lag", "compare",
+    "line_through",
+]  # fmt: skip
+
+LEAST_OVERLAP = 0.6  #: share of the shorter series that both must have in common
+LEAST_LIKENESS = 0.5  #: below it two series are not of the same pass
+
+
+class NoOverlapError(MillingError):
+    """The series do not resemble each other at any lag."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """measured = gain * simulated + offset, by least squares."""
+
+    gain: float
+    gain_sigma: float
+    offset: float
+    residual: float  #: root mean square
+
+
+def _smoothed(values: np.ndarray, count: int) -> np.ndarray:
+    """Moving mean over ``count`` samples, the same length; the ends are means of fewer."""
+    kernel = np.ones((max(1, count), 1))
+    weight = fftconvolve(np.ones((len(values), 1)), kernel, "same", axes=0)
+    return fftconvolve(values, kernel, "same", axes=0) / weight
+
+
+def best_lag(measured: np.ndarray, simulated: np.ndarray, same_size: bool) -> tuple[int, float]:
+    """Samples by which the simulation must be shifted to lie on the measurement, and their correlation there.
+
+    measured (n, k), simulated (m, k), one step. same_size: the sum of squared differences decides, as for places;
+    else the coefficient sum(m s) / sqrt(sum m^2 sum s^2) over the overlap, which does not mind a gain.
+    """
+    product = _slide(measured, simulated)
+    squares_m = _slide(measured**2, np.ones_like(simulated))
+    squares_s = _slide(np.ones_like(measured), simulated**2)
+    overlap = _slide(np.ones((len(measured), 1)), np.ones((len(simulated), 1)))
+    likeness = product / np.sqrt(np.maximum(squares_m * squares_s, 1e-300))
+    score = -(squares_m + squares_s - 2 * product) / np.maximum(overlap, 1.0) if same_size else likeness
+    enough = overlap > LEAST_OVERLAP * min(len(measured), len(simulated))
+    place = int(np.argmax(np.where(enough, score, -np.inf)))
+    return place - (len(simulated) - 1), float(likeness[place])
+
+
+def _slide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """sum_i a[i + lag] b[i] over columns, for lags from -(len(b) - 1) to len(a) - 1."""
+    return fftconvolve(a, b[::-1], axes=0).sum(1)
+
+
+def line_through(measured: np.ndarray, simulated: np.ndarray, independent: int) -> Line:
+    """One gain and one offset of (n,) numbers; independent: how many of them count as such (they are smoothed)."""
+    a = np.column_stack([simulated, np.ones_like(simulated)])
+    (gain, offset), *_ = np.linalg.lstsq(a, measured, rcond=None)
+    left = measured - a @ [gain, offset]
+    spread = np.sum((simulated - simulated.mean()) ** 2) * independent / len(simulated)
+    sigma = np.sqrt(np.mean(left**2) / max(spread, 1e-300))
+    return Line(float(gain), float(sigma), float(offset), float(np.sqrt(np.mean(left**2))))
+
+
+@dataclass(frozen=True, eq=False)
+class VectorSeries:
+    """Vectors over time, workpiece axes."""
+
+    time: np.ndarray  #: [s], (n,)
+    values: np.ndarray  #: (n, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class PassSeries:
+    """Series of one pass; the series of a measured pass have separate clocks."""
+
+    force: VectorSeries | None  #: on the tool [N]
+    tool: VectorSeries | None  #: tool centre [m]
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedChannel:
+    """One quantity, both on the clock of the simulation."""
+
+    name: str
+    unit: str
+    time: np.ndarray  #: [s], (n,)
+    measured: np.ndarray  #: (n,)
+    simulated: np.ndarray  #: (n,)
+    line: Line  #: of the series smoothed over a revolution
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Channels on one clock, lags of the measured clocks, and the ringing of both deviations."""
+
+    channels: list[ComparedChannel]
+    lags: dict[str, float]  #: [s] of the measured clock behind the simulated one, "force" and "pose"
+    ringing: dict[str, tuple[float, float]]  #: frequency [Hz] and damping ratio, "measured" and "simulated"
+
+
+def compare(measured: PassSeries, simulated: PassSeries, target, feed, revolution: float) -> Comparison:
+    """target (m, 3) [m] and feed (m, 3) of the simulated tool's times; revolution [s] of the spindle.
+
+    Raises InputError without a measured series, NoOverlapError for one of another pass.
+    """
+    channels: list[ComparedChannel] = []
+    lags, ringing = {}, {}
+    if measured.force is not None and simulated.force is not None:
+        lags["force"], force = _aligned("force", measured.force, simulated.force, same_size=False)
+        inside = np.isfinite(force).all(1)
+        time, pairs = simulated.force.time[inside], zip(force[inside].T, simulated.force.values[inside].T, strict=True)
+        channels += [_channel(f"force {axis}", "N", time, theirs, ours, revolution)
+                     for axis, (theirs, ours) in zip("xyz", pairs, strict=True) if np.any(ours)]  # fmt: skip
+    if measured.tool is not None and simulated.tool is not None:
+        lags["pose"], place = _aligned("place of the tool", measured.tool, simulated.tool, same_size=True)
+        inside = np.isfinite(place).all(1)
+        time, count = simulated.tool.time[inside], _count(simulated.tool.time, revolution)
+        ours = path_deviation(simulated.tool.values, target, feed)[inside]
+        theirs = path_deviation(place, target, feed)[inside]
+        channels.append(_channel("deviation", "m", time, theirs, ours, revolution))
+        both = {"measured": theirs, "simulated": ours}
+        ringing = {k: ringing_frequency(time, _smoothed(v[:, None], count)[:, 0]) for k, v in both.items()}
+    if not channels:
+        raise InputError("compare", "the recording has neither a force nor a place of the tool to compare")
+    return Comparison(channels, lags, ringing)
+
+
+def _count(time: np.ndarray, revolution: float) -> int:
+    """Samples of a revolution."""
+    return max(1, round(revolution / float(np.median(np.diff(time)))))
+
+
+def _aligned(what: str, measured: VectorSeries, simulated: VectorSeries, same_size: bool) -> tuple[float, np.ndarray]:
+    """Lag [s], and the measured vectors at the simulated times, (n, 3), NaN where there are none."""
+    step = float(np.median(np.diff(simulated.time)))
+    middle = simulated.values.mean(0) if same_size else 0.0  # squares of small numbers
+    theirs, ours = (resampled(p.time, p.values, step) - middle for p in (measured, simulated))
+    lag, likeness = best_lag(theirs, ours, same_size)
+    if likeness < LEAST_LIKENESS:
+        raise NoOverlapError(
+            f"the measured {what} does not resemble the simulated one at any lag (best correlation {likeness:.2f}): "
+            "check the topic, the axes of the sensor and the cell"
+        )
+    seconds = lag * step + float(measured.time[0] - simulated.time[0])
+    at = simulated.time + seconds
+    return seconds, np.stack([np.interp(at, measured.time, c, np.nan, np.nan) for c in measured.values.T], -1)
+
+
+def _channel(name: str, unit: str, time, measured, simulated, revolution: float) -> ComparedChannel:
+    count = _count(time, revolution)
+    both = _smoothed(np.column_stack([measured, simulated]), count)
+    line = line_through(both[:, 0], both[:, 1], max(3, len(time) // count))
+    return ComparedChannel(name, unit, time, measured, simulated, line)

@@ -1,0 +1,201 @@
+"""Force coefficients from mean forces over a revolution [Altintas2012, section 2.8], for any immersion and any law.
+
+A law that is linear in its coefficients has a design matrix; weighted linear least squares over all cuts give them.
+Other laws are fitted by non-linear least squares to F_x and F_y, and their axial coefficients, in which F_z is linear,
+to F_z. With z out of the part, the axial force has the sign s = -1 where it pulls the tool toward the part (as
+``cutting`` has it), +1 where it pushes the tool into its holder; the linear coefficients then are positive, as
+published ones are. A helix does not change means over whole revolutions.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.record import specs
+from kr270_milling.physics.cutting import LAWS, ForceLaw, LinearEdgeLaw
+from kr270_milling.studies.identification.cuts import Cuts
+from kr270_milling.studies.identification.intervals import MixedUpError, half_interval, scatter, solve
+
+__all__ = [
+    "NAMES", "SCALE", "TOWARD_PART", "LawFit", "OneFeedError", "fit", "fit_all", "law_sections",
+]  # fmt: skip
+
+#: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON, in the order and the units of LinearEdgeLaw
+NAMES = LinearEdgeLaw.result_keys()
+SCALE = np.array([spec.scale for spec in specs(LinearEdgeLaw)])  #: [N/m^2, N/m per file unit]
+FIRST = "linear_edge"
+TOWARD_PART, INTO_HOLDER = -1.0, 1.0  #: s of F_z
+
+
+class OneFeedError(MillingError):
+    """The cuts do not identify the coefficients."""
+
+    def __init__(self, feeds: int, cuts: int, least: int = 2):
+        self.feeds, self.cuts = feeds, cuts
+        what = "one feed per tooth" if feeds == 1 else f"{feeds} feeds per tooth"
+        super().__init__(
+            f"{cuts} cuts at {what} do not identify the coefficients: the law needs at least {least} feeds, and "
+            "tangential and radial coefficients two force components"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LawFit:
+    """Coefficients of one force law; NaN: not measured, infinite half widths: not identified.
+
+    The coefficients have the order and the SI units of the law's record.
+    """
+
+    law: str
+    cuts: Cuts
+    values: np.ndarray  #: (p,)
+    half_widths: np.ndarray  #: of their 95 % intervals, (p,)
+    modelled: np.ndarray  #: mean forces [N], (n, 3)
+    axial: float = TOWARD_PART  #: s of F_z, from the sign of what was measured
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """Measured less modelled [N], (n, 3)."""
+        return self.cuts.force - self.modelled
+
+    @property
+    def lateral_rms(self) -> float:
+        """Of the residuals of F_x and F_y [N]."""
+        return float(np.sqrt(np.nanmean(self.residuals[:, :2] ** 2)))
+
+    @property
+    def residual_rms(self) -> float:
+        """Of the residuals that the fit minimised [N]: of F_x and F_y alone for a law with a separate axial fit."""
+        linear = LAWS[self.law].design(self.cuts) is not None
+        return float(np.sqrt(np.nanmean(self.residuals**2))) if linear else self.lateral_rms
+
+    def as_dict(self) -> dict:
+        """Values and half widths in units of the parameter file."""
+        keys = LAWS[self.law].result_keys()
+        scale = np.array([spec.scale for spec in specs(LAWS[self.law])])
+        values, widths = (
+            dict(zip(keys, (numbers / scale).tolist(), strict=True)) for numbers in (self.values, self.half_widths)
+        )
+        return {**values, "ci95": widths}
+
+
+def fit(law: str, cuts: Cuts) -> LawFit:
+    """The coefficients of a force law, a name in ``LAWS``; raises OneFeedError.
+
+    The axial coefficients only where fz was measured in two cuts at least.
+    """
+    design = LAWS[law].design(cuts)
+    return _fit_curved(law, cuts) if design is None else _fit_linear(law, cuts, design)
+
+
+def fit_all(cuts: Cuts, needed: str) -> list[LawFit]:
+    """Fits of all laws that the cuts identify, the linear-edge law first, as published coefficients are of that law.
+
+    Raises OneFeedError where the linear-edge law or the ``needed`` law cannot be fitted.
+    """
+    fits = [fit(FIRST, cuts)]
+    for law in [name for name in LAWS if name not in (FIRST, needed)]:
+        with contextlib.suppress(OneFeedError):
+            fits.append(fit(law, cuts))
+    return fits if needed == FIRST else [*fits, fit(needed, cuts)]
+
+
+def _fit_linear(law: str, cuts: Cuts, design: np.ndarray) -> LawFit:
+    """Linear least squares; the sign of the axial force is that of the measured F_z."""
+    sign = INTO_HOLDER if np.nansum(cuts.force[:, 2]) > 0.0 else TOWARD_PART
+    design = design * np.array([1.0, 1.0, sign / TOWARD_PART])[:, None]
+    axial = _axial_columns(LAWS[law])
+    values, widths = np.full(axial.size, np.nan), np.full(axial.size, np.nan)
+    for axes, columns in (((0, 1), ~axial), ((2,), axial)):
+        used = np.isfinite(cuts.force[:, axes])
+        if axes == (2,) and used.sum() < 2:
+            continue
+        weight = np.broadcast_to(cuts.sigma[:, None], used.shape)[used]
+        a = design[:, axes][:, :, columns][used] / weight[:, None]
+        try:
+            values[columns], widths[columns] = solve(a, cuts.force[:, axes][used] / weight, cuts.sigma_known)
+        except MixedUpError:
+            raise OneFeedError(cuts.feeds, len(cuts), LAWS[law].least_feeds) from None
+    return LawFit(law, cuts, values, widths, design @ np.nan_to_num(values), sign)
+
+
+def _fit_curved(law: str, cuts: Cuts) -> LawFit:
+    """Non-linear least squares from the start values of the law."""
+    kind, start = LAWS[law], np.array(LAWS[law].start)
+    axial = _axial_columns(kind)
+    if cuts.feeds < kind.least_feeds or 2 * len(cuts) <= len(start):
+        raise OneFeedError(cuts.feeds, len(cuts), kind.least_feeds)
+    lower, upper = np.array(kind.searched).T
+
+    def residuals(x):
+        modelled = _with(kind, np.clip(x * start, lower, upper)).mean_forces(cuts)
+        return ((modelled - cuts.force)[:, :2] / cuts.sigma[:, None]).ravel()
+
+    solved = least_squares(
+        residuals, np.ones(len(start)), bounds=(lower / start, upper / start), x_scale="jac", xtol=1e-12, ftol=1e-12
+    )
+    freedom = 2 * len(cuts) - len(start)
+    variance = scatter(2 * solved.cost, freedom, cuts.sigma_known)
+    quantile = half_interval(freedom, cuts.sigma_known)
+    _, singular, turned = np.linalg.svd(solved.jac, full_matrices=False)
+    with np.errstate(divide="ignore"):
+        inverse = (turned.T / np.where(singular > 1e-9 * singular[0], singular, 0.0) ** 2) @ turned
+    values, widths = np.full(axial.size, np.nan), np.full(axial.size, np.nan)
+    values[~axial] = solved.x * start
+    widths[~axial] = np.nan_to_num(quantile * np.sqrt(variance * np.diag(inverse)) * start, nan=np.inf, posinf=np.inf)
+    values[axial], widths[axial] = _fit_axial(kind, cuts, solved.x * start)
+    modelled = kind(*(float(v) for v in np.nan_to_num(values))).mean_forces(cuts)
+    return LawFit(law, cuts, values, widths, modelled)
+
+
+def _axial_columns(kind: type[ForceLaw]) -> np.ndarray:
+    """Whether a coefficient is one of the axial force, (p,)."""
+    return np.array([spec.name in kind.axial_names for spec in specs(kind)])
+
+
+def _with(kind: type[ForceLaw], lateral, **axial: float) -> ForceLaw:
+    """A law with its coefficients other than the axial ones, in their order, and with some axial ones."""
+    names = [spec.name for spec in specs(kind) if spec.name not in kind.axial_names]
+    return kind(**dict(zip(names, map(float, lateral), strict=True)), **(dict.fromkeys(kind.axial_names, 0.0) | axial))
+
+
+def _fit_axial(kind: type[ForceLaw], cuts: Cuts, lateral) -> tuple[np.ndarray, np.ndarray]:
+    """Axial coefficients and half widths by linear least squares: F_z is a sum of coefficients times unit forces."""
+    used, count = np.isfinite(cuts.force[:, 2]), len(kind.axial_names)
+    if not count or used.sum() < 2:
+        return np.full(count, np.nan), np.full(count, np.nan)
+    unit = np.stack([_with(kind, lateral, **{name: 1.0}).mean_forces(cuts)[:, 2] for name in kind.axial_names], -1)
+    sigma = cuts.sigma[used]
+    try:
+        return solve(unit[used] / sigma[:, None], cuts.force[used, 2] / sigma, cuts.sigma_known)
+    except MixedUpError:
+        raise OneFeedError(cuts.feeds, len(cuts), kind.least_feeds) from None
+
+
+def law_sections(law: str, values, half_widths, axial: float = TOWARD_PART) -> dict:
+    """Return the sections of a parameter file: the law with its coefficients, and their uncertainty for the verdict.
+
+    ``uncertainty.force_coefficients`` requires the intervals of all coefficients that the verdict draws; those of the
+    axial force follow if they were measured.
+    """
+    group, relative = {}, {}
+    kind = LAWS[law]
+    for spec, value, width in zip(specs(kind), values, half_widths, strict=True):
+        if np.isnan(value):
+            continue
+        relative[spec.name] = width / 1.96 / max(abs(value), 1e-300)
+        value = value * axial / TOWARD_PART if spec.name in kind.axial_names else max(value, 0.0)
+        known = "" if np.isnan(width) else f"95 % +- {width / spec.scale:.3g}"
+        group[spec.key] = (float(value / spec.scale), known)
+    sections = {"cutting": {"law": law, law: group}}
+    drawn = [*kind.scattered, *(kind.axial_names if set(kind.axial_names) <= set(relative) else ())]
+    spread = np.array([relative.get(name, np.nan) for name in drawn])
+    if np.isfinite(spread).all():
+        shown = np.clip(spread, 1e-4, 1.0).tolist()
+        sections["uncertainty"] = {"force_coefficients": (shown, "standard deviations from the same fit")}
+    return sections

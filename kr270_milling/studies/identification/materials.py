@@ -1,0 +1,54 @@
+"""Published force coefficients of materials: the rows of ``config/materials.csv``."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.table import read_table
+from kr270_milling.studies.identification.forces import NAMES, SCALE
+
+__all__ = ["Material", "find_material", "materials"]
+
+FILE = "materials.csv"
+TEXTS = ("material", "cutter", "lubrication", "reference")
+COLUMNS = (*TEXTS, *NAMES)
+SOURCE = "Chinese Journal of Mechanical Engineering (2021), doi 10.1186/s10033-021-00536-9, table 5"
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """One row of the file."""
+
+    name: str
+    cutter: str
+    lubrication: str
+    values: np.ndarray  #: K_tc, K_te, K_rc, K_re, K_ac, K_ae [N/m^2, N/m], (6,), NaN: not given
+    source: str
+
+
+def materials() -> list[Material]:
+    """All rows, in the order of the file."""
+    table = read_table(find_file(FILE), COLUMNS, COLUMNS)
+    values = table.numbers(NAMES, np.nan) * SCALE
+    texts = zip(*map(table.texts, TEXTS), strict=True)
+    return [
+        Material(name, cutter, cooling, row, f"{SOURCE}, reference [{reference}] there")
+        for (name, cutter, cooling, reference), row in zip(texts, values, strict=True)
+    ]
+
+
+def find_material(name: str) -> list[Material]:
+    """The rows of a material, in any case; raises InputError with the known ones."""
+    rows = materials()
+    matches = [row for row in rows if row.name.lower() == name.lower()]
+    if not matches:
+        known = sorted({row.name for row in rows})
+        near = difflib.get_close_matches(name, known, 1, 0.4)
+        hint = f"; did you mean {near[0]}?" if near else f"; it has {', '.join(known)}"
+        raise InputError(FILE, f"has no material {name[:40]!r}{hint}")
+    return matches

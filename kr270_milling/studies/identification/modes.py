@@ -1,0 +1,203 @@
+"""Modes from a ring-down or an impact: a rational fit of all channels, and the logarithmic decrement as its check.
+
+A free vibration is a sum of poles, y(t) = sum_k R_k exp(s_k t); its transform is the rational function
+sum_k R_k / (s - s_k). The matrix pencil method [Hua1990] finds the poles from the shift of the Hankel matrix of the
+samples, reduced to its n strongest singular values: f = |s| / 2 pi, zeta = -Re(s) / |s|. The residues R_k follow by
+linear least squares; their ratios between channels are the mode's shape. Of an impact, the response is first divided by
+the hammer's force in the frequency domain and turned back to an impulse response.
+
+Logarithmic decrement: ln of the envelope of the band around the mode falls by zeta omega each second, where
+the envelope is that of the analytic signal (Hilbert).
+
+Mass-normalised shapes, as ``dynamics.modes`` wants them: a mode of shape phi answers an impulse along d with
+phi phi_d sin(omega_d t) exp(-zeta omega t) / omega_d; its residues are R = phi phi_d / (2 i omega_d). With a hammer the
+drive point gives phi_d^2 = 2 i omega_d R_d, and the others follow. Velocities and accelerations have s R and s^2 R.
+Without a hammer only the direction psi of phi = alpha psi is known. The static compliance of the arm is the sum over
+its modes, C = sum alpha_k^2 psi_k psi_k^T / omega_k^2, which gives alpha_k^2 >= 0 by least squares over the components
+that were measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal
+from scipy.optimize import nnls
+
+from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.physics.robot import compliance, equilibrium, rotate_matrix
+from kr270_milling.studies.identification.signals import AXES, Signals
+
+__all__ = ["Mode", "NoModeError", "by_compliance", "by_hammer", "find_modes", "tool_compliance"]
+
+MOST_SAMPLES = 1200  #: of the pencil; longer ones are thinned after a low-pass
+SHARE = 1e-3  #: of the strongest singular value: below is noise
+MOST_DAMPED = 0.5
+FAINT = 0.02  #: share of the strongest mode's energy below which a pole is not a mode of the machine
+POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
+TOGETHER = 0.2  #: relative difference of both damping ratios up to which they confirm each other
+
+
+class NoModeError(MillingError):
+    """No mode rings in the band."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """One mode of a linear machine."""
+
+    pole: complex  #: s_k [1/s]
+    residues: np.ndarray  #: R_k of each channel, complex (channels,)
+    share: float  #: of the energy of all modes
+    decrement: float  #: damping ratio by the logarithmic decrement; NaN where another mode is too near
+
+    @property
+    def frequency(self) -> float:
+        """Undamped [Hz]."""
+        return float(np.abs(self.pole) / (2 * np.pi))
+
+    @property
+    def damping_ratio(self) -> float:
+        return float(-self.pole.real / np.abs(self.pole))
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether the logarithmic decrement gives about the same damping ratio."""
+        return bool(abs(self.decrement / self.damping_ratio - 1.0) < TOGETHER)
+
+    @property
+    def shape(self) -> np.ndarray:
+        """Of the channels, (channels,), the largest is 1."""
+        return np.real(self.residues / self.residues[np.argmax(np.abs(self.residues))])
+
+
+def find_modes(signals: Signals, low: float, high: float, most: int = 6) -> list[Mode]:
+    """The modes between two frequencies [Hz], the lowest first. Raises NoModeError."""
+    data = signals.values - signals.values[-max(1, len(signals.values) // 10) :].mean(0)
+    if signals.force is not None:
+        data = impulse_response(signals, signals.force)
+    data, step = _thinned(data, signals.step, high)
+    poles = _poles(data, step, 2 * most + 2)
+    frequency, damping = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
+    shown = (frequency > low) & (frequency < high) & (poles.imag > 0) & (damping > 0.0) & (damping < MOST_DAMPED)
+    residues = _residues(data, step, poles)
+    energy = np.sum(np.abs(residues) ** 2, 1) / np.maximum(2 * np.abs(poles.real), 1e-12)
+    shown &= energy > FAINT * energy[shown].max(initial=0.0)
+    if not shown.any():
+        reason = f"nothing rings between {low:g} and {high:g} Hz with a damping ratio below {MOST_DAMPED}"
+        raise NoModeError(reason)
+    order = np.flatnonzero(shown)[np.argsort(frequency[shown])][:most]
+    modes = []
+    for k in order:
+        others = np.abs(frequency[order[order != k]] - frequency[k])
+        room = others.min() if others.size else frequency[k]
+        largest = data[:, np.argmax(np.abs(residues[k]))]
+        band = min(0.5 * frequency[k], 0.45 * room)
+        decrement = log_decrement(largest, step, float(frequency[k]), band, float(damping[k]))
+        share = float(energy[k] / energy[order].sum())
+        modes.append(Mode(complex(poles[k]), residues[k], share, decrement))
+    return modes
+
+
+def impulse_response(signals: Signals, force: np.ndarray) -> np.ndarray:
+    """Response over force (n,) [N] in the frequency domain (H_1), back in time: (n, channels), per N s.
+
+    What the hammer excites by less than a thousandth of its largest does not count.
+    """
+    n = 2 * len(signals.values)
+    push = np.fft.rfft(force - np.median(force), n)[:, None]
+    response = np.fft.rfft(signals.values - np.median(signals.values, axis=0), n, axis=0)
+    power = np.abs(push) ** 2
+    ratio = response * np.conj(push) / (power + 1e-6 * power.max())
+    return np.fft.irfft(ratio, n, axis=0)[: len(signals.values)] / signals.step
+
+
+def _thinned(data: np.ndarray, step: float, high: float) -> tuple[np.ndarray, float]:
+    """Fewer samples of what lies below ``high``; a sound mode needs some five samples a period."""
+    factor = int(max(1, min(np.floor(1 / (5 * high * step)), len(data) // 64)))
+    while factor > 1:
+        part = min(factor, 10)
+        data = signal.decimate(data, part, axis=0, ftype="fir")
+        step, factor = step * part, factor // part
+    return data[:MOST_SAMPLES], step
+
+
+def _poles(data: np.ndarray, step: float, order: int) -> np.ndarray:
+    """Of all channels together, (k,) [1/s]."""
+    n = len(data)
+    pencil = n // 3
+    hankel = np.concatenate([np.lib.stride_tricks.sliding_window_view(c, n - pencil) for c in data.T], 1)
+    _, strength, right = np.linalg.svd(hankel.T, full_matrices=False)
+    count = min(order, int(np.count_nonzero(strength > SHARE * strength[0])))
+    basis = right[:count].T
+    shift = np.linalg.lstsq(basis[:-1], basis[1:], rcond=None)[0]
+    with np.errstate(divide="ignore"):
+        return np.log(np.linalg.eigvals(shift).astype(complex)) / step
+
+
+def _residues(data: np.ndarray, step: float, poles: np.ndarray) -> np.ndarray:
+    """R_k of each channel, (k, channels); poles that grow count from the end, so that no number overflows."""
+    time = step * np.arange(len(data))[:, None]
+    late = np.where(poles.real > 0.0, time[-1], 0.0)
+    return np.linalg.lstsq(np.exp(poles * (time - late)), data.astype(complex), rcond=None)[0]
+
+
+def log_decrement(channel: np.ndarray, step: float, frequency: float, band: float, guess: float) -> float:
+    """Damping ratio from the envelope of a band around the mode, over two time constants or what there is."""
+    edges = np.array([frequency - band, frequency + band]) * 2 * step
+    if not (0.0 < edges[0] < edges[1] < 1.0) or band < 3 * guess * frequency:
+        return float("nan")
+    padded = np.concatenate([np.zeros(len(channel)), channel, np.zeros(len(channel))])
+    filtered = signal.sosfiltfilt(signal.butter(2, edges, "bandpass", output="sos"), padded)
+    envelope = np.abs(signal.hilbert(filtered))[len(channel) : 2 * len(channel)]
+    first = int(np.ceil(0.5 / band / step))
+    last = int(min(len(channel) - first, first + 2.0 / max(guess * 2 * np.pi * frequency, 1e-9) / step))
+    if last - first < 8:
+        return float("nan")
+    time = step * np.arange(first, last)
+    slope = np.polyfit(time, np.log(np.maximum(envelope[first:last], 1e-300)), 1)[0]
+    return float(-slope / (2 * np.pi * frequency))
+
+
+def by_hammer(modes: list[Mode], signals: Signals, axis: str, quantity: str = "displacement") -> np.ndarray:
+    """(n, 6) [kg^-1/2]; axis: of the hammer's force, one of the channels; signals in SI units. Raises InputError."""
+    if signals.force is None or axis not in signals.names:
+        raise InputError("--hammer", f"needs the columns force_n and {axis}: a hammer and the motion where it hits")
+    drive, shapes = signals.names.index(axis), []
+    for mode in modes:
+        residues = mode.residues / mode.pole ** POWER[quantity]
+        share = 2j * mode.pole.imag * residues
+        square = float(share[drive].real)
+        if not square > 0.0:
+            reason = f"the mode at {mode.frequency:.4g} Hz moves against the force: check the signs"
+            raise InputError("--hammer", reason)
+        shapes.append(signals.along_axes(share.real / np.sqrt(square)))
+    return np.array(shapes)
+
+
+def by_compliance(modes: list[Mode], signals: Signals, soft: np.ndarray) -> np.ndarray:
+    """(n, 6) [kg^-1/2]; soft: compliance at the tool tip [m/N, rad/N, ...], (6, 6), in the axes of the signals.
+
+    Raises InputError where a mode has no part in the compliance.
+    """
+    seen = [AXES.index(name) for name in signals.names if name in AXES[:3]]
+    pairs = np.triu_indices(len(seen))
+    directions = np.array([signals.along_axes(mode.shape) for mode in modes])
+    softness = np.array([np.outer(psi, psi)[np.ix_(seen, seen)][pairs] for psi in directions])
+    omega = 2 * np.pi * np.array([mode.frequency for mode in modes])
+    target = soft[np.ix_(seen, seen)][pairs]
+    squares, _ = nnls((softness / omega[:, None] ** 2).T / np.abs(target).max(), target / np.abs(target).max())
+    if not np.all(squares > 0.0):
+        lost = modes[int(np.argmin(squares))].frequency
+        reason = f"the mode at {lost:.4g} Hz has no part in the compliance there: use a hammer, or --modes"
+        raise InputError("--cell", reason)
+    return np.sqrt(squares)[:, None] * directions
+
+
+def tool_compliance(cell: Cell) -> np.ndarray:
+    """Of the arm at the start of the cell's path, workpiece axes, (6, 6)."""
+    q = cell.joints(cell.target())[0]
+    bent = equilibrium(cell.arm, cell.mount, q, gravity=cell.dynamics.gravity)
+    return rotate_matrix(compliance(bent, cell.arm), cell.workpiece.pose.rotation.T)

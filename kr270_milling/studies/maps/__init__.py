@@ -1,0 +1,1 @@
+"""Many cells at once: stability lobes, maps of placements, sweeps of keys."""

@@ -1,0 +1,199 @@
+"""The turn of the tool about its own axis along a path: a free number of each pose, chosen for the least error.
+
+Sought is psi(t) in q(t) = IK(target(t) Rz(psi(t))), which makes the least of
+
+    J^2 = 1/T int e(t, psi)^2 + (w dpsi/dt)^2 dt,
+
+e the static error across the feed under the mean cutting force (0 where nothing is cut), under the limits of the
+joints and of their speeds. Dynamic programming [Bellman1957] finds the best way through a grid of turns at even
+times, for each branch of the arm; then the same over five turns about that way, with half the step each time, until
+the steps are small: J falls each time, and the limits hold throughout.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.interpolate import PchipInterpolator
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.frames import Pose, quaternion_from_rotation, rotation_from_quaternion
+from kr270_milling.cell.cell import Cell
+from kr270_milling.path.timing import limit_by_joints
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.robot import inverse_near
+from kr270_milling.studies.maps.placements import Course, about_z
+from kr270_milling.studies.maps.postures import postures
+
+__all__ = ["NoWayError", "Turns", "Way", "constant_way", "find_way", "turned"]
+
+FINEST = 1e-4  #: [rad] of the last grid
+NEAR = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])  #: steps about a way
+ROUNDS = 60
+
+
+class NoWayError(MillingError):
+    """No turns keep the joints within their limits."""
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """A way through the turns at n evenly spaced times."""
+
+    branch: int
+    turn: np.ndarray  #: psi [rad], (n,), without jumps
+    q: np.ndarray  #: [rad], (n, 6)
+    error: np.ndarray  #: e [m], (n,)
+    value: float  #: J [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Turns:
+    """What a turn costs at each of n times ``step`` [s] apart, and where it takes the joints."""
+
+    cell: Cell
+    course: Course  #: n places, in the order of time
+    step: float  #: [s]
+    weight: float  #: w [m s/rad]
+
+    def at(self, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Joint angles [rad], (n, s, 8, 6), and errors [m], (n, s, 8), of turns (n, s) [rad]; NaN out of reach."""
+        cell, course = self.cell, self.course
+        n, s = turn.shape
+        tool = cell.workpiece.pose @ Pose(course.position, course.rotation)
+        rotation = tool.rotation[:, None] @ about_z(turn)
+        place = Pose(np.repeat(tool.position, s, axis=0), rotation.reshape(-1, 3, 3))
+        force, feed = (vectors @ cell.workpiece.pose.rotation.T for vectors in (course.force, course.feed))
+        q, way = postures(cell.arm, cell.mount, place, np.repeat(force, s, axis=0), cell.dynamics.gravity)
+        q, way = q.reshape(n, s, 8, 6), way.reshape(n, s, 8, 3)
+        along = np.einsum("nsbi,ni->nsb", way, feed)[..., None] * feed[:, None, None]
+        return q, np.linalg.norm(way - along, axis=-1)
+
+    def searched(self, branch: int, turn, q, error, period: float) -> Way | None:
+        """The best way through states (n, s) of turn, (n, s, 6) of joints, (n, s) of errors; None: there is none."""
+        arm = self.cell.arm
+        n, room = len(turn), arm.joint_speed_limit * self.step * (1 + 1e-9)  # [rad] from a place to the next
+        inside = ((q >= arm.joint_lower) & (q <= arm.joint_upper)).all(-1) & np.isfinite(error)
+        cost = np.where(inside, error**2 / n, np.inf)
+        slope = self.weight**2 / (self.step**2 * n)
+        value, chosen = _best_way(cost, np.nan_to_num(q), turn, room, slope, period)
+        if not np.isfinite(value):
+            return None
+        rows = np.arange(n)
+        way = turn[rows, chosen]
+        if np.isfinite(period):
+            way = np.unwrap(way, period=period)
+        return Way(branch, way, q[rows, chosen], error[rows, chosen], float(np.sqrt(value)))
+
+
+def constant_way(turns: Turns, grid: np.ndarray) -> Way | None:
+    """The best turn of the grid that is the same everywhere, within the same limits; None: there is none."""
+    return _shortest(_least(turns, np.array([turn])) for turn in grid)
+
+
+def _shortest(ways: Iterable[Way | None]) -> Way | None:
+    return min(filter(None, ways), key=lambda way: way.value, default=None)
+
+
+def find_way(turns: Turns, grid: np.ndarray) -> Way:
+    """The best of all branches over a grid of turns (s,) [rad], then refined. Raises NoWayError.
+
+    A grid of a whole turn has no ends: the way may pass from the last to the first.
+    """
+    step = float(grid[1] - grid[0]) if len(grid) > 1 else 0.0
+    period = 2 * np.pi if np.ptp(grid) + 1.5 * step > 2 * np.pi else np.inf
+    best = _least(turns, grid, period)
+    if best is None:
+        raise NoWayError(
+            f"no turns of the tool at {len(turns.course.position)} places keep every joint within its range and its "
+            "speed: lower the feed, or move the workpiece"
+        )
+    return _refined(turns, best, step, (-np.inf, np.inf) if np.isfinite(period) else (grid[0], grid[-1]))
+
+
+def _least(turns: Turns, grid: np.ndarray, period: float = np.inf) -> Way | None:
+    """The best way of all branches over a grid.
+
+    States: every turn of the grid with every whole turn of the joints that their limits may leave room for.
+    """
+    arm, n = turns.cell.arm, len(turns.course.position)
+    first = np.ceil((arm.joint_lower - np.pi) / (2 * np.pi)).astype(int)
+    last = np.floor((arm.joint_upper + np.pi) / (2 * np.pi)).astype(int)
+    wholes = 2 * np.pi * np.array(list(itertools.product(*map(range, first, last + 1))))
+    q, error = turns.at(np.tile(grid, (n, 1)))
+    turn, errors = np.tile(grid, (n, len(wholes))), np.tile(error, (1, len(wholes), 1))
+    states = ((q[:, None, :, b] + wholes[:, None]).reshape(n, -1, 6) for b in range(8))
+    return _shortest(turns.searched(b, turn, q_b, errors[..., b], period) for b, q_b in enumerate(states))
+
+
+def _refined(turns: Turns, way: Way, step: float, ends: tuple[float, float]) -> Way:
+    """The same way with ever smaller steps [rad] about it, within ``ends``."""
+    for _ in range(ROUNDS):
+        if step < FINEST:
+            break
+        turn = np.clip(way.turn[:, None] + step * NEAR, *ends)
+        q, error = turns.at(turn)
+        q = way.q[:, None] + (q[:, :, way.branch] - way.q[:, None] + np.pi) % (2 * np.pi) - np.pi
+        better = turns.searched(way.branch, turn, q, error[:, :, way.branch], np.inf)
+        if better is None or not better.value < way.value * (1 - 1e-6):
+            step /= 2
+        way = way if better is None or better.value > way.value else better
+    return way
+
+
+def turned(cell: Cell, time_ns: np.ndarray, way: Way) -> tuple[Trajectory, np.ndarray]:
+    """The target of the cell with the turns of a way at times [ns], (n,), and its joint angles [rad] at the knots.
+
+    Between two places the turn is a monotone cubic, without overshoot. Knots come later where a joint would run too
+    fast or accelerate too hard. Raises ReachError, JointLimitError.
+    """
+    run = cell.target()
+    turn = PchipInterpolator(time_ns, way.turn)(run.time_ns)
+    rotation = rotation_from_quaternion(run.quaternion) @ about_z(turn)
+    q = inverse_near(cell.arm, cell.mount, cell.workpiece.pose @ Pose(run.position, rotation), way.q[0])
+    run = Trajectory(run.time_ns, run.position, quaternion_from_rotation(rotation), run.velocity)
+    return limit_by_joints(run, q, cell.arm.joint_speed_limit, cell.arm.joint_acceleration_limit), q
+
+
+@njit(cache=True)
+def _best_way(cost, q, turn, room, slope, period):
+    """The least sum of cost (n, s) and slope (psi' - psi)^2 along n places, and the chosen states (n,).
+
+    No joint of q (n, s, 6) may go farther than ``room`` (6,) from a place to the next. psi is ``turn`` (n, s), its
+    differences are taken modulo ``period``.
+    """
+    n, s = cost.shape
+    value, before = cost[0].copy(), np.zeros((n, s), np.int32)
+    for k in range(1, n):
+        new = np.full(s, np.inf)
+        order = np.argsort(value)  # none behind one that is too dear by itself can be the best
+        for j in range(s):
+            if not np.isfinite(cost[k, j]):
+                continue
+            for i in order:
+                if not value[i] < new[j]:
+                    break
+                away = turn[k, j] - turn[k - 1, i]
+                if np.isfinite(period):
+                    away -= period * np.round(away / period)
+                total = value[i] + slope * away * away
+                if not total < new[j]:
+                    continue
+                fits = True
+                for h in range(6):
+                    if abs(q[k, j, h] - q[k - 1, i, h]) > room[h]:
+                        fits = False
+                        break
+                if fits:
+                    new[j], before[k, j] = total, i
+            new[j] += cost[k, j]
+        value = new
+    chosen = np.zeros(n, np.int64)
+    chosen[n - 1] = np.argmin(value)
+    for k in range(n - 1, 0, -1):
+        chosen[k - 1] = before[k, chosen[k]]
+    return value[chosen[n - 1]], chosen

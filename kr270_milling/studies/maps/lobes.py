@@ -1,0 +1,45 @@
+"""Stability lobes of a cell: limit depth of cut and chatter frequency over spindle speed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.cell.cell import Cell
+from kr270_milling.decide.stability import modes_of
+from kr270_milling.physics.motion.monodromy import Modes
+from kr270_milling.physics.motion.stability import Lobe, has_uniform_pitch, stability_map
+from kr270_milling.studies.identification.cuts import engagement
+
+__all__ = ["lobes"]
+
+THREADS = 2
+
+
+def lobes(
+    cell: Cell, speeds: Sequence[float], arm: bool = True, progress: Callable[[int, int], None] | None = None
+) -> list[Lobe]:
+    """Limit depth at each spindle speed [rad/s], for the immersion of ``path`` and the feed per tooth of the cell."""
+    tool, modes = cell.tool, modes_of(cell, arm)
+    if not has_uniform_pitch(tool):
+        raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
+    results = []
+    with ThreadPoolExecutor(THREADS) as pool:
+        for lobe in pool.map(lambda speed: _lobe_at(cell, modes, speed), speeds):
+            results.append(lobe)
+            if progress is not None:
+                progress(len(results), len(speeds))
+    return results
+
+
+def _lobe_at(cell: Cell, modes: Modes, speed: float) -> Lobe:
+    """The limit depth at one spindle speed [rad/s]; modes: in axes with x along the feed."""
+    tool = cell.tool
+    mode = "slot" if cell.path.radial_immersion >= 1.0 else cell.path.mode
+    entry, leave = (float(angle) for angle in engagement(mode, cell.path.radial_immersion, 1.0))
+    feed_per_tooth = 2.0 * math.pi * cell.feed_rate / (tool.spindle_speed * tool.teeth)
+    return Lobe(speed, *stability_map(modes, tool, cell.cutting, feed_per_tooth, entry, leave, speed).limit())

@@ -1,0 +1,266 @@
+"""Placements of the part in front of the arm: reach, limits, singularities and predicted static error along a path.
+
+A row is one placement of the workpiece (x, y, z, turn about z), one turn of the tool about its axis and one branch of
+the arm. With J(q) the Jacobian of the tool point and c the joint compliances (that of joint 2 with the gravity
+compensator's share), the point deflects by C F = J diag(c) J^T F under the cutting force F of each place on the path;
+the error is the part of it across the feed. Link weights, which change C by less than 1 %, are left out. The
+compensation takes the error away as far as compliances and force coefficients are known: what is left is the error
+times sqrt(s_k^2 + s_F^2), one standard deviation of ``uncertainty``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_abc, rotation_from_quaternion
+from kr270_milling.base.parameter_file import merge, override, shipped_directories, write_include
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.physics.motion.milling_pass import PassResult
+from kr270_milling.physics.robot import cartesian_mass, jacobian
+from kr270_milling.physics.robot.inverse import branches
+from kr270_milling.physics.robot.mass import mode_frequencies
+from kr270_milling.studies.maps.engine import Rows
+from kr270_milling.studies.maps.postures import along_path, postures, whole_turns
+
+__all__ = [
+    "MAPPED", "Course", "Placements", "Summary", "about_z", "course_at", "course_of", "moved_cell", "place_of",
+    "write_cell", "write_cells",
+]  # fmt: skip
+
+SINGULAR = 1e-6  #: measure of a posture below which no Jacobian is inverted
+PLACES = 24  #: along the path at which the error of each placement is looked at
+BLOCK = 1000  #: placements at a time, some 20 MB of postures
+REST = 12  #: over the whole path, approach and all, for reach and limits
+MARGIN = np.radians(0.5)  #: to the joint limits, for what is between the places
+PLACE = {"x_mm": 1e3, "y_mm": 1e3, "z_mm": 1e3, "turn_deg": 180.0 / np.pi, "tool_turn_deg": 180.0 / np.pi}
+#: measures that ``Summary`` maps over x and y, with the titles of their pictures
+MAPPED = {"error_max_um": "error before compensation [um]", "compensated_max_um": "after it, one sigma [um]",
+          "lowest_mode_hz": "lowest mode [Hz]", "singularity": "distance to a singularity"}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """m places on the path of a cell, workpiece frame."""
+
+    position: np.ndarray  #: of the tool tip [m], (m, 3)
+    rotation: np.ndarray  #: of tool0, (m, 3, 3)
+    feed: np.ndarray  #: unit vectors, (m, 3)
+    force: np.ndarray  #: mean cutting force on the tool [N], (m, 3)
+
+
+def course_of(cell: Cell) -> Course:
+    """Places where the tool cuts in one pass of the cell, and REST over the whole path for its reach and limits."""
+    result = simulate(cell).result
+    cutting = np.flatnonzero(result.volume > 0.0)
+    chosen = cutting[np.linspace(0, len(cutting) - 1, PLACES).astype(int)]
+    rest = np.setdiff1d(np.linspace(0, len(result.volume) - 1, REST).astype(int), chosen)
+    both = np.union1d(chosen, rest)
+    course = course_at(cell, result, both)
+    course.force[np.isin(both, rest)] = 0.0
+    return course
+
+
+def course_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> Course:
+    """The exchange periods ``chosen`` (m,) of a pass, with the mean force of the revolution there.
+
+    The feed of a resting tool is 0.
+    """
+    time_ns, target = result.time_ns[chosen], cell.target()
+    feed = target.sample_velocity(time_ns)
+    feed = feed / np.maximum(np.linalg.norm(feed, axis=1, keepdims=True), 1e-12)
+    window = max(1, round(2.0 * math.pi / cell.tool.spindle_speed / cell.exchange.period))  # a revolution
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(result.wrench[:, :3], axis=0)])
+    first = np.maximum(chosen + 1 - window, 0)
+    mean = (total[chosen + 1] - total[first]) / (chosen + 1 - first)[:, None]
+    return Course(target.sample(time_ns), rotation_from_quaternion(target.sample_orientation(time_ns)), feed, mean)
+
+
+@dataclass(frozen=True, eq=False)
+class Placements(Rows):
+    """A grid of placements, each with 8 rows, one a branch."""
+
+    cell: Cell
+    course: Course
+    axes: tuple[np.ndarray, ...]  #: x, y, z [m], turn [rad] of the workpiece; turn of the tool about its axis [rad]
+    chunk: int = 500  #: placements a file, 8 rows each
+    base: Pose = field(init=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "base", self.cell.workpiece.pose)
+        object.__setattr__(self, "cell", dataclasses.replace(self.cell))  # goes with each chunk, without its path
+
+    def __len__(self) -> int:
+        return math.prod(len(axis) for axis in self.axes)
+
+    def placements(self, first: int, last: int) -> np.ndarray:
+        """x, y, z [m], turn [rad], turn of the tool [rad] of the numbers first to last, (n, 5)."""
+        places = np.unravel_index(np.arange(first, last), [len(axis) for axis in self.axes])
+        return np.column_stack([axis[i] for axis, i in zip(self.axes, places, strict=True)])
+
+    def columns(self, first: int, last: int) -> dict[str, np.ndarray]:
+        chosen = self.placements(first, last)
+        parts = [self.rows(part) for part in np.array_split(chosen, -(-len(chosen) // BLOCK))]
+        places = np.repeat(chosen * list(PLACE.values()), 8, axis=0).T
+        return {
+            **dict(zip(PLACE, places, strict=True)),
+            "branch": np.tile(np.arange(8), len(chosen)),
+            **{name: np.concatenate([part[name] for part in parts]).ravel() for name in parts[0]},
+        }
+
+    def rows(self, chosen: np.ndarray) -> dict[str, np.ndarray]:
+        """The measures of placements (n, 5), each (n, 8): one a branch."""
+        cell, course = self.cell, self.course
+        turn, tool_turn = about_z(chosen[:, 3]), about_z(chosen[:, 4])
+        frame = turn @ self.base.rotation  # workpiece axes in base axes, (n, 3, 3)
+        back = np.swapaxes(frame, -1, -2)
+        position = chosen[:, None, :3] + course.position @ back
+        rotation = frame[:, None] @ course.rotation @ tool_turn[:, None]
+        force, feed = course.force @ back, course.feed @ back
+        n, m = position.shape[:2]
+        place = Pose(position.reshape(-1, 3), rotation.reshape(-1, 3, 3))
+        q, way = postures(cell.arm, cell.mount, place, force.reshape(-1, 3), cell.dynamics.gravity)
+        q, way = q.reshape(n, m, 8, 6), way.reshape(n, m, 8, 3)
+        size = np.linalg.norm(force, axis=-1)
+        within, measures = along_path(cell.arm, q, way, feed, size, MARGIN)
+        singular, soft, largest, mean = np.moveaxis(measures, -1, 0)
+        reachable, feasible = np.isfinite(singular), within & (singular > SINGULAR)
+        left = math.hypot(cell.uncertainty.joint_compliance, cell.uncertainty.force_coefficient)
+        return {
+            "feasible": feasible,
+            "reachable": reachable,
+            "within_limits": within,
+            "singularity": singular,
+            "lowest_mode_hz": self.lowest_mode(q[:, m // 2], feasible),
+            "compliance_um_per_n": 1e6 * soft,
+            "error_max_um": 1e6 * largest,
+            "error_mean_um": 1e6 * mean,
+            "compensated_max_um": 1e6 * left * largest,
+            "compensated_mean_um": 1e6 * left * mean,
+        }
+
+    def lowest_mode(self, q: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+        """[Hz], (n, 8), of the chosen ones of the postures q (n, 8, 6), NaN elsewhere; A5 may have either sign."""
+        cell, frequency = self.cell, np.full(q.shape[:2], np.nan)
+        measured = cell.dynamics.modes.frequency
+        if measured.size:
+            frequency[chosen] = measured.min()
+            return frequency
+        some = chosen[:, ::2] | chosen[:, 1::2]
+        if not some.any():
+            return frequency
+        posture = q[:, ::2][some]  # chosen or not, it is regular: the measures do not see the sign of A5
+        turned = jacobian(cell.arm, cell.mount, posture)
+        soft = np.tile(cell.arm.joint_compliance, (len(posture), 1))
+        if cell.dynamics.gravity:
+            slope = cell.arm.compensator.moment_slope(np.cos(posture[:, 1]), np.sin(posture[:, 1]))
+            soft[:, 1] /= 1.0 - soft[:, 1] * slope
+        mass = cartesian_mass(cell.arm, cell.mount, posture, cell.dynamics.mass_model)
+        lowest = mode_frequencies((turned * soft[:, None]) @ np.swapaxes(turned, -1, -2), mass)[..., 0]
+        frequency[:, ::2][some] = lowest
+        frequency[:, 1::2][some] = lowest
+        return np.where(chosen, frequency, np.nan)
+
+
+def about_z(angle) -> np.ndarray:
+    """Turns about z by angles (...) [rad], (..., 3, 3)."""
+    return rotation_from_abc(np.asarray(angle)[..., None] * [1.0, 0.0, 0.0])
+
+
+def moved_cell(cell: Cell, course: Course, row: dict) -> dict:
+    """What a parameter file must say for a placement: workpiece, mount, posture hint; lengths in mm, angles in deg."""
+    origin = np.array([row["x_mm"], row["y_mm"], row["z_mm"]]) * 1e-3
+    frame = Pose(origin, about_z(np.radians(row["turn_deg"])) @ cell.workpiece.pose.rotation)
+    tool_turn = about_z(np.radians(row["tool_turn_deg"]))
+    mount = Pose(cell.mount.pose.position, cell.mount.pose.rotation @ tool_turn.T)
+    middle = len(course.position) // 2
+    place = frame @ Pose(course.position[middle], course.rotation[middle] @ tool_turn)
+    q, _ = branches(cell.arm, cell.mount, place, (cell.arm.joint_lower + cell.arm.joint_upper) / 2)
+    hint = q[int(row["branch"])][None]
+    whole_turns(hint, cell.arm.joint_lower, cell.arm.joint_upper)
+    return {
+        "workpiece": place_of(frame),
+        "mount": {"abc_deg": _abc(mount)},
+        "posture_deg": _listed(np.degrees(hint[0])),
+    }
+
+
+def place_of(frame: Pose) -> dict:
+    """The section ``workpiece`` for a workpiece frame on base_link."""
+    return {"xyz_mm": _listed(1e3 * frame.position), "abc_deg": _abc(frame), "at_start_joints": False}
+
+
+def _abc(pose: Pose) -> list[float]:
+    return _listed(np.degrees(abc_from_rotation(pose.rotation)))
+
+
+def _listed(values: np.ndarray) -> list[float]:
+    return [float(f"{v:.9f}") + 0.0 for v in values.tolist()]
+
+
+class Summary:
+    """Summary of all rows, read chunk by chunk so that memory does not grow with the rows."""
+
+    def __init__(self, x: np.ndarray, y: np.ndarray, count: int):
+        self.x, self.y, self.count = np.unique(1e3 * x), np.unique(1e3 * y), count
+        self.rows = self.feasible = 0
+        self.best: list[dict] = []  #: the placements of the smallest largest error, the best branch of each
+        #: of the row with the least error at each x and y, (y, x)
+        self.maps = {name: np.full((len(self.y), len(self.x)), np.nan) for name in MAPPED}
+
+    def add(self, table) -> None:
+        """One chunk, an Arrow table."""
+        usable = table.filter(table["feasible"]).sort_by("error_max_um")
+        for row in usable.slice(0, 8 * self.count).to_pylist():
+            self._enter(row)
+        # the least error of a place is entered last, and stays
+        column = {name: usable[name].to_numpy()[::-1] for name in ("x_mm", "y_mm", *MAPPED)}
+        x, y = np.searchsorted(self.x, column["x_mm"]), np.searchsorted(self.y, column["y_mm"])
+        lower = ~(self.maps["error_max_um"][y, x] <= column["error_max_um"])
+        for name, shown in self.maps.items():
+            shown[y[lower], x[lower]] = column[name][lower]
+        self.rows, self.feasible = self.rows + table.num_rows, self.feasible + usable.num_rows
+
+    def _enter(self, row: dict) -> None:
+        names = ("x_mm", "y_mm", "z_mm", "turn_deg")
+        rivals = [one for one in self.best if all(one[name] == row[name] for name in names)]
+        if rivals and rivals[0]["error_max_um"] <= row["error_max_um"]:
+            return
+        others = [one for one in self.best if one not in rivals]
+        self.best = sorted([*others, row], key=lambda one: one["error_max_um"])[: self.count]
+
+
+def write_cells(folder, source: Path, settings, cell: Cell, course: Course, rows: list[dict]) -> list[Path]:
+    """A parameter file for each row, which includes ``source`` and moves workpiece, mount and posture."""
+    written = []
+    for number, row in enumerate(rows, 1):
+        note = (f"Placement {number} of the map: largest static error across the feed {row['error_max_um']:.1f} um "
+                f"before, {row['compensated_max_um']:.1f} um after compensation (predicted, one sigma)")  # fmt: skip
+        written.append(Path(folder) / f"best_{number}.yaml")
+        write_cell(written[-1], source, settings, cell, moved_cell(cell, course, row), note)
+    return written
+
+
+def write_cell(path: Path, source: Path, settings, cell: Cell, changes: dict, note: str) -> None:
+    """A parameter file that includes ``source``, with the ``key=value`` texts of the command line and the changes.
+
+    changes: as of ``moved_cell``, its posture as ``posture_deg``.
+    """
+    sections = merge(override({}, settings)[0], {key: value for key, value in changes.items() if key != "posture_deg"})
+    sections["start_joints_deg" if cell.start_joints.size else "posture_hint_deg"] = changes["posture_deg"]
+    if not cell.workpiece.at_start_joints:
+        sections["workpiece"].pop("at_start_joints", None)
+    write_include(path, {"includes": [_included(source, path.parent)], **sections}, [note], digits=12)
+
+
+def _included(source: Path, folder: Path) -> str:
+    """A shipped file by its name, any other as seen from the folder of the new file."""
+    if any(source.parent.samefile(place) for place in shipped_directories()):
+        return source.name
+    return os.path.relpath(source, folder.resolve())

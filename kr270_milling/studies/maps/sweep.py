@@ -1,0 +1,167 @@
+"""Full passes of a cell with other values of its keys: a grid of them, or a Latin hypercube."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.base.errors import MillingError, ParameterError
+from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.jobs import mean_force, simulate
+from kr270_milling.cell.keys import keys_of
+from kr270_milling.physics.motion.exchange import Exchange
+from kr270_milling.studies.maps.engine import Rows
+
+__all__ = ["Axis", "Sweep", "parse_axis"]
+
+MOST_ROWS = 10_000_000
+SPEED, PERIOD = "tool.spindle_speed_rpm", "exchange.period_ms"
+SCORES = (
+    "static_deviation_um", "max_deviation_um", "mean_fx_n", "mean_fy_n", "mean_fz_n", "max_torque_n_m",
+    "max_power_w", "removed_volume_mm3", "duration_s",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A key and the values that it takes."""
+
+    key: str
+    values: tuple[float | str, ...]
+
+
+def parse_axis(text: str) -> Axis:
+    """``key=LOW:HIGH:STEP`` or ``key=A,B,C``; raises ParameterError."""
+    key, equals, given = text.partition("=")
+    wrong = ParameterError("--vary", text, "key=LOW:HIGH:STEP or key=A,B,C")
+    if not equals or not key:
+        raise wrong
+    if ":" not in given:
+        values = tuple(given.split(","))
+        if not all(values):
+            raise wrong
+        return Axis(key, tuple(map(_value, values)))
+    try:
+        low, high, step = map(float, given.split(":"))
+    except ValueError:
+        raise wrong from None
+    if not (math.isfinite(low) and math.isfinite(high) and low <= high and 0.0 < step < math.inf):
+        raise wrong
+    count = math.floor((high - low) / step + 1e-9) + 1
+    if count > MOST_ROWS:
+        raise ParameterError("--vary", text, f"at most {MOST_ROWS} values")
+    return Axis(key, tuple(low + step * i for i in range(count)))
+
+
+def _value(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _text(value: float | str) -> str:
+    """Return the value as text of a parameter file; a whole number is also a float."""
+    if isinstance(value, str):
+        return value
+    return str(int(value)) if value.is_integer() else repr(value)
+
+
+@dataclass(frozen=True)
+class Sweep(Rows):
+    """Keys, scores, and the sentence of what failed, for each combination of values."""
+
+    cell: str  #: file
+    settings: tuple[str, ...]  #: ``key=value`` for all rows
+    axes: tuple[Axis, ...]
+    samples: int | None = None  #: of a Latin hypercube; None: the grid, the last axis fastest
+    seed: int = 1
+    chunk: int = 0  #: rows a file; 0: as many as make 64 to 20,000 files, 1 to 8 where that allows
+
+    def __post_init__(self):
+        if self.chunk == 0:
+            object.__setattr__(self, "chunk", max(1, min(8, len(self) // 64), len(self) // 20_000))
+        known = [row["key"] for row in keys_of()]
+        keys = [axis.key for axis in self.axes]
+        for key in keys:
+            if key not in known:  # else every row would have this error
+                near = "".join(f"; did you mean {name}?" for name in difflib.get_close_matches(key, known, 1))
+                raise ParameterError("--vary", key, f"a key of a cell{near}")
+        if self.samples is not None and not 1 <= self.samples <= MOST_ROWS:
+            raise ParameterError("--samples", self.samples, f"from 1 to {MOST_ROWS}")
+        if len(self) > MOST_ROWS:
+            raise ParameterError("--vary", keys, f"at most {MOST_ROWS} combinations")
+        if self.samples is not None and any(isinstance(v, str) for axis in self.axes for v in axis.values):
+            raise ParameterError("--vary", keys, "numbers where --latin draws between them")
+
+    def __len__(self) -> int:
+        return self.samples or math.prod(len(axis.values) for axis in self.axes)
+
+    def values(self, index: int) -> tuple:
+        """The values of one row."""
+        if self.samples is not None:
+            return tuple(_hypercube(self)[index].tolist())
+        places = np.unravel_index(index, [len(axis.values) for axis in self.axes])
+        return tuple(axis.values[int(i)] for axis, i in zip(self.axes, places, strict=True))
+
+    def columns(self, first: int, last: int) -> dict[str, list]:
+        rows = [self.row(index) for index in range(first, last)]
+        columns = {name: [row[name] for row in rows] for name in rows[0]}
+        mixed = [axis.key for axis in self.axes if any(isinstance(value, str) for value in axis.values)]
+        return columns | {key: list(map(str, columns[key])) for key in mixed}
+
+    def row(self, index: int) -> dict:
+        """One pass."""
+        chosen = dict(zip([axis.key for axis in self.axes], self.values(index), strict=True))
+        chosen |= self._period(chosen)
+        scores, error = dict.fromkeys(SCORES, math.nan), ""
+        try:
+            texts = (f"{key}={_text(value)}" for key, value in chosen.items())
+            scores = _scores(read_cell(Path(self.cell), (*self.settings, *texts)))
+        except MillingError as refusal:
+            error = str(refusal)
+        return {"index": index, **chosen, **scores, "error": error}
+
+    def _period(self, chosen: dict) -> dict[str, float]:
+        """The exchange period [ms] of a row whose spindle speed is varied and whose period is not.
+
+        It is the whole number of micro-steps that comes nearest to the period of the cell: most speeds do not fit that
+        one.
+        """
+        if SPEED not in chosen or PERIOD in chosen:
+            return {}
+        exchange, speed = _exchange(self), chosen[SPEED]
+        if not isinstance(speed, float) or not speed > 0.0:
+            return {PERIOD: 1e3 * exchange.period}  # the row says what is wrong with the speed
+        unit = math.degrees(exchange.micro_step) / (6.0 * speed)  # [s]; 1 rpm is 6 deg/s
+        return {PERIOD: 1e3 * unit * max(1, round(exchange.period / unit))}
+
+
+@functools.lru_cache(maxsize=1)
+def _hypercube(sweep: Sweep) -> np.ndarray:
+    """Between the first and the last value of each axis, (samples, axes)."""
+    from scipy.stats import qmc
+
+    low, high = np.array([(float(axis.values[0]), float(axis.values[-1])) for axis in sweep.axes]).T
+    unit = qmc.LatinHypercube(len(sweep.axes), seed=np.random.default_rng(sweep.seed)).random(sweep.samples)
+    return low + unit * (high - low)
+
+
+@functools.lru_cache(maxsize=1)
+def _exchange(sweep: Sweep) -> Exchange:
+    return read_cell(Path(sweep.cell), sweep.settings).exchange
+
+
+def _scores(cell: Cell) -> dict[str, float]:
+    ran = simulate(cell)
+    torque = float(ran.result.torque.max())
+    deviations = 1e6 * ran.scores.static_deviation, 1e6 * ran.scores.max_deviation
+    removed = 1e9 * ran.result.removed_volume
+    power = torque * cell.tool.spindle_speed
+    values = *deviations, *mean_force(ran.result).tolist(), torque, power, removed, float(ran.result.time[-1])
+    return dict(zip(SCORES, values, strict=True))

@@ -1,0 +1,202 @@
+"""Errors of walls and floors for deviations that are known beforehand; workpiece axes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cuttings import profile
+from milled_part import HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
+
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.decide.part import heights_at, ideal_part, machined, surface
+from kr270_milling.decide.part.course import Course, course
+from kr270_milling.decide.part.surface import IdealWalls, Marks, remaining_walls
+
+MM, UM = 1e-3, 1e-6
+
+
+def planned(cell):
+    """Stamps, course and target (n + 1, 3) of a cell."""
+    clock = cell.clock
+    stamps = clock.stamp(np.arange(clock.steps(cell.target().duration_ns) + 1))
+    return course(cell, stamps), cell.target().sample(stamps)
+
+
+def errors(cell, shift):
+    """Surface errors where the tool is shifted by (n + 1, 3) or (3,) [m]."""
+    path, target = planned(cell)
+    return surface(cell, path, target, target + shift)
+
+
+@pytest.fixture(scope="module")
+def pocket(tmp_path_factory):
+    return small_cell(tmp_path_factory.mktemp("pocket"), POCKET)
+
+
+@pytest.fixture(scope="module")
+def slot(tmp_path_factory):
+    return small_cell(tmp_path_factory.mktemp("slot"), SLOT)
+
+
+def test_a_rigid_arm_leaves_no_error(tmp_path):
+    cell = small_cell(tmp_path, POCKET, RIGID)
+    ran = simulate(cell).result
+    assert np.abs(ran.wrench[:, :2]).max() > 50  # it does cut
+    path, _ = planned(cell)
+    found = surface(cell, path, ran.target, ran.actual)
+    assert found.walls.error.size > 300 and np.abs(found.walls.error).max() < 1e-12
+    assert found.floors.errors().size > 5000 and np.abs(found.floors.errors()).max() == 0.0
+
+
+@pytest.mark.parametrize("shift", [(30e-6, 0, 0), (0, -20e-6, 0), (25e-6, 40e-6, 0)])
+def test_a_uniform_shift_moves_each_wall_by_its_part_along_the_normal(pocket, shift):
+    walls = errors(pocket, np.array(shift)).walls
+    assert len(np.unique(np.round(np.arctan2(*walls.normal.T), 2))) > 50  # straight sides, a corner, an arc
+    np.testing.assert_allclose(walls.error, walls.normal @ np.array(shift[:2]), atol=1e-10)
+
+
+@pytest.mark.parametrize("level", [-40, 25, 300])
+def test_a_shift_along_the_spindle_is_the_error_of_every_floor(pocket, level):
+    step = pocket.stock.level_step
+    found = errors(pocket, np.array([0, 0, level * step]))
+    assert np.unique(found.floors.feature[np.isfinite(found.floors.error)]).tolist() == [1, 2]
+    np.testing.assert_allclose(found.floors.errors(), level * step, atol=1e-9 * step + 1e-15)
+    np.testing.assert_allclose(found.walls.error, 0.0, atol=1e-12)
+
+
+def test_a_shift_across_leaves_the_floors_alone(pocket):
+    assert np.abs(errors(pocket, np.array([40e-6, -30e-6, 0])).floors.errors()).max() == 0.0
+
+
+def test_walls_of_a_slot_stand_a_radius_beside_the_path_with_its_depth(slot):
+    walls = errors(slot, np.zeros(3)).walls
+    np.testing.assert_allclose(np.abs(walls.position[:, 1]), RADIUS, atol=1e-9)
+    np.testing.assert_allclose(walls.normal, -np.sign(walls.position[:, 1:2]) * [0.0, 1.0], atol=1e-9)
+    np.testing.assert_allclose(walls.height, 1 * MM, atol=2 * slot.stock.level_step)
+    for side in (1, -1):  # one mark for each tooth: f_z = 3000 mm/min / 6000 rpm / 2 = 0.25 mm
+        x = np.sort(walls.position[np.sign(walls.position[:, 1]) == side, 0])
+        assert x[0] < -19.7 * MM and x[-1] > 19.7 * MM
+        np.testing.assert_allclose(np.diff(x), 0.25 * MM, rtol=1e-6)
+
+
+def test_a_slow_wave_of_the_tool_is_the_wave_of_the_wall(slot):
+    path, target = planned(slot)
+    wave = 20 * UM * np.sin(2 * np.pi * target[:, 0] / (20 * MM))
+    walls = surface(slot, path, target, target + wave[:, None] * [0, 1, 0]).walls
+    expected = walls.normal[:, 1] * 20 * UM * np.sin(2 * np.pi * walls.position[:, 0] / (20 * MM))
+    # the farthest reach of neighbours: a slope of 6.3e-3 moves the wall by R / 2 slope^2 at most
+    np.testing.assert_allclose(walls.error, expected, atol=0.11 * UM)
+
+
+def test_walls_under_vibration_agree_with_the_nodes_of_a_fine_grid(tmp_path):
+    fine = small_cell(tmp_path, SLOT, "stock.grid_step_um=4.0", "stock.min_mm=[-3, -6, -6.5535]",
+                      "stock.max_mm=[3, 6, 0]", "exchange.micro_step_deg=1.0")  # fmt: skip
+    path, target = planned(fine)
+    time = np.arange(len(target)) * fine.clock.period
+    shake = 8 * UM * np.sin(2 * np.pi * 63.0 * time)  # comes round between the teeth, which pass at 200 Hz
+    found = surface(fine, path, target, target + shake[:, None] * [0, 1, 0]).walls
+    cut = machined(fine, target + shake[:, None] * [0, 1, 0])
+    x, low, high = profile(cut)
+    left = found.normal[:, 1] < 0
+    for mine, border, side in ((left, high + 2 * UM, 1), (~left, low - 2 * UM, -1)):
+        columns = np.searchsorted(x, found.position[mine, 0])
+        inside = (columns > 30) & (columns < len(x) - 30)
+        by_nodes = RADIUS - side * border[columns[inside]]
+        assert np.abs(by_nodes).max() > 5 * UM
+        np.testing.assert_allclose(found.error[mine][inside], by_nodes, atol=3.5 * UM)  # nodes are 4 um apart
+        assert np.mean(found.error[mine][inside] - by_nodes) == pytest.approx(0, abs=0.8 * UM)
+
+
+def test_a_deviation_that_is_cut_away_later_does_not_count(tmp_path):
+    rough = HEAD + "(rough)\nG0 X-28 Y2.6 Z-1\nG1 X28 F3000\nG0 Z2\n(finish)\nG0 X-28 Y2 Z2\nG0 Z-1\nG1 X28\nG0 Z2\n"
+    cell = small_cell(tmp_path, rough)
+    path, target = planned(cell)
+    roughing = path.feature == path.features.index("rough")
+    found = surface(cell, path, target, target + np.where(roughing, 50 * UM, 0.0)[:, None] * [0, -1, 0]).walls
+    below = found.normal[:, 1] > 0  # the side where the finishing pass took more
+    assert set(found.feature[below]) == {path.features.index("finish")}
+    np.testing.assert_allclose(found.error[below], 0.0, atol=1e-12)
+    np.testing.assert_allclose(found.error[~below], 50 * UM, atol=1e-10)  # the far wall stays as it was roughed
+
+
+def test_a_deeper_pass_on_the_same_contour_may_cut_the_wall_above_but_cannot_put_material_back(tmp_path):
+    two = HEAD + "(upper)\nG0 X-28 Y0 Z-1\nG1 X28 F3000\nG0 Z2\n(lower)\nG0 X-28 Z2\nG0 Z-2\nG1 X28\nG0 Z2\n"
+    cell = small_cell(tmp_path, two)
+    path, target = planned(cell)
+    lower = path.feature == path.features.index("lower")
+    shift = np.where(lower, 20 * UM, 0.0)[:, None] * [0, 1, 0]
+    found = surface(cell, path, target, target + shift).walls
+    left, upper = found.normal[:, 1] < 0, found.feature == path.features.index("upper")
+    cusp = (0.25 * MM) ** 2 / (8 * RADIUS)  # the teeth of the lower pass need not meet the marks of the upper one
+    cases = ((left & upper, -20, cusp), (left & ~upper, -20, 0), (~left & upper, 0, 0), (~left & ~upper, 20, 0))
+    for chosen, expected, tolerance in cases:
+        assert chosen.sum() > 100
+        np.testing.assert_allclose(found.error[chosen], expected * UM, atol=tolerance + 1e-10)
+
+
+def test_one_level_is_the_grid_of_zeros_and_ones(slot):
+    cut = machined(slot, planned(slot)[1])
+    height = cut.heights()[2]
+    depth = 1 * MM  # a whole number of levels of 0.1 um
+    assert set(np.unique(np.round(height / (0.1 * UM)))) == {-10000.0, 0.0}
+    cleared = (height < -0.5 * depth).sum() * cut.params.spacing**2
+    assert cut.removed_volume == pytest.approx(cleared * depth, rel=1e-9)
+    assert cleared == pytest.approx(2 * RADIUS * 40 * MM, rel=2e-3)
+
+
+def test_several_levels_are_the_envelope_of_each_level_alone(tmp_path):
+    first = HEAD + "G0 X-28 Y-4 Z-1\nG1 X28 F3000\nG0 Z2\n"
+    second = "G0 X-5 Y-28\nG0 Z-0.4\nG1 Y28 F3000\nG0 Z2\n"
+    both = small_cell(tmp_path, first + second)
+    alone = []
+    for k, program in enumerate((first, HEAD + second.replace("G0 X-5 Y-28\n", "G0 X-5 Y-28 Z2\n"))):
+        folder = tmp_path / str(k)
+        folder.mkdir()
+        cell = small_cell(folder, program)
+        alone.append(machined(cell, planned(cell)[1]).heights()[2])
+    together = machined(both, planned(both)[1]).heights()[2]
+    differs = np.abs(together - np.minimum(*alone)) > 1e-9
+    assert differs.mean() < 2e-3  # cusps of teeth that pass at other times
+
+
+def test_a_ramp_leaves_its_own_slope_and_an_oblique_shift_its_vertical_part(tmp_path):
+    cell = small_cell(tmp_path, HEAD + "(ramp)\nG0 X-28 Y0 Z-0.5\nG1 X28 Z-0.9 F3000\nG0 Z2\n")
+    path, target = planned(cell)
+    ideal = ideal_part(cell, path, target)
+    middle = np.argmin(np.abs(ideal.y))
+    inner = np.abs(ideal.x) < 14 * MM
+    slope = np.polyfit(ideal.x[inner], ideal.height[inner, middle], 1)[0]
+    assert slope == pytest.approx(-0.4 / 56, rel=2e-2)
+    error = surface(cell, path, target, target + [0, 0, 10 * UM], ideal).floors.errors()
+    assert np.mean(error) == pytest.approx(10 * UM, rel=0.02)
+
+
+def test_a_plunge_owns_the_floor_it_ends_on(tmp_path):
+    cell = small_cell(tmp_path, HEAD + "(hole)\nG0 X5 Y5 Z2\nG1 Z-1 F600\nG0 Z2\n(slot)\nG0 X-28 Y-8\nG0 Z-1\nG1 X28\n")
+    path, target = planned(cell)
+    floors = errors(cell, np.zeros(3)).floors
+    hole = path.features.index("hole")
+    place = np.argwhere(floors.feature == hole)
+    assert len(place) > 500
+    away = np.hypot(floors.x[place[:, 0]] - 5 * MM, floors.y[place[:, 1]] - 5 * MM)
+    assert away.max() < RADIUS
+    assert heights_at(machined(cell, target), np.array([[5 * MM, 5 * MM]]))[0] == pytest.approx(
+        -1 * MM, abs=5e-6
+    )  # no dwell
+
+
+def test_heights_beside_the_stock_are_not_known(slot):
+    cut = slot.cut()
+    found = heights_at(cut, np.array([[0.0, 0.0], [20.1 * MM, 0.0], [0.0, -15.1 * MM]]))
+    assert found[0] == 0.0 and np.isnan(found[1:]).all()
+
+
+def test_a_mark_among_too_many_of_other_walls_counts_alone():
+    """A tool that rests in a corner: more marks at one point than are looked at, all but one of the other wall."""
+    other, mine, radius = 60, 1, 0.01
+    normal = np.array([[0.0, 1.0]] * other + [[1.0, 0.0]] * mine)
+    centre = np.column_stack([-radius * normal, np.full(other + mine, -1e-3)])  # all teeth point at the origin
+    marks = Marks(centre, normal, np.full(61, radius), np.zeros(61, np.int64), np.full(61, 0.5))
+    path = Course(np.zeros(2), np.array([[1.0, 0, 0]] * 2), np.zeros(2), np.zeros(2, np.int64), ("corner",))
+    walls = remaining_walls(IdealWalls(marks, np.array([60]), np.array([1e-3])), path, np.full((2, 3), 1e-5), 1e-9)
+    np.testing.assert_allclose(walls.error, [-1e-5])  # the wall is cut 10 um too deep

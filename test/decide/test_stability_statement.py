@@ -1,0 +1,225 @@
+"""The statement about chatter: depth of cut against the limit of arm, tool and spindle, the same in every output."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from semi_discretisation import MASS, directional, limit
+from small_part import assignments, small_part
+
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.cli import main
+from kr270_milling.decide import stability
+from kr270_milling.decide.arcs import arcs_along
+from kr270_milling.decide.check import check
+from kr270_milling.decide.check_cut import residue_of
+from kr270_milling.decide.stability import FEWEST_TEETH, feature_limits, stability_statement
+from kr270_milling.physics.motion.stability import StabilityMap
+from kr270_milling.studies.maps.lobes import lobes
+
+#: an arm that chatters: one light mode across the feed
+SOFT = (
+    "dynamics.modes=[{frequency_hz: 60, damping_ratio: 0.02, shape: [0.0, 0.2, 0.0, 0.0, 0.0, 0.0]}]",
+    "dynamics.reference_inertia=false", "stock.grid_step_um=20", "path.length_mm=20",
+    "tool.spindle_speed_rpm=800", "path.feed_rate_m_per_min=0.4", "exchange.period_ms=0.625",  # teeth at 53 Hz
+)  # fmt: skip
+#: the benchmark of [Insperger2004], a tool of two teeth with one mode along the feed, on an arm without a mode near it
+RPM = 9000
+BENCHMARK = (
+    "cutting.law=linear_edge", "cutting.linear_edge.tangential_cutting_n_per_mm2=600",
+    "cutting.linear_edge.tangential_edge_n_per_mm=0", "cutting.linear_edge.radial_cutting_n_per_mm2=200",
+    "cutting.linear_edge.radial_edge_n_per_mm=0", "tool.teeth=2", f"tool.spindle_speed_rpm={RPM}",
+    f"tool.modes=[{{direction: [1, 0, 0], frequency_hz: 922, damping_ratio: 0.011, mass_kg: {MASS}}}]",
+    "path.length_mm=20", "stock.grid_step_um=50",
+)  # fmt: skip
+UNKNOWN = "tool and spindle: unknown (no tool.modes)"
+#: half a cutter of 20 mm in the stock along its edge y = -14, z 0.5 mm deep
+EDGE = "G21 G90 S8000 M3\nG0 X{0} Y-14 Z2\nG0 Z-0.5\nG1 X{1} F4000\nG0 Z5\nM30\n"
+
+
+def soft(depth: float):
+    return read_cell(find_file("paper.yaml"), [*SOFT, f"path.depth_of_cut_mm={depth * 1e3}"])
+
+
+def with_benchmark(depth: float):
+    return read_cell(find_file("paper.yaml"), [*BENCHMARK, f"path.depth_of_cut_mm={depth * 1e3}"])
+
+
+@pytest.fixture(scope="module")
+def soft_limit() -> float:
+    cell = soft(1e-3)
+    (lobe,) = lobes(cell, [cell.tool.spindle_speed])
+    return lobe.depth_limit
+
+
+@pytest.fixture(scope="module")
+def slot_limit() -> float:
+    """Of the benchmark in a full slot, by first-order semi-discretisation."""
+    return limit(60.0 / RPM / 2, directional("slot", 40), directional("slot", 100), np.geomspace(1e-4, 6e-3, 30))[0]
+
+
+# --- against the limit ---
+
+
+@pytest.mark.parametrize(
+    ("share", "word", "severity"),
+    [(1.1, "chatter", "stop"), (0.9, "near the limit", "warning"), (0.7, "stable", None)],
+)
+def test_a_cut_above_the_limit_of_the_tool_is_a_stop_and_just_below_a_warning(slot_limit, share, word, severity):
+    checked = check(with_benchmark(share * slot_limit))
+    result = [f for f in checked.findings if f.what == "chatter"]
+    assert checked.stability.word == word and [f.severity for f in result] == ([severity] if severity else [])
+    assert checked.may_be_run == (severity != "stop")
+    worst = checked.stability.worst
+    assert worst.depth == pytest.approx(share * slot_limit, rel=1e-6)
+    assert worst.limit.depth_limit == pytest.approx(slot_limit, rel=0.02)
+    for finding in result:
+        assert finding.limit == pytest.approx(1e3 * worst.limit.depth_limit) and finding.where.point
+        assert f"{worst.limit.chatter_frequency / 2 / np.pi:.4g} Hz" in finding.sentence
+    assert checked.residue.word != "grows"  # the simulated pass has no tool modes: it cannot see this chatter
+
+
+def test_without_tool_modes_the_statement_is_about_the_arm_alone():
+    result = stability_statement(read_cell(find_file("paper.yaml")))
+    assert result.text.startswith("stability: arm: stable (straight cut: 0.547 mm, limit above 100 mm)")
+    assert result.text.endswith(UNKNOWN) and not result.with_tool
+
+
+def test_a_variable_pitch_is_unknown():
+    cell = read_cell(find_file("paper.yaml"), ["tool.pitch_deg=[80,100,80,100]"])
+    result = stability_statement(cell)
+    assert result.word == "unknown" and "unknown (variable pitch)" in result.text and UNKNOWN in result.text
+
+
+def test_the_shipped_cell_with_tool_modes_is_stable_and_chatters_when_its_modes_are_ten_times_softer():
+    cell = read_cell(find_file("test_piece_tool_modes.yaml"))
+    result = stability_statement(cell)
+    assert result.with_tool and result.word == "stable" and len(result.features) == 5
+    assert result.text.startswith("stability: arm, tool and spindle: stable (square: 1.2 mm, limit ")
+    modes = cell.tool.modes
+    softer = cell.tool.replace(modes=modes.replace(mass=modes.mass / 10))
+    result = stability_statement(cell.replace(tool=softer))
+    assert result.word == "chatter" and result.worst.limit.chatter_frequency > 2 * np.pi * 900
+
+
+# --- the engagement along the path ---
+
+
+@pytest.mark.parametrize("rotation", ["clockwise", "counterclockwise"])
+@pytest.mark.parametrize(("start", "end", "to_the_left"), [(-14, 54, True), (54, -14, False)])
+def test_half_an_immersion_is_engaged_from_the_middle_to_the_side_with_material(
+    tmp_path, rotation, start, end, to_the_left
+):
+    words = "M3" if rotation == "clockwise" else "M4"
+    program = EDGE.format(start, end).replace("M3", words)
+    cell = small_part(tmp_path, program, f"tool.rotation={rotation}")
+    (result,) = feature_limits(cell)
+    up = to_the_left == (rotation == "clockwise")  # a tooth then enters with a chip of 0
+    expected = (-90.0, 0.0) if up else (0.0, 90.0)
+    assert np.degrees([result.entry, result.exit]) == pytest.approx(expected, abs=1.5)  # the map: R / 50
+    assert result.depth == pytest.approx(0.5e-3)
+
+
+@pytest.mark.parametrize("immersion", [0.1, 0.25, 0.75])
+def test_the_angles_of_a_wider_or_narrower_cut_are_those_of_its_width(tmp_path, immersion):
+    program = EDGE.format(-14, 54).replace("Y-14", f"Y{-24 + 20 * immersion:g}")
+    arcs = arcs_along(small_part(tmp_path, program))
+    steady = (arcs.position[:, 0] > 10e-3) & (arcs.position[:, 0] < 30e-3)
+    angle = np.degrees(np.arcsin(2 * immersion - 1))  # [Altintas2012]: up-milling ends where the width is used up
+    assert np.degrees(arcs.exit[steady]) == pytest.approx(angle, abs=3.0)
+    assert np.degrees(arcs.entry[steady]).max() < -75.0 and steady.sum() > 40
+
+
+def test_a_second_way_through_the_same_slot_and_a_rapid_are_no_engagement(tmp_path):
+    program = "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\nG0 Z-0.5\nG1 X26 F4000\n{}G0 Z5\nM30\n"
+    once, again = (
+        arcs_along(small_part(tmp_path, program.format(more))) for more in ("", "G1 X-14\nG1 X26\nG0 X-14\n")
+    )
+    assert abs(len(once.depth) - len(again.depth)) <= 3 and len(once.depth) > 80  # of some 300 places
+
+
+def test_no_other_engagement_of_a_feature_is_nearer_to_its_limit():
+    cell = read_cell(find_file("test_piece_tool_modes.yaml"))
+    square = next(one for one in feature_limits(cell) if one.name == "square")
+    arcs = arcs_along(cell)
+    shortest = FEWEST_TEETH * cell.feed_rate / (8000 / 60 * 4)
+    groups = stability._groups(arcs, shortest)
+    first = [int(rows[0]) for key, rows in groups.items() if arcs.features[key[0]] == "square"]
+    ratios = [stability._map_at(cell, True, arcs, k).limit()[0] / arcs.depth[k] for k in first]
+    assert len(ratios) > 10
+    assert square.limit.depth_limit / square.depth == pytest.approx(min(ratios), rel=1e-3)
+
+
+def test_the_statement_of_the_test_piece_takes_few_evaluations(monkeypatch):
+    """Seconds on any machine: an evaluation takes some milliseconds."""
+    count, growth = [], StabilityMap.growth
+    monkeypatch.setattr(StabilityMap, "growth", lambda self, depth: count.append(depth) or growth(self, depth))
+    stability_statement(read_cell(find_file("test_piece_tool_modes.yaml")))
+    assert len(count) < 1000
+
+
+# --- the same statement everywhere ---
+
+
+def unwrapped(program: str) -> str:
+    """The comments of a KRL program as one line."""
+    return " ".join(line.lstrip("; ") for line in program.splitlines() if line.startswith(";"))
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_one_run_has_one_statement_in_terminal_json_report_manifest_and_programs(tmp_path, capsys, known):
+    cell = "test_piece_tool_modes.yaml" if known else "test_piece.yaml"
+    sets = [f"path.file={assignments(tmp_path)[0].partition('=')[2]}", "stock.grid_step_um=100"]
+    sets += ["stock.min_mm=[0,-14,-10]", "stock.max_mm=[40,40,0]"]
+    pairs = [word for pair in sets for word in ("--set", pair)]
+    statement = check(read_cell(find_file(cell), sets)).stability.text
+    assert ("arm, tool and spindle: stable" if known else UNKNOWN) in statement
+    out = tmp_path / "out"
+    words = ["compensate", cell, "--method", "inverse", "--no-verdict", "--out", str(out), *pairs]
+    assert main(words) == 0
+    assert statement in capsys.readouterr().out
+    assert statement in (out / "MANIFEST.txt").read_text()
+    headers = [*out.glob("krl_*/*_CMP.src"), *out.glob("krl_*/*_ORG.src")]
+    assert len(headers) == 2 and all(statement in unwrapped(path.read_text()) for path in headers)
+    assert statement.removeprefix("stability: ") in (out / "report.html").read_text()
+    assert main(["check", cell, "--json", *pairs]) == 0
+    assert json.loads(capsys.readouterr().out)["stability"]["text"] == statement
+    assert main(["check", cell, *pairs]) == 0
+    assert statement in capsys.readouterr().out
+
+
+def test_limits_over_speed_without_tool_modes_name_tool_and_spindle_as_rigid(capsys):
+    assert main(["stability", "paper.yaml", "--speeds", "6000:8000:2"]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert "above 100 mm" in last and "tool and spindle taken as rigid" in last
+
+
+# --- the simulated pass, with the modes of the arm alone ---
+
+
+@pytest.mark.parametrize("share, word", [(0.5, "repeats"), (2.0, "grows")])
+def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_not_below(soft_limit, share, word):
+    cell = soft(share * soft_limit)
+    result = residue_of(cell, simulate(cell).result)
+    assert result.word == word, (soft_limit, result)
+
+
+def test_a_chattering_cut_must_not_be_run(soft_limit):
+    checked = check(soft(2.0 * soft_limit))
+    stops = {f.what for f in checked.findings if f.severity == "stop"}
+    assert not checked.may_be_run and "chatter" in stops and {"growing vibration", "deflection"} & stops
+
+
+def test_the_papers_cut_repeats_and_a_short_one_has_no_statement(demo):
+    ran = demo.passes["original"]
+    cell = read_cell(find_file("paper.yaml"))
+    assert residue_of(cell, ran.result).word == "repeats"
+    short = {f.name: getattr(ran.result, f.name) for f in dataclasses.fields(ran.result)}
+    short = {k: v[:200] if isinstance(v, np.ndarray) else v for k, v in short.items()}
+    result = residue_of(cell, type(ran.result)(**short))
+    assert result.word == "no statement" and np.isnan(result.residue) and "no cut of" in result.text

@@ -1,0 +1,282 @@
+"""The verdict: what is drawn, what is run, and which word the rule gives to made-up samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cuttings import SET_ALUMINIUM
+from small_part import GCODE, assignments, small_part
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import compensated, compensator, expected_deviations, record_of, simulate
+from kr270_milling.cell.plant import perturbed
+from kr270_milling.decide.verdict import (
+    HELPS,
+    INDIFFERENT,
+    TRACKED,
+    UNTRUSTED,
+    Verdict,
+    alternatives,
+    coarser,
+    deviations,
+    judge,
+    monte_carlo,
+    run_sample,
+)  # fmt: skip
+from kr270_milling.physics.compensation.compensator import remaining_error
+
+SHORT = ("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")
+AS_PRINTED = {"reference_inertia": 0.0, "repeatability": 0.0, "backlash": 0.0}  # eq. (1) of the paper, a perfect robot
+CERTAIN = {
+    **AS_PRINTED, "joint_compliance": 0.0, "force_coefficient": 0.0, "damping_ratio": 0.0, "frequency": 0.0,
+    "placement": 0.0,
+}  # fmt: skip
+UM = 1e-6
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return read_cell(find_file("paper.yaml"), SHORT)
+
+
+@pytest.fixture(scope="module")
+def pair(cell):
+    original = simulate(cell)
+    return original, compensated(cell, original, "spline")
+
+
+def draw(cell, count: int, seed: int = 0) -> list:
+    rng = np.random.default_rng(seed)
+    return [perturbed(cell, rng) for _ in range(count)]
+
+
+def test_plants_scatter_about_the_model_as_the_uncertainties_say(cell):
+    plants, how = draw(cell, 800), cell.uncertainty
+    rows = {
+        "joint_compliance": np.array([p.arm.joint_compliance / cell.arm.joint_compliance for p in plants]),
+        "force_coefficient": np.array(
+            [
+                [
+                    p.cutting.fractional.stiffness / cell.cutting.fractional.stiffness,
+                    p.cutting.fractional.radial_ratio / cell.cutting.fractional.radial_ratio,
+                ]
+                for p in plants
+            ]
+        ),
+        "damping_ratio": np.array([[p.dynamics.damping_ratio / cell.dynamics.damping_ratio] for p in plants]),
+    }
+    for name, factors in rows.items():
+        spread, tolerance = getattr(how, name), 4 / np.sqrt(len(plants))
+        assert np.median(factors, axis=0) == pytest.approx(1.0, abs=tolerance * spread * 1.3)
+        relative = factors.std(axis=0) / factors.mean(axis=0)  # of a log-normal: the stated one, whatever its median
+        assert relative == pytest.approx(spread, rel=tolerance)
+        if factors.shape[1] > 1:
+            assert np.abs(np.corrcoef(np.log(factors).T)[np.triu_indices(factors.shape[1], 1)]).max() < tolerance
+    shift = np.array([p.stock.min - cell.stock.min for p in plants])
+    assert shift.std(axis=0) == pytest.approx(how.placement, rel=0.1) and np.abs(shift).max() < 3.001 * how.placement
+    assert all(np.allclose(p.stock.max - p.stock.min, cell.stock.max - cell.stock.min, atol=1e-12) for p in plants)
+
+
+def test_the_linear_edge_law_scatters_too():
+    cell = read_cell(find_file("paper.yaml"), [*SHORT, *SET_ALUMINIUM])
+    (plant,) = draw(cell, 1)
+    names = ("tangential_cutting", "tangential_edge", "radial_cutting", "radial_edge")
+    law, other = cell.cutting.linear_edge, plant.cutting.linear_edge
+    assert len({getattr(other, n) / getattr(law, n) for n in names} - {1.0}) == 4
+    assert plant.cutting.fractional == cell.cutting.fractional
+
+
+def test_a_certain_plant_is_the_model_and_gives_its_scores(cell, pair):
+    certain = cell.replace(uncertainty=cell.uncertainty.replace(**CERTAIN))
+    (plant,) = draw(certain, 1)
+    references = [ran.reference for ran in pair]
+    rows = run_sample(plant, cell.target(), references, cell.full_engagement)
+    for row, ran in zip(rows, pair, strict=True):
+        assert row[0] == pytest.approx(ran.scores.max_deviation, rel=1e-9)
+        assert row[1] == pytest.approx(abs(ran.scores.static_deviation), rel=1e-9)
+
+
+def test_the_paper_is_helped_and_its_bands_enclose_the_model(cell, pair):
+    original, revised = pair
+    cell = cell.replace(uncertainty=cell.uncertainty.replace(**AS_PRINTED))
+    found = monte_carlo(cell, revised.reference, 12)
+    low, middle, high = found.bands("original")["max"]
+    assert found.word == HELPS and low < original.scores.max_deviation < high and low < middle < high
+    assert found.bands("compensated")["max"][2] < low  # not even the worst compensated one is as bad as the best
+    told = found.as_dict()
+    assert told["samples"] == 12 and told["seed"] == 1 and told["failed"] == 0
+    assert told["original"]["max_deviation_mm"] == pytest.approx([1e3 * v for v in (low, middle, high)])
+
+
+def test_static_deviation_of_plants_follows_a_softer_arm_and_a_harder_material():
+    """Once it has settled, delta = C F, and F is proportional to k_0."""
+    long = ("path.length_mm=40", "stock.max_mm=[40,12,0]", "stock.grid_step_um=40", "dynamics.damping_ratio=0.7")
+    cell = read_cell(find_file("paper.yaml"), long)
+    target = cell.target()
+    base = run_sample(cell, target, [target], cell.full_engagement)[0, 1]
+    soft = cell.replace(arm=cell.arm.replace(joint_compliance=1.1 * cell.arm.joint_compliance))
+    assert run_sample(soft, target, [target], cell.full_engagement)[0, 1] / base == pytest.approx(1.1, abs=0.02)
+    law = cell.cutting.fractional
+    hard = cell.replace(cutting=cell.cutting.replace(fractional=law.replace(stiffness=1.2 * law.stiffness)))
+    assert run_sample(hard, target, [target], cell.full_engagement)[0, 1] / base == pytest.approx(1.2, abs=0.02)
+
+
+def test_same_seed_gives_the_same_verdict_and_another_one_other_samples(cell, pair):
+    reference = pair[1].reference
+    first, again, other = (monte_carlo(cell, reference, 3, seed) for seed in (1, 1, 2))
+    assert np.array_equal(first.original, again.original) and np.array_equal(first.compensated, again.compensated)
+    assert not np.any(first.original == other.original)
+
+
+def test_a_correction_of_the_wrong_sign_cannot_be_trusted(cell, pair):
+    target, revised = cell.target(), pair[1].reference
+    wrong = target.with_position(2 * target.position - revised.position)
+    assert monte_carlo(cell, wrong, 6, 1).word == UNTRUSTED
+
+
+def test_a_plant_that_does_not_survive_is_counted(cell):
+    target = cell.target()
+    astray = target.with_position(target.position + np.outer(np.linspace(0, 0.02, len(target)), [0, 1, 0]))
+    found = monte_carlo(cell, astray, 3, 1)
+    assert found.word == UNTRUSTED and found.as_dict()["failed"] == 3 and "fail" in found.reason
+    assert np.isnan(found.bands("compensated")["max"]).all()
+
+
+def test_a_budget_of_time_lessens_the_samples_but_not_below_eight(cell, pair):
+    seen = []
+    found = monte_carlo(
+        cell, pair[1].reference, 20, budget=1e-3,
+        progress=lambda done, total: seen.append((done, total)),
+    )  # fmt: skip
+    assert len(found.original) == 8 and seen[-1] == (8, 8) and [done for done, _ in seen] == list(range(1, 9))
+
+
+def test_the_numbers_do_not_depend_on_how_many_cores_there_are(cell, pair, monkeypatch):
+    found = []
+    for cores in ({0}, {0, 1, 2}):
+        monkeypatch.setattr("os.sched_getaffinity", lambda _, cores=cores: cores)
+        found.append(monte_carlo(cell, pair[1].reference, 5, 1))
+    assert np.array_equal(found[0].original, found[1].original)
+    assert np.array_equal(found[0].compensated, found[1].compensated)
+
+
+def test_where_eight_plants_take_too_long_nothing_is_said(cell, pair):
+    told = []
+    found = monte_carlo(
+        cell, pair[1].reference, 20, budget=1e-3, give_up=True,
+        estimate=lambda plants, seconds: told.append(plants),
+    )  # fmt: skip
+    assert found is None and told == []
+
+
+def test_no_samples_are_refused(cell):
+    with pytest.raises(ParameterError, match="samples"):
+        monte_carlo(cell, cell.target(), 0, 1)
+
+
+def test_of_a_tool_path_the_deviation_counts_while_it_cuts(tmp_path):
+    cell = small_part(tmp_path)
+    ran = simulate(cell).result
+    largest, mean = deviations(ran, cell.target(), None)
+    feed = cell.target().sample_velocity(ran.time_ns)
+    aside = np.cross(feed, ran.actual - ran.target)[:, 2] / np.maximum(np.hypot(*feed[:, :2].T), 1e-300)
+    cutting = (ran.volume > 0) & (np.hypot(*feed[:, :2].T) > 0)
+    assert largest == pytest.approx(np.abs(aside[cutting]).max(), rel=1e-6)
+    assert mean == pytest.approx(np.abs(aside[ran.volume > 0]).mean(), rel=1e-2)
+
+
+def test_a_coarser_grid_keeps_to_half_the_feed_per_tooth_and_to_the_deviation(tmp_path):
+    cell = small_part(tmp_path, more := "G21 S8000 M3\nG0 X-14 Y0 Z-0.5\nG1 X20 F4000\nM30\n")
+    assert more and coarser(cell).stock.grid_step == pytest.approx(4000e-3 / 8000 / 4 / 2)  # 62.5 um
+    fine = cell.replace(stock=cell.stock.replace(grid_step=10 * UM))
+    assert coarser(fine).stock.grid_step == pytest.approx(30 * UM)
+    rows = [run_sample(c, cell.target(), [cell.target()], None)[0, 0] for c in (fine, coarser(cell))]
+    assert rows[1] == pytest.approx(rows[0], rel=0.02)
+
+
+def test_frequencies_of_the_plants_scatter_and_a_stated_share_of_them_moves_with_its_motors(cell):
+    how = {**CERTAIN, "frequency": 0.1, "reference_inertia": 0.5}
+    plants = draw(cell.replace(uncertainty=cell.uncertainty.replace(**how)), 400)
+    factors = np.array([p.modal_model.frequency[0] for p in plants[:60]]) / cell.modal_model.frequency[0]
+    assert np.log(factors).std() == pytest.approx(0.1, rel=0.4) and np.median(factors) == pytest.approx(1.0, abs=0.04)
+    share = np.mean([p.dynamics.reference_inertia for p in plants])
+    assert share == pytest.approx(0.5, abs=4 * 0.5 / np.sqrt(400))
+
+
+def test_imperfections_of_the_plants_are_spread_evenly_up_to_what_is_stated(cell):
+    plants, how = draw(cell, 400), cell.uncertainty
+    for name in ("pose_noise", "repeatability"):
+        drawn = np.array([getattr(p.imperfections, name) for p in plants]) / getattr(how, name)
+        assert drawn.min() >= 0.0 and drawn.max() <= 1.0 and drawn.mean() == pytest.approx(0.5, abs=0.06)
+    assert len({p.imperfections.seed for p in plants}) == 400
+
+
+def test_the_method_whose_95_percent_are_least_and_that_harms_no_plant_is_recommended():
+    before = np.full((20, 2), 80 * UM)
+    often = np.where(np.arange(20) < 17, 1 * UM, 200 * UM)  # the best one mostly, and worse than none in 3 of 20
+    methods = {"spline": often, "mirror": np.full(20, 20 * UM), "inverse": np.full(20, 9 * UM)}
+    found = Verdict(HELPS, "", before, before, 1, methods)
+    assert found.recommended == "inverse"
+    assert Verdict(HELPS, "", before, before, 1, {"spline": often}).recommended == "none"
+    assert Verdict(HELPS, "", before, before, 1, {"linear": np.full(20, 79 * UM)}).recommended == "none"
+
+
+def test_with_the_inertia_of_the_arm_the_verdict_recommends_the_lifted_model(cell):
+    """At the damping of measured robots the paper's methods excite the arm; "inverse" knows of it."""
+    moving = cell.replace(dynamics=cell.dynamics.replace(damping_ratio=0.04, reference_inertia=True))
+    perfect = {"repeatability": 0.0, "backlash": 0.0, "frequency": 0.03}
+    moving = moving.replace(uncertainty=moving.uncertainty.replace(**perfect))
+    original = simulate(moving)
+    spline = compensated(moving, original, "spline")
+    others = alternatives(moving, original, "spline")
+    assert set(others) == {"linear", "mirror", "inverse"}
+    others.pop("mirror")
+    found = monte_carlo(moving, spline.reference, 3, method="spline", others=others)
+    assert found.recommended == "inverse" and found.as_dict()["recommended_method"] == "inverse"
+    assert np.quantile(found.methods[TRACKED], 0.95) < np.quantile(found.methods["inverse"], 0.95)
+
+
+def test_the_linear_model_ranks_the_methods_of_a_tool_path_as_passes_do(tmp_path):
+    """Pass by pass in the time domain it would take tens of times as long."""
+    moving = ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04", "dynamics.mass_model=rigid")
+    part = small_part(tmp_path, GCODE, *moving)
+    target, original = part.target(), simulate(part)
+    made = {m: compensator(part, target, m).revise(record_of(part, original)) for m in ("linear", "mirror", "inverse")}
+    references = [target, *made.values()]
+    expected = np.array(expected_deviations(part, references))
+    passes = [remaining_error(target, record_of(part, simulate(part, reference))) for reference in references]
+    assert expected[:3] == pytest.approx(passes[:3], rel=0.15) and max(expected[3], passes[3]) < 0.05 * passes[0]
+    assert list(alternatives(part, original, "learned")) == ["inverse"]
+
+
+def samples(*shares: float, before: float = 50 * UM) -> tuple[np.ndarray, np.ndarray]:
+    return np.full(len(shares), before), before * np.array(shares)
+
+
+@pytest.mark.parametrize(
+    ("pair", "word"),
+    [
+        (samples(*[0.1] * 40), HELPS),
+        (samples(*[0.1] * 39, 3.0), HELPS),  # one of forty
+        (samples(*[0.1] * 36, *[1.2] * 4), UNTRUSTED),
+        (samples(*[0.95] * 20, *[1.05] * 20), INDIFFERENT),
+        (samples(*[0.92] * 36, *[0.5] * 4), INDIFFERENT),
+        (samples(*[0.1] * 40, before=9 * UM), INDIFFERENT),
+        (samples(*[3.0] * 40, before=9 * UM), UNTRUSTED),  # it would come to matter
+        (samples(*[0.1] * 37, *[np.nan] * 3), UNTRUSTED),
+        (samples(*[0.1] * 39, np.nan), HELPS),
+        ((np.array([np.nan]), np.array([np.nan])), UNTRUSTED),
+    ],
+)
+def test_the_rule(pair, word):
+    found, reason = judge(*pair, 10 * UM)
+    assert found == word and reason
+
+
+def test_uncertainty_is_read_and_checked_like_every_other_group(tmp_path):
+    sets = assignments(tmp_path, "G21\n", "uncertainty.placement_mm=0.2")
+    assert read_cell(find_file("paper.yaml"), sets).uncertainty.placement == pytest.approx(0.2e-3)
+    with pytest.raises(Exception, match="uncertainty.joint_compliance"):
+        read_cell(find_file("paper.yaml"), ["uncertainty.joint_compliance=1.5"])

@@ -1,0 +1,311 @@
+"""Recomputing recordings: of a plain exchange and of changed ones."""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+from pathlib import Path
+
+import numpy as np
+import pass_recording as made
+import pytest
+from pass_recording import STEPS, flip, force_offset
+
+from kr270_milling.base.errors import ConfigError, MillingError, RecordingError
+from kr270_milling.base.samples import Text
+from kr270_milling.base.version import __version__
+from kr270_milling.cli import main
+from kr270_milling.exchange.cut import CutProtocol
+from kr270_milling.exchange.replay.compensate import compensate
+from kr270_milling.exchange.replay.recompute import recompute
+from kr270_milling.exchange.replay.recorded import pass_from_recording
+from kr270_milling.exchange.robot import RobotProtocol
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.messages.codec import to_bytes
+
+pytestmark = made.needs_messages
+LATCHED = ("compensator_state", "reference_trajectory", "joint_trajectory")
+
+
+def test_a_recorded_exchange_is_recomputed_to_the_last_bit_on_every_channel(tmp_path):
+    found = recompute(made.write(tmp_path / "r", made.one_pass()))
+    assert found.verdict == "identical" and found.first is None and not found.stops
+    both = {"/compensator_state": 2, "/reference_trajectory": 2, "/joint_trajectory": 2}
+    counts = {topic: c.compared for topic, c in found.channels.items()}
+    assert counts == {"/tool_pose": STEPS, "/wrench": STEPS, "/deflection": STEPS, "/joint_states": STEPS,
+                      "/workpiece": 1} | both  # fmt: skip
+    assert all(c.waiting == c.missing == c.given == 0 for c in found.channels.values())
+
+
+@pytest.mark.parametrize("bit", [0, 51])
+def test_one_flipped_mantissa_bit_of_a_wrench_is_named_exactly(tmp_path, bit):
+    index, at = 60, force_offset(1)
+    messages = made.changed(made.one_pass(), "wrench", index, flip(at + bit // 8, bit % 8))
+    before = [m for m in made.one_pass() if m.topic == "wrench"][index].data
+    after = [m for m in messages if m.topic == "wrench"][index].data
+    first = recompute(made.write(tmp_path / "r", messages)).first
+    assert (first.topic, first.index, first.stamp_ns) == ("/wrench", index, index * 500_000)
+    assert first.field == "wrench.force.y"
+    assert struct.pack("<d", first.recorded) == after[at : at + 8]
+    assert struct.pack("<d", first.recomputed) == before[at : at + 8]
+    assert first.recorded != first.recomputed
+
+
+def test_a_changed_output_that_feeds_nothing_leaves_the_other_channels_identical(tmp_path):
+    messages = made.changed(made.one_pass(), "deflection", 33, flip(force_offset(2)))
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.verdict == "different" and found.first.topic == "/deflection" and found.first.index == 33
+    assert found.first.field == "twist.linear.z"
+    assert {t: c.differing for t, c in found.channels.items() if c.differing} == {"/deflection": 1}
+
+
+def test_bytes_between_the_fields_do_not_count(tmp_path):
+    pad = 4 + 8 + 4 + 10  # behind "workpiece" and its NUL
+    messages = made.changed(made.one_pass(), "tool_pose", 5, flip(pad))
+    assert messages != list(made.one_pass())
+    assert recompute(made.write(tmp_path / "r", messages)).verdict == "identical"
+
+
+def test_a_changed_map_of_the_workpiece_is_found(tmp_path):
+    messages = made.changed(made.one_pass(), "workpiece", 0, flip(-2000))
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.first.topic == "/workpiece" and found.first.field.startswith("data[")
+
+
+def described(text: str) -> list:
+    ((_, record),) = RobotProtocol(made.cell_of()).describe()
+    return [made.Message("robot_description", to_bytes(Text(text) if text else record), 0)]
+
+
+def test_a_changed_description_is_found_but_not_in_a_recording_of_another_version(tmp_path, monkeypatch):
+    """What the arm looks like in a viewer changes from version to version; it is no result."""
+    same = recompute(made.write(tmp_path / "same", [*described(""), *made.one_pass()]))
+    assert same.verdict == "identical" and same.channels["/robot_description"].compared == 1
+    other = made.write(tmp_path / "other", [*described("x" * 100), *made.one_pass()])
+    first = recompute(other).first
+    assert first.topic == "/robot_description" and len(str(first)) < 300
+    monkeypatch.setattr("kr270_milling.exchange.replay.robots.__version__", "99")
+    found = recompute(other)
+    assert found.verdict == "identical" and found.channels["/robot_description"].given == 1
+
+
+def fresh_map() -> list[made.Message]:
+    """What the cut publishes when it is configured, before every pass."""
+    return made.messages(CutProtocol(made.cell_of()).configure())
+
+
+def test_a_map_that_is_latched_from_the_pass_before_is_not_compared_with_this_one(tmp_path):
+    messages = made.changed(made.one_pass(), "workpiece", 0, flip(-2000))
+    latched = [m for m in messages if m.topic == "workpiece"]
+    found = recompute(made.write(tmp_path / "r", [*latched, *fresh_map(), *made.one_pass()]))
+    assert found.verdict == "identical"
+    assert (found.channels["/workpiece"].given, found.channels["/workpiece"].compared) == (1, 2)
+
+
+@pytest.mark.parametrize("index", [0, 1], ids=["of the fresh part", "of the finished part"])
+@pytest.mark.parametrize("byte", [4, 8])  # seconds and nanoseconds of the stamp
+def test_a_map_of_another_time_is_not_taken_for_granted(tmp_path, index, byte):
+    whole = [*fresh_map(), *made.one_pass()]
+    assert recompute(made.write(tmp_path / "whole", whole)).verdict == "identical"
+    found = recompute(made.write(tmp_path / "r", made.changed(whole, "workpiece", index, flip(byte, 5))))
+    assert found.verdict in ("incomplete", "different")
+    assert "/workpiece" in str(found.first or found.stops[0])
+
+
+@pytest.mark.parametrize("topic, who", [("wrench", "wrench"), ("tool_pose", "tool pose")])
+def test_a_missing_input_stops_the_recompute_at_its_stamp(tmp_path, topic, who):
+    messages = made.changed(made.one_pass(), topic, 40, lambda data: None)
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.verdict == "incomplete" and found.first is None
+    first, *others = found.stops
+    assert first.stamp_ns == 40 * 500_000 and f"the {who} of this time" in first.reason
+    assert ["the compensator received 121 poses and 121 wrenches" in str(stop) for stop in others] == [True]
+    output = "/deflection" if topic == "wrench" else "/wrench"
+    assert found.channels[output].compared == 40
+
+
+def test_a_missing_output_is_counted_and_nothing_stops(tmp_path):
+    messages = made.changed(made.one_pass(), "deflection", 40, lambda data: None)
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.verdict == "identical"
+    assert (found.channels["/deflection"].missing, found.channels["/deflection"].compared) == (1, STEPS - 1)
+
+
+def test_invented_outputs_behind_the_end_are_not_called_identical(tmp_path):
+    last = [m for m in made.one_pass() if m.topic == "deflection"][-1]
+    invented = [made.Message("deflection", stamped(last.data, last.stamp + i * 500_000), 0) for i in range(1, 400)]
+    found = recompute(made.write(tmp_path / "r", [*made.one_pass(), *invented]))
+    assert found.verdict == "incomplete" and found.channels["/deflection"].waiting == 399
+    (told,) = found.stops
+    assert str(told).startswith("/: 399 messages on /deflection from 0.060500 s on were not compared")
+
+
+def stamped(data: bytes, stamp: int) -> bytes:
+    return data[:4] + struct.pack("<iI", stamp // 10**9, stamp % 10**9) + data[12:]
+
+
+@pytest.mark.parametrize("kept", [4, 1])
+def test_outputs_that_were_cut_away_from_a_closed_file_are_missed(tmp_path, kept):
+    states = [m for m in made.one_pass() if m.topic == "joint_states"]
+    messages = [m for m in made.one_pass() if m not in states[kept:]]
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.verdict == "incomplete" and found.first is None
+    assert found.channels["/joint_states"].missing == len(states) - kept
+    assert [s.reason.split(" are ")[0] for s in found.stops] == [
+        f"{STEPS - kept} messages that belong on /joint_states"
+    ]
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_outputs_of_either_pass_are_missed(tmp_path, number):
+    messages, passes = [], 0
+    for message in made.one_pass(passes=2):
+        passes += message.topic == "tool_pose" and message.stamp == 0
+        if not (passes == number and message.topic == "deflection" and message.stamp > 30_000_000):
+            messages.append(message)
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.verdict == "incomplete" and found.channels["/deflection"].missing == 60
+    assert recompute(made.write(tmp_path / "whole", made.one_pass(passes=2))).verdict == "identical"
+
+
+def test_a_recording_without_any_exchange_is_not_called_identical(tmp_path):
+    found = recompute(made.write(tmp_path / "r", made.one_pass()[: made.LATCHED_FIRST]))
+    assert found.compared == 3 and found.verdict == "incomplete"
+    assert "no pass is in the recording" in str(found.stops[0])
+
+
+@pytest.mark.parametrize("end", range(200, 230, 3))
+def test_a_recorder_that_was_stopped_in_mid_pass_has_lost_nothing(tmp_path, end):
+    found = recompute(made.write(tmp_path / "r", made.one_pass()[:end]))
+    assert not found.cut_off and found.verdict == "identical"
+
+
+@pytest.mark.parametrize("end", range(200, 212))
+def test_a_pass_that_broke_off_and_was_started_again_has_lost_nothing(tmp_path, end):
+    found = recompute(made.write(tmp_path / "r", [*made.one_pass()[:end], *made.one_pass()[made.LATCHED_FIRST :]]))
+    assert found.verdict == "identical", found.stops
+
+
+@pytest.mark.parametrize("version", ["0.1.0", "0.2.0", "0.4.1", "1.3.0"])
+def test_a_recording_of_another_version_is_left_to_that_version(tmp_path, monkeypatch, version, capsys):
+    monkeypatch.setattr("kr270_milling.recordings.bag.writer.__version__", version)
+    bag = made.write(tmp_path / "r", made.one_pass())
+    assert main(["replay", str(bag), "--recompute"]) == 2
+    assert f"recorded by {version}; recompute it with that version" in capsys.readouterr().err
+    assert pass_from_recording(bag).complete
+
+
+def test_a_recording_of_another_patch_of_this_version_is_recomputed(tmp_path, monkeypatch):
+    monkeypatch.setattr("kr270_milling.recordings.bag.writer.__version__", __version__.rpartition(".")[0] + ".99")
+    assert recompute(made.write(tmp_path / "r", made.one_pass())).verdict == "identical"
+
+
+@pytest.mark.parametrize("job", [recompute, compensate])
+def test_a_flipped_bit_in_the_first_chunk_is_one_sentence(tmp_path, job):
+    file = made.write(tmp_path / "r", made.one_pass()) / "r.mcap"
+    with Recording(file) as recording:
+        chunk = recording.chunks[0]
+    data = bytearray(file.read_bytes())
+    data[chunk.offset + chunk.size // 2] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(RecordingError, match="a chunk .*; recover may save the rest"):
+        job(file)
+
+
+def test_a_pass_that_began_before_the_recording_is_not_guessed(tmp_path):
+    messages = [m for m in made.one_pass() if m.stamp > 5_000_000 or m.topic in LATCHED]
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.verdict == "incomplete"
+    assert sum("middle of a pass" in s.reason for s in found.stops) == 2
+
+
+def test_a_repeated_pose_and_its_repeated_answer_are_a_retry(tmp_path):
+    messages = list(made.one_pass())
+    (pose, at), (wrench, _) = (
+        next((m, i) for i, m in enumerate(messages) if m.topic == topic and m.stamp == 10_000_000)
+        for topic in ("tool_pose", "wrench")
+    )
+    messages[at + 1 : at + 1] = [pose, wrench]
+    found = recompute(made.write(tmp_path / "r", messages))
+    assert found.verdict == "identical" and found.channels["/tool_pose"].repeated == 1
+    assert found.channels["/wrench"].compared + found.channels["/wrench"].repeated == STEPS + 1
+
+
+def test_an_iterated_exchange_is_recomputed_iteration_by_iteration(tmp_path):
+    messages = made.one_pass("linear", 2)
+    found = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("linear", 2)))
+    assert found.verdict == "identical"
+    assert found.channels["/wrench"].compared == 1 + 2 * (STEPS - 1)
+    assert found.channels["/deflection"].compared == STEPS
+
+
+def test_two_robots_in_two_namespaces_are_recomputed_side_by_side(tmp_path):
+    found = recompute(made.write(tmp_path / "r", made.one_pass(), namespaces=("/left", "/cell/right")))
+    assert found.verdict == "identical"
+    assert {t.rpartition("/")[0] for t in found.channels} == {"/left", "/cell/right"}
+    assert found.channels["/cell/right/wrench"].compared == STEPS
+
+
+def test_a_recording_that_was_cut_off_is_compared_up_to_its_end(tmp_path):
+    whole = made.write(tmp_path / "r", made.one_pass()) / "r.mcap"
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 4])
+    found = recompute(cut)
+    assert found.cut_off and found.verdict == "identical"
+    assert 0 < found.channels["/wrench"].compared < STEPS
+
+
+@pytest.mark.parametrize("index", [0, 1], ids=["state", "reference"])
+def test_messages_of_other_topics_may_come_before_their_causes(tmp_path, index):
+    messages = list(made.one_pass())
+    late = messages.pop(index)  # a recorder that received a latched message after the pass had begun
+    messages.insert(30, late)
+    assert recompute(made.write(tmp_path / "r", messages)).verdict == "identical"
+
+
+@pytest.mark.parametrize(
+    "attached, sentence",
+    [
+        ({}, "no parameter file attached"),
+        ({"a.yaml": "", "b.yaml": ""}, "has a.yaml, b.yaml attached"),
+        ({"cell.yaml": "nonsense"}, "must have the form"),
+        ({"cell.yaml": made.cell_text().replace("paper.yaml", "/etc/hostname")}, "which is not attached"),
+        ({"cell.yaml": made.cell_text("sideways")}, "compensation.method"),
+    ],
+)
+def test_a_recording_without_a_usable_cell_is_refused_in_one_sentence(tmp_path, attached, sentence):
+    directory = made.write(tmp_path / "r", made.one_pass()[:20], attachments=attached)
+    with pytest.raises((RecordingError, ConfigError), match=sentence) as error:
+        recompute(directory)
+    assert "\n" not in str(error.value) and "r.mcap" in str(error.value)
+
+
+def test_the_attached_files_are_used_and_not_the_shipped_ones(tmp_path):
+    paper = Path(made.shipped("paper.yaml")).read_text()
+    attached = {"cell.yaml": made.cell_text(), "paper.yaml": paper.replace("teeth: 4", "teeth: 2")}
+    found = recompute(made.write(tmp_path / "r", made.one_pass(), attachments=attached))
+    assert found.verdict == "different" and found.first.topic == "/wrench"
+
+
+def test_a_recording_of_something_else_is_refused(tmp_path):
+    with pytest.raises(RecordingError, match="holds no tool_pose"):
+        recompute(made.write(tmp_path / "r", [], cell=made.cell_text()))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_messages_with_any_content_end_in_a_verdict_or_a_sentence(tmp_path, seed):
+    random = np.random.default_rng(seed)
+    messages = list(made.one_pass()[:60]) + [m for m in made.one_pass()[60:] if m.topic in LATCHED]
+    for _ in range(3):
+        at = int(random.integers(len(messages)))
+        data = bytearray(messages[at].data)
+        where = int(random.integers(len(data)))
+        if random.random() < 0.3:
+            del data[where:]
+        else:
+            data[where : where + 8] = random.bytes(8)[: len(data) - where]
+        messages[at] = made.Message(messages[at].topic, bytes(data), 0)
+    directory = made.write(tmp_path / "r", messages)
+    for job in (recompute, compensate):
+        with contextlib.suppress(MillingError):
+            job(directory)

@@ -1,0 +1,208 @@
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from budget import budget
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from test_recording_samples import header, make, pose, raw
+
+from kr270_milling.base.errors import RecordingError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.path.toolpath import Toolpath
+from kr270_milling.path.trajectory import TOOL_DOWN
+from kr270_milling.recordings.bag.recorded_path import read_path, read_recorded
+from kr270_milling.recordings.bag.writer import BagWriter
+
+NAV = "nav_msgs/msg/Path"
+SIDE = 0.00054725  # [m], depth of cut of the paper's cell
+FEED = 4.0 / 60.0  # [m/s]
+CELL = find_file("paper.yaml")
+
+
+def nav(positions, stamps, quaternions=None, frame="workpiece", pose_frame=None, stamp=5):
+    """stamps [ns]; quaternions: one, or one a pose; default: what an unset orientation is, 0 0 0 1."""
+    turns = np.broadcast_to((0, 0, 0, 1) if quaternions is None else quaternions, (len(positions), 4))
+    frames = frame if pose_frame is None else pose_frame
+    poses = [pose(t, [*p, *q], frames) for t, p, q in zip(stamps, positions, turns, strict=True)]
+    return make(NAV, header(stamp, frame), poses)
+
+
+def line(count: int = 15, length: float = 0.014, depth: float = SIDE) -> np.ndarray:
+    """Along +x from 10 mm before the stock of the paper's cell, which begins at x = 0."""
+    return np.column_stack([np.linspace(-0.010, length - 0.010, count), np.zeros(count), np.full(count, -depth)])
+
+
+def stamped(positions, feed: float = FEED, start: int = 7 * 10**9) -> list[int]:
+    way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1)))
+    return (start + np.rint(way / feed * 1e9)).astype(int).tolist()
+
+
+def record(directory, **messages):
+    """topic -> message or list of messages, in a recording; returns its file."""
+    with BagWriter(directory) as writer:
+        for name, sent in messages.items():
+            for message in sent if isinstance(sent, list) else [sent]:
+                if f"/{name}" not in writer.topics:
+                    writer.add_topic(f"/{name}", message.__msgtype__)
+                writer.write(f"/{name}", raw(message), 0)
+    return writer.path
+
+
+def refusal(file, *args) -> str:
+    with pytest.raises(RecordingError) as caught:
+        read_recorded(file, *args)
+    assert str(file) in str(caught.value) and "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+# --- nav_msgs/Path ---
+
+
+@given(st.integers(0, 12), st.booleans(), st.sampled_from(["", "workpiece", "a", "abcdefgh"]))
+@settings(max_examples=budget(40))
+def test_every_number_of_a_path_comes_out(count, little, frame):
+    from test_recording_samples import STORE
+
+    rng = np.random.default_rng(count)
+    at, turns, stamps = rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), rng.integers(0, 10**18, count)
+    message = nav(at, stamps.tolist(), turns if count else None, pose_frame=frame)
+    found = read_path(bytes(STORE.serialize_cdr(message, NAV, little_endian=little)))
+    np.testing.assert_array_equal(found.time, stamps)
+    np.testing.assert_array_equal(found.position, at.reshape(-1, 3))
+    np.testing.assert_array_equal(found.quaternion, turns.reshape(-1, 4))
+    assert set(found.frames) == ({"workpiece", frame} if count else {"workpiece"})
+
+
+def test_the_message_of_rclpy_is_read_too():
+    serialization = pytest.importorskip("rclpy.serialization")
+    from geometry_msgs.msg import PoseStamped
+    from nav_msgs.msg import Path
+
+    message = Path()
+    message.header.frame_id = "workpiece"
+    for k in range(3):
+        one = PoseStamped()
+        one.header.stamp.sec, one.pose.position.x = k, 0.1 * k
+        message.poses.append(one)
+    found = read_path(serialization.serialize_message(message))
+    np.testing.assert_array_equal(found.position[:, 0], [0.0, 0.1, 0.2])
+    assert found.time.tolist() == [0, 10**9, 2 * 10**9] and found.frames == ("workpiece", "")
+
+
+@given(st.integers(0, 400), st.binary(max_size=30))
+@settings(max_examples=budget(200))
+def test_a_damaged_path_is_refused_or_read_within_its_bytes(cut, tail):
+    data = raw(nav(line(4), [0] * 4))[:cut] + tail
+    try:
+        found = read_path(data)
+    except ValueError:
+        return
+    assert 64 * len(found.time) <= len(data)
+
+
+def test_200000_poses_are_read_in_under_five_seconds():
+    whole, size = raw(nav(line(3), [1, 2, 3])), 8 + 4 + 10 + 2 + 56  # stamp, frame, padding, numbers
+    again = whole[-size:]
+    assert again == raw(nav(line(3), [3, 3, 3]))[-size:] and whole.count((3).to_bytes(4, "little")) == 2
+    at = whole.index((3).to_bytes(4, "little"))  # how many poses there are
+    data = whole[:at] + (200_000).to_bytes(4, "little") + whole[at + 4 :] + 199_997 * again
+    start = time.process_time()
+    found = read_path(data)
+    assert time.process_time() - start < 5.0
+    assert found.time[:3].tolist() == [1, 2, 3] and set(found.time[3:].tolist()) == {3}
+
+
+def test_the_stamps_of_a_path_give_the_feed(tmp_path):
+    at = line(29, 0.028)
+    stamps = stamped(at[:15]) + (stamped(at[14:], 2 * FEED, 7 * 10**9 + 210_000_000)[1:])
+    found = read_recorded(record(tmp_path / "a", plan=nav(at, stamps)))
+    assert isinstance(found, Toolpath) and len(found) == 29
+    np.testing.assert_array_equal(found.position, at)
+    np.testing.assert_allclose(found.feed[1:], [FEED] * 14 + [2 * FEED] * 14, rtol=1e-5)
+    assert len(set(found.feed[1:15])) == 1  # whole nanoseconds do not make it tremble
+    np.testing.assert_array_equal(found.quaternion, np.tile(TOOL_DOWN, (29, 1)))
+
+
+@pytest.mark.parametrize("stamp", [0, 10**18])
+def test_poses_of_one_stamp_take_the_feed_of_the_cell(tmp_path, stamp):
+    file = record(tmp_path / "a", plan=nav(line(), [stamp] * 15))
+    np.testing.assert_array_equal(read_recorded(file, "", 0.05).feed[1:], 0.05)
+    assert "path.feed_rate_m_per_min" in refusal(file)
+
+
+def test_stamps_outdo_the_feed_of_the_cell(tmp_path):
+    file = record(tmp_path / "a", plan=nav(line(), stamped(line())))
+    np.testing.assert_allclose(read_recorded(file, "", 0.5).feed[1:], FEED, rtol=1e-5)
+
+
+def test_a_pause_of_a_path_is_no_feed(tmp_path):
+    at = np.repeat(line(5), 2, axis=0)
+    stamps = [k // 2 * 10**9 + k % 2 * 5 * 10**8 for k in range(10)]  # half a second to rest, half to go 3.5 mm
+    found = read_recorded(record(tmp_path / "a", plan=nav(at, stamps)))
+    assert len(found) == 5
+    np.testing.assert_allclose(found.feed[1:], 0.0035 / 0.5, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "says"),
+    [
+        ([0, 1e9, 1e9, 2e9], "pose 3 needs a later stamp"),
+        ([0, 0, 0, 1], "pose 2 needs a later stamp"),
+        ([3e9, 2e9, 1e9, 0], "pose 2 needs a later stamp"),
+        ([0, 1e9, 1e9 + 1, 2e9], "pose 3 at 4.67e+06 m/s"),
+    ],
+)
+def test_stamps_that_give_no_feed_are_refused_with_the_pose(tmp_path, stamps, says):
+    file = record(tmp_path / "a", plan=nav(line(4), [int(s) for s in stamps]))
+    assert says in refusal(file, "", FEED)
+
+
+@pytest.mark.parametrize(
+    ("message", "says"),
+    [
+        (nav(line(), [0] * 15, frame="base_link"), "frame is 'base_link', but must be workpiece"),
+        (nav(line(), [0] * 15, frame=""), "frame is '', but must be workpiece"),
+        (nav(line(), [0] * 15, pose_frame="map"), "frame is 'map'"),
+        (nav(line() * np.nan, [0] * 15), "point 1 is more than"),
+        (nav(line() * 1e6, [0] * 15), "wrong unit"),
+        (nav(line(1), [0]), "never moves"),
+        (nav(line()[:0], []), "never moves"),
+        (nav(line() * 0, [0] * 15), "never moves"),
+        (nav(line(), [0] * 15, (1, 0, 0, 1)), "pose 1 does not have length 1"),
+        (nav(line(), [0] * 15, (np.inf, 0, 0, 1)), "not finite"),
+        (nav(line(), [0] * 15, (0.6, 0, 0, 0.8)), "points out of the part"),
+        ([nav(line(), [0] * 15), nav(line(14), [0] * 14)], "different paths"),
+    ],
+)
+def test_a_path_that_cannot_be_run_is_refused(tmp_path, message, says):
+    assert says in refusal(record(tmp_path / "a", plan=message), "", FEED)
+
+
+def test_headings_say_nothing_about_the_tool_and_a_tilt_does(tmp_path):
+    turn = Rotation.from_rotvec(np.outer(np.linspace(0, 3, 15), [0, 0, 1]))
+    flat = read_recorded(record(tmp_path / "a", plan=nav(line(), [0] * 15, turn.as_quat())), "", FEED)
+    np.testing.assert_array_equal(flat.quaternion, np.tile(TOOL_DOWN, (15, 1)))
+    tilt = (Rotation.from_quat(TOOL_DOWN) * Rotation.from_euler("y", 10, degrees=True)).as_quat()
+    tilted = read_recorded(record(tmp_path / "b", plan=nav(line(), [0] * 15, tilt)), "", FEED)
+    np.testing.assert_allclose(tilted.quaternion, np.tile(tilt, (15, 1)), atol=1e-15)
+
+
+def test_a_path_that_is_sent_again_is_one_path(tmp_path):
+    again = [nav(line(), stamped(line()), stamp=s) for s in (1, 2, 3)]
+    assert len(read_recorded(record(tmp_path / "a", plan=again))) == 15
+
+
+def test_a_recorded_path_is_cut_like_the_same_points_from_a_table(tmp_path):
+    at = line()
+    file = record(tmp_path / "a", plan=nav(at, stamped(at, 0.05)))
+    table = tmp_path / "points.csv"
+    rows = [f"{x * 1e3!r},{y * 1e3!r},{z * 1e3!r},50.0" for x, y, z in at.tolist()]
+    table.write_text("\n".join(["x_mm,y_mm,z_mm,feed_mm_per_s", *rows]) + "\n")
+    ours, other = (read_cell(CELL, [f"path.file={name}"]) for name in (file, table))
+    np.testing.assert_allclose(ours.target().position, other.target().position, atol=1e-12)
+    np.testing.assert_array_equal(ours.target().time_ns, other.target().time_ns)

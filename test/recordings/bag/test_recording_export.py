@@ -1,0 +1,200 @@
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from test_recording_samples import (
+    GRID,
+    JOINTS,
+    PERIOD,
+    POSE,
+    TEXT,
+    TOPICS,
+    header,
+    joints,
+    make,
+    pose,
+    raw,
+    record,
+    time,
+)
+
+from kr270_milling.base.errors import RecordingError
+from kr270_milling.cli import main
+from kr270_milling.recordings.bag import export as module
+from kr270_milling.recordings.bag.export import export
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.writer import BagWriter
+
+
+def rows(file) -> list[dict]:
+    with open(file, newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("export")
+    record(directory / "a", 5)
+    with Recording(directory / "a") as recording:
+        files = export(recording, directory / "csv").files
+    return {file.stem: rows(file) for file in files}
+
+
+def test_every_topic_has_a_table_with_a_row_per_message(tables):
+    points = {"target_trajectory": 10}  # two points a message
+    assert {k: len(v) for k, v in tables.items()} == {t[1:]: points.get(t[1:], 5) for t in TOPICS}
+
+
+def test_columns_name_their_units(tables):
+    assert list(tables["tool_pose"][0])[:6] == ["log_time_ns", "stamp_ns", "frame_id", "position_x_m", "position_y_m",
+                                                "position_z_m"]  # fmt: skip
+    assert list(tables["wrench"][0])[3:] == ["force_x_n", "force_y_n", "force_z_n", "torque_x_n_m", "torque_y_n_m",
+                                             "torque_z_n_m"]  # fmt: skip
+    assert list(tables["deflection"][0])[5:7] == ["linear_z_m", "angular_x_rad"]
+    assert "velocity_joint_a2_rad_per_s" in tables["joint_states"][0]
+    assert "time_from_start_ns" in tables["target_trajectory"][0]
+
+
+def test_numbers_read_back_to_the_same_bits(tables):
+    for step, row in enumerate(tables["tool_pose"]):
+        values = [float(row[k]) for k in list(row)[3:]]
+        assert values == (step + 0.1 * np.arange(7)).tolist()
+        assert (row["stamp_ns"], row["frame_id"]) == (str(step * PERIOD), "base_link")
+
+
+def test_other_types_have_a_column_per_field_and_json_for_lists(tables):
+    row = tables["diagnostics"][2]
+    assert json.loads(row["status"])[0]["message"] == "äußerst gut"
+    assert row["header_stamp_nanosec"] == str(2 * PERIOD)
+    grid = tables["workpiece"][0]
+    assert json.loads(grid["data"]) == [i % 101 for i in range(1000)]
+    assert grid["info_width"] == "40"
+    assert tables["robot_description"][1]["data"] == "<robot name='1'/>"
+
+
+def test_a_new_file_begins_where_the_joints_change(tmp_path):
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/joint_states", JOINTS)
+        for i, names in enumerate([["a", "b"], ["a", "b"], ["c"]]):
+            writer.write("/joint_states", raw(joints(i, [1.0] * len(names), names=names)), 0)
+    with Recording(tmp_path / "a") as recording:
+        files = export(recording, tmp_path / "csv").files
+    assert [f.name for f in files] == ["joint_states.csv", "joint_states_2.csv"]
+    assert [len(rows(f)) for f in files] == [2, 1]
+
+
+def test_topics_can_be_chosen_and_unknown_ones_are_told(tmp_path):
+    record(tmp_path / "a", 2)
+    with Recording(tmp_path / "a") as recording:
+        assert [f.name for f in export(recording, tmp_path / "csv", ["/wrench"]).files] == ["wrench.csv"]
+        with pytest.raises(RecordingError, match="/wrnch"):
+            export(recording, tmp_path / "csv", ["/wrnch"])
+
+
+def test_names_of_topics_do_not_lead_out_of_the_directory_and_do_not_collide(tmp_path):
+    victim = tmp_path / "victim.csv"
+    victim.write_text("mine")
+    (tmp_path / "csv").mkdir()
+    (tmp_path / "csv" / "a_b.csv").symlink_to(victim)
+    with BagWriter(tmp_path / "a") as writer:
+        for topic in ("/../victim", "/a/b", "/a_b", "/ä b", "/"):
+            writer.add_topic(topic, POSE)
+            writer.write(topic, raw(pose(0, np.zeros(7))), 0)
+    with Recording(tmp_path / "a") as recording:
+        files = export(recording, tmp_path / "csv").files
+    assert sorted(f.name for f in files) == ["a_b.csv", "a_b_2.csv", "unnamed.csv", "victim.csv", "ä_b.csv"]
+    assert all(f.parent == tmp_path / "csv" and len(rows(f)) == 1 for f in files)
+    assert victim.read_text() == "mine"
+
+
+def test_a_topic_that_cannot_be_decoded_is_named_and_the_others_are_written(tmp_path, capsys):
+    with open(tmp_path / "a.mcap", "wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/thing", "json", writer.register_schema("Thing", "jsonschema", b"{}"))
+        text = writer.register_channel("/text", "cdr", writer.register_schema(TEXT, "ros2msg", b"string data\n"))
+        broken = writer.register_channel("/broken", "cdr", writer.register_schema(TEXT, "ros2msg", b"string data\n"))
+        for step in range(3):
+            writer.add_message(channel, 1, b"{}", 1)
+            writer.add_message(text, 2, raw(make(TEXT, "said")), 2)
+            writer.add_message(broken, 3, raw(make(TEXT, "x")) if step < 2 else b"\0\1\0\0\xff\xff\xff\xff", 3)
+        writer.finish()
+    with Recording(tmp_path / "a.mcap") as recording:
+        found = export(recording, tmp_path / "csv")
+    assert [file.name for file in found.files] == ["text.csv"] and len(rows(found.files[0])) == 3
+    assert "only cdr with ros2msg" in found.refused["/thing"]
+    assert "a message on /broken is not a std_msgs/msg/String" in found.refused["/broken"]
+    assert [file.name for file in (tmp_path / "csv").iterdir()] == ["text.csv"]
+    assert main(["export", str(tmp_path / "a.mcap"), "--csv", str(tmp_path / "again")]) == 1
+    printed = capsys.readouterr()
+    assert "text.csv" in printed.out and printed.err.count("not exported: ") == 2
+
+
+def test_progress_reaches_the_end(tmp_path):
+    record(tmp_path / "a", 2)
+    seen = []
+    with Recording(tmp_path / "a") as recording:
+        export(recording, tmp_path / "csv", progress=lambda *at: seen.append(at))
+    assert seen[-1] == (20, 20)
+
+
+def test_parquet_is_written_where_pyarrow_is_and_else_told(tmp_path):
+    record(tmp_path / "a", 5)
+    with Recording(tmp_path / "a") as recording:
+        if importlib.util.find_spec("pyarrow") is None:
+            with pytest.raises(RecordingError, match="pyarrow"):
+                export(recording, tmp_path / "parquet", kind="parquet")
+            return
+        import pyarrow.parquet
+
+        files = export(recording, tmp_path / "parquet", kind="parquet").files
+    table = pyarrow.parquet.read_table(next(f for f in files if f.stem == "tool_pose"))
+    assert table["position_y_m"].to_pylist() == [step + 0.1 for step in range(5)]
+
+
+EXPORT = """
+import resource, sys
+from kr270_milling.base.errors import RecordingError
+from kr270_milling.recordings.bag.export import export
+from kr270_milling.recordings.bag.reader import Recording
+with Recording(sys.argv[1]) as recording:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+    try:
+        export(recording, sys.argv[2])
+    except RecordingError as error:
+        print(error)
+"""
+
+
+@pytest.mark.parametrize("steps", [30, 5000])
+def test_nothing_stays_where_the_disk_is_full(tmp_path, steps):
+    """In the last bytes, which are written when the file is closed, or long before; in a process of its own."""
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/tool_pose", POSE)
+        for step in range(steps):
+            writer.write("/tool_pose", raw(pose(step * PERIOD, np.full(7, 0.1 + step / 7))), 0)
+    command = [sys.executable, "-c", EXPORT, str(tmp_path / "a"), str(tmp_path / "csv")]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0 and "the tables cannot be written" in ran.stdout, ran.stderr
+    assert list((tmp_path / "csv").iterdir()) == []
+
+
+def test_large_messages_of_any_type_are_not_gathered_by_the_thousand(tmp_path):
+    """Each becomes a text of five times its size ("100, ")."""
+    size, count = 100_000, 25
+    about = make("nav_msgs/msg/MapMetaData", time(0), 1e-5, size, 1, pose(0, [0, 0, 0, 0, 0, 0, 1]).pose)
+    data = raw(make(GRID, header(0), about, np.full(size, 100, np.int8)))
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/workpiece", GRID)
+        for _ in range(count):
+            writer.write("/workpiece", data, 0)
+    with Recording(tmp_path / "a") as recording:
+        found = [len(table) for table in module._tables(row for _, row in module.rows(recording, "/workpiece"))]
+    assert sum(found) == count and 1 < max(found) < 10  # 1 MB of text

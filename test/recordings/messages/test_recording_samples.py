@@ -1,0 +1,132 @@
+"""Messages of every type in the topic table, serialised by rosbags, for the other tests of recordings."""
+
+from __future__ import annotations
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+
+from kr270_milling.recordings.bag.writer import BagWriter
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+PERIOD = 500_000  # [ns], the default exchange period
+
+POSE, WRENCH, TWIST = (f"geometry_msgs/msg/{name}Stamped" for name in ("Pose", "Wrench", "Twist"))
+JOINTS, GRID, TEXT = "sensor_msgs/msg/JointState", "nav_msgs/msg/OccupancyGrid", "std_msgs/msg/String"
+PATH, JOINT_PATH = (f"trajectory_msgs/msg/{name}" for name in ("MultiDOFJointTrajectory", "JointTrajectory"))
+DIAGNOSTICS, CLOCK = "diagnostic_msgs/msg/DiagnosticArray", "rosgraph_msgs/msg/Clock"
+
+TOPICS = {
+    "/target_trajectory": PATH,
+    "/joint_trajectory": JOINT_PATH,
+    "/tool_pose": POSE,
+    "/wrench": WRENCH,
+    "/deflection": TWIST,
+    "/joint_states": JOINTS,
+    "/workpiece": GRID,
+    "/robot_description": TEXT,
+    "/diagnostics": DIAGNOSTICS,
+    "/clock": CLOCK,
+}
+
+
+def make(type_name: str, *args):
+    return STORE.types[type_name](*args)
+
+
+def time(stamp: int):
+    return make("builtin_interfaces/msg/Time", stamp // 10**9, stamp % 10**9)
+
+
+def duration(nanoseconds: int):
+    return make("builtin_interfaces/msg/Duration", nanoseconds // 10**9, nanoseconds % 10**9)
+
+
+def header(stamp: int, frame: str = "base_link"):
+    return make("std_msgs/msg/Header", time(stamp), frame)
+
+
+def vector(values):
+    return make("geometry_msgs/msg/Vector3", *map(float, values))
+
+
+def quaternion(values):
+    return make("geometry_msgs/msg/Quaternion", *map(float, values))
+
+
+def pose(stamp: int, values, frame: str = "base_link"):
+    inner = make("geometry_msgs/msg/Pose", make("geometry_msgs/msg/Point", *map(float, values[:3])),
+                 quaternion(values[3:]))  # fmt: skip
+    return make(POSE, header(stamp, frame), inner)
+
+
+def wrench(stamp: int, values, frame: str = "workpiece"):
+    return make(WRENCH, header(stamp, frame), make("geometry_msgs/msg/Wrench", vector(values[:3]), vector(values[3:])))
+
+
+def twist(stamp: int, values, frame: str = "workpiece"):
+    return make(TWIST, header(stamp, frame), make("geometry_msgs/msg/Twist", vector(values[:3]), vector(values[3:])))
+
+
+def joints(stamp: int, position, velocity=(), effort=(), names=None):
+    names = names or [f"joint_a{i + 1}" for i in range(len(position))]
+    return make(JOINTS, header(stamp, ""), names, *(np.array(v, float) for v in (position, velocity, effort)))
+
+
+def path(stamp: int, times, positions, quaternions, velocities=None, names=("tool0",)):
+    """positions (p, j, 3), quaternions (p, j, 4), velocities (p, j, 6) or None."""
+    points = []
+    for i, at in enumerate(times):
+        transforms = [make("geometry_msgs/msg/Transform", vector(p), quaternion(q))
+                      for p, q in zip(positions[i], quaternions[i], strict=True)]  # fmt: skip
+        speeds = [] if velocities is None else [
+            make("geometry_msgs/msg/Twist", vector(v[:3]), vector(v[3:])) for v in velocities[i]]  # fmt: skip
+        points.append(make("trajectory_msgs/msg/MultiDOFJointTrajectoryPoint", transforms, speeds, [], duration(at)))
+    return make(PATH, header(stamp, "workpiece"), list(names), points)
+
+
+def sample(topic: str, step: int):
+    """The message of a topic at a step: numbers that are different everywhere."""
+    stamp, kind = step * PERIOD, TOPICS[topic]
+    values = step + 0.1 * np.arange(7)
+    if kind == PATH:
+        return path(stamp, [0, 10**9], values[:6].reshape(2, 1, 3), [[[0, 0, 0, 1]], [[0, 1, 0, 0]]])
+    if kind == JOINT_PATH:
+        point = make("trajectory_msgs/msg/JointTrajectoryPoint", values[:6], values[:0], values[:0], values[:0],
+                     duration(50_000_000))  # fmt: skip
+        return make(JOINT_PATH, header(stamp), [f"joint_a{i}" for i in range(1, 7)], [point])
+    if kind == GRID:
+        info = make("nav_msgs/msg/MapMetaData", time(0), 1e-5, 40, 25, pose(0, [*values[:3], 0, 0, 0, 1]).pose)
+        return make(GRID, header(stamp), info, (np.arange(1000) % 101).astype(np.int8))
+    if kind == TEXT:
+        return make(TEXT, f"<robot name='{step}'/>")
+    if kind == CLOCK:
+        return make(CLOCK, time(stamp))
+    if kind == DIAGNOSTICS:
+        status = make("diagnostic_msgs/msg/DiagnosticStatus", 1, "cutting_process", "äußerst gut", "",
+                      [make("diagnostic_msgs/msg/KeyValue", "correction", str(step))])  # fmt: skip
+        return make(DIAGNOSTICS, header(stamp), [status, status])
+    return {POSE: pose, WRENCH: wrench, TWIST: twist, JOINTS: joints}[kind](stamp, values[: 7 if kind == POSE else 6])
+
+
+def raw(message) -> bytes:
+    return bytes(STORE.serialize_cdr(message, message.__msgtype__))
+
+
+def record(directory, steps: int = 50, topics=tuple(TOPICS), **options) -> list[tuple[str, int, bytes]]:
+    """Write every topic ``steps`` times and return what was written: topic, log time and bytes in their order."""
+    written = []
+    with BagWriter(directory, **options) as writer:
+        for topic in topics:
+            writer.add_topic(topic, TOPICS[topic], [{"durability": "transient_local", "depth": 1}])
+        for step in range(steps):
+            for topic in topics:
+                data = raw(sample(topic, step))
+                writer.write(topic, data, publish_time=10**18 + step)
+                written.append((topic, step * PERIOD, data))
+    return written
+
+
+def test_samples_are_of_the_type_that_the_topic_table_gives():
+    for topic, kind in TOPICS.items():
+        assert sample(topic, 3).__msgtype__ == kind
+        assert STORE.deserialize_cdr(raw(sample(topic, 3)), kind).__msgtype__ == kind

@@ -1,0 +1,112 @@
+from __future__ import annotations
+
+import struct
+import time
+
+import numpy as np
+import pytest
+from budget import budget
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_recording_samples import PATH, STORE, path, pose, raw
+
+from kr270_milling.base.errors import RecordingError
+from kr270_milling.recordings.bag.export import rows
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.trajectory import read_trajectory
+
+
+def random_path(points: int, bodies: int = 1, speeds: bool = True, seed: int = 1):
+    rng = np.random.default_rng(seed)
+    arrays = [rng.normal(size=(points, bodies, width)) for width in (3, 4, 6)]
+    times = np.cumsum(rng.integers(1, 10**9, points))
+    names = tuple(f"tool{i}" for i in range(bodies))
+    return path(77, times.tolist(), *arrays[:2], arrays[2] if speeds else None, names), times, arrays
+
+
+@pytest.mark.parametrize("little", [True, False])
+@pytest.mark.parametrize("bodies", [1, 2, 3])
+@pytest.mark.parametrize("speeds", [True, False])
+@pytest.mark.parametrize("points", [0, 1, 2, 3, 200])
+def test_every_number_of_a_trajectory_comes_out(points, speeds, bodies, little):
+    message, times, (position, quaternion, velocity) = random_path(points, bodies, speeds)
+    found = read_trajectory(bytes(STORE.serialize_cdr(message, PATH, little_endian=little)))
+    np.testing.assert_array_equal(found.time, times)
+    np.testing.assert_array_equal(found.position, position)
+    np.testing.assert_array_equal(found.quaternion, quaternion)
+    np.testing.assert_array_equal(found.velocity, velocity if speeds else np.full_like(velocity, np.nan))
+    assert np.isnan(found.acceleration).all()
+    assert (found.stamp, found.frame_id, found.names) == (77, "workpiece", tuple(f"tool{i}" for i in range(bodies)))
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=60))
+def test_points_with_and_without_velocities_may_mix(with_speed):
+    message, times, (position, _, velocity) = random_path(len(with_speed))
+    for i, speed in enumerate(with_speed):
+        if not speed:
+            message.points[i].velocities.clear()
+            velocity[i] = np.nan
+    found = read_trajectory(raw(message))
+    np.testing.assert_array_equal(found.time, times)
+    np.testing.assert_array_equal(found.position, position)
+    np.testing.assert_array_equal(found.velocity, velocity)
+
+
+def test_200000_points_take_less_than_a_second():
+    """The bytes are laid out here point by point: 128 bytes each from the second on."""
+    count = 200_000
+    point = struct.pack("<I7dI4x6dIiI", 1, *range(7), 1, *range(6), 0, 3, 4)
+    assert len(point) == 4 + 56 + 4 + 4 + 48 + 4 + 8
+    head = struct.pack("<4BiII1s3xII5s3xI", 0, 1, 0, 0, 0, 0, 1, b"\0", 1, 5, b"tool\0", count)
+    assert (len(head) - 4) % 8 == 4  # so that the first transform needs no padding either
+    data = head + count * point
+    begin = time.process_time()
+    found = read_trajectory(data)
+    assert time.process_time() - begin < 1.0
+    assert found.time.tolist() == [3_000_000_004] * count
+    np.testing.assert_array_equal(found.velocity[:, 0], np.tile(np.arange(6.0), (count, 1)))
+
+
+@given(st.integers(0, 400), st.binary(max_size=30))
+@settings(max_examples=budget(300))
+def test_a_damaged_message_is_refused_or_read_within_its_bytes(cut, tail):
+    data = raw(random_path(3)[0])
+    try:
+        found = read_trajectory(data[:cut] + tail)
+    except ValueError:
+        return
+    assert 20 * len(found.time) <= len(data[:cut] + tail)
+
+
+def test_a_message_made_to_change_its_layout_all_the_time_costs_no_more_than_its_size():
+    message, times, _ = random_path(6000)
+    for point in message.points[::2]:
+        point.velocities.clear()
+    data = raw(message)
+    begin = time.process_time()
+    assert read_trajectory(data).time.tolist() == times.tolist()
+    assert time.process_time() - begin < 2.0
+
+
+def test_trajectories_of_a_recording_are_tables_up_to_one_that_is_none(tmp_path):
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/reference_trajectory", PATH)
+        for points in (2, 5):
+            writer.write("/reference_trajectory", raw(random_path(points)[0]), 0)
+        writer.write("/reference_trajectory", raw(pose(100, np.zeros(7))), 0)
+    with Recording(tmp_path / "a") as recording:
+        found = rows(recording, "/reference_trajectory")
+        assert [next(found)[1][0] for _ in range(7)] == [0, 0, 1, 1, 1, 1, 1]  # number of the message
+        with pytest.raises(RecordingError, match="is not a trajectory_msgs"):
+            next(found)
+
+
+def test_points_without_content_for_many_bodies_are_refused_before_room_is_made_for_them():
+    """56 kB that would ask for 1 GB of NaN."""
+    names, points = 4000, 1800
+    head = struct.pack("<4BiII1s3xI", 0, 1, 0, 0, 0, 0, 1, b"\0", names) + struct.pack("<I1s3x", 1, b"\0") * names
+    data = head + struct.pack("<I", points) + struct.pack("<IIIiI", 0, 0, 0, 0, 0) * points
+    assert len(data) < 70_000
+    with pytest.raises(ValueError, match="leave out most of the 4000 bodies"):
+        read_trajectory(data)

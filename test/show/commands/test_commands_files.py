@@ -1,0 +1,135 @@
+"""The commands about recordings, as a user calls them: info, export, recover, replay."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import pass_recording as made
+import pytest
+
+from kr270_milling import cli
+
+pytestmark = made.needs_messages
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    return made.write(tmp_path_factory.mktemp("files") / "r", made.one_pass())
+
+
+@pytest.fixture
+def cut_off(whole, tmp_path):
+    data = (whole / "r.mcap").read_bytes()
+    file = tmp_path / "cut.mcap"
+    file.write_bytes(data[: len(data) * 2 // 3])
+    return file
+
+
+def run(capsys, *words) -> tuple[int, str, str]:
+    code = cli.main([str(word) for word in words])
+    out, err = capsys.readouterr()
+    assert "Traceback" not in out + err
+    return code, out, err
+
+
+def as_json(capsys, *words) -> dict:
+    code, out, _ = run(capsys, *words, "--json")
+    return json.loads(out) | {"code": code}
+
+
+UNUSABLE = {
+    "missing": None, "empty": b"", "text": b"not a recording", "head only": b"\x89MCAP0\r\n",
+    "noise": b"\x89MCAP0\r\n" + bytes(range(256)) * 20,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "words"), [
+    *((content, ["info"]) for content in UNUSABLE),
+    *(("noise", words) for words in (["export", "--csv", "tables"], ["replay", "--recompute"],
+                                     ["replay", "--compensate"], ["recover"])),
+])  # fmt: skip
+def test_an_unusable_file_ends_in_one_sentence_and_exit_code_2(tmp_path, monkeypatch, capsys, content, words):
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / "bad.mcap"
+    if UNUSABLE[content] is not None:
+        file.write_bytes(UNUSABLE[content])
+    code, out, err = run(capsys, words[0], file, *words[1:])
+    assert code == 2 and out == "" and str(file) in err and err.count("\n") == 1
+
+
+def test_info_counts_what_was_written(whole, capsys):
+    result = as_json(capsys, "info", whole)
+    assert result["code"] == 0 and result["cut_off"] is False and result["messages"] == len(made.one_pass())
+    assert result["topics"]["/wrench"]["count"] == 121 and result["duration_s"] == pytest.approx(0.06)
+    assert "/wrench" in run(capsys, "info", whole)[1]
+
+
+def test_info_of_a_cut_off_file_says_so(cut_off, capsys):
+    assert as_json(capsys, "info", cut_off)["cut_off"] is True
+    assert "cut off" in run(capsys, "info", cut_off)[1]
+
+
+def test_export_writes_tables_that_read_back_to_the_bit(whole, tmp_path, capsys):
+    result = as_json(capsys, "export", whole, "--csv", tmp_path / "t", "--topics", "/wrench")
+    assert result["files"] == [str(tmp_path / "t" / "wrench.csv")]
+    with open(result["files"][0], newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    from kr270_milling.recordings.messages.codec import wrench_from_bytes
+
+    sent = [wrench_from_bytes(m.data) for m in made.one_pass() if m.topic == "wrench"]
+    assert [(int(r["stamp_ns"]), float(r["force_y_n"])) for r in rows] == [(s.stamp, s.wrench[1]) for s in sent]
+
+
+def test_export_of_a_cut_off_file_says_so_and_writes_what_is_there(cut_off, tmp_path, capsys):
+    code, out, _ = run(capsys, "export", cut_off, "--csv", tmp_path / "t")
+    assert code == 0 and "was cut off" in out and (tmp_path / "t" / "wrench.csv").stat().st_size > 1000
+
+
+def test_export_without_a_format_or_with_an_unknown_topic_is_refused(whole, tmp_path, capsys):
+    assert run(capsys, "export", whole)[0] == 2
+    code, _, err = run(capsys, "export", whole, "--csv", tmp_path / "t", "--topics", "/nothing")
+    assert code == 2 and "/nothing" in err
+
+
+def test_recover_makes_a_whole_file_that_is_recomputed(cut_off, tmp_path, capsys):
+    result = as_json(capsys, "recover", cut_off, "--out", tmp_path / "saved")
+    assert result["code"] == 0 and not result["whole"] and result["messages"] > 100
+    assert as_json(capsys, "info", tmp_path / "saved")["cut_off"] is False
+    again = as_json(capsys, "replay", tmp_path / "saved", "--recompute")
+    assert again["verdict"] == "identical" and again["code"] == 0
+    assert run(capsys, "recover", cut_off, "--out", tmp_path / "saved")[0] == 2
+
+
+def test_recompute_ends_with_0_when_identical_and_1_when_not(whole, tmp_path, capsys):
+    code, out, _ = run(capsys, "replay", whole, "--recompute")
+    assert code == 0 and "identical: " in out
+    changed = made.changed(made.one_pass(), "wrench", 60, lambda data: data[:40] + bytes([data[40] ^ 1]) + data[41:])
+    other = made.write(tmp_path / "other", changed)
+    code, out, _ = run(capsys, "replay", other, "--recompute")
+    assert code == 1 and "first difference: /wrench, message 60 at 0.030000 s: wrench.force.y" in out
+    result = as_json(capsys, "replay", other, "--recompute")["first_difference"]
+    assert (result["topic"], result["index"], result["stamp_ns"]) == ("/wrench", 60, 30_000_000)
+
+
+def test_recompute_that_cannot_go_on_ends_with_1_and_says_where(tmp_path, capsys):
+    gap = made.write(tmp_path / "r", made.changed(made.one_pass(), "wrench", 40, lambda data: None))
+    code, out, _ = run(capsys, "replay", gap, "--recompute")
+    assert code == 1 and "cannot go on at 0.020000 s" in out
+
+
+def test_compensate_writes_the_trajectory_that_was_published(whole, tmp_path, capsys):
+    from kr270_milling.path.trajectory_csv import read_csv
+
+    result = as_json(capsys, "replay", whole, "--compensate", "--out", tmp_path / "t")
+    assert result["code"] == 0 and result["robots"][0]["identical_to_published"] is True
+    run_csv, joints = read_csv(result["robots"][0]["csv"])
+    published = [m.data for m in made.one_pass() if m.topic == "reference_trajectory"][1]
+    assert made.reference_data(run_csv) == published and joints.shape == (len(run_csv), 6)
+    assert "identical to what the node published" in run(capsys, "replay", whole, "--compensate")[1]
+
+
+def test_recompute_and_compensate_exclude_each_other(whole):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["replay", str(whole), "--recompute", "--compensate"])
+    assert ended.value.code == 2

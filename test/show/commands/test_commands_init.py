@@ -1,0 +1,137 @@
+"""``init`` prints a cell that is read as it is; ``keys`` lists what the records check."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from kr270_milling.base.record import Record, flatten, specs
+from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.keys import keys_of
+from kr270_milling.cli import main
+
+PROGRAMS = Path(__file__).parents[2] / "path" / "programs"
+TEST_PIECE = Path(__file__).parents[3] / "config" / "test_piece.nc"
+#: a shallow slot beside which the tool comes down
+SLOT = "(T1 D=10 - flat end mill, 4 flutes)\nG21 G90 G54\nS6000 M3\nG0 X-20 Y0 Z5\nZ-0.5\nG1 X-2 F1200\nG0 Z5\nM30\n"
+
+
+def printed(capsys, *words) -> str:
+    assert main(["init", *map(str, words)]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    return out
+
+
+def cell_of(capsys, tmp_path, *words):
+    (tmp_path / "my.yaml").write_text(printed(capsys, *words))
+    return read_cell(tmp_path / "my.yaml")
+
+
+@pytest.mark.parametrize(("name", "robot"), [
+    ("fusion_haas.nc", "kr270_2"), ("fusion_grbl.nc", "kr270_r2700_ultra"), ("freecad_linuxcnc.ngc", "kr270_2"),
+    ("mastercam_fanuc.nc", "kr270_r2700_ultra"), ("linuxcnc.ngc", "kr270_2"), ("sinumerik.mpf", "kr270_r2700_ultra"),
+    ("haas.nc", "kr270_r2700_ultra"),
+])  # fmt: skip
+def test_a_cell_for_each_dialect_reaches_the_whole_pocket(capsys, tmp_path, name, robot):
+    tool = ["--tool", "T1"] if name == "haas.nc" else []
+    cell = cell_of(capsys, tmp_path, "--gcode", PROGRAMS / name, "--robot", robot, *tool)
+    assert cell.tool.spindle_speed * 30 / np.pi == pytest.approx(5000)
+    assert cell.tool.diameter == pytest.approx(0.010)
+    np.testing.assert_allclose(1e3 * cell.stock.min, [-24, -20, -6], atol=1e-9)
+    np.testing.assert_allclose(1e3 * cell.stock.max, [24, 20, 0], atol=1e-9)
+    assert len(cell.target()) > 1000  # on the joints of the arm
+    np.testing.assert_allclose(1e3 * cell.workpiece.xyz, [1500, 0, 800])
+
+
+def test_what_the_program_does_not_say_is_marked_as_the_users(capsys):
+    text = printed(capsys, "--gcode", PROGRAMS / "sinumerik.mpf")
+    assert "teeth: 4                           # yours:" in text and "# yours: the arm" in text
+    assert "# [source: the program's S]" in text
+
+
+def test_the_stock_leaves_room_where_the_tool_comes_down_rapidly(capsys, tmp_path):
+    (tmp_path / "slot.nc").write_text(SLOT)
+    cell = cell_of(capsys, tmp_path, "--gcode", tmp_path / "slot.nc")
+    assert cell.stock.min[0] >= -20e-3 + cell.tool.radius and cell.stock.max[0] >= 0.0
+    piece = cell_of(capsys, tmp_path, "--gcode", TEST_PIECE)
+    path = piece.timed_path.toolpath
+    down = path.position[path.rapid & (path.position[:, 2] < 0.0)][:, :2]
+    beside = np.maximum(np.maximum(piece.stock.min[:2] - down, down - piece.stock.max[:2]), 0.0)
+    assert np.hypot(*beside.T).min() > piece.tool.radius
+
+
+def test_a_program_that_takes_an_hour_is_modelled_at_as_many_postures_as_a_cell_may_have(capsys, tmp_path):
+    (tmp_path / "slow.nc").write_text(SLOT.replace("F1200", "F1"))  # 18 mm at 1 mm/min
+    cell = cell_of(capsys, tmp_path, "--gcode", tmp_path / "slow.nc")
+    assert cell.target().duration_ns > 1000e9 and cell.dynamics.posture_spacing > 5e-3
+    assert len(cell._postures(cell.target())[1]) < 50_000  # more than 100,000 are refused
+
+
+def test_a_program_without_a_cut_is_refused_in_a_sentence(capsys, tmp_path):
+    (tmp_path / "air.nc").write_text("G21 S6000 M3\nG0 X0 Y0 Z5\nX10 F600\nM30\n")
+    assert main(["init", "--gcode", str(tmp_path / "air.nc")]) == 2
+    assert "has no cutting move" in capsys.readouterr().err
+
+
+def test_a_program_is_checked_as_init_prints_it(capsys, tmp_path):
+    (tmp_path / "slot.nc").write_text(SLOT)
+    (tmp_path / "my.yaml").write_text(printed(capsys, "--gcode", tmp_path / "slot.nc"))
+    assert main(["check", str(tmp_path / "my.yaml"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["may_be_run"] is True
+
+
+def test_a_cell_without_a_program_is_a_straight_cut(capsys, tmp_path):
+    cell = cell_of(capsys, tmp_path)
+    assert cell.path.length == pytest.approx(0.040) and not cell.path.file
+
+
+def test_a_program_with_several_tools_lists_each_refused_word_in_a_line(capsys):
+    assert main(["init", "--gcode", str(PROGRAMS / "haas.nc")]) == 2
+    assert "cuts with 2 tools" in capsys.readouterr().err
+
+
+def test_json_carries_the_cell_and_what_the_program_says(capsys):
+    assert main(["init", "--gcode", str(PROGRAMS / "fusion_haas.nc"), "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert yaml.safe_load(answer["cell"])["/**"]["ros__parameters"]["tool"]["diameter_mm"] == 10.0
+    assert answer["program"]["work_offset"] == "G54"
+
+
+# --- keys ---
+
+
+def leaves(record: type[Record]) -> int:
+    return sum(leaves(s.kind) if issubclass(s.kind, Record) else 1 for s in specs(record))
+
+
+def test_every_parameter_has_a_key_with_a_meaning():
+    result = keys_of()
+    names = {key["key"] for key in result}
+    assert len(result) == leaves(Cell) == len(names)
+    assert all(key["text"] or key["choices"] for key in result)
+    shipped = flatten(read_cell(TEST_PIECE.with_suffix(".yaml")))
+    rest = names - set(shipped)
+    assert set(shipped) < names and all(key.startswith("cutting.fractional") for key in rest)
+
+
+def test_bounds_and_defaults_are_in_the_unit_of_the_key(capsys):
+    assert main(["keys", "timing", "--json"]) == 0
+    rows = {row["key"]: row for row in json.loads(capsys.readouterr().out)["keys"]}
+    step = rows["timing.controller_step_ms"]
+    assert (step["unit"], step["low"], step["high"], step["default"], step["required"]) == ("ms", 1, 1000, 50, False)
+
+
+def test_the_table_of_a_section_names_its_keys_whole(capsys):
+    assert main(["keys", "cutting.linear_edge"]) == 0
+    out = capsys.readouterr().out
+    assert "cutting.linear_edge.tangential_cutting_n_per_mm2" in out and "K_tc" in out
+
+
+def test_an_unknown_section_is_refused_with_the_known_ones(capsys):
+    assert main(["keys", "tols"]) == 2
+    assert "known are arm" in capsys.readouterr().err

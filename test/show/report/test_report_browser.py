@@ -1,0 +1,245 @@
+"""The report in a real browser: no error, no request, nothing cut off, and one place marked in all pictures."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from browser import Visit, browser
+from milled_part import POCKET, small_cell
+
+from kr270_milling.base.frames import Pose
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.jobs import ScoredPass, commanded_joints, compensated, simulate
+from kr270_milling.physics.robot import pose
+from kr270_milling.show.report import write_report
+
+WORDS = dict(source="cell.yaml", command="kr270_milling demo", date="2026-01-02")
+#: where each picture marks the place, in its own coordinates, and where the data say that station k is
+MARKS = """() => {
+  const L = KR.data.linked, k = KR.place, way = document.querySelector("input[name=axis]:checked").value === "way";
+  const found = {};
+  for (const id of ["before", "after", "difference"]) {
+    const gd = document.getElementById("map_" + id);
+    if (gd) found[id] = [gd.layout.shapes[1].xanchor - L.x[k], gd.layout.shapes[1].yanchor - L.y[k]];
+  }
+  const gd = document.getElementById("series");
+  found.series = [gd.layout.shapes[0].x0 - (way ? L.way : L.time)[k], gd.layout.shapes[0].x1 - gd.layout.shapes[0].x0];
+  const part = document.getElementById("part");
+  if (part.drawn && KR.seen("part")) {
+    const here = part.data[part.data.length - 1];
+    found.part = [here.x[0] - L.x[k], here.y[0] - L.y[k], here.z[0] - L.z[k]];
+  }
+  const line = document.querySelector("#source li.here");
+  if (line) found.source = [Number(line.dataset.n) - L.line[k]];
+  found.slider = [Number(document.getElementById("slider").value) - k];
+  return found;
+}"""
+
+
+@pytest.fixture(scope="module")
+def running():
+    with browser() as found:
+        yield found
+
+
+class Shown(NamedTuple):
+    """A report in the browser, everything on it drawn."""
+
+    cell: Cell
+    passes: list[ScoredPass]
+    visit: Visit
+
+
+def shown(running, directory, cell: Cell, methods, width: int, **words) -> Shown:
+    """The report of a pass and its compensations; solids are drawn small, since here the processor draws them."""
+    original = simulate(cell)
+    passes = [original, *(compensated(cell, original, method) for method in methods)]
+    visit = Visit(running, write_report(directory, cell, passes, **WORDS, **words).as_uri(), width, touch=width < 600)
+    visit.page.add_style_tag(content=".plot.robot, .plot.part { height: 150px !important; }")
+    visit.ask("KR.drawEverything()")
+    return Shown(cell, passes, visit)
+
+
+@pytest.fixture(scope="module")
+def part(running, tmp_path_factory):
+    directory = tmp_path_factory.mktemp("part")
+    cell = small_cell(directory, POCKET, "part.tolerance_um=30")
+    found = shown(running, directory, cell, ("linear", "spline"), 1400, title="A part")
+    yield found
+    found.visit.close()
+
+
+@pytest.fixture(scope="module")
+def visit(part):
+    return part.visit
+
+
+@pytest.fixture(scope="module")
+def phone(running, tmp_path_factory):
+    cell = read_cell(find_file("paper.yaml"), ["path.length_mm=20.0", "stock.grid_step_um=40.0"])
+    words = dict(title="The paper", paper=True)
+    found = shown(running, tmp_path_factory.mktemp("demo"), cell, ("linear",), 390, **words)
+    yield found.visit
+    found.visit.close()
+
+
+def settled(visit) -> dict:
+    """The marks, when no late event of the pointer has moved the place for two frames."""
+    return visit.ask(
+        f"""async () => {{
+          const frame = () => new Promise((done) => requestAnimationFrame(done));
+          for (let k; k !== KR.place;) {{ k = KR.place; await frame(); await frame(); }}
+          return ({MARKS})();
+        }}"""
+    )
+
+
+def agrees(visit) -> None:
+    for name, differences in settled(visit).items():
+        assert np.abs(differences).max() < 1e-4, name
+
+
+def test_the_page_says_nothing_asks_for_nothing_and_starts_at_the_worst_place(visit):
+    assert visit.complaints == [] and visit.requests == [visit.page.url]
+    here = visit.ask("() => KR.data.linked.passes[KR.shownPass()].side[KR.place]")
+    sides = visit.ask("""() => { const p = KR.data.linked.passes[KR.shownPass()], s = KR.data.linked.scored;
+                              return Math.max(...[...p.side].map((v, i) => s[i] ? Math.abs(v) : 0)); }""")
+    assert abs(here) == sides
+    agrees(visit)
+
+
+def test_hovering_a_map_and_a_curve_moves_the_mark_everywhere(visit):
+    for picture, trace in (("map_before", 1), ("series", 0)):
+        visit.ask("KR.go(0)")
+        visit.page.locator(f"#{picture}").scroll_into_view_if_needed()
+        place = visit.ask(
+            """([id, n]) => { const gd = document.getElementById(id), t = gd.data[n], a = gd._fullLayout;
+               const k = Math.floor(t.x.length * 0.4), box = gd.getBoundingClientRect();
+               return [box.left + a.xaxis._offset + a.xaxis.d2p(t.x[k]),
+                       box.top + a.yaxis._offset + a.yaxis.d2p(t.y[k] ?? 0), t.customdata[k]]; }""",
+            [picture, trace],
+        )
+        visit.page.mouse.move(place[0] - 30, place[1])
+        visit.page.mouse.move(place[0], place[1], steps=4)
+        visit.page.wait_for_function(  # within 3 mm, the resolution of a pointer; places on the way there come before
+            """(k) => { const L = KR.data.linked, n = KR.place;
+                        return n > 0 && Math.hypot(L.x[k] - L.x[n], L.y[k] - L.y[n]) < 3; }""",
+            arg=place[2],
+        )
+        agrees(visit)
+
+
+def test_what_was_off_the_screen_catches_up_when_it_comes_there(visit):
+    visit.ask("() => { scrollTo(0, 0); KR.go(200); }")
+    visit.page.locator("#part").scroll_into_view_if_needed()
+    visit.page.wait_for_function(
+        """() => { const d = document.getElementById("part").data, L = KR.data.linked;
+                   return KR.place === 200 && d[d.length - 1].x[0] === L.x[200]; }"""
+    )
+    agrees(visit)
+
+
+def test_keys_slider_and_findings_step_through_the_path(visit):
+    visit.ask("KR.go(40)")
+    visit.page.locator("body").focus()
+    visit.page.keyboard.press("ArrowRight")
+    visit.page.keyboard.press("Shift+ArrowRight")
+    assert visit.ask("KR.place") == 51
+    visit.page.keyboard.press("ArrowLeft")
+    agrees(visit)
+    visit.page.locator("#slider").focus()
+    visit.page.keyboard.press("End")
+    assert visit.ask("KR.place") == visit.ask("KR.data.linked.time.length - 1")
+    visit.page.locator("#worst").click()
+    assert visit.ask("KR.place") == visit.ask("KR.worst(KR.shownPass())")
+    visit.page.locator("#source li").nth(5).click()
+    assert visit.ask("KR.data.linked.line[KR.place]") == 6
+    agrees(visit)
+
+
+def test_playing_runs_along_the_path_and_stops_at_its_end(visit):
+    visit.ask("KR.go(KR.data.linked.time.length - 5)")
+    visit.page.locator("#play").click()
+    visit.page.wait_for_function("KR.place === KR.data.linked.time.length - 1")
+    visit.page.wait_for_function("document.getElementById('play').getAttribute('aria-pressed') === 'false'")
+    agrees(visit)
+
+
+def test_the_switches_change_scale_axis_and_pass(visit):
+    ends = (
+        "() => ['before', 'after', 'difference'].map((id) => document.getElementById('map_' + id).data[1].marker.cmax)"
+    )
+    own = visit.ask(ends)
+    assert len(set(own)) == 3
+    visit.page.get_by_label("one for all").check()
+    assert len(set(visit.ask(ends))) == 1 and visit.ask(ends)[0] == max(own)
+    visit.page.get_by_label("time", exact=True).check()
+    assert "time" in visit.ask("() => document.getElementById('series').layout.xaxis.title.text")
+    agrees(visit)
+    visit.page.locator("#pass").select_option(label="linear")
+    visit.page.wait_for_function("document.getElementById('map_after_title').textContent.startsWith('linear')")
+    visit.page.get_by_label("each its own").check()
+    visit.page.get_by_label("way", exact=True).check()
+    assert visit.complaints == []
+
+
+def test_the_robot_holds_the_tool_where_it_is_commanded(visit, part):
+    cell, passes, _ = part
+    model = visit.ask("() => KR.data.robot.pass_name")
+    reference = next(p for p in passes if p.name == model).reference
+    for station in (0, 700):
+        station = min(station, visit.ask("KR.data.linked.time.length") - 1)
+        stamp = round(visit.ask("(k) => KR.data.linked.time[k]", station) * 1e9)
+        tool = np.array(visit.ask("(k) => KR.toolAt(k)", station))
+        expected = (cell.workpiece.pose @ Pose(reference.sample(stamp), np.eye(3))).position
+        assert np.linalg.norm(tool - expected) < 2e-3  # [m]: postures in between are interpolated
+    first = pose(cell.arm, cell.mount, commanded_joints(cell, reference)[0]).position
+    np.testing.assert_allclose(visit.ask("() => KR.toolAt(0)"), first, atol=1e-5)
+
+
+def test_tolerance_and_largest_values_are_marked(visit):
+    shapes = visit.ask(
+        "() => document.getElementById('series').layout.shapes.filter((s) => s.line.dash === 'dash').map((s) => s.y0)"
+    )
+    assert sorted(set(np.round(shapes, 3))) == [-30.0, 30.0]
+    marked = visit.ask(
+        "() => document.getElementById('series').data.filter((t) => t.mode === 'markers+text').map((t) => t.y[0])"
+    )
+    assert len(marked) == 3
+
+
+def look(visit, width: int, dark: bool, height: int = 900) -> None:
+    """The page on a screen of this size: every picture in its colours, nothing wider than the screen."""
+    visit.page.emulate_media(color_scheme="dark" if dark else "light")
+    visit.page.set_viewport_size({"width": width, "height": height})
+    visit.page.wait_for_function(
+        """([wide, ink]) => { const s = document.getElementById('series')._fullLayout;
+                              return s.width <= wide && s.width > 0.6 * wide && s.font.color === ink; }""",
+        arg=[width, "#e8ecf0" if dark else "#1d2329"],
+    )
+    assert visit.settled_overhang() <= 0.5
+    back = visit.ask("() => getComputedStyle(document.body).backgroundColor")
+    assert (sum(map(int, back[4:-1].split(","))) < 200) == dark
+    assert visit.complaints == [] and len(visit.requests) == 1
+
+
+def test_nothing_is_wider_than_the_screen_in_light_and_dark(visit):
+    for width, dark in ((1400, True), (390, True), (820, False)):
+        look(visit, width, dark)
+    assert visit.ask(
+        """() => [...document.querySelectorAll('[role=img]')]
+                 .every((e) => (e.getAttribute('aria-label') || '').length > 20)"""
+    )
+
+
+def test_a_phone_opened_turned_and_a_page_printed(phone):
+    look(phone, 390, False)
+    look(phone, 844, True, 390)
+    phone.page.emulate_media(media="print", color_scheme="dark")
+    phone.ask("dispatchEvent(new Event('beforeprint'))")
+    assert phone.ask("() => document.getElementById('series').layout.font.color") == "#000"
+    assert phone.ask("() => [...document.querySelectorAll('.chart')].every((e) => e.drawn)")
+    assert phone.settled_overhang() <= 0.5

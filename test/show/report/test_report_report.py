@@ -1,0 +1,235 @@
+"""report: the page as a whole, for short passes of the paper's cell and of others."""
+
+from __future__ import annotations
+
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from cuttings import SET_ALUMINIUM
+from milled_part import POCKET, RIGID, small_cell
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.record import find_file, flatten
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
+from kr270_milling.decide.findings import Finding, Place
+from kr270_milling.show.report import ReportTable, write_report
+from kr270_milling.show.report.assumptions import assumptions, mode_frequencies
+from kr270_milling.show.report.decision_block import Answer, DecisionBlock
+from kr270_milling.show.report.page.page import plotly_script
+from kr270_milling.show.report.tables import fixed
+
+SHORT = ["path.length_mm=12.0", "stock.grid_step_um=40.0"]
+WORDS = dict(title="A pass", source="/elsewhere/some one/paper.yaml", command="kr270_milling demo", date="2025-01-02")
+VOID = {"meta", "br", "img", "link", "hr", "input"}
+MOST = 6_000_000  # [bytes] of a page
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, and whether every one is closed in turn."""
+
+    def __init__(self, text: str):
+        super().__init__()
+        self.tags, self.open, self.texts, self.scripts = [], [], [], []
+        self.feed(text.replace(str(plotly_script()), ""))
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        inside = self.open[-1] if self.open else ""
+        {"script": self.scripts, "style": []}.get(inside, self.texts).append(data)
+
+
+def text_of(path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return read_cell(find_file("paper.yaml"), SHORT)
+
+
+@pytest.fixture(scope="module")
+def passes(cell):
+    original = simulate(cell)
+    return [original, *(compensated(cell, original, m) for m in ("linear", "spline"))]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory, cell, passes):
+    path = write_report(tmp_path_factory.mktemp("report"), cell, passes, paper=True, **WORDS)
+    return path, text_of(path)
+
+
+@pytest.fixture(scope="module")
+def part_page(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("part")
+    cell = small_cell(directory, POCKET, "part.tolerance_um=30")
+    original = simulate(cell)
+    passes = [original, compensated(cell, original, "spline")]
+    return cell, passes, text_of(write_report(directory, cell, passes, **WORDS))
+
+
+def test_the_page_is_well_formed_small_and_needs_nothing_from_elsewhere(written):
+    page = Page(written[1])
+    assert not page.open
+    assert len(written[1].encode()) < MOST
+    names = {tag for tag, _ in page.tags}
+    assert not names & {"link", "iframe", "object", "embed", "img", "base"}
+    for tag, attributes in page.tags:
+        assert not {"src", "href", "action"} & set(attributes), (tag, attributes)
+        assert not any(key.startswith("on") for key in attributes)
+    assert "default-src 'none'" in str(page.tags)
+    assert sum(tag == "script" for tag, _ in page.tags) == 3  # data, plotly, our own
+
+
+def test_no_path_of_this_machine_and_one_kind_of_minus_sign_in_the_texts(written, part_page):
+    for text in (written[1], part_page[2]):
+        page = Page(text)
+        assert "/elsewhere" not in "".join(page.texts) and "some one" not in "".join(page.texts)
+        assert "/tmp" not in "".join(page.texts)
+        assert not [t for t in page.texts if re.search(r"(^|[ \[(])-\d", t)]
+
+
+def test_every_id_is_there_once_and_every_id_that_a_script_asks_for_exists(written):
+    page = Page(written[1])
+    ids = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    own = page.scripts[-1]
+    for wanted in re.findall(r'KR\.by\("(\w+)"\)', own):
+        assert wanted in ids or wanted == "source", wanted
+
+
+def test_the_scores_stand_in_the_page_as_they_were_given(written, passes):
+    for one in passes:
+        s = one.scores
+        for value, digits in ((s.static_deviation * 1e6, 2), (s.max_deviation * 1e6, 2), (s.ringing_damping, 3)):
+            assert f"<td>{fixed(value, digits)}</td>" in written[1]
+
+
+def test_the_papers_column_is_there_only_for_the_paper(tmp_path, cell, passes, written):
+    for number in ("58.10", "63.20", "0.14", "4.70", "6.70"):
+        assert f'<td class="paper">{number}</td>' in written[1]
+    other = text_of(write_report(tmp_path, cell, passes, **WORDS))
+    assert 'class="paper"' not in other and "paper: Fig." not in other and "Table 2" not in other
+
+
+def test_the_figures_of_the_paper_are_there(written):
+    for figure in ("Fig. 3", "Fig. 11", "Fig. 12", "Fig. 13", "Fig. 14", "Fig. 15"):
+        assert f"(paper: {figure}" in written[1]
+
+
+def test_the_whole_configuration_is_listed(written, cell):
+    page = Page(written[1])
+    for key in flatten(cell):
+        assert key in page.texts
+
+
+def test_texts_from_files_are_escaped(tmp_path, cell, passes):
+    bad = "<script>alert(1)</script>\"'&"
+    hostile_cell = cell.replace(arm=cell.arm.replace(name=bad))
+    first = passes[0]
+    hostile = [ScoredPass(bad, first.reference, first.result, first.scores), passes[1]]
+    row = Finding("stop", bad, Place(3, 1, bad), 1.0, 1.0, bad, bad, bad)
+    decision = DecisionBlock(Answer(False, bad), None, False, bad, bad, bad, (row,))
+    words = dict(title=bad, source=bad, command=bad, date=bad, decision=decision)
+    text = text_of(write_report(tmp_path, hostile_cell, hostile, paper=True, **words))
+    page = Page(text)
+    assert sum(tag == "script" for tag, _ in page.tags) == 3 and not page.open
+    assert page.texts.count(bad) >= 6  # title twice, command, date, tiles
+    assert json.loads(page.scripts[0])["robot"]["name"] == bad
+
+
+def test_the_decision_leads_the_page(tmp_path, cell, passes):
+    finding = Finding(
+        "warning", "correction per tick", Place(12, 7, "ring"), 31.0, 30.0, "um", "Feed slower.", "it is 31 um", 3
+    )
+    decision = DecisionBlock(
+        as_programmed=Answer(False, "40 µm, 30 allowed"), compensated=Answer(True, "2 µm"), may_be_run=True,
+        recommended_method="spline", verdict="helps (1 to 3 um)", stability="stable", findings=(finding,),
+    )  # fmt: skip
+    table = ReportTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00")))
+    text = text_of(write_report(tmp_path, cell, passes, decision=decision, tables=[table], **WORDS))
+    page = Page(text)
+    order = ["fails", "40 µm, 30 allowed", "passes", "yes", "spline", "helps", "1 to 3 µm", "stable"]
+    order += ["Another table", "warning", "Feed slower.", "ring, line 7, XP12"]
+    places = [page.texts.index(word) for word in order]
+    assert places == sorted(places)
+    assert "\u22121.5" in page.texts and "0.00" in page.texts and "other-2" in page.texts
+    assert 'data-point="12"' in text and "it is 31 µm" in text and "3 places" in text
+
+
+def test_a_report_without_a_pass_is_refused(tmp_path, cell):
+    with pytest.raises(InputError):
+        write_report(tmp_path, cell, [], **WORDS)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        ["path.length_mm=0.1"],  # three exchange periods, never engaged
+        ["path.start_mm=[-30.0, 0.0]", "path.length_mm=5.0"],  # in the air: no force at all
+        ["path.start_mm=[-10.0, -10.0]", "path.length_mm=15.0", "stock.min_mm=[0.0, -10.0, -10.0]"],  # one wall
+        ["tool.teeth=3", "tool.rotation=counterclockwise", *SET_ALUMINIUM, "path.length_mm=11.0"],
+        ["dynamics.mass_model=consistent", "dynamics.damping_ratio=0.03", "path.length_mm=11.0"],
+    ],
+)
+def test_passes_of_other_cells_are_reported_without_complaint(tmp_path, changes):
+    other = read_cell(find_file("paper.yaml"), ["stock.grid_step_um=50.0", *changes])
+    data = json.loads(Page(text_of(write_report(tmp_path, other, [simulate(other)], **WORDS))).scripts[0])
+    profile = [chart for chart in data["charts"] if chart["name"] == "machined_profile"]
+    walls = [panel["title"] for chart in profile for panel in chart["panels"]]
+    if changes[0] == "path.start_mm=[-10.0, -10.0]":
+        assert walls == ["left wall"]  # no material is left to the right
+
+
+def test_a_part_shows_its_features_its_source_and_its_tolerance(part_page):
+    cell, _, text = part_page
+    page = Page(text)
+    data = json.loads(page.scripts[0])
+    assert "ring" in page.texts and "Feature by feature" in page.texts
+    assert data["tolerance_um"] == pytest.approx([30.0, 30.0])
+    assert data["linked"]["source"][2]["text"] == "G0 X-28 Y8 Z2"
+    assert data["linked"]["source_name"] == "path.nc"
+
+
+def test_a_part_without_any_error_is_reported_too(tmp_path):
+    cell = small_cell(tmp_path, POCKET, RIGID)
+    text = text_of(write_report(tmp_path, cell, [simulate(cell)], **WORDS))
+    assert np.isfinite(len(text)) and 'id="map_after"' in text
+
+
+def test_the_assumption_table_quotes_this_cell_and_the_derived_numbers(cell):
+    rows = {a.point: a for a in assumptions(cell, paper=True)}
+    # facts: one tooth at full chip feels 133.3 N per mm in our reading, 7.4 kN to the letter
+    assert "133.3 N" in rows["reading of (26)"].value
+    assert "7.4 kN" in rows["reading of (26)"].reason
+    assert "533.3 Hz" in rows["tooth passing frequency"].value
+    assert "0.150 s" in rows["radial engagement"].value
+    modes = mode_frequencies(cell)
+    assert modes["lumped"][0] == pytest.approx(6.69, abs=0.02)  # sqrt(1 / (0.717 um/N 790.4 kg)) / 2 pi
+    assert 11.0 < modes["consistent"][0] < 14.0
+    for hertz in (modes["lumped"][0], modes["consistent"][0]):
+        assert f"{hertz:.2f}" in rows["mass model"].value
+
+
+def test_assumptions_about_the_papers_text_are_left_out_for_another_cell(cell):
+    linear = read_cell(find_file("paper.yaml"), [*SET_ALUMINIUM, *SHORT])
+    points = {a.point for a in assumptions(linear, paper=False)}
+    assert "mass model" in points
+    assert not points & {"depth of cut a_p", "damping ratio", "arm variant", "reading of (26)"}
+
+
+def test_a_rounded_zero_has_no_sign_and_a_missing_number_is_a_dash():
+    assert fixed(-0.001, 2) == "0.00"
+    assert fixed(-0.09, 2) == "−" + "0.09"
+    assert fixed(np.nan, 2) == "–"

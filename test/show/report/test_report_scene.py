@@ -1,0 +1,125 @@
+"""messages.scene: what viewers are given follows from the topics of the graph."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pass_recording as made
+import pytest
+
+from kr270_milling.base.frames import rotation_from_quaternion
+from kr270_milling.base.samples import JointSample, Text
+from kr270_milling.exchange.scene import INPUTS, OUTPUTS, PERIOD_NS, Scene
+from kr270_milling.physics.robot import forward
+from kr270_milling.physics.robot.urdf import urdf
+from kr270_milling.recordings.messages.codec import deserialise, to_bytes
+
+pytestmark = made.needs_messages
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return made.cell_of("linear", 1)
+
+
+def described(cell) -> bytes:
+    return to_bytes(Text(urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose)))
+
+
+def placed(cell, joints) -> dict[str, np.ndarray]:
+    """Every frame on base_link, by chaining the transforms that a viewer gets."""
+    scene = Scene()
+    result = list(scene.take("robot_description", described(cell)))
+    result += scene.take("joint_states", to_bytes(JointSample(0, tuple(f"joint_a{i}" for i in range(1, 7)), joints)))
+    frames = {"base_link": np.eye(4)}
+    waiting = [t for one in result for t in deserialise(one.type, one.data).transforms]
+    while waiting:
+        one = waiting.pop(0)
+        if one.header.frame_id not in frames:
+            waiting.append(one)
+            continue
+        t, r = one.transform.translation, one.transform.rotation
+        step = np.eye(4)
+        step[:3, :3] = rotation_from_quaternion(np.array([r.x, r.y, r.z, r.w]))
+        step[:3, 3] = t.x, t.y, t.z
+        frames[one.child_frame_id] = frames[one.header.frame_id] @ step
+    return frames
+
+
+def test_the_transforms_put_every_frame_where_the_kinematics_does(cell):
+    for joints in np.random.default_rng(5).uniform(-1.2, 1.2, (4, 6)):
+        frames, ours = placed(cell, joints), forward(cell.arm, cell.mount, joints)
+        for name, pose in (("flange", ours.flange), ("tool0", ours.tool), ("workpiece", cell.workpiece.pose)):
+            np.testing.assert_allclose(frames[name][:3, 3], pose.position, atol=1e-8)
+            np.testing.assert_allclose(frames[name][:3, :3], pose.rotation, atol=1e-8)
+
+
+def run(messages, scene):
+    result = []
+    for message in messages:
+        if message.topic in INPUTS:
+            result += scene.take(message.topic, message.data)
+    return result
+
+
+def test_a_pass_gives_markers_thinned_to_30_hz_with_path_and_force(cell):
+    scene = Scene()
+    list(scene.take("robot_description", described(cell)))
+    result = run(made.one_pass(), scene)
+    assert {one.topic for one in result} <= set(OUTPUTS)
+    for topic in ("/markers", "/tf"):
+        stamps = np.array([one.stamp_ns for one in result if one.topic == topic])
+        assert stamps.size and np.all(np.diff(stamps) >= PERIOD_NS)
+    last = deserialise(
+        "visualization_msgs/msg/MarkerArray", [one for one in result if one.topic == "/markers"][-1].data
+    )
+    named = {marker.ns: marker for marker in last.markers}
+    assert set(named) <= {"path", "removed", "force"} and "force" in named
+    for marker in last.markers:
+        assert marker.header.frame_id == "workpiece" and marker.pose.orientation.w == 1.0
+
+
+def test_a_long_path_stays_small_and_is_coloured_by_its_error(cell):
+    from kr270_milling.base.samples import PoseSample
+
+    scene, target = Scene(), cell.target()
+    list(scene.take("target_trajectory", to_bytes(target)))
+    shift, upright = np.array([0.0, 200e-6, 0.0]), np.array([0.0, 0.0, 0.0, 1.0])
+    for k in range(450):
+        stamp = k * 40_000_000
+        position = target.sample(stamp) + (shift if k > 225 else 0.0)
+        result = list(scene.take("tool_pose", to_bytes(PoseSample(stamp, "workpiece", position, upright))))
+    (markers,) = (deserialise(one.type, one.data).markers for one in result)
+    (path,) = (marker for marker in markers if marker.ns == "path")
+    assert 100 <= len(path.points) <= 200 and len(path.colors) == len(path.points)
+    assert path.colors[0].r < 0.1 and path.colors[-1].r > 0.85  # from no error to the end of the scale
+
+
+def test_the_recorder_imports_neither_the_report_nor_jinja2():
+    pytest.importorskip("rclpy")
+    code = (
+        "import sys, kr270_milling.live.nodes.recorder\n"
+        "wrong = {name for name in sys.modules if name.startswith(('jinja2', 'plotly', 'kr270_milling.show.report'))}\n"
+        "assert not wrong, wrong"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert ran.returncode == 0, ran.stderr
+
+
+def test_a_message_that_is_none_is_refused(cell):
+    with pytest.raises(ValueError, match="CDR|not"):
+        list(Scene().take("robot_description", b"noise"))
+
+
+@pytest.mark.parametrize(
+    "text", ["<robot/>", "<robot", "", "<robot><joint/></robot>", "<robot><link name='a'/></robot>"]
+)
+def test_a_description_of_something_else_gives_no_moving_frames_and_no_crash(text):
+    scene = Scene()
+    try:
+        result = list(scene.take("robot_description", to_bytes(Text(text))))
+    except ValueError:
+        return
+    assert not [t for one in result for t in deserialise(one.type, one.data).transforms]

@@ -1,0 +1,172 @@
+"""``identify`` as it is typed: JSON with the pinned names, refusals in one sentence, forces out of recordings."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from known_cuts import TRUE, cuts, measured
+
+from kr270_milling.cli import main
+from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.codec import serialise
+from kr270_milling.studies.identification.cuts import Sensor, mean_force
+
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+RPM, RATE = 6000.0, 2500  # 25 samples a revolution
+TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])  # A = 90 deg: sensor axes -> workpiece axes
+OFFSET = np.array([12.0, -7.0, 440.0])  # of the sensor: drift and the weight on it [N], sensor axes
+
+
+def answer(capsys, *words) -> dict:
+    assert main([*map(str, words), "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def refused(capsys, *words) -> str:
+    assert main([*map(str, words)]) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.count("\n") == 1
+    return err
+
+
+def sensor_recording(directory, force) -> None:
+    """A dynamometer under the part: 0.3 s idle, 0.5 s of a cut with four teeth's ripple, 1 % of noise."""
+    rng = np.random.default_rng(3)
+    with BagWriter(directory) as writer:
+        writer.add_topic("/plate/wrench", WRENCH, [{}])
+        for k in range(int(0.8 * RATE)):
+            t = k / RATE
+            ripple = 1 + 0.4 * math.sin(4 * 2 * math.pi * RPM / 60 * t)
+            felt = -(force * ripple if t >= 0.3 else 0.0 * force)
+            shown = TURN.T @ felt + OFFSET + rng.normal(size=3)
+            stamp = {"sec": 100 + int(t), "nanosec": round((t - int(t)) * 1e9)}
+            vector = dict(zip("xyz", shown.tolist(), strict=True))
+            fields = {"header": {"stamp": stamp, "frame_id": "plate"}, "wrench": {"force": vector}}
+            writer.write("/plate/wrench", serialise(WRENCH, fields), 10**9 + k)
+
+
+def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path, capsys):
+    """Tare from the idle stretch, axes turned by A = 90 deg, signs of the part."""
+    some = measured(cuts(feeds=(0.05e-3, 0.1e-3, 0.2e-3)))
+    rows = ["feed_per_tooth_mm,depth_mm,width_mm,mode,recording,start_s,stop_s"]
+    for i, (feed, force) in enumerate(zip(some.feed_per_tooth, some.force, strict=True)):
+        sensor_recording(tmp_path / f"cut_{i}", force)
+        rows.append(f"{1e3 * feed},1,20,slot,cut_{i},0.35,0.75")
+    (tmp_path / "cuts.csv").write_text("\n".join(rows) + "\n")
+    result = answer(
+        capsys, "identify", "forces", tmp_path / "cuts.csv", "--teeth", 4, "--diameter-mm", 20, "--topic", "wrench",
+        "--spindle-speed-rpm", RPM, "--tare", "0:0.25", "--sensor-abc", "90,0,0", "--sensor-on", "part",
+    )  # fmt: skip
+    keys = ("k_tc_n_per_mm2", "k_te_n_per_mm", "k_rc_n_per_mm2", "k_re_n_per_mm", "k_ac_n_per_mm2", "k_ae_n_per_mm")
+    for key, true in zip(keys, TRUE / [1e6, 1e3, 1e6, 1e3, 1e6, 1e3], strict=True):
+        assert abs(result[key] - true) < 2 * result["ci95"][key]
+    assert result["ci95"]["k_tc_n_per_mm2"] < 0.02 * result["k_tc_n_per_mm2"]
+
+
+@pytest.mark.parametrize("on_part", [False, True])
+def test_the_weight_on_a_sensor_is_taken_off_where_there_is_no_tare(tmp_path, on_part):
+    """20 kg hang on it: 196.133 N down, which a plate under the part feels as a force on the part."""
+    force, sign = np.array([10.0, 40.0, -15.0]), -1.0 if on_part else 1.0
+    with BagWriter(tmp_path / "cut") as writer:
+        writer.add_topic("/wrench", WRENCH, [{}])
+        for k in range(250):
+            shown = sign * force + [0.0, 0.0, -196.133]
+            stamp = {"sec": 0, "nanosec": k * 400_000}
+            fields = {"header": {"stamp": stamp}, "wrench": {"force": dict(zip("xyz", shown.tolist(), strict=True))}}
+            writer.write("/wrench", serialise(WRENCH, fields), k)
+    sensor = Sensor(on_part=on_part, mass=20.0)
+    result, _ = mean_force(tmp_path / "cut", sensor, (0.02, 0.08), RPM * 2 * math.pi / 60)
+    assert result == pytest.approx(force, abs=1e-3)
+
+
+def test_a_cut_that_the_recording_does_not_hold_is_refused(tmp_path, capsys):
+    sensor_recording(tmp_path / "cut", np.array([10.0, 20.0, 5.0]))
+    table = tmp_path / "cuts.csv"
+    words = ("identify", "forces", table, "--teeth", "4", "--diameter-mm", "20", "--spindle-speed-rpm", RPM)
+    head = "feed_per_tooth_mm,depth_mm,mode,recording,start_s,stop_s\n"
+    table.write_text(f"{head}0.1,1,slot,cut,0.6,1.8\n")
+    assert "it lasts 0.7996 s" in refused(capsys, *words)
+    table.write_text(f"{head}0.1,1,slot,cut,0.4,0.7\n")
+    assert "it holds /plate/wrench" in refused(capsys, *words, "--topic", "force")
+    assert "at least 2 feeds" in refused(capsys, *words)
+
+
+def test_json_of_compliance_has_the_pinned_names(capsys):
+    result = answer(
+        capsys, "identify", "compliance", "load_tests.csv", "--arm", "kr270_2.yaml", "--cell", "test_piece.yaml"
+    )
+    assert (
+        len(result["compliance_urad_per_n_m"]) == len(result["ci95_urad_per_n_m"]) == len(result["identifiable"]) == 6
+    )
+    assert all(result["identifiable"]) and 10.0 < result["residual_rms_um"] < 30.0
+    assert result["test_pose"]["share"] < 0.03
+
+
+def test_a_bare_arm_cannot_tell_joint_6_and_says_so_with_null_as_its_interval(capsys, tmp_path):
+    """Wrench and reflector at the flange's centre."""
+    rows = ["a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,fx_n,fy_n,fz_n,dx_mm,dy_mm,dz_mm"]
+    rng = np.random.default_rng(8)
+    from kr270_milling.base.record import find_file
+    from kr270_milling.physics.robot.analysis import read_arm
+    from kr270_milling.physics.robot.elastostatics import equilibrium
+
+    arm, mount = read_arm(find_file("kr270_2.yaml"))
+    for _ in range(12):
+        q = np.array([0, -80, 100, 0, 0, 0]) + rng.uniform(-40, 40, 6)
+        force = 500 * rng.normal(size=3)
+        places = [equilibrium(arm, mount, np.radians(q), w).pose.position for w in ([*force, 0, 0, 0], None)]
+        rows.append(",".join(f"{v:.12g}" for v in (*q, *force, *(1e3 * (places[0] - places[1])))))
+    (tmp_path / "bare.csv").write_text("\n".join(rows) + "\n")
+    result = answer(capsys, "identify", "compliance", tmp_path / "bare.csv", "--arm", "kr270_2.yaml")
+    assert result["identifiable"] == [True] * 5 + [False] and result["ci95_urad_per_n_m"][5] is None
+    assert result["reasons"] == ["joint 6: no load turned it"]
+    assert result["compliance_urad_per_n_m"] == pytest.approx([0.26, 0.15, 0.26, 1.79, 1.52, 2.13], rel=1e-5)
+
+
+def test_what_is_missing_is_said_in_one_sentence(capsys, tmp_path):
+    assert "needs a table of load tests" in refused(capsys, "identify", "compliance", "--arm", "kr270_2.yaml")
+    plan = ("identify", "compliance", "--arm", "kr270_2.yaml", "--plan", "6")
+    assert "--cell CELL.yaml or --at" in refused(capsys, *plan)
+    assert "needs the tool" in refused(capsys, "identify", "forces", "cuts.csv")
+    assert "no such file" in refused(capsys, "identify", "forces", "nowhere.csv", "--cell", "test_piece.yaml")
+    words = ("identify", "compliance", "load_tests.csv", "--arm", "kr270_2.yaml", "--cell", "test_piece.yaml")
+    assert "arm.compensator.stiffness_n_per_mm" in refused(capsys, *words, "--compensator", "stiffness")
+    assert "one of stiffness, preload" in refused(capsys, *words, "--compensator", "colour")
+
+
+def test_a_material_is_listed_and_written_to_be_included(capsys, tmp_path):
+    assert len(answer(capsys, "identify", "material")["materials"]) >= 6
+    words = ("identify", "material", "al7075-t6", "--row", 2, "--out", tmp_path)
+    (file,) = answer(capsys, *words)["files"]
+    cell = tmp_path / "cell.yaml"
+    cell.write_text(f'/**:\n  ros__parameters:\n    includes: ["test_piece.yaml", "{file}"]\n')
+    from kr270_milling.cell.cell import read_cell
+
+    assert read_cell(cell).cutting.linear_edge.tangential_cutting == pytest.approx(767.01e6)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("compliance", "--arm", "test_piece.yaml", "--plan", "5", "--seed", "-1"),
+        ("compliance", "--arm", "test_piece.yaml", "--plan", "100", "--postures", "2"),
+        ("compliance", "--arm", "test_piece.yaml", "--plan", "5", "--mass-kg", "0", "--pull-n", "0"),
+        ("compliance", "--arm", "test_piece.yaml", "--plan", "5", "--noise-um", "nan"),
+        ("forces", "cuts.csv", "--teeth", "0", "--diameter-mm", "20"),
+        ("forces", "cuts.csv", "--teeth", "4", "--diameter-mm", "nan"),
+        ("forces", "cuts.csv", "--cell", "test_piece.yaml", "--tare", "5:1"),
+        ("damping", "cuts.csv", "--from", "nan"),
+        ("damping", "cuts.csv", "--band", "9:3"),
+        ("material", "Al7075", "--row", "7", "--out", "nowhere"),
+    ],
+)
+def test_hostile_options_are_refused(capsys, words):
+    try:
+        code = main(["identify", *words])
+    except SystemExit as exited:  # argparse
+        code = exited.code
+    out, err = capsys.readouterr()
+    assert code == 2 and out == "" and "Traceback" not in err

@@ -1,0 +1,213 @@
+"""The engine with the real thing: a scheduler and workers as processes, some of them killed."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from slow_rows import rows_and_maker, slow_rows
+
+from kr270_milling.base.record import find_file
+from kr270_milling.cli import main
+from kr270_milling.studies.maps.engine import AHEAD, EngineError, Study, _client, run_chunks
+from kr270_milling.studies.maps.sweep import Sweep, parse_axis
+
+parquet = pytest.importorskip("pyarrow.parquet")
+distributed = pytest.importorskip("dask.distributed")
+PATIENCE = 60.0
+SHORT = ("path.length_mm=2", "stock.grid_step_um=50", "stock.max_mm=[2,12,0]")
+
+
+def until(true, what: str) -> None:
+    end = time.monotonic() + PATIENCE
+    while not true():
+        assert time.monotonic() < end, what
+        time.sleep(0.02)
+
+
+class Cluster:
+    """``dask scheduler`` and ``dask worker`` as anybody starts them."""
+
+    def __init__(self, place: Path):
+        self.place, self.workers, self.file = place, [], place / "scheduler.json"
+        self.scheduler = self.start("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", self.file)
+
+    @functools.cached_property
+    def address(self) -> str:
+        """Of the scheduler, which writes its file piece by piece."""
+        until(lambda: self.file.exists() and self.file.read_text().rstrip().endswith("}"), "no scheduler")
+        return json.loads(self.file.read_text())["address"]
+
+    def start(self, *words):
+        line = [sys.executable, "-m", "dask", *map(str, words), "--host", "127.0.0.1"]
+        path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+        with (self.place / "log").open("ab") as log:
+            # a result that a killed worker held is asked for until this time is over
+            environment = {"PYTHONPATH": path, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
+            return subprocess.Popen(line, stdout=log, stderr=log, cwd=self.place, start_new_session=True,
+                                    env=os.environ | environment)  # fmt: skip
+
+    def add_worker(self) -> subprocess.Popen:
+        words = ("worker", self.address, "--nthreads", "1", "--no-nanny", "--no-dashboard", "--local-directory")
+        self.workers.append(self.start(*words, self.place))
+        return self.workers[-1]
+
+    def stop(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    made = Cluster(tmp_path_factory.mktemp("dask"))
+    try:
+        made.add_worker(), made.add_worker()
+        yield made
+    finally:
+        made.stop()
+
+
+def rows_of(seconds: float = 0.0):
+    return functools.partial(slow_rows, seconds)
+
+
+def chunks(study: Study, count: int) -> list[bytes]:
+    return [study.chunk(number).read_bytes() for number in range(count)]
+
+
+def test_failures_are_rows_and_a_chunk_that_is_lost_is_made_again_as_it_was(cluster, tmp_path, capsys):
+    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.5,-1,0.8", "--json", "--out", str(tmp_path)]
+    words += [part for pair in SHORT for part in ("--set", pair)]
+    assert main([*words, "--scheduler", cluster.address]) == 0
+    outcome = json.loads(capsys.readouterr().out)
+    assert outcome["rows"] == 3 and outcome["failed"] == 1
+    files = sorted(tmp_path.glob("*.parquet"))
+    made = [path.read_bytes() for path in files]
+    row = parquet.read_table(files[1]).to_pylist()[0]
+    assert "path.depth_of_cut_mm" in row["error"] and row["path.depth_of_cut_mm"] == -1.0
+    files[2].unlink()
+    assert main(words) == 0  # one chunk alone: in this process
+    assert [path.read_bytes() for path in files] == made
+
+
+def test_a_short_study_needs_no_cluster_and_a_long_one_soon_has_one(tmp_path, monkeypatch):
+    def refuse(scheduler):
+        raise EngineError("a cluster")
+
+    monkeypatch.setattr("kr270_milling.studies.maps.engine._client", refuse)
+    monkeypatch.setattr("kr270_milling.studies.maps.engine._prepare", lambda rows_of: None)
+    run_chunks(Study(tmp_path / "short", {}), 50, rows_of(0.001))
+    with pytest.raises(EngineError, match="a cluster"):
+        run_chunks(Study(tmp_path / "long", {}), 5000, rows_of(0.05))
+    assert len(list((tmp_path / "long").glob("rows-*"))) == 2
+
+
+def test_no_more_chunks_are_out_than_a_few_a_worker(cluster, tmp_path, monkeypatch):
+    """What is submitted and not yet written is what the driver and the workers hold: the bound of their memory."""
+    study, out, most = Study(tmp_path / "study", {}), set(), []
+    submit, whole = distributed.Client.submit, Study.chunk
+
+    def counted(client, function, *args, key, **more):
+        if key[-1].isdigit():
+            out.add(int(key.rpartition("-")[2]))
+            most.append(len(out))
+        return submit(client, function, *args, key=key, **more)
+
+    def written(self, number):
+        out.discard(number)
+        return whole(self, number)
+
+    monkeypatch.setattr(distributed.Client, "submit", counted)
+    missing = study.missing(200)
+    monkeypatch.setattr(Study, "missing", lambda self, count: missing)
+    monkeypatch.setattr(Study, "chunk", written)
+    run_chunks(study, 200, rows_of(), cluster.address)
+    assert len(most) == 200 and max(most) <= 2 * AHEAD
+
+
+def test_no_worker_draws_the_first_chunks_to_itself(cluster, tmp_path):
+    """Where all chunks needed something that one worker held, that one made all of them in the first seconds."""
+    study = Study(tmp_path / "study", {})
+    run_chunks(study, 8, rows_and_maker, cluster.address)
+    made = chunks(study, 8)
+    assert len(set(made)) == 2 and min(map(made.count, made)) >= 2
+
+
+def test_a_killed_worker_loses_no_row(cluster, tmp_path):
+    study, count = Study(tmp_path / "study", {}), 12
+    victim = cluster.add_worker()
+    until(lambda: len(_workers(cluster)) == 3, "the third worker did not come")
+
+    def kill(done, total):
+        if done >= 2 and victim.poll() is None:
+            os.killpg(victim.pid, signal.SIGKILL)
+            victim.wait()
+
+    run_chunks(study, count, rows_of(0.05), cluster.address, kill)
+    assert victim.poll() == -signal.SIGKILL
+    assert chunks(study, count) == [f"rows of chunk {n}".encode() for n in range(count)]
+
+
+def _workers(cluster) -> dict:
+    with distributed.Client(cluster.address) as client:
+        return client.nthreads()
+
+
+#: a driver that makes nothing itself and stays where it is after four chunks
+DRIVER = """
+import sys, time
+from kr270_milling import cli
+from kr270_milling.studies.maps import engine
+
+def write(path, data, whole=engine._write_whole):
+    whole(path, data)
+    if len(list(path.parent.glob("rows-*"))) == 4:
+        time.sleep(1000)
+
+if __name__ == "__main__":
+    engine._alone, engine.SEVERAL, engine._write_whole = lambda *_: 0, 0, write
+    cli.main(sys.argv[1:])
+"""
+
+
+def test_a_killed_driver_loses_what_was_out_and_the_same_command_goes_on(cluster, tmp_path, capsys):
+    """SIGKILL, as the kernel does it where memory ends; its workers listened on the loopback alone, and end with it.
+
+    Rows of that cluster, of another scheduler's workers, and of this process alone are the same bit for bit.
+    """
+    psutil = pytest.importorskip("psutil")
+    out, script = tmp_path / "out", tmp_path / "driver.py"
+    script.write_text(DRIVER)
+    words = ["sweep", "paper.yaml", "--vary", "path.depth_of_cut_mm=0.1:1:0.1", "--json", "--out", str(out)]
+    words += [part for pair in SHORT for part in ("--set", pair)]
+    silent = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    driver = subprocess.Popen([sys.executable, str(script), *words], **silent)
+    until(lambda: len(list(out.glob("rows-*.parquet"))) == 4, "no rows")
+    processes = [psutil.Process(driver.pid), *psutil.Process(driver.pid).children(recursive=True)]
+    ports = [port for process in processes for port in process.net_connections() if port.status == psutil.CONN_LISTEN]
+    driver.kill()
+    driver.wait()
+    assert ports and {port.laddr.ip for port in ports} == {"127.0.0.1"}
+    before = {path: path.stat().st_mtime_ns for path in out.glob("rows-*.parquet")}
+    assert main([*words, "--scheduler", cluster.address]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"] == 10
+    assert {path: path.stat().st_mtime_ns for path in before} == before  # none was made again
+    plain = Sweep(str(find_file("paper.yaml").resolve()), SHORT, (parse_axis("path.depth_of_cut_mm=0.1:1:0.1"),))
+    assert chunks(Study(out, json.loads((out / "study.json").read_text())), 10) == [plain(n) for n in range(10)]
+    assert not psutil.wait_procs(processes[1:], timeout=PATIENCE)[1]
+
+
+def test_a_scheduler_that_is_not_there_is_refused_in_one_sentence(tmp_path, monkeypatch):
+    monkeypatch.setattr("kr270_milling.studies.maps.engine.ANSWER", 0.3)
+    with pytest.raises(EngineError, match="does not answer"), _client("tcp://127.0.0.1:9"):
+        pass

@@ -1,0 +1,131 @@
+"""Maps of placements: measures of a row against the arm's own functions, the best cells, real workers."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cli import main
+from kr270_milling.physics.motion.arm_model import modal_models
+from kr270_milling.physics.robot import compliance, equilibrium, pose
+from kr270_milling.physics.robot.arm import NO_COMPENSATOR, Compensator
+from kr270_milling.studies.maps.placements import Course, Placements, moved_cell
+from kr270_milling.studies.maps.postures import whole_turns
+
+pytest.importorskip("pyarrow")
+
+
+@pytest.fixture(scope="module")
+def placements() -> Placements:
+    cell = read_cell(find_file("test_piece.yaml"), ["dynamics.gravity=false"])
+    x = np.linspace(-0.04, 0.04, 5)
+    course = Course(
+        np.stack([x, 0 * x, -1e-3 + 0 * x], 1),
+        np.tile(np.diag([1.0, -1.0, -1.0]), (5, 1, 1)),
+        np.tile([1.0, 0.0, 0.0], (5, 1)),
+        np.tile([-40.0, 150.0, 5.0], (5, 1)),
+    )
+    axes = (np.array([1.4, 1.5]), np.array([-0.1, 0.1]), np.array([0.8]), np.radians([0.0, 20.0]),
+            np.radians([-30.0, 0.0]))  # fmt: skip
+    return Placements(cell, course, axes)
+
+
+def test_a_feasible_row_is_what_finite_differences_of_the_arm_give(placements):
+    chosen = placements.placements(0, len(placements))
+    rows = placements.rows(chosen)
+    number, branch = np.argwhere(rows["feasible"])[3]
+    x, y, z, turn, tool_turn = chosen[number]
+    row = {"x_mm": 1e3 * x, "y_mm": 1e3 * y, "z_mm": 1e3 * z, "turn_deg": np.degrees(turn),
+           "tool_turn_deg": np.degrees(tool_turn), "branch": branch}  # fmt: skip
+    moved = moved_cell(placements.cell, placements.course, row)
+    place = moved["workpiece"]
+    settings = [f"workpiece.xyz_mm={place['xyz_mm']}", f"workpiece.abc_deg={place['abc_deg']}"]
+    settings += [f"mount.abc_deg={moved['mount']['abc_deg']}", f"posture_hint_deg={moved['posture_deg']}"]
+    cell = read_cell(find_file("test_piece.yaml"), settings)
+    quaternion = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))  # the tool down
+    q = cell.joints_at(placements.course.position, quaternion)  # independent: the path of the cell itself
+    across = []
+    for joints in q:
+        step = 1e-6
+        here = pose(cell.arm, cell.mount, joints).position
+        turned = [(pose(cell.arm, cell.mount, joints + step * e).position - here) / step for e in np.eye(6)]
+        turned = np.stack(turned, axis=1)
+        force = cell.workpiece.pose.rotation @ placements.course.force[0]
+        way = turned @ (cell.arm.joint_compliance * (turned.T @ force))
+        feed = cell.workpiece.pose.rotation[:, 0]
+        across.append(np.linalg.norm(way - way @ feed * feed))
+    assert rows["error_max_um"][number, branch] == pytest.approx(1e6 * max(across), rel=1e-4)
+    assert rows["error_mean_um"][number, branch] == pytest.approx(1e6 * np.mean(across), rel=1e-4)
+
+
+def test_of_the_whole_turns_within_the_limits_the_most_central_are_taken():
+    """175 deg is 360 deg more than -185 deg, the limit; a run over the seam has no jump."""
+    limits = np.radians([185.0] * 6)
+    q = np.radians([[-184.9, 170.0, -170.0, 0.0, 200.0, 350.0], [-184.5, -179.0, 176.0, 1.0, 201.0, 351.0]])
+    assert whole_turns(q, -limits, limits)
+    expected = [[175.1, 170.0, -170.0, 0.0, -160.0, -10.0], [175.5, 181.0, -184.0, 1.0, -159.0, -9.0]]
+    assert np.degrees(q) == pytest.approx(np.array(expected))
+    q[0, 0] -= np.radians(20.0)
+    assert whole_turns(q, -limits, limits)
+    q[0, 2] += np.radians(20.0)
+    q[1, 2] -= np.radians(2.0)  # from -150 to -186 deg, or from 210 to 174 deg
+    assert not whole_turns(q, -limits, limits)
+
+
+def test_a_place_out_of_reach_is_infeasible_and_says_nothing_of_errors(placements):
+    rows = placements.rows(np.array([[9.0, 0.0, 0.8, 0.0, 0.0]]))
+    assert not rows["feasible"].any() and not rows["reachable"].any() and np.isnan(rows["error_max_um"]).all()
+
+
+def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placements):
+    """Against the equilibrium with weights and compensator, and the modal model of the cell.
+
+    A stiff spring, made so long that it pulls nothing there: else its own pull would bend the arm.
+    """
+    names = ("x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg")
+    place = dict(zip(names, (1500.0, 0.0, 800.0, 0.0, 0.0), strict=True))
+    whole = placements.course
+    course = Course(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
+    spring = Compensator(stiffness=20e6, base_x=-0.69, base_z=0.12, arm_length=0.4)
+    cell = read_cell(find_file("test_piece.yaml"))
+    rows = Placements(cell, course, placements.axes).rows(np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]))
+    branch = int(np.flatnonzero(rows["feasible"][0])[0])
+    q = np.radians(moved_cell(cell, course, place | {"branch": branch})["posture_deg"])
+    long = spring.length(np.cos(q[1]), np.sin(q[1]))
+    slack = spring.replace(preload=20e6 * (spring.length(0.0, -1.0) - long))
+    ours = []
+    for compensator in (NO_COMPENSATOR, slack):
+        arm = cell.arm.replace(compensator=compensator)
+        made = Placements(cell.replace(arm=arm), course, placements.axes).rows(np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]))
+        model = modal_models(arm, cell.mount, cell.dynamics, cell.workpiece.pose, q[None])[0]
+        assert made["lowest_mode_hz"][0, branch] == pytest.approx(model.frequency[0] / (2 * np.pi), rel=0.01)
+        way = compliance(equilibrium(arm, cell.mount, q), arm)[:3, :3] @ course.force[0]
+        ours.append(made["compliance_um_per_n"][0, branch])
+        assert ours[-1] == pytest.approx(1e6 * np.linalg.norm(way) / 150.0, rel=0.005)
+    assert ours[1] < 0.95 * ours[0]
+
+
+def test_a_quarter_turn_of_everything_changes_nothing_but_joint_1(placements):
+    """Turning the place about axis 1 turns axis 1: errors and singularities stay."""
+    one = placements.rows(np.array([[1.4, 0.1, 0.8, 0.3, 0.2]]))
+    c, s = np.cos(0.5), np.sin(0.5)
+    other = placements.rows(np.array([[1.4 * c - 0.1 * s, 1.4 * s + 0.1 * c, 0.8, 0.8, 0.2]]))
+    np.testing.assert_allclose(one["error_max_um"], other["error_max_um"], rtol=1e-9)
+    np.testing.assert_allclose(one["singularity"], other["singularity"], rtol=1e-9)
+
+
+def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path, capsys):
+    words = ["map", "paper.yaml", "--x=-100:100:2", "--y=-1700:-1500:2", "--out", str(tmp_path / "map"), "--json"]
+    words += ["--set", "path.length_mm=6", "--set", "stock.grid_step_um=40"]
+    assert main(words) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["rows"] == 4 * 8 and result["rows_per_s"] > 0 and result["best"] and len(result["best"]) <= 5
+    errors = [row["error_max_um"] for row in result["best"]]
+    assert errors == sorted(errors)
+    best = read_cell(result["best"][0]["cell"])
+    assert 1e3 * best.workpiece.xyz[:2] == pytest.approx([result["best"][0]["x_mm"], result["best"][0]["y_mm"]])
+    assert best.joints(best.target()).shape[1] == 6
