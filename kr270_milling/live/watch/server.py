@@ -94,7 +94,10 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def serve(events: Events, page: str, host: str, port: int) -> ThreadingHTTPServer:
-    """Start to serve the HTML text ``page`` and its events in a thread; port 0: any free port. Raises InputError where the address cannot be used."""
+    """Start to serve the HTML text ``page`` and its events in a thread; port 0: any free port.
+
+    Raises InputError where the address cannot be used.
+    """
     hosts = LOCAL if host in (*LOCAL, "::1") else ()
     try:
         server = ThreadingHTTPServer((host, port), partial(_Handler, events, page, hosts))
