@@ -13,6 +13,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
 from kr270_milling.decide.findings import SEVERITIES, Finding, Violation, gathered, separate, violation
+from kr270_milling.decide.load_reversals import load_reversals
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.decide.stability import Stability, chatter_violations, stability_statement
 from kr270_milling.path.source_program import SourceProgram
@@ -39,6 +40,7 @@ class Checked:
     stability: Stability | None  #: of the programmed path, if the arm can follow it
     residue: Residue | None  #: of the pass that was simulated
     rapid_moves: tuple[Finding, ...] | None = None  #: each one through material; None: the arm cannot make the path
+    load_reversals: tuple[Finding, ...] | None = None  #: each one, with its jump; None: no pass was simulated
 
     def __repr__(self) -> str:
         return f"<Checked: {self.summary}>"
@@ -90,6 +92,7 @@ class Checked:
             "findings": [f.as_dict() for f in self.findings],
             "removed_by_rapid_moves_mm3": self.rapid_volume_mm3,
             "rapid_moves": None if self.rapid_moves is None else [f.as_dict() for f in self.rapid_moves],
+            "load_reversals": None if self.load_reversals is None else [f.as_dict() for f in self.load_reversals],
             "stability": self.stability and self.stability.as_dict(),
             "simulated_pass": self.residue and self.residue.as_dict(),
             "read_over": [{"word": word.word, "count": word.count} for word in self.program.read_over],
@@ -112,7 +115,7 @@ def check(
     programmed = cell.target() if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     found, joints = arm_violations(cell, run)
-    stability = residue = rapid_moves = None
+    stability = residue = rapid_moves = reversals = None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in found)
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
@@ -124,6 +127,10 @@ def check(
         found += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
         ran, cut = _cut(cell, run, ran, progress)
         found += cut
+        if ran:
+            jumps = load_reversals(cell, run, ran)
+            found += jumps
+            reversals = separate(cell, run, "load reversal", jumps)
         rapid_moves = separate(cell, run, "rapid in material", cut)
         with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
             stability = stability_statement(cell)
@@ -133,8 +140,9 @@ def check(
             found.append(violation("growing vibration", residue.residue, residue.limit, percent=100 * residue.residue))
     program = fed.toolpath.program if fed else SourceProgram()
     return Checked(
-        gathered(cell, run, found), len(run), ran if reachable else None, program, stability, residue, rapid_moves
-    )
+        gathered(cell, run, found), len(run), ran if reachable else None, program, stability, residue, rapid_moves,
+        reversals,
+    )  # fmt: skip
 
 
 def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:

@@ -11,6 +11,7 @@ from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simula
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.findings import violation
+from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
 from kr270_milling.decide.tolerance import Judgement, judge
 from kr270_milling.decide.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, monte_carlo
@@ -34,6 +35,7 @@ class Decision:
     warnings: int
     recommended_method: str  #: "none": the compensation does not make the part better
     verdict: Verdict | None = None  #: of plants that are not the model; None: nobody asked, or it would take long
+    backlash: str = ""  #: whether the decision includes the backlash of the joints
 
     @property
     def headline(self) -> str:
@@ -42,6 +44,7 @@ class Decision:
         if self.may_be_run and self.warnings:
             run += f", with {self.warnings} warning{'' if self.warnings == 1 else 's'}"
         verdict = f"; verdict: {self.verdict.text}" if self.verdict else ""
+        verdict += f"; {self.backlash}" if self.backlash else ""
         return (
             f"as programmed: {self.as_programmed.words}; compensated: {self.compensated.words}; may be run: {run}"
             f"{verdict}; recommended method: {self.recommended_method}"
@@ -55,6 +58,7 @@ class Decision:
             "may_be_run": self.may_be_run,
             "recommended_method": self.recommended_method,
             "verdict": self.verdict and self.verdict.word,
+            "backlash": self.backlash,
         }
 
 
@@ -119,7 +123,8 @@ def compensate(
     recommended = revised.name if after.error < before.error else NO_METHOD
     if judged:
         recommended = judged.recommended
-    decision = Decision(before, after, checked.may_be_run, checked.count("warning"), recommended, judged)
+    backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
+    decision = Decision(before, after, checked.may_be_run, checked.count("warning"), recommended, judged, backlash)
     return JudgedCompensation(original, revised, by, parts, checked, decision)
 
 

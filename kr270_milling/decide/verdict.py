@@ -15,7 +15,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, expected_deviations, record_of, simulate
-from kr270_milling.cell.plant import Plant, imperfect_course, perturbed
+from kr270_milling.cell.plant import Plant, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import LEARNED, METHODS
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
@@ -239,7 +239,8 @@ def run_sample(
         model = plant.arm_model(target)
         for k, reference in enumerate(references):
             course = imperfect_course(plant, reference, k)
-            ran = run_pass(model, plant.cut(), plant.clock, target, course, plant.exchange.iterations)
+            arm = imperfect_arm(plant, reference, model)
+            ran = run_pass(arm, plant.cut(), plant.clock, target, course, plant.exchange.iterations)
             found = deviations(ran, target, scored_from)
             rows[k] = found if found[0] < DIVERGED else np.nan
     except MillingError:
