@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from kr270_milling.base.record import specs
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.plant import joint_gaps
@@ -19,7 +20,7 @@ __all__ = ["backlash_statement", "load_reversals"]
 
 LEAST_JUMP = 1e-7  #: [m], of the tool; a smaller jump shows nowhere
 ARCSEC = math.pi / 648000  # [rad]
-ASSUMED = next(field.default_factory() for field in Arm.__dataclass_fields__.values() if field.name == "backlash")
+ASSUMED = next(spec.default for spec in specs(Arm) if spec.name == "backlash")  #: [rad], (6,), without a measurement
 
 
 def load_reversals(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
