@@ -89,7 +89,7 @@ def test_only_two_places_can_be_read_and_only_under_the_name_of_this_host(served
 
 def test_a_port_that_is_taken_is_said(served):
     with pytest.raises(InputError, match="cannot be served"):
-        serve(Events(), "127.0.0.1", served[1])
+        serve(Events(), "", "127.0.0.1", served[1])
 
 
 def test_who_comes_late_gets_everything_and_the_stream_ends_with_the_graph(served):
