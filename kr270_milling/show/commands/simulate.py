@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
-from kr270_milling.show.commands.command import CELL, PLANT, REFERENCE, command, option
+from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, REFERENCE, command, option
 from kr270_milling.show.commands.console import Answer, cell_of, columns_of, joints_text, plant_of, table_of
 from kr270_milling.show.commands.progress import progress
 
@@ -20,6 +20,12 @@ COMMANDS = {
         *PLANT,
         REFERENCE,
         option("--out DIR", "write the series of the pass here as CSV; of a tool path also the part as STL"),
+    ),
+    "check": command(
+        "simulate.check", "check config/test_piece.yaml",
+        *CELL,
+        option("--reference FILE.csv", "check this trajectory, as written by compensate"),
+        option("--motion", "default: the cell's program.motion", choices=MOTIONS),
     ),
 }  # fmt: skip
 
