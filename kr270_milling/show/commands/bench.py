@@ -11,14 +11,14 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.show.commands.command import command
 from kr270_milling.show.commands.console import Answer
 
-__all__ = ["COMMANDS", "posture_job", "run"]
+__all__ = ["COMMANDS", "posture_job", "run_bench"]
 
 REPEATS = 5
 POSTURES = 1000
-COMMANDS = {"bench": command("bench.run", "bench")}
+COMMANDS = {"bench": command("bench.run_bench", "bench")}
 
 
-def run(args) -> Answer:
+def run_bench(args) -> Answer:
     times = {**_pass(), **_postures()}
     return Answer(times, [f"{key:20} {value:.6g}" for key, value in times.items()])
 

@@ -15,7 +15,7 @@ from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, Group, command, option
 from kr270_milling.show.commands.console import (
     Answer,
-    Table,
+    TextTable,
     cell_of,
     command_line,
     fixed,
@@ -32,7 +32,7 @@ DEVIATIONS = (("pass", "name", 2), ("static", "static_deviation_mm", um), ("max"
 
 COMMANDS = {
     "compensate": command(
-        "compensate.run", "compensate config/test_piece.yaml --out out",
+        "compensate.run_compensate", "compensate config/test_piece.yaml --out out",
         *CELL,
         *PLANT,
         option("--method", "default: the cell's compensation.method", choices=METHODS),
@@ -67,7 +67,7 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def run(args) -> Answer:
+def run_compensate(args) -> Answer:
     from kr270_milling.decide.compensation import compensate
 
     source, cell = find_file(args.cell), cell_of(args)
@@ -231,7 +231,7 @@ def _identified(found: dict) -> str:
     return f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"
 
 
-def _features(features: dict, method: str) -> Table:
+def _features(features: dict, method: str) -> TextTable:
     """Before and after, side by side."""
     before, after = ({row["feature"]: row for row in features[name]} for name in ("original", method))
     keys = ("max_normal_um", "mean_normal_um", "max_wall_error_um", "max_floor_error_um")
@@ -241,7 +241,7 @@ def _features(features: dict, method: str) -> Table:
         rows.append([name] + [fixed(v, 1) for pair in pairs for v in pair])
     columns = ["feature", "max", "after", "mean", "after", "wall", "after", "floor", "after"]
     title = f"Before and after ({method}) [um]: deviation to the side while cutting, errors that remain"
-    return Table(title, columns, rows)
+    return TextTable(title, columns, rows)
 
 
 def _verdict(verdict: dict):
@@ -252,6 +252,6 @@ def _verdict(verdict: dict):
             rows.append([f"{which}, {name}"] + [f"{1e3 * v:.1f}" for v in band])
     title = f"{verdict['samples']} plants, seed {verdict['seed']}: deviation [um]"
     levels = ", ".join(f"{name} {1e3 * band[2]:.1f} um" for name, band in verdict["methods"].items())
-    yield Table(title, ["", "5 %", "50 %", "95 %"], rows)
+    yield TextTable(title, ["", "5 %", "50 %", "95 %"], rows)
     yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"
     yield f"recommended method: {verdict['recommended_method']} (95 % of the plants: {levels})"

@@ -31,7 +31,7 @@ ALONG = (("feature", "feature", 1), ("from [deg]", "entry_deg", 0), ("to [deg]",
 
 COMMANDS = {
     "stability": command(
-        "stability.run", "stability config/paper.yaml --speeds 4000:12000:100",
+        "stability.run_stability", "stability config/paper.yaml --speeds 4000:12000:100",
         *CELL,
         option(
             "--speeds LOW:HIGH:COUNT",
@@ -47,7 +47,7 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def run(args) -> Answer:
+def run_stability(args) -> Answer:
     import numpy as np
 
     from kr270_milling.decide.stability import feature_limits
