@@ -22,7 +22,7 @@ from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
 from kr270_milling.physics.motion.scores import path_deviation
 
 __all__ = ["HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "Verdict", "alternatives", "coarser",
-           "deviations", "judge", "monte_carlo", "run_sample"]  # fmt: skip
+           "pass_deviations", "judge_plants", "monte_carlo", "run_sample"]  # fmt: skip
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
 LEVELS = (0.05, 0.5, 0.95)
@@ -59,7 +59,7 @@ class Verdict:
         before = self.original[:, 0]
         sound = {NO_METHOD: _high(before) * (1.0 - SAME)}
         for name, rows in self.methods.items():
-            if name != TRACKED and judge(before[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
+            if name != TRACKED and judge_plants(before[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
                 sound[name] = _high(rows)
         return min(sound, key=sound.__getitem__)
 
@@ -194,11 +194,11 @@ def monte_carlo(
     tracked = [value for _, value in found if value is not None]
     if tracked:
         methods[TRACKED] = np.array(tracked)
-    word, reason = judge(rows[:, 0, 0], rows[:, 1, 0], cell.uncertainty.matters_above)
+    word, reason = judge_plants(rows[:, 0, 0], rows[:, 1, 0], cell.uncertainty.matters_above)
     return Verdict(word, reason, rows[:, 0], rows[:, 1], seed, methods)
 
 
-def judge(original: np.ndarray, compensated: np.ndarray, matters_above: float) -> tuple[str, str]:
+def judge_plants(original: np.ndarray, compensated: np.ndarray, matters_above: float) -> tuple[str, str]:
     """The verdict and its reason from the largest deviations [m], (n,), of the same plants on both trajectories.
 
     In this order: more than 5 % of the plants fail on the compensated trajectory and not on the original: cannot be
@@ -240,7 +240,7 @@ def run_sample(
         for k, reference in enumerate(references):
             course = imperfect_course(plant, reference, k)
             ran = run_pass(model, plant.cut(), plant.clock, target, course, plant.exchange.iterations)
-            found = deviations(ran, target, scored_from)
+            found = pass_deviations(ran, target, scored_from)
             rows[k] = found if found[0] < DIVERGED else np.nan
     except MillingError:
         pass
@@ -266,7 +266,7 @@ def coarser(cell: Cell) -> Cell:
     return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=how)
 
 
-def deviations(result: PassResult, target: Trajectory, scored_from: float | None) -> tuple[float, float]:
+def pass_deviations(result: PassResult, target: Trajectory, scored_from: float | None) -> tuple[float, float]:
     """Largest and static path deviation [m] of a pass.
 
     scored_from [s]: of a straight cut, as in its scores: from there on, and the mean over the last quarter. None: of a

@@ -20,9 +20,9 @@ from kr270_milling.decide.verdict import (
     Verdict,
     alternatives,
     coarser,
-    deviations,
-    judge,
+    judge_plants,
     monte_carlo,
+    pass_deviations,
     run_sample,
 )  # fmt: skip
 from kr270_milling.physics.compensation.compensator import remaining_error
@@ -179,7 +179,7 @@ def test_no_samples_are_refused(cell):
 def test_of_a_tool_path_the_deviation_counts_while_it_cuts(tmp_path):
     cell = small_part(tmp_path)
     ran = simulate(cell).result
-    largest, mean = deviations(ran, cell.target(), None)
+    largest, mean = pass_deviations(ran, cell.target(), None)
     feed = cell.target().sample_velocity(ran.time_ns)
     aside = np.cross(feed, ran.actual - ran.target)[:, 2] / np.maximum(np.hypot(*feed[:, :2].T), 1e-300)
     cutting = (ran.volume > 0) & (np.hypot(*feed[:, :2].T) > 0)
@@ -271,7 +271,7 @@ def samples(*shares: float, before: float = 50 * UM) -> tuple[np.ndarray, np.nda
     ],
 )
 def test_the_rule(pair, word):
-    found, reason = judge(*pair, 10 * UM)
+    found, reason = judge_plants(*pair, 10 * UM)
     assert found == word and reason
 
 

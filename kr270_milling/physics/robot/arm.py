@@ -18,7 +18,7 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter
 
-__all__ = ["AXES", "BARE", "NO_COMPENSATOR", "Arm", "Compensator", "Mount", "moment_slope"]
+__all__ = ["AXES", "BARE", "NO_COMPENSATOR", "Arm", "GravityCompensator", "Mount", "moment_slope"]
 
 #: direction of each joint axis in the frame of the link that it turns, (6, 3)
 AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 0, 0]], float)
@@ -26,7 +26,7 @@ AXES.setflags(write=False)
 
 
 @dataclass(frozen=True, eq=False)
-class Compensator(Record):
+class GravityCompensator(Record):
     """YAML ``arm.compensator``: a spring between links 1 and 2, a second spring of joint 2; stiffness 0: there is none.
 
     It is hinged to link 1 at A = (a_x, a_z), seen from axis 2 in the plane of the arm (x forward, z up), and to the
@@ -99,7 +99,7 @@ def moment_slope(spring, cosine, sine):
     return -k * (slope**2 + (s - s_0) * bend)
 
 
-NO_COMPENSATOR = Compensator()
+NO_COMPENSATOR = GravityCompensator()
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ class Arm(Record):
         unit="mm", text="radius of each link seen as a thin tube, for the rotary inertia of its sections", low=0.0,
         high=2000.0, size=6,
     )  # fmt: skip
-    compensator: Compensator = NO_COMPENSATOR
+    compensator: GravityCompensator = NO_COMPENSATOR
 
     def check(self):
         if not np.all(self.joint_lower < self.joint_upper):

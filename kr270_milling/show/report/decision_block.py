@@ -20,13 +20,13 @@ from kr270_milling.decide.compensation import NO_METHOD, Decision
 from kr270_milling.decide.findings import SEVERITIES, Finding
 from kr270_milling.decide.part import PartAssessment
 from kr270_milling.decide.tolerance import Judgement, judge
-from kr270_milling.show.report.tables import fixed, micro
+from kr270_milling.show.report.tables import fixed_text, micro
 
-__all__ = ["Answer", "DecisionBlock", "Tile", "asked", "decision_block", "finding_rows", "judged", "tiles"]
+__all__ = ["ToleranceAnswer", "DecisionBlock", "Tile", "asked", "decision_block", "finding_rows", "judged", "tiles"]
 
 
 @dataclass(frozen=True)
-class Answer:
+class ToleranceAnswer:
     """Whether one version of the path meets the tolerance."""
 
     passes: bool | None  #: None: no tolerance is given
@@ -37,8 +37,8 @@ class Answer:
 class DecisionBlock:
     """The answer to what was asked; what is None or empty is not known and is not shown."""
 
-    as_programmed: Answer | None = None
-    compensated: Answer | None = None
+    as_programmed: ToleranceAnswer | None = None
+    compensated: ToleranceAnswer | None = None
     may_be_run: bool | None = None
     recommended_method: str = ""
     verdict: str = ""  #: of plants that are not the model, with its band
@@ -78,12 +78,12 @@ def _block(before: Judgement, after: Judgement | None, checked: Checked | None, 
                          rapid_moves)  # fmt: skip
 
 
-def _answer(judged: Judgement) -> Answer:
+def _answer(judged: Judgement) -> ToleranceAnswer:
     left = f"{1e6 * judged.error:.1f} µm on wall or floor"
     if judged.passes is None:
-        return Answer(None, f"{left}; part.tolerance_um says nothing")
+        return ToleranceAnswer(None, f"{left}; part.tolerance_um says nothing")
     where = f" at {judged.feature}" if judged.feature else ""
-    return Answer(judged.passes, f"{left}{where}, {1e6 * judged.tolerance:.0f} µm allowed")
+    return ToleranceAnswer(judged.passes, f"{left}{where}, {1e6 * judged.tolerance:.0f} µm allowed")
 
 
 def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
@@ -129,9 +129,9 @@ def tiles(decision: DecisionBlock, names: Sequence[str], sizes: Sequence[float])
     return found
 
 
-def _judged(label: str, judged: Answer | None, size: float, said: str) -> Tile:
+def _judged(label: str, judged: ToleranceAnswer | None, size: float, said: str) -> Tile:
     """size: the largest deviation [m], said: what it is, for a path that nobody judged."""
-    amount = f"{fixed(size * 1e6, 2)} µm"
+    amount = f"{fixed_text(size * 1e6, 2)} µm"
     if judged is None or judged.passes is None:
         return Tile(label, amount, f"{said}; no tolerance is given")
     word, tone = ("passes", "good") if judged.passes else ("fails", "bad")
