@@ -256,7 +256,7 @@ def coarser(cell: Cell) -> Cell:
     """
     turns = cell.tool.spindle_speed / (2.0 * math.pi)
     fed = cell.fed_path
-    if fed is None:
+    if fed is None or cell.by_engagement:
         return cell
     feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
     step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))

@@ -105,7 +105,7 @@ def _found(cell, done) -> dict:
     from kr270_milling.cell.jobs import joint_ranges
 
     original, revised = done.original, done.revised
-    found = {"method": revised.name, "points": len(revised.reference)}
+    found = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
     found |= {k: v for k, v in revised.row().items() if k != "name"}
     found["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
     found["original"] = {k: v for k, v in original.row().items() if k != "name"}
@@ -209,6 +209,7 @@ def _shown(cell, done, found: dict, args):
         yield found["note"]
     if found["identified"]:
         yield _identified(found["identified"])
+    yield cell.cut_text
     yield joints_text(found["commanded_joints_deg"])
     yield f"largest correction {found['largest_correction_mm']:.4f} mm"
     if "chord_error_mm" in found:

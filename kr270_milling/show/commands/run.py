@@ -48,7 +48,9 @@ def run_graph(args) -> Answer:
     ran = run_passes(cell, methods, args.out, *options)
     up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
     result = summary(ran)
-    return Answer(result, [table_of("Path deviation, four nodes and a recorder", _columns(), result["passes"]), up])
+    return Answer(
+        result, [table_of("Path deviation, four nodes and a recorder", _columns(), result["passes"]), cell.cut_text, up]
+    )
 
 
 def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:
