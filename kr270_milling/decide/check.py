@@ -55,16 +55,25 @@ class Checked:
     @property
     def summary(self) -> str:
         """One line: points, counts, and whether the path may be run."""
-        counts = ", ".join(f"{self.count(s)} {s}{'' if self.count(s) == 1 else 's'}" for s in ("stop", "warning"))
         verdict = "may be run, after a test in T1" if self.may_be_run else "must not be run"
-        return f"{self.points} points, {counts}: the path {verdict}"
+        return f"{self.counts}: the path {verdict}"
+
+    @property
+    def counts(self) -> str:
+        """Points, stops and warnings."""
+        counts = ", ".join(f"{self.count(s)} {s}{'' if self.count(s) == 1 else 's'}" for s in ("stop", "warning"))
+        return f"{self.points} points, {counts}"
 
     def lines(self) -> list[str]:
-        """What terminal, report and program headers print: one line a finding, then the summary."""
+        """One line a finding, then the summary."""
+        return [*self.findings_lines(), self.summary]
+
+    def findings_lines(self) -> list[str]:
+        """One line a finding, and what the path does beside."""
         read_over = [self.program.summary] if self.program.summary else []
         stability = [one.text for one in (self.stability, self.residue) if one]
         findings = (f"{f.severity:8} {f.text}" for f in self.findings)
-        return [*read_over, *findings, self.rapid_text, *stability, self.summary]
+        return [*read_over, *findings, self.rapid_text, *stability]
 
     @property
     def rapid_volume_mm3(self) -> float | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kr270_milling.live.nodes.play_arguments import bounded, grid
-from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.physics.compensation.methods import BEST, METHODS
 from kr270_milling.show.commands.command import CELL, PLANT, Group, command, option
 
 __all__ = ["COMMANDS", "FEWEST_PLANTS", "LOBE_SPEEDS", "PLANTS"]
@@ -17,7 +17,11 @@ COMMANDS = {
         "compensate.run", "compensate config/test_piece.yaml --out out",
         *CELL,
         *PLANT,
-        option("--method", "default: the cell's compensation.method", choices=METHODS),
+        option(
+            "--method",
+            "default: the cell's compensation.method; best: compare the methods and run the best",
+            choices=(BEST, *METHODS),
+        ),
         option("--out DIR", "where everything goes", default="out"),
         option(
             "--krl",
