@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 from kr270_milling.decide.check import Checked
-from kr270_milling.decide.tolerance import Judgement
+from kr270_milling.decide.tolerance import Judgement, um_text
 from kr270_milling.decide.verdict import Comparison, Verdict
 from kr270_milling.physics.compensation.methods import LEARNED
 
@@ -64,10 +64,11 @@ class Decision:
     @property
     def sentence(self) -> str:
         """Why, and what is missing."""
+        model = self.compensated.sentence("on the model")
         if self.stops:
             more = f", and {len(self.stops) - 1} more" if len(self.stops) > 1 else ""
-            return f"the path must not be run: {self.stops[0]}{more}; {self._model}"
-        parts = [self._model + self._plants]
+            return f"the path must not be run: {self.stops[0]}{more}; {model}"
+        parts = [model + self._plants]
         if self.compensated.passes is None and math.isfinite(self.compensated.error):
             parts.append("no tolerance is given: set part.tolerance_um")
         if self.verdict is None:
@@ -77,24 +78,11 @@ class Decision:
         return "; ".join(parts)
 
     @property
-    def _model(self) -> str:
-        """The compensated pass of the model."""
-        judged = self.compensated
-        error = f"{1e6 * judged.error:.3g} um"
-        if math.isnan(judged.error):
-            return "no wall or floor remains that could be measured"
-        if judged.passes is None:
-            return f"{judged.quantity} is {error} on the model"
-        where = f" at {judged.feature}" if judged.feature and not judged.passes else ""
-        word = "meets" if judged.passes else "misses"
-        return f"{judged.quantity} {word} {1e6 * judged.tolerance:.3g} um on the model ({error}{where})"
-
-    @property
     def _plants(self) -> str:
         """The plants, in the same quantity."""
         if self.verdict is None:
             return ""
-        count, median = len(self.verdict.compensated), f"median {1e6 * self.verdict.band('compensated')[1]:.3g} um"
+        count, median = len(self.verdict.compensated), f"median {um_text(self.verdict.band('compensated')[1])}"
         if self.verdict.within is None:
             return f", {median} in {count} simulated robots"
         return f" and in {self.verdict.within} of {count} simulated robots ({median})"
@@ -148,6 +136,6 @@ def decided(
     stops = tuple(finding.sentence for finding in checked.findings if finding.severity == "stop")
     notes = [NEEDS_TRACKER] if method == LEARNED.name else []
     if after.error > before.error:
-        errors = f"{1e6 * after.error:.3g} um against {1e6 * before.error:.3g}"
+        errors = f"{um_text(after.error)} against {um_text(before.error)}"
         notes.append(f"{method} makes the part worse than no compensation ({errors})")
     return Decision(before, after, method, stops, checked.count("warning"), verdict, comparison, tuple(notes))

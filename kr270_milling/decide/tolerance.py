@@ -6,6 +6,7 @@ the quantity is the largest path deviation.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ from kr270_milling.decide.part.surface import IdealPart, ideal_part
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.motion.scores import path_deviation
 
-__all__ = ["PATH_DEVIATION", "SURFACE_ERROR", "Gauge", "Judgement", "judge", "judge_part"]
+__all__ = ["PATH_DEVIATION", "SURFACE_ERROR", "Gauge", "Judgement", "judge", "judge_part", "um_text"]
 
 SURFACE_ERROR, PATH_DEVIATION = "largest wall or floor error", "largest path deviation"
 
@@ -55,12 +56,24 @@ class Judgement:
 
     @property
     def words(self) -> str:
-        """For the first line of the output."""
+        """One sentence."""
+        return self.sentence()
+
+    def sentence(self, where: str = "") -> str:
+        """Quantity, tolerance and error; where: of what pass, for example "on the model"."""
+        error, place = um_text(self.error), f" {where}" if where else ""
+        if math.isnan(self.error):
+            return f"no wall or floor remains that could be measured{place}"
         if self.passes is None:
-            return f"leaves {1e6 * self.error:.0f} um (part.tolerance_um says nothing)"
-        where = f" at {self.feature}" if self.feature and not self.passes else ""
-        word = "passes" if self.passes else "fails"
-        return f"{word} ({1e6 * self.error:.0f} um against {1e6 * self.tolerance:.0f}{where})"
+            return f"{self.quantity} is {error}{place}"
+        feature = f" at {self.feature}" if self.feature and not self.passes else ""
+        word = "meets" if self.passes else "misses"
+        return f"{self.quantity} {word} {um_text(self.tolerance)}{place} ({error}{feature})"
+
+
+def um_text(length: float) -> str:
+    """A length [m] in micrometres: three digits, from 1 mm on whole micrometres."""
+    return f"{1e6 * length:.0f} um" if length >= 1e-3 else f"{1e6 * length:.3g} um"
 
 
 @dataclass(frozen=True, eq=False)
