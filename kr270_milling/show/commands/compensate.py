@@ -1,6 +1,6 @@
 """``kr270_milling compensate``: the revised trajectory of a cell, what it is predicted to achieve, and the programs.
 
-Exit code 1 where the check finds that the revised path must not be run; then no program is written, unless by force.
+Exit code 1 where the decision is ``no``; then no program is written, unless by force.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ import sys
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.live.nodes.play_arguments import bounded
-from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.physics.compensation.methods import BEST, METHODS
 from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, Group, command, option
 from kr270_milling.show.commands.console import (
     Answer,
+    Colored,
     TextTable,
     cell_of,
     command_line,
@@ -28,6 +29,7 @@ from kr270_milling.show.commands.console import (
 from kr270_milling.show.commands.progress import progress
 
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
+COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
 DEVIATIONS = (("pass", "name", 2), ("static", "static_deviation_mm", um), ("max", "max_deviation_mm", um))
 
 COMMANDS = {
@@ -35,7 +37,11 @@ COMMANDS = {
         "compensate.run_compensate", "compensate config/test_piece.yaml --out out",
         *CELL,
         *PLANT,
-        option("--method", "default: the cell's compensation.method", choices=METHODS),
+        option(
+            "--method",
+            "default: the cell's compensation.method; best: compare the methods and run the best",
+            choices=(BEST, *METHODS),
+        ),
         option("--out DIR", "where everything goes", default="out"),
         option(
             "--krl",
@@ -69,19 +75,21 @@ COMMANDS = {
 
 def run_compensate(args) -> Answer:
     from kr270_milling.decide.compensation import compensate
+    from kr270_milling.decide.decision import CAUTION
 
     source, cell = find_file(args.cell), cell_of(args)
-    method = args.method or cell.compensation.method
-    motions = args.krl or [cell.program.motion if METHODS[method].smooth else "LIN"]
     plant = plant_of(args, cell)
     with staged(args.out) as (draft, final):
-        motion = "LIN" if "LIN" in motions else motions[0]  # these are blended
-        done = compensate(cell, method, plant=plant, motion=motion, verdict=_order(args), progress=progress)
+        done = compensate(
+            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args), progress=progress
+        )
         if not (done.decision.verdict or args.no_verdict):
             print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
+        if args.json and done.decision.level == CAUTION:
+            print(f"warning: {done.decision.text}", file=sys.stderr)
         found = _found(cell, done)
-        found |= _write(draft, final, cell, done, motions, args, source)
-    return Answer(found, _shown(cell, done, found, args), code=int(not done.checked.may_be_run))
+        found |= _write(draft, final, cell, done, args, source)
+    return Answer(found, _shown(cell, done, found, args), code=done.decision.exit_code)
 
 
 def _order(args):
@@ -114,17 +122,7 @@ def _found(cell, done) -> dict:
     found["features"] = {part.name: part.table() for part in done.parts}
     found["check"] = done.checked.as_dict()
     found["verdict"] = done.decision.verdict and done.decision.verdict.as_dict()
-    found["decision"] = done.decision.as_dict()
-    return found
-
-
-def _first_line(done) -> str:
-    """The decision; ahead of it, where the method makes the part worse, that it does."""
-    before, after = done.decision.as_programmed.error, done.decision.compensated.error
-    if after <= before:
-        return done.decision.headline
-    errors = f"({1e6 * after:.3g} um against {1e6 * before:.3g})"
-    return f"{done.revised.name} makes the part worse than no compensation {errors}: {done.decision.headline}"
+    return found | done.decision.as_dict()
 
 
 def _correction(cell, revised, by) -> dict:
@@ -146,17 +144,19 @@ def _correction(cell, revised, by) -> dict:
     return found
 
 
-def _write(draft, final, cell, done, motions, args, source) -> dict:
+def _write(draft, final, cell, done, args, source) -> dict:
     """All files; their final paths by kind."""
+    from kr270_milling.decide.decision import NO
     from kr270_milling.decide.programs.files import write_programs
 
     date = now()
-    checked, revised = done.checked, done.revised
+    revised, released = done.revised, done.decision.level != NO
     with progress("files"):
         files = write_programs(
             draft, cell, done.original.reference, revised.reference, method=revised.name, date=date,
-            motions=motions if checked.may_be_run or args.force else None, source=cell.programmed.sha256,
-            findings=checked.lines(), released=checked.may_be_run,
+            motions=done.motions if released or args.force else None, source=cell.programmed.sha256,
+            decision=done.decision.lines(), findings=[*done.checked.findings_lines(), done.checked.counts],
+            released=released,
         )  # fmt: skip
         placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
         placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
@@ -198,9 +198,12 @@ def _joints_table(cell, revised):
 
 
 def _shown(cell, done, found: dict, args):
-    """What people read, the decision first."""
-    checked = done.checked
-    yield _first_line(done)
+    """The output for the terminal, the decision first."""
+    from kr270_milling.decide.decision import NO
+
+    decision = done.decision
+    yield Colored(decision.text, COLORS[decision.level])
+    yield from decision.lines()[1:]
     if done.parts:
         yield _features(found["features"], found["method"])
     else:
@@ -214,11 +217,11 @@ def _shown(cell, done, found: dict, args):
     yield f"largest correction {found['largest_correction_mm']:.4f} mm"
     if "chord_error_mm" in found:
         yield f"LIN chords stand off the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um"
-    yield from checked.lines()
+    yield from (*done.checked.findings_lines(), done.checked.counts)
     if found["verdict"]:
         yield from _verdict(found["verdict"])
     yield f"{found['points']} reference points: {found['trajectory']}"
-    if not checked.may_be_run:
+    if decision.level == NO:
         yield "programs marked NOT RELEASED" if args.force else "no robot program is written (--force writes one)"
     for kind, paths in found["programs"].items():
         yield f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}"
@@ -246,13 +249,9 @@ def _features(features: dict, method: str) -> TextTable:
 
 
 def _verdict(verdict: dict):
-    rows = []
-    for which in ("original", "compensated"):
-        for name in ("max", "static"):
-            band = verdict[which][f"{name}_deviation_mm"]
-            rows.append([f"{which}, {name}"] + [f"{1e3 * v:.1f}" for v in band])
-    title = f"{verdict['samples']} plants, seed {verdict['seed']}: deviation [um]"
-    levels = ", ".join(f"{name} {1e3 * band[2]:.1f} um" for name, band in verdict["methods"].items())
-    yield TextTable(title, ["", "5 %", "50 %", "95 %"], rows)
+    columns = ["", "5 %", "50 %", "95 %"]
+    rows = [[name, *(f"{1e3 * value:.1f}" for value in band)] for name, band in verdict["methods"].items()]
+    yield TextTable(
+        f"{verdict['samples']} simulated robots, seed {verdict['seed']}: {verdict['quantity']} [um]", columns, rows
+    )
     yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"
-    yield f"recommended method: {verdict['recommended_method']} (95 % of the plants: {levels})"
