@@ -14,6 +14,7 @@ from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
 from kr270_milling.decide.exchange_share import ExchangeShare, exchange_share
 from kr270_milling.decide.findings import SEVERITIES, Finding, Violation, gathered, separate, violation
+from kr270_milling.decide.load_reversals import load_reversals
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.decide.stability import Stability, chatter_violations, stability_statement
 from kr270_milling.path.source_program import SourceProgram
@@ -41,6 +42,7 @@ class Checked:
     residue: Residue | None  #: of the pass that was simulated
     rapid_moves: tuple[Finding, ...] | None = None  #: each one through material; None: the arm cannot make the path
     exchange: ExchangeShare | None = None  #: of the pass that was simulated
+    load_reversals: tuple[Finding, ...] | None = None  #: each one, with its jump; None: no pass was simulated
 
     def __repr__(self) -> str:
         return f"<Checked: {self.summary}>"
@@ -101,6 +103,7 @@ class Checked:
             "findings": [f.as_dict() for f in self.findings],
             "removed_by_rapid_moves_mm3": self.rapid_volume_mm3,
             "rapid_moves": None if self.rapid_moves is None else [f.as_dict() for f in self.rapid_moves],
+            "load_reversals": None if self.load_reversals is None else [f.as_dict() for f in self.load_reversals],
             "stability": self.stability and self.stability.as_dict(),
             "simulated_pass": self.residue and self.residue.as_dict(),
             "largest_pose_correction_share": self.exchange and self.exchange.share,
@@ -124,7 +127,7 @@ def check(
     programmed = cell.target() if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     found, joints = arm_violations(cell, run)
-    stability = residue = rapid_moves = exchange = None
+    stability = residue = rapid_moves = exchange = reversals = None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in found)
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
@@ -136,6 +139,10 @@ def check(
         found += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
         ran, cut = _cut(cell, run, ran, progress)
         found += cut
+        if ran:
+            jumps = load_reversals(cell, run, ran)
+            found += jumps
+            reversals = separate(cell, run, "load reversal", jumps)
         rapid_moves = separate(cell, run, "rapid in material", cut)
         with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
             stability = stability_statement(cell)
@@ -156,6 +163,7 @@ def check(
         residue,
         rapid_moves,
         exchange,
+        reversals,
     )
 
 

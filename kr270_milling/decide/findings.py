@@ -63,9 +63,10 @@ KINDS = {
         "Lower the feed there, or keep away from the singularity."),
     "joint acceleration": Kind("deg/s^2", "the acceleration of {axis}" + EXCEEDS,
         "Lower timing.acceleration_m_per_s2, or round the corner."),
-    "axis reversal": Kind("um",
-        "{subject} reverses at point {point}: its backlash lets the tool jump by {value:.3g} um",
-        "It shows on the part unless a load holds the axis to one side.", "note"),
+    "load reversal": Kind("um",
+        "the load on {subject} reverses at point {point}, beyond {friction_n_m:.3g} N m of friction: if {subject} has "
+        "{arcsec:.3g} arcsec of backlash{source}, the tool jumps by {value:.3g} um",
+        "Measure arm.backlash_arcsec, or lower the acceleration there.", "note"),
     "correction size": Kind("mm", "the correction" + EXCEEDS,
         "Check compliances and force law; then raise compensation.max_correction_mm."),
     "correction per tick": Kind("um", "the change of the correction per tick" + EXCEEDS,

@@ -16,7 +16,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, expected_deviations, record_of, simulate
-from kr270_milling.cell.plant import Plant, imperfect_course, perturbed
+from kr270_milling.cell.plant import Plant, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.tolerance import PATH_DEVIATION, SURFACE_ERROR, Gauge
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import LEARNED, METHODS
@@ -300,8 +300,8 @@ def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory]
         model = plant.arm_model(target)
         for k, reference in enumerate(references):
             course = imperfect_course(plant, reference, k)
-            cut = plant.cut()
-            ran = run_pass(model, cut, plant.clock, target, course, plant.exchange.iterations)
+            cut, arm = plant.cut(), imperfect_arm(plant, reference, model)
+            ran = run_pass(arm, cut, plant.clock, target, course, plant.exchange.iterations)
             if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
                 continue
             heights = None if gauge.ideal is None else cut.map_heights()[2]

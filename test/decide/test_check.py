@@ -47,7 +47,7 @@ def along_joints(cell, joints) -> Trajectory:
 def test_a_sound_path_may_be_run_and_is_simulated(cell):
     checked = check(cell)
     assert checked.may_be_run and checked.points == len(cell.target()) and checked.ran.result.removed_volume > 0
-    assert checked.as_dict()["may_be_run"] and kinds(checked, "note") <= {"axis reversal"}
+    assert checked.as_dict()["may_be_run"] and kinds(checked, "note") <= {"load reversal"}
 
 
 def test_the_papers_own_case_may_be_run():

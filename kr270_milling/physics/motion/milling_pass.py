@@ -78,9 +78,9 @@ class CompliantArm:
         self.model = model
         self.pushes = np.zeros((0, model.order)) if pushes is None else pushes
         self.step = 0  #: exchange periods done
-        self.state = np.zeros(model.order)
+        self.state = np.zeros(model.states)
         self.wrench = np.zeros(6)
-        self._scratch = np.zeros(model.order)
+        self._scratch = np.zeros(model.states)
 
     def predict(self, wrench: np.ndarray | None = None) -> np.ndarray:
         """Deflection (6,) at the end of the next period under ``wrench``, or under that of the last period."""
@@ -105,7 +105,7 @@ def follow(model: ArmModel, pushes: np.ndarray, wrenches: np.ndarray) -> np.ndar
     Those that ``CompliantArm.correct`` gives one by one, to the bit.
     """
     deflections = np.zeros((len(wrenches), 6))
-    _follow(np.ascontiguousarray(wrenches, float), np.zeros(model.order), pushes, model.arrays, deflections)
+    _follow(np.ascontiguousarray(wrenches, float), np.zeros(model.states), pushes, model.arrays, deflections)
     return deflections
 
 
@@ -171,7 +171,7 @@ def run_pass(
     each = np.zeros(n + 1)
     out = (np.zeros((n + 1, 3)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6)), each, each.copy(), each.copy())
     out[0][0] = course[0]
-    state, wrench = np.zeros(model.order), np.zeros(6)
+    state, wrench = np.zeros(model.states), np.zeros(6)
     arm = (model.push(reference, stamps), model.arrays)
     carried = (cut.state, cut.params, clock.micro_steps, out)
     _exchange(0, 0, iterations, course, arm, state, wrench, *carried)  # compiled before the clock runs

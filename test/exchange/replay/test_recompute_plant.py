@@ -19,9 +19,9 @@ PASSES = ("original", "learned_1", "learned_2")
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory):
-    """A softer arm with play and scatter, and a tracker with noise."""
+    """A softer arm with backlash, no friction and scatter, and a tracker with noise."""
     cell = made.cell_of("learned")
-    arm = cell.arm.replace(joint_compliance=1.1 * cell.arm.joint_compliance)
+    arm = cell.arm.replace(joint_compliance=1.1 * cell.arm.joint_compliance, friction_torque=np.zeros(6))
     how = cell.imperfections.replace(pose_noise=2e-6, repeatability=60e-6, backlash=np.full(6, 1e-5), seed=3)
     file = tmp_path_factory.mktemp("cell") / "plant.yaml"
     file.write_text(cell_text(Plant(cell, cell.replace(arm=arm), how).cell))
