@@ -178,7 +178,7 @@ def copy_into(folder: Path) -> None:
 
 def run(folder: Path, tests: list[str]) -> str:
     """Name of the first test that fails, "" if none does."""
-    files = [str(file.relative_to(folder)) for name in tests for file in folder.glob(f"test/*/test_{name}.py")]
+    files = [str(file.relative_to(folder)) for name in tests for file in folder.glob(f"test/**/test_{name}.py")]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "--tb=no", "-rfE", "-p", "no:cacheprovider", *files]
     environment = {**os.environ, "PYTHONPATH": str(folder), "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
     try:

@@ -47,6 +47,7 @@ class StraightCut:
     sha256 = ""  #: of the file
     program = SourceProgram()
     spindle_speed_needed = True  #: no program states the spindle speed
+    cutting_time = 0.0  #: [s], of a program
     fed = None  #: the tool path under the limits of the controller alone
     timed = None  #: the tool path under the limits of controller and joints
 
@@ -117,6 +118,7 @@ class ProgramPath:
     exchange: Exchange
     arm: Arm
     joints: Callable[[Trajectory], np.ndarray]  #: trajectory -> joint positions [rad], (n, 6), at its knots
+    by_teeth: bool = True  #: each tooth is swept
 
     straight = False
     full_engagement = 0.0  #: [s], the whole path is scored where it cuts
@@ -168,6 +170,15 @@ class ProgramPath:
         read = self.fed.toolpath if self.tool.spindle_speed > 0.0 else self._read()
         return SourceProgram() if isinstance(read, TimedPath) else read.program
 
+    @property
+    def cutting_time(self) -> float:
+        """[s], of the cutting moves at their programmed feeds; of a recording: its duration."""
+        read = self._read()
+        if isinstance(read, TimedPath):
+            return read.trajectory.duration_ns * 1e-9
+        cutting = ~read.rapid
+        return float(np.sum(read.block_length[cutting] / read.feed[cutting]))
+
     @functools.cached_property
     def fed(self) -> TimedPath:
         """The tool path under the limits of the controller alone; a recorded trajectory keeps its times.
@@ -177,7 +188,7 @@ class ProgramPath:
         """
         read = self._read()
         timed = read if isinstance(read, TimedPath) else time_path(read, self.timing)
-        check_duration(self.path.file, timed.trajectory, self.exchange, self.tool, self.stock)
+        check_duration(self.path.file, timed.trajectory, self.exchange, self.tool, self.stock, self.by_teeth)
         check_path(self.path.file, timed, self.tool, self.stock)
         return timed
 

@@ -12,6 +12,7 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
+from kr270_milling.decide.exchange_share import ExchangeShare, exchange_share
 from kr270_milling.decide.findings import SEVERITIES, Finding, Violation, gathered, separate, violation
 from kr270_milling.decide.load_reversals import load_reversals
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
@@ -40,6 +41,7 @@ class Checked:
     stability: Stability | None  #: of the programmed path, if the arm can follow it
     residue: Residue | None  #: of the pass that was simulated
     rapid_moves: tuple[Finding, ...] | None = None  #: each one through material; None: the arm cannot make the path
+    exchange: ExchangeShare | None = None  #: of the pass that was simulated
     load_reversals: tuple[Finding, ...] | None = None  #: each one, with its jump; None: no pass was simulated
 
     def __repr__(self) -> str:
@@ -57,16 +59,25 @@ class Checked:
     @property
     def summary(self) -> str:
         """One line: points, counts, and whether the path may be run."""
-        counts = ", ".join(f"{self.count(s)} {s}{'' if self.count(s) == 1 else 's'}" for s in ("stop", "warning"))
         verdict = "may be run, after a test in T1" if self.may_be_run else "must not be run"
-        return f"{self.points} points, {counts}: the path {verdict}"
+        return f"{self.counts}: the path {verdict}"
+
+    @property
+    def counts(self) -> str:
+        """Points, stops and warnings."""
+        counts = ", ".join(f"{self.count(s)} {s}{'' if self.count(s) == 1 else 's'}" for s in ("stop", "warning"))
+        return f"{self.points} points, {counts}"
 
     def lines(self) -> list[str]:
-        """What terminal, report and program headers print: one line a finding, then the summary."""
+        """One line a finding, then the summary."""
+        return [*self.findings_lines(), self.summary]
+
+    def findings_lines(self) -> list[str]:
+        """One line a finding, and what the path does beside."""
         read_over = [self.program.summary] if self.program.summary else []
-        stability = [one.text for one in (self.stability, self.residue) if one]
+        stability = [one.text for one in (self.stability, self.residue, self.exchange) if one]
         findings = (f"{f.severity:8} {f.text}" for f in self.findings)
-        return [*read_over, *findings, self.rapid_text, *stability, self.summary]
+        return [*read_over, *findings, self.rapid_text, *stability]
 
     @property
     def rapid_volume_mm3(self) -> float | None:
@@ -95,6 +106,7 @@ class Checked:
             "load_reversals": None if self.load_reversals is None else [f.as_dict() for f in self.load_reversals],
             "stability": self.stability and self.stability.as_dict(),
             "simulated_pass": self.residue and self.residue.as_dict(),
+            "largest_pose_correction_share": self.exchange and self.exchange.share,
             "read_over": [{"word": word.word, "count": word.count} for word in self.program.read_over],
         }
 
@@ -115,7 +127,7 @@ def check(
     programmed = cell.target() if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     found, joints = arm_violations(cell, run)
-    stability = residue = rapid_moves = reversals = None
+    stability = residue = rapid_moves = exchange = reversals = None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in found)
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
@@ -136,13 +148,23 @@ def check(
             stability = stability_statement(cell)
             found += chatter_violations(stability, run.time)
         residue = residue_of(cell, ran.result) if ran else None
+        if ran:
+            exchange = exchange_share(cell, ran)
+            found += exchange.violations()
         if residue and residue.word == "grows":
             found.append(violation("growing vibration", residue.residue, residue.limit, percent=100 * residue.residue))
     program = fed.toolpath.program if fed else SourceProgram()
     return Checked(
-        gathered(cell, run, found), len(run), ran if reachable else None, program, stability, residue, rapid_moves,
+        gathered(cell, run, found),
+        len(run),
+        ran if reachable else None,
+        program,
+        stability,
+        residue,
+        rapid_moves,
+        exchange,
         reversals,
-    )  # fmt: skip
+    )
 
 
 def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:

@@ -332,10 +332,13 @@ class Residue:
     word: str  #: "repeats", "grows" or "no statement"
     residue: float  #: root mean square from tooth to tooth, a share of the feed per tooth; NaN without a statement
     limit: float = CHATTERS  #: the same share, above which the vibration grows
+    teeth: bool = True  #: the pass resolves single teeth
 
     @property
     def text(self) -> str:
         """One line."""
+        if not self.teeth:
+            return "simulated pass (arm only): no statement about vibration, the mean force has no teeth"
         if self.word == "no statement":
             return f"simulated pass (arm only): no cut of {FEWEST_TEETH} teeth without a break to compare"
         share = f"{100 * self.residue:.2g}" if self.residue >= SMALL else f"less than {100 * SMALL:g}"
@@ -356,6 +359,8 @@ def residue_of(cell: Cell, result: PassResult) -> Residue:
     period and grows until the teeth leave the material, so that a straight cut is also judged by whether its residue
     grows. What swings slower than a tenth of the tooth frequency is left to the deviation.
     """
+    if cell.by_engagement:
+        return Residue("no statement", np.nan, teeth=False)
     period = 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
     feed_per_tooth = cell.feed_rate * period
     limit = max(CHATTERS, GRID_NOISE * cell.stock.grid_step / max(feed_per_tooth, 1e-12))

@@ -7,20 +7,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from kr270_milling.base.record import specs
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.cell.plant import joint_gaps
 from kr270_milling.decide.findings import Finding, Violation, violation
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.backlash import tool_jumps
-from kr270_milling.physics.robot.arm import Arm
+from kr270_milling.physics.robot.arm import ASSUMED_BACKLASH
 
 __all__ = ["backlash_statement", "load_reversals"]
 
 LEAST_JUMP = 1e-7  #: [m], of the tool; a smaller jump shows nowhere
 ARCSEC = math.pi / 648000  # [rad]
-ASSUMED = next(spec.default for spec in specs(Arm) if spec.name == "backlash")  #: [rad], (6,), without a measurement
 
 
 def load_reversals(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
@@ -35,7 +33,7 @@ def load_reversals(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violati
             continue
         point = int(np.clip(np.searchsorted(run.time_ns, result.time_ns[step]), 0, len(run) - 1)) + 1
         amounts = {"arcsec": float(width[joint] / ARCSEC), "friction_n_m": float(cell.arm.friction_torque[joint])}
-        source = " (assumed)" if math.isclose(width[joint], ASSUMED[joint]) else " (arm.backlash_arcsec)"
+        source = " (assumed)" if math.isclose(width[joint], ASSUMED_BACKLASH[joint]) else " (arm.backlash_arcsec)"
         places.append(
             violation("load reversal", jump, 0.0, point, subject=f"axis {joint + 1}", amounts=amounts, source=source)
         )

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decide.part.course import Course
 from kr270_milling.decide.part.workpiece import heights_at, machined
-from kr270_milling.physics.cutting import Cut, Stock, Tool
+from kr270_milling.physics.cutting import CutModel, Stock, Tool
 
 __all__ = ["Floors", "IdealPart", "IdealWalls", "Marks", "Surface", "Walls", "ideal_part", "remaining_walls", "surface"]
 
@@ -98,7 +98,7 @@ def marks(tool: Tool, path: Course, period: float, rigid: np.ndarray) -> Marks:
     return Marks(centre, np.column_stack([np.cos(along), np.sin(along)]), radius, k, share)
 
 
-def ideal_walls(cut: Cut, found: Marks) -> IdealWalls:
+def ideal_walls(cut: CutModel, found: Marks) -> IdealWalls:
     """Which marks remain as walls on the finished workpiece of the rigid arm."""
     stock, beyond = cut.stock, 2.0 * cut.stock.grid_step
     found = found[found.centre[:, 2] < stock.max[2] - cut.params.level_step]

@@ -10,7 +10,7 @@ import pytest
 from pass_recording import STEPS
 
 from kr270_milling.base.samples import PoseSample, WrenchSample
-from kr270_milling.exchange.replay.compensate import compensate
+from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.recordings.messages.codec import to_bytes
 
@@ -41,7 +41,7 @@ def test_one_message_that_the_live_nodes_refused_does_not_spoil_a_recording(tmp_
     topic, sample = REFUSED[name]
     directory = made.write(tmp_path / "r", disturbed(topic, to_bytes(sample)))
     if job == "compensate":
-        assert compensate(directory)[0].published is True
+        assert compensate_recording(directory)[0].published is True
         return
     found = recompute(directory)
     assert found.verdict == "identical", (found.first, found.stops)

@@ -12,7 +12,7 @@ from pass_recording import STEPS, flip
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.samples import CompensatorState, PoseSample
-from kr270_milling.exchange.replay.compensate import compensate
+from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.messages.codec import from_bytes, to_bytes
@@ -70,7 +70,7 @@ def test_every_pass_is_recomputed_with_the_recordings_that_its_state_names(tmp_p
         found = recompute(tmp_path / name)
         assert found.verdict == "identical", (found.first, found.stops)
         assert found.channels["/reference_trajectory"].compared == found.channels["/joint_trajectory"].compared == 2
-        assert [revised.published for revised in compensate(tmp_path / name)] == [True]
+        assert [revised.published for revised in compensate_recording(tmp_path / name)] == [True]
 
 
 def test_recordings_in_one_directory_are_named_by_their_files(tmp_path):
@@ -90,7 +90,7 @@ def test_a_missing_recording_is_named(tmp_path, lost):
     assert found.channels["/wrench"].compared == STEPS
     assert found.channels["/reference_trajectory"].given == found.channels["/compensator_state"].given == 2
     with pytest.raises(RecordingError, match=f"{lost}/{lost}.mcap is missing"):
-        compensate(tmp_path / "b")
+        compensate_recording(tmp_path / "b")
 
 
 def test_another_pass_in_the_place_of_a_named_one_is_no_substitute(tmp_path):
@@ -182,13 +182,13 @@ def test_references_without_states_are_taken_as_recorded(tmp_path):
     found = recompute(made.write(tmp_path / "r", messages))
     assert found.verdict == "incomplete" and "without its compensator_state" in str(found.stops[0])
     assert found.channels["/reference_trajectory"].given == found.channels["/joint_trajectory"].compared == 2
-    assert compensate(tmp_path / "r")[0].published is True  # the cell states the method
+    assert compensate_recording(tmp_path / "r")[0].published is True  # the cell states the method
 
 
 def test_a_later_pass_of_learned_without_states_is_not_decided(tmp_path):
     messages = [m for m in made.files_of("learned", NAMES)[1] if m.topic != "compensator_state"]
     with pytest.raises(RecordingError, match="learned needs the passes before this one"):
-        compensate(made.write(tmp_path / "r", messages, cell=made.cell_text("learned")))
+        compensate_recording(made.write(tmp_path / "r", messages, cell=made.cell_text("learned")))
 
 
 FOREIGN = np.linspace(0, 48_000_000, 7).astype(np.int64)  # [ns], knots; those of the pass end at 60 ms
@@ -208,13 +208,13 @@ def test_a_method_that_cannot_revise_a_recorded_pass_says_why(tmp_path):
     other = Trajectory(FOREIGN, target.sample(FOREIGN), target.sample_orientation(FOREIGN))
     messages.insert(0, made.Message("reference_trajectory", made.reference_data(other), 0))
     with pytest.raises(RecordingError, match="at the times of the target's"):
-        compensate(made.write(tmp_path / "r", messages), "inverse")
+        compensate_recording(made.write(tmp_path / "r", messages), "inverse")
 
 
 @pytest.mark.parametrize("method", ["linear", "spline", "mirror"])
 def test_the_compensator_makes_of_a_recording_what_was_published(tmp_path, method):
     messages = made.one_pass(method)
-    (revised,) = compensate(made.write(tmp_path / "r", messages, cell=made.cell_text(method)))
+    (revised,) = compensate_recording(made.write(tmp_path / "r", messages, cell=made.cell_text(method)))
     published = [m.data for m in messages if m.topic == "reference_trajectory"]
     assert revised.published is True and revised.method == method
     assert made.reference_data(revised.reference) == published[1] != published[0]
@@ -222,7 +222,7 @@ def test_the_compensator_makes_of_a_recording_what_was_published(tmp_path, metho
 
 def test_another_method_may_be_asked_of_a_recording(tmp_path):
     directory = made.write(tmp_path / "r", made.one_pass("linear"))
-    (revised,) = compensate(directory, "spline")
+    (revised,) = compensate_recording(directory, "spline")
     expected = [m.data for m in made.one_pass("spline") if m.topic == "reference_trajectory"][1]
     assert revised.published is None and made.reference_data(revised.reference) == expected
 
@@ -230,7 +230,7 @@ def test_another_method_may_be_asked_of_a_recording(tmp_path):
 def test_a_broken_off_pass_gives_no_revision(tmp_path):
     directory = made.write(tmp_path / "r", made.one_pass()[:100])
     with pytest.raises(RecordingError, match="no complete pass"):
-        compensate(directory)
+        compensate_recording(directory)
 
 
 def test_a_state_without_fields_is_refused(tmp_path):

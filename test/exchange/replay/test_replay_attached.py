@@ -8,7 +8,7 @@ import pass_recording as made
 import pytest
 
 from kr270_milling.base.errors import ConfigError, RecordingError
-from kr270_milling.exchange.replay.attached import cell_of
+from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.recordings.bag.reader import Recording
 
 pytestmark = made.needs_messages
@@ -19,7 +19,7 @@ def cell_in(directory, **attached: str):
     """The cell of a recording with these files attached; "__" in a keyword stands for the point."""
     files = {name.replace("__", "."): text for name, text in attached.items()}
     with Recording(made.write(directory, [], attachments=files)) as recording:
-        return cell_of(recording)
+        return attached_cell(recording)
 
 
 @pytest.fixture

@@ -32,7 +32,7 @@ def test_what_is_stamped_behind_the_end_of_the_reference_is_no_part_of_the_pass(
     found = pass_from_recording(made.write(tmp_path / "far", [*messages, *far]))
     assert time.process_time() - begin < 5.0
     plain = pass_from_recording(made.write(tmp_path / "plain", messages))
-    assert found.scored.row() | {"name": "plain"} == plain.scored.row() and found.complete
+    assert repr(found.scored.row() | {"name": "plain"}) == repr(plain.scored.row()) and found.complete  # with NaN
     assert found.messages_lost == plain.messages_lost == 0
 
 

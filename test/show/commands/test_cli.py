@@ -146,7 +146,7 @@ def test_ctrl_c_ends_with_130(capsys, monkeypatch):
     def interrupted(args):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("kr270_milling.show.commands.bench.run", interrupted)
+    monkeypatch.setattr("kr270_milling.show.commands.bench.run_bench", interrupted)
     assert main(["bench"]) == 130 and capsys.readouterr().err == "kr270_milling: interrupted\n"
 
 

@@ -43,7 +43,8 @@ def test_a_tool_path_ends_with_table_report_programs_and_findings(tmp_path, caps
         "arc",
         "whole part",
         "largest correction",
-        "may be run, after a test in T1",
+        "0 stops",
+        "decision: caution: largest wall or floor error is",
         "report.html",
     ):
         assert word in text
@@ -104,7 +105,7 @@ def test_what_was_limited_is_said(quick, tmp_path, capsys):
 def test_a_path_that_must_not_be_run_ends_with_1_and_says_so(quick, tmp_path, capsys):
     assert main(command(tmp_path, sets=["limits.spindle_power_kw=0.01"])) == 1
     text = capsys.readouterr().out
-    assert "the path must not be run" in text
+    assert text.startswith("decision: no: the path must not be run: the spindle power")
     assert not list((tmp_path / "out").glob("krl*")) and "no robot program is written" in text
 
 

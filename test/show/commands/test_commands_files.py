@@ -115,7 +115,7 @@ def test_recompute_ends_with_0_when_identical_and_1_when_not(whole, tmp_path, ca
 def test_recompute_that_cannot_go_on_ends_with_1_and_says_where(tmp_path, capsys):
     gap = made.write(tmp_path / "r", made.changed(made.one_pass(), "wrench", 40, lambda data: None))
     code, out, _ = run(capsys, "replay", gap, "--recompute")
-    assert code == 1 and "cannot go on at 0.020000 s" in out
+    assert code == 1 and "cannot continue at 0.020000 s" in out
 
 
 def test_compensate_writes_the_trajectory_that_was_published(whole, tmp_path, capsys):
