@@ -35,7 +35,10 @@ class Plant:
         self.passes += 1
         course = imperfect_course(cell, reference, number)
         iterations = cell.exchange.iterations
-        return run_pass(cell.arm_model(reference), cell.cut(), cell.clock, self.target, course, iterations, progress)
+        return run_pass(
+            cell.arm_model(reference), cell.cut(), cell.clock, self.target, course, iterations, progress,
+            cell.programmed.drilling_at,
+        )  # fmt: skip
 
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int) -> Trajectory:

@@ -38,6 +38,8 @@ class Judgement:
     @property
     def words(self) -> str:
         """For the first line of the output."""
+        if np.isnan(self.error):
+            return "has no milled wall or floor to judge"
         if self.passes is None:
             return f"leaves {1e6 * self.error:.0f} um (part.tolerance_um says nothing)"
         where = f" at {self.feature}" if self.feature and not self.passes else ""

@@ -239,7 +239,8 @@ def run_sample(
         model = plant.arm_model(target)
         for k, reference in enumerate(references):
             course = imperfect_course(plant, reference, k)
-            ran = run_pass(model, plant.cut(), plant.clock, target, course, plant.exchange.iterations)
+            silent = plant.programmed.drilling_at
+            ran = run_pass(model, plant.cut(), plant.clock, target, course, plant.exchange.iterations, silent=silent)
             found = deviations(ran, target, scored_from)
             rows[k] = found if found[0] < DIVERGED else np.nan
     except MillingError:

@@ -130,6 +130,7 @@ class Arm(Record):
         unit="mm", text="radius of each link seen as a thin tube, for the rotary inertia of its sections", low=0.0,
         high=2000.0, size=6,
     )  # fmt: skip
+    payload: float = parameter(0.0, unit="kg", low=0.0, high=5000.0, text="most that the flange carries; 0: not known")
     compensator: Compensator = NO_COMPENSATOR
 
     def check(self):
