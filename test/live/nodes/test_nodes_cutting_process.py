@@ -28,7 +28,7 @@ class Robot:
         self.pose = self.node.create_publisher(*topics.TOOL_POSE)
         self.reference = self.node.create_publisher(*topics.REFERENCE_TRAJECTORY)
         self.wrenches = world.listen(self.node, topics.WRENCH)
-        self.told = world.diagnostics(self.node)
+        self.reports = world.diagnostics(self.node)
         target = cell.target()
         self.stamps = cell.clock.stamp(np.arange(cell.clock.steps(target.duration_ns) + 1)).tolist()
         self.course, self.turn = target.sample(self.stamps), target.sample_orientation(self.stamps)
@@ -89,9 +89,9 @@ def test_stamp_going_backwards_is_refused_and_the_pass_goes_on(world, robot):
     for step in range(5):
         robot.exchange(step)
     robot.ask(2)
-    robot.told.until(NAME, "is older than the last one", ERROR)
+    robot.reports.until(NAME, "is older than the last one", ERROR)
     robot.ask(9)
-    robot.told.until(NAME, "does not follow the last one", ERROR)
+    robot.reports.until(NAME, "does not follow the last one", ERROR)
     assert robot.exchange(5)[0] == robot.stamps[5]
 
 
@@ -99,7 +99,7 @@ def test_new_pass_needs_a_fresh_workpiece(world, robot, cut):
     for step in range(3):
         robot.exchange(step)
     robot.ask(0)
-    robot.told.until(NAME, "configure the cutting process again", ERROR)
+    robot.reports.until(NAME, "configure the cutting process again", ERROR)
     cut.trigger_deactivate()
     cut.trigger_cleanup()
     cut.trigger_configure()
@@ -109,14 +109,14 @@ def test_new_pass_needs_a_fresh_workpiece(world, robot, cut):
 
 def test_cut_restarted_in_mid_pass_says_that_it_missed_the_start(robot, cut):
     robot.ask(7)
-    robot.told.until(NAME, "has not seen its start", ERROR)
+    robot.reports.until(NAME, "has not seen its start", ERROR)
 
 
 @pytest.mark.parametrize("shift, frame, reason", [(np.nan, "workpiece", "not finite"), (0.0, "base_link", "frame")])
 def test_unusable_pose_is_refused_and_the_pass_goes_on(robot, shift, frame, reason):
     robot.exchange(0)
     robot.ask(1, shift, frame)
-    robot.told.until(NAME, reason, ERROR)
+    robot.reports.until(NAME, reason, ERROR)
     assert robot.exchange(1)[0] == robot.stamps[1]
 
 
@@ -148,7 +148,7 @@ def test_robot_that_leaves_after_the_pass_is_no_fault(world, robot):
 
 
 def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, robot, cut):
-    """Of a pass by hand too, whose cut nobody deactivates."""
+    """Also for a pass by hand whose cut stays active."""
     maps = world.listen(robot.node, topics.WORKPIECE)
     world.until(lambda: maps)  # latched, of the fresh part
     assert set(maps[0].data) == {100}

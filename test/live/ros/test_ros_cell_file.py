@@ -11,11 +11,11 @@ from kr270_milling.live.graph.processes import cell_text, write_cell
 
 
 def values(record: Record) -> list:
-    found = []
+    result = []
     for spec in specs(type(record)):
         value = getattr(record, spec.name)
-        found += values(value) if isinstance(value, Record) else [(spec.key, value)]
-    return found
+        result += values(value) if isinstance(value, Record) else [(spec.key, value)]
+    return result
 
 
 SETS = [(), ("tool.diameter_mm=12.7", "path.feed_rate_m_per_min=3.3", "mount.abc_deg=[0.1,89.9,0.7]")]
