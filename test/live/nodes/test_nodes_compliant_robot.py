@@ -81,7 +81,7 @@ def test_robot_asks_again_before_the_start_for_as_long_as_it_takes(world, robot,
     partner.reports.until(NAME, "pass complete")
 
 
-def test_robot_says_within_3_s_that_its_cut_is_silent(world, robot, short_cell):
+def test_robot_reports_within_3_s_that_its_cut_is_silent(world, robot, short_cell):
     partner = Partner(world, short_cell)
     robot.trigger_activate()
     world.until(lambda: len(partner.poses) > 10)
@@ -95,7 +95,7 @@ def test_robot_says_within_3_s_that_its_cut_is_silent(world, robot, short_cell):
     assert len(partner.deflections) == count  # the pass is given up, a late answer does not revive it
 
 
-def test_robot_says_at_once_that_its_cut_has_left(world, robot, short_cell):
+def test_robot_reports_at_once_that_its_cut_has_left(world, robot, short_cell):
     partner = Partner(world, short_cell)
     watcher = world.diagnostics(world.partner("watcher"))
     robot.trigger_activate()
@@ -145,7 +145,7 @@ def test_repeated_and_old_answers_change_nothing(world, robot, short_cell):
 
 
 @pytest.mark.parametrize("value, frame, reason", [(np.nan, "workpiece", "not finite"), (1.0, "base_link", "frame")])
-def test_unusable_wrench_is_refused_and_the_pass_goes_on_with_a_good_one(
+def test_unusable_wrench_is_refused_and_the_pass_continues_with_a_good_wrench(
     world, robot, short_cell, value, frame, reason
 ):
     partner = Partner(world, short_cell)
@@ -208,7 +208,7 @@ def test_pace_holds_the_pass_back_to_the_wall_clock(world, short_cell, tmp_path)
     assert 10 * duration <= float(partner.reports.last[NAME]["wall_s"]) + 0.02
 
 
-def test_correction_beyond_the_stated_share_of_the_chip_is_told(world, short_cell, tmp_path):
+def test_correction_beyond_the_stated_share_of_the_chip_is_reported(world, short_cell, tmp_path):
     cell = short_cell.replace(exchange=short_cell.exchange.replace(warn_correction=1e-9))
     robot = world.add(CompliantRobot, cell=cell, directory=tmp_path)
     robot.trigger_configure()

@@ -85,7 +85,7 @@ def test_repeated_pose_gets_the_same_answer_and_cuts_nothing(robot, cut):
         assert cut.protocol.removed_volume == removed
 
 
-def test_stamp_going_backwards_is_refused_and_the_pass_goes_on(world, robot):
+def test_stamp_going_backwards_is_refused_and_the_pass_continues(world, robot):
     for step in range(5):
         robot.exchange(step)
     robot.ask(2)
@@ -107,20 +107,20 @@ def test_new_pass_needs_a_fresh_workpiece(world, robot, cut):
     assert robot.exchange(0)[0] == 0
 
 
-def test_cut_restarted_in_mid_pass_says_that_it_missed_the_start(robot, cut):
+def test_cut_restarted_in_mid_pass_reports_that_it_missed_the_start(robot, cut):
     robot.ask(7)
     robot.reports.until(NAME, "has not seen its start", ERROR)
 
 
 @pytest.mark.parametrize("shift, frame, reason", [(np.nan, "workpiece", "not finite"), (0.0, "base_link", "frame")])
-def test_unusable_pose_is_refused_and_the_pass_goes_on(robot, shift, frame, reason):
+def test_unusable_pose_is_refused_and_the_pass_continues(robot, shift, frame, reason):
     robot.exchange(0)
     robot.ask(1, shift, frame)
     robot.reports.until(NAME, reason, ERROR)
     assert robot.exchange(1)[0] == robot.stamps[1]
 
 
-def test_cut_says_within_a_second_that_the_robot_left_in_mid_pass(world, robot):
+def test_cut_reports_within_a_second_that_the_robot_left_in_mid_pass(world, robot):
     watcher = world.diagnostics(world.partner("watcher"))
     for step in range(5):
         robot.exchange(step)
@@ -128,7 +128,7 @@ def test_cut_says_within_a_second_that_the_robot_left_in_mid_pass(world, robot):
     watcher.until(NAME, "the robot is gone in mid-pass", ERROR, deadline=1.5)
 
 
-def test_cut_says_within_3_s_that_a_robot_which_is_still_there_is_silent(world, robot):
+def test_cut_reports_within_3_s_that_a_running_robot_is_silent(world, robot):
     """As one that was killed: its publisher is known for as long as its lease."""
     watcher = world.diagnostics(world.partner("watcher"))
     for step in range(5):

@@ -112,7 +112,7 @@ def test_every_method_revises_on_line_as_it_does_off_line(world, short_cell, tmp
     assert np.array_equal(next_reference.position, off_line.revise(record_of(short_cell, second.result)).position)
 
 
-def test_robot_restarted_in_mid_pass_is_told_by_the_cut_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
+def test_robot_restarted_in_mid_pass_is_reported_by_the_cut_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
     loop = Loop(world, short_cell, tmp_path)
     loop.start()
     world.until(lambda: len(loop.series["wrench"]) > 20)
@@ -130,7 +130,7 @@ def test_robot_restarted_in_mid_pass_is_told_by_the_cut_and_runs_after_a_fresh_s
     loop.matches(simulate(short_cell).result)
 
 
-def test_cut_restarted_in_mid_pass_says_so_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
+def test_cut_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
     loop = Loop(world, short_cell, tmp_path)
     loop.start()
     world.until(lambda: len(loop.series["wrench"]) > 20)

@@ -62,7 +62,7 @@ def test_every_message_is_kept_with_its_bytes_and_its_stamp(world, recorder, tmp
     assert np.array_equal(records.values, np.repeat(np.arange(300.0)[:, None], 6, axis=1))
 
 
-def test_a_message_with_an_impossible_publish_time_is_counted_and_the_recording_goes_on(world, recorder, tmp_path):
+def test_a_message_with_an_impossible_publish_time_is_counted_and_the_recording_continues(world, recorder, tmp_path):
     """What the middleware hands over; it ended the whole recording."""
     data = serialize_message(wrench_msg(0, np.zeros(6)))
     recorder.session.writer.add_topic("/wrench", "geometry_msgs/msg/WrenchStamped")
@@ -124,7 +124,7 @@ def test_description_that_comes_before_every_stamp_does_not_make_the_recording_l
         assert [m.log_time for m in recording.messages()] == [0, 500_000]
 
 
-def test_topic_that_appears_late_is_found(world, recorder):
+def test_topic_that_appears_late_is_recorded(world, recorder):
     world.step(0.3)
     publisher = world.partner().create_publisher(String, "late", 10)
     world.until(lambda: publisher.get_subscription_count())
@@ -132,7 +132,7 @@ def test_topic_that_appears_late_is_found(world, recorder):
     world.until(lambda: recorder.session.writer.report().get("/late", {}).get("count") == 1)
 
 
-def test_missing_messages_are_counted_and_told(world, recorder):
+def test_missing_messages_are_counted_and_reported(world, recorder):
     partner = world.partner()
     reports = world.diagnostics(partner)
     publisher = partner.create_publisher(*topics.WRENCH)
@@ -141,7 +141,7 @@ def test_missing_messages_are_counted_and_told(world, recorder):
     world.until(lambda: reports.last.get(NAME, {}).get("missing") == "3")
 
 
-def test_vanished_publisher_is_told_as_a_warning(world, recorder):
+def test_vanished_publisher_is_reported_as_a_warning(world, recorder):
     reports = world.diagnostics(world.partner("watcher"))
     partner = world.partner()
     publisher = partner.create_publisher(*topics.WRENCH)
@@ -229,7 +229,7 @@ def test_killed_recorder_leaves_all_but_the_last_half_second(world, ros_environm
         assert recording.topics()["/wrench"].count >= 200
 
 
-def test_full_disk_is_told_and_what_was_written_stays_readable(world, ros_environment, tmp_path):
+def test_full_disk_is_reported_and_the_written_part_stays_readable(world, ros_environment, tmp_path):
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -254,7 +254,7 @@ def test_topic_with_an_impossible_name_is_refused_before_anything_is_written(wor
     assert not (tmp_path / "rec").exists()
 
 
-def test_missing_messages_are_told_of_all_that_there_should_be(world, tmp_path, capfd):
+def test_missing_messages_are_reported_with_the_expected_number(world, tmp_path, capfd):
     recorder = world.add(Recorder, "-p", f"directory:={tmp_path / 'rec'}")
     publisher = world.partner().create_publisher(*topics.WRENCH)
     world.until(lambda: publisher.get_subscription_count())
@@ -317,7 +317,7 @@ def test_a_directory_that_is_set_ends_the_recording_and_begins_another(world, tm
             assert {topic: recording.topics()[topic].count for topic in due} == due
 
 
-def test_a_directory_that_cannot_be_used_is_refused_and_the_recorder_goes_on(world, tmp_path):
+def test_a_directory_that_cannot_be_used_is_refused_and_the_recorder_continues(world, tmp_path):
     recorder = world.add(Recorder, "-p", "autostart:=false")
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "metadata.yaml").write_text("old")

@@ -127,7 +127,7 @@ def test_value_that_is_not_finite_is_refused_at_once(machine, ran, what):
     machine.reference(1)
 
 
-def test_vanished_publisher_of_poses_is_told_in_mid_pass(machine, ran, world):
+def test_vanished_publisher_of_poses_is_reported_in_mid_pass(machine, ran, world):
     watcher = world.diagnostics(world.partner("watcher"))
     machine.play(ran, range(20))
     world.step(0.1)
@@ -135,7 +135,7 @@ def test_vanished_publisher_of_poses_is_told_in_mid_pass(machine, ran, world):
     watcher.until(NAME, "the pass broke off", ERROR, deadline=1.5)
 
 
-def test_poses_that_stay_away_in_mid_pass_are_told_and_may_come_again(machine, ran, world):
+def test_missing_poses_in_mid_pass_are_reported_and_may_resume(machine, ran, world):
     watcher = world.diagnostics(world.partner("watcher"))
     machine.play(ran, range(20))
     watcher.until(NAME, "no tool_pose for 2.6 s in mid-pass", WARN, deadline=3.2)
@@ -216,7 +216,7 @@ def test_reset_and_method_that_are_refused_are_answered_with_the_sentence(machin
     assert reset(machine).success
 
 
-def test_pass_whose_revision_is_refused_is_told_once_and_the_next_one_counts(machine, node, ran, short_cell):
+def test_pass_whose_revision_is_refused_is_reported_once_and_the_next_pass_counts(machine, node, ran, short_cell):
     with pytest.MonkeyPatch.context() as patch:
         out_of_reach(patch)
         machine.play(ran, range(ran.time_ns.size))

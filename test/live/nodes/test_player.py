@@ -58,7 +58,7 @@ def test_a_time_that_no_recording_has_is_refused_in_one_sentence(bag, name, seco
         span(recording, PlayOptions(bag, **{name: seconds}))
 
 
-def test_the_clock_of_a_playback_runs_at_its_rate_and_stands_while_paused():
+def test_the_clock_of_a_playback_runs_at_its_rate_and_stops_while_paused():
     clock = PlayClock(5, 2.0, 100.0)
     assert (clock.position(99.0), clock.position(100.0), clock.position(101.5)) == (5, 5, 5 + 3 * 10**9)
     clock.pause(101.0)
@@ -170,7 +170,7 @@ def test_nothing_is_played_before_the_service_resumes(bag, domain):
 
 
 @needs_ros
-def test_the_clock_is_told_on_demand(bag, domain):
+def test_the_clock_is_published_on_demand(bag, domain):
     from rclpy.serialization import deserialize_message
     from rosgraph_msgs.msg import Clock
 
@@ -290,7 +290,7 @@ def test_names_and_types_that_ros_has_not_are_skipped_with_a_warning(play, tmp_p
     assert all(f"{topic} is not played: " in errors for topic in foreign)
 
 
-def test_clock_that_is_told_all_the_time_does_not_stop_the_playback(play, tmp_path):
+def test_clock_that_is_published_all_the_time_does_not_stop_the_playback(play, tmp_path):
     code, errors = play(made.write(tmp_path / "r", made.one_pass()), "--clock", "1e6", "--rate", "1e-3",
                 "--playback-duration", "0.0005", "--topics", "/wrench")  # fmt: skip
     assert code == 0, errors

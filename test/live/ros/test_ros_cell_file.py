@@ -31,7 +31,7 @@ def test_cell_file_gives_the_same_numbers_bit_for_bit(tmp_path, assignments):
         assert np.array_equal(before, after, equal_nan=missing), key
 
 
-def test_cell_file_stands_alone_and_has_no_empty_list():
+def test_cell_file_needs_no_other_file_and_has_no_empty_list():
     tree = yaml.safe_load(cell_text(read_cell(find_file("paper.yaml"))))["/**"]["ros__parameters"]
     assert "includes" not in tree
 

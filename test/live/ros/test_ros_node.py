@@ -38,7 +38,7 @@ class Failing(ManagedNode):
         raise InputError("stock", "is missed by the path")
 
 
-def test_unusable_input_is_reported_and_the_node_goes_on(world):
+def test_unusable_input_is_reported_and_the_node_continues(world):
     node, reports = world.add(Clumsy), world.diagnostics(world.partner())
     world.until(lambda: "/clumsy" in reports.last)
     node.refuse()
@@ -46,13 +46,13 @@ def test_unusable_input_is_reported_and_the_node_goes_on(world):
     assert node.failure is None and node.refused == 1
 
 
-def test_mistake_in_a_callback_is_told_and_ends_the_node(world):
+def test_mistake_in_a_callback_is_reported_and_ends_the_node(world):
     node = world.add(Clumsy)
     node.stumble()
     assert node.failure == "ZeroDivisionError in stumble: a mistake"
 
 
-def test_failed_transition_tells_why_and_can_be_tried_again(world):
+def test_failed_transition_is_reported_with_its_reason_and_can_be_repeated(world):
     node, reports = world.add(Failing), world.diagnostics(world.partner())
     world.until(lambda: "/failing" in reports.last)
     for _ in range(2):
@@ -70,7 +70,7 @@ def test_names_can_be_remapped(world, short_cell, tmp_path):
     world.until(lambda: "knife" in partner.get_node_names())
 
 
-def test_test_runs_side_by_side_have_different_domains_and_do_not_hear_each_other(world, domain, ros_environment):
+def test_two_test_runs_have_different_domains_and_exchange_no_messages(world, domain, ros_environment):
     publisher = world.partner().create_publisher(*topics.WRENCH)
     code = (
         "import sys; sys.path.insert(0, 'test'); import conftest, ros_domain\n"

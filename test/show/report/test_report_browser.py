@@ -96,7 +96,7 @@ def agrees(visit) -> None:
         assert np.abs(differences).max() < 1e-4, name
 
 
-def test_the_page_says_nothing_asks_for_nothing_and_starts_at_the_worst_place(visit):
+def test_the_page_has_no_console_message_and_no_request_and_starts_at_the_worst_place(visit):
     assert visit.complaints == [] and visit.requests == [visit.page.url]
     here = visit.ask("() => KR.data.linked.passes[KR.shownPass()].side[KR.place]")
     sides = visit.ask("""() => { const p = KR.data.linked.passes[KR.shownPass()], s = KR.data.linked.scored;
