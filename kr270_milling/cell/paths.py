@@ -106,6 +106,10 @@ class StraightCut:
         """Whether the tool makes a rapid move at times (n,) [ns]."""
         return np.zeros(time_ns.size, bool)
 
+    def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
+        """Whether the tool feeds in a drilling cycle at times (n,) [ns]."""
+        return np.zeros(time_ns.size, bool)
+
 
 @dataclass(frozen=True, eq=False)
 class ProgramPath:
@@ -155,9 +159,11 @@ class ProgramPath:
 
     @property
     def feed_rate(self) -> float:
-        """[m/s], the highest programmed feed of the cutting moves."""
+        """[m/s], the highest programmed feed of the milling moves, of a program that only drills of all feed moves."""
         toolpath = self.timed.toolpath
-        return float(np.max(toolpath.feed[~toolpath.rapid], initial=0.0))
+        milling = ~toolpath.rapid & ~toolpath.drilling
+        cuts = milling if milling.any() else ~toolpath.rapid
+        return float(np.max(toolpath.feed[cuts], initial=0.0))
 
     @property
     def spindle_speed_needed(self) -> bool:
@@ -235,6 +241,11 @@ class ProgramPath:
     def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
         """Whether the tool makes a rapid move at times (n,) [ns]."""
         return self.timed.toolpath.rapid[self.timed.block_at(time_ns)]
+
+    def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
+        """Whether the tool feeds in a drilling cycle at times (n,) [ns]."""
+        drilling = self.timed.toolpath.drilling
+        return drilling[self.timed.block_at(time_ns)] if drilling.any() else np.zeros(time_ns.size, bool)
 
     def _read(self) -> Toolpath | TimedPath:
         path = self.path

@@ -44,7 +44,8 @@ class Plant:
         course = imperfect_course(cell, reference, number)
         iterations = cell.exchange.iterations
         model = imperfect_arm(cell, reference, cell.arm_model(reference))
-        return run_pass(model, cell.cut(), cell.clock, self.target, course, iterations, progress)
+        silent = cell.programmed.drilling_at
+        return run_pass(model, cell.cut(), cell.clock, self.target, course, iterations, progress, silent)
 
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int) -> Trajectory:

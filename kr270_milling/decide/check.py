@@ -14,6 +14,7 @@ from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
 from kr270_milling.decide.exchange_share import ExchangeShare, exchange_share
 from kr270_milling.decide.findings import SEVERITIES, Finding, Violation, gathered, separate, violation
+from kr270_milling.decide.inputs import input_violations
 from kr270_milling.decide.load_reversals import load_reversals
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.decide.stability import Stability, chatter_violations, stability_statement
@@ -25,7 +26,7 @@ from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError
 RAPID_MOVES = "removed by rapid moves"
 MOST_LINES = 10  #: of the program that the line about rapid moves names
 
-__all__ = ["RAPID_MOVES", "Checked", "cell_violations", "check"]
+__all__ = ["RAPID_MOVES", "Checked", "check"]
 
 ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm that cannot bear its load
 
@@ -132,7 +133,7 @@ def check(
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
         found, _ = arm_violations(cell, run)
-    found += [*cell_violations(cell), *more]
+    found += [*input_violations(cell), *more]
     if reachable:
         target = cell.target()
         straight = run.velocity is None and target.velocity is not None
@@ -194,46 +195,3 @@ def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) ->
     if motion == "LIN":
         found += corner_blending(target, run, cell.program.blend_distance, cell.limits.blending_share)
     return found
-
-
-#: [rad/(N m)], joint compliances of heavy arms lie at 0.1 to 10 urad/(N m) (Table 1 of [Klimchik2012]: 0.15 to 2.13)
-COMPLIANCE = 1e-8, 1e-4
-#: [kg], links of arms that carry a milling spindle (Table 1: 18 to 337)
-LINK_MASS = 1.0, 2e3
-WIDEST_GRID = 0.05  #: of the tool's radius: with fewer nodes across a cut its force is noise
-
-
-def cell_violations(cell: Cell) -> list[Violation]:
-    """What is unlikely in the parameter file; all are warnings, for the user may have an unlikely cell."""
-    arm, step, widest = cell.arm, cell.stock.grid_step, WIDEST_GRID * cell.tool.radius
-    reach = arm.a1 + arm.a2 + arm.forearm + arm.d6 + float(np.linalg.norm(cell.mount.xyz))
-    away = float(np.hypot(*cell.workpiece.xyz[:2]))
-    found = _unlikely("compliance", arm.joint_compliance, COMPLIANCE) + _unlikely("mass", arm.link_mass, LINK_MASS)
-    if step > widest:
-        found.append(violation("tool and grid", step, widest, diameter=1e3 * cell.tool.diameter))
-    if away > reach:
-        found.append(violation("envelope", away, reach))
-    return found + _posture(cell)
-
-
-def _unlikely(kind: str, values: np.ndarray, bounds: tuple[float, float]) -> list[Violation]:
-    """The first value that is not within the bounds."""
-    over = np.flatnonzero(~((values >= bounds[0]) & (values <= bounds[1])))
-    return [violation(kind, values[k], bounds[int(values[k] > bounds[1])], number=k + 1) for k in over[:1]]
-
-
-def _posture(cell: Cell) -> list[Violation]:
-    """Joints outside the limits, or all so small that they must be radians."""
-    q, arm = np.asarray(cell.posture), cell.arm
-    key = "start_joints_deg" if cell.start_joints.size else "posture_hint_deg"
-    beyond = np.maximum(q - arm.joint_upper, arm.joint_lower - q)
-    k = int(np.argmax(beyond))
-    degrees = np.degrees(np.abs(q))
-    if beyond[k] > 0.0:
-        limit = arm.joint_upper[k] if q[k] > arm.joint_upper[k] else arm.joint_lower[k]
-        said = f"axis {k + 1} is at {np.degrees(q[k]):.4g} deg"
-        return [violation("posture", q[k], limit, key=key, said=said)]
-    if np.any(degrees > 0.0) and np.all(degrees <= 2.0 * np.pi) and np.any(degrees % 1.0 > 1e-9):
-        said = f"all within {degrees.max():.3g} deg, as radians would be"
-        return [violation("posture", np.radians(degrees.max()), np.radians(2.0 * np.pi), key=key, said=said)]
-    return []

@@ -252,17 +252,17 @@ def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = Non
     points = _points(run, met)
     beneath = np.where(_over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
     found = rapid_violations(cell, run, met, ran)
-    found += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points)
+    found += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points, block=met.block)
     for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
         inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
         found += violations(
-            "in the fixture", inside, 0.0, inside > 0.0, points=points, subject=f"fixture {number}"
+            "in the fixture", inside, 0.0, inside > 0.0, points=points, block=met.block, subject=f"fixture {number}"
         )  # fmt: skip
     if flutes:
-        found += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points)
+        found += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
     if not cell.tool.centre_cutting:
         depth, over = _plunges(met)
-        found += violations("plunge", depth, 0.0, over, points=points)
+        found += violations("plunge", depth, 0.0, over, points=points, block=met.block)
     return found
 
 

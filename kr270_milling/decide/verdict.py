@@ -300,8 +300,9 @@ def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory]
         model = plant.arm_model(target)
         for k, reference in enumerate(references):
             course = imperfect_course(plant, reference, k)
+            silent = plant.programmed.drilling_at
             cut, arm = plant.cut(), imperfect_arm(plant, reference, model)
-            ran = run_pass(arm, cut, plant.clock, target, course, plant.exchange.iterations)
+            ran = run_pass(arm, cut, plant.clock, target, course, plant.exchange.iterations, silent=silent)
             if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
                 continue
             heights = None if gauge.ideal is None else cut.map_heights()[2]

@@ -181,7 +181,7 @@ def test_points_out_of_reach_are_findings_of_check(tmp_path, capsys):
     far = "G21 S8000 M3\nG0 X-14 Y0 Z-0.5\nG1 X12 F4000\nG1 Y2500\nM30\n"
     assert main(command(tmp_path, "--json", gcode=far)) == 1
     found = json.loads(capsys.readouterr().out)["findings"]
-    assert {f["what"] for f in found} == {"reach"} and found[0]["where"]["line"] == 4
+    assert {f["what"] for f in found} == {"reach", "stock too small"} and found[0]["where"]["line"] == 4
 
 
 def test_the_command_checks_a_corrected_trajectory(tmp_path, capsys, cell):

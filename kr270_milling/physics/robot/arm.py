@@ -144,6 +144,7 @@ class Arm(Record):
         [94.0, 245.0, 235.0, 49.0, 49.0, 29.0], unit="n_m", size=6, low=0.0, high=1e5,
         text="friction torque of each joint on the link's side; a smaller load leaves the link on its flank",
     )  # fmt: skip
+    payload: float = parameter(0.0, unit="kg", low=0.0, high=5000.0, text="most that the flange carries; 0: not known")
     compensator: GravityCompensator = NO_COMPENSATOR
 
     def check(self):
