@@ -85,7 +85,7 @@ def _found(cell, done) -> dict:
 
 
 def _correction(cell, revised, by) -> dict:
-    """How large the correction is, and what of it was not let through."""
+    """The size of the correction, and the part of it that was limited."""
     size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
     limited = [dataclasses.asdict(part) | {"sentence": limit_sentence(part, by)} for part in by.limited]
     found = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
@@ -117,7 +117,7 @@ def _write(draft, final, cell, done, args, source) -> dict:
 
 
 def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
-    """Report with the error maps, and the part as it is predicted."""
+    """Report with the error maps, and the predicted part."""
     revised = done.revised
     title = f"{cell.programmed.file_name}: before and after compensation ({revised.name})"
     report = write_report(
@@ -156,7 +156,7 @@ def _shown(cell, done, found: dict, args):
     yield joints_text(found["commanded_joints_deg"])
     yield f"largest correction {found['largest_correction_mm']:.4f} mm"
     if "chord_error_mm" in found:
-        yield f"LIN chords stand off the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um"
+        yield f"LIN chords deviate from the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um"
     yield from (*done.checked.findings_lines(), done.checked.counts)
     if found["verdict"]:
         yield from _verdict(found["verdict"])
@@ -169,7 +169,7 @@ def _shown(cell, done, found: dict, args):
 
 
 def _identified(found: dict) -> str:
-    """What the passes told of the arm, in one line."""
+    """The arm as fitted to the passes, in one line."""
     modes = ", ".join(f"{m['frequency_hz']:.2f} Hz ({100 * m['damping_ratio']:.1f} %)" for m in found["modes"])
     gain, compliance = found["gain"], found["compliance_factor"]
     return f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"

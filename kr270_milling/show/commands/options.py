@@ -40,7 +40,7 @@ COMMANDS = {
                 nargs="?",
                 const=PLANTS,
             ),
-            option("--quick", f"a verdict of {FEWEST_PLANTS} plants, without a comparison of a method that is set", bool),
+            option("--quick", f"a verdict of {FEWEST_PLANTS} plants; a method that is set is compared with none", bool),
             option("--no-verdict", "no verdict: the model itself is what cuts", bool),
         )),
         option(
