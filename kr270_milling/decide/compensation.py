@@ -12,6 +12,7 @@ from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.decision import Decision, decided
 from kr270_milling.decide.findings import violation
+from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
 from kr270_milling.decide.tolerance import judge
 from kr270_milling.decide.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, compare, monte_carlo
@@ -97,7 +98,8 @@ def compensate(
     with progress("verdict") as report:
         judged = _verdict(cell, original, revised, verdict, report, comparison is None) if verdict else None
     before, after = map(lambda ran, part: judge(cell, ran, part), (original, revised), parts or (None, None))
-    decision = decided(before, after, revised.name, checked, judged, comparison)
+    backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
+    decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
     return JudgedCompensation(original, revised, by, parts, checked, decision, motions)
 
 

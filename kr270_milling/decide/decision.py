@@ -34,6 +34,7 @@ class Decision:
     verdict: Verdict | None = None  #: of plants that are not the model; None: not run
     comparison: Comparison | None = None  #: where the method was chosen by ``best``
     notes: tuple[str, ...] = ()  #: what a user of the method must know
+    backlash: str = ""  #: whether the figures include the backlash of the joints
 
     @property
     def may_be_run(self) -> bool:
@@ -103,11 +104,13 @@ class Decision:
     @property
     def headline(self) -> str:
         """One line with both passes."""
-        return f"{self.text}; as programmed: {self.as_programmed.words}; {self.method_text}"
+        backlash = f"; {self.backlash}" if self.backlash else ""
+        return f"{self.text}{backlash}; as programmed: {self.as_programmed.words}; {self.method_text}"
 
     def lines(self) -> list[str]:
         """The lines that terminal, manifest and programs print."""
-        return [self.text, f"as programmed: {self.as_programmed.words}", self.method_text, *self.notes]
+        more = [self.backlash] if self.backlash else []
+        return [self.text, *more, f"as programmed: {self.as_programmed.words}", self.method_text, *self.notes]
 
     def as_dict(self) -> dict:
         """For JSON."""
@@ -122,20 +125,21 @@ class Decision:
             "recommended_method": self.recommended_method,
             "comparison": self.comparison and self.comparison.as_dict(),
             "notes": list(self.notes),
+            "backlash": self.backlash,
         }
 
 
 def decided(
     before: Judgement, after: Judgement, method: str, checked: Checked, verdict: Verdict | None = None,
-    comparison: Comparison | None = None,
+    comparison: Comparison | None = None, backlash: str = "",
 ) -> Decision:  # fmt: skip
     """The decision on a pass as programmed and one along the reference of a method.
 
-    checked: findings of the path of the second one.
+    checked: findings of the path of the second one; backlash: whether the figures include it.
     """
     stops = tuple(finding.sentence for finding in checked.findings if finding.severity == "stop")
     notes = [NEEDS_TRACKER] if method == LEARNED.name else []
     if after.error > before.error:
         errors = f"{um_text(after.error)} against {um_text(before.error)}"
         notes.append(f"{method} makes the part worse than no compensation ({errors})")
-    return Decision(before, after, method, stops, checked.count("warning"), verdict, comparison, tuple(notes))
+    return Decision(before, after, method, stops, checked.count("warning"), verdict, comparison, tuple(notes), backlash)

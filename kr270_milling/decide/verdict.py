@@ -16,7 +16,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, expected_deviations, record_of, simulate
-from kr270_milling.cell.plant import Plant, imperfect_course, perturbed
+from kr270_milling.cell.plant import Plant, imperfect_arm, imperfect_course, perturbed
 from kr270_milling.decide.tolerance import PATH_DEVIATION, SURFACE_ERROR, Gauge
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import LEARNED, METHODS
@@ -24,7 +24,7 @@ from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.scores import path_deviation
 
 __all__ = ["FEWEST", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "Comparison", "Verdict",
-           "alternatives", "coarser", "compare", "judge", "monte_carlo", "run_sample"]  # fmt: skip
+           "alternatives", "coarser", "compare", "judge_plants", "monte_carlo", "run_sample"]  # fmt: skip
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
 LEVELS = (0.05, 0.5, 0.95)
@@ -64,7 +64,7 @@ class Verdict:
         before = self.original
         sound = {NO_METHOD: _high(before) * (1.0 - SAME)}
         for name, rows in self.methods.items():
-            if name != TRACKED and judge(before[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
+            if name != TRACKED and judge_plants(before[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
                 sound[name] = _high(rows)
         return min(sound, key=sound.__getitem__)
 
@@ -253,12 +253,12 @@ def monte_carlo(
         methods[TRACKED] = np.array(tracked)
     quantity, shares = (PATH_DEVIATION if straight else SURFACE_ERROR), rows[:, 1, 1]
     before, after = rows[:, 0, 0], rows[:, 1, 0]
-    word, reason = judge(before, after, cell.uncertainty.matters_above, quantity)
+    word, reason = judge_plants(before, after, cell.uncertainty.matters_above, quantity)
     given = bool(np.isfinite(rows[..., 1]).any())
     return Verdict(word, reason, before, after, seed, methods, quantity, shares if given else None)
 
 
-def judge(
+def judge_plants(
     original: np.ndarray, compensated: np.ndarray, matters_above: float, quantity: str = PATH_DEVIATION
 ) -> tuple[str, str]:
     """The verdict and its reason from the errors [m], (n,), of the same plants on both trajectories.
@@ -300,8 +300,9 @@ def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory]
         model = plant.arm_model(target)
         for k, reference in enumerate(references):
             course = imperfect_course(plant, reference, k)
-            cut = plant.cut()
-            ran = run_pass(model, cut, plant.clock, target, course, plant.exchange.iterations)
+            silent = plant.programmed.drilling_at
+            cut, arm = plant.cut(), imperfect_arm(plant, reference, model)
+            ran = run_pass(arm, cut, plant.clock, target, course, plant.exchange.iterations, silent=silent)
             if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
                 continue
             heights = None if gauge.ideal is None else cut.map_heights()[2]
@@ -321,7 +322,7 @@ def coarser(cell: Cell) -> Cell:
     """
     turns = cell.tool.spindle_speed / (2.0 * math.pi)
     fed = cell.fed_path
-    if fed is None:
+    if fed is None or cell.by_engagement:
         return cell
     feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
     step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))

@@ -22,7 +22,7 @@ from kr270_milling.decide.verdict import (
     Verdict,
     alternatives,
     coarser,
-    judge,
+    judge_plants,
     monte_carlo,
     run_sample,
 )  # fmt: skip
@@ -219,6 +219,8 @@ def test_imperfections_of_the_plants_are_spread_evenly_up_to_what_is_stated(cell
     for name in ("pose_noise", "repeatability"):
         drawn = np.array([getattr(p.imperfections, name) for p in plants]) / getattr(how, name)
         assert drawn.min() >= 0.0 and drawn.max() <= 1.0 and drawn.mean() == pytest.approx(0.5, abs=0.06)
+    times = np.array([p.imperfections.backlash / p.arm.backlash for p in plants])
+    assert times.max() <= how.backlash and times.mean() == pytest.approx(0.5 * how.backlash, rel=0.12)
     assert len({p.imperfections.seed for p in plants}) == 400
 
 
@@ -280,7 +282,7 @@ def samples(*shares: float, before: float = 50 * UM) -> tuple[np.ndarray, np.nda
     ],
 )
 def test_the_rule(pair, word):
-    found, reason = judge(*pair, 10 * UM)
+    found, reason = judge_plants(*pair, 10 * UM)
     assert found == word and reason
 
 

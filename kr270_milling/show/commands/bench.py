@@ -7,28 +7,27 @@ import statistics
 import time
 from collections.abc import Callable
 
-import numpy as np
-
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import simulate
-from kr270_milling.physics.robot import equilibrium, stiffness
-from kr270_milling.physics.robot.analysis import read_arm
+from kr270_milling.show.commands.command import command
 from kr270_milling.show.commands.console import Answer
 
-__all__ = ["posture_job", "run"]
+__all__ = ["COMMANDS", "posture_job", "run_bench"]
 
 REPEATS = 5
 POSTURES = 1000
+COMMANDS = {"bench": command("bench.run_bench", "bench")}
 
 
-def run(args) -> Answer:
+def run_bench(args) -> Answer:
     times = {**_pass(), **_postures()}
     return Answer(times, [f"{key:20} {value:.6g}" for key, value in times.items()])
 
 
 def _pass() -> dict:
     """The paper's pass, 1 deg micro-steps, 10 um grid; the first pass may compile."""
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.jobs import simulate
+
     cell = read_cell(find_file("paper.yaml"))
     start = time.perf_counter()
     result = simulate(cell).result
@@ -46,6 +45,11 @@ def _pass() -> dict:
 
 def posture_job() -> Callable[[], object]:
     """The calculation of pose, Jacobian, Hessian and loaded stiffness of POSTURES postures in one batch."""
+    import numpy as np
+
+    from kr270_milling.physics.robot import equilibrium, stiffness
+    from kr270_milling.physics.robot.analysis import read_arm
+
     arm, mount = read_arm(find_file("paper.yaml"))
     around = np.radians([90.0, -50.0, 120.0, 180.0, 25.0, 180.0])
     q = around + np.random.default_rng(1).uniform(-0.2, 0.2, (POSTURES, 6))

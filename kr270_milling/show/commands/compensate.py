@@ -8,20 +8,15 @@ from __future__ import annotations
 import dataclasses
 import sys
 
-import numpy as np
-
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.jobs import joint_ranges
-from kr270_milling.decide.compensation import VerdictOrder, compensate, limit_sentence
-from kr270_milling.decide.decision import CAUTION, NO, YES
-from kr270_milling.decide.part import write_part
-from kr270_milling.decide.programs.files import write_programs
-from kr270_milling.physics.compensation.revision import chord_error
+from kr270_milling.live.nodes.play_arguments import bounded
+from kr270_milling.physics.compensation.methods import BEST, METHODS
+from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, Group, command, option
 from kr270_milling.show.commands.console import (
     Answer,
     Colored,
-    Table,
+    TextTable,
     cell_of,
     command_line,
     fixed,
@@ -31,15 +26,57 @@ from kr270_milling.show.commands.console import (
     table_of,
     um,
 )
-from kr270_milling.show.commands.options import FEWEST_PLANTS, PLANTS
 from kr270_milling.show.commands.progress import progress
-from kr270_milling.show.report import ReportTable, decision_block, write_report
 
-COLORS = {YES: "green", CAUTION: "yellow", NO: "red"}
+PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
+COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
 DEVIATIONS = (("pass", "name", 2), ("static", "static_deviation_mm", um), ("max", "max_deviation_mm", um))
 
+COMMANDS = {
+    "compensate": command(
+        "compensate.run_compensate", "compensate config/test_piece.yaml --out out",
+        *CELL,
+        *PLANT,
+        option(
+            "--method",
+            "default: the cell's compensation.method; best: compare the methods and run the best",
+            choices=(BEST, *METHODS),
+        ),
+        option("--out DIR", "where everything goes", default="out"),
+        option(
+            "--krl",
+            "motions of the robot programs; may be given twice (default: LIN for the method linear, which corrects "
+            "in straight lines, else the cell's program.motion)",
+            choices=MOTIONS,
+            action="append",
+        ),
+        Group(None, (
+            option(
+                "--verdict N",
+                f"judge the compensation by N plants (default {PLANTS}) drawn from the cell's uncertainty; by "
+                f"fewer, but at least {FEWEST_PLANTS}, where they take more than 5 minutes. Without this option: "
+                f"as many as take less than a minute, and none where {FEWEST_PLANTS} take longer",
+                bounded(1, 999_999, int),
+                nargs="?",
+                const=PLANTS,
+            ),
+            option("--quick", f"a verdict of {FEWEST_PLANTS} plants; a method that is set is compared with none", bool),
+            option("--no-verdict", "no verdict: the model itself is what cuts", bool),
+        )),
+        option(
+            "--force",
+            "also write the programs after the decision no, marked NOT RELEASED in name and header",
+            bool,
+        ),
+        option("--seed N", "of the verdict's plants", bounded(1, 999_999, int), 1),
+    ),
+}  # fmt: skip
 
-def run(args) -> Answer:
+
+def run_compensate(args) -> Answer:
+    from kr270_milling.decide.compensation import compensate
+    from kr270_milling.decide.decision import CAUTION
+
     source, cell = find_file(args.cell), cell_of(args)
     plant = plant_of(args, cell)
     with staged(args.out) as (draft, final):
@@ -57,6 +94,8 @@ def run(args) -> Answer:
 
 def _order(args):
     """The verdict that is wanted; None for none."""
+    from kr270_milling.decide.compensation import VerdictOrder
+
     if args.no_verdict:
         return None
     samples = args.verdict or (FEWEST_PLANTS if args.quick else PLANTS)
@@ -71,8 +110,10 @@ def _estimate(plants: int, seconds: float) -> None:
 
 def _found(cell, done) -> dict:
     """What ``--json`` prints, but for the files."""
+    from kr270_milling.cell.jobs import joint_ranges
+
     original, revised = done.original, done.revised
-    found = {"method": revised.name, "points": len(revised.reference)}
+    found = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
     found |= {k: v for k, v in revised.row().items() if k != "name"}
     found["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
     found["original"] = {k: v for k, v in original.row().items() if k != "name"}
@@ -86,6 +127,11 @@ def _found(cell, done) -> dict:
 
 def _correction(cell, revised, by) -> dict:
     """The size of the correction, and the part of it that was limited."""
+    import numpy as np
+
+    from kr270_milling.decide.compensation import limit_sentence
+    from kr270_milling.physics.compensation.revision import chord_error
+
     size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
     limited = [dataclasses.asdict(part) | {"sentence": limit_sentence(part, by)} for part in by.limited]
     found = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
@@ -100,6 +146,9 @@ def _correction(cell, revised, by) -> dict:
 
 def _write(draft, final, cell, done, args, source) -> dict:
     """All files; their final paths by kind."""
+    from kr270_milling.decide.decision import NO
+    from kr270_milling.decide.programs.files import write_programs
+
     date = now()
     revised, released = done.revised, done.decision.level != NO
     with progress("files"):
@@ -118,6 +167,9 @@ def _write(draft, final, cell, done, args, source) -> dict:
 
 def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
     """Report with the error maps, and the predicted part."""
+    from kr270_milling.decide.part import write_part
+    from kr270_milling.show.report import decision_block, write_report
+
     revised = done.revised
     title = f"{cell.programmed.file_name}: before and after compensation ({revised.name})"
     report = write_report(
@@ -131,6 +183,11 @@ def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
 
 def _joints_table(cell, revised):
     """The posture that is commanded, for the report."""
+    import numpy as np
+
+    from kr270_milling.cell.jobs import joint_ranges
+    from kr270_milling.show.report import ReportTable
+
     columns = [
         *joint_ranges(cell, revised.reference).values(),
         *np.degrees([cell.arm.joint_lower, cell.arm.joint_upper]),
@@ -142,6 +199,8 @@ def _joints_table(cell, revised):
 
 def _shown(cell, done, found: dict, args):
     """The output for the terminal, the decision first."""
+    from kr270_milling.decide.decision import NO
+
     decision = done.decision
     yield Colored(decision.text, COLORS[decision.level])
     yield from decision.lines()[1:]
@@ -153,6 +212,7 @@ def _shown(cell, done, found: dict, args):
         yield found["note"]
     if found["identified"]:
         yield _identified(found["identified"])
+    yield cell.cut_text
     yield joints_text(found["commanded_joints_deg"])
     yield f"largest correction {found['largest_correction_mm']:.4f} mm"
     if "chord_error_mm" in found:
@@ -175,7 +235,7 @@ def _identified(found: dict) -> str:
     return f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"
 
 
-def _features(features: dict, method: str) -> Table:
+def _features(features: dict, method: str) -> TextTable:
     """Before and after, side by side."""
     before, after = ({row["feature"]: row for row in features[name]} for name in ("original", method))
     keys = ("max_normal_um", "mean_normal_um", "max_wall_error_um", "max_floor_error_um")
@@ -185,13 +245,13 @@ def _features(features: dict, method: str) -> Table:
         rows.append([name] + [fixed(v, 1) for pair in pairs for v in pair])
     columns = ["feature", "max", "after", "mean", "after", "wall", "after", "floor", "after"]
     title = f"Before and after ({method}) [um]: deviation to the side while cutting, errors that remain"
-    return Table(title, columns, rows)
+    return TextTable(title, columns, rows)
 
 
 def _verdict(verdict: dict):
     columns = ["", "5 %", "50 %", "95 %"]
     rows = [[name, *(f"{1e3 * value:.1f}" for value in band)] for name, band in verdict["methods"].items()]
-    yield Table(
+    yield TextTable(
         f"{verdict['samples']} simulated robots, seed {verdict['seed']}: {verdict['quantity']} [um]", columns, rows
     )
     yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"

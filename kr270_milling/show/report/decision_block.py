@@ -20,15 +20,15 @@ from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, decided
 from kr270_milling.decide.findings import SEVERITIES, Finding
 from kr270_milling.decide.part import PartAssessment
 from kr270_milling.decide.tolerance import PATH_DEVIATION, Judgement, judge
-from kr270_milling.show.report.tables import fixed, micro
+from kr270_milling.show.report.tables import fixed_text, micro
 
 TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: of the tile
 
-__all__ = ["Answer", "DecisionBlock", "Tile", "asked", "decision_block", "finding_rows", "judged", "tiles"]
+__all__ = ["DecisionBlock", "Tile", "ToleranceAnswer", "asked", "decision_block", "finding_rows", "judged", "tiles"]
 
 
 @dataclass(frozen=True)
-class Answer:
+class ToleranceAnswer:
     """Whether one version of the path meets the tolerance."""
 
     passes: bool | None  #: None: no tolerance is given
@@ -39,8 +39,8 @@ class Answer:
 class DecisionBlock:
     """The answer to what was asked; what is None or empty is not known and is not shown."""
 
-    as_programmed: Answer | None = None
-    compensated: Answer | None = None
+    as_programmed: ToleranceAnswer | None = None
+    compensated: ToleranceAnswer | None = None
     level: str = ""  #: "yes", "caution" or "no"
     sentence: str = ""  #: why
     method: str = ""  #: the method that was run, and why
@@ -88,12 +88,12 @@ def _block(
     )
 
 
-def _answer(judged: Judgement) -> Answer:
+def _answer(judged: Judgement) -> ToleranceAnswer:
     left = f"{judged.quantity} {1e6 * judged.error:.1f} µm"
     if judged.passes is None:
-        return Answer(None, f"{left}; no tolerance is given: set part.tolerance_um")
+        return ToleranceAnswer(None, f"{left}; no tolerance is given: set part.tolerance_um")
     where = f" at {judged.feature}" if judged.feature else ""
-    return Answer(judged.passes, f"{left}{where}, {1e6 * judged.tolerance:.0f} µm allowed")
+    return ToleranceAnswer(judged.passes, f"{left}{where}, {1e6 * judged.tolerance:.0f} µm allowed")
 
 
 def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
@@ -142,9 +142,9 @@ def tiles(
     return rows
 
 
-def _judged(label: str, judged: Answer | None, size: float, sentence: str) -> Tile:
+def _judged(label: str, judged: ToleranceAnswer | None, size: float, sentence: str) -> Tile:
     """size: the tolerance quantity [m], sentence: its name, for a path without a judgement."""
-    amount = f"{fixed(size * 1e6, 2)} µm"
+    amount = f"{fixed_text(size * 1e6, 2)} µm"
     if judged is None or judged.passes is None:
         return Tile(label, amount, f"{sentence}; no tolerance is given")
     word, tone = ("passes", "good") if judged.passes else ("fails", "bad")

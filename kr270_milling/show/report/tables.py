@@ -16,8 +16,8 @@ from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.part import FeatureRow, PartAssessment
 from kr270_milling.physics.motion.scores import Scores
 
-__all__ = ["PAPER", "TABLE_2", "ReportTable", "details", "feature_table", "fixed", "input_rows", "line_scores", "micro",
-           "part_scores", "shown", "typographic", "warning"]  # fmt: skip
+__all__ = ["PAPER", "TABLE_2", "ReportTable", "details", "feature_table", "fixed_text", "input_rows", "line_scores",
+           "micro", "part_scores", "shown", "typographic", "warning"]  # fmt: skip
 
 UM = 1e6
 #: source of the columns `paper`
@@ -42,7 +42,7 @@ class ReportTable:
     note: str = ""
 
 
-def fixed(value: float, digits: int) -> str:
+def fixed_text(value: float, digits: int) -> str:
     """Fixed decimals with a typographer's minus, never "-0"; a dash where there is no number."""
     if value is None or not np.isfinite(value):
         return "–"
@@ -132,7 +132,7 @@ def _heading(column: Column) -> str:
 
 
 def _text(column: Column, value: float) -> str:
-    return fixed(value * column.scale, column.digits)
+    return fixed_text(value * column.scale, column.digits)
 
 
 def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
@@ -152,9 +152,9 @@ def details(passes: Sequence[ScoredPass]) -> ReportTable:
         result = one.result
         shift = float(np.linalg.norm(result.reference - result.target, axis=1).max())
         rows.append((
-            one.name, " / ".join(fixed(v, 2) for v in mean_force(result)), fixed(shift * UM, 2),
-            fixed(result.removed_volume * 1e9, 3), fixed(float(result.correction.max()) * 1e9, 2),
-            str(result.micro_steps), fixed(result.wall_time, 3),
+            one.name, " / ".join(fixed_text(v, 2) for v in mean_force(result)), fixed_text(shift * UM, 2),
+            fixed_text(result.removed_volume * 1e9, 3), fixed_text(float(result.correction.max()) * 1e9, 2),
+            str(result.micro_steps), fixed_text(result.wall_time, 3),
         ))  # fmt: skip
     columns = (
         "pass", "mean force x / y / z, last quarter [N]", "largest shift of the reference [µm]", "removed volume [mm³]",

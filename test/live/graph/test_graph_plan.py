@@ -11,7 +11,7 @@ pytest.importorskip("rclpy")
 
 from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.live.graph import plan
-from kr270_milling.live.graph.graph import PassRun
+from kr270_milling.live.graph.graph import RunValues
 
 
 class PlainGraph:
@@ -31,11 +31,11 @@ class PlainGraph:
     def choose(self, method: str) -> None:
         self.compensator.choose(method)
 
-    def run_pass(self, name: str) -> PassRun:
+    def run_pass(self, name: str) -> RunValues:
         self.ran[name] = simulate(self.cell, self.compensator.reference, name)
         self.compensator.revise(record_of(self.cell, self.ran[name].result))
         state = self.compensator
-        return PassRun(name, Path(name), "", 1.0, tuple(state.errors), state.finished)
+        return RunValues(name, Path(name), "", 1.0, tuple(state.errors), state.finished)
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def test_the_number_of_passes_may_be_given(run):
 
 
 @pytest.mark.parametrize("method, repeat", [("learned", False), ("spline", True)])
-def test_a_method_that_repeats_goes_on_until_the_compensator_is_finished_as_off_line(run, method, repeat):
+def test_a_method_that_repeats_continues_until_the_compensator_is_finished_as_off_line(run, method, repeat):
     """The compensator is asked; the method's name decides nothing."""
     graph, (original, best) = run([method], repeat=repeat, max_passes=4)
     assert graph.compensator.finished and 2 <= len(best.learning) <= 4

@@ -1,4 +1,4 @@
-"""``identify`` as it is typed: JSON with the pinned names, refusals in one sentence, forces out of recordings."""
+"""The command ``identify``: JSON with the pinned names, refusals in one sentence, forces out of recordings."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from known_cuts import TRUE, cuts, measured
 from kr270_milling.cli import main
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import serialise
-from kr270_milling.studies.identification.cuts import Sensor, mean_force
+from kr270_milling.studies.identification.cuts import Sensor, recorded_mean_force
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 RPM, RATE = 6000.0, 2500  # 25 samples a revolution
@@ -78,7 +78,7 @@ def test_the_weight_on_a_sensor_is_taken_off_where_there_is_no_tare(tmp_path, on
             fields = {"header": {"stamp": stamp}, "wrench": {"force": dict(zip("xyz", shown.tolist(), strict=True))}}
             writer.write("/wrench", serialise(WRENCH, fields), k)
     sensor = Sensor(on_part=on_part, mass=20.0)
-    result, _ = mean_force(tmp_path / "cut", sensor, (0.02, 0.08), RPM * 2 * math.pi / 60)
+    result, _ = recorded_mean_force(tmp_path / "cut", sensor, (0.02, 0.08), RPM * 2 * math.pi / 60)
     assert result == pytest.approx(force, abs=1e-3)
 
 
@@ -105,7 +105,7 @@ def test_json_of_compliance_has_the_pinned_names(capsys):
     assert result["test_pose"]["share"] < 0.03
 
 
-def test_a_bare_arm_cannot_tell_joint_6_and_says_so_with_null_as_its_interval(capsys, tmp_path):
+def test_a_bare_arm_cannot_identify_joint_6_and_its_interval_is_null(capsys, tmp_path):
     """Wrench and reflector at the flange's centre."""
     rows = ["a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,fx_n,fy_n,fz_n,dx_mm,dy_mm,dz_mm"]
     rng = np.random.default_rng(8)
@@ -126,7 +126,7 @@ def test_a_bare_arm_cannot_tell_joint_6_and_says_so_with_null_as_its_interval(ca
     assert result["compliance_urad_per_n_m"] == pytest.approx([0.26, 0.15, 0.26, 1.79, 1.52, 2.13], rel=1e-5)
 
 
-def test_what_is_missing_is_said_in_one_sentence(capsys, tmp_path):
+def test_a_missing_value_is_reported_in_one_sentence(capsys, tmp_path):
     assert "needs a table of load tests" in refused(capsys, "identify", "compliance", "--arm", "kr270_2.yaml")
     plan = ("identify", "compliance", "--arm", "kr270_2.yaml", "--plan", "6")
     assert "--cell CELL.yaml or --at" in refused(capsys, *plan)

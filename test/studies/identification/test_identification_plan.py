@@ -16,8 +16,8 @@ from kr270_milling.studies.identification.plan import (
     Bench,
     Planner,
     candidates,
-    in_order,
     read_test_pose,
+    sorted_tests,
 )
 
 BENCH = Bench(MOUNT.xyz)
@@ -78,7 +78,7 @@ def test_masses_alone_leave_the_vertical_axis_unknown(choice):
 
 
 def test_the_plan_is_sorted_by_load_and_written_for_the_controller(choice, planner, tmp_path):
-    plan = in_order(choice.take(planner.best(10).rows))
+    plan = sorted_tests(choice.take(planner.best(10).rows))
     assert np.all(np.diff(plan.kind) >= 0)
     files = write_plan(tmp_path, plan, ["a note"])
     program = files[1].read_bytes().decode("ascii")
