@@ -33,7 +33,7 @@ ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm tha
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """What was found, the worst first."""
+    """The findings, the worst first."""
 
     findings: tuple[Finding, ...]
     points: int
@@ -50,7 +50,7 @@ class Checked:
 
     @property
     def may_be_run(self) -> bool:
-        """Whether nothing was found that forbids it."""
+        """Whether no finding forbids it."""
         return not self.count("stop")
 
     def count(self, severity: str) -> int:
@@ -96,7 +96,7 @@ class Checked:
         return f"{RAPID_MOVES}: {self.rapid_volume_mm3:.4g} mm3{where}"
 
     def as_dict(self) -> dict:
-        """For JSON; values and limits in the unit that stands beside them."""
+        """For JSON; values and limits in the unit beside them."""
         return {
             "may_be_run": self.may_be_run,
             "points": self.points,

@@ -34,7 +34,7 @@ SAME = 0.1  #: changes of the largest deviation by less than this share are none
 FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
 TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
 NO_METHOD = "none"  #: run the path as it was programmed
-LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones stay as they are
+LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
 
 
@@ -131,7 +131,7 @@ def compare(cell: Cell, original: ScoredPass) -> Comparison:
     With a tracker the method is ``LEARNED``: it begins as ``inverse``, measures its passes, and keeps the best of them.
     """
     if cell.compensation.tracker:
-        why = f"{LEARNED.name}, because compensation.tracker is true: the tracker measures each pass, the best is kept"
+        why = f"{LEARNED.name}, because compensation.tracker is true: a tracker measures each pass, the best is used"
         return Comparison(LEARNED.name, why, {})
     references = _references(cell, original)
     deviations = _expected(cell, {NO_METHOD: cell.target(), **references})
@@ -152,22 +152,22 @@ def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Tra
 
     Of a tool path, where each takes long: only the method that the linear model expects to leave the least on 8 plants.
     """
-    found = _references(cell, original, method)
-    if cell.programmed.straight or not found:
-        return found
-    deviations = _expected(cell, found)
+    references = _references(cell, original, method)
+    if cell.programmed.straight or not references:
+        return references
+    deviations = _expected(cell, references)
     best = min(deviations, key=deviations.__getitem__)
-    return {best: found[best]}
+    return {best: references[best]}
 
 
 def _references(cell: Cell, original: ScoredPass, without: str = "") -> dict[str, Trajectory]:
     """By method. A method that repeats takes passes of the plant itself, so it is left out."""
-    found = {}
+    references = {}
     for name, method in METHODS.items():
         if name != without and not method.repeats:
             with contextlib.suppress(MillingError):
-                found[name] = compensator(cell, cell.target(), name).revise(record_of(cell, original))
-    return found
+                references[name] = compensator(cell, cell.target(), name).revise(record_of(cell, original))
+    return references
 
 
 def _expected(cell: Cell, references: dict[str, Trajectory]) -> dict[str, float]:
@@ -209,7 +209,7 @@ def monte_carlo(
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
     budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8; give_up: None is
-    returned where 8 take longer as well. progress(done, plants) and estimate(plants, seconds) are told what is to come.
+    returned where 8 take longer as well. progress(done, plants) and estimate(plants, seconds) receive what is to come.
     method: the name of the revised trajectory; others: trajectories of other methods, to recommend one; with them the
     first 8 plants of a straight cut also learn from their own passes. The plants run in as many threads as there are
     cores; the numbers do not depend on how many.
@@ -230,7 +230,7 @@ def monte_carlo(
         return rows, _tracked(cell, plants[k], gauge) if tracks else None
 
     start = time.perf_counter()
-    found = [run(0)]
+    drawn = [run(0)]
     each = (time.perf_counter() - start) / cores
     count = min(samples, max(FEWEST, int(min(budget / each, samples))))
     if give_up and count * each > budget:
@@ -239,16 +239,16 @@ def monte_carlo(
     pool = ThreadPoolExecutor(cores)
     try:
         for row in pool.map(run, range(1, count)):
-            progress(len(found), count)
-            found.append(row)
-            if len(found) >= FEWEST and time.perf_counter() - start > budget:
+            progress(len(drawn), count)
+            drawn.append(row)
+            if len(drawn) >= FEWEST and time.perf_counter() - start > budget:
                 break
     finally:  # after an interrupt only the plants that run are waited for
         pool.shutdown(cancel_futures=True)
-    progress(len(found), len(found))
-    rows = np.stack([row for row, _ in found])
+    progress(len(drawn), len(drawn))
+    rows = np.stack([row for row, _ in drawn])
     methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
-    tracked = [value for _, value in found if value is not None]
+    tracked = [value for _, value in drawn if value is not None]
     if tracked:
         methods[TRACKED] = np.array(tracked)
     quantity, shares = (PATH_DEVIATION if straight else SURFACE_ERROR), rows[:, 1, 1]
@@ -306,8 +306,8 @@ def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory]
             if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
                 continue
             heights = None if gauge.ideal is None else cut.map_heights()[2]
-            found = gauge.measure(dataclasses.replace(ran, heights=heights))
-            rows[k] = found.error, found.share
+            judged = gauge.measure(dataclasses.replace(ran, heights=heights))
+            rows[k] = judged.error, judged.share
     except MillingError:
         pass
     return rows
@@ -326,7 +326,7 @@ def coarser(cell: Cell) -> Cell:
         return cell
     feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
     step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))
-    how = cell.exchange
-    if how.period <= LONG_PERIOD and how.micro_step <= LONG_STEP:
-        how = how.replace(period=2.0 * how.period, micro_step=2.0 * how.micro_step)
-    return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=how)
+    exchange = cell.exchange
+    if exchange.period <= LONG_PERIOD and exchange.micro_step <= LONG_STEP:
+        exchange = exchange.replace(period=2.0 * exchange.period, micro_step=2.0 * exchange.micro_step)
+    return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=exchange)

@@ -60,12 +60,12 @@ COMMANDS = {
                 nargs="?",
                 const=PLANTS,
             ),
-            option("--quick", f"a verdict of {FEWEST_PLANTS} plants, without a look at other methods", bool),
+            option("--quick", f"a verdict of {FEWEST_PLANTS} plants; a method that is set is compared with none", bool),
             option("--no-verdict", "no verdict: the model itself is what cuts", bool),
         )),
         option(
             "--force",
-            "also write the programs of a path that must not be run, marked NOT RELEASED in name and header",
+            "also write the programs after the decision no, marked NOT RELEASED in name and header",
             bool,
         ),
         option("--seed N", "of the verdict's plants", bounded(1, 999_999, int), 1),
@@ -126,7 +126,7 @@ def _found(cell, done) -> dict:
 
 
 def _correction(cell, revised, by) -> dict:
-    """How large the correction is, and what of it was not let through."""
+    """The size of the correction, and the part of it that was limited."""
     import numpy as np
 
     from kr270_milling.decide.compensation import limit_sentence
@@ -166,7 +166,7 @@ def _write(draft, final, cell, done, args, source) -> dict:
 
 
 def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
-    """Report with the error maps, and the part as it is predicted."""
+    """Report with the error maps, and the predicted part."""
     from kr270_milling.decide.part import write_part
     from kr270_milling.show.report import decision_block, write_report
 
@@ -216,7 +216,7 @@ def _shown(cell, done, found: dict, args):
     yield joints_text(found["commanded_joints_deg"])
     yield f"largest correction {found['largest_correction_mm']:.4f} mm"
     if "chord_error_mm" in found:
-        yield f"LIN chords stand off the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um"
+        yield f"LIN chords deviate from the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um"
     yield from (*done.checked.findings_lines(), done.checked.counts)
     if found["verdict"]:
         yield from _verdict(found["verdict"])
@@ -229,7 +229,7 @@ def _shown(cell, done, found: dict, args):
 
 
 def _identified(found: dict) -> str:
-    """What the passes told of the arm, in one line."""
+    """The arm as fitted to the passes, in one line."""
     modes = ", ".join(f"{m['frequency_hz']:.2f} Hz ({100 * m['damping_ratio']:.1f} %)" for m in found["modes"])
     gain, compliance = found["gain"], found["compliance_factor"]
     return f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"

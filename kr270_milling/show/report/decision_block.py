@@ -19,7 +19,7 @@ from kr270_milling.decide.check import RAPID_MOVES, Checked, check
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, decided
 from kr270_milling.decide.findings import SEVERITIES, Finding
 from kr270_milling.decide.part import PartAssessment
-from kr270_milling.decide.tolerance import Judgement, judge
+from kr270_milling.decide.tolerance import PATH_DEVIATION, Judgement, judge
 from kr270_milling.show.report.tables import fixed_text, micro
 
 TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: of the tile
@@ -113,48 +113,50 @@ class Tile(NamedTuple):
     tone: str = "plain"
 
 
-def tiles(decision: DecisionBlock, names: Sequence[str], sizes: Sequence[float]) -> list[Tile]:
-    """The decision; what nobody decided is said to be open. sizes: largest deviations of the passes [m]."""
-    found = []
+def tiles(
+    decision: DecisionBlock, names: Sequence[str], sizes: Sequence[float], quantity: str = PATH_DEVIATION
+) -> list[Tile]:
+    """The decision as tiles. sizes: tolerance quantity of the passes [m]; quantity: its name."""
+    rows = []
     if decision.level:
-        found.append(Tile("decision", decision.level, micro(decision.sentence), TONES[decision.level]))
-    found.append(_judged("as programmed", decision.as_programmed, sizes[0], "largest deviation"))
+        rows.append(Tile("decision", decision.level, micro(decision.sentence), TONES[decision.level]))
+    rows.append(_judged("as programmed", decision.as_programmed, sizes[0], quantity))
     if len(names) > 1:
         best = min(range(1, len(names)), key=lambda k: sizes[k])
         less = 100 * (1 - sizes[best] / sizes[0]) if sizes[best] < sizes[0] else 0.0
-        said = f"largest deviation of '{names[best]}', " + (f"{less:.1f} % less" if less else "no better")
-        found.append(_judged("compensated", decision.compensated, sizes[best], said))
+        sentence = f"{quantity} of '{names[best]}', " + (f"{less:.1f} % less" if less else "no better")
+        rows.append(_judged("compensated", decision.compensated, sizes[best], sentence))
     if decision.method:
         label, _, text = decision.method.partition(": ")
         word, _, why = text.partition(", ")
-        found.append(Tile(label, word, micro("; ".join([why, *decision.notes]))))
+        rows.append(Tile(label, word, micro("; ".join([why, *decision.notes]))))
     elif decision.notes:
-        found.append(Tile("note", "", micro("; ".join(decision.notes))))
+        rows.append(Tile("note", "", micro("; ".join(decision.notes))))
     if decision.verdict:
         word, _, band = decision.verdict.partition(" (")
-        found.append(Tile("verdict", word, micro(band.rstrip(")"))))
+        rows.append(Tile("verdict", word, micro(band.rstrip(")"))))
     if decision.rapid_moves:
-        found.append(Tile(RAPID_MOVES, "", micro(decision.rapid_moves)))
+        rows.append(Tile(RAPID_MOVES, "", micro(decision.rapid_moves)))
     if decision.stability:
-        found.append(Tile("stability", "", decision.stability))
-    return found
+        rows.append(Tile("stability", "", decision.stability))
+    return rows
 
 
-def _judged(label: str, judged: ToleranceAnswer | None, size: float, said: str) -> Tile:
-    """size: the largest deviation [m], said: what it is, for a path that nobody judged."""
+def _judged(label: str, judged: ToleranceAnswer | None, size: float, sentence: str) -> Tile:
+    """size: the tolerance quantity [m], sentence: its name, for a path without a judgement."""
     amount = f"{fixed_text(size * 1e6, 2)} µm"
     if judged is None or judged.passes is None:
-        return Tile(label, amount, f"{said}; no tolerance is given")
+        return Tile(label, amount, f"{sentence}; no tolerance is given")
     word, tone = ("passes", "good") if judged.passes else ("fails", "bad")
-    return Tile(label, word, judged.sentence or f"{said}: {amount}", tone)
+    return Tile(label, word, judged.sentence or f"{sentence}: {amount}", tone)
 
 
 def finding_rows(decision: DecisionBlock) -> list[dict]:
     """The worst first; where: the place in words."""
-    found = []
+    rows = []
     for one in sorted(decision.findings, key=lambda f: SEVERITIES.index(f.severity)):
         point, line = one.where.point, one.where.line
         words = [one.where.feature, f"line {line}" if line else None, f"XP{point}" if point else None]
         where = ", ".join(filter(None, words))
-        found.append({**vars(one), "sentence": micro(one.sentence), "where": where, "point": point})
-    return found
+        rows.append({**vars(one), "sentence": micro(one.sentence), "where": where, "point": point})
+    return rows
