@@ -8,7 +8,7 @@ import threading
 
 import pytest
 from hostile import SHORT, ask, contents, refused, settings
-from test_recording_samples import record
+from recording_samples import record
 
 pytest.importorskip("geometry_msgs")
 SECRET = b"not to be touched"

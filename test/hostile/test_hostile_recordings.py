@@ -14,15 +14,13 @@ import lz4.frame
 import pytest
 import zstandard
 from mcap.writer import CompressionType, Writer
-from test_recording_reader import Whole, poses, write_mcap
-from test_recording_samples import record
+from recording_samples import Whole, record, write_mcap
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import export
 from kr270_milling.recordings.bag.info import info
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import recover
-from kr270_milling.recordings.bag.series import series
 from kr270_milling.recordings.bag.verify import findings
 
 MB = 1024 * 1024
@@ -167,27 +165,6 @@ def test_a_message_of_an_undefined_channel_is_an_error(tmp_path):
     (tmp_path / "a.mcap").write_bytes(BEGIN + chunk_record(body, len(body), b"", zlib.crc32(body)))
     with Recording(tmp_path / "a.mcap") as recording, pytest.raises(RecordingError, match="channel 9"):
         list(recording.messages())
-
-
-@pytest.mark.parametrize(("name", "limit", "sentence"), [
-    ("reader.DEFINED_LIMIT", 500, "take more than 500 bytes"), ("reader.MOST_CHUNKS", 10, "more than 10 chunks"),
-    ("chunks.MOST_MESSAGES", 2, "more than 2 messages"), ("chunks.MOST_DEFINITIONS", 1, "more than 1 definitions"),
-])  # fmt: skip
-def test_definitions_chunks_and_messages_are_limited(tmp_path, monkeypatch, name, limit, sentence):
-    path = write_mcap(tmp_path / "a.mcap", poses(range(100)), chunk_size=500)
-    monkeypatch.setattr(f"kr270_milling.recordings.bag.{name}", limit)
-    with pytest.raises(RecordingError, match=sentence), Recording(path) as recording:
-        list(recording.messages())
-
-
-def test_a_series_that_unfolds_far_beyond_the_file_is_refused(tmp_path, monkeypatch):
-    path = write_mcap(tmp_path / "a.mcap", [(0, poses([0])[0][1])] * 20_000, chunk_size=8 * MB)
-    monkeypatch.setattr("kr270_milling.recordings.bag.series.LIMIT_PER_BYTE", 1)
-    with Recording(path) as recording:
-        assert len(series(recording, "/tool_pose").values) == 20_000
-        monkeypatch.setattr("kr270_milling.recordings.bag.series.BASE_LIMIT", 1000)
-        with pytest.raises(RecordingError, match="times the size of the file"):
-            series(recording, "/tool_pose")
 
 
 def test_a_message_that_unfolds_into_millions_of_objects_is_not_exported_and_other_topics_are(tmp_path):

@@ -7,7 +7,7 @@ import pytest
 from budget import budget
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_recording_samples import JOINTS, POSE, STORE, TWIST, WRENCH, joints, pose, raw, twist, wrench
+from recording_samples import JOINTS, POSE, STORE, TWIST, WRENCH, joints, pose, raw, twist, wrench
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import rows

@@ -8,7 +8,7 @@ import pytest
 from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_recording_samples import PATH, STORE, path, pose, raw
+from recording_samples import PATH, STORE, path, pose, raw
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import rows

@@ -1,3 +1,5 @@
+"""Export, summary and playback of recordings, also with several passes in one file."""
+
 from __future__ import annotations
 
 import csv
@@ -9,13 +11,16 @@ import sys
 import numpy as np
 import pytest
 from mcap.writer import Writer
-from test_recording_samples import (
+from player_listener import options
+from recording_samples import (
+    DIAGNOSTICS,
     GRID,
     JOINTS,
     PERIOD,
     POSE,
     TEXT,
     TOPICS,
+    WRENCH,
     header,
     joints,
     make,
@@ -23,13 +28,18 @@ from test_recording_samples import (
     raw,
     record,
     time,
+    wrench,
 )
 
 from kr270_milling.base.errors import RecordingError
+from kr270_milling.base.version import __version__
 from kr270_milling.cli import main
 from kr270_milling.recordings.bag import export as module
 from kr270_milling.recordings.bag.export import export
+from kr270_milling.recordings.bag.info import info, info_text
+from kr270_milling.recordings.bag.playback import opening, pass_spans, passage, span
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.series import series
 from kr270_milling.recordings.bag.writer import BagWriter
 
 
@@ -137,14 +147,6 @@ def test_a_topic_that_cannot_be_decoded_is_named_and_the_others_are_written(tmp_
     assert "text.csv" in printed.out and printed.err.count("not exported: ") == 2
 
 
-def test_progress_reaches_the_end(tmp_path):
-    record(tmp_path / "a", 2)
-    seen = []
-    with Recording(tmp_path / "a") as recording:
-        export(recording, tmp_path / "csv", progress=lambda *at: seen.append(at))
-    assert seen[-1] == (20, 20)
-
-
 def test_parquet_is_written_where_pyarrow_is_and_else_told(tmp_path):
     record(tmp_path / "a", 5)
     with Recording(tmp_path / "a") as recording:
@@ -198,3 +200,160 @@ def test_large_messages_of_any_type_are_not_gathered_by_the_thousand(tmp_path):
     with Recording(tmp_path / "a") as recording:
         found = [len(table) for table in module._tables(row for _, row in module.rows(recording, "/workpiece"))]
     assert sum(found) == count and 1 < max(found) < 10  # 1 MB of text
+
+
+def test_info_counts_what_was_written(tmp_path):
+    written = record(tmp_path / "a", 30, attachments={"cell.yaml": "a: 1\n"}, metadata={"seed": 7})
+    with Recording(tmp_path / "a") as recording:
+        data = info(recording)
+    assert json.loads(json.dumps(data)) == data
+    assert (data["messages"], data["cut_off"], data["missing"]) == (30 * len(TOPICS), False, 0)
+    assert data["duration_s"] == pytest.approx(29 * PERIOD / 1e9)
+    for name, topic in data["topics"].items():
+        assert topic["type"] == TOPICS[name]
+        assert (topic["count"], topic["size_bytes"]) == (30, sum(len(d) for t, _, d in written if t == name))
+        assert topic["rate_hz"] == pytest.approx(2000.0)
+    assert data["attachments"] == [dict(name="cell.yaml", media_type="application/yaml", size_bytes=5)]
+    assert data["metadata"]["kr270_milling"]["seed"] == "7"
+    assert data["library"] == f"kr270_milling/{__version__}"
+
+
+def test_info_counts_gaps(tmp_path):
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/tool_pose", POSE)
+        for step in (s for s in range(200) if s not in (60, 61, 150)):
+            writer.write("/tool_pose", raw(pose(step * PERIOD, np.zeros(7))), 0)
+    with Recording(tmp_path / "a") as recording:
+        data = info(recording)
+    assert data["missing"] == 3 and data["topics"]["/tool_pose"]["gaps"]["gaps"] == 2
+    assert "3 missing in 2 gaps" in info_text(data)
+
+
+def test_text_says_that_a_file_was_cut_off(tmp_path):
+    record(tmp_path / "a", 30, chunk_size=5000)
+    whole = (tmp_path / "a" / "a.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 4])
+    with Recording(tmp_path / "cut.mcap") as recording:
+        data = info(recording)
+    assert 0 < data["messages"] < 300
+    assert "cut off" in info_text(data)
+
+
+def test_an_empty_recording_has_no_times(tmp_path):
+    BagWriter(tmp_path / "a").close()
+    with Recording(tmp_path / "a") as recording:
+        data = info(recording)
+    assert (data["messages"], data["start_ns"], data["duration_s"], data["topics"]) == (0, None, 0.0, {})
+    assert "0 messages" in info_text(data)
+
+
+STEPS = 200
+LATCHED = [{"durability": "transient_local", "depth": 1}]
+
+
+def status(stamp: int) -> bytes:
+    return raw(make(DIAGNOSTICS, header(stamp), []))
+
+
+def write(directory, passes: int = 2, dropped=(), chunk_size: int = 5000) -> Recording:
+    """Every pass: a text, then poses and wrenches, numbered on; dropped: (pass, step) of wrenches that are not there.
+
+    A node that keeps no time of its own reports with the stamp 0 all the while.
+    """
+    with BagWriter(directory, chunk_size=chunk_size) as writer:
+        for topic, kind in {"/tool_pose": POSE, "/wrench": WRENCH, "/diagnostics": DIAGNOSTICS}.items():
+            writer.add_topic(topic, kind)
+        writer.add_topic("/said", TEXT, LATCHED)
+        for number in range(passes):
+            for step in range(STEPS):
+                stamp = step * PERIOD
+                writer.write("/tool_pose", raw(pose(stamp, np.full(7, number * STEPS + step))), 1)
+                if (number, step) not in dropped:
+                    writer.write("/wrench", raw(wrench(stamp, np.full(6, number * STEPS + step))), 1)
+                if step == 5:
+                    writer.write("/said", raw(make(TEXT, f"pass {number}")), 1)
+                if step % 20 == 0:
+                    writer.write("/diagnostics", status(0), 1)
+        report = writer.report()
+    recording = Recording(directory)
+    assert report["/wrench"]["missing"] == len(dropped)
+    return recording
+
+
+def played(recording: Recording, *words: str) -> list:
+    topics = set(recording.topics())
+    start, end = span(recording, options(str(recording.path), *words))
+    return [*opening(recording, start, topics), *passage(recording, start, end, topics)]
+
+
+def test_what_is_missing_in_the_second_pass_is_counted_also_where_the_first_has_it(tmp_path):
+    dropped = {(1, step) for step in range(50, 150)}
+    with write(tmp_path / "a", dropped=dropped) as recording:
+        found = info(recording)
+    assert found["missing"] == 100
+    about = found["topics"]["/wrench"]
+    assert (about["gaps"]["gaps"], about["gaps"]["backwards"], about["gaps"]["repeated"]) == (1, 0, 0)
+
+
+def test_the_rate_of_a_topic_is_that_of_each_pass(tmp_path):
+    with write(tmp_path / "a", 3) as recording:
+        assert info(recording)["topics"]["/tool_pose"]["rate_hz"] == pytest.approx(2000.0)
+
+
+def test_a_text_of_the_second_pass_has_the_time_of_the_second_pass(tmp_path):
+    with write(tmp_path / "a") as recording:
+        assert [m.log_time for m in recording.messages(["/said"])] == [5 * PERIOD, 5 * PERIOD]
+
+
+def test_series_and_tables_hold_one_pass_after_the_other(tmp_path):
+    with write(tmp_path / "a") as recording:
+        assert series(recording, "/wrench").values[:, 0].tolist() == list(range(2 * STEPS))
+        (file,) = export(recording, tmp_path / "csv", ["/said"]).files
+    with open(file, newline="") as stream:
+        assert [row["data"] for row in csv.DictReader(stream)] == ["pass 0", "pass 1"]
+
+
+def test_passes_are_played_one_after_the_other_at_their_pace(tmp_path):
+    with write(tmp_path / "a", 3) as recording:
+        found = [m for m in played(recording) if m.topic != "/diagnostics"]
+        assert len(pass_spans(recording)) == 3
+        sent = [m.data for m in recording.messages(["/tool_pose"], as_written=True)]
+    poses = [m for m in found if m.topic == "/tool_pose"]
+    assert [m.data for m in poses] == sent
+    times = [m.log_time for m in found]
+    assert times == sorted(times)
+    one = (STEPS - 1) * PERIOD + 1  # a pass begins right behind the one before
+    assert [m.log_time for m in poses] == [number * one + step * PERIOD for number in range(3) for step in range(STEPS)]
+
+
+def test_an_offset_leads_into_a_later_pass_with_what_was_latched_before_it(tmp_path):
+    one = (STEPS - 1) * PERIOD + 1
+    with write(tmp_path / "a") as recording:
+        found = played(recording, "--start-offset", str((one + 2 * PERIOD) * 1e-9), "--playback-duration", "0.001")
+        said = [m.data for m in recording.messages(["/said"], as_written=True)]
+    poses = [m for m in found if m.topic == "/tool_pose"]
+    assert (found[0].topic, found[0].data) == ("/said", said[0])
+    assert [m.log_time for m in poses] == [one + step * PERIOD for step in (2, 3, 4)]
+
+
+def test_a_recording_on_another_clock_or_of_one_pass_is_one_part(tmp_path):
+    record(tmp_path / "a", 30)
+    with Recording(tmp_path / "a") as recording:
+        assert len(pass_spans(recording)) == 1
+        assert [m.data for m in played(recording)] == [m.data for m in recording.messages()]
+    with BagWriter(tmp_path / "b") as writer:
+        writer.add_topic("/tool_pose", POSE)
+        for log_time in (5, 9, 7, 5, 8):
+            writer.write("/tool_pose", raw(pose(0, np.zeros(7))), 1, log_time)
+    with Recording(tmp_path / "b") as recording:
+        assert [m.log_time for m in played(recording)] == [5, 5, 7, 8, 9]
+
+
+def test_a_cut_off_file_of_two_passes_is_played_in_their_order(tmp_path):
+    write(tmp_path / "a").close()
+    whole = (tmp_path / "a" / "a.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    with Recording(tmp_path / "cut.mcap") as recording:
+        assert recording.cut_off and len(pass_spans(recording)) == 2
+        sent = [m.data for m in recording.messages(["/tool_pose"])]
+        assert [m.data for m in played(recording) if m.topic == "/tool_pose"] == sent and len(sent) > STEPS
