@@ -15,14 +15,14 @@ import pytest
 from hostile import contents
 
 ROOT = Path(__file__).resolve().parents[2]
-#: tells when the command has begun its work, by the one thing that all of them do first
+#: reports that the command works: each command calls this function first
 STARTED = """
 import sys, kr270_milling.{module} as m
 real = m.{name}
-def told(*args, **kwargs):
+def reported(*args, **kwargs):
     print("started", file=sys.stderr, flush=True)
     return real(*args, **kwargs)
-m.{name} = told
+m.{name} = reported
 from kr270_milling.cli import main
 sys.exit(main({words!r}))
 """
@@ -35,7 +35,7 @@ COMMANDS = {
 
 
 def interrupted(directory, words, module, name, delay: float) -> subprocess.CompletedProcess:
-    """Start a command, and press Ctrl-C a little after it has begun."""
+    """Start a command, and press Ctrl-C shortly after the command starts."""
     code = STARTED.format(words=words, module=module, name=name)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     with subprocess.Popen(

@@ -120,7 +120,9 @@ class Salvage(Recording):
         try:
             if footer is not None and self._read_summary(footer):
                 self._total = self.count
-                self._indexed = sorted(place.offset for place in [*self.chunks, *self.attachments])
+                self._indexed = sorted(
+                    [*(chunk.offset for chunk in self.chunks), *(about.offset for about in self.attachments)]
+                )
         except Damage as damage:
             self.dropped.append(f"the summary: {damage.reason}")
         in_summary = len(self.dropped)  # this damage costs no message

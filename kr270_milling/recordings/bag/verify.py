@@ -51,6 +51,7 @@ class _Check:
         self.sentences: list[str] = []
         self.expected: dict[int, dict[int, Any]] = {opcode: {} for opcode in INDEXES}
         self.counts: Counter[int] = Counter()  # channel -> messages
+        self.listed: Counter[int] = Counter()  # opcode of an index -> number in the summary
         self.times: list[int] = []  # [ns], of the first and the last message of each chunk
         self.chunk: tuple[ChunkPlace, ChunkMessages] | None = None  # to which the following message indexes belong
         self.indexes: dict[int, int] = {}  # channel -> offset of its message index
@@ -67,7 +68,6 @@ class _Check:
                 self.sentences.append(f"the data do not fit the checksum at their end (at byte {end.offset})")
             if record_at(self.stream, footer).summary_start != (0 if end.end == footer.offset else end.end):
                 self.sentences.append(f"the footer does not point to the end of the data (at byte {footer.offset})")
-            self.listed: Counter[int] = Counter()
             walk(self.stream, end.end, footer.offset, self._check_summary, self._resume)
             for opcode, number in self.listed.items():
                 if number != len(self.expected[opcode]):
@@ -151,6 +151,7 @@ class _Check:
         if place.opcode not in INDEXES:
             return
         self.listed[place.opcode] += 1
+        listed: tuple
         if place.opcode == Opcode.CHUNK_INDEX:
             offset, listed = record.chunk_start_offset, (chunk_of(record), record.message_index_offsets)
         elif place.opcode == Opcode.ATTACHMENT_INDEX:

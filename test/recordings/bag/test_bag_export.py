@@ -133,14 +133,14 @@ def test_a_topic_that_cannot_be_decoded_is_named_and_the_others_are_written(tmp_
         broken = writer.register_channel("/broken", "cdr", writer.register_schema(TEXT, "ros2msg", b"string data\n"))
         for step in range(3):
             writer.add_message(channel, 1, b"{}", 1)
-            writer.add_message(text, 2, raw(make(TEXT, "said")), 2)
+            writer.add_message(text, 2, raw(make(TEXT, "notes")), 2)
             writer.add_message(broken, 3, raw(make(TEXT, "x")) if step < 2 else b"\0\1\0\0\xff\xff\xff\xff", 3)
         writer.finish()
     with Recording(tmp_path / "a.mcap") as recording:
-        found = export(recording, tmp_path / "csv")
-    assert [file.name for file in found.files] == ["text.csv"] and len(rows(found.files[0])) == 3
-    assert "only cdr with ros2msg" in found.refused["/thing"]
-    assert "a message on /broken is not a std_msgs/msg/String" in found.refused["/broken"]
+        actual = export(recording, tmp_path / "csv")
+    assert [file.name for file in actual.files] == ["text.csv"] and len(rows(actual.files[0])) == 3
+    assert "only cdr with ros2msg" in actual.refused["/thing"]
+    assert "a message on /broken is not a std_msgs/msg/String" in actual.refused["/broken"]
     assert [file.name for file in (tmp_path / "csv").iterdir()] == ["text.csv"]
     assert main(["export", str(tmp_path / "a.mcap"), "--csv", str(tmp_path / "again")]) == 1
     printed = capsys.readouterr()
@@ -177,7 +177,7 @@ with Recording(sys.argv[1]) as recording:
 
 @pytest.mark.parametrize("steps", [30, 5000])
 def test_nothing_stays_where_the_disk_is_full(tmp_path, steps):
-    """In the last bytes, which are written when the file is closed, or long before; in a process of its own."""
+    """The disk is full in the last bytes, which are written when the file is closed, or long before."""
     with BagWriter(tmp_path / "a") as writer:
         writer.add_topic("/tool_pose", POSE)
         for step in range(steps):
@@ -198,8 +198,8 @@ def test_large_messages_of_any_type_are_not_gathered_by_the_thousand(tmp_path):
         for _ in range(count):
             writer.write("/workpiece", data, 0)
     with Recording(tmp_path / "a") as recording:
-        found = [len(table) for table in module._tables(row for _, row in module.rows(recording, "/workpiece"))]
-    assert sum(found) == count and 1 < max(found) < 10  # 1 MB of text
+        actual = [len(table) for table in module._tables(row for _, row in module.rows(recording, "/workpiece"))]
+    assert sum(actual) == count and 1 < max(actual) < 10  # 1 MB of text
 
 
 def test_info_counts_what_was_written(tmp_path):
@@ -256,14 +256,14 @@ def status(stamp: int) -> bytes:
 
 
 def write(directory, passes: int = 2, dropped=(), chunk_size: int = 5000) -> Recording:
-    """Every pass: a text, then poses and wrenches, numbered on; dropped: (pass, step) of wrenches that are not there.
+    """Every pass: a text, then poses and wrenches, numbered on; dropped: (pass, step) of missing wrenches.
 
-    A node that keeps no time of its own reports with the stamp 0 all the while.
+    A node without a clock reports with the stamp 0.
     """
     with BagWriter(directory, chunk_size=chunk_size) as writer:
         for topic, kind in {"/tool_pose": POSE, "/wrench": WRENCH, "/diagnostics": DIAGNOSTICS}.items():
             writer.add_topic(topic, kind)
-        writer.add_topic("/said", TEXT, LATCHED)
+        writer.add_topic("/note", TEXT, LATCHED)
         for number in range(passes):
             for step in range(STEPS):
                 stamp = step * PERIOD
@@ -271,7 +271,7 @@ def write(directory, passes: int = 2, dropped=(), chunk_size: int = 5000) -> Rec
                 if (number, step) not in dropped:
                     writer.write("/wrench", raw(wrench(stamp, np.full(6, number * STEPS + step))), 1)
                 if step == 5:
-                    writer.write("/said", raw(make(TEXT, f"pass {number}")), 1)
+                    writer.write("/note", raw(make(TEXT, f"pass {number}")), 1)
                 if step % 20 == 0:
                     writer.write("/diagnostics", status(0), 1)
         report = writer.report()
@@ -289,9 +289,9 @@ def played(recording: Recording, *words: str) -> list:
 def test_what_is_missing_in_the_second_pass_is_counted_also_where_the_first_has_it(tmp_path):
     dropped = {(1, step) for step in range(50, 150)}
     with write(tmp_path / "a", dropped=dropped) as recording:
-        found = info(recording)
-    assert found["missing"] == 100
-    about = found["topics"]["/wrench"]
+        actual = info(recording)
+    assert actual["missing"] == 100
+    about = actual["topics"]["/wrench"]
     assert (about["gaps"]["gaps"], about["gaps"]["backwards"], about["gaps"]["repeated"]) == (1, 0, 0)
 
 
@@ -302,25 +302,25 @@ def test_the_rate_of_a_topic_is_that_of_each_pass(tmp_path):
 
 def test_a_text_of_the_second_pass_has_the_time_of_the_second_pass(tmp_path):
     with write(tmp_path / "a") as recording:
-        assert [m.log_time for m in recording.messages(["/said"])] == [5 * PERIOD, 5 * PERIOD]
+        assert [m.log_time for m in recording.messages(["/note"])] == [5 * PERIOD, 5 * PERIOD]
 
 
 def test_series_and_tables_hold_one_pass_after_the_other(tmp_path):
     with write(tmp_path / "a") as recording:
         assert series(recording, "/wrench").values[:, 0].tolist() == list(range(2 * STEPS))
-        (file,) = export(recording, tmp_path / "csv", ["/said"]).files
+        (file,) = export(recording, tmp_path / "csv", ["/note"]).files
     with open(file, newline="") as stream:
         assert [row["data"] for row in csv.DictReader(stream)] == ["pass 0", "pass 1"]
 
 
 def test_passes_are_played_one_after_the_other_at_their_pace(tmp_path):
     with write(tmp_path / "a", 3) as recording:
-        found = [m for m in played(recording) if m.topic != "/diagnostics"]
+        actual = [m for m in played(recording) if m.topic != "/diagnostics"]
         assert len(pass_spans(recording)) == 3
         sent = [m.data for m in recording.messages(["/tool_pose"], as_written=True)]
-    poses = [m for m in found if m.topic == "/tool_pose"]
+    poses = [m for m in actual if m.topic == "/tool_pose"]
     assert [m.data for m in poses] == sent
-    times = [m.log_time for m in found]
+    times = [m.log_time for m in actual]
     assert times == sorted(times)
     one = (STEPS - 1) * PERIOD + 1  # a pass begins right behind the one before
     assert [m.log_time for m in poses] == [number * one + step * PERIOD for number in range(3) for step in range(STEPS)]
@@ -329,10 +329,10 @@ def test_passes_are_played_one_after_the_other_at_their_pace(tmp_path):
 def test_an_offset_leads_into_a_later_pass_with_what_was_latched_before_it(tmp_path):
     one = (STEPS - 1) * PERIOD + 1
     with write(tmp_path / "a") as recording:
-        found = played(recording, "--start-offset", str((one + 2 * PERIOD) * 1e-9), "--playback-duration", "0.001")
-        said = [m.data for m in recording.messages(["/said"], as_written=True)]
-    poses = [m for m in found if m.topic == "/tool_pose"]
-    assert (found[0].topic, found[0].data) == ("/said", said[0])
+        actual = played(recording, "--start-offset", str((one + 2 * PERIOD) * 1e-9), "--playback-duration", "0.001")
+        notes = [m.data for m in recording.messages(["/note"], as_written=True)]
+    poses = [m for m in actual if m.topic == "/tool_pose"]
+    assert (actual[0].topic, actual[0].data) == ("/note", notes[0])
     assert [m.log_time for m in poses] == [one + step * PERIOD for step in (2, 3, 4)]
 
 

@@ -77,11 +77,11 @@ def test_every_number_of_a_path_comes_out(count, little, frame):
     rng = np.random.default_rng(count)
     at, turns, stamps = rng.normal(size=(count, 3)), rng.normal(size=(count, 4)), rng.integers(0, 10**18, count)
     message = nav(at, stamps.tolist(), turns if count else None, pose_frame=frame)
-    found = read_path(bytes(STORE.serialize_cdr(message, NAV, little_endian=little)))
-    np.testing.assert_array_equal(found.time, stamps)
-    np.testing.assert_array_equal(found.position, at.reshape(-1, 3))
-    np.testing.assert_array_equal(found.quaternion, turns.reshape(-1, 4))
-    assert set(found.frames) == ({"workpiece", frame} if count else {"workpiece"})
+    actual = read_path(bytes(STORE.serialize_cdr(message, NAV, little_endian=little)))
+    np.testing.assert_array_equal(actual.time, stamps)
+    np.testing.assert_array_equal(actual.position, at.reshape(-1, 3))
+    np.testing.assert_array_equal(actual.quaternion, turns.reshape(-1, 4))
+    assert set(actual.frames) == ({"workpiece", frame} if count else {"workpiece"})
 
 
 def test_the_message_of_rclpy_is_read_too():
@@ -95,9 +95,9 @@ def test_the_message_of_rclpy_is_read_too():
         one = PoseStamped()
         one.header.stamp.sec, one.pose.position.x = k, 0.1 * k
         message.poses.append(one)
-    found = read_path(serialization.serialize_message(message))
-    np.testing.assert_array_equal(found.position[:, 0], [0.0, 0.1, 0.2])
-    assert found.time.tolist() == [0, 10**9, 2 * 10**9] and found.frames == ("workpiece", "")
+    actual = read_path(serialization.serialize_message(message))
+    np.testing.assert_array_equal(actual.position[:, 0], [0.0, 0.1, 0.2])
+    assert actual.time.tolist() == [0, 10**9, 2 * 10**9] and actual.frames == ("workpiece", "")
 
 
 @given(st.integers(0, 400), st.binary(max_size=30))
@@ -105,10 +105,10 @@ def test_the_message_of_rclpy_is_read_too():
 def test_a_damaged_path_is_refused_or_read_within_its_bytes(cut, tail):
     data = raw(nav(line(4), [0] * 4))[:cut] + tail
     try:
-        found = read_path(data)
+        actual = read_path(data)
     except ValueError:
         return
-    assert 64 * len(found.time) <= len(data)
+    assert 64 * len(actual.time) <= len(data)
 
 
 def test_200000_poses_are_read_in_under_five_seconds():
@@ -118,20 +118,20 @@ def test_200000_poses_are_read_in_under_five_seconds():
     at = whole.index((3).to_bytes(4, "little"))  # how many poses there are
     data = whole[:at] + (200_000).to_bytes(4, "little") + whole[at + 4 :] + 199_997 * again
     start = time.process_time()
-    found = read_path(data)
+    actual = read_path(data)
     assert time.process_time() - start < 5.0
-    assert found.time[:3].tolist() == [1, 2, 3] and set(found.time[3:].tolist()) == {3}
+    assert actual.time[:3].tolist() == [1, 2, 3] and set(actual.time[3:].tolist()) == {3}
 
 
 def test_the_stamps_of_a_path_give_the_feed(tmp_path):
     at = line(29, 0.028)
     stamps = stamped(at[:15]) + (stamped(at[14:], 2 * FEED, 7 * 10**9 + 210_000_000)[1:])
-    found = read_recorded(record(tmp_path / "a", plan=nav(at, stamps)))
-    assert isinstance(found, Toolpath) and len(found) == 29
-    np.testing.assert_array_equal(found.position, at)
-    np.testing.assert_allclose(found.feed[1:], [FEED] * 14 + [2 * FEED] * 14, rtol=1e-5)
-    assert len(set(found.feed[1:15])) == 1  # whole nanoseconds do not make it tremble
-    np.testing.assert_array_equal(found.quaternion, np.tile(TOOL_DOWN, (29, 1)))
+    actual = read_recorded(record(tmp_path / "a", plan=nav(at, stamps)))
+    assert isinstance(actual, Toolpath) and len(actual) == 29
+    np.testing.assert_array_equal(actual.position, at)
+    np.testing.assert_allclose(actual.feed[1:], [FEED] * 14 + [2 * FEED] * 14, rtol=1e-5)
+    assert len(set(actual.feed[1:15])) == 1  # whole nanoseconds do not make it tremble
+    np.testing.assert_array_equal(actual.quaternion, np.tile(TOOL_DOWN, (29, 1)))
 
 
 @pytest.mark.parametrize("stamp", [0, 10**18])
@@ -149,13 +149,13 @@ def test_stamps_outdo_the_feed_of_the_cell(tmp_path):
 def test_a_pause_of_a_path_is_no_feed(tmp_path):
     at = np.repeat(line(5), 2, axis=0)
     stamps = [k // 2 * 10**9 + k % 2 * 5 * 10**8 for k in range(10)]  # half a second to rest, half to go 3.5 mm
-    found = read_recorded(record(tmp_path / "a", plan=nav(at, stamps)))
-    assert len(found) == 5
-    np.testing.assert_allclose(found.feed[1:], 0.0035 / 0.5, rtol=1e-5)
+    actual = read_recorded(record(tmp_path / "a", plan=nav(at, stamps)))
+    assert len(actual) == 5
+    np.testing.assert_allclose(actual.feed[1:], 0.0035 / 0.5, rtol=1e-5)
 
 
 @pytest.mark.parametrize(
-    ("stamps", "says"),
+    ("stamps", "sentence"),
     [
         ([0, 1e9, 1e9, 2e9], "pose 3 needs a later stamp"),
         ([0, 0, 0, 1], "pose 2 needs a later stamp"),
@@ -163,13 +163,13 @@ def test_a_pause_of_a_path_is_no_feed(tmp_path):
         ([0, 1e9, 1e9 + 1, 2e9], "pose 3 at 4.67e+06 m/s"),
     ],
 )
-def test_stamps_that_give_no_feed_are_refused_with_the_pose(tmp_path, stamps, says):
+def test_stamps_that_give_no_feed_are_refused_with_the_pose(tmp_path, stamps, sentence):
     file = record(tmp_path / "a", plan=nav(line(4), [int(s) for s in stamps]))
-    assert says in refusal(file, "", FEED)
+    assert sentence in refusal(file, "", FEED)
 
 
 @pytest.mark.parametrize(
-    ("message", "says"),
+    ("message", "sentence"),
     [
         (nav(line(), [0] * 15, frame="base_link"), "frame is 'base_link', but must be workpiece"),
         (nav(line(), [0] * 15, frame=""), "frame is '', but must be workpiece"),
@@ -185,8 +185,8 @@ def test_stamps_that_give_no_feed_are_refused_with_the_pose(tmp_path, stamps, sa
         ([nav(line(), [0] * 15), nav(line(14), [0] * 14)], "different paths"),
     ],
 )
-def test_a_path_that_cannot_be_run_is_refused(tmp_path, message, says):
-    assert says in refusal(record(tmp_path / "a", plan=message), "", FEED)
+def test_a_path_that_cannot_be_run_is_refused(tmp_path, message, sentence):
+    assert sentence in refusal(record(tmp_path / "a", plan=message), "", FEED)
 
 
 def test_headings_say_nothing_about_the_tool_and_a_tilt_does(tmp_path):
@@ -236,38 +236,38 @@ def arc(period: float = 0.05, speed: float = 0.05, radius: float = 0.02) -> Traj
 
 @pytest.mark.parametrize("run", [arc(), Trajectory.straight_line([0, 0, -SIDE], [1, 0, 0], 0.01, FEED, 0.05)])
 def test_a_trajectory_is_the_target_as_it_is(tmp_path, run):
-    found = read_recorded(record(tmp_path / "a", reference=points_of(run)))
-    assert isinstance(found, TimedPath) and found.timed_by_source
-    np.testing.assert_array_equal(found.trajectory.time_ns, run.time_ns)
-    np.testing.assert_array_equal(found.trajectory.position, run.position)
-    assert (found.trajectory.velocity is None) == (run.velocity is None)
-    np.testing.assert_allclose(found.toolpath.feed[1:].max(), np.max(run.feed(run.time_ns[:-1])), rtol=1e-3)
+    actual = read_recorded(record(tmp_path / "a", reference=points_of(run)))
+    assert isinstance(actual, TimedPath) and actual.timed_by_source
+    np.testing.assert_array_equal(actual.trajectory.time_ns, run.time_ns)
+    np.testing.assert_array_equal(actual.trajectory.position, run.position)
+    assert (actual.trajectory.velocity is None) == (run.velocity is None)
+    np.testing.assert_allclose(actual.toolpath.feed[1:].max(), np.max(run.feed(run.time_ns[:-1])), rtol=1e-3)
 
 
 def test_an_arc_of_knots_is_an_arc_of_the_tool_path(tmp_path):
     """Length, tangent and place between the knots, against the circle itself."""
     run = arc()
-    found = read_recorded(record(tmp_path / "a", reference=points_of(run)))
+    actual = read_recorded(record(tmp_path / "a", reference=points_of(run)))
     way = run.duration_ns * 1e-9 * 0.05
-    assert found.toolpath.length == pytest.approx(way, rel=1e-9)
+    assert actual.toolpath.length == pytest.approx(way, rel=1e-9)
     between = np.linspace(0, run.duration_ns, 999).astype(np.int64)
-    np.testing.assert_allclose(found.distance_at(between), between * 1e-9 * 0.05, atol=1e-9)
-    at, tangent, _ = found.toolpath.on_path(found.distance_at(between))
+    np.testing.assert_allclose(actual.distance_at(between), between * 1e-9 * 0.05, atol=1e-9)
+    at, tangent, _ = actual.toolpath.on_path(actual.distance_at(between))
     angle = between * 1e-9 * 0.05 / 0.02
     np.testing.assert_allclose(tangent[:, 0], -np.sin(angle), atol=1e-6)
     np.testing.assert_allclose(np.hypot(at[:, 0], at[:, 1]), 0.02, atol=1e-9)
-    assert path_error(found, between).max() < 1e-6
+    assert path_error(actual, between).max() < 1e-6
 
 
 def test_the_tool_may_rest_on_its_way(tmp_path):
     at = line(5)[[0, 1, 1, 1, 2, 3, 3, 4]]
     run = Trajectory(np.arange(8) * 10**8, at, TOOL_DOWN)
-    found = read_recorded(record(tmp_path / "a", reference=points_of(run)))
-    assert len(found.toolpath) == 5
-    np.testing.assert_allclose(found.distance, 0.0035 * np.array([0, 1, 1, 1, 2, 3, 3, 4]), atol=1e-15)
-    np.testing.assert_allclose(found.distance_at(250_000_000), 0.0035, atol=1e-15)
-    np.testing.assert_allclose(found.distance_at(350_000_000), 0.0035 * 1.5, atol=1e-15)
-    assert path_error(found, np.linspace(0, run.duration_ns, 99).astype(np.int64)).max() < 1e-15
+    actual = read_recorded(record(tmp_path / "a", reference=points_of(run)))
+    assert len(actual.toolpath) == 5
+    np.testing.assert_allclose(actual.distance, 0.0035 * np.array([0, 1, 1, 1, 2, 3, 3, 4]), atol=1e-15)
+    np.testing.assert_allclose(actual.distance_at(250_000_000), 0.0035, atol=1e-15)
+    np.testing.assert_allclose(actual.distance_at(350_000_000), 0.0035 * 1.5, atol=1e-15)
+    assert path_error(actual, np.linspace(0, run.duration_ns, 99).astype(np.int64)).max() < 1e-15
 
 
 def test_a_pass_along_the_recorded_target_is_the_pass_of_the_straight_cut(tmp_path):
@@ -275,14 +275,14 @@ def test_a_pass_along_the_recorded_target_is_the_pass_of_the_straight_cut(tmp_pa
     plain = read_cell(CELL, short)
     file = record(tmp_path / "a", target_trajectory=points_of(plain.target()))
     recorded = read_cell(CELL, [*short, f"path.file={file.parent}"])  # the directory does as well
-    expected, found = simulate(plain).result, simulate(recorded).result
-    np.testing.assert_array_equal(found.actual, expected.actual)
-    np.testing.assert_array_equal(found.wrench, expected.wrench)
-    assert np.abs(found.wrench).max() > 1.0
+    expected, actual = simulate(plain).result, simulate(recorded).result
+    np.testing.assert_array_equal(actual.actual, expected.actual)
+    np.testing.assert_array_equal(actual.wrench, expected.wrench)
+    assert np.abs(actual.wrench).max() > 1.0
 
 
 @pytest.mark.parametrize(
-    ("message", "says"),
+    ("message", "sentence"),
     [
         (points_of(arc(), frame="base_link"), "must be workpiece"),
         (points_of(arc(), names=("flange",)), "of flange, not of tool0"),
@@ -299,8 +299,8 @@ def test_a_pass_along_the_recorded_target_is_the_pass_of_the_straight_cut(tmp_pa
         (path(3, [], [], []), "never moves"),
     ],
 )
-def test_a_trajectory_that_cannot_be_run_is_refused(tmp_path, message, says):
-    assert says in refusal(record(tmp_path / "a", reference=message))
+def test_a_trajectory_that_cannot_be_run_is_refused(tmp_path, message, sentence):
+    assert sentence in refusal(record(tmp_path / "a", reference=message))
 
 
 # --- choice of the topic, and the cell ---
@@ -333,7 +333,7 @@ def test_a_topic_is_for_recordings_only():
             read_cell(CELL, [f"path.file={file!r}", "path.topic=/plan"])
 
 
-def test_unusable_recordings_are_told_by_the_cell(tmp_path):
+def test_unusable_recordings_are_printed_by_the_cell(tmp_path):
     (tmp_path / "empty.mcap").write_bytes(b"")
     (tmp_path / "text.mcap").write_text("G1 X1\n")
     (tmp_path / "folder").mkdir()
@@ -355,8 +355,8 @@ def test_the_commands_take_a_recorded_trajectory(tmp_path, capsys):
     file = record(tmp_path / "a", reference=points_of(run))
     fast = ["--set", f"path.file={file}", "--set", f"arm.joint_speed_limit_deg_per_s={[0.5] * 6}"]
     assert main(["check", str(CELL), *fast]) == 1
-    told = capsys.readouterr().out
-    assert "speed of axis" in told and "line" not in told.lower().replace("straight line", "")
+    printed = capsys.readouterr().out
+    assert "speed of axis" in printed and "line" not in printed.lower().replace("straight line", "")
     out = tmp_path / "out"
     assert main(["compensate", str(CELL), *fast[:2], "--method", "linear", "--no-verdict", "--out", str(out)]) in (0, 1)
     assert (out / "reference_linear.csv").is_file() and (out / "report.html").is_file()

@@ -76,8 +76,8 @@ def test_topics_and_times_can_be_chosen(whole, tmp_path):
     data, written = whole
     (tmp_path / "a.mcap").write_bytes(data)
     with Recording(tmp_path / "a.mcap") as recording:
-        found = list(recording.messages(["/wrench"], start=10 * 500_000, end=13 * 500_000))
-    assert [m.data for m in found] == [d for t, at, d in written if t == "/wrench" and 10 <= at / 500_000 < 13]
+        actual = list(recording.messages(["/wrench"], start=10 * 500_000, end=13 * 500_000))
+    assert [m.data for m in actual] == [d for t, at, d in written if t == "/wrench" and 10 <= at / 500_000 < 13]
 
 
 def test_files_without_chunks_are_read(tmp_path):
@@ -98,7 +98,7 @@ def test_files_without_index_and_summary_are_read(tmp_path):
 
 
 def test_a_file_cut_off_anywhere_gives_a_beginning_of_it_or_one_sentence(whole, tmp_path):
-    """Every place where a record begins, one byte before and behind it, and many between."""
+    """Every begin of a record, one byte before, one byte after, and many places between."""
     data, written = whole
     expected = [data for _, _, data in written]
     path = tmp_path / "a.mcap"
@@ -132,10 +132,10 @@ def test_verify_finds_every_flipped_bit(whole, tmp_path, place, bit):
     flipped = bytearray(data)
     flipped[place % len(data)] ^= 1 << bit
     path.write_bytes(flipped)
-    assert is_told(path)
+    assert is_reported(path)
 
 
-def is_told(path) -> bool:
+def is_reported(path) -> bool:
     """Whether a damaged file is called damaged or cut off."""
     try:
         with Recording(path) as recording:
@@ -277,11 +277,11 @@ def bag(tmp_path_factory):
 def test_rosbags_reads_the_same_bytes_at_the_same_times(bag, part):
     directory, written = bag
     with Reader(directory / part) as reader:
-        found = [(c.topic, t, bytes(d)) for c, t, d in reader.messages()]
+        actual = [(c.topic, t, bytes(d)) for c, t, d in reader.messages()]
         assert (reader.start_time, reader.end_time) == (0, 24 * PERIOD + 1)
         assert {k: (v.msgtype, v.msgcount) for k, v in reader.topics.items()} == {k: (v, 25) for k, v in TOPICS.items()}
         assert reader.ros_distro == (None if part else "jazzy")
-    assert order(found) == order(written)
+    assert order(actual) == order(written)
 
 
 @pytest.mark.parametrize("part", ["", "pass_1.mcap"])
@@ -289,12 +289,12 @@ def test_rosbags_decodes_every_type_with_the_definitions_in_the_file(bag, part):
     directory, _ = bag
     with AnyReader([directory / part]) as reader:  # builds its types from the schemas in the file
         for connection, stamp, data in reader.messages():
-            found = reader.deserialize(data, connection.msgtype)
+            actual = reader.deserialize(data, connection.msgtype)
             expected = sample(connection.topic, stamp // PERIOD)
             again = STORE.serialize_cdr(expected, expected.__msgtype__)
-            assert bytes(reader.typestore.serialize_cdr(found, connection.msgtype)) == bytes(again)
+            assert bytes(reader.typestore.serialize_cdr(actual, connection.msgtype)) == bytes(again)
             if connection.msgtype == GRID:
-                np.testing.assert_array_equal(found.data, expected.data)
+                np.testing.assert_array_equal(actual.data, expected.data)
 
 
 def test_rosbags_knows_the_profiles_that_were_offered(bag):

@@ -26,12 +26,12 @@ NAMES = {1: "header", 7: "message index", 9: "attachment", 12: "metadata", 15: "
 
 def places(data: bytes) -> dict[str, list[tuple[int, int]]]:
     """Begin and end of the content of every record of the top level, by its name."""
-    found, at = {}, 8
+    actual, at = {}, 8
     while at < len(data) - 8:
         kind, size = struct.unpack_from("<BQ", data, at)
-        found.setdefault(NAMES.get(kind, ""), []).append((at + 9, at + 9 + size))
+        actual.setdefault(NAMES.get(kind, ""), []).append((at + 9, at + 9 + size))
         at += 9 + size
-    return found
+    return actual
 
 
 @pytest.fixture(scope="module")
@@ -122,9 +122,9 @@ def test_a_damaged_attachment_costs_only_itself(tmp_path):
     damaged = bytearray(file.read_bytes())
     damaged[places(damaged)["attachment"][1][1] - 10] ^= 4
     file.write_bytes(damaged)
-    found = recover(tmp_path / "r")
-    assert found.attachments == ["a.yaml", "c.yaml"] and found.messages == len(written)
-    assert "attachment b.yaml" in found.dropped[0]
+    actual = recover(tmp_path / "r")
+    assert actual.attachments == ["a.yaml", "c.yaml"] and actual.messages == len(written)
+    assert "attachment b.yaml" in actual.dropped[0]
 
 
 def test_counts_in_a_damaged_summary_do_not_tell_what_is_lost(whole, tmp_path):
@@ -135,8 +135,8 @@ def test_counts_in_a_damaged_summary_do_not_tell_what_is_lost(whole, tmp_path):
         damaged = bytearray(data)
         damaged[bit // 8] ^= 1 << bit % 8
         path.write_bytes(damaged)
-        found = recover(path)
-        assert found.messages == len(written) and found.lost_messages == 0
+        actual = recover(path)
+        assert actual.messages == len(written) and actual.lost_messages == 0
 
 
 RELAXED = settings(max_examples=budget(60), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -155,7 +155,7 @@ def source(tmp_path_factory):
     return Whole(((directory / "a.mcap").read_bytes(), written, chunks))
 
 
-def kept(directory) -> list:
+def content_of(directory) -> list:
     with Recording(directory) as recording:
         assert not recording.cut_off and not findings(recording)
         return [(m.topic, m.log_time, m.data) for m in recording.messages()]
@@ -166,7 +166,7 @@ def test_a_whole_file_is_copied_with_everything(source, tmp_path):
     (tmp_path / "a.mcap").write_bytes(data)
     result = recover(tmp_path / "a.mcap", tmp_path / "b")
     assert result.whole and result.lost_messages == 0 and not result.dropped
-    assert kept(tmp_path / "b") == written
+    assert content_of(tmp_path / "b") == written
     assert result.topics == dict.fromkeys(TOPICS, 60)
     with Recording(tmp_path / "a.mcap") as before, Recording(tmp_path / "b") as after:
         assert after.topics() == before.topics()
@@ -184,8 +184,8 @@ def test_rosbags_reads_what_was_recovered_but_not_the_cut_off_file(source, tmp_p
     result = recover(tmp_path / "a.mcap")
     assert result.directory == str(tmp_path / "a_recovered")
     with Reader(tmp_path / "a_recovered") as reader:
-        found = [(c.topic, t, d) for c, t, d in reader.messages()]
-    assert len(found) == result.messages and set(found) == set(written[: len(found)])
+        actual = [(c.topic, t, d) for c, t, d in reader.messages()]
+    assert len(actual) == result.messages and set(actual) == set(written[: len(actual)])
     assert (tmp_path / "a.mcap").read_bytes() == data[: len(data) // 2]
 
 
@@ -207,7 +207,7 @@ def test_a_cut_file_keeps_every_whole_chunk(source, tmp_path_factory, place):
     file = tmp_path_factory.mktemp("x") / "a.mcap"
     file.write_bytes(data[:place])
     result = recover(file)
-    assert kept(result.directory) == written[: result.messages]
+    assert content_of(result.directory) == written[: result.messages]
     assert result.messages == sum(count for chunk, count in chunks if chunk.offset + chunk.size <= place)
 
 
@@ -216,7 +216,7 @@ def test_a_file_that_lacks_only_its_end_loses_nothing(source, tmp_path):
     (tmp_path / "a.mcap").write_bytes(data[:-20])
     result = recover(tmp_path / "a.mcap")
     assert not result.whole and result.lost_messages == 0
-    assert kept(result.directory) == written
+    assert content_of(result.directory) == written
 
 
 @pytest.mark.parametrize("place", ["packed bytes", "length", "packed length", "type", "first time"])
@@ -230,7 +230,7 @@ def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place
     damaged[at] ^= 0x30
     (tmp_path / "a.mcap").write_bytes(damaged)
     result = recover(tmp_path / "a.mcap")
-    saved = set(kept(result.directory))
+    saved = set(content_of(result.directory))
     lost = [m for m in written if m not in saved]
     begin = written.index(lost[0])
     assert lost == written[begin : begin + len(lost)]  # one piece
@@ -273,11 +273,11 @@ def test_nothing_is_overwritten_and_nothing_half_is_left(source, tmp_path):
 def test_a_whole_recording_is_left_alone(source, tmp_path, capsys):
     data, written, _ = source
     (tmp_path / "a.mcap").write_bytes(data)
-    found = recover(tmp_path / "a.mcap")
-    assert found.whole and found.directory == str(tmp_path) and found.messages == len(written)
-    assert (found.topics, found.attachments, found.lost_messages) == (dict.fromkeys(TOPICS, 60), ["cell.yaml"], 0)
+    actual = recover(tmp_path / "a.mcap")
+    assert actual.whole and actual.directory == str(tmp_path) and actual.messages == len(written)
+    assert (actual.topics, actual.attachments, actual.lost_messages) == (dict.fromkeys(TOPICS, 60), ["cell.yaml"], 0)
     assert main(["recover", str(tmp_path / "a.mcap")]) == 0
-    assert "left as it is" in capsys.readouterr().out
+    assert "nothing to recover; unchanged" in capsys.readouterr().out
     assert [file.name for file in tmp_path.iterdir()] == ["a.mcap"]
 
 
@@ -290,6 +290,6 @@ def test_a_message_with_an_impossible_publish_time_costs_only_itself(tmp_path):
         for log_time, publish_time in times:
             writer.add_message(channel, log_time, b"\0\1\0\0\1", publish_time)
         writer.finish()
-    found = recover(tmp_path / "a.mcap", tmp_path / "b")
-    assert found.messages == 5 and "1 messages that have the time 9223372036854775808 ns" in found.dropped[0]
-    assert [at for _, at, _ in kept(tmp_path / "b")] == [0, 1, 2, 4, 5]
+    actual = recover(tmp_path / "a.mcap", tmp_path / "b")
+    assert actual.messages == 5 and "1 messages that have the time 9223372036854775808 ns" in actual.dropped[0]
+    assert [at for _, at, _ in content_of(tmp_path / "b")] == [0, 1, 2, 4, 5]

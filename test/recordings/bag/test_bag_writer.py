@@ -311,7 +311,7 @@ def opened(directory, *topics: str) -> BagWriter:
     return made
 
 
-def found(directory) -> list[tuple[str, int]]:
+def log_times(directory) -> list[tuple[str, int]]:
     """In the order of the file."""
     with Recording(directory) as recording:
         recording.cut_off = True
@@ -326,7 +326,7 @@ def test_messages_from_before_the_first_stamp_take_that_stamp_and_stay_in_their_
         writer.write("/s", text("again"), WALL + 3)
         assert writer.count == 0
         writer.write("/p", raw(pose(500, NUMBERS)), WALL + 4)
-    assert found(tmp_path / "a") == [("/s", 500), ("/t", 500), ("/d", 0), ("/s", 500), ("/p", 500)]
+    assert log_times(tmp_path / "a") == [("/s", 500), ("/t", 500), ("/d", 0), ("/s", 500), ("/p", 500)]
 
 
 def test_recording_of_wall_clock_stamps_begins_with_the_first_of_them(tmp_path):
@@ -335,17 +335,17 @@ def test_recording_of_wall_clock_stamps_begins_with_the_first_of_them(tmp_path):
         writer.write("/t", at_once(), WALL)
         writer.write("/p", raw(pose(WALL + 7, NUMBERS)), WALL + 8)
         writer.write("/d", report(0), WALL + 9)
-    assert found(tmp_path / "a") == [(topic, WALL + 7) for topic in ("/d", "/t", "/p", "/d")]
+    assert log_times(tmp_path / "a") == [(topic, WALL + 7) for topic in ("/d", "/t", "/p", "/d")]
 
 
 def test_stamp_of_another_clock_does_not_make_the_recording_last_for_decades(tmp_path):
     with opened(tmp_path / "a", *KINDS) as writer:
-        writer.write("/d", report(WALL), WALL)  # of a driver that is none of ours
+        writer.write("/d", report(WALL), WALL)  # of a foreign driver
         writer.write("/p", raw(pose(0, NUMBERS)), WALL)
         writer.write("/q", raw(pose(WALL + 2, NUMBERS)), WALL)
         writer.write("/p", raw(pose(500, NUMBERS)), WALL)
         writer.write("/d", report(WALL + 3), WALL)
-    assert found(tmp_path / "a") == [("/d", 0), ("/p", 0), ("/q", 0), ("/p", 500), ("/d", 500)]
+    assert log_times(tmp_path / "a") == [("/d", 0), ("/p", 0), ("/q", 0), ("/p", 500), ("/d", 500)]
 
 
 def test_graph_that_is_silent_for_long_before_its_first_stamp_still_has_one_clock(tmp_path):
@@ -358,7 +358,7 @@ def test_graph_that_is_silent_for_long_before_its_first_stamp_still_has_one_cloc
         for later in (0, 600):
             writer.write("/p", raw(pose(stamp + later, NUMBERS)), WALL)
         writer.close()
-        assert found(tmp_path / name) == [("/s", 0), ("/p", 0), ("/p", 600)]
+        assert log_times(tmp_path / name) == [("/s", 0), ("/p", 0), ("/p", 600)]
 
 
 def test_graph_without_any_stamps_is_recorded_by_the_wall_clock_and_a_kill_loses_little_of_it(tmp_path):
@@ -366,10 +366,10 @@ def test_graph_without_any_stamps_is_recorded_by_the_wall_clock_and_a_kill_loses
     for tenth in range(11):
         writer.write("/s", text(str(tenth)), WALL + tenth)
         writer.tick(0.1 * tenth)
-    times = [time for _, time in found(tmp_path / "a")]  # as it stands on the disk
+    times = [time for _, time in log_times(tmp_path / "a")]  # on the disk before the end
     assert times == [WALL + tenth for tenth in range(len(times))] and len(times) >= 8
     writer.close()
-    assert len(found(tmp_path / "a")) == 11
+    assert len(log_times(tmp_path / "a")) == 11
 
 
 def test_what_waits_for_a_stamp_is_bounded_and_nothing_of_it_is_lost(tmp_path, monkeypatch):
@@ -378,7 +378,7 @@ def test_what_waits_for_a_stamp_is_bounded_and_nothing_of_it_is_lost(tmp_path, m
         for number in range(40):
             writer.write("/s", text(f"{number:080}"), WALL + number)
         assert writer.count == 40
-    assert found(tmp_path / "a") == [("/s", WALL + number) for number in range(40)]
+    assert log_times(tmp_path / "a") == [("/s", WALL + number) for number in range(40)]
 
 
 def test_stamps_a_little_apart_are_of_one_clock_and_years_apart_of_two():
@@ -461,11 +461,11 @@ def test_a_profile_is_written_as_rosbags_writes_it():
 def test_a_profile_object_of_rclpy_is_described():
     qos = pytest.importorskip("rclpy.qos", reason="rclpy is not installed")
     profile = qos.QoSProfile(depth=7, durability=qos.DurabilityPolicy.TRANSIENT_LOCAL)
-    found = describe_qos(profile)
-    assert (found["history"], found["depth"], found["durability"]) == ("keep_last", 7, "transient_local")
-    assert list(found) == list(DEFAULT_QOS)
-    assert found["deadline"] == dict(sec=0, nsec=0)
-    assert yaml.safe_load(qos_text([profile])) == [found]
+    actual = describe_qos(profile)
+    assert (actual["history"], actual["depth"], actual["durability"]) == ("keep_last", 7, "transient_local")
+    assert list(actual) == list(DEFAULT_QOS)
+    assert actual["deadline"] == dict(sec=0, nsec=0)
+    assert yaml.safe_load(qos_text([profile])) == [actual]
 
 
 def test_a_misspelt_policy_is_refused():
