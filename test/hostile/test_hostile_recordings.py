@@ -158,6 +158,18 @@ def test_every_compression_gives_its_bytes_back_and_a_truncated_chunk_is_refused
         path.write_bytes(BEGIN + chunk_record(packed[: len(packed) // 2], len(data), compression, zlib.crc32(data)))
         with pytest.raises(RecordingError, match="unpack|checksum"):
             Recording(path)
+        path.write_bytes(BEGIN + chunk_record(packed, len(data) + 1, compression))  # without a checksum
+        with pytest.raises(RecordingError, match="announces"):
+            Recording(path)
+
+
+def test_a_definition_that_cannot_be_parsed_is_reported_with_the_offset_of_its_chunk(tmp_path):
+    body = struct.pack("<BQHHI1sII", 4, 17, 1, 0, 1, b"\xff", 0, 0)  # the topic is not UTF-8
+    (tmp_path / "a.mcap").write_bytes(BEGIN + chunk_record(body, len(body), b"", zlib.crc32(body)))
+    with pytest.raises(RecordingError, match="cannot be parsed") as error:
+        Recording(tmp_path / "a.mcap")
+    assert error.value.offset == len(BEGIN)
+    assert recover(tmp_path / "a.mcap").messages == 0
 
 
 def test_a_message_of_an_undefined_channel_is_an_error(tmp_path):
