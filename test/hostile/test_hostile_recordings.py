@@ -163,6 +163,13 @@ def test_every_compression_gives_its_bytes_back_and_a_truncated_chunk_is_refused
             Recording(path)
 
 
+def test_a_chunk_above_the_limit_is_not_unpacked(tmp_path, monkeypatch):
+    path = write_mcap(tmp_path / "a.mcap", [(0, bytes(100_000))])
+    monkeypatch.setattr("kr270_milling.recordings.bag.records.LIMIT", 50_000)
+    with Recording(path) as recording, pytest.raises(RecordingError, match="unpacked bytes, more than the limit"):
+        list(recording.messages())
+
+
 def test_a_definition_that_cannot_be_parsed_is_reported_with_the_offset_of_its_chunk(tmp_path):
     body = struct.pack("<BQHHI1sII", 4, 17, 1, 0, 1, b"\xff", 0, 0)  # the topic is not UTF-8
     (tmp_path / "a.mcap").write_bytes(BEGIN + chunk_record(body, len(body), b"", zlib.crc32(body)))
