@@ -1,4 +1,4 @@
-"""``kr270_milling bench``: the time of the sweep of the teeth and of the stiffness model on this machine."""
+"""``kr270_milling bench``: the time of both models of the cut and of the stiffness model on this machine."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
+from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.robot import equilibrium, stiffness
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.show.commands.console import Answer
@@ -23,8 +24,8 @@ POSTURES = 1000
 
 
 def run(args) -> Answer:
-    times = {**_pass(), **_postures()}
-    return Answer(times, [f"{key:20} {value:.6g}" for key, value in times.items()])
+    times = {**_pass(), **_details(), **_postures()}
+    return Answer(times, [f"{key:27} {value:.6g}" for key, value in times.items()])
 
 
 def _pass() -> dict:
@@ -41,6 +42,26 @@ def _pass() -> dict:
         "real_time_factor": float(result.time[-1]) / wall,
         "first_pass_s": first,
         "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+
+
+def _details() -> dict:
+    """Machining time per processor time of a pass over the shipped test piece, by each model of the cut."""
+    rates = {}
+    for detail, repeats in (("teeth", 1), ("engagement", REPEATS)):
+        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={detail}"])
+        target = cell.target()
+        model = cell.arm_model(target)
+        walls = []
+        for _ in range(repeats + (detail == "engagement")):  # its first pass may compile
+            start = time.process_time()
+            run_pass(model, cell.cut(), cell.clock, target, target, cell.exchange.iterations)
+            walls.append(time.process_time() - start)
+        rates[detail] = target.duration_ns * 1e-9 / min(walls)
+    return {
+        "teeth_real_time_factor": rates["teeth"],
+        "engagement_real_time_factor": rates["engagement"],
+        "engagement_over_teeth": rates["engagement"] / rates["teeth"],
     }
 
 

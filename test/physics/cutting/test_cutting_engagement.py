@@ -63,11 +63,11 @@ def closed_form(cutting, cutter: Tool, low: float, high: float) -> np.ndarray:
     phi, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
     engaged = (np.sin(phi) > low) & (np.sin(phi) < high)
     tangential, radial, axial = np.where(engaged, cutting.active.per_depth(FEED * np.cos(phi)), 0.0)
-    forward, aside = np.cos(phi), np.sin(phi)
+    forward, across = np.cos(phi), np.sin(phi)
     share = TEETH / (2 * math.pi) * width * DEPTH
     return share * np.array([
-        np.sum(-radial * forward + cutter.sense * tangential * aside),
-        np.sum(-radial * aside - cutter.sense * tangential * forward),
+        np.sum(-radial * forward + cutter.sense * tangential * across),
+        np.sum(-radial * across - cutter.sense * tangential * forward),
         -np.sum(axial),
     ])  # fmt: skip
 
@@ -80,10 +80,10 @@ def mean_force(cutting, immersion: str, helix: float = 0.0, dt: float = 4e-3, gr
     return wrench[(path[:, 0] > 2 * RADIUS) & (path[:, 0] < 28e-3), :3].mean(axis=0)
 
 
-def error(cutting, immersion: str, **how) -> float:
+def error(cutting, immersion: str, **options) -> float:
     """Of the mean force, a share of its size."""
     exact = closed_form(cutting, tool(), *IMMERSIONS[immersion])
-    return float(np.abs(mean_force(cutting, immersion, **how) - exact).max() / np.linalg.norm(exact))
+    return float(np.abs(mean_force(cutting, immersion, **options) - exact).max() / np.linalg.norm(exact))
 
 
 @pytest.mark.parametrize("helix", [0.0, 30.0, 45.0])
