@@ -136,7 +136,8 @@ def _exchange(first, last, iterations, reference, silent, arm, state, wrench, cu
         before, torque = cut_state.floats[LEVEL_SUM], 0.0
         for k in range(iterations):
             advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot predicts
-            tool[n + 1] = reference[n + 1] + deflection[:3]
+            for j in range(3):
+                tool[n + 1, j] = reference[n + 1, j] + deflection[j]
             if k > 0 and not cut_undo(cut_state):
                 return False
             torque = cut_step(  # the cut answers
@@ -146,8 +147,12 @@ def _exchange(first, last, iterations, reference, silent, arm, state, wrench, cu
                 answer[:], torque = 0.0, 0.0
         advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot corrects
         state[:] = scratch
-        deflections[n + 1], wrenches[n + 1] = deflection, answer
-        corrections[n + 1] = np.sqrt(np.sum((reference[n + 1] + deflection[:3] - tool[n + 1]) ** 2))
+        away = 0.0
+        for j in range(3):
+            away += (reference[n + 1, j] + deflection[j] - tool[n + 1, j]) ** 2
+        for j in range(6):
+            deflections[n + 1, j], wrenches[n + 1, j] = deflection[j], answer[j]
+        corrections[n + 1] = np.sqrt(away)
         torques[n + 1] = torque
         if not silent[n + 1]:
             volumes[n + 1] = (cut_state.floats[LEVEL_SUM] - before) * per_node

@@ -274,3 +274,4 @@ def test_bench_times_a_step_and_a_posture(capsys, monkeypatch):
     assert 0.01 < times["us_per_step"] < 100 and 1 < times["us_per_posture"] < 1000
     assert times["steps"] == 57_600
     assert times["us_per_step"] == pytest.approx(1e6 * times["pass_wall_s"] / times["steps"])
+    assert times["engagement_real_time_factor"] > 10 * times["teeth_real_time_factor"] > 0
