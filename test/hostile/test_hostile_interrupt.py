@@ -71,7 +71,7 @@ def test_ctrl_c_leaves_the_files_of_the_last_run_as_they_were(tmp_path):
 
 def test_ctrl_c_while_files_are_written_leaves_none(tmp_path):
     words = ["demo", "--plain", "--out", "out"]
-    ended = interrupted(tmp_path, words, "report", "write_report", random.Random("report").uniform(0.0, 0.05))
+    ended = interrupted(tmp_path, words, "show.report", "write_report", random.Random("report").uniform(0.0, 0.05))
     if ended.returncode != 0:  # quicker than the key
         assert (ended.returncode, ended.stderr, ended.stdout) == (130, "kr270_milling: interrupted\n", "")
         assert contents(tmp_path) == {}
