@@ -36,9 +36,9 @@ def pytest_terminal_summary(terminalreporter, config):
 
 
 def pytest_collection_modifyitems(items) -> None:
-    """The first of two workers begins with the tests that start graphs, the second with those of nodes in this process.
+    """The first of two workers starts with the tests of graphs, the second with those of nodes in this process.
 
-    Each kind takes turns (``own_turn``); what a worker steals from the other is the end of its share, which is neither.
+    Each kind takes turns (``own_turn``); a worker takes over the end of the other's share, which is of neither kind.
     """
     kinds: dict[str, list] = {"processes": [], "nodes": [], "": []}
     for item in items:
@@ -77,6 +77,20 @@ def no_lines_of_progress():
     from kr270_milling.show.commands import progress
 
     progress.LINE_PERIOD = 1e6
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled():
+    """Of several workers the first compiles the pass; the others, and the processes of the tests, load the result."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
+    from kr270_milling.base.parameter_file import find_file
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.jobs import compensated, simulate
+
+    with own_turn("compile"):
+        cell = read_cell(find_file("paper.yaml"), SHORT)
+        compensated(cell, simulate(cell), "mirror")
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""What the tests with hostile input share: commands run in this process, and what every answer must be like."""
+"""Helpers of the tests with hostile input: commands run in this process, and the checks of every answer."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LONGEST = 20.0  # [s] of the processor that any command here may take
 
 
 class Answer(NamedTuple):
-    """What a command said."""
+    """Exit code and output of a command."""
 
     code: int
     out: str
@@ -85,11 +85,13 @@ def _numbers(value, key: str = ""):
 
 def contents(directory) -> dict[str, bytes | str]:
     """Everything below a directory by its relative name: bytes of files, "dir", "-> target" of links."""
-    found = {}
+    entries = {}
     for path in sorted(Path(directory).rglob("*")):
         name = str(path.relative_to(directory))
-        found[name] = f"-> {os.readlink(path)}" if path.is_symlink() else "dir" if path.is_dir() else path.read_bytes()
-    return found
+        entries[name] = (
+            f"-> {os.readlink(path)}" if path.is_symlink() else "dir" if path.is_dir() else path.read_bytes()
+        )
+    return entries
 
 
 def settings(*assignments: str) -> list[str]:

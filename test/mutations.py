@@ -1,4 +1,4 @@
-"""Wrong signs and factors in the numbered equations: does a test notice? By hand: ``python test/mutations.py [TEXT]``.
+"""Wrong signs and factors in the equations, each of which a test must detect: ``python test/mutations.py [TEXT]``.
 
 Each mutation goes into a copy of the package; the tests of that part run until the first one fails. TEXT chooses
 the mutations whose equation or file contains it. Exit code 1 if one survives. Takes about ten minutes.
@@ -48,7 +48,7 @@ TESTS = {
     BACKLASH: ["simulation_backlash"],
 }
 
-#: equation, file, a text that stands there once, with <<what it is|what it becomes>>
+#: equation, file, a text that occurs once in the file, with <<old|new>>
 MUTATIONS = [
     ("(1)", MOTION, "decay * (c <<+|->> z * w / damped * s), decay"),
     ("(1)", MOTION, "a21, a22 = <<-|+>>decay * w * w"),
@@ -185,22 +185,22 @@ def run(folder: Path, tests: list[str]) -> str:
         done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
     except subprocess.TimeoutExpired:
         return "no end within 300 s"
-    found = re.search(r"^(?:FAILED|ERROR) test/\w+/(\S+)", done.stdout, re.MULTILINE)
-    return "" if done.returncode == 0 else found.group(1) if found else f"pytest ended with {done.returncode}"
+    failure = re.search(r"^(?:FAILED|ERROR) test/(\S+)", done.stdout, re.MULTILINE)
+    return "" if done.returncode == 0 else failure.group(1) if failure else f"pytest ended with {done.returncode}"
 
 
 def texts(pattern: str) -> tuple[str, str]:
-    """What stands in the file, and what it becomes."""
+    """Return the text in the file, and its replacement."""
     before, old, new, after = re.fullmatch(r"(.*?)<<(.*?)\|(.*?)>>(?!>)(.*)", pattern, re.DOTALL).groups()
     return before + old + after, before + new + after
 
 
 def mutate(folder: Path, file: str, pattern: str) -> str:
-    """First test that fails with the mutation, "" if it survives; the folder is as it was afterwards."""
+    """First test that fails with the mutation, "" if it survives; afterwards the folder is restored."""
     (old, new), source = texts(pattern), folder / "kr270_milling" / file
     text = source.read_text()
     if text.count(old) != 1:
-        return "NOT APPLIED: the text is not there exactly once"
+        return "NOT APPLIED: the text does not occur exactly once"
     try:
         source.write_text(text.replace(old, new))
         forget_compiled(folder, text)

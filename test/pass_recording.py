@@ -67,7 +67,7 @@ def reference_data(run) -> bytes:
 
 
 def one_pass(method: str = "linear", iterations: int = 1, passes: int = 1, every: int = 1) -> tuple[Message, ...]:
-    """What the protocols of the nodes publish in some passes of one file, in the order of causes."""
+    """The messages of the nodes' protocols in some passes of one file, in the order of causes."""
     latched, *ran = passes_of(method, ("r/r.mcap",) * passes, iterations, every)
     return (*latched, *(message for one in ran for message in one))
 
@@ -82,19 +82,19 @@ def files_of(method: str, names: tuple[str, ...], plant=None) -> list[list[Messa
 def passes_of(
     method: str, files: tuple[str, ...], iterations: int = 1, every: int = 1, plant=None
 ) -> list[list[Message]]:
-    """What is published before the first pass, and in each pass; plant: of robot and cut."""
+    """The messages before the first pass, and in each pass; plant: of robot and cut."""
     cell = cell_of(method, iterations, every)
     cuts = plant or cell
     robot, cut, compensator = RobotProtocol(cuts), CutProtocol(cuts), CompensatorProtocol(cell, plant)
-    found = [messages(compensator.begin(cell.target()))]
+    parts = [messages(compensator.begin(cell.target()))]
     for file in files:
         robot.reference, compensator.recording = compensator.compensator.reference, file
         cut.configure()
-        found.append(_exchange(robot, cut, compensator))
-    return found
+        parts.append(_exchange(robot, cut, compensator))
+    return parts
 
 
-def ran_by(compensator, file: str) -> list[Message]:
+def pass_along(compensator, file: str) -> list[Message]:
     """A pass of the linear cell along the reference of a compensator, recorded to a file."""
     robot, cut = RobotProtocol(cell_of()), CutProtocol(cell_of())
     robot.reference, compensator.recording = compensator.compensator.reference, file
@@ -107,18 +107,18 @@ def messages(outputs) -> list[Message]:
 
 
 def _exchange(robot, cut, compensator) -> list[Message]:
-    found, revised, outputs = [], [], robot.start()
+    sent, revised, outputs = [], [], robot.start()
     while outputs:
-        found += messages(output for output in outputs if output[0] != "clock")
+        sent += messages(output for output in outputs if output[0] != "clock")
         poses = [record for topic, record in outputs if topic == "tool_pose"]
         outputs = []
         for pose in poses:
             revised += compensator.pose(pose)
             answer = cut.pose(pose)
-            found += messages(answer)
+            sent += messages(answer)
             revised += compensator.wrench(answer[0][1])
             outputs += robot.wrench(answer[0][1])
-    return found + messages(cut.workpiece()) + messages(revised)
+    return sent + messages(cut.workpiece()) + messages(revised)
 
 
 TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states": JOINTS,
@@ -129,8 +129,8 @@ TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states
 
 def write(directory, messages, *, namespaces=("",), attachments=None, cell: str | None = None) -> Path:
     """A recording of messages, published in each namespace alike; returns its directory."""
-    kept = {"cell.yaml": cell_text() if cell is None else cell} if attachments is None else attachments
-    with BagWriter(directory, attachments=kept, metadata={"seed": "1"}) as writer:
+    attached = {"cell.yaml": cell_text() if cell is None else cell} if attachments is None else attachments
+    with BagWriter(directory, attachments=attached, metadata={"seed": "1"}) as writer:
         for namespace in namespaces:
             for name, kind in TYPES.items():
                 writer.add_topic(f"{namespace}/{name}", kind, [LATCHED] if name in LATCHED_TOPICS else [{}])
@@ -144,16 +144,16 @@ def write(directory, messages, *, namespaces=("",), attachments=None, cell: str 
 
 def changed(messages, topic: str, index: int, change) -> list[Message]:
     """The messages with ``change(bytes) -> bytes`` done to one; None leaves it out."""
-    found, count = [], -1
+    result, count = [], -1
     for message in messages:
         count += message.topic == topic
         if message.topic == topic and count == index:
             data = change(message.data)
             if data is not None:
-                found.append(dataclasses.replace(message, data=data))
+                result.append(dataclasses.replace(message, data=data))
         else:
-            found.append(message)
-    return found
+            result.append(message)
+    return result
 
 
 def flip(offset: int, bit: int = 0):
@@ -166,7 +166,7 @@ def flip(offset: int, bit: int = 0):
 
 
 def force_offset(axis: int) -> int:
-    """Where a wrench's force stands: behind 4 bytes, a stamp, "workpiece" with its length, aligned to 8."""
+    """The offset of a wrench's force: after 4 bytes, a stamp, "workpiece" with its length, aligned to 8."""
     return 4 + 8 + 4 + 10 + 2 + 8 * axis - (4 + 8 + 4 + 10 + 2 - 4) % 8
 
 

@@ -1,4 +1,4 @@
-"""A ROS domain id that nobody on this machine uses, another one for every test."""
+"""A ROS domain id that no other process on this machine uses, another id for every test."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ DISCOVERY = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE", 
 ROOT = Path(__file__).resolve().parents[1]
 PORTS = 7400, 250  # first UDP port of domain 0, and ports of a domain (RTPS, section 9.6.1)
 COUNT = 100  # domains; from 102 on their ports may be those of any program
-_turn = itertools.count(os.getpid())  # what one test leaves is not in the domain of the next
+_turn = itertools.count(os.getpid())  # the rest of one test is not in the domain of the next
 
 
 def _locks() -> Path:
-    """Files that are locked, so that the kernel gives back what they stand for whatever becomes of a process."""
+    """A folder of files to lock: the kernel releases a lock at any end of a process."""
     directory = Path(tempfile.gettempdir(), "kr270_milling_domains")
     directory.mkdir(exist_ok=True)
     return directory
@@ -29,7 +29,7 @@ def _locks() -> Path:
 
 @contextlib.contextmanager
 def own_turn(kind: str):
-    """Of each kind one test of a run at a time: no graph of five processes has another one beside it."""
+    """One test of each kind at a time in a run: no two graphs of five processes run together."""
     with open(_locks() / f"{kind}_{os.environ.get('PYTEST_XDIST_TESTRUNUID', os.getpid())}", "w") as stream:
         fcntl.flock(stream, fcntl.LOCK_EX)
         yield
@@ -37,7 +37,7 @@ def own_turn(kind: str):
 
 @contextlib.contextmanager
 def own_domain():
-    """A ROS domain id that nobody else has."""
+    """A ROS domain id that no other test has."""
     directory = _locks()
     for _ in range(COUNT):
         number = 1 + next(_turn) % COUNT
@@ -53,7 +53,7 @@ def own_domain():
 
 
 def is_used(domain: int) -> bool:
-    """Whether somebody has a UDP port of the domain open."""
+    """Whether a UDP port of the domain is open."""
     first, each = PORTS
     return any(first + each * domain <= port < first + each * (domain + 1) for port in _open_ports())
 
@@ -65,14 +65,14 @@ def _open_ports() -> set[int]:
 
 def environment_of_processes(domain: int, **more: str) -> dict[str, str]:
     """For processes that a test starts: this checkout, that domain, the discovery that is shipped."""
-    kept = {name: value for name, value in os.environ.items() if name not in DISCOVERY}
+    rest = {name: value for name, value in os.environ.items() if name not in DISCOVERY}
     path = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
-    return {**kept, "ROS_DOMAIN_ID": str(domain), "PYTHONPATH": path, **more}
+    return {**rest, "ROS_DOMAIN_ID": str(domain), "PYTHONPATH": path, **more}
 
 
 @contextlib.contextmanager
 def running(command: list[str], environment: dict[str, str], **kwargs):
-    """A process that ends with the block, also where a check in the block fails while the process goes on."""
+    """A process that ends with the block, also where a check in the block fails while the process runs."""
     with subprocess.Popen(command, env=environment, **kwargs) as process:
         try:
             yield process

@@ -44,7 +44,7 @@ for name in {wanted!r}:
 
 @pytest.mark.parametrize("file", sorted(mutations.TESTS))
 def test_mutations_fit_the_code_that_they_change(file):
-    """Whether a test notices them, ``python test/mutations.py`` tells, which takes long."""
+    """``python test/mutations.py`` runs the tests with each mutation, which takes long."""
     text = (ROOT / "kr270_milling" / file).read_text(encoding="utf-8")
     for equation, changed, pattern in mutations.MUTATIONS:
         assert changed != file or text.count(mutations.texts(pattern)[0]) == 1, (equation, pattern)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import struct
 from pathlib import Path
 
@@ -12,8 +13,9 @@ import pytest
 from pass_recording import STEPS, flip, force_offset
 
 from kr270_milling.base.errors import ConfigError, MillingError, RecordingError
-from kr270_milling.base.samples import Text
+from kr270_milling.base.samples import PoseSample, Text, WrenchSample
 from kr270_milling.base.version import __version__
+from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main
 from kr270_milling.exchange.cut import CutProtocol
 from kr270_milling.exchange.replay.compensate import compensate_recording
@@ -309,3 +311,147 @@ def test_messages_with_any_content_end_in_a_verdict_or_a_sentence(tmp_path, seed
     for job in (recompute, compensate_recording):
         with contextlib.suppress(MillingError):
             job(directory)
+
+
+# --- A recompute refuses what the live nodes refused, and continues ---
+
+
+AT = 30_000_000  # [ns]
+ONE, DOWN = np.ones(3), np.array([1.0, 0.0, 0.0, 0.0])
+REFUSED = {
+    "wrench of NaN": ("wrench", WrenchSample(AT, "workpiece", np.full(6, np.nan))),
+    "wrench in another frame": ("wrench", WrenchSample(AT, "base_link", np.ones(6))),
+    "infinite wrench of another time": ("wrench", WrenchSample(7 * AT, "workpiece", np.full(6, np.inf))),
+    "pose of NaN": ("tool_pose", PoseSample(AT, "workpiece", np.full(3, np.nan), DOWN)),
+    "pose in another frame": ("tool_pose", PoseSample(AT, "flange", ONE, DOWN)),
+    "pose of before": ("tool_pose", PoseSample(AT - 10_000_000, "workpiece", ONE, DOWN)),
+}
+
+
+def disturbed(topic: str, data: bytes) -> list:
+    """A pass with a foreign message in its middle."""
+    messages = list(made.one_pass())
+    at = next(i for i, m in enumerate(messages) if m.topic == topic and m.stamp == AT)
+    messages.insert(at, made.Message(topic, data, AT))
+    return messages
+
+
+@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("job", ["recompute", "compensate"])
+def test_one_message_that_the_live_nodes_refused_does_not_spoil_a_recording(tmp_path, name, job):
+    topic, sample = REFUSED[name]
+    directory = made.write(tmp_path / "r", disturbed(topic, to_bytes(sample)))
+    if job == "compensate":
+        assert compensate_recording(directory)[0].published is True
+        return
+    result = recompute(directory)
+    assert result.verdict == "identical", (result.first, result.stops)
+    assert result.channels[f"/{topic}"].refused == 1
+    assert result.channels["/wrench"].compared == result.channels["/deflection"].compared == STEPS
+
+
+@pytest.mark.parametrize("place", [0, 150])
+def test_a_reference_in_another_frame_does_not_spoil_a_recording_at_any_place(tmp_path, place):
+    messages = list(made.one_pass())
+    foreign = dataclasses.replace(made.cell_of().target(), frame="base_link")
+    messages.insert(place, made.Message("reference_trajectory", to_bytes(foreign), 0))
+    result = recompute(made.write(tmp_path / "r", messages))
+    assert result.verdict == "identical", (result.first, result.stops)
+    assert result.channels["/reference_trajectory"].refused == 1
+    assert result.channels["/wrench"].compared == STEPS
+
+
+@pytest.mark.parametrize("topic", ["wrench", "tool_pose"])
+def test_bytes_that_are_no_message_are_refused_alike(tmp_path, topic):
+    result = recompute(made.write(tmp_path / "r", disturbed(topic, b"\0\1\0\0" + bytes(10))))
+    assert result.verdict == "identical" and result.channels[f"/{topic}"].refused == 1
+
+
+def test_a_wrench_that_is_spoiled_where_it_was_recorded_is_no_refused_one(tmp_path):
+    """The live robot continued with it, so the recording differs from the sent message, or lacks the message."""
+    messages = made.changed(made.one_pass(), "wrench", 60, lambda _: to_bytes(REFUSED["wrench of NaN"][1]))
+    assert recompute(made.write(tmp_path / "r", messages)).verdict != "identical"
+
+
+# --- Deflections that are published less often than every exchange: nothing is lost by it ---
+
+
+def thinned(directory, every: int, change=lambda messages: messages):
+    messages = change(list(made.one_pass(every=every)))
+    return made.write(directory, messages, cell=made.cell_text(every=every))
+
+
+@pytest.mark.parametrize("every, count", [(0, 7), (40, 4), (1, STEPS)])
+def test_a_thinned_recording_recomputes_and_gives_all_deflections_to_the_bit(tmp_path, every, count):
+    bag = thinned(tmp_path / "r", every)
+    replayed = recompute(bag)
+    assert replayed.verdict == "identical", (replayed.first, replayed.stops)
+    channel = replayed.channels["/deflection"]
+    assert (channel.compared, channel.missing) == (count, 0)
+    recorded, plain = pass_from_recording(bag), simulate(made.cell_of(every=every))
+    assert recorded.complete and recorded.messages_lost == recorded.lost_to_end == 0
+    np.testing.assert_array_equal(recorded.scored.result.deflection, plain.result.deflection)
+    assert recorded.scored.scores == plain.scores
+
+
+def test_a_recording_of_all_deflections_is_compared_in_full_for_every_cell(tmp_path):
+    """As recordings of before ``publish.every`` are."""
+    messages = [m for m in made.one_pass(every=1) if m.topic != "joint_states"]
+    bag = made.write(tmp_path / "r", messages, cell=made.cell_text(every=0))
+    replayed = recompute(bag)
+    assert replayed.verdict == "identical" and replayed.channels["/deflection"].compared == STEPS
+
+
+def test_joint_states_must_come_as_often_as_the_cell_states(tmp_path):
+    """Their last bit may depend on how often that is: ``RobotFeed``."""
+    bag = made.write(tmp_path / "r", made.one_pass(every=1), cell=made.cell_text(every=0))
+    replayed = recompute(bag)
+    assert (replayed.first.topic, replayed.first.index, replayed.first.stamp_ns) == ("/joint_states", 1, 500_000)
+    assert {topic for topic, channel in replayed.channels.items() if channel.differing} == {"/joint_states"}
+
+
+def test_a_thinned_deflection_that_is_lost_or_changed_is_reported(tmp_path):
+    def lose(messages):
+        return made.changed(messages, "deflection", 3, lambda data: None)
+
+    replayed = recompute(thinned(tmp_path / "lost", 0, lose))
+    assert replayed.channels["/deflection"].missing == 1
+    assert not pass_from_recording(tmp_path / "lost").complete
+
+    def change(messages):
+        return made.changed(messages, "deflection", 3, made.flip(made.force_offset(1)))
+
+    first = recompute(thinned(tmp_path / "changed", 0, change)).first
+    assert (first.topic, first.index, first.stamp_ns) == ("/deflection", 3, 30_000_000)
+    recorded = pass_from_recording(tmp_path / "changed").scored.result  # of another robot, then: only what it said
+    assert recorded.time_ns.tolist()[-3:] == [40_000_000, 50_000_000, 60_000_000]
+
+
+# --- Bytes of a message that are no field of it, but are compared ---
+
+
+INDEX = 40  # of the wrench that is changed
+TERMINATOR = 4 + 8 + 4 + len("workpiece")  # behind encapsulation, stamp, length and text of frame_id
+
+
+def first_difference(directory, offset: int, bit: int):
+    """Where one bit of a wrench is flipped; the wrench itself is the first difference, and the only one."""
+    messages = made.changed(made.one_pass(), "wrench", INDEX, made.flip(offset, bit))
+    result = recompute(made.write(directory, messages))
+    assert result.verdict == "different" and result.channels["/wrench"].differing == 1
+    assert (result.first.topic, result.first.index, result.first.stamp_ns) == ("/wrench", INDEX, INDEX * 500_000)
+    return result.first
+
+
+@pytest.mark.parametrize("bit", [0, 1, 7])
+@pytest.mark.parametrize("offset", [2, 3])
+def test_a_flipped_bit_in_the_options_of_the_encapsulation_is_named(tmp_path, offset, bit):
+    first = first_difference(tmp_path / "r", offset, bit)
+    assert first.field == "options of the encapsulation" and first.recomputed == b"\0\0"
+    assert first.recorded == made.flip(offset - 2, bit)(b"\0\0")
+
+
+@pytest.mark.parametrize("bit", [0, 1, 7])
+def test_a_frame_whose_terminator_is_not_nul_is_named(tmp_path, bit):
+    first = first_difference(tmp_path / "r", TERMINATOR, bit)
+    assert first.field == "the message" and "string terminator" in first.recorded

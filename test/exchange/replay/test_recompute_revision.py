@@ -12,8 +12,13 @@ from pass_recording import STEPS, flip
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.samples import CompensatorState, PoseSample
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import compensator, record_of, simulate
+from kr270_milling.cell.plant import Plant
 from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
+from kr270_milling.exchange.replay.recorded import pass_from_recording
+from kr270_milling.live.graph.processes import cell_text
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.messages.codec import from_bytes, to_bytes
 
@@ -117,7 +122,7 @@ def test_a_method_that_is_chosen_between_two_passes_starts_from_the_named_pass(t
     for name, method in (("original", None), ("linear", "linear"), ("spline", "spline")):
         if method is not None:
             latched = made.messages(compensator.choose(method))
-        files[name] = [*latched, *made.ran_by(compensator, f"{name}/{name}.mcap")]
+        files[name] = [*latched, *made.pass_along(compensator, f"{name}/{name}.mcap")]
         made.write(tmp_path / name, files[name])
     state = next(m.data for m in files["spline"] if m.topic == "compensator_state")
     assert [one.recording for one in from_bytes(STATE, state).learned] == ["original/original.mcap"]
@@ -172,7 +177,7 @@ def test_a_published_target_takes_the_place_of_that_of_the_cell(tmp_path):
     shifted = target.with_position(target.position + [0.0, 5e-4, 0.0])
     compensator = made.CompensatorProtocol(made.cell_of())
     messages = [made.Message("target_trajectory", to_bytes(shifted), 0), *made.messages(compensator.begin(shifted))]
-    result = recompute(made.write(tmp_path / "r", [*messages, *made.ran_by(compensator, "r/r.mcap")]))
+    result = recompute(made.write(tmp_path / "r", [*messages, *made.pass_along(compensator, "r/r.mcap")]))
     assert result.verdict == "identical", (result.first, result.stops)
     assert result.channels["/reference_trajectory"].compared == 2
 
@@ -240,3 +245,67 @@ def test_a_state_without_fields_is_refused(tmp_path):
     result = recompute(made.write(tmp_path / "r", messages))
     assert result.channels["/compensator_state"].refused == 1
     assert isinstance(from_bytes(STATE, made.one_pass()[0].data), CompensatorState)
+
+
+# --- Recordings of passes in which another cell cut than the one that planned: both are attached, all is recomputed ---
+
+
+PASSES = ("original", "learned_1", "learned_2")
+
+
+@pytest.fixture(scope="module")
+def plant(tmp_path_factory):
+    """A softer arm with backlash, no friction and scatter, and a tracker with noise."""
+    cell = made.cell_of("learned")
+    arm = cell.arm.replace(joint_compliance=1.1 * cell.arm.joint_compliance, friction_torque=np.zeros(6))
+    imperfections = cell.imperfections.replace(pose_noise=2e-6, repeatability=60e-6, backlash=np.full(6, 1e-5), seed=3)
+    file = tmp_path_factory.mktemp("cell") / "plant.yaml"
+    file.write_text(cell_text(Plant(cell, cell.replace(arm=arm), imperfections).cell))
+    return read_cell(file)
+
+
+@pytest.fixture(scope="module")
+def recordings(plant, tmp_path_factory):
+    """One recording a pass, as ``run --plant`` makes them."""
+    folder = tmp_path_factory.mktemp("plant")
+    for number, (name, messages) in enumerate(zip(PASSES, made.files_of("learned", PASSES, plant), strict=True)):
+        of_pass = plant.replace(imperfections=plant.imperfections.replace(first_pass=number))
+        attached = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(of_pass)}
+        made.write(folder / name, messages, attachments=attached)
+    return folder
+
+
+@pytest.mark.parametrize("name", PASSES)
+def test_every_pass_is_identical_when_recomputed(recordings, name):
+    replayed = recompute(recordings / name)
+    assert replayed.verdict == "identical", (replayed.first, replayed.stops)
+    assert replayed.channels["/tool_pose"].compared == made.STEPS
+    assert replayed.channels["/reference_trajectory"].compared == 2
+
+
+def test_the_passes_are_those_of_the_plain_loop(recordings, plant):
+    cell = made.cell_of("learned")
+    runs, by = Plant(cell, plant), compensator(cell, cell.target(), "learned")
+    for name in PASSES:
+        ran = simulate(cell, by.reference, name, plant=runs)
+        recorded = pass_from_recording(recordings / name).scored
+        assert np.array_equal(recorded.result.tool, ran.result.tool)
+        assert np.array_equal(recorded.result.deflection, ran.result.deflection)
+        assert recorded.scores == ran.scores
+        by.revise(record_of(cell, ran))
+
+
+def test_the_random_numbers_of_another_pass_are_a_difference(recordings, plant, tmp_path):
+    attached = {"cell.yaml": made.cell_text("learned"), "plant.yaml": cell_text(plant)}
+    later = plant.replace(imperfections=plant.imperfections.replace(first_pass=1))
+    (messages,) = made.files_of("learned", ("r",), later)
+    assert recompute(made.write(tmp_path / "r", messages, attachments=attached)).verdict == "different"
+
+
+def test_a_run_attaches_the_plant_with_the_number_of_the_pass(plant, tmp_path):
+    pytest.importorskip("rclpy")
+    from kr270_milling.live.graph.processes import recording_parameters
+
+    (tmp_path / "log").mkdir()
+    attached = recording_parameters(made.cell_of("learned"), tmp_path, "learned_2", plant)["attach"]
+    assert attached == [str(tmp_path / "cell.yaml"), str(tmp_path / "log" / "learned_2" / "plant.yaml")]

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from kr270_milling.live.graph.driver import Driver
+from kr270_milling.live.graph.watchdog import AlreadyRunning, Watchdog
+from kr270_milling.live.ros import topics
 
 pytest.importorskip("rclpy")
 
@@ -80,3 +86,33 @@ def test_a_method_that_repeats_continues_until_the_compensator_is_finished_as_of
 def test_the_original_pass_is_the_best_where_no_revision_helps(run):
     graph, (original, best) = run(["spline"], repeat=True, max_correction=1e-9)
     assert len(best.learning) >= 1 and best.scored.scores.max_deviation <= original.scored.scores.max_deviation
+
+
+# --- What the runner takes from the reports of the nodes ---
+
+
+def report(pid: str, message: str, level: bytes = b"\0") -> DiagnosticArray:
+    status = DiagnosticStatus(name="/recorder", level=level, message=message, values=[KeyValue(key="pid", value=pid)])
+    return DiagnosticArray(status=[status])
+
+
+def test_reports_of_another_process_under_our_name_are_ignored(ros_environment, world):
+    sent = world.partner().create_publisher(*topics.DIAGNOSTICS)
+    with contextlib.closing(Driver("", lambda: None)) as driver:
+        driver.pids["/recorder"] = "1"
+        driver.until(sent.get_subscription_count, "matching", 60.0)
+        sent.publish(report("1", "recording"))
+        sent.publish(report("2", "the directory is there already", b"\2"))
+        driver.until(lambda: driver.foreign, "the other report", 60.0)
+        assert driver.status("recorder").message == "recording" and not driver.errors
+        watchdog = Watchdog(set(), pytest.fail)
+        with pytest.raises(AlreadyRunning, match="/recorder already runs"):
+            watchdog.check(driver, {"recorder": Alive()})
+        watchdog.coming_up = False
+        watchdog.check(driver, {"recorder": Alive()})
+
+
+class Alive:
+    """A process that has not ended."""
+
+    alive = True

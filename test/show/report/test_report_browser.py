@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from browser import Visit
-from milled_part import POCKET, small_cell
 
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import find_file
@@ -47,10 +46,8 @@ class Shown(NamedTuple):
     visit: Visit
 
 
-def shown(browser, directory, cell: Cell, methods, width: int, **words) -> Shown:
-    """The report of a pass and its compensations; solids are drawn small, since here the processor draws them."""
-    original = simulate(cell)
-    passes = [original, *(compensated(cell, original, method) for method in methods)]
+def shown(browser, directory, cell: Cell, passes: list[ScoredPass], width: int, **words) -> Shown:
+    """The report of some passes; solids are drawn small, since here the processor draws them."""
     visit = Visit(browser, write_report(directory, cell, passes, **WORDS, **words).as_uri(), width, touch=width < 600)
     visit.page.add_style_tag(content=".plot.robot, .plot.part { height: 150px !important; }")
     visit.ask("KR.drawEverything()")
@@ -58,10 +55,8 @@ def shown(browser, directory, cell: Cell, methods, width: int, **words) -> Shown
 
 
 @pytest.fixture(scope="module")
-def part(browser, tmp_path_factory):
-    directory = tmp_path_factory.mktemp("part")
-    cell = small_cell(directory, POCKET, "part.tolerance_um=30")
-    page = shown(browser, directory, cell, ("linear", "spline"), 1400, title="A part")
+def part(browser, milled, tmp_path_factory):
+    page = shown(browser, tmp_path_factory.mktemp("part"), *milled, 1400, title="A part")
     yield page
     page.visit.close()
 
@@ -74,8 +69,9 @@ def visit(part):
 @pytest.fixture(scope="module")
 def phone(browser, tmp_path_factory):
     cell = read_cell(find_file("paper.yaml"), ["path.length_mm=20.0", "stock.grid_step_um=40.0"])
-    words = dict(title="The paper", paper=True)
-    page = shown(browser, tmp_path_factory.mktemp("demo"), cell, ("linear",), 390, **words)
+    original = simulate(cell)
+    passes = [original, compensated(cell, original, "linear")]
+    page = shown(browser, tmp_path_factory.mktemp("demo"), cell, passes, 390, title="The paper", paper=True)
     yield page.visit
     page.visit.close()
 

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass, fields
 
+import numpy as np
 import pytest
 
 from kr270_milling.base.column import as_dict, column, columns
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import commanded_joints, simulate
 from kr270_milling.decide.part import FeatureRow
 from kr270_milling.physics.motion.scores import Scores
+from kr270_milling.physics.robot import forward
+from kr270_milling.physics.robot.urdf import urdf
+from kr270_milling.physics.robot.urdf_links import links_of
 from kr270_milling.show.commands.console import columns_of, table_of
+from kr270_milling.show.report.robot_model import robot_model
 from kr270_milling.show.report.tables import line_scores, micro
 
 
@@ -39,3 +48,76 @@ def test_the_table_of_the_scores_has_every_titled_column(demo):
     titled = [micro(c.heading()) for c in columns(Scores) if c.title]
     assert [heading for heading in headings if heading not in ("pass", "paper")] == titled
     assert headings.count("paper") == 3
+
+
+# --- robot.urdf, its solids, and report.robot_model: the robot that viewers and the page show ---
+
+
+pin = pytest.importorskip("pinocchio", reason="needs the package pin")
+
+
+@pytest.fixture(scope="module", params=["paper.yaml", "test_piece.yaml"])
+def cell(request):
+    return read_cell(find_file(request.param))
+
+
+@pytest.fixture(scope="module")
+def text(cell):
+    return urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose)
+
+
+def test_pinocchio_puts_every_frame_of_the_urdf_where_our_kinematics_does(cell, text):
+    model = pin.buildModelFromXML(text)
+    data = model.createData()
+    for q in np.random.default_rng(4).uniform(-1.5, 1.5, (5, 6)):
+        pin.framesForwardKinematics(model, data, q)
+        ours = forward(cell.arm, cell.mount, q)
+        for name, pose in (("flange", ours.flange), ("tool0", ours.tool), ("workpiece", cell.workpiece.pose)):
+            placed = data.oMf[model.getFrameId(name)]
+            np.testing.assert_allclose(placed.translation, pose.position, atol=1e-8)
+            np.testing.assert_allclose(placed.rotation, pose.rotation, atol=1e-8)
+
+
+def test_every_link_that_one_sees_has_solids_and_none_is_a_mesh(text):
+    root = ET.fromstring(text)
+    shapes = {shape.tag for geometry in root.iter("geometry") for shape in geometry}
+    assert shapes == {"box", "cylinder"}
+    for name in ("base_link", *(f"link_{j}" for j in range(1, 7)), "tool0"):
+        assert root.find(f"link[@name='{name}']").findall("visual"), name
+    known = {m.get("name") for m in root.findall("material")}
+    assert {m.get("name") for v in root.iter("visual") for m in v.findall("material")} <= known
+
+
+def test_the_tool_ends_in_the_tip(cell, text):
+    (tool,) = (link for link in links_of(text) if link.name == "tool0")
+    vertices = np.vstack([mesh.vertex for mesh in tool.meshes])
+    assert vertices[:, 2].max() == pytest.approx(0.0, abs=1e-9)  # z points from the flange to the tip
+    at_tip = vertices[np.abs(vertices[:, 2]) < 1e-9]
+    assert np.hypot(*at_tip[:, :2].T).max() == pytest.approx(cell.tool.radius, abs=1e-9)
+
+
+def test_meshes_are_closed_and_point_outwards(text):
+    for link in links_of(text):
+        for mesh in link.meshes:
+            corners = mesh.vertex[mesh.triangle]
+            volume = np.sum(np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6
+            assert volume > 0.0
+            edges = np.concatenate([mesh.triangle[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
+            assert {tuple(e) for e in edges} == {tuple(e[::-1]) for e in edges}
+
+
+def test_the_posture_is_the_commanded_one_not_that_of_the_file(cell):
+    if cell.path.file:
+        cell = cell.replace(compensation=cell.compensation.replace(sag_compensated=False))
+    short = cell if cell.path.file else cell.replace(path=cell.path.replace(length=0.005))
+    reference = short.target()
+    if cell.path.file:  # only the posture is looked at: no pass is needed
+        from kr270_milling.show.report.robot_model import _postures
+
+        time, joints = _postures(short, reference)
+        assert np.abs(joints[0] - short.posture).max() > 0.01
+    else:
+        model = robot_model(short, simulate(short))
+        time, joints = model.time, model.joints
+    np.testing.assert_allclose(joints[0], commanded_joints(short, reference)[0], atol=1e-9)
+    assert time[-1] == pytest.approx(reference.duration_ns * 1e-9)

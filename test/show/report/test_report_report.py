@@ -71,12 +71,9 @@ def written(tmp_path_factory, cell, passes):
 
 
 @pytest.fixture(scope="module")
-def part_page(tmp_path_factory):
-    directory = tmp_path_factory.mktemp("part")
-    cell = small_cell(directory, POCKET, "part.tolerance_um=30")
-    original = simulate(cell)
-    passes = [original, compensated(cell, original, "spline")]
-    return cell, passes, text_of(write_report(directory, cell, passes, **WORDS))
+def part_page(milled, tmp_path_factory):
+    cell, passes = milled
+    return cell, passes, text_of(write_report(tmp_path_factory.mktemp("part"), cell, passes, **WORDS))
 
 
 def test_the_page_is_well_formed_small_and_needs_nothing_from_elsewhere(written):

@@ -3,18 +3,32 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 
 import campaigns
 import numpy as np
 import pytest
 from campaigns import ARM, MOUNT, TRUE, displacements
 
-from kr270_milling.base.record import find_file
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.plant import perturbed
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.physics.robot.elastostatics import equilibrium
+from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.show.report.identification.compliance import reason, sentences
+from kr270_milling.show.report.identification.plan import blind_spots, write_plan
 from kr270_milling.studies.identification.compliance import TooFewError, fit_compliance
+from kr270_milling.studies.identification.plan import (
+    CRITERIA,
+    Bench,
+    Planner,
+    candidates,
+    read_test_pose,
+    sorted_tests,
+)
 from kr270_milling.studies.identification.problem import Cause, Exclusion, Problem, SoftArmError
 
 
@@ -167,3 +181,114 @@ def test_too_few_numbers_and_an_arm_that_falls_are_refused(rng):
         fit_compliance(Problem(ARM, MOUNT, tests))
     with pytest.raises(SoftArmError, match="no equilibrium under the load of row"):
         Problem(ARM, MOUNT, tests).predict(np.full(6, 1e4))
+
+
+# --- Plans of load tests: the design is what it claims, the exchange finds the best of what can be enumerated ---
+
+
+BENCH = Bench(MOUNT.xyz)
+POSE = read_test_pose(find_file("test_piece.yaml"), MOUNT)
+
+
+@pytest.fixture(scope="module")
+def choice():
+    return candidates(ARM, MOUNT, BENCH, 200, 3)
+
+
+@pytest.fixture(scope="module")
+def planner(choice):
+    return Planner(ARM, MOUNT, choice, POSE)
+
+
+def test_candidates_keep_to_limits_floor_and_distance(choice):
+    q = choice.tests.q
+    assert np.all((q > ARM.joint_lower) & (q < ARM.joint_upper)) and np.abs(q[:, [3, 5]]).max() <= np.pi
+    point = forward(ARM, MOUNT, q).tool.position
+    assert point[:, 2].min() > BENCH.lowest and point[:, 2].max() < BENCH.highest
+    assert np.hypot(point[:, 0], point[:, 1]).min() > BENCH.nearest
+    size = np.linalg.norm(choice.tests.wrench[:, :3], axis=1)
+    assert size[choice.kind == 0] == pytest.approx(980.665) and size[choice.kind > 0] == pytest.approx(800.0)
+    assert not choice.tests.wrench[choice.kind > 0, 2].any()
+
+
+def test_each_criterion_wins_by_its_own_measure(planner):
+    designs = {name: planner.best(10, name) for name in CRITERIA}
+    measures = {"test pose": lambda d: d.pose_error, "A": lambda d: np.sum(d.relative**2), "D": lambda d: d.determinant}
+    for name, measure in measures.items():
+        assert min(designs, key=lambda n: measure(designs[n])) == name
+        assert measure(designs[name]) < 0.7 * np.median([measure(planner.random(10, rng)) for rng in rngs(30)])
+
+
+def rngs(count):
+    return [np.random.default_rng(seed) for seed in range(count)]
+
+
+def test_the_exchange_finds_the_best_of_all_choices():
+    """All 4060 choices of 3 of 30 candidates."""
+    few = candidates(ARM, MOUNT, BENCH, 8, 5)
+    few = few.take(np.arange(30))
+    planner = Planner(ARM, MOUNT, few, POSE)
+    best = min(planner.design(rows).pose_error for rows in itertools.combinations(range(30), 3))
+    assert planner.best(3).pose_error <= 1.02 * best
+
+
+def test_more_tests_leave_less_error(planner):
+    errors = [planner.best(n).pose_error for n in (6, 12, 24)]
+    assert errors[0] > 1.2 * errors[1] > 1.44 * errors[2]
+
+
+def test_masses_alone_leave_the_vertical_axis_unknown(choice):
+    hung = choice.take(choice.kind == 0)
+    relative = Planner(ARM, MOUNT, hung, POSE).best(12).relative
+    assert relative[0] > 0.9 and relative[1:].max() < 0.3
+
+
+def test_the_plan_is_sorted_by_load_and_written_for_the_controller(choice, planner, tmp_path):
+    plan = sorted_tests(choice.take(planner.best(10).rows))
+    assert np.all(np.diff(plan.kind) >= 0)
+    files = write_plan(tmp_path, plan, ["a note"])
+    program = files[1].read_bytes().decode("ascii")
+    assert program.startswith("&ACCESS RVP\r\n") and "VERIFY IN T1" in program and program.endswith("END\r\n")
+    for q in np.degrees(plan.tests.q):
+        assert f"PTP {{A1 {q[0]:.4f},A2 {q[1]:.4f}," in program
+
+
+def test_a_sentence_names_the_joints_that_a_plan_cannot_identify():
+    relative = np.array([0.01, 0.02, 0.02, 0.05, 0.04, 1.0])
+    (sentence,) = blind_spots(relative)
+    assert sentence.startswith("joint 6: these tests hardly identify") and blind_spots(relative[:5]) == []
+
+
+# --- Identified intervals reach the plants of the verdict ---
+
+
+SPREADS = [0.01, 0.02, 0.04, 0.08, 0.16, 0.32]
+
+
+def factors(*settings: str) -> np.ndarray:
+    """Of the compliances and of the coefficients K_tc, K_ac, K_ae of 400 plants, (400, 9)."""
+    cell = read_cell(find_file("test_piece.yaml"), ["cutting.linear_edge.axial_edge_n_per_mm=-3", *settings])
+    rng = np.random.default_rng(6)
+    return np.array([known(perturbed(cell, rng)) for _ in range(400)]) / known(cell)
+
+
+def known(cell) -> list[float]:
+    law = cell.cutting.linear_edge
+    return [*cell.arm.joint_compliance, law.tangential_cutting, law.axial_cutting, law.axial_edge]
+
+
+def test_each_joint_and_each_coefficient_scatters_by_its_own_spread():
+    """Log-normal of relative deviation v: ln has the deviation sqrt(ln(1 + v^2)); 400 samples know it to 3.5 %."""
+    joints = f"uncertainty.joint_compliances={SPREADS}"
+    for given, axial in (([0.05, 0.1, 0.1, 0.1], [0.15, 0.15]), ([0.05, 0.1, 0.1, 0.1, 0.2, 0.3], [0.2, 0.3])):
+        drawn = np.log(factors(joints, f"uncertainty.force_coefficients={given}")).std(0)
+        assert drawn == pytest.approx(np.sqrt(np.log1p(np.square([*SPREADS, 0.05, *axial]))), rel=0.12)
+
+
+def test_without_them_the_common_spread_holds():
+    assert np.log(factors()).std(0) == pytest.approx(np.full(9, np.sqrt(np.log1p(0.15**2))), rel=0.12)
+
+
+def test_lists_of_another_length_are_refused():
+    with pytest.raises(ParameterError, match="empty or one number"):
+        factors("uncertainty.force_coefficients=[0.1]")

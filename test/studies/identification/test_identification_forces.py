@@ -11,6 +11,7 @@ from known_cuts import FEEDS, TOOL, TRUE, cuts, measured
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.physics.cutting import Cut, Cutting, FractionalLaw, LinearEdgeLaw, Stock
+from kr270_milling.physics.cutting.materials import find_material, materials
 from kr270_milling.studies.identification.cuts import Sensor, read_cuts
 from kr270_milling.studies.identification.forces import (
     OneFeedError,
@@ -133,3 +134,16 @@ def test_unusable_rows_are_refused_with_their_line(tmp_path, row, text):
     with pytest.raises(InputError, match="line 3") as refused:
         read_cuts(file, TOOL, Sensor())
     assert text in str(refused.value)
+
+
+# --- The shipped table of published force coefficients ---
+
+
+def test_every_material_has_a_source_and_the_coefficients_of_the_milling_plane():
+    rows = materials()
+    assert len(rows) >= 6
+    for row in rows:
+        assert "10.1186/s10033-021-00536-9" in row.source and np.isfinite(row.values[:4]).all()
+    assert find_material("al7075-T6")[0].values[0] == pytest.approx(600.46e6)
+    with pytest.raises(InputError, match="has no material"):
+        find_material("wood")
