@@ -107,7 +107,7 @@ class StraightCut:
         return np.zeros(time_ns.size, bool)
 
     def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Whether the tool feeds in a drilling cycle at times (n,) [ns]."""
+        """Whether the tool is in a hole of a drilling cycle at times (n,) [ns]."""
         return np.zeros(time_ns.size, bool)
 
 
@@ -243,7 +243,7 @@ class ProgramPath:
         return self.timed.toolpath.rapid[self.timed.block_at(time_ns)]
 
     def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
-        """Whether the tool feeds in a drilling cycle at times (n,) [ns]."""
+        """Whether the tool is in a hole of a drilling cycle at times (n,) [ns]."""
         drilling = self.timed.toolpath.drilling
         return drilling[self.timed.block_at(time_ns)] if drilling.any() else np.zeros(time_ns.size, bool)
 

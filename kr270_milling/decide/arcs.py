@@ -13,12 +13,14 @@ from numba import njit
 
 from kr270_milling.cell.cell import Cell
 
-__all__ = ["Arcs", "arcs_along"]
+__all__ = ["Arcs", "arcs_along", "chord"]
 
-NODES_PER_RADIUS = 50  #: of the height map: a narrower cut is not seen
+NODES_PER_RADIUS = 200  #: of the height map: a finishing cut of 0.05 mm with a cutter of 20 mm covers a row of nodes
 MOST_VISITS = 1e9  #: of nodes; a longer path takes a coarser map
-LAG = 10  #: nodes, a fifth of the radius: the crescent in front of the tool is then several nodes thick
-EVERY = 2  #: places from one evaluation to the next
+VISITS = 12.0  #: nodes at each place, as a multiple of those in a radius
+MOST_NODES = 2e7  #: of the height map, 8 bytes each
+LAG = 10  #: nodes: the crescent in front of the tool is then several nodes thick
+EVERY = 8  #: places from one evaluation to the next
 FEWEST_NODES = 3  #: in material; fewer are the rounding of a curve
 CUTS = 1e-6  #: [m] of depth, less is rounding
 STEEP = 0.5  #: horizontal part of a unit tangent below which the tool drills rather than mills
@@ -45,7 +47,12 @@ def arcs_along(cell: Cell) -> Arcs:
     radius = float(cell.tool.radii.max())
     timed, target = cell.timed_path, cell.target()
     length = timed.toolpath.length if timed else cell.path.length
-    step = max(radius / NODES_PER_RADIUS, (2.0 * np.pi * length * radius**2 / MOST_VISITS) ** (1.0 / 3.0))
+    area = float(np.prod((cell.stock.max - cell.stock.min)[:2]))
+    step = max(
+        radius / NODES_PER_RADIUS,
+        (VISITS * length * radius / MOST_VISITS) ** 0.5,
+        (area / MOST_NODES) ** 0.5,
+    )
     distance = np.linspace(0.0, length, 2 + int(length / step))
     if timed:
         path, block = timed.toolpath, timed.toolpath.block_at(distance)
@@ -63,7 +70,7 @@ def arcs_along(cell: Cell) -> Arcs:
     level = np.hypot(tangent[:, 0], tangent[:, 1])
     heading = np.arctan2(tangent[:, 1], tangent[:, 0])
     look = ~rapid & (level > STEEP)
-    look[1::EVERY] = False
+    look &= np.arange(look.size) % EVERY == 0
     low, high = cell.stock.min, cell.stock.max
     surface = np.full(tuple(np.maximum(1, np.ceil((high - low)[:2] / step)).astype(int)), high[2])
     count, (depth, least, most) = np.zeros(distance.size, np.int64), np.zeros((3, distance.size))
@@ -80,6 +87,19 @@ def arcs_along(cell: Cell) -> Arcs:
     )  # fmt: skip
 
 
+@njit(cache=True, inline="always")
+def chord(away_x, y, square, origin, step):
+    """First and last node of a row within a circle about (0, y), to a node; away_x: of the row; square: of the radius.
+
+    A row beside the circle gives an empty range.
+    """
+    rest = square - away_x**2
+    if rest <= 0.0:
+        return 1 << 30, -(1 << 30)
+    half = np.sqrt(rest)
+    return int((y - half - origin) / step), int((y + half - origin) / step) + 1
+
+
 @njit(cache=True)
 def _engage(surface, origin, step, position, heading, radius, look, met):
     """Material in the tool at each place of ``look``: nodes, largest depth, least and largest distance to the left."""
@@ -88,16 +108,26 @@ def _engage(surface, origin, step, position, heading, radius, look, met):
     for k in range(position.shape[0]):
         before = max(k - LAG, 0)
         if k >= LAG:
-            _lower(surface, origin, step, position[before], radius, reach)
+            _lower(surface, origin, step, position[max(before - 1, 0)], position[before], radius, reach, before > 0)
         if not look[k]:
             continue
         x, y, z = position[k]
         level = max(z, position[before, 2]) + CUTS  # a tool on its way down removes a little floor everywhere
         left_x, left_y = -np.sin(heading[k]), np.cos(heading[k])
-        middle_x, middle_y = int((x - origin[0]) / step), int((y - origin[1]) / step)
+        middle_x = int((x - origin[0]) / step)
         for i in range(max(middle_x - reach, 0), min(middle_x + reach + 2, surface.shape[0])):
             away_x = origin[0] + i * step - x
-            for j in range(max(middle_y - reach, 0), min(middle_y + reach + 2, surface.shape[1])):
+            first_j, last_j = chord(away_x, y, radius**2, origin[1], step)
+            skip_from, skip_to = 0, -1
+            if k >= LAG:  # there the surface is no higher than ``level``
+                away = away_x + x - position[before, 0]
+                skip_from, skip_to = chord(away, position[before, 1], radius**2, origin[1], step)
+            j, last = max(first_j, 0) - 1, min(last_j + 1, surface.shape[1])
+            while j + 1 < last:
+                j += 1
+                if skip_from + 2 <= j <= skip_to - 2:
+                    j = skip_to - 2
+                    continue
                 away_y = origin[1] + j * step - y
                 if surface[i, j] <= level or away_x**2 + away_y**2 >= radius**2:
                     continue
@@ -110,11 +140,21 @@ def _engage(surface, origin, step, position, heading, radius, look, met):
 
 
 @njit(cache=True)
-def _lower(surface, origin, step, tip, radius, reach):
-    """Lower the surface to the tool's end at one place."""
-    middle_x, middle_y = int((tip[0] - origin[0]) / step), int((tip[1] - origin[1]) / step)
+def _lower(surface, origin, step, last_tip, tip, radius, reach, cleared):
+    """Lower the surface to the tool's end at one place; cleared: whether it is lowered at the place before."""
+    cleared = cleared and tip[2] >= last_tip[2]
+    middle_x = int((tip[0] - origin[0]) / step)
     for i in range(max(middle_x - reach, 0), min(middle_x + reach + 2, surface.shape[0])):
         away_x = origin[0] + i * step - tip[0]
-        for j in range(max(middle_y - reach, 0), min(middle_y + reach + 2, surface.shape[1])):
+        first_j, last_j = chord(away_x, tip[1], radius**2, origin[1], step)
+        skip_from, skip_to = 0, -1
+        if cleared:
+            skip_from, skip_to = chord(away_x + tip[0] - last_tip[0], last_tip[1], radius**2, origin[1], step)
+        j, last = max(first_j, 0) - 1, min(last_j + 1, surface.shape[1])
+        while j + 1 < last:
+            j += 1
+            if skip_from + 2 <= j <= skip_to - 2:
+                j = skip_to - 2
+                continue
             if surface[i, j] > tip[2] and away_x**2 + (origin[1] + j * step - tip[1]) ** 2 < radius**2:
                 surface[i, j] = tip[2]

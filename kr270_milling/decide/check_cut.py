@@ -11,6 +11,7 @@ from numba import njit
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decide.arcs import chord
 from kr270_milling.decide.findings import Violation, stretches, violation, violations
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
@@ -158,9 +159,19 @@ def _mill(surface, before, by, origin, step, position, series, radii, margin, me
             contact, start = False, k
         first_i = max(int((min(x, last_x) - radii[0] - origin[0]) / step), 0)
         first_j = max(int((min(y, last_y) - radii[0] - origin[1]) / step), 0)
+        end_j = min(int((max(y, last_y) + radii[0] - origin[1]) / step) + 1, surface.shape[1])
+        cleared = k > 0 and z >= last_z  # under the last place nothing is higher than this way
         for i in range(first_i, min(int((max(x, last_x) + radii[0] - origin[0]) / step) + 1, surface.shape[0])):
             away_x = origin[0] + i * step - last_x
-            for j in range(first_j, min(int((max(y, last_y) + radii[0] - origin[1]) / step) + 1, surface.shape[1])):
+            last_from, last_to = chord(away_x, last_y, square, origin[1], step)
+            to_from, to_to = chord(away_x - move_x, y, square, origin[1], step)
+            j = max(min(last_from, to_from) - 2, first_j) - 1
+            last_j = min(max(last_to, to_to) + 3, end_j)
+            while j + 1 < last_j:
+                j += 1
+                if cleared and not contact and last_from + 2 <= j <= last_to - 2:
+                    j = last_to - 2
+                    continue
                 if surface[i, j] <= lower and not (contact and by[i, j] >= start):
                     continue
                 away_y = origin[1] + j * step - last_y

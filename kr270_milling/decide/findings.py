@@ -278,16 +278,16 @@ def _finding(cell: Cell, run: Trajectory, group: Sequence[Violation]) -> Finding
 def _place(cell: Cell, run: Trajectory, worst: Violation) -> Place:
     """The place of a point of the program, of a block without a point, or of a line."""
     fed, point, block = cell.fed_path, worst.point, worst.block
-    if point is None and (block is None or fed is None):
-        return Place(line=worst.line or None)
-    if point is None:
+    if point is not None:
+        position = run.position[min(point, len(run)) - 1]
+    elif fed is not None and block is not None:
         position = fed.toolpath.position[block]
     else:
-        position = run.position[min(point, len(run)) - 1]
+        return Place(line=worst.line or None)
     x, y, z = (1e3 * v for v in position.tolist())
     if fed is None:
         return Place(point, None, None, (x, y, z))
-    block = _block_to(fed, point) if block is None else block
+    block = _block_to(fed, point or 1) if block is None else block
     line, feature = int(fed.toolpath.line[block]), fed.toolpath.features[int(fed.toolpath.feature[block])]
     return Place(point, line or None, feature or None, (x, y, z))
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decide.findings import Violation, violation
+from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.cutting import LinearEdgeLaw
 from kr270_milling.physics.cutting.materials import materials
 
@@ -33,10 +34,10 @@ def input_violations(cell: Cell) -> list[Violation]:
 
 def _unlikely_arm(cell: Cell) -> list[Violation]:
     arm, mass = cell.arm, cell.mount.mass
-    found = _unlikely("compliance", arm.joint_compliance, COMPLIANCE) + _unlikely("mass", arm.link_mass, LINK_MASS)
+    findings = _unlikely("compliance", arm.joint_compliance, COMPLIANCE) + _unlikely("mass", arm.link_mass, LINK_MASS)
     if arm.payload and mass > arm.payload:
-        found.append(violation("payload", mass, arm.payload))
-    return found
+        findings.append(violation("payload", mass, arm.payload))
+    return findings
 
 
 def _unlikely(kind: str, values: np.ndarray, bounds: tuple[float, float]) -> list[Violation]:
@@ -50,12 +51,12 @@ def _placement(cell: Cell) -> list[Violation]:
     arm, step, widest = cell.arm, cell.stock.grid_step, WIDEST_GRID * cell.tool.radius
     reach = arm.a1 + arm.a2 + arm.forearm + arm.d6 + float(np.linalg.norm(cell.mount.xyz))
     away = float(np.hypot(*cell.workpiece.xyz[:2]))
-    found = []
+    findings = []
     if step > widest:
-        found.append(violation("tool and grid", step, widest, diameter=1e3 * cell.tool.diameter))
+        findings.append(violation("tool and grid", step, widest, diameter=1e3 * cell.tool.diameter))
     if away > reach:
-        found.append(violation("envelope", away, reach))
-    return found
+        findings.append(violation("envelope", away, reach))
+    return findings
 
 
 def _posture(cell: Cell) -> list[Violation]:
@@ -99,49 +100,49 @@ def _program(cell: Cell) -> list[Violation]:
     fed = cell.fed_path
     if fed is None:
         return []
-    path, found = fed.toolpath, _outside(cell)
+    path = fed.toolpath
+    findings = _outside(cell, path)
     tool = path.program.current
     if path.program.tools and not path.spindle_speed[~path.rapid].any():
         block = int(np.flatnonzero(~path.rapid[1:])[0]) + 1
         rpm = cell.tool.spindle_speed * 30.0 / math.pi
-        found.append(violation("spindle off", 0.0, cell.tool.spindle_speed, block=block, rpm=rpm))
+        findings.append(violation("spindle off", 0.0, cell.tool.spindle_speed, block=block, rpm=rpm))
     if path.drilling.any():
         block = int(np.argmax(path.drilling))
         holes = len(np.unique(path.position[path.drilling, :2], axis=0))
         number = f"{holes} hole" + "s" * (holes > 1)
-        found.append(violation("drilling", float(holes), 0.0, block=block, number=number))
+        findings.append(violation("drilling", float(holes), 0.0, block=block, number=number))
     if tool is None:
-        return found
+        return findings
     if tool.diameter and abs(tool.diameter - cell.tool.diameter) > DIAMETER_ROUNDING:
         other = abs(tool.diameter - cell.tool.diameter) > REGROUND * tool.diameter
         severity = "stop" if other else "warning"
-        found.append(violation("tool diameter", cell.tool.diameter, tool.diameter, severity=severity, line=tool.line,
+        findings.append(violation("tool diameter", cell.tool.diameter, tool.diameter, severity=severity, line=tool.line,
                                label=tool.label))  # fmt: skip
     if tool.shape and cell.tool.type != "flat":
-        found.append(violation("tool shape", tool.corner_radius, 0.0, line=tool.line, label=tool.label,
+        findings.append(violation("tool shape", tool.corner_radius, 0.0, line=tool.line, label=tool.label,
                                shape=tool.shape))  # fmt: skip
-    return found
+    return findings
 
 
-def _outside(cell: Cell) -> list[Violation]:
+def _outside(cell: Cell, path: Toolpath) -> list[Violation]:
     """Features whose cutting moves never pass over the stock, and a path that is outside of the stock mostly."""
-    path = cell.fed_path.toolpath
     low, high, radius = cell.stock.min, cell.stock.max, float(cell.tool.radii.max())
     distance = np.linspace(0.0, path.length, 2 + min(PLACES, int(4.0 * path.length / radius)))
     position, block = path.on_path(distance)[0], path.block_at(distance)
     cuts = ~path.rapid[block]
     away = np.hypot(*(position[:, :2] - np.clip(position[:, :2], low[:2], high[:2])).T)
     outside = away >= radius
-    found = []
+    findings = []
     for number in np.unique(path.feature[block[cuts]]).tolist():
         mine = cuts & (path.feature[block] == number)
         if outside[mine].all():
             name = path.features[number] or "the path"
             first = int(np.flatnonzero(mine)[0])
-            found.append(violation("outside the stock", float(away[mine].min()) - radius, 0.0, block=int(block[first]),
-                                   subject=name))  # fmt: skip
+            nearest = float(away[mine].min()) - radius
+            findings.append(violation("outside the stock", nearest, 0.0, block=int(block[first]), subject=name))
     share = float(np.mean(outside[cuts])) if cuts.any() else 0.0
-    if not found and share > MOST_OUTSIDE:
+    if not findings and share > MOST_OUTSIDE:
         first = int(np.flatnonzero(cuts & outside)[0])
-        found.append(violation("stock too small", share, MOST_OUTSIDE, block=int(block[first])))
-    return found
+        findings.append(violation("stock too small", share, MOST_OUTSIDE, block=int(block[first])))
+    return findings

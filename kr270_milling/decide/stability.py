@@ -28,6 +28,7 @@ DIRECTION = math.radians(30.0)  #: to which feed directions are rounded
 FEED = 1e-4  #: [m/s], to which feeds are rounded
 FEWEST_TEETH = 10  #: of an engagement; vibration has no time to grow in fewer
 MARGIN = 0.8  #: share of the limit depth above which a cut gets a warning
+POSTURES = 0.025  #: [m], between two places whose postures are modelled; the modes change little in between
 BRACKET = 1.6  #: factor between the depths at which a limit is bracketed
 
 
@@ -158,11 +159,12 @@ def feature_limits(cell: Cell, arm: bool = True) -> list[FeatureLimit]:
         raise ParameterError("tool.pitch_deg", np.degrees(tool.pitch).tolist(), "uniform: the limit supposes one delay")
     arcs = arcs_along(cell)
     groups = _groups(arcs, FEWEST_TEETH * cell.feed_rate * 2.0 * np.pi / (tool.spindle_speed * tool.teeth))
-    limits = []
+    limits: list[FeatureLimit] = []
+    models: dict[tuple, ModalModel] = {}
     for number in dict.fromkeys(arcs.feature.tolist()):
         places = [rows for key, rows in groups.items() if key[0] == number]
         if places:
-            limits.append(_feature_limit(cell, arm, arcs, places))
+            limits.append(_feature_limit(cell, arm, arcs, places, models))
     return limits
 
 
@@ -186,7 +188,9 @@ def _groups(arcs: Arcs, shortest: float) -> dict[tuple, np.ndarray]:
     return {key: np.array(rows)[np.lexsort((-width[rows], -arcs.depth[rows]))] for key, rows in long.items()}
 
 
-def _feature_limit(cell: Cell, arm: bool, arcs: Arcs, places: Sequence[np.ndarray]) -> FeatureLimit:
+def _feature_limit(
+    cell: Cell, arm: bool, arcs: Arcs, places: Sequence[np.ndarray], models: dict[tuple, ModalModel]
+) -> FeatureLimit:
     """The worst of the engagements of one feature.
 
     Another engagement is worse where its own depth, times the least ratio of limit to depth so far, is unstable.
@@ -196,7 +200,7 @@ def _feature_limit(cell: Cell, arm: bool, arcs: Arcs, places: Sequence[np.ndarra
     worst, limit, ratio = -1, (math.inf, math.nan), math.inf
     for place in deepest_first:
         depth = float(arcs.depth[place])
-        engaged = _map_at(cell, arm, arcs, place)
+        engaged = _map_at(cell, arm, arcs, place, models)
         if worst >= 0 and all(engaged.stable(depth * ratio * BRACKET**-step) for step in range(3)):
             continue
         depths = depth * BRACKET ** np.arange(-6.0, 40.0)
@@ -216,12 +220,21 @@ def _angles(arcs: Arcs, place: int) -> tuple[float, float]:
     return (-0.5 * math.pi if entry < -FULL else entry), (0.5 * math.pi if leave > FULL else leave)
 
 
-def _map_at(cell: Cell, arm: bool, arcs: Arcs, place: int) -> StabilityMap:
-    """The loop of arm, tool and cut at one place, in axes with x along the feed there."""
+def _map_at(
+    cell: Cell, arm: bool, arcs: Arcs, place: int, models: dict[tuple, ModalModel] | None = None
+) -> StabilityMap:
+    """The loop of arm, tool and cut at one place, in axes with x along the feed there.
+
+    models: of the arm, by place in steps of ``POSTURES``; the first place of a step is modelled.
+    """
+    models = {} if models is None else models
     model = None
     if arm:
         turn = cell.target().sample_orientation(np.array([round(1e9 * float(arcs.time[place]))]))
-        model = cell.modes_at(cell.joints_at(arcs.position[place][None], turn))[0]
+        key = tuple(np.rint(arcs.position[place] / POSTURES).tolist() + np.round(turn[0], 3).tolist())
+        if key not in models:
+            models[key] = cell.modes_at(cell.joints_at(arcs.position[place][None], turn))[0]
+        model = models[key]
     modes = modes_of(cell, arm, model)
     along = rotation_from_abc(np.array([arcs.heading[place], 0.0, 0.0]))
     turned = Modes(modes.frequency, modes.damping_ratio, modes.shape @ along)  # rows: Rz(-heading) phi

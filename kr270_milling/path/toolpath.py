@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -45,14 +45,16 @@ class Toolpath:
     curvature: np.ndarray  #: [1/m], (n,), in the xy plane, positive counterclockwise seen from +z; 0: straight
     spindle_speed: np.ndarray  #: [rad/s], (n,), clockwise, negative: counterclockwise; 0: off or not given
     quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tool0 in the workpiece frame at the end of each block
-    drilling: np.ndarray | None = None  #: feed of a drilling cycle, (n,) bool; None: no block
+    drilling: np.ndarray = field(
+        default_factory=lambda: np.zeros(0, bool)
+    )  #: strokes of a cycle, (n,) bool; empty: none
     program: SourceProgram = NO_PROGRAM  #: what the source says beside its moves
 
     def __post_init__(self):
         position = np.array(self.position, float)
         if position.ndim != 2 or position.shape[1] != 3 or len(position) < 2:
             raise ToolpathError("it needs a start and at least one move")
-        if self.drilling is None:
+        if not np.size(self.drilling):
             object.__setattr__(self, "drilling", np.zeros(len(position), bool))
         for name in ("position", "feed", "rapid", "drilling", "line", "feature", "curvature", "spindle_speed",
                      "quaternion"):  # fmt: skip
@@ -164,7 +166,7 @@ class PathBuilder:
         if len(self) >= MOST_BLOCKS:
             raise InputError(self.source, f"the path has more than {MOST_BLOCKS} blocks", line)
         self.last, self._last_quaternion = position, self.quaternion
-        numbers = (feed, curvature, self.spindle_speed, rapid, line, self.feature, self.drilling and not rapid)
+        numbers = (feed, curvature, self.spindle_speed, rapid, line, self.feature, self.drilling)
         self._blocks.extend((*position, *self.quaternion, *numbers))
 
     def columns(self) -> dict[str, np.ndarray]:

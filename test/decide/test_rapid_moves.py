@@ -11,6 +11,7 @@ from small_part import small_part
 
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import Cell, read_cell
+from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.cli import main
 from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import engagement, rapid_violations
@@ -97,6 +98,19 @@ def corrected(cell: Cell, shift=(0.0, 5e-5, 0.0)):
     """The path with a constant correction [m]."""
     target = cell.target()
     return target.with_position(target.position + np.asarray(shift), target.velocity)
+
+
+REAL = [(method, row) for method, diameter in (("spline", 6.0), ("mirror", 20.0), ("spline", 50.0))
+        for row in (*dangerous(diameter), *sound(diameter))]  # fmt: skip
+
+
+@pytest.mark.parametrize(("method", "row"), REAL, ids=[f"{method}, {row.name}" for method, row in REAL])
+def test_the_answer_holds_for_the_corrected_path_of_a_method(tmp_path, method, row):
+    grid = f"stock.grid_step_um={20 * row.diameter_mm:g}"
+    cell = small_part(tmp_path, row.program, *row.settings, grid, "exchange.micro_step_deg=4", "exchange.period_ms=2")
+    revised = compensated(cell, simulate(cell), method)
+    assert not np.array_equal(revised.reference.position, cell.target().position)
+    assert check(cell, revised.reference, ran=revised).rapid_volume_mm3 == pytest.approx(row.volume_mm3, rel=0.02)
 
 
 def test_a_corrected_path_that_lowers_a_rapid_move_into_the_floor_is_a_stop(tmp_path):

@@ -276,14 +276,14 @@ class Machine:
         self.program.rapid((x, y, height))
         at = (x, y, cycle.retract)
         self.program.rapid(at)
+        self.program.drilling = True
         for z, rapid in strokes:
             if rapid:
                 self.program.rapid((x, y, z))
             else:
-                self.program.drilling = True
                 self._feed_to(at, [(x, y, z)], abs(z - at[2]))
-                self.program.drilling = False
             at = (x, y, z)
+        self.program.drilling = False
         back = max(cycle.initial, cycle.retract) if self.to_initial and not math.isnan(cycle.initial) else cycle.retract
         self.program.rapid((x, y, back))
         self.position = [x, y, back]

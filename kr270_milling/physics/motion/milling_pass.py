@@ -172,8 +172,8 @@ def run_pass(
 ) -> PassResult:
     """One pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
 
-    silent: stamps (n,) [ns] -> whether the force of a period that ends there is not modelled, (n,) bool: drilling. The
-    tool then removes material without a force, and the period counts as one without a cut.
+    silent: stamps (n,) [ns] -> whether the force is not modelled there, (n,) bool: drilling. The tool then removes
+    material without a force, and the period counts as one without a cut.
     progress(done, total) is called every 200 exchange periods. Raises GridError if the grid has no tile left,
     UndoError if the periods are too long to be iterated, and PassError where the arm would fly off.
     """
@@ -185,7 +185,8 @@ def run_pass(
     out[0][0] = course[0]
     state, wrench = np.zeros(model.states), np.zeros(6)
     arm = (model.push(reference, stamps), model.arrays)
-    without = np.zeros(n + 1, bool) if silent is None else silent(stamps)
+    without = np.zeros(n + 1, bool) if silent is None else np.array(silent(stamps))
+    without[1:] |= without[:-1]  # the period in which the drilling ends
     carried = (cut.state, cut.params, clock.micro_steps, out)
     _exchange(0, 0, iterations, course, without, arm, state, wrench, *carried)  # compiled before the clock runs
     area, volume, start = cut.removed_area, cut.removed_volume, time.perf_counter()
