@@ -17,7 +17,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.decide import check as checks
 from kr270_milling.decide import compensation, tolerance, verdict
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation.methods import Method
+from kr270_milling.physics.compensation.method import Method
 from kr270_milling.show.report.series import COLUMNS, series_lines, series_rows
 
 if TYPE_CHECKING:

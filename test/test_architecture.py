@@ -48,7 +48,7 @@ def test_mutations_fit_the_code_that_they_change(file):
     text = (ROOT / "kr270_milling" / file).read_text(encoding="utf-8")
     for equation, changed, pattern in mutations.MUTATIONS:
         assert changed != file or text.count(mutations.texts(pattern)[0]) == 1, (equation, pattern)
-    assert all(list(ROOT.glob(f"test/*/test_{name}.py")) for name in mutations.TESTS[file])
+    assert all(list(ROOT.glob(f"test/**/test_{name}.py")) for name in mutations.TESTS[file])
 
 
 # --- files ---

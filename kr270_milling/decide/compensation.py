@@ -16,7 +16,7 @@ from kr270_milling.decide.tolerance import Judgement, judge
 from kr270_milling.decide.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, monte_carlo
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.limiting import Limited
-from kr270_milling.physics.compensation.methods import Method
+from kr270_milling.physics.compensation.method import Method
 
 __all__ = [
     "BUDGET", "NO_METHOD", "USUAL_BUDGET", "Decision", "JudgedCompensation", "VerdictOrder", "compensate",

@@ -17,18 +17,17 @@ from kr270_milling.show.commands.console import (
     Answer,
     TextTable,
     cell_of,
+    columns_of,
     command_line,
     fixed,
     joints_text,
     now,
     plant_of,
     table_of,
-    um,
 )
 from kr270_milling.show.commands.progress import progress
 
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
-DEVIATIONS = (("pass", "name", 2), ("static", "static_deviation_mm", um), ("max", "max_deviation_mm", um))
 
 COMMANDS = {
     "compensate": command(
@@ -204,7 +203,10 @@ def _shown(cell, done, found: dict, args):
     if done.parts:
         yield _features(found["features"], found["method"])
     else:
-        yield table_of("Predicted path deviation [um]", DEVIATIONS, found["passes"])
+        from kr270_milling.physics.motion.scores import Scores
+
+        columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
+        yield table_of("Predicted path deviation [um]", columns, found["passes"])
     if found["note"]:
         yield found["note"]
     if found["identified"]:
