@@ -93,7 +93,7 @@ def run_recover(args) -> Answer:
     with progress("recovering") as report:
         recovered = recover_file(args.file, args.out, report)
     if recovered.whole and args.out is None:
-        return Answer(recovered.as_dict(), [f"{recovered.source}: is whole, nothing to recover; left as it is"])
+        return Answer(recovered.as_dict(), [f"{recovered.source}: is whole, nothing to recover; unchanged"])
     state = "was whole already" if recovered.whole else f"{recovered.lost_bytes} bytes of it could not be used"
     shown = [f"{recovered.source}: {state}"]
     shown += ["  damage: " + one_line(sentence) for sentence in recovered.damage]

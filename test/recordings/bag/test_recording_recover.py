@@ -194,7 +194,7 @@ def test_a_whole_recording_is_left_alone(source, tmp_path, capsys):
     assert found.whole and found.directory == str(tmp_path) and found.messages == len(written)
     assert (found.topics, found.attachments, found.lost_messages) == (dict.fromkeys(TOPICS, 60), ["cell.yaml"], 0)
     assert main(["recover", str(tmp_path / "a.mcap")]) == 0
-    assert "left as it is" in capsys.readouterr().out
+    assert "nothing to recover; unchanged" in capsys.readouterr().out
     assert [file.name for file in tmp_path.iterdir()] == ["a.mcap"]
 
 
