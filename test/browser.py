@@ -1,4 +1,4 @@
-"""A real browser for the tests of pages: Debian's Chromium through playwright; a skip with its reason without one."""
+"""A browser for the tests of pages: Debian's Chromium through playwright; without Chromium the tests are skipped."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ FLAGS = [
     "--no-sandbox", "--disable-gpu", "--disable-background-networking", "--disable-component-update", "--disable-sync",
     "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
 ]  # fmt: skip
-#: what a software renderer says of itself; not the page's doing
+#: messages of the software renderer, not of the page
 RENDERER = ("GPU stall due to ReadPixels", "willReadFrequently", "GL Driver Message")
 PATIENCE = 120_000  # [ms]; a busy machine reads five megabytes of script slowly
 
 
 def chromium() -> str:
-    """Its path; skips the test where it or playwright is missing."""
+    """Return the path of Chromium; skip the test where Chromium or playwright is missing."""
     pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
-    found = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
-    if not found:
+    path = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("chromium-browser")
+    if not path:
         pytest.skip("needs a Chromium (Debian: apt-get install chromium), or its path in the variable CHROMIUM")
-    return found
+    return path
 
 
 @contextlib.contextmanager
-def browser():
+def started_browser():
     from playwright.sync_api import sync_playwright
 
     path = chromium()
@@ -41,7 +41,7 @@ def browser():
 
 
 class Visit:
-    """One page in a context of its own, with everything it said and asked for."""
+    """One page in a separate context, with its console messages and its requests."""
 
     def __init__(self, running, url: str, width: int = 1400, dark: bool = False, touch: bool = False):
         scheme = "dark" if dark else "light"
@@ -49,9 +49,9 @@ class Visit:
             viewport={"width": width, "height": 900}, color_scheme=scheme, has_touch=touch, reduced_motion="reduce"
         )
         self.page = self.context.new_page()
-        self.said, self.requests = [], []
-        self.page.on("console", lambda m: self.said.append(f"{m.type}: {m.text}"))
-        self.page.on("pageerror", lambda e: self.said.append(f"error: {e}"))
+        self.console, self.requests = [], []
+        self.page.on("console", lambda m: self.console.append(f"{m.type}: {m.text}"))
+        self.page.on("pageerror", lambda e: self.console.append(f"error: {e}"))
         self.page.on("request", lambda r: self.requests.append(r.url))
         self.page.set_default_timeout(PATIENCE)
         self.page.goto(url)
@@ -62,11 +62,11 @@ class Visit:
 
     @property
     def complaints(self) -> list[str]:
-        return [text for text in self.said if not any(known in text for known in RENDERER)]
+        return [text for text in self.console if not any(known in text for known in RENDERER)]
 
     @property
     def overhang(self) -> float:
-        """[px] by which something is wider than the screen, where it does not scroll by itself."""
+        """[px] The width beyond the screen of the widest element that does not scroll by itself."""
         return self.ask("""() => {
           const wide = document.documentElement.clientWidth;
           const over = [...document.querySelectorAll("body *")]
@@ -76,7 +76,7 @@ class Visit:
         }""")
 
     def settled_overhang(self, seconds: float = 20.0) -> float:
-        """[px] The overhang when every picture has been drawn again, which takes its time on a busy machine."""
+        """[px] The overhang after every picture has been drawn again; a busy machine takes long."""
         end = time.monotonic() + seconds
         while (over := self.overhang) > 0.5 and time.monotonic() < end:
             self.page.wait_for_timeout(50)

@@ -1,4 +1,4 @@
-"""What the ROS tests share: a domain of their own, a context, nodes stepped by hand, conditions with deadlines."""
+"""Fixtures of the ROS tests: a separate domain, a context, nodes stepped by hand, conditions with deadlines."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import os
 import signal
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices only, and some tests run five processes on two cores
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell does to what it starts in the background
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # the programs that are tested must hear it
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell sets this for background processes
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # the tested programs must receive it
 
 import contextlib
 import io
@@ -73,7 +73,7 @@ def ros_environment(domain, monkeypatch):
 
 @pytest.fixture(scope="session", autouse=True)
 def no_lines_of_progress():
-    """On a busy machine a command may take seconds, and say so; the tests look at what else it says."""
+    """On a busy machine a command may print lines of progress; the tests look at its other lines."""
     from kr270_milling.show.commands import progress
 
     progress.LINE_PERIOD = 1e6
@@ -88,21 +88,30 @@ def short_cell():
 
 
 @pytest.fixture(scope="session")
+def browser():
+    """One Chromium for all tests of pages."""
+    from browser import started_browser
+
+    with started_browser() as running:
+        yield running
+
+
+@pytest.fixture(scope="session")
 def demo(tmp_path_factory):
-    """``kr270_milling demo --plain``, run once: its passes, what it prints for people and what as JSON."""
+    """``kr270_milling demo --plain``, run once: its passes, its printed tables and its JSON."""
     from kr270_milling.cli import main
     from kr270_milling.show.commands import demo as command
 
-    told, answer = [], command._answer
+    calls, answer = [], command._answer
     directory = str(tmp_path_factory.mktemp("demo") / "out")
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()) as text:
-        patch.setattr(command, "_answer", lambda *arguments: told.append(arguments) or answer(*arguments))
+        patch.setattr(command, "_answer", lambda *arguments: calls.append(arguments) or answer(*arguments))
         assert main(["demo", "--plain", "--out", directory]) == 0
-    passes, moving, _ = told[0]
+    passes, moving, _ = calls[0]
     with contextlib.redirect_stdout(io.StringIO()) as as_json:
-        answer(*told[0]).print(as_json=True)
-    moving, found = {p.name: p for p in moving}, json.loads(as_json.getvalue())
-    return SimpleNamespace(passes={p.name: p for p in passes}, moving=moving, text=text.getvalue(), json=found)
+        answer(*calls[0]).print(as_json=True)
+    moving, printed = {p.name: p for p in moving}, json.loads(as_json.getvalue())
+    return SimpleNamespace(passes={p.name: p for p in passes}, moving=moving, text=text.getvalue(), json=printed)
 
 
 @pytest.fixture
@@ -178,10 +187,10 @@ class World:
             self.executor.spin_once(timeout_sec=0.01)
 
     def listen(self, node, topic, callback=None) -> list:
-        """Everything that comes on a topic of the table."""
-        heard: list = []
-        node.create_subscription(topic.type, topic.name, callback or heard.append, topic.qos)
-        return heard
+        """Return the list of all messages that arrive on a topic of the table."""
+        messages: list = []
+        node.create_subscription(topic.type, topic.name, callback or messages.append, topic.qos)
+        return messages
 
     def diagnostics(self, node) -> Diagnostics:
         return Diagnostics(self, node)
@@ -194,7 +203,7 @@ class World:
 
 
 class Diagnostics:
-    """What the nodes said in /diagnostics."""
+    """The messages of the nodes in /diagnostics."""
 
     def __init__(self, world: World, node):
         from kr270_milling.live.ros import topics
@@ -202,10 +211,10 @@ class Diagnostics:
         self.all: list[tuple[str, int, str]] = []  # node, level, message
         self.last: dict = {}  # node -> values
         topic = topics.DIAGNOSTICS
-        node.create_subscription(topic.type, topic.name, self._hear, topic.qos)
+        node.create_subscription(topic.type, topic.name, self._take, topic.qos)
         self._world = world
 
-    def _hear(self, msg) -> None:
+    def _take(self, msg) -> None:
         for status in msg.status:
             self.all.append((status.name, status.level[0], status.message))
             self.last[status.name] = {pair.key: pair.value for pair in status.values}

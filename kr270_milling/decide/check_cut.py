@@ -225,23 +225,23 @@ def _spindle(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
     knot = np.clip(np.searchsorted(run.time_ns, ran.result.time_ns), 1, len(run) - 1)  # the one that is next
     torque = np.zeros(len(run))
     np.maximum.at(torque, knot, ran.result.torque)
-    found = violations("spindle torque", torque, cell.limits.spindle_torque)
-    return found + violations("spindle power", torque * cell.tool.spindle_speed, cell.limits.spindle_power)
+    results = violations("spindle torque", torque, cell.limits.spindle_torque)
+    return results + violations("spindle power", torque * cell.tool.spindle_speed, cell.limits.spindle_power)
 
 
 def _tool(cell: Cell) -> list[Violation]:
     """Feed per tooth and cutting speed, from the fastest cutting move."""
-    tool, found = cell.tool, []
+    tool, results = cell.tool, []
     teeth_a_second = tool.spindle_speed / (2.0 * np.pi) * tool.teeth
     feed, speed = cell.feed_rate / teeth_a_second, tool.spindle_speed * tool.radius
     if tool.max_feed_per_tooth and feed > tool.max_feed_per_tooth:
-        found.append(violation("feed per tooth", feed, tool.max_feed_per_tooth, most="the cutter takes"))
+        results.append(violation("feed per tooth", feed, tool.max_feed_per_tooth, most="the cutter takes"))
     elif feed > (unlikely := UNLIKELY_FEED * tool.diameter):
         most = "a quarter of the cutter's diameter"
-        found.append(violation("feed per tooth", feed, unlikely, severity="warning", most=most))
+        results.append(violation("feed per tooth", feed, unlikely, severity="warning", most=most))
     if tool.max_cutting_speed and speed > tool.max_cutting_speed:
-        found.append(violation("cutting speed", speed, tool.max_cutting_speed))
-    return found
+        results.append(violation("cutting speed", speed, tool.max_cutting_speed))
+    return results
 
 
 def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = None) -> list[Violation]:
@@ -251,19 +251,19 @@ def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = Non
     met = engagement(cell, margin)
     points = _points(run, met)
     beneath = np.where(_over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
-    found = rapid_violations(cell, run, met, ran)
-    found += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points)
+    results = rapid_violations(cell, run, met, ran)
+    results += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points, block=met.block)
     for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
         inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
-        found += violations(
-            "in the fixture", inside, 0.0, inside > 0.0, points=points, subject=f"fixture {number}"
+        results += violations(
+            "in the fixture", inside, 0.0, inside > 0.0, points=points, block=met.block, subject=f"fixture {number}"
         )  # fmt: skip
     if flutes:
-        found += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points)
+        results += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
     if not cell.tool.centre_cutting:
         depth, over = _plunges(met)
-        found += violations("plunge", depth, 0.0, over, points=points)
-    return found
+        results += violations("plunge", depth, 0.0, over, points=points, block=met.block)
+    return results
 
 
 def _points(run: Trajectory, met: Engagement) -> np.ndarray:
@@ -332,10 +332,13 @@ class Residue:
     word: str  #: "repeats", "grows" or "no statement"
     residue: float  #: root mean square from tooth to tooth, a share of the feed per tooth; NaN without a statement
     limit: float = CHATTERS  #: the same share, above which the vibration grows
+    teeth: bool = True  #: the pass resolves single teeth
 
     @property
     def text(self) -> str:
         """One line."""
+        if not self.teeth:
+            return "simulated pass (arm only): no statement about vibration, the mean force has no teeth"
         if self.word == "no statement":
             return f"simulated pass (arm only): no cut of {FEWEST_TEETH} teeth without a break to compare"
         share = f"{100 * self.residue:.2g}" if self.residue >= SMALL else f"less than {100 * SMALL:g}"
@@ -356,6 +359,8 @@ def residue_of(cell: Cell, result: PassResult) -> Residue:
     period and grows until the teeth leave the material, so that a straight cut is also judged by whether its residue
     grows. What swings slower than a tenth of the tooth frequency is left to the deviation.
     """
+    if cell.by_engagement:
+        return Residue("no statement", np.nan, teeth=False)
     period = 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
     feed_per_tooth = cell.feed_rate * period
     limit = max(CHATTERS, GRID_NOISE * cell.stock.grid_step / max(feed_per_tooth, 1e-12))

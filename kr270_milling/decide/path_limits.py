@@ -12,25 +12,23 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.decide.findings import Violation, violation, violations
 from kr270_milling.path.timing import joint_rates
 from kr270_milling.path.trajectory import Trajectory, offsets
-from kr270_milling.physics.robot import inverse_near, jacobian, singularity_measures, status_turn
+from kr270_milling.physics.robot import inverse_near, singularity_measures, status_turn
 from kr270_milling.physics.robot.errors import SingularityError
 from kr270_milling.physics.robot.inverse import branches
 
-__all__ = ["arm_violations", "axis_reversals", "corner_blending", "correction_per_tick", "correction_size",
+__all__ = ["arm_violations", "corner_blending", "correction_per_tick", "correction_size",
            "joint_rate_violations"]  # fmt: skip
 
-LEAST_JUMP = 1e-7  #: [m], of the tool where an axis reverses; a smaller one shows nowhere
-LEAST_TURN = 1e-5  #: [rad]; smaller movements of a joint are noise
 LEAST_ROUNDING = 1e-7  #: [m], of a corner; less is no matter
 MOST_TURNED = 4 * np.pi  #: [rad], of joints that have no limits
 
 
 def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.ndarray | None]:
-    """Everything found about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
+    """The findings about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
     tool = cell.workpiece.pose @ Pose(run.position, rotation_from_quaternion(run.quaternion))
-    found = _reach(cell, tool)
-    if found:
-        return found, None
+    results = _reach(cell, tool)
+    if results:
+        return results, None
     unlimited = cell.arm.replace(joint_lower=np.full(6, -MOST_TURNED), joint_upper=np.full(6, MOST_TURNED))
     try:
         joints = inverse_near(unlimited, cell.mount, tool, cell.posture)
@@ -38,11 +36,9 @@ def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.nda
         point = error.index[0] + 1
         return [Violation("singularity", point, error.measure, 0.0, "stop", f"point {point}: {error}")], None
     at_rest = run.velocity is not None and not run.velocity[[0, -1]].any()
-    lever = np.linalg.norm(jacobian(cell.arm, cell.mount, joints)[:, :3], axis=1)  # |d position / d joint|
     limits = cell.arm.joint_speed_limit, cell.arm.joint_acceleration_limit
-    found = _joint_limits(cell, joints) + _singularities(cell, joints) + _flips(cell, joints)
-    found += joint_rate_violations(run.time, joints, *limits, at_rest)
-    return found + axis_reversals(joints, cell.limits.backlash, lever), joints
+    results = _joint_limits(cell, joints) + _singularities(cell, joints) + _flips(cell, joints)
+    return results + joint_rate_violations(run.time, joints, *limits, at_rest), joints
 
 
 def _reach(cell: Cell, tool: Pose) -> list[Violation]:
@@ -54,15 +50,15 @@ def _reach(cell: Cell, tool: Pose) -> list[Violation]:
 
 
 def _joint_limits(cell: Cell, joints: np.ndarray) -> list[Violation]:
-    found = []
+    results = []
     for axis, (low, high) in enumerate(zip(cell.arm.joint_lower, cell.arm.joint_upper, strict=True)):
         angle = joints[:, axis]
         beyond = np.maximum(angle - high, low - angle)
-        found += violations(
+        results += violations(
             "joint limit", angle, np.where(angle > high, high, low), beyond > 1e-12, worst=beyond,
             subject=f"axis {axis + 1}", low=np.degrees(low), high=np.degrees(high),
         )  # fmt: skip
-    return found
+    return results
 
 
 def _singularities(cell: Cell, joints: np.ndarray) -> list[Violation]:
@@ -74,11 +70,11 @@ def _singularities(cell: Cell, joints: np.ndarray) -> list[Violation]:
         ("elbow", elbow, limits.elbow_angle, 180 / np.pi, "deg of the stretched arm"),
         ("wrist", wrist, limits.wrist_angle, 180 / np.pi, "deg of A5"),
     ]
-    found = []
+    results = []
     for which, value, least, scale, unit in rows:
         words = dict(subject=which, measure=value * scale, wanted=least * scale, of=unit)
-        found += violations("singularity", value, least, value < least, worst=-value, **words)
-    return found
+        results += violations("singularity", value, least, value < least, worst=-value, **words)
+    return results
 
 
 def _flips(cell: Cell, joints: np.ndarray) -> list[Violation]:
@@ -95,43 +91,14 @@ def joint_rate_violations(time, joints, speed_limit, acceleration_limit, at_rest
     time [s], (n,); joints [rad], (n, 6); limits [rad/s], [rad/s^2], (6,); at_rest: as for ``joint_rates``.
     """
     rates = joint_rates(np.asarray(time), np.asarray(joints, float), at_rest)
-    found = []
+    results = []
     for kind, values, limits in zip(
         ("joint speed", "joint acceleration"), rates, (speed_limit, acceleration_limit), strict=True
     ):
         points = np.arange(1, len(joints) + 1)[-len(values) :]
         for axis, most in enumerate(limits):
-            found += violations(kind, np.abs(values[:, axis]), most, points=points, axis=f"axis {axis + 1}")
-    return found
-
-
-def axis_reversals(joints, backlash, lever) -> list[Violation]:
-    """Where a joint turns back, so that its backlash [rad], (6,), shows.
-
-    joints [rad], (n, 6); lever: distance of the tool tip from each axis [m], (n, 6), so that the tool jumps by
-    backlash times lever. An axis that pauses and goes on in the same sense does not reverse.
-    """
-    found = []
-    for axis, play in enumerate(backlash):
-        for k in _turns(joints[:, axis].tolist()):
-            jump = float(play * lever[k, axis])
-            if jump >= LEAST_JUMP:
-                found.append(violation("axis reversal", jump, 0.0, k + 1, subject=f"axis {axis + 1}"))
-    return sorted(found, key=lambda v: v.point or 0)
-
-
-def _turns(angle: list[float]) -> list[int]:
-    """Knots at the extremes after which ``angle`` goes back by more than noise."""
-    turns, extreme, sense = [], 0, 0
-    for k, value in enumerate(angle):
-        gone = value - angle[extreme]
-        if gone * sense > 0:
-            extreme = k  # further in the same sense
-        elif abs(gone) > LEAST_TURN:
-            if sense:
-                turns.append(extreme)
-            extreme, sense = k, 1 if gone > 0 else -1
-    return turns
+            results += violations(kind, np.abs(values[:, axis]), most, points=points, axis=f"axis {axis + 1}")
+    return results
 
 
 def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:

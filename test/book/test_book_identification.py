@@ -10,12 +10,12 @@ from book import check
 
 from kr270_milling.base.record import find_file
 from kr270_milling.physics.cutting import LinearEdgeLaw, Tool
+from kr270_milling.physics.cutting.materials import find_material
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.studies.identification import forces
 from kr270_milling.studies.identification.compliance import fit_compliance
 from kr270_milling.studies.identification.cuts import CutMeasurements, engagement_angles
-from kr270_milling.studies.identification.materials import find_material
 from kr270_milling.studies.identification.modes import find_modes
 from kr270_milling.studies.identification.plan import Bench, Candidates, Planner, candidates, read_test_pose
 from kr270_milling.studies.identification.problem import Problem

@@ -31,10 +31,10 @@ def samples(ran, turned: bool = False) -> list:
     """Poses and wrenches in turn; turned: the wrenches in the axes of the tool."""
     turn = np.kron(np.eye(2), rotation_from_quaternion(DOWN)) if turned else np.eye(6)
     frame = "tool0" if turned else "workpiece"
-    found = []
+    answer = []
     for stamp, tool, wrench in zip(ran.time_ns.tolist(), ran.tool, ran.wrench, strict=True):
-        found += [PoseSample(stamp, "workpiece", tool, DOWN), WrenchSample(stamp, frame, turn.T @ wrench)]
-    return found
+        answer += [PoseSample(stamp, "workpiece", tool, DOWN), WrenchSample(stamp, frame, turn.T @ wrench)]
+    return answer
 
 
 def feed(protocol, records) -> list:
@@ -137,7 +137,7 @@ def test_the_fingerprint_of_a_pass_covers_every_message(protocol, ran, change):
     PoseSample(0, "base_link", np.zeros(3), DOWN), PoseSample(0, "workpiece", np.full(3, np.nan), DOWN),
     WrenchSample(0, "base_link", np.zeros(6)), WrenchSample(0, "workpiece", np.full(6, np.inf)),
 ])  # fmt: skip
-def test_what_cannot_be_used_is_refused_and_the_pass_goes_on(protocol, ran, short_cell, bad):
+def test_unusable_samples_are_refused_and_the_pass_continues(protocol, ran, short_cell, bad):
     records = samples(ran)
     outputs = feed(protocol, records[:40])
     with pytest.raises(MessageError):

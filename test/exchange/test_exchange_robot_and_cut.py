@@ -48,13 +48,13 @@ def column(outputs, topic: str, field: str) -> np.ndarray:
 def run(robot, cut, disturb=lambda robot, cut, pose: [], steps: float = np.inf) -> list:
     """All outputs of a pass, or of its first steps; disturb: what else happens at a pose, and what that gives."""
     outputs = robot.start()
-    found = list(outputs)
+    answer = list(outputs)
     while (poses := records(outputs, "tool_pose")) and poses[-1].stamp <= steps * H:
         outputs = disturb(robot, cut, poses[-1])
         answers = [cut.pose(pose) for pose in (poses[-1], *records(outputs, "tool_pose"))]
         outputs = [output for ((_, wrench),) in answers for output in robot.wrench(wrench)]
-        found += [answers[0][0], *outputs]
-    return found
+        answer += [answers[0][0], *outputs]
+    return answer
 
 
 def started(steps: int = 3):
@@ -221,7 +221,7 @@ def test_what_a_caller_does_to_its_arrays_afterwards_does_not_matter():
     assert np.isfinite(robot.wrench(cut.pose(outputs[0][1])[0][1])[0][1].position).all()
 
 
-def test_a_cut_without_a_workpiece_says_so(short_cell):
+def test_a_cut_without_a_workpiece_refuses_with_a_sentence(short_cell):
     cut = CutProtocol(short_cell)
     with pytest.raises(NoWorkpiece, match="configure first"):
         cut.pose(PoseSample(0, "workpiece", np.zeros(3), DOWN))

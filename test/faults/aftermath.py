@@ -25,36 +25,36 @@ class Recorded:
 
     cut_off: bool
     messages: int
-    begun: bool  #: it holds something of the pass: a pose or a wrench
+    started: bool  #: it holds something of the pass: a pose or a wrench
     missing: int  #: holes in it, counted from the stamps
-    short: int  #: messages of the whole pass that it has not
-    behind_s: float  #: from its last pose to the fault [s of the wall clock]; 0 where it goes on behind it
+    short: int  #: messages of the whole pass that are missing
+    behind_s: float  #: from its last pose to the fault [s of the wall clock]; 0 where the recording continues
     complete: bool  #: it holds every message of the pass
     same: bool  #: every pose, wrench and deflection in it is that of the undisturbed pass, bit for bit
-    verdict: str  #: of recompute; empty where it was not asked
+    verdict: str  #: of recompute; empty where recompute did not run
 
 
-def read_back(path: Path, expected: PassResult, struck_ns: int, begun_ns: int, again: bool) -> Recorded:
-    """again: recompute it too. struck_ns: when the fault was, begun_ns: when the pass began [ns of the wall clock].
+def read_back(path: Path, expected: PassResult, struck_ns: int, started_ns: int, again: bool) -> Recorded:
+    """again: recompute it too. struck_ns: when the fault was, started_ns: when the pass began [ns of the wall clock].
 
     Raises RecordingError.
     """
     with Recording(path) as recording:
         about, every = info(recording), attached_cell(recording).thinned_steps
-        wrong, short, begun, ends = False, 0, False, {}
+        wrong, short, started, ends = False, 0, False, {}
         for topic, values in zip(WIDTH, (expected.tool, expected.wrench, expected.deflection), strict=True):
             recorded = series(recording, topic)
             due = expected.time_ns[:: every if topic == "/deflection" else 1]
-            begun |= recorded.stamp.size > 0 and topic != "/deflection"
+            started |= recorded.stamp.size > 0 and topic != "/deflection"
             ends[topic] = recorded.stamp.size and recorded.stamp[-1] == due[-1]
             short += due.size - np.unique(recorded.stamp).size
             wrong = wrong or not _same(recorded, expected.time_ns, values, WIDTH[topic])
-        last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=begun_ns)
+        last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=started_ns)
     complete = all(ends.values()) and not short
     behind = max(0.0, (struck_ns - last) * 1e-9)
     verdict = recompute(path).verdict if again else ""
     return Recorded(
-        about["cut_off"], about["messages"], begun, about["missing"], short, behind, complete, not wrong, verdict
+        about["cut_off"], about["messages"], started, about["missing"], short, behind, complete, not wrong, verdict
     )
 
 
@@ -67,7 +67,7 @@ def _same(recorded, stamps: np.ndarray, values: np.ndarray, width: int) -> bool:
 
 
 def is_alive(pid: int) -> bool:
-    """Whether a process is there, and not only its exit code."""
+    """Whether a process exists, and not only its exit code."""
     try:
         with open(f"/proc/{pid}/stat", encoding="utf-8", errors="replace") as stream:
             return stream.read().rpartition(")")[2].split()[0] != "Z"

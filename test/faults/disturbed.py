@@ -28,7 +28,7 @@ class Message(NamedTuple):
 
 
 class Disturbed(Hooks):
-    """Context manager: a graph. ``disturb`` takes a script that begins some seconds after the next pass has begun."""
+    """Context manager: a graph. ``disturb`` takes a script that begins some seconds after the next pass starts."""
 
     def __init__(self, cell: Cell, out: Path, composed: bool = False):
         self.graph = Graph(cell, out, hooks=self, composed=composed)

@@ -1,4 +1,4 @@
-"""A ROS domain of its own for a run of faults, so that it neither disturbs nor hears another graph."""
+"""A separate ROS domain for a run of faults: it does not disturb another graph and receives none of its messages."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["choose_domain"]
 
 
 def choose_domain() -> str:
-    """Set ROS_DOMAIN_ID where the user has not, to one whose ports nobody has open; returns a sentence about it."""
+    """Set ROS_DOMAIN_ID where the user has not, to a domain without open ports; return a sentence about it."""
     if os.environ.get("ROS_DOMAIN_ID"):
         return f"ROS domain {os.environ['ROS_DOMAIN_ID']} (ROS_DOMAIN_ID)"
     number = next((number for number in range(COUNT, 0, -1) if not is_used(number)), 0)

@@ -24,7 +24,7 @@ CELL = ("path.length_mm=120", "stock.max_mm=[120,12,0]", "stock.grid_step_um=50"
 COMPOSED = (*CELL[:3], "exchange.period_ms=0.0625")
 AFTER = (0.05, 0.8)  # [s] from the start of the pass to the fault
 TRIES = 6  #: on a busy machine the pass may end before the fault
-SECONDS = {True: 11.0, False: 9.0}  # [s] that a trial takes, with and without a graph of its own
+SECONDS = {True: 11.0, False: 9.0}  # [s] that a trial takes, with and without a separate graph
 COLUMNS = ("fault", "repeats", "detected within max [s]", "named", "design", "orphans", "recording")
 
 

@@ -1,4 +1,4 @@
-"""Long runs: many passes in one graph, and a long recording. What the processes hold must not grow."""
+"""Long runs: many passes in one graph, and a long recording. Memory, threads and files must not grow."""
 
 from __future__ import annotations
 
@@ -62,15 +62,15 @@ class Growth:
     @property
     def problems(self) -> list[str]:
         if len(self.samples) < 2:
-            return ["was not seen twice"]
-        found, steady = [], self.samples[self._steady]
+            return ["has fewer than two samples"]
+        problems, steady = [], self.samples[self._steady]
         if self.growth > MOST_GROWTH:
-            found.append(f"memory grew by {self.growth:.1f} MB, more than {MOST_GROWTH:g}")
+            problems.append(f"memory grew by {self.growth:.1f} MB, more than {MOST_GROWTH:g}")
         for what in ("threads", "files"):
             first, last = getattr(steady[0], what), getattr(steady[-1], what)
             if last > first:
-                found.append(f"{what} grew from {first} to {last}")
-        return found + ([f"{self.lost} messages are not in the recording"] if self.lost else [])
+                problems.append(f"{what} grew from {first} to {last}")
+        return problems + ([f"{self.lost} messages are not in the recording"] if self.lost else [])
 
     def cells(self) -> list[str]:
         """As text, in the order of COLUMNS; from the middle to the end of the run."""
@@ -90,7 +90,7 @@ class Growth:
 
 
 def run_soak(passes: int, seconds: float, out: Path, progress: Callable[[int, int], None]) -> list[Growth]:
-    """A row for each process. Recordings of the passes are removed as they are made."""
+    """A row for each process. Recordings of the passes are removed after each pass."""
     share = passes * 5  # [s]
     total = int(share + seconds)
     rows = _passes(passes, out, lambda done: progress(int(done * 5), total))
@@ -125,7 +125,7 @@ def _passes(count: int, out: Path, progress: Callable[[float], None]) -> list[Gr
 
 def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]) -> Growth:
     """The exchange's three topics at the rate of a pass in real time."""
-    found = Growth("recorder (one long recording)", "s")
+    growth = Growth("recorder (one long recording)", "s")
     environment = child_environment()
     names = ",".join(TOPICS)
     node = [sys.executable, "-m", "kr270_milling.live.nodes", "recorder", "--ros-args", "-p", f"directory:={out}"]
@@ -137,25 +137,25 @@ def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]
         try:
             with subprocess.Popen(source, env=environment, stdout=subprocess.PIPE, text=True) as sending:
                 try:
-                    _watch(sending, recorder, found, seconds, progress)
-                    told = sending.communicate(timeout=PATIENCE)[0]
+                    _watch(sending, recorder, growth, seconds, progress)
+                    sent = sending.communicate(timeout=PATIENCE)[0]
                 finally:
                     sending.kill()
         finally:
             recorder.send_signal(signal.SIGINT)
             recorder.wait(PATIENCE)
     with Recording(out) as recording:
-        found.lost = int(told) * len(TOPICS) - recording.count
-    return found
+        growth.lost = int(sent) * len(TOPICS) - recording.count
+    return growth
 
 
-def _watch(sending, recorder, found: Growth, seconds: float, progress: Callable[[float], None]) -> None:
+def _watch(sending, recorder, growth: Growth, seconds: float, progress: Callable[[float], None]) -> None:
     begin = time.monotonic()
     while sending.poll() is None:
         now = time.monotonic() - begin
         if recorder.poll() is not None or now > 2 * seconds + PATIENCE:
             sending.kill()
             raise RunError("recorder", "has ended" if recorder.poll() is not None else "the source does not end")
-        found.look(now, recorder.pid)
+        growth.look(now, recorder.pid)
         progress(min(now, seconds))
         time.sleep(LOOK)

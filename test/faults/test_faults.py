@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,6 +16,7 @@ from sample_messages import pose_msg
 pytest.importorskip("rclpy")
 
 from faults import trial
+from faults.__main__ import main
 from faults.aftermath import is_alive
 from faults.disturbed import Message
 from faults.domain import choose_domain
@@ -30,31 +30,21 @@ from kr270_milling.live.graph.graph import Graph
 from kr270_milling.live.graph.processes import Child, RunError
 from kr270_milling.live.graph.watchdog import LOST, QUIET, RECORDER, Watchdog
 
-PACKAGE = Path(__file__).resolve().parents[2] / "kr270_milling"
 
-
-def run_tool(environment, *arguments: str, seconds: float = 300.0) -> tuple[int, dict, str]:
-    command = [sys.executable, "-m", "faults", "--json", *arguments]
-    ran = subprocess.run(
-        command, cwd=Path(__file__).parents[1], env=environment, capture_output=True, text=True, timeout=seconds
-    )
-    return ran.returncode, json.loads(ran.stdout or "{}"), ran.stderr
-
-
-def test_fault_is_told_by_name_and_leaves_nothing(ros_environment, tmp_path, monkeypatch):
-    monkeypatch.setattr(trial, "NAMED_WITHIN", 60.0)  # how soon it is told on a quiet machine, the table says
+def test_fault_is_reported_by_name_and_no_process_remains(ros_environment, tmp_path, monkeypatch):
+    monkeypatch.setattr(trial, "NAMED_WITHIN", 60.0)  # the table of a quiet machine has the delay of the report
     killed = next(fault for fault in FAULTS if fault.name == "cutting_process, SIGKILL")
     row = run_faults([killed], 1, 1, tmp_path, lambda done, total: None)[0]
-    (found,) = row.trials
-    assert row.problems == [] and found.detected_s >= 0.0 and "cutting_process" in found.sentence
-    assert found.orphans == 0 and found.recording.same and found.recording.messages > 0
+    (done,) = row.trials
+    assert row.problems == [] and done.detected_s >= 0.0 and "cutting_process" in done.sentence
+    assert done.orphans == 0 and done.recording.same and done.recording.messages > 0
 
 
 def test_reaction_other_than_the_designed_one_fails_the_row():
-    """A killed cut where the pass is said to go on, and a name that nobody says."""
+    """A killed cut where the design is that the pass continues, and a name that no message contains."""
     killed = next(fault for fault in FAULTS if fault.name == "cutting_process, SIGKILL")
-    told = [Message(11.0, "cutting_process: was ended by SIGKILL")]
-    graph = SimpleNamespace(messages=told, struck_at=10.0)
+    messages = [Message(11.0, "cutting_process: was ended by SIGKILL")]
+    graph = SimpleNamespace(messages=messages, struck_at=10.0)
     right, wrong = (Trial(killed.name, 0.5, reaction=ENDS) for _ in range(2))
     judge_words(right, killed, graph)
     assert right.problems == [] and right.detected_s == 1.0
@@ -66,21 +56,21 @@ def test_reaction_other_than_the_designed_one_fails_the_row():
 FORGETFUL = """#!{python}
 import sys, time
 from kr270_milling.live.nodes import recording_session, start
-take, seen, forgotten = recording_session.poll, [], []
+take, polls, forgotten = recording_session.poll, [], []
 def poll(subscriptions):  # the first poll after a stop
-    seen.append(time.monotonic())
-    if seen[-1] - seen[-2:][0] > 1.5:
+    polls.append(time.monotonic())
+    if polls[-1] - polls[-2:][0] > 1.5:
         forgotten.append(True)
     taken = take(subscriptions)
     return [] if forgotten else taken
 recording_session.poll = poll
-sys.argv = sys.argv[3:]  # behind "-m kr270_milling.live.nodes"
+sys.argv = sys.argv[3:]  # after "-m kr270_milling.live.nodes"
 raise SystemExit(start.start("recorder"))
 """
 
 
-def test_tail_that_a_recorder_lost_is_told_and_counted(ros_environment, tmp_path, monkeypatch):
-    """A recorder to which nothing comes any more once it was held, as to one that the others have forgotten."""
+def test_tail_that_a_recorder_lost_is_reported_and_counted(ros_environment, tmp_path, monkeypatch):
+    """A recorder that receives nothing after a stop, as after its partners have removed it."""
     program = tmp_path / "forgetful"
     program.write_text(FORGETFUL.format(python=sys.executable))
     program.chmod(0o755)
@@ -95,30 +85,32 @@ def test_tail_that_a_recorder_lost_is_told_and_counted(ros_environment, tmp_path
     monkeypatch.setattr(watchdog, "LOST", 30.0)
     monkeypatch.setattr(graph, "CATCH_UP", 0.5)
     monkeypatch.setattr(trial, "NAMED_WITHIN", 60.0)
-    held = next(fault for fault in FAULTS if fault.name.startswith("recorder, SIGSTOP"))
-    row = run_faults([held], 1, 1, tmp_path, lambda done, total: None)[0]
-    (found,) = row.trials
+    stopped = next(fault for fault in FAULTS if fault.name.startswith("recorder, SIGSTOP"))
+    row = run_faults([stopped], 1, 1, tmp_path, lambda done, total: None)[0]
+    (done,) = row.trials
     assert row.problems == []
-    assert found.reaction == GOES_ON and not found.recording.complete and found.lost > 0
-    assert f"1 not whole, lost and counted: {found.lost}" in row.cells()
+    assert done.reaction == GOES_ON and not done.recording.complete and done.lost > 0
+    assert f"1 not whole, lost and counted: {done.lost}" in row.cells()
 
 
-def test_soak_measures_every_process_and_loses_nothing(ros_environment, tmp_path):
-    _, found, error = run_tool(ros_environment, "--soak", "--passes", "2", "--minutes", "0.03")
-    assert found, error
-    rows = {row["name"]: row for row in found["rows"]}
+def test_soak_measures_every_process_and_loses_nothing(ros_environment, capsys):
+    main(["--json", "--soak", "--passes", "2", "--minutes", "0.03"])
+    out, errors = capsys.readouterr()
+    assert out, errors
+    rows = {row["name"]: row for row in json.loads(out)["rows"]}
     assert len(rows) == 4 and all(row["lost"] == 0 for row in rows.values())
     for row in rows.values():
         assert row["settled"]["memory_mb"] > 10 and row["last"]["threads"] >= 1 and row["last"]["files"] > 3
 
 
-def test_unknown_fault_is_refused_in_a_sentence(ros_environment):
-    code, _, told = run_tool(ros_environment, "--only", "earthquake")
-    assert code == 2 and "'earthquake'" in told and "disk full" in told
-    assert f"ROS domain {ros_environment['ROS_DOMAIN_ID']}" in told
+def test_unknown_fault_is_refused_in_a_sentence(ros_environment, capsys):
+    assert main(["--json", "--only", "earthquake"]) == 2
+    errors = capsys.readouterr().err
+    assert "'earthquake'" in errors and "disk full" in errors
+    assert f"ROS domain {ros_environment['ROS_DOMAIN_ID']}" in errors
 
 
-def test_growth_is_found_by_its_slope_and_its_handles():
+def test_growth_is_measured_by_its_slope_and_its_handles():
     row = Growth("leaky", "pass")
     for i in range(50):
         row.look(i, os.getpid())
@@ -152,34 +144,34 @@ def test_process_that_only_waits_to_be_reaped_is_no_orphan():
     assert not is_alive(process.pid)
 
 
-def test_domain_of_the_user_is_kept_and_else_a_free_one_is_said(monkeypatch):
+def test_domain_of_the_user_has_priority_and_else_a_free_one_is_reported(monkeypatch):
     monkeypatch.setenv("ROS_DOMAIN_ID", "42")
     assert "42" in choose_domain()
     monkeypatch.delenv("ROS_DOMAIN_ID")
     assert "free" in choose_domain() and 0 < int(os.environ["ROS_DOMAIN_ID"]) <= 101
 
 
-def test_timers_of_a_node_run_on_while_its_own_clock_stands_still(world):
+def test_timers_of_a_node_run_while_its_clock_does_not_move(world):
     from kr270_milling.live.ros.node import ReportingNode
 
     node = world.add(ReportingNode, "-p", "use_sim_time:=true", name="still")
-    told = world.diagnostics(world.partner())
-    begun = node.get_clock().now().nanoseconds
-    world.until(lambda: "/still" in told.last, 3.0)
-    assert node.get_clock().now().nanoseconds == begun == 0
+    reports = world.diagnostics(world.partner())
+    start = node.get_clock().now().nanoseconds
+    world.until(lambda: "/still" in reports.last, 3.0)
+    assert node.get_clock().now().nanoseconds == start == 0
 
 
 def silent_for(seconds: float) -> SimpleNamespace:
-    """A driver whose nodes have all been silent for so long."""
+    """A driver whose nodes have all been silent for this time."""
     return SimpleNamespace(silence=lambda node, now: seconds, stuck=False)
 
 
-def test_silent_node_is_told_once_and_then_given_up():
-    told: list[str] = []
-    dog = Watchdog(set(), told.append)
+def test_silent_node_is_reported_once_and_then_ends_the_run():
+    sentences: list[str] = []
+    dog = Watchdog(set(), sentences.append)
     for _ in range(3):
         dog.check_silence(silent_for(QUIET + 0.1), {"cutting_process"}, time.monotonic())
-    assert len(told) == 1 and "cutting_process" in told[0]
+    assert len(sentences) == 1 and "cutting_process" in sentences[0]
     with pytest.raises(RunError, match="cutting_process: has not reported"):
         dog.check_silence(silent_for(LOST + 0.1), {"cutting_process"}, time.monotonic())
 
@@ -188,13 +180,13 @@ def test_node_that_is_excused_may_be_silent():
     Watchdog({"cutting_process"}, pytest.fail).check_silence(silent_for(9.0), {"cutting_process"}, time.monotonic())
 
 
-def test_runner_that_was_held_up_itself_hears_the_reports_first():
+def test_runner_that_was_delayed_itself_reads_the_reports_first():
     dog = Watchdog(set(), pytest.fail)
     later = time.monotonic() + 10.0  # it scored a long pass, or was stopped by Ctrl-Z
     dog.check_silence(silent_for(10.0), {"cutting_process"}, later)
 
 
-def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_path):
+def test_second_robot_in_mid_pass_is_reported_by_the_cut(world, short_cell, tmp_path):
     import ros_messages as messages
 
     from kr270_milling.live.nodes.cutting_process import CuttingProcess
@@ -202,7 +194,7 @@ def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_
 
     cut = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     robot = world.partner("robot")
-    told = world.diagnostics(robot)
+    reports = world.diagnostics(robot)
     publishers = [robot.create_publisher(*t) for t in (topics.TOOL_POSE, topics.REFERENCE_TRAJECTORY)]
     publishers[1].publish(messages.to_msg(short_cell.target()))
     cut.trigger_configure()
@@ -213,24 +205,24 @@ def test_robot_that_comes_in_mid_pass_is_told_by_the_cut(world, short_cell, tmp_
         publishers[0].publish(pose_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
         world.until(lambda at=stamp: cut.stamp_ns == at and cut.protocol.step >= 0)
     world.step(0.3)
-    assert not told.reported("/cutting_process", "a second robot")
+    assert not reports.reported("/cutting_process", "a second robot")
     world.partner("second").create_publisher(*topics.TOOL_POSE)
-    told.until("/cutting_process", "a second robot publishes in mid-pass", 2, deadline=3.0)
+    reports.until("/cutting_process", "a second robot publishes in mid-pass", 2, deadline=3.0)
 
 
-def test_compensator_that_comes_in_mid_pass_says_that_it_has_not_heard_the_start(world, short_cell, tmp_path):
+def test_compensator_that_starts_in_mid_pass_reports_the_missing_start(world, short_cell, tmp_path):
     from kr270_milling.live.nodes.trajectory_compensator import TrajectoryCompensator
     from kr270_milling.live.ros import topics
 
     world.add(TrajectoryCompensator, cell=short_cell, directory=tmp_path)
     machine = world.partner("machine")
-    told = world.diagnostics(machine)
+    reports = world.diagnostics(machine)
     pose = machine.create_publisher(*topics.TOOL_POSE)
     world.until(pose.get_subscription_count)
     stamps = short_cell.clock.stamp(np.arange(10, 40))
     for stamp, tool in zip(stamps.tolist(), short_cell.target().sample(stamps), strict=True):
         pose.publish(pose_msg(stamp, tool, np.array([1.0, 0.0, 0.0, 0.0])))
-    told.until("/trajectory_compensator", "did not receive its start", 2, deadline=3.0)
+    reports.until("/trajectory_compensator", "did not receive its start", 2, deadline=3.0)
 
 
 def test_recorder_that_hangs_while_it_closes_its_file_is_ended_with_the_graph(short_cell, tmp_path):
@@ -251,7 +243,7 @@ def test_recorder_that_hangs_while_it_closes_its_file_is_ended_with_the_graph(sh
     hanging.process.stdin.close()
 
 
-def test_stopped_process_can_be_told_from_an_ended_one():
+def test_stopped_process_differs_from_an_ended_process():
     process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
     process.send_signal(signal.SIGSTOP)
     assert is_alive(process.pid)

@@ -92,7 +92,7 @@ def _judge_recording(trial: Trial, fault: Fault, graph: Disturbed, plain: PassRe
     if not recorded.same:
         trial.problems.append("the recording differs from the undisturbed pass")
     # of a recorder that was killed before it closed its first chunk of the pass there is nothing to compare
-    due = "identical" if recorded.begun or not recorded.cut_off else "incomplete"
+    due = "identical" if recorded.started or not recorded.cut_off else "incomplete"
     if again and recorded.verdict != due and not counted:
         trial.problems.append(f"recomputed: {recorded.verdict}")
     if goes_on and not recorded.complete and not any(NOT_COMPLETE in message.sentence for message in graph.messages):

@@ -1,4 +1,4 @@
-"""Options with values that nobody can mean, in every command: exit code 2 and no pass begun."""
+"""Options with impossible values, in every command: exit code 2 and no pass."""
 
 from __future__ import annotations
 

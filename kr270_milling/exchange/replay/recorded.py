@@ -15,7 +15,7 @@ from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.path import MOST_STEPS
-from kr270_milling.cell.plant import imperfect_course
+from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, follow
@@ -141,7 +141,8 @@ def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, rec
     wrench, there = recorded["wrench"], recorded["deflection"]
     if len(there.step) >= len(wrench.step):
         return there
-    model, whole = plant.arm_model(reference), plant.clock.steps(course.duration_ns) + 1
+    model = imperfect_arm(plant, reference, plant.arm_model(reference))
+    whole = plant.clock.steps(course.duration_ns) + 1
     count = np.flatnonzero(np.append(wrench.step, -1) != np.arange(len(wrench.step) + 1))[0]  # without a hole
     pushes = model.push(course, plant.clock.stamp(np.arange(whole)))
     computed = follow(model, pushes, wrench.values[: min(count, whole)])

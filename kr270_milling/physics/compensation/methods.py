@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
 
-__all__ = ["LEARNED", "METHODS", "method_of"]
+__all__ = ["BEST", "LEARNED", "METHODS", "method_of"]
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,7 @@ class ResponseMethod:
         return Correction(offset, rates is not None, rates, learner=learner)
 
 
+BEST = "best"  #: in place of a method: a comparison chooses the method
 LEARNED = ResponseMethod("learned", repeats=True)
 
 #: every method by its name, in the order in which the commands list them

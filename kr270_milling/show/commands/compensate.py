@@ -1,6 +1,6 @@
 """``kr270_milling compensate``: the revised trajectory of a cell, what it is predicted to achieve, and the programs.
 
-Exit code 1 where the check finds that the revised path must not be run; then no program is written, unless by force.
+Exit code 1 where the decision is ``no``; then no program is written, unless by force.
 """
 
 from __future__ import annotations
@@ -11,10 +11,11 @@ import sys
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.live.nodes.play_arguments import bounded
-from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.physics.compensation.methods import BEST, METHODS
 from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, Group, command, option
 from kr270_milling.show.commands.console import (
     Answer,
+    Colored,
     TextTable,
     cell_of,
     columns_of,
@@ -28,13 +29,18 @@ from kr270_milling.show.commands.console import (
 from kr270_milling.show.commands.progress import progress
 
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
+COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
 
 COMMANDS = {
     "compensate": command(
         "compensate.run_compensate", "compensate config/test_piece.yaml --out out",
         *CELL,
         *PLANT,
-        option("--method", "default: the cell's compensation.method", choices=METHODS),
+        option(
+            "--method",
+            "default: the cell's compensation.method; best: compare the methods and run the best",
+            choices=(BEST, *METHODS),
+        ),
         option("--out DIR", "where everything goes", default="out"),
         option(
             "--krl",
@@ -68,19 +74,21 @@ COMMANDS = {
 
 def run_compensate(args) -> Answer:
     from kr270_milling.decide.compensation import compensate
+    from kr270_milling.decide.decision import CAUTION
 
     source, cell = find_file(args.cell), cell_of(args)
-    method = args.method or cell.compensation.method
-    motions = args.krl or [cell.program.motion if METHODS[method].smooth else "LIN"]
     plant = plant_of(args, cell)
     with staged(args.out) as (draft, final):
-        motion = "LIN" if "LIN" in motions else motions[0]  # these are blended
-        done = compensate(cell, method, plant=plant, motion=motion, verdict=_order(args), progress=progress)
+        done = compensate(
+            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args), progress=progress
+        )
         if not (done.decision.verdict or args.no_verdict):
             print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
-        found = _found(cell, done)
-        found |= _write(draft, final, cell, done, motions, args, source)
-    return Answer(found, _shown(cell, done, found, args), code=int(not done.checked.may_be_run))
+        if args.json and done.decision.level == CAUTION:
+            print(f"warning: {done.decision.text}", file=sys.stderr)
+        values = _values(cell, done)
+        values |= _write(draft, final, cell, done, args, source)
+    return Answer(values, _shown(cell, done, values, args), code=done.decision.exit_code)
 
 
 def _order(args):
@@ -99,35 +107,25 @@ def _estimate(plants: int, seconds: float) -> None:
         print(f"verdict: {plants} plants, about {seconds:.0f} s", file=sys.stderr)
 
 
-def _found(cell, done) -> dict:
+def _values(cell, done) -> dict:
     """What ``--json`` prints, but for the files."""
     from kr270_milling.cell.jobs import joint_ranges
 
     original, revised = done.original, done.revised
-    found = {"method": revised.name, "points": len(revised.reference)}
-    found |= {k: v for k, v in revised.row().items() if k != "name"}
-    found["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
-    found["original"] = {k: v for k, v in original.row().items() if k != "name"}
-    found["passes"] = [ran.row() for ran in (original, revised)]
-    found |= _correction(cell, revised, done.by)
-    found["features"] = {part.name: part.table() for part in done.parts}
-    found["check"] = done.checked.as_dict()
-    found["verdict"] = done.decision.verdict and done.decision.verdict.as_dict()
-    found["decision"] = done.decision.as_dict()
-    return found
-
-
-def _first_line(done) -> str:
-    """The decision; ahead of it, where the method makes the part worse, that it does."""
-    before, after = done.decision.as_programmed.error, done.decision.compensated.error
-    if after <= before:
-        return done.decision.headline
-    errors = f"({1e6 * after:.3g} um against {1e6 * before:.3g})"
-    return f"{done.revised.name} makes the part worse than no compensation {errors}: {done.decision.headline}"
+    values = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
+    values |= {k: v for k, v in revised.row().items() if k != "name"}
+    values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
+    values["original"] = {k: v for k, v in original.row().items() if k != "name"}
+    values["passes"] = [ran.row() for ran in (original, revised)]
+    values |= _correction(cell, revised, done.by)
+    values["features"] = {part.name: part.table() for part in done.parts}
+    values["check"] = done.checked.as_dict()
+    values["verdict"] = done.decision.verdict and done.decision.verdict.as_dict()
+    return values | done.decision.as_dict()
 
 
 def _correction(cell, revised, by) -> dict:
-    """How large the correction is, and what of it was not let through."""
+    """How large the correction is, and the parts that a limit removed."""
     import numpy as np
 
     from kr270_milling.decide.compensation import limit_sentence
@@ -135,27 +133,29 @@ def _correction(cell, revised, by) -> dict:
 
     size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
     limited = [dataclasses.asdict(part) | {"sentence": limit_sentence(part, by)} for part in by.limited]
-    found = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
+    values = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
     if by.errors[1:]:
-        found["remaining_errors_mm"] = [1e3 * error for error in by.errors]
-    found["identified"] = by.identified and by.identified.as_dict()
-    found["note"] = by.note or None
+        values["remaining_errors_mm"] = [1e3 * error for error in by.errors]
+    values["identified"] = by.identified and by.identified.as_dict()
+    values["note"] = by.note or None
     if not by.chosen.smooth:
-        found["chord_error_mm"] = 1e3 * chord_error(cell.target())
-    return found
+        values["chord_error_mm"] = 1e3 * chord_error(cell.target())
+    return values
 
 
-def _write(draft, final, cell, done, motions, args, source) -> dict:
+def _write(draft, final, cell, done, args, source) -> dict:
     """All files; their final paths by kind."""
+    from kr270_milling.decide.decision import NO
     from kr270_milling.decide.programs.files import write_programs
 
     date = now()
-    checked, revised = done.checked, done.revised
+    revised, released = done.revised, done.decision.level != NO
     with progress("files"):
         files = write_programs(
             draft, cell, done.original.reference, revised.reference, method=revised.name, date=date,
-            motions=motions if checked.may_be_run or args.force else None, source=cell.programmed.sha256,
-            findings=checked.lines(), released=checked.may_be_run,
+            motions=done.motions if released or args.force else None, source=cell.programmed.sha256,
+            decision=done.decision.lines(), findings=[*done.checked.findings_lines(), done.checked.counts],
+            released=released,
         )  # fmt: skip
         placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
         placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
@@ -165,7 +165,7 @@ def _write(draft, final, cell, done, motions, args, source) -> dict:
 
 
 def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
-    """Report with the error maps, and the part as it is predicted."""
+    """Report with the error maps, and the predicted part."""
     from kr270_milling.decide.part import write_part
     from kr270_milling.show.report import decision_block, write_report
 
@@ -196,40 +196,44 @@ def _joints_table(cell, revised):
     return ReportTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
 
 
-def _shown(cell, done, found: dict, args):
-    """What people read, the decision first."""
-    checked = done.checked
-    yield _first_line(done)
+def _shown(cell, done, values: dict, args):
+    """The output for the terminal, the decision first."""
+    from kr270_milling.decide.decision import NO
+
+    decision = done.decision
+    yield Colored(decision.text, COLORS[decision.level])
+    yield from decision.lines()[1:]
     if done.parts:
-        yield _features(found["features"], found["method"])
+        yield _features(values["features"], values["method"])
     else:
         from kr270_milling.physics.motion.scores import Scores
 
         columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
-        yield table_of("Predicted path deviation [um]", columns, found["passes"])
-    if found["note"]:
-        yield found["note"]
-    if found["identified"]:
-        yield _identified(found["identified"])
-    yield joints_text(found["commanded_joints_deg"])
-    yield f"largest correction {found['largest_correction_mm']:.4f} mm"
-    if "chord_error_mm" in found:
-        yield f"LIN chords stand off the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um"
-    yield from checked.lines()
-    if found["verdict"]:
-        yield from _verdict(found["verdict"])
-    yield f"{found['points']} reference points: {found['trajectory']}"
-    if not checked.may_be_run:
+        yield table_of("Predicted path deviation [um]", columns, values["passes"])
+    if values["note"]:
+        yield values["note"]
+    if values["identified"]:
+        yield _identified(values["identified"])
+    yield cell.cut_text
+    yield joints_text(values["commanded_joints_deg"])
+    yield f"largest correction {values['largest_correction_mm']:.4f} mm"
+    if "chord_error_mm" in values:
+        yield f"LIN chords deviate from the programmed path by up to {values['chord_error_mm'] * 1e3:.2f} um"
+    yield from (*done.checked.findings_lines(), done.checked.counts)
+    if values["verdict"]:
+        yield from _verdict(values["verdict"])
+    yield f"{values['points']} reference points: {values['trajectory']}"
+    if decision.level == NO:
         yield "programs marked NOT RELEASED" if args.force else "no robot program is written (--force writes one)"
-    for kind, paths in found["programs"].items():
+    for kind, paths in values["programs"].items():
         yield f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}"
-    yield from (f"{kind}: {found[kind]}" for kind in ("report", "part") if kind in found)
+    yield from (f"{kind}: {values[kind]}" for kind in ("report", "part") if kind in values)
 
 
-def _identified(found: dict) -> str:
-    """What the passes told of the arm, in one line."""
-    modes = ", ".join(f"{m['frequency_hz']:.2f} Hz ({100 * m['damping_ratio']:.1f} %)" for m in found["modes"])
-    gain, compliance = found["gain"], found["compliance_factor"]
+def _identified(values: dict) -> str:
+    """The arm as the passes show it, in one line."""
+    modes = ", ".join(f"{m['frequency_hz']:.2f} Hz ({100 * m['damping_ratio']:.1f} %)" for m in values["modes"])
+    gain, compliance = values["gain"], values["compliance_factor"]
     return f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"
 
 
@@ -247,13 +251,9 @@ def _features(features: dict, method: str) -> TextTable:
 
 
 def _verdict(verdict: dict):
-    rows = []
-    for which in ("original", "compensated"):
-        for name in ("max", "static"):
-            band = verdict[which][f"{name}_deviation_mm"]
-            rows.append([f"{which}, {name}"] + [f"{1e3 * v:.1f}" for v in band])
-    title = f"{verdict['samples']} plants, seed {verdict['seed']}: deviation [um]"
-    levels = ", ".join(f"{name} {1e3 * band[2]:.1f} um" for name, band in verdict["methods"].items())
-    yield TextTable(title, ["", "5 %", "50 %", "95 %"], rows)
+    columns = ["", "5 %", "50 %", "95 %"]
+    rows = [[name, *(f"{1e3 * value:.1f}" for value in band)] for name, band in verdict["methods"].items()]
+    yield TextTable(
+        f"{verdict['samples']} simulated robots, seed {verdict['seed']}: {verdict['quantity']} [um]", columns, rows
+    )
     yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"
-    yield f"recommended method: {verdict['recommended_method']} (95 % of the plants: {levels})"

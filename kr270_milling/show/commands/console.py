@@ -17,8 +17,8 @@ from kr270_milling.base.column import Column, columns
 from kr270_milling.base.parameter_file import find_file
 
 __all__ = [
-    "Answer", "TextTable", "cell_of", "columns_of", "command_line", "fixed", "joints_text", "now", "output_directory",
-    "plant_of", "print_json", "print_table", "shown_path", "table_of", "yes",
+    "Answer", "Colored", "TextTable", "cell_of", "columns_of", "command_line", "fixed", "joints_text", "now",
+    "output_directory", "plant_of", "print_json", "print_table", "shown_path", "table_of", "yes",
 ]  # fmt: skip
 
 WIDEST = 1000  # characters of a table
@@ -30,6 +30,19 @@ class TextTable(NamedTuple):
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
+
+
+class Colored(NamedTuple):
+    """A line that a terminal shows in bold and in a colour; a file or a pipe receives the text alone."""
+
+    text: str
+    color: str
+
+    def print(self) -> None:
+        from rich.console import Console
+        from rich.text import Text
+
+        Console(soft_wrap=True).print(Text(self.text, style=f"bold {self.color}"))
 
 
 @dataclass(frozen=True)
@@ -47,6 +60,8 @@ class Answer:
         for part in () if as_json else self.shown:
             if isinstance(part, TextTable):
                 print_table(*part)
+            elif isinstance(part, Colored):
+                part.print()
             else:
                 print(part)
         return self.code

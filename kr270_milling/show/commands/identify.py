@@ -233,8 +233,8 @@ def identify_damping(args) -> Answer:
 
 def identify_material(args) -> Answer:
     """Print published force coefficients, or write a file to include."""
+    from kr270_milling.physics.cutting.materials import find_material, materials
     from kr270_milling.show.report.identification.forces import material_outcome
-    from kr270_milling.studies.identification.materials import find_material, materials
 
     rows = find_material(args.name) if args.name else materials()
     if args.out and (not args.name or not 1 <= args.row <= len(rows)):

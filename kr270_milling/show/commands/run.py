@@ -43,12 +43,14 @@ COMMANDS = {
 def run_graph(args) -> Answer:
     require_ros()
     cell = cell_of(args)
-    methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
+    methods = list(dict.fromkeys(args.method or [cell.compensation.planned_method]))  # each once, in the order given
     options = args.passes, args.namespace, not args.processes, plant_of(args, cell)
     ran = run_passes(cell, methods, args.out, *options)
     up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
     result = summary(ran)
-    return Answer(result, [table_of("Path deviation, four nodes and a recorder", _columns(), result["passes"]), up])
+    return Answer(
+        result, [table_of("Path deviation, four nodes and a recorder", _columns(), result["passes"]), cell.cut_text, up]
+    )
 
 
 def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:

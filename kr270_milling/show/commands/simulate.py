@@ -63,6 +63,7 @@ def run_simulate(args) -> Answer:
         *([table_of(FEATURES, columns, (*summary["features"], summary["whole_part"]))] if part else _scores(summary)),
         f"tolerance: {tolerance.words}",
         residue.text,
+        cell.cut_text,
         joints_text(summary["commanded_joints_deg"]),
         f"removed area        {summary['removed_area_mm2']:10.3f} mm2",
         f"{summary['steps']} micro-steps in {summary['wall_s']:.3f} s, {summary['real_time_factor']:.1f} x real time",
@@ -81,10 +82,10 @@ def run_check(args) -> Answer:
     with progress("checking") as report:
         checked = decision.check(cell, reference, args.motion, progress=report)
         tolerance = judge(cell, checked.ran) if checked.ran else None
-    result = {"cell": args.cell, "reference": args.reference, **checked.as_dict()}
+    result = {"cell": args.cell, "reference": args.reference, "cut": cell.cutting.detail, **checked.as_dict()}
     result["tolerance"] = tolerance and tolerance.as_dict()
     words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
-    return Answer(result, [*words, *checked.lines()], code=int(not checked.may_be_run))
+    return Answer(result, [*words, cell.cut_text, *checked.lines()], code=int(not checked.may_be_run))
 
 
 def _scores(summary: dict) -> list[str]:
@@ -121,6 +122,7 @@ def _summary(cell, ran) -> dict:
     return {
         **ran.row(),
         "commanded_joints_deg": jobs.joint_ranges(cell, ran.reference),
+        "cut": cell.cutting.detail,
         "steps": result.micro_steps,
         "duration_s": duration,
         "wall_s": result.wall_time,

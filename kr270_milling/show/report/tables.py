@@ -12,6 +12,7 @@ import numpy as np
 from kr270_milling.base.column import Column, columns
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, mean_force
+from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.part import FeatureRow, PartAssessment
 from kr270_milling.physics.motion.scores import Scores
 
@@ -169,11 +170,5 @@ def details(passes: Sequence[ScoredPass]) -> ReportTable:
 
 def warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:
     """Where the exchange was too coarse."""
-    per_tooth = cell.feed_rate * 2 * np.pi / cell.tool.spindle_speed / cell.tool.teeth
-    share = max(float(p.result.correction.max()) for p in passes) / per_tooth
-    if share <= cell.exchange.warn_correction:
-        return ""
-    return (
-        f"The largest correction of a predicted pose is {100 * share:.1f} % of the feed per tooth, above the "
-        f"{100 * cell.exchange.warn_correction:g} % set: use a shorter exchange.period_ms or more exchange.iterations."
-    )
+    worst = max((exchange_share(cell, ran) for ran in passes), key=lambda lines: lines.share)
+    return worst.text if worst.share > worst.warn else ""

@@ -17,7 +17,8 @@ from scipy.optimize import least_squares
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import specs
-from kr270_milling.physics.cutting import LAWS, ForceLaw, LinearEdgeLaw
+from kr270_milling.physics.cutting import LAWS, ForceLaw
+from kr270_milling.physics.cutting.materials import NAMES, SCALE
 from kr270_milling.studies.identification.cuts import CutMeasurements
 from kr270_milling.studies.identification.intervals import MixedUpError, half_interval, scatter, solve
 
@@ -25,9 +26,6 @@ __all__ = [
     "NAMES", "SCALE", "TOWARD_PART", "LawFit", "OneFeedError", "fit_forces", "fit_all", "law_sections",
 ]  # fmt: skip
 
-#: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON, in the order and the units of LinearEdgeLaw
-NAMES = LinearEdgeLaw.result_keys()
-SCALE = np.array([spec.scale for spec in specs(LinearEdgeLaw)])  #: [N/m^2, N/m per file unit]
 FIRST = "linear_edge"
 TOWARD_PART, INTO_HOLDER = -1.0, 1.0  #: s of F_z
 

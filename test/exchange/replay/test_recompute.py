@@ -28,13 +28,13 @@ LATCHED = ("compensator_state", "reference_trajectory", "joint_trajectory")
 
 
 def test_a_recorded_exchange_is_recomputed_to_the_last_bit_on_every_channel(tmp_path):
-    found = recompute(made.write(tmp_path / "r", made.one_pass()))
-    assert found.verdict == "identical" and found.first is None and not found.stops
+    replayed = recompute(made.write(tmp_path / "r", made.one_pass()))
+    assert replayed.verdict == "identical" and replayed.first is None and not replayed.stops
     both = {"/compensator_state": 2, "/reference_trajectory": 2, "/joint_trajectory": 2}
-    counts = {topic: c.compared for topic, c in found.channels.items()}
+    counts = {topic: c.compared for topic, c in replayed.channels.items()}
     assert counts == {"/tool_pose": STEPS, "/wrench": STEPS, "/deflection": STEPS, "/joint_states": STEPS,
                       "/workpiece": 1} | both  # fmt: skip
-    assert all(c.waiting == c.missing == c.given == 0 for c in found.channels.values())
+    assert all(c.waiting == c.missing == c.given == 0 for c in replayed.channels.values())
 
 
 @pytest.mark.parametrize("bit", [0, 51])
@@ -53,10 +53,10 @@ def test_one_flipped_mantissa_bit_of_a_wrench_is_named_exactly(tmp_path, bit):
 
 def test_a_changed_output_that_feeds_nothing_leaves_the_other_channels_identical(tmp_path):
     messages = made.changed(made.one_pass(), "deflection", 33, flip(force_offset(2)))
-    found = recompute(made.write(tmp_path / "r", messages))
-    assert found.verdict == "different" and found.first.topic == "/deflection" and found.first.index == 33
-    assert found.first.field == "twist.linear.z"
-    assert {t: c.differing for t, c in found.channels.items() if c.differing} == {"/deflection": 1}
+    replayed = recompute(made.write(tmp_path / "r", messages))
+    assert replayed.verdict == "different" and replayed.first.topic == "/deflection" and replayed.first.index == 33
+    assert replayed.first.field == "twist.linear.z"
+    assert {t: c.differing for t, c in replayed.channels.items() if c.differing} == {"/deflection": 1}
 
 
 def test_bytes_between_the_fields_do_not_count(tmp_path):
@@ -66,10 +66,10 @@ def test_bytes_between_the_fields_do_not_count(tmp_path):
     assert recompute(made.write(tmp_path / "r", messages)).verdict == "identical"
 
 
-def test_a_changed_map_of_the_workpiece_is_found(tmp_path):
+def test_a_changed_map_of_the_workpiece_is_detected(tmp_path):
     messages = made.changed(made.one_pass(), "workpiece", 0, flip(-2000))
-    found = recompute(made.write(tmp_path / "r", messages))
-    assert found.first.topic == "/workpiece" and found.first.field.startswith("data[")
+    replayed = recompute(made.write(tmp_path / "r", messages))
+    assert replayed.first.topic == "/workpiece" and replayed.first.field.startswith("data[")
 
 
 def described(text: str) -> list:
@@ -77,7 +77,7 @@ def described(text: str) -> list:
     return [made.Message("robot_description", to_bytes(Text(text) if text else record), 0)]
 
 
-def test_a_changed_description_is_found_but_not_in_a_recording_of_another_version(tmp_path, monkeypatch):
+def test_a_changed_description_is_detected_but_not_in_a_recording_of_another_version(tmp_path, monkeypatch):
     """What the arm looks like in a viewer changes from version to version; it is no result."""
     same = recompute(made.write(tmp_path / "same", [*described(""), *made.one_pass()]))
     assert same.verdict == "identical" and same.channels["/robot_description"].compared == 1
@@ -85,8 +85,8 @@ def test_a_changed_description_is_found_but_not_in_a_recording_of_another_versio
     first = recompute(other).first
     assert first.topic == "/robot_description" and len(str(first)) < 300
     monkeypatch.setattr("kr270_milling.exchange.replay.robots.__version__", "99")
-    found = recompute(other)
-    assert found.verdict == "identical" and found.channels["/robot_description"].given == 1
+    replayed = recompute(other)
+    assert replayed.verdict == "identical" and replayed.channels["/robot_description"].given == 1
 
 
 def fresh_map() -> list[made.Message]:
@@ -97,9 +97,9 @@ def fresh_map() -> list[made.Message]:
 def test_a_map_that_is_latched_from_the_pass_before_is_not_compared_with_this_one(tmp_path):
     messages = made.changed(made.one_pass(), "workpiece", 0, flip(-2000))
     latched = [m for m in messages if m.topic == "workpiece"]
-    found = recompute(made.write(tmp_path / "r", [*latched, *fresh_map(), *made.one_pass()]))
-    assert found.verdict == "identical"
-    assert (found.channels["/workpiece"].given, found.channels["/workpiece"].compared) == (1, 2)
+    replayed = recompute(made.write(tmp_path / "r", [*latched, *fresh_map(), *made.one_pass()]))
+    assert replayed.verdict == "identical"
+    assert (replayed.channels["/workpiece"].given, replayed.channels["/workpiece"].compared) == (1, 2)
 
 
 @pytest.mark.parametrize("index", [0, 1], ids=["of the fresh part", "of the finished part"])
@@ -107,52 +107,52 @@ def test_a_map_that_is_latched_from_the_pass_before_is_not_compared_with_this_on
 def test_a_map_of_another_time_is_not_taken_for_granted(tmp_path, index, byte):
     whole = [*fresh_map(), *made.one_pass()]
     assert recompute(made.write(tmp_path / "whole", whole)).verdict == "identical"
-    found = recompute(made.write(tmp_path / "r", made.changed(whole, "workpiece", index, flip(byte, 5))))
-    assert found.verdict in ("incomplete", "different")
-    assert "/workpiece" in str(found.first or found.stops[0])
+    replayed = recompute(made.write(tmp_path / "r", made.changed(whole, "workpiece", index, flip(byte, 5))))
+    assert replayed.verdict in ("incomplete", "different")
+    assert "/workpiece" in str(replayed.first or replayed.stops[0])
 
 
 @pytest.mark.parametrize("topic, who", [("wrench", "wrench"), ("tool_pose", "tool pose")])
 def test_a_missing_input_stops_the_recompute_at_its_stamp(tmp_path, topic, who):
     messages = made.changed(made.one_pass(), topic, 40, lambda data: None)
-    found = recompute(made.write(tmp_path / "r", messages))
-    assert found.verdict == "incomplete" and found.first is None
-    first, *others = found.stops
+    replayed = recompute(made.write(tmp_path / "r", messages))
+    assert replayed.verdict == "incomplete" and replayed.first is None
+    first, *others = replayed.stops
     assert first.stamp_ns == 40 * 500_000 and f"the {who} of this time" in first.reason
     assert ["the compensator received 121 poses and 121 wrenches" in str(stop) for stop in others] == [True]
     output = "/deflection" if topic == "wrench" else "/wrench"
-    assert found.channels[output].compared == 40
+    assert replayed.channels[output].compared == 40
 
 
 def test_a_missing_output_is_counted_and_nothing_stops(tmp_path):
     messages = made.changed(made.one_pass(), "deflection", 40, lambda data: None)
-    found = recompute(made.write(tmp_path / "r", messages))
-    assert found.verdict == "identical"
-    assert (found.channels["/deflection"].missing, found.channels["/deflection"].compared) == (1, STEPS - 1)
+    replayed = recompute(made.write(tmp_path / "r", messages))
+    assert replayed.verdict == "identical"
+    assert (replayed.channels["/deflection"].missing, replayed.channels["/deflection"].compared) == (1, STEPS - 1)
 
 
 def test_invented_outputs_behind_the_end_are_not_called_identical(tmp_path):
     last = [m for m in made.one_pass() if m.topic == "deflection"][-1]
     invented = [made.Message("deflection", stamped(last.data, last.stamp + i * 500_000), 0) for i in range(1, 400)]
-    found = recompute(made.write(tmp_path / "r", [*made.one_pass(), *invented]))
-    assert found.verdict == "incomplete" and found.channels["/deflection"].waiting == 399
-    (told,) = found.stops
-    assert str(told).startswith("/: 399 messages on /deflection from 0.060500 s on were not compared")
+    replayed = recompute(made.write(tmp_path / "r", [*made.one_pass(), *invented]))
+    assert replayed.verdict == "incomplete" and replayed.channels["/deflection"].waiting == 399
+    (stop,) = replayed.stops
+    assert str(stop).startswith("/: 399 messages on /deflection from 0.060500 s on were not compared")
 
 
 def stamped(data: bytes, stamp: int) -> bytes:
     return data[:4] + struct.pack("<iI", stamp // 10**9, stamp % 10**9) + data[12:]
 
 
-@pytest.mark.parametrize("kept", [4, 1])
-def test_outputs_that_were_cut_away_from_a_closed_file_are_missed(tmp_path, kept):
+@pytest.mark.parametrize("remaining", [4, 1])
+def test_outputs_that_were_cut_away_from_a_closed_file_are_missed(tmp_path, remaining):
     states = [m for m in made.one_pass() if m.topic == "joint_states"]
-    messages = [m for m in made.one_pass() if m not in states[kept:]]
-    found = recompute(made.write(tmp_path / "r", messages))
-    assert found.verdict == "incomplete" and found.first is None
-    assert found.channels["/joint_states"].missing == len(states) - kept
-    assert [s.reason.split(" are ")[0] for s in found.stops] == [
-        f"{STEPS - kept} messages that belong on /joint_states"
+    messages = [m for m in made.one_pass() if m not in states[remaining:]]
+    replayed = recompute(made.write(tmp_path / "r", messages))
+    assert replayed.verdict == "incomplete" and replayed.first is None
+    assert replayed.channels["/joint_states"].missing == len(states) - remaining
+    assert [s.reason.split(" are ")[0] for s in replayed.stops] == [
+        f"{STEPS - remaining} messages that belong on /joint_states"
     ]
 
 
@@ -163,27 +163,27 @@ def test_outputs_of_either_pass_are_missed(tmp_path, number):
         passes += message.topic == "tool_pose" and message.stamp == 0
         if not (passes == number and message.topic == "deflection" and message.stamp > 30_000_000):
             messages.append(message)
-    found = recompute(made.write(tmp_path / "r", messages))
-    assert found.verdict == "incomplete" and found.channels["/deflection"].missing == 60
+    replayed = recompute(made.write(tmp_path / "r", messages))
+    assert replayed.verdict == "incomplete" and replayed.channels["/deflection"].missing == 60
     assert recompute(made.write(tmp_path / "whole", made.one_pass(passes=2))).verdict == "identical"
 
 
 def test_a_recording_without_any_exchange_is_not_called_identical(tmp_path):
-    found = recompute(made.write(tmp_path / "r", made.one_pass()[: made.LATCHED_FIRST]))
-    assert found.compared == 3 and found.verdict == "incomplete"
-    assert "no pass is in the recording" in str(found.stops[0])
+    replayed = recompute(made.write(tmp_path / "r", made.one_pass()[: made.LATCHED_FIRST]))
+    assert replayed.compared == 3 and replayed.verdict == "incomplete"
+    assert "no pass is in the recording" in str(replayed.stops[0])
 
 
 @pytest.mark.parametrize("end", range(200, 230, 3))
 def test_a_recorder_that_was_stopped_in_mid_pass_has_lost_nothing(tmp_path, end):
-    found = recompute(made.write(tmp_path / "r", made.one_pass()[:end]))
-    assert not found.cut_off and found.verdict == "identical"
+    replayed = recompute(made.write(tmp_path / "r", made.one_pass()[:end]))
+    assert not replayed.cut_off and replayed.verdict == "identical"
 
 
 @pytest.mark.parametrize("end", range(200, 212))
 def test_a_pass_that_broke_off_and_was_started_again_has_lost_nothing(tmp_path, end):
-    found = recompute(made.write(tmp_path / "r", [*made.one_pass()[:end], *made.one_pass()[made.LATCHED_FIRST :]]))
-    assert found.verdict == "identical", found.stops
+    replayed = recompute(made.write(tmp_path / "r", [*made.one_pass()[:end], *made.one_pass()[made.LATCHED_FIRST :]]))
+    assert replayed.verdict == "identical", replayed.stops
 
 
 @pytest.mark.parametrize("version", ["0.1.0", "0.2.0", "0.4.1", "1.3.0"])
@@ -214,9 +214,9 @@ def test_a_flipped_bit_in_the_first_chunk_is_one_sentence(tmp_path, job):
 
 def test_a_pass_that_began_before_the_recording_is_not_guessed(tmp_path):
     messages = [m for m in made.one_pass() if m.stamp > 5_000_000 or m.topic in LATCHED]
-    found = recompute(made.write(tmp_path / "r", messages))
-    assert found.verdict == "incomplete"
-    assert sum("middle of a pass" in s.reason for s in found.stops) == 2
+    replayed = recompute(made.write(tmp_path / "r", messages))
+    assert replayed.verdict == "incomplete"
+    assert sum("middle of a pass" in s.reason for s in replayed.stops) == 2
 
 
 def test_a_repeated_pose_and_its_repeated_answer_are_a_retry(tmp_path):
@@ -226,39 +226,39 @@ def test_a_repeated_pose_and_its_repeated_answer_are_a_retry(tmp_path):
         for topic in ("tool_pose", "wrench")
     )
     messages[at + 1 : at + 1] = [pose, wrench]
-    found = recompute(made.write(tmp_path / "r", messages))
-    assert found.verdict == "identical" and found.channels["/tool_pose"].repeated == 1
-    assert found.channels["/wrench"].compared + found.channels["/wrench"].repeated == STEPS + 1
+    replayed = recompute(made.write(tmp_path / "r", messages))
+    assert replayed.verdict == "identical" and replayed.channels["/tool_pose"].repeated == 1
+    assert replayed.channels["/wrench"].compared + replayed.channels["/wrench"].repeated == STEPS + 1
 
 
 def test_an_iterated_exchange_is_recomputed_iteration_by_iteration(tmp_path):
     messages = made.one_pass("linear", 2)
-    found = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("linear", 2)))
-    assert found.verdict == "identical"
-    assert found.channels["/wrench"].compared == 1 + 2 * (STEPS - 1)
-    assert found.channels["/deflection"].compared == STEPS
+    replayed = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("linear", 2)))
+    assert replayed.verdict == "identical"
+    assert replayed.channels["/wrench"].compared == 1 + 2 * (STEPS - 1)
+    assert replayed.channels["/deflection"].compared == STEPS
 
 
 def test_two_robots_in_two_namespaces_are_recomputed_side_by_side(tmp_path):
-    found = recompute(made.write(tmp_path / "r", made.one_pass(), namespaces=("/left", "/cell/right")))
-    assert found.verdict == "identical"
-    assert {t.rpartition("/")[0] for t in found.channels} == {"/left", "/cell/right"}
-    assert found.channels["/cell/right/wrench"].compared == STEPS
+    replayed = recompute(made.write(tmp_path / "r", made.one_pass(), namespaces=("/left", "/cell/right")))
+    assert replayed.verdict == "identical"
+    assert {t.rpartition("/")[0] for t in replayed.channels} == {"/left", "/cell/right"}
+    assert replayed.channels["/cell/right/wrench"].compared == STEPS
 
 
 def test_a_recording_that_was_cut_off_is_compared_up_to_its_end(tmp_path):
     whole = made.write(tmp_path / "r", made.one_pass()) / "r.mcap"
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 4])
-    found = recompute(cut)
-    assert found.cut_off and found.verdict == "identical"
-    assert 0 < found.channels["/wrench"].compared < STEPS
+    replayed = recompute(cut)
+    assert replayed.cut_off and replayed.verdict == "identical"
+    assert 0 < replayed.channels["/wrench"].compared < STEPS
 
 
 @pytest.mark.parametrize("index", [0, 1], ids=["state", "reference"])
 def test_messages_of_other_topics_may_come_before_their_causes(tmp_path, index):
     messages = list(made.one_pass())
-    late = messages.pop(index)  # a recorder that received a latched message after the pass had begun
+    late = messages.pop(index)  # a recorder that received a latched message after the start of the pass
     messages.insert(30, late)
     assert recompute(made.write(tmp_path / "r", messages)).verdict == "identical"
 
@@ -283,8 +283,8 @@ def test_a_recording_without_a_usable_cell_is_refused_in_one_sentence(tmp_path, 
 def test_the_attached_files_are_used_and_not_the_shipped_ones(tmp_path):
     paper = Path(made.shipped("paper.yaml")).read_text()
     attached = {"cell.yaml": made.cell_text(), "paper.yaml": paper.replace("teeth: 4", "teeth: 2")}
-    found = recompute(made.write(tmp_path / "r", made.one_pass(), attachments=attached))
-    assert found.verdict == "different" and found.first.topic == "/wrench"
+    replayed = recompute(made.write(tmp_path / "r", made.one_pass(), attachments=attached))
+    assert replayed.verdict == "different" and replayed.first.topic == "/wrench"
 
 
 def test_a_recording_of_something_else_is_refused(tmp_path):

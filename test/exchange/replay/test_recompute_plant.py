@@ -19,12 +19,12 @@ PASSES = ("original", "learned_1", "learned_2")
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory):
-    """A softer arm with play and scatter, and a tracker with noise."""
+    """A softer arm with backlash, no friction and scatter, and a tracker with noise."""
     cell = made.cell_of("learned")
-    arm = cell.arm.replace(joint_compliance=1.1 * cell.arm.joint_compliance)
-    how = cell.imperfections.replace(pose_noise=2e-6, repeatability=60e-6, backlash=np.full(6, 1e-5), seed=3)
+    arm = cell.arm.replace(joint_compliance=1.1 * cell.arm.joint_compliance, friction_torque=np.zeros(6))
+    imperfections = cell.imperfections.replace(pose_noise=2e-6, repeatability=60e-6, backlash=np.full(6, 1e-5), seed=3)
     file = tmp_path_factory.mktemp("cell") / "plant.yaml"
-    file.write_text(cell_text(Plant(cell, cell.replace(arm=arm), how).cell))
+    file.write_text(cell_text(Plant(cell, cell.replace(arm=arm), imperfections).cell))
     return read_cell(file)
 
 
@@ -41,10 +41,10 @@ def recordings(plant, tmp_path_factory):
 
 @pytest.mark.parametrize("name", PASSES)
 def test_every_pass_is_identical_when_recomputed(recordings, name):
-    found = recompute(recordings / name)
-    assert found.verdict == "identical", (found.first, found.stops)
-    assert found.channels["/tool_pose"].compared == made.STEPS
-    assert found.channels["/reference_trajectory"].compared == 2
+    replayed = recompute(recordings / name)
+    assert replayed.verdict == "identical", (replayed.first, replayed.stops)
+    assert replayed.channels["/tool_pose"].compared == made.STEPS
+    assert replayed.channels["/reference_trajectory"].compared == 2
 
 
 def test_the_passes_are_those_of_the_plain_loop(recordings, plant):

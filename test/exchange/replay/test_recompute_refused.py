@@ -1,4 +1,4 @@
-"""What the live nodes refused, a recompute refuses too, and goes on."""
+"""A recompute refuses what the live nodes refused, and continues."""
 
 from __future__ import annotations
 
@@ -43,30 +43,30 @@ def test_one_message_that_the_live_nodes_refused_does_not_spoil_a_recording(tmp_
     if job == "compensate":
         assert compensate_recording(directory)[0].published is True
         return
-    found = recompute(directory)
-    assert found.verdict == "identical", (found.first, found.stops)
-    assert found.channels[f"/{topic}"].refused == 1
-    assert found.channels["/wrench"].compared == found.channels["/deflection"].compared == STEPS
+    result = recompute(directory)
+    assert result.verdict == "identical", (result.first, result.stops)
+    assert result.channels[f"/{topic}"].refused == 1
+    assert result.channels["/wrench"].compared == result.channels["/deflection"].compared == STEPS
 
 
 @pytest.mark.parametrize("place", [0, 150])
-def test_a_reference_in_another_frame_does_not_spoil_a_recording_wherever_it_stands(tmp_path, place):
+def test_a_reference_in_another_frame_does_not_spoil_a_recording_at_any_place(tmp_path, place):
     messages = list(made.one_pass())
     foreign = dataclasses.replace(made.cell_of().target(), frame="base_link")
     messages.insert(place, made.Message("reference_trajectory", to_bytes(foreign), 0))
-    found = recompute(made.write(tmp_path / "r", messages))
-    assert found.verdict == "identical", (found.first, found.stops)
-    assert found.channels["/reference_trajectory"].refused == 1
-    assert found.channels["/wrench"].compared == STEPS
+    result = recompute(made.write(tmp_path / "r", messages))
+    assert result.verdict == "identical", (result.first, result.stops)
+    assert result.channels["/reference_trajectory"].refused == 1
+    assert result.channels["/wrench"].compared == STEPS
 
 
 @pytest.mark.parametrize("topic", ["wrench", "tool_pose"])
 def test_bytes_that_are_no_message_are_refused_alike(tmp_path, topic):
-    found = recompute(made.write(tmp_path / "r", disturbed(topic, b"\0\1\0\0" + bytes(10))))
-    assert found.verdict == "identical" and found.channels[f"/{topic}"].refused == 1
+    result = recompute(made.write(tmp_path / "r", disturbed(topic, b"\0\1\0\0" + bytes(10))))
+    assert result.verdict == "identical" and result.channels[f"/{topic}"].refused == 1
 
 
 def test_a_wrench_that_is_spoiled_where_it_was_recorded_is_no_refused_one(tmp_path):
-    """The live robot went on with it, so the recording differs from what was sent, or lacks it."""
+    """The live robot continued with it, so the recording differs from the sent message, or lacks the message."""
     messages = made.changed(made.one_pass(), "wrench", 60, lambda _: to_bytes(REFUSED["wrench of NaN"][1]))
     assert recompute(made.write(tmp_path / "r", messages)).verdict != "identical"

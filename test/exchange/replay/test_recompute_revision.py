@@ -50,26 +50,26 @@ def test_a_changed_revised_reference_is_named(tmp_path):
 
 def test_of_a_changed_wrench_and_what_follows_from_it_the_wrench_is_named(tmp_path):
     messages = made.changed(made.one_pass("mirror"), "wrench", 60, flip(made.force_offset(1) + 6))
-    found = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("mirror")))
-    assert (found.first.topic, found.first.index) == ("/wrench", 60)
-    assert found.channels["/compensator_state"].differing == found.channels["/reference_trajectory"].differing == 1
+    result = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("mirror")))
+    assert (result.first.topic, result.first.index) == ("/wrench", 60)
+    assert result.channels["/compensator_state"].differing == result.channels["/reference_trajectory"].differing == 1
 
 
 @pytest.mark.parametrize("method", ["linear", "spline", "mirror", "learned"])
-def test_several_passes_in_one_file_are_told_apart(tmp_path, method):
-    found = recompute(made.write(tmp_path / "r", made.one_pass(method, 1, 3), cell=made.cell_text(method)))
-    assert found.verdict == "identical", (found.first, found.stops)
-    assert found.channels["/wrench"].compared == 3 * STEPS
-    assert found.channels["/reference_trajectory"].compared == found.channels["/compensator_state"].compared == 4
+def test_several_passes_in_one_file_are_distinguished(tmp_path, method):
+    result = recompute(made.write(tmp_path / "r", made.one_pass(method, 1, 3), cell=made.cell_text(method)))
+    assert result.verdict == "identical", (result.first, result.stops)
+    assert result.channels["/wrench"].compared == 3 * STEPS
+    assert result.channels["/reference_trajectory"].compared == result.channels["/compensator_state"].compared == 4
 
 
 @pytest.mark.parametrize("method", ["linear", "mirror", "learned"])
 def test_every_pass_is_recomputed_with_the_recordings_that_its_state_names(tmp_path, method):
     folder_of(tmp_path, method)
     for name in NAMES:
-        found = recompute(tmp_path / name)
-        assert found.verdict == "identical", (found.first, found.stops)
-        assert found.channels["/reference_trajectory"].compared == found.channels["/joint_trajectory"].compared == 2
+        result = recompute(tmp_path / name)
+        assert result.verdict == "identical", (result.first, result.stops)
+        assert result.channels["/reference_trajectory"].compared == result.channels["/joint_trajectory"].compared == 2
         assert [revised.published for revised in compensate_recording(tmp_path / name)] == [True]
 
 
@@ -84,11 +84,11 @@ def test_recordings_in_one_directory_are_named_by_their_files(tmp_path):
 @pytest.mark.parametrize("lost", ["c", "a"])
 def test_a_missing_recording_is_named(tmp_path, lost):
     shutil.rmtree(folder_of(tmp_path) / lost)
-    found = recompute(tmp_path / "b")
-    assert found.verdict == "incomplete" and found.first is None
-    assert f"{lost}/{lost}.mcap is missing" in str(found.stops[0]) and len(found.stops) == 1
-    assert found.channels["/wrench"].compared == STEPS
-    assert found.channels["/reference_trajectory"].given == found.channels["/compensator_state"].given == 2
+    result = recompute(tmp_path / "b")
+    assert result.verdict == "incomplete" and result.first is None
+    assert f"{lost}/{lost}.mcap is missing" in str(result.stops[0]) and len(result.stops) == 1
+    assert result.channels["/wrench"].compared == STEPS
+    assert result.channels["/reference_trajectory"].given == result.channels["/compensator_state"].given == 2
     with pytest.raises(RecordingError, match=f"{lost}/{lost}.mcap is missing"):
         compensate_recording(tmp_path / "b")
 
@@ -97,8 +97,8 @@ def test_another_pass_in_the_place_of_a_named_one_is_no_substitute(tmp_path):
     folder_of(tmp_path)
     shutil.rmtree(tmp_path / "a")
     made.write(tmp_path / "a", made.files_of("linear", ("a",))[0][:-200], cell=made.cell_text("learned"))
-    found = recompute(tmp_path / "b")
-    assert found.verdict == "incomplete" and "does not hold the pass" in str(found.stops[0])
+    result = recompute(tmp_path / "b")
+    assert result.verdict == "incomplete" and "does not hold the pass" in str(result.stops[0])
 
 
 @pytest.mark.parametrize("name", ["", "..", "../c.mcap", "/etc/passwd", "c/\n.mcap", "x" * 3000, "c"])
@@ -106,8 +106,8 @@ def test_a_state_makes_us_open_recordings_beside_this_one_alone(tmp_path, name):
     messages = with_state(made.files_of("learned", NAMES)[1], 0, last={"recording": name})
     folder_of(tmp_path)
     shutil.rmtree(tmp_path / "a")
-    found = recompute(made.write(tmp_path / "a", messages, cell=made.cell_text("learned")))
-    assert found.verdict == "incomplete" and found.first is None
+    result = recompute(made.write(tmp_path / "a", messages, cell=made.cell_text("learned")))
+    assert result.verdict == "incomplete" and result.first is None
 
 
 def test_a_method_that_is_chosen_between_two_passes_starts_from_the_named_pass(tmp_path):
@@ -124,8 +124,8 @@ def test_a_method_that_is_chosen_between_two_passes_starts_from_the_named_pass(t
     for name in files:
         assert recompute(tmp_path / name).verdict == "identical", name
     together = [message for messages in files.values() for message in messages]  # one recorder, one file
-    found = recompute(made.write(tmp_path / "all", together))
-    assert found.verdict == "identical" and found.channels["/compensator_state"].compared == 6
+    result = recompute(made.write(tmp_path / "all", together))
+    assert result.verdict == "identical" and result.channels["/compensator_state"].compared == 6
 
 
 def test_a_revision_without_the_last_wrench_is_recomputed_without_it(tmp_path):
@@ -140,9 +140,9 @@ def test_a_revision_without_the_last_wrench_is_recomputed_without_it(tmp_path):
             sample = from_bytes(made.TYPES[message.topic], message.data)
             (compensator.pose if isinstance(sample, PoseSample) else compensator.wrench)(sample)
     revised = made.messages(compensator.finish())
-    found = recompute(made.write(tmp_path / "r", [*whole[: -len(revised)], *revised], cell=made.cell_text("mirror")))
-    assert found.verdict == "identical", (found.first, found.stops)
-    assert found.channels["/compensator_state"].compared == 2
+    result = recompute(made.write(tmp_path / "r", [*whole[: -len(revised)], *revised], cell=made.cell_text("mirror")))
+    assert result.verdict == "identical", (result.first, result.stops)
+    assert result.channels["/compensator_state"].compared == 2
 
 
 @pytest.mark.parametrize(
@@ -151,20 +151,20 @@ def test_a_revision_without_the_last_wrench_is_recomputed_without_it(tmp_path):
      ({"last": {"fingerprint": "00" * 32}}, "values[6].value"), ({"method": "spline"}, "message")],
 )  # fmt: skip
 def test_a_state_that_the_recording_does_not_lead_to_is_a_difference(tmp_path, changes, field):
-    found = recompute(made.write(tmp_path / "r", with_state(made.one_pass(), 1, **changes)))
-    assert found.verdict == "different"
+    result = recompute(made.write(tmp_path / "r", with_state(made.one_pass(), 1, **changes)))
+    assert result.verdict == "different"
     if "method" not in changes:
-        assert found.first.topic == "/compensator_state" and found.first.field.startswith(field)
+        assert result.first.topic == "/compensator_state" and result.first.field.startswith(field)
 
 
 def test_a_compensator_that_missed_poses_is_not_called_different(tmp_path):
-    found = recompute(made.write(tmp_path / "r", with_state(made.one_pass(), 1, last={"poses": STEPS - 3})))
-    assert found.verdict == "incomplete" and f"received {STEPS - 3} poses" in str(found.stops[0])
+    result = recompute(made.write(tmp_path / "r", with_state(made.one_pass(), 1, last={"poses": STEPS - 3})))
+    assert result.verdict == "incomplete" and f"received {STEPS - 3} poses" in str(result.stops[0])
 
 
 def test_a_target_that_is_not_in_the_recording_is_reported(tmp_path):
-    found = recompute(made.write(tmp_path / "r", with_state(made.one_pass(), 0, target="00000000")))
-    assert found.verdict == "incomplete" and "the target trajectory 00000000" in str(found.stops[0])
+    result = recompute(made.write(tmp_path / "r", with_state(made.one_pass(), 0, target="00000000")))
+    assert result.verdict == "incomplete" and "the target trajectory 00000000" in str(result.stops[0])
 
 
 def test_a_published_target_takes_the_place_of_that_of_the_cell(tmp_path):
@@ -172,16 +172,16 @@ def test_a_published_target_takes_the_place_of_that_of_the_cell(tmp_path):
     shifted = target.with_position(target.position + [0.0, 5e-4, 0.0])
     compensator = made.CompensatorProtocol(made.cell_of())
     messages = [made.Message("target_trajectory", to_bytes(shifted), 0), *made.messages(compensator.begin(shifted))]
-    found = recompute(made.write(tmp_path / "r", [*messages, *made.ran_by(compensator, "r/r.mcap")]))
-    assert found.verdict == "identical", (found.first, found.stops)
-    assert found.channels["/reference_trajectory"].compared == 2
+    result = recompute(made.write(tmp_path / "r", [*messages, *made.ran_by(compensator, "r/r.mcap")]))
+    assert result.verdict == "identical", (result.first, result.stops)
+    assert result.channels["/reference_trajectory"].compared == 2
 
 
 def test_references_without_states_are_taken_as_recorded(tmp_path):
     messages = [m for m in made.one_pass() if m.topic != "compensator_state"]
-    found = recompute(made.write(tmp_path / "r", messages))
-    assert found.verdict == "incomplete" and "without its compensator_state" in str(found.stops[0])
-    assert found.channels["/reference_trajectory"].given == found.channels["/joint_trajectory"].compared == 2
+    result = recompute(made.write(tmp_path / "r", messages))
+    assert result.verdict == "incomplete" and "without its compensator_state" in str(result.stops[0])
+    assert result.channels["/reference_trajectory"].given == result.channels["/joint_trajectory"].compared == 2
     assert compensate_recording(tmp_path / "r")[0].published is True  # the cell states the method
 
 
@@ -199,11 +199,11 @@ def test_a_reference_of_another_compensator_is_not_called_identical(tmp_path, pl
     target, messages = made.cell_of("inverse").target(), list(made.one_pass("inverse"))
     other = Trajectory(FOREIGN, target.sample(FOREIGN), target.sample_orientation(FOREIGN))
     messages.insert(place, made.Message("reference_trajectory", made.reference_data(other), 0))
-    found = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("inverse")))
-    assert found.verdict != "identical"
+    result = recompute(made.write(tmp_path / "r", messages, cell=made.cell_text("inverse")))
+    assert result.verdict != "identical"
 
 
-def test_a_method_that_cannot_revise_a_recorded_pass_says_why(tmp_path):
+def test_a_method_that_cannot_revise_a_recorded_pass_states_the_reason(tmp_path):
     target, messages = made.cell_of().target(), [m for m in made.one_pass() if m.topic in ("tool_pose", "wrench")]
     other = Trajectory(FOREIGN, target.sample(FOREIGN), target.sample_orientation(FOREIGN))
     messages.insert(0, made.Message("reference_trajectory", made.reference_data(other), 0))
@@ -237,6 +237,6 @@ def test_a_state_without_fields_is_refused(tmp_path):
     messages = made.changed(
         made.one_pass(), "compensator_state", 0, lambda data: data.replace(b"finished", b"finishes")
     )
-    found = recompute(made.write(tmp_path / "r", messages))
-    assert found.channels["/compensator_state"].refused == 1
+    result = recompute(made.write(tmp_path / "r", messages))
+    assert result.channels["/compensator_state"].refused == 1
     assert isinstance(from_bytes(STATE, made.one_pass()[0].data), CompensatorState)

@@ -22,9 +22,9 @@ def thinned(directory, every: int, change=lambda messages: messages):
 @pytest.mark.parametrize("every, count", [(0, 7), (40, 4), (1, STEPS)])
 def test_a_thinned_recording_recomputes_and_gives_all_deflections_to_the_bit(tmp_path, every, count):
     bag = thinned(tmp_path / "r", every)
-    found = recompute(bag)
-    assert found.verdict == "identical", (found.first, found.stops)
-    channel = found.channels["/deflection"]
+    replayed = recompute(bag)
+    assert replayed.verdict == "identical", (replayed.first, replayed.stops)
+    channel = replayed.channels["/deflection"]
     assert (channel.compared, channel.missing) == (count, 0)
     recorded, plain = pass_from_recording(bag), simulate(made.cell_of(every=every))
     assert recorded.complete and recorded.messages_lost == recorded.lost_to_end == 0
@@ -32,28 +32,28 @@ def test_a_thinned_recording_recomputes_and_gives_all_deflections_to_the_bit(tmp
     assert recorded.scored.scores == plain.scores
 
 
-def test_a_recording_of_all_deflections_is_compared_in_full_whatever_its_cell_says(tmp_path):
+def test_a_recording_of_all_deflections_is_compared_in_full_for_every_cell(tmp_path):
     """As recordings of before ``publish.every`` are."""
     messages = [m for m in made.one_pass(every=1) if m.topic != "joint_states"]
     bag = made.write(tmp_path / "r", messages, cell=made.cell_text(every=0))
-    found = recompute(bag)
-    assert found.verdict == "identical" and found.channels["/deflection"].compared == STEPS
+    replayed = recompute(bag)
+    assert replayed.verdict == "identical" and replayed.channels["/deflection"].compared == STEPS
 
 
-def test_joint_states_must_come_as_often_as_the_cell_says(tmp_path):
+def test_joint_states_must_come_as_often_as_the_cell_states(tmp_path):
     """Their last bit may depend on how often that is: ``RobotFeed``."""
     bag = made.write(tmp_path / "r", made.one_pass(every=1), cell=made.cell_text(every=0))
-    found = recompute(bag)
-    assert (found.first.topic, found.first.index, found.first.stamp_ns) == ("/joint_states", 1, 500_000)
-    assert {topic for topic, channel in found.channels.items() if channel.differing} == {"/joint_states"}
+    replayed = recompute(bag)
+    assert (replayed.first.topic, replayed.first.index, replayed.first.stamp_ns) == ("/joint_states", 1, 500_000)
+    assert {topic for topic, channel in replayed.channels.items() if channel.differing} == {"/joint_states"}
 
 
-def test_a_thinned_deflection_that_is_lost_or_changed_is_told(tmp_path):
+def test_a_thinned_deflection_that_is_lost_or_changed_is_reported(tmp_path):
     def lose(messages):
         return made.changed(messages, "deflection", 3, lambda data: None)
 
-    found = recompute(thinned(tmp_path / "lost", 0, lose))
-    assert found.channels["/deflection"].missing == 1
+    replayed = recompute(thinned(tmp_path / "lost", 0, lose))
+    assert replayed.channels["/deflection"].missing == 1
     assert not pass_from_recording(tmp_path / "lost").complete
 
     def change(messages):

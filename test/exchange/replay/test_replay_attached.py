@@ -16,7 +16,7 @@ FORM = "/**:\n  ros__parameters:\n"
 
 
 def cell_in(directory, **attached: str):
-    """The cell of a recording with these files attached; "__" in a keyword stands for the point."""
+    """The cell of a recording with these files attached; "__" in a keyword is the point."""
     files = {name.replace("__", "."): text for name, text in attached.items()}
     with Recording(made.write(directory, [], attachments=files)) as recording:
         return attached_cell(recording)
@@ -51,7 +51,7 @@ def test_a_group_that_cannot_be_used_does_not_open_the_way_for_an_include(tmp_pa
         cell_in(tmp_path / "r", cell__yaml=main)
 
 
-def test_included_files_are_found_wherever_they_lay(tmp_path, secret):
+def test_included_files_are_read_from_the_attachments_for_every_folder(tmp_path, secret):
     main = FORM + '    includes: ["/far/away/b.yaml"]\n'
     below = FORM + '    includes: ["paper.yaml", "/other/secret.yaml"]\n'
     cell = cell_in(tmp_path / "r", cell__yaml=main, b__yaml=below, secret__yaml=secret.read_text())

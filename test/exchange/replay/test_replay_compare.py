@@ -15,10 +15,10 @@ TERMINATOR = 4 + 8 + 4 + len("workpiece")  # behind encapsulation, stamp, length
 def first_difference(directory, offset: int, bit: int):
     """Where one bit of a wrench is flipped; the wrench itself is the first difference, and the only one."""
     messages = made.changed(made.one_pass(), "wrench", INDEX, made.flip(offset, bit))
-    found = recompute(made.write(directory, messages))
-    assert found.verdict == "different" and found.channels["/wrench"].differing == 1
-    assert (found.first.topic, found.first.index, found.first.stamp_ns) == ("/wrench", INDEX, INDEX * 500_000)
-    return found.first
+    result = recompute(made.write(directory, messages))
+    assert result.verdict == "different" and result.channels["/wrench"].differing == 1
+    assert (result.first.topic, result.first.index, result.first.stamp_ns) == ("/wrench", INDEX, INDEX * 500_000)
+    return result.first
 
 
 @pytest.mark.parametrize("bit", [0, 1, 7])

@@ -68,7 +68,7 @@ def test_the_number_of_passes_may_be_given(run):
 
 
 @pytest.mark.parametrize("method, repeat", [("learned", False), ("spline", True)])
-def test_a_method_that_repeats_goes_on_until_the_compensator_is_finished_as_off_line(run, method, repeat):
+def test_a_method_that_repeats_continues_until_the_compensator_is_finished_as_off_line(run, method, repeat):
     """The compensator is asked; the method's name decides nothing."""
     graph, (original, best) = run([method], repeat=repeat, max_passes=4)
     assert graph.compensator.finished and 2 <= len(best.learning) <= 4

@@ -1,4 +1,4 @@
-"""The graph as processes: what it computes, what it says when a node fails, what it leaves behind."""
+"""The graph as processes: its results, its messages when a node fails, and its end."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from kr270_milling.cell.jobs import compensated, simulate
+from kr270_milling.cli import main
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph.plan import fresh_directory
@@ -28,11 +29,11 @@ NODES = ["compliant_robot", "cutting_process", "trajectory_compensator", "record
 
 @pytest.fixture
 def runner(ros_environment):
-    """Starts runs; whatever a failed test leaves of them is ended."""
+    """Start runs; end the runs that a failed test has not ended."""
     started: list[subprocess.Popen] = []
 
-    def start(out, *arguments, **how):
-        started.append(start_run(ros_environment, out, *arguments, **{"sets": SHORT, **how}))
+    def start(out, *arguments, **options):
+        started.append(start_run(ros_environment, out, *arguments, **{"sets": SHORT, **options}))
         return started[-1]
 
     yield start
@@ -42,10 +43,13 @@ def runner(ros_environment):
         process.communicate()
 
 
+def run_words(out, *arguments, sets=SHORT) -> list[str]:
+    pairs = [word for assignment in sets for word in ("--set", assignment)]
+    return ["run", "paper.yaml", "--out", str(out), *arguments, *pairs]
+
+
 def start_run(environment, out, *arguments, sets, program=("-m", "kr270_milling.cli")):
-    command = [sys.executable, *program, "run", "paper.yaml", "--out", str(out), *arguments]
-    for assignment in sets:
-        command += ["--set", assignment]
+    command = [sys.executable, *program, *run_words(out, *arguments, sets=sets)]
     return subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
@@ -53,17 +57,17 @@ def start_run(environment, out, *arguments, sets, program=("-m", "kr270_milling.
 
 def finished(process, seconds: float = 300.0) -> tuple[int, str, str]:
     try:
-        out, told = process.communicate(timeout=seconds)
+        out, errors = process.communicate(timeout=seconds)
     except subprocess.TimeoutExpired:
         process.kill()
-        out, told = process.communicate()
-        pytest.fail(f"the run hangs: {told}")
-    return process.returncode, out, told
+        out, errors = process.communicate()
+        pytest.fail(f"the run hangs: {errors}")
+    return process.returncode, out, errors
 
 
 def nodes_of(out: Path) -> dict[str, int]:
-    """Node -> process id of the nodes that write below a directory; found by their command lines."""
-    found = {}
+    """Node -> process id of the nodes that write below a directory, by their command lines."""
+    nodes_by_name = {}
     for pid in filter(str.isdigit, os.listdir("/proc")):
         try:
             command = Path("/proc", pid, "cmdline").read_bytes().split(b"\0")
@@ -75,8 +79,8 @@ def nodes_of(out: Path) -> dict[str, int]:
             continue
         nodes = words[words.index("kr270_milling.live.nodes") + 1 : words.index("--ros-args")]
         if state != "Z" and any(w.startswith(str(out)) for w in words):
-            found |= {node: int(pid) for node in nodes if node != "milling_cell"}
-    return found
+            nodes_by_name |= {node: int(pid) for node in nodes if node != "milling_cell"}
+    return nodes_by_name
 
 
 def wait_until(condition, seconds: float, what: str):
@@ -103,38 +107,28 @@ def same(recorded, plain) -> None:
         assert np.array_equal(getattr(recorded, field), getattr(plain, field)), field
 
 
-def test_run_gives_the_plain_loop_bit_for_bit_and_tells_so(runner, tmp_path, short_cell):
-    methods = ("--method", "linear", "--method", "spline", "--method", "linear")  # one that is given twice is run once
-    process = runner(tmp_path / "o", *methods, "--json")
-    code, out, told = finished(process)
-    assert code == 0, told
-    found = json.loads(out)
-    assert [row["name"] for row in found["passes"]] == ["original", "linear", "spline"]
+def test_run_gives_the_plain_loop_bit_for_bit_and_reports_its_passes(ros_environment, tmp_path, capsys, short_cell):
+    methods = ("--method", "linear", "--method", "spline", "--method", "linear")  # a repeated method is run once
+    assert main(run_words(tmp_path / "o", *methods, "--json")) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert [row["name"] for row in result["passes"]] == ["original", "linear", "spline"]
     original = simulate(short_cell)
     plain = [original, *(compensated(short_cell, original, method) for method in ("linear", "spline"))]
-    for row, expected in zip(found["passes"], plain, strict=True):
+    for row, expected in zip(result["passes"], plain, strict=True):
         recorded = pass_from_recording(row["recording"])
         assert recorded.complete and recorded.messages_lost == row["messages_lost"] == 0
         same(recorded.scored.result, expected.result)
         assert row["max_deviation_mm"] == expected.scores.max_deviation * 1e3
         assert row["static_deviation_mm"] == expected.scores.static_deviation * 1e3
         assert row["real_time_factor"] == pytest.approx(row["duration_s"] / row["wall_s"])
-    assert 0 < found["graph_up_s"] < 30
+    assert 0 < result["graph_up_s"] < 30
     assert not nodes_of(tmp_path)
 
 
-def test_one_process_a_node_gives_the_same_to_the_bit(runner, tmp_path, short_cell):
-    code, out, told = finished(runner(tmp_path / "o", "--processes", "--passes", "1", "--json"))
-    assert code == 0, told
-    file = json.loads(out)["passes"][0]["recording"]
-    same(pass_from_recording(file).scored.result, simulate(short_cell).result)
-    assert recompute(file).verdict == "identical"
-    assert {f"{node}.log" for node in NODES[:3]} <= {file.name for file in (tmp_path / "o" / "log").iterdir()}
-
-
-def test_namespace_that_cannot_be_is_refused_before_anything_is_written(runner, tmp_path):
-    code, _, told = finished(runner(tmp_path / "o", "--namespace", "a b"))
-    assert code == 2 and told.count("\n") == 1 and "--namespace: 'a b' must be a ROS namespace" in told
+def test_namespace_that_cannot_be_is_refused_before_anything_is_written(tmp_path, capsys):
+    assert main(run_words(tmp_path / "o", "--namespace", "a b")) == 2
+    errors = capsys.readouterr().err
+    assert errors.count("\n") == 1 and "--namespace: 'a b' must be a ROS namespace" in errors
     assert not (tmp_path / "o").exists()
 
 
@@ -145,28 +139,28 @@ def test_recordings_are_never_overwritten(tmp_path):
         (directory / "cell.yaml").write_text("")
 
 
-@pytest.mark.parametrize("node", ["cutting_process", "recorder"])  # of each process; one process a node: test_faults
-def test_killed_node_is_named_and_nothing_is_left(runner, tmp_path, node):
+def test_killed_node_is_named_and_no_process_remains(runner, tmp_path):
+    """The process of the recorder and the compensator; test_faults kills robot and cut."""
     process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
     pids = in_mid_pass(tmp_path / "o")
-    os.kill(pids[node], signal.SIGKILL)
-    code, _, told = finished(process)
-    last = told.splitlines()[-1]  # on a busy machine others may be told as silent before
-    together = {name for name, pid in pids.items() if pid == pids[node]}
+    os.kill(pids["recorder"], signal.SIGKILL)
+    code, _, errors = finished(process)
+    last = errors.splitlines()[-1]  # on a busy machine earlier lines may report silent nodes
+    together = {name for name, pid in pids.items() if pid == pids["recorder"]}
     assert code == 2 and "SIGKILL" in last and any(name in last for name in together)
     assert not nodes_of(tmp_path)
     with Recording(tmp_path / "o" / "original") as recording:
-        assert recording.cut_off == (node == "recorder")
+        assert recording.cut_off
         assert recording.topics()["/wrench"].count > 0
 
 
-def test_run_that_hears_of_nobody_ends_with_a_sentence_and_leaves_nobody(runner, tmp_path):
-    """As when the middleware of its own process is blocked, which leaving the graph would then be as well."""
+def test_run_without_any_report_ends_with_a_sentence_and_no_process_remains(runner, tmp_path):
+    """The middleware of the runner's process may be blocked, and leaving the graph would block too."""
     process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
     for pid in set(in_mid_pass(tmp_path / "o").values()):
         os.kill(pid, signal.SIGSTOP)
-    code, _, told = finished(process)
-    assert code == 2 and "no node has reported" in told
+    code, _, errors = finished(process)
+    assert code == 2 and "no node has reported" in errors
     assert not nodes_of(tmp_path)
 
 
@@ -177,13 +171,13 @@ def sockets_of(pid: int) -> list[str]:
         target = os.readlink(f"/proc/{pid}/fd/{entry}")
         if target.startswith("socket:["):
             inodes.add(target[8:-1])
-    found = []
+    addresses = []
     for table in ("udp", "udp6", "tcp", "tcp6"):
         for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
             fields = line.split()
             if fields[9] in inodes:
-                found.append(fields[1].rpartition(":")[0])
-    return found
+                addresses.append(fields[1].rpartition(":")[0])
+    return addresses
 
 
 def test_all_sockets_are_on_this_host_and_a_signal_ends_everything_with_a_whole_file(runner, tmp_path):
@@ -193,8 +187,8 @@ def test_all_sockets_are_on_this_host_and_a_signal_ends_everything_with_a_whole_
     for pid in (*pids.values(), process.pid):
         assert set(sockets_of(pid)) == {"0100007F"}  # 127.0.0.1 as /proc writes it
     process.send_signal(signal.SIGTERM)
-    code, _, told = finished(process)
-    assert code == 143 and "Traceback" not in told
+    code, _, errors = finished(process)
+    assert code == 143 and "Traceback" not in errors
     assert not nodes_of(tmp_path)
     with Recording(tmp_path / "o" / "original") as recording:
         assert not recording.cut_off
@@ -221,39 +215,35 @@ raise SystemExit(start.start(sys.argv[0]))
 
 
 def test_run_kills_a_node_whose_middleware_blocks_while_it_leaves(runner, tmp_path):
-    program = tmp_path / "python"
-    program.write_text(f"#!{sys.executable}{BLOCKS}")
-    program.chmod(0o755)
-    main = f"import sys; from kr270_milling.cli import main; sys.executable = {str(program)!r}; main()"
-    code, out, told = finished(runner(tmp_path / "o", "--passes", "1", "--json", program=("-c", main)))
-    assert code == 0 and [row["name"] for row in json.loads(out)["passes"]] == ["original"], told
+    python = tmp_path / "python"
+    python.write_text(f"#!{sys.executable}{BLOCKS}")
+    python.chmod(0o755)
+    program = f"import sys; from kr270_milling.cli import main; sys.executable = {str(python)!r}; main()"
+    code, out, errors = finished(runner(tmp_path / "o", "--passes", "1", "--json", program=("-c", program)))
+    assert code == 0 and [row["name"] for row in json.loads(out)["passes"]] == ["original"], errors
     assert not nodes_of(tmp_path)
 
 
-LATE = """
-import os, signal, sys
-from kr270_milling.cli import main
-from kr270_milling.show.commands import run
-tables = run.table_of
-run.table_of = lambda *how: (os.kill(os.getpid(), signal.SIGINT), tables(*how))[1]
-main()
-"""
+def test_ctrl_c_after_the_passes_ends_the_run_with_130(ros_environment, tmp_path, capsys, monkeypatch):
+    def press_ctrl_c(*_):
+        os.kill(os.getpid(), signal.SIGINT)
 
-
-def test_ctrl_c_behind_the_passes_is_heard(runner, tmp_path):
-    code, out, told = finished(runner(tmp_path / "o", "--passes", "1", program=("-c", LATE)))
-    assert code == 130 and not out and told.endswith("interrupted\n")
+    monkeypatch.setattr("kr270_milling.show.commands.run.table_of", press_ctrl_c)
+    assert main(run_words(tmp_path / "o", "--passes", "1")) == 130
+    out, errors = capsys.readouterr()
+    assert not out and errors.endswith("interrupted\n")
     assert not nodes_of(tmp_path)
 
 
-def test_second_graph_with_the_same_names_is_refused_and_does_not_disturb_the_first(runner, tmp_path):
-    first = runner(tmp_path / "a", "--passes", "1000", sets=LONG)
+def test_second_graph_with_the_same_names_is_refused_and_does_not_disturb_the_first(runner, tmp_path, capsys):
+    first = runner(tmp_path / "a", "--passes", "1000", sets=["path.length_mm=25", *LONG[1:]])
     in_mid_pass(tmp_path / "a")
-    code, _, told = finished(runner(tmp_path / "b", "--passes", "1"))
-    assert code == 2 and "already runs in this ROS domain" in told and told.count("\n") == 1
-    assert not list((tmp_path / "b" / "log").iterdir())  # what its nodes publish would reach the first
-    done = list((tmp_path / "a").glob("*/metadata.yaml"))  # the pass in which the other came up is the next
-    wait_until(lambda: len(list((tmp_path / "a").glob("*/metadata.yaml"))) > len(done) + 1, 60, "it stands still")
+    assert main(run_words(tmp_path / "b", "--passes", "1")) == 2
+    errors = capsys.readouterr().err
+    assert "already runs in this ROS domain" in errors and errors.count("\n") == 1
+    assert not list((tmp_path / "b" / "log").iterdir())  # messages of its nodes would reach the first graph
+    done = list((tmp_path / "a").glob("*/metadata.yaml"))  # the pass in which the other graph came up is the next
+    wait_until(lambda: len(list((tmp_path / "a").glob("*/metadata.yaml"))) > len(done) + 1, 60, "no pass ends")
     first.send_signal(signal.SIGINT)
     assert finished(first)[0] == 130
     files = sorted((tmp_path / "a").glob("*/*.mcap"), key=lambda file: file.stat().st_mtime)
@@ -263,15 +253,20 @@ def test_second_graph_with_the_same_names_is_refused_and_does_not_disturb_the_fi
     assert len(whole) > len(done) and all(pass_from_recording(file.parent).messages_lost == 0 for file in whole)
 
 
-def test_two_graphs_in_two_namespaces_run_at_once(runner, tmp_path, short_cell):
-    names = ("left", "right")
-    runs = [runner(tmp_path / n, "--namespace", n, "--passes", "1", "--json") for n in names]
+def test_graphs_in_two_namespaces_give_the_plain_loop_at_once_also_with_one_process_a_node(
+    runner, tmp_path, short_cell
+):
+    names, plain = ("left", "right"), simulate(short_cell).result
+    more = {"left": (), "right": ("--processes",)}
+    runs = [runner(tmp_path / n, "--namespace", n, "--passes", "1", "--json", *more[n]) for n in names]
     for process, name in zip(runs, names, strict=True):
-        code, _, told = finished(process)
-        assert code == 0, told
-        same(pass_from_recording(tmp_path / name / "original").scored.result, simulate(short_cell).result)
-        with Recording(tmp_path / name / "original") as recording:
+        code, _, errors = finished(process)
+        assert code == 0, errors
+        file = tmp_path / name / "original"
+        same(pass_from_recording(file).scored.result, plain)
+        with Recording(file) as recording:
             other = names[1 - names.index(name)]
             assert not any(topic.startswith(f"/{other}/") for topic in recording.topics())
             assert f"/{name}/clock" in recording.topics() and "/clock" not in recording.topics()
-        assert recompute(tmp_path / name / "original").verdict == "identical"
+        assert recompute(file).verdict == "identical"
+    assert {f"{node}.log" for node in NODES[:3]} <= {file.name for file in (tmp_path / "right" / "log").iterdir()}

@@ -25,12 +25,12 @@ class Partner:
         self.answering = True
         self.wrench = self.node.create_publisher(*topics.WRENCH)
         self.reference = self.node.create_publisher(*topics.REFERENCE_TRAJECTORY)
-        world.listen(self.node, topics.TOOL_POSE, self.hear)
+        world.listen(self.node, topics.TOOL_POSE, self.on_pose)
         self.deflections = world.listen(self.node, topics.DEFLECTION)
-        self.told = world.diagnostics(self.node)
+        self.reports = world.diagnostics(self.node)
         self.reference.publish(messages.to_msg(cell.target()))
 
-    def hear(self, msg) -> None:
+    def on_pose(self, msg) -> None:
         self.poses.append(messages.ns_from_stamp(msg.header.stamp))
         if self.answering:
             self.answer(self.poses[-1])
@@ -52,7 +52,7 @@ def test_robot_waits_for_a_cut_that_comes_late(world, robot, short_cell):
     robot.trigger_activate()
     world.step(0.3)
     partner = Partner(world, short_cell)
-    partner.told.until(NAME, "pass complete")
+    partner.reports.until(NAME, "pass complete")
     steps = short_cell.clock.steps(short_cell.target().duration_ns)
     assert partner.poses == short_cell.clock.stamp(np.arange(steps + 1)).tolist()
     assert len(partner.deflections) == steps + 1
@@ -64,7 +64,7 @@ def test_pass_is_complete_also_where_its_last_deflection_is_not_published(world,
     robot.trigger_configure()
     partner = Partner(world, cell)
     robot.trigger_activate()
-    partner.told.until(NAME, "pass complete")
+    partner.reports.until(NAME, "pass complete")
     steps = cell.clock.steps(cell.target().duration_ns)
     assert steps % 7 and len(partner.poses) == steps + 1
     world.until(lambda: len(partner.deflections) == steps // 7 + 1)
@@ -76,18 +76,18 @@ def test_robot_asks_again_before_the_start_for_as_long_as_it_takes(world, robot,
     robot.trigger_activate()
     world.until(lambda: len(partner.poses) >= 6, 10)  # longer than a pass under way would be waited for
     assert set(partner.poses) == {0}
-    assert not partner.told.reported(NAME, "", ERROR)
+    assert not partner.reports.reported(NAME, "", ERROR)
     partner.answering = True
-    partner.told.until(NAME, "pass complete")
+    partner.reports.until(NAME, "pass complete")
 
 
-def test_robot_says_within_3_s_that_its_cut_is_silent(world, robot, short_cell):
+def test_robot_reports_within_3_s_that_its_cut_is_silent(world, robot, short_cell):
     partner = Partner(world, short_cell)
     robot.trigger_activate()
     world.until(lambda: len(partner.poses) > 10)
     partner.answering = False
-    partner.told.until(NAME, "no wrench from the cutting process: repeating the tool pose", WARN, deadline=1.5)
-    partner.told.until(NAME, "no wrench for 4 s; the cutting process is gone", ERROR, deadline=4.5)
+    partner.reports.until(NAME, "no wrench from the cutting process: repeating the tool pose", WARN, deadline=1.5)
+    partner.reports.until(NAME, "no wrench for 4 s; the cutting process is gone", ERROR, deadline=4.5)
     partner.answering = True
     count = len(partner.deflections)
     partner.answer(partner.poses[-1])
@@ -95,7 +95,7 @@ def test_robot_says_within_3_s_that_its_cut_is_silent(world, robot, short_cell):
     assert len(partner.deflections) == count  # the pass is given up, a late answer does not revive it
 
 
-def test_robot_says_at_once_that_its_cut_has_left(world, robot, short_cell):
+def test_robot_reports_at_once_that_its_cut_has_left(world, robot, short_cell):
     partner = Partner(world, short_cell)
     watcher = world.diagnostics(world.partner("watcher"))
     robot.trigger_activate()
@@ -111,18 +111,18 @@ def test_pass_can_be_run_again_after_the_cut_was_restarted(world, robot, short_c
     world.remove(partner.node)
     again = Partner(world, short_cell, world.partner("again"))
     again.answering = False  # as a cut does that has not seen the start
-    again.told.until(NAME, "given up", ERROR, deadline=4.5)
+    again.reports.until(NAME, "given up", ERROR, deadline=4.5)
     again.answering = True
     assert robot.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
     assert robot.trigger_activate() == TransitionCallbackReturn.SUCCESS
-    again.told.until(NAME, "pass complete")
+    again.reports.until(NAME, "pass complete")
 
 
 def test_repeated_and_old_answers_change_nothing(world, robot, short_cell):
     partner = Partner(world, short_cell)
     once = []
 
-    def hear(msg):
+    def on_pose(msg):
         stamp = messages.ns_from_stamp(msg.header.stamp)
         partner.answer(stamp)
         partner.answer(stamp, 999.0)
@@ -132,9 +132,9 @@ def test_repeated_and_old_answers_change_nothing(world, robot, short_cell):
         once.append(stamp)
 
     partner.answering = False
-    world.listen(partner.node, topics.TOOL_POSE, hear)
+    world.listen(partner.node, topics.TOOL_POSE, on_pose)
     robot.trigger_activate()
-    partner.told.until(NAME, "pass complete")
+    partner.reports.until(NAME, "pass complete")
     repeated = [d.twist.linear.y for d in partner.deflections]
     robot.trigger_deactivate()
     plain = Partner(world, short_cell, world.partner("plain"))
@@ -145,36 +145,36 @@ def test_repeated_and_old_answers_change_nothing(world, robot, short_cell):
 
 
 @pytest.mark.parametrize("value, frame, reason", [(np.nan, "workpiece", "not finite"), (1.0, "base_link", "frame")])
-def test_unusable_wrench_is_refused_and_the_pass_goes_on_with_a_good_one(
+def test_unusable_wrench_is_refused_and_the_pass_continues_with_a_good_wrench(
     world, robot, short_cell, value, frame, reason
 ):
     partner = Partner(world, short_cell)
 
-    def hear(msg):
+    def on_pose(msg):
         if partner.answering:
             return
         partner.answer(partner.poses[-1], value, frame)
         partner.answering = True
         partner.answer(partner.poses[-1])
 
-    world.listen(partner.node, topics.TOOL_POSE, hear)
+    world.listen(partner.node, topics.TOOL_POSE, on_pose)
     robot.trigger_activate()
     world.until(lambda: len(partner.poses) > 10)
     partner.answering = False
-    partner.told.until(NAME, reason, ERROR)
-    partner.told.until(NAME, "pass complete")
-    world.until(lambda: partner.told.last[NAME]["refused"] == "1")
+    partner.reports.until(NAME, reason, ERROR)
+    partner.reports.until(NAME, "pass complete")
+    world.until(lambda: partner.reports.last[NAME]["refused"] == "1")
 
 
 def test_wrench_of_a_sensor_in_tool_axes_counts_in_workpiece_axes(world, robot, short_cell):
     partner = Partner(world, short_cell)
     robot.trigger_activate()
-    partner.told.until(NAME, "pass complete")
+    partner.reports.until(NAME, "pass complete")
     expected = [d.twist.linear.y for d in partner.deflections]
     robot.trigger_deactivate()
     partner.deflections.clear()
     partner.answering = False
-    # tool0 stands head over on the workpiece: its y axis is minus that of the workpiece
+    # tool0 points down to the workpiece: its y axis is the negative y axis of the workpiece
     world.listen(partner.node, topics.TOOL_POSE, lambda _: partner.answer(partner.poses[-1], -1.0, "tool0"))
     robot.trigger_activate()
     world.until(lambda: len(partner.deflections) == len(expected))
@@ -194,7 +194,7 @@ def test_impossible_transition_is_refused_and_the_node_lives_on(world, robot, sh
         world.until(future.done)
         assert future.result().success is possible
     robot.trigger_activate()
-    partner.told.until(NAME, "pass complete")
+    partner.reports.until(NAME, "pass complete")
 
 
 def test_pace_holds_the_pass_back_to_the_wall_clock(world, short_cell, tmp_path):
@@ -202,13 +202,13 @@ def test_pace_holds_the_pass_back_to_the_wall_clock(world, short_cell, tmp_path)
     robot.trigger_configure()
     partner = Partner(world, short_cell)
     robot.trigger_activate()
-    partner.told.until(NAME, "pass complete")
-    world.until(lambda: "wall_s" in partner.told.last[NAME])
+    partner.reports.until(NAME, "pass complete")
+    world.until(lambda: "wall_s" in partner.reports.last[NAME])
     duration = short_cell.target().duration_ns * 1e-9
-    assert 10 * duration <= float(partner.told.last[NAME]["wall_s"]) + 0.02
+    assert 10 * duration <= float(partner.reports.last[NAME]["wall_s"]) + 0.02
 
 
-def test_correction_beyond_the_stated_share_of_the_chip_is_told(world, short_cell, tmp_path):
+def test_correction_beyond_the_stated_share_of_the_chip_is_reported(world, short_cell, tmp_path):
     cell = short_cell.replace(exchange=short_cell.exchange.replace(warn_correction=1e-9))
     robot = world.add(CompliantRobot, cell=cell, directory=tmp_path)
     robot.trigger_configure()
@@ -216,4 +216,4 @@ def test_correction_beyond_the_stated_share_of_the_chip_is_told(world, short_cel
     partner.answering = False
     world.listen(partner.node, topics.TOOL_POSE, lambda _: partner.answer(partner.poses[-1], float(len(partner.poses))))
     robot.trigger_activate()
-    partner.told.until(NAME, "shorten exchange.period_ms", WARN)
+    partner.reports.until(NAME, "shorten exchange.period_ms", WARN)

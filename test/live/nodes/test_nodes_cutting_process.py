@@ -28,7 +28,7 @@ class Robot:
         self.pose = self.node.create_publisher(*topics.TOOL_POSE)
         self.reference = self.node.create_publisher(*topics.REFERENCE_TRAJECTORY)
         self.wrenches = world.listen(self.node, topics.WRENCH)
-        self.told = world.diagnostics(self.node)
+        self.reports = world.diagnostics(self.node)
         target = cell.target()
         self.stamps = cell.clock.stamp(np.arange(cell.clock.steps(target.duration_ns) + 1)).tolist()
         self.course, self.turn = target.sample(self.stamps), target.sample_orientation(self.stamps)
@@ -85,13 +85,13 @@ def test_repeated_pose_gets_the_same_answer_and_cuts_nothing(robot, cut):
         assert cut.protocol.removed_volume == removed
 
 
-def test_stamp_going_backwards_is_refused_and_the_pass_goes_on(world, robot):
+def test_stamp_going_backwards_is_refused_and_the_pass_continues(world, robot):
     for step in range(5):
         robot.exchange(step)
     robot.ask(2)
-    robot.told.until(NAME, "is older than the last one", ERROR)
+    robot.reports.until(NAME, "is older than the last one", ERROR)
     robot.ask(9)
-    robot.told.until(NAME, "does not follow the last one", ERROR)
+    robot.reports.until(NAME, "does not follow the last one", ERROR)
     assert robot.exchange(5)[0] == robot.stamps[5]
 
 
@@ -99,7 +99,7 @@ def test_new_pass_needs_a_fresh_workpiece(world, robot, cut):
     for step in range(3):
         robot.exchange(step)
     robot.ask(0)
-    robot.told.until(NAME, "configure the cutting process again", ERROR)
+    robot.reports.until(NAME, "configure the cutting process again", ERROR)
     cut.trigger_deactivate()
     cut.trigger_cleanup()
     cut.trigger_configure()
@@ -107,20 +107,20 @@ def test_new_pass_needs_a_fresh_workpiece(world, robot, cut):
     assert robot.exchange(0)[0] == 0
 
 
-def test_cut_restarted_in_mid_pass_says_that_it_missed_the_start(robot, cut):
+def test_cut_restarted_in_mid_pass_reports_that_it_missed_the_start(robot, cut):
     robot.ask(7)
-    robot.told.until(NAME, "has not seen its start", ERROR)
+    robot.reports.until(NAME, "has not seen its start", ERROR)
 
 
 @pytest.mark.parametrize("shift, frame, reason", [(np.nan, "workpiece", "not finite"), (0.0, "base_link", "frame")])
-def test_unusable_pose_is_refused_and_the_pass_goes_on(robot, shift, frame, reason):
+def test_unusable_pose_is_refused_and_the_pass_continues(robot, shift, frame, reason):
     robot.exchange(0)
     robot.ask(1, shift, frame)
-    robot.told.until(NAME, reason, ERROR)
+    robot.reports.until(NAME, reason, ERROR)
     assert robot.exchange(1)[0] == robot.stamps[1]
 
 
-def test_cut_says_within_a_second_that_the_robot_left_in_mid_pass(world, robot):
+def test_cut_reports_within_a_second_that_the_robot_left_in_mid_pass(world, robot):
     watcher = world.diagnostics(world.partner("watcher"))
     for step in range(5):
         robot.exchange(step)
@@ -128,7 +128,7 @@ def test_cut_says_within_a_second_that_the_robot_left_in_mid_pass(world, robot):
     watcher.until(NAME, "the robot is gone in mid-pass", ERROR, deadline=1.5)
 
 
-def test_cut_says_within_3_s_that_a_robot_which_is_still_there_is_silent(world, robot):
+def test_cut_reports_within_3_s_that_a_running_robot_is_silent(world, robot):
     """As one that was killed: its publisher is known for as long as its lease."""
     watcher = world.diagnostics(world.partner("watcher"))
     for step in range(5):
@@ -148,7 +148,7 @@ def test_robot_that_leaves_after_the_pass_is_no_fault(world, robot):
 
 
 def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, robot, cut):
-    """Of a pass by hand too, whose cut nobody deactivates."""
+    """Also for a pass by hand whose cut stays active."""
     maps = world.listen(robot.node, topics.WORKPIECE)
     world.until(lambda: maps)  # latched, of the fresh part
     assert set(maps[0].data) == {100}

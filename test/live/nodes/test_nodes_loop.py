@@ -33,7 +33,7 @@ class Loop:
         world.listen(self.ear, topics.WRENCH, lambda m: self.keep("wrench", m, "wrench"))
         world.listen(self.ear, topics.DEFLECTION, lambda m: self.keep("deflection", m, "twist"))
         self.references = world.listen(self.ear, topics.REFERENCE_TRAJECTORY)
-        self.told = world.diagnostics(self.ear)
+        self.reports = world.diagnostics(self.ear)
         self.name = namespace.rstrip("/") + "/"
 
     def keep(self, topic, msg, field) -> None:
@@ -85,7 +85,7 @@ def test_graph_in_one_process_gives_the_plain_loop_bit_for_bit(world, short_cell
     loop.matches(plain.result)
     expected = compensator(cell, cell.target()).revise(record_of(cell, plain.result))
     assert np.array_equal(revised.position, expected.position)
-    assert not any(level == ERROR for _, level, _ in loop.told.all)
+    assert not any(level == ERROR for _, level, _ in loop.reports.all)
 
 
 @pytest.mark.parametrize("method", ["spline", "learned"])
@@ -112,17 +112,17 @@ def test_every_method_revises_on_line_as_it_does_off_line(world, short_cell, tmp
     assert np.array_equal(next_reference.position, off_line.revise(record_of(short_cell, second.result)).position)
 
 
-def test_robot_restarted_in_mid_pass_is_told_by_the_cut_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
+def test_robot_restarted_in_mid_pass_is_reported_by_the_cut_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
     loop = Loop(world, short_cell, tmp_path)
     loop.start()
     world.until(lambda: len(loop.series["wrench"]) > 20)
     world.remove(loop.robot)
-    loop.told.until("/cutting_process", "the robot is gone in mid-pass", ERROR, deadline=3)
-    loop.told.until("/trajectory_compensator", "/tool_pose has no publisher", ERROR, deadline=3)
+    loop.reports.until("/cutting_process", "the robot is gone in mid-pass", ERROR, deadline=3)
+    loop.reports.until("/trajectory_compensator", "/tool_pose has no publisher", ERROR, deadline=3)
     loop.robot = world.add(CompliantRobot, cell=short_cell, directory=tmp_path)
     loop.robot.trigger_configure()
     loop.robot.trigger_activate()
-    loop.told.until("/cutting_process", "a new pass needs a fresh workpiece", ERROR)
+    loop.reports.until("/cutting_process", "a new pass needs a fresh workpiece", ERROR)
     loop.stop()
     loop.series = {topic: {} for topic in loop.series}
     loop.start()
@@ -130,7 +130,7 @@ def test_robot_restarted_in_mid_pass_is_told_by_the_cut_and_runs_after_a_fresh_s
     loop.matches(simulate(short_cell).result)
 
 
-def test_cut_restarted_in_mid_pass_says_so_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
+def test_cut_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
     loop = Loop(world, short_cell, tmp_path)
     loop.start()
     world.until(lambda: len(loop.series["wrench"]) > 20)
@@ -138,7 +138,7 @@ def test_cut_restarted_in_mid_pass_says_so_and_runs_after_a_fresh_start(world, s
     loop.cut = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     loop.cut.trigger_configure()
     loop.cut.trigger_activate()
-    loop.told.until("/compliant_robot", "the cutting process is gone", ERROR, deadline=20.0)
+    loop.reports.until("/compliant_robot", "the cutting process is gone", ERROR, deadline=20.0)
     loop.stop()
     loop.series = {topic: {} for topic in loop.series}
     loop.start()

@@ -15,7 +15,8 @@ pytest.importorskip("rclpy")
 
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.live.graph.processes import Child
-from kr270_milling.live.nodes.start import NODES
+from kr270_milling.live.nodes.start import NODES, start
+from kr270_milling.live.ros import spin
 
 ROOT = Path(__file__).resolve().parents[3]
 NODE = [
@@ -41,33 +42,29 @@ def started(command, environment) -> subprocess.Popen:
     return process
 
 
-@pytest.mark.parametrize(
-    "command, number, expected",
-    [(NODE, signal.SIGINT, 0), (NODE, signal.SIGTERM, 0), (COMMAND, signal.SIGINT, 130)],
-    ids=["node SIGINT", "node SIGTERM", "command SIGINT"],
-)
-def test_start_that_is_interrupted_ends_at_once_and_quietly(ros_environment, command, number, expected):
+@pytest.mark.parametrize("command, expected", [(NODE, 0), (COMMAND, 130)], ids=["node", "command"])
+def test_start_that_is_interrupted_ends_at_once_and_quietly(ros_environment, command, expected):
     whole = time.monotonic()
     process = started(command, ros_environment)
     imports = time.monotonic() - whole  # grows with the load of the machine, as the rest of the imports does
-    for start in range(STARTS):
-        if start:
+    for turn in range(STARTS):
+        if turn:
             process = started(command, ros_environment)
-        time.sleep(2 * imports * start / STARTS)
-        process.send_signal(number)
-        _, told = process.communicate(timeout=30)
-        assert "Traceback" not in told and "ignored" not in told
-        assert process.returncode == expected, told
+        time.sleep(2 * imports * turn / STARTS)
+        process.send_signal(signal.SIGTERM if command is NODE and turn == 1 else signal.SIGINT)
+        _, errors = process.communicate(timeout=30)
+        assert "Traceback" not in errors and "ignored" not in errors
+        assert process.returncode == expected, errors
 
 
 def test_node_that_a_run_starts_and_interrupts_at_any_time_ends_quietly(ros_environment, tmp_path):
-    """Also while Python itself starts, which has no handlers yet."""
+    """A signal may arrive while Python itself starts, which has no handlers yet."""
     names = [name for name in NODES if name != "player"]
-    for start in range(2 * STARTS):
-        (tmp_path / str(start)).mkdir()
-        child = Child((names[start % len(names)],), ["--ros-args"], tmp_path / str(start))
-        time.sleep(0.008 * start)
-        child.signal((signal.SIGINT, signal.SIGTERM)[start % 2])
+    for turn in range(STARTS + 1):
+        (tmp_path / str(turn)).mkdir()
+        child = Child((names[turn % len(names)],), ["--ros-args"], tmp_path / str(turn))
+        time.sleep(0.012 * turn)
+        child.signal((signal.SIGINT, signal.SIGTERM)[turn % 2])
         assert child.process.wait(30) == 0
         assert child.log.read_text() == ""
 
@@ -87,42 +84,52 @@ def test_node_in_the_background_of_a_script_obeys_sigterm(ros_environment, tmp_p
     "program, words",
     [("compliant_robot", ["-p", "x"]), ("milling_cell", ["--params-file", "nowhere.yaml"]), ("player", ["--unknown"])],
 )
-def test_arguments_that_ros_refuses_are_told_in_a_sentence(ros_environment, program, words):
-    command = [sys.executable, "-m", "kr270_milling.live.nodes", program, "--ros-args", *words]
-    ended = subprocess.run(command, cwd=ROOT, env=ros_environment, capture_output=True, text=True, timeout=60)
-    assert ended.returncode == 2
-    assert "Traceback" not in ended.stderr
-    last = ended.stderr.splitlines()[-1]
+def test_arguments_that_ros_refuses_end_with_a_sentence(monkeypatch, capfd, program, words):
+    assert started_here(monkeypatch, program, "--ros-args", *words) == 2
+    errors = capfd.readouterr().err
+    assert "Traceback" not in errors
+    last = errors.splitlines()[-1]
     assert last.startswith(f"{program}: ") and words[-1] in last
 
 
-@pytest.mark.parametrize(
-    "node, number", [("trajectory_compensator", signal.SIGINT), ("cutting_process", signal.SIGTERM)]
-)
-def test_node_by_hand_ends_with_0_on_a_signal(ros_environment, tmp_path, node, number):
-    command = [sys.executable, "-m", "kr270_milling.live.nodes", node, "--ros-args", "--params-file"]
+@pytest.mark.parametrize("names", [["spindle"], ["player"], ["recorder", "recorder"]])
+def test_a_node_that_does_not_exist_or_is_named_twice_is_refused(monkeypatch, capsys, names):
+    assert started_here(monkeypatch, "milling_cell", *names) == 2
+    assert names[0] in (errors := capsys.readouterr().err) or "named once" in errors
+
+
+def started_here(monkeypatch, program: str, *words: str) -> int:
+    """The exit code of a program whose arguments are refused, in this process."""
+    monkeypatch.setattr(sys, "argv", [program, *words])
+    monkeypatch.setattr(spin, "end_process", sys.exit)
+    monkeypatch.setattr(spin, "use_batch_scheduling", lambda: None)
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with pytest.raises(SystemExit) as ended:
+            start(program)
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+    return ended.value.code
+
+
+def test_node_by_hand_ends_with_0_on_a_signal(ros_environment, tmp_path):
+    command = [sys.executable, "-m", "kr270_milling.live.nodes", "trajectory_compensator", "--ros-args"]
+    command += ["--params-file", str(find_file("paper.yaml"))]
     log = tmp_path / "log"
-    command.append(str(find_file("paper.yaml")))
     with open(log, "w") as stream, running(command, ros_environment, stderr=stream) as process:
         while "]: " not in log.read_text():
             assert process.poll() is None
             time.sleep(0.02)
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         assert process.wait(30) == 0
     assert "Traceback" not in log.read_text()
 
 
-BAD = [
-    ("tool.diameter_mm:=-1.0", "tool.diameter_mm"),
-    ("path.start_mm:=[0.0]", "path.start_mm"),
-]
-
-
-@pytest.mark.parametrize("assignment, key", BAD)
-def test_bad_parameter_ends_a_node_with_2_and_one_sentence(ros_environment, assignment, key):
+def test_bad_parameter_ends_a_node_with_2_and_one_sentence(ros_environment):
     command = [sys.executable, "-m", "kr270_milling.live.nodes", "cutting_process", "--ros-args"]
-    arguments = ["--params-file", str(find_file("paper.yaml")), "-p", assignment]
+    arguments = ["--params-file", str(find_file("paper.yaml")), "-p", "tool.diameter_mm:=-1.0"]
     ran = subprocess.run([*command, *arguments], env=ros_environment, capture_output=True, text=True, timeout=30)
     assert ran.returncode == 2
-    told = [line for line in ran.stderr.splitlines() if line.strip()]
-    assert len(told) == 1 and key in told[0]
+    lines = [line for line in ran.stderr.splitlines() if line.strip()]
+    assert len(lines) == 1 and "tool.diameter_mm" in lines[0]

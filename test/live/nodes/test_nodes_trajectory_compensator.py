@@ -20,7 +20,7 @@ NAME = "/trajectory_compensator"
 
 
 class Cell:
-    """A machine that publishes poses and wrenches of passes; nobody knows whether it is a real one."""
+    """A machine that publishes poses and wrenches of passes; it may be a real machine."""
 
     def __init__(self, world):
         self.world, self.node = world, world.partner()
@@ -28,7 +28,7 @@ class Cell:
         self.wrench = self.node.create_publisher(*topics.WRENCH)
         self.references = world.listen(self.node, topics.REFERENCE_TRAJECTORY)
         self.joints = world.listen(self.node, topics.JOINT_TRAJECTORY)
-        self.told = world.diagnostics(self.node)
+        self.reports = world.diagnostics(self.node)
         world.until(lambda: self.pose.get_subscription_count() and self.wrench.get_subscription_count())
         world.until(lambda: self.references)
 
@@ -122,12 +122,12 @@ def test_value_that_is_not_finite_is_refused_at_once(machine, ran, what):
         machine.pose.publish(pose_msg(int(ran.time_ns[5]), bad[:3], np.array([1.0, 0, 0, 0])))
     else:
         machine.wrench.publish(wrench_msg(int(ran.time_ns[5]), bad))
-    machine.told.until(NAME, "not finite", ERROR)
+    machine.reports.until(NAME, "not finite", ERROR)
     machine.play(ran, range(5, ran.time_ns.size))
     machine.reference(1)
 
 
-def test_vanished_publisher_of_poses_is_told_in_mid_pass(machine, ran, world):
+def test_vanished_publisher_of_poses_is_reported_in_mid_pass(machine, ran, world):
     watcher = world.diagnostics(world.partner("watcher"))
     machine.play(ran, range(20))
     world.step(0.1)
@@ -135,7 +135,7 @@ def test_vanished_publisher_of_poses_is_told_in_mid_pass(machine, ran, world):
     watcher.until(NAME, "the pass broke off", ERROR, deadline=1.5)
 
 
-def test_poses_that_stay_away_in_mid_pass_are_told_and_may_come_again(machine, ran, world):
+def test_missing_poses_in_mid_pass_are_reported_and_may_resume(machine, ran, world):
     watcher = world.diagnostics(world.partner("watcher"))
     machine.play(ran, range(20))
     watcher.until(NAME, "no tool_pose for 2.6 s in mid-pass", WARN, deadline=3.2)
@@ -154,7 +154,7 @@ def test_target_out_of_reach_is_refused_in_a_sentence(machine, short_cell):
     publisher = machine.node.create_publisher(*topics.TARGET_TRAJECTORY)
     target = short_cell.target()
     publisher.publish(messages.to_msg(target.with_position(target.position + [0.0, 0.0, 9.0])))
-    machine.told.until(NAME, "reach", ERROR)
+    machine.reports.until(NAME, "reach", ERROR)
     machine.world.step(0.2)
     assert len(machine.references) == 1
 
@@ -175,7 +175,7 @@ def reset(machine):
 
 def test_refused_target_leaves_the_one_before_in_its_place(machine, node, ran, short_cell):
     machine.node.create_publisher(*topics.TARGET_TRAJECTORY).publish(raised(short_cell))
-    machine.told.until(NAME, "reach", ERROR)
+    machine.reports.until(NAME, "reach", ERROR)
     machine.play(ran, range(ran.time_ns.size), wrench=False)
     expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
     assert np.array_equal(machine.reference(1).position, expected.position)
@@ -186,10 +186,10 @@ def test_refused_target_leaves_the_one_before_in_its_place(machine, node, ran, s
 def test_first_target_that_is_refused_leaves_the_node_waiting_for_another(world, short_cell, tmp_path):
     node = world.add(TrajectoryCompensator, "-p", "use_cell_path:=false", cell=short_cell, directory=tmp_path)
     partner = world.partner()
-    told, references = world.diagnostics(partner), world.listen(partner, topics.REFERENCE_TRAJECTORY)
+    reports, references = world.diagnostics(partner), world.listen(partner, topics.REFERENCE_TRAJECTORY)
     publisher = partner.create_publisher(*topics.TARGET_TRAJECTORY)
     publisher.publish(raised(short_cell))
-    told.until(NAME, "reach", ERROR)
+    reports.until(NAME, "reach", ERROR)
     world.step(0.3)
     assert node.failure is None and not references
     publisher.publish(messages.to_msg(short_cell.target()))
@@ -216,11 +216,11 @@ def test_reset_and_method_that_are_refused_are_answered_with_the_sentence(machin
     assert reset(machine).success
 
 
-def test_pass_whose_revision_is_refused_is_told_once_and_the_next_one_counts(machine, node, ran, short_cell):
+def test_pass_whose_revision_is_refused_is_reported_once_and_the_next_pass_counts(machine, node, ran, short_cell):
     with pytest.MonkeyPatch.context() as patch:
         out_of_reach(patch)
         machine.play(ran, range(ran.time_ns.size))
-        machine.told.until(NAME, "would be 3.0000 m", ERROR)
+        machine.reports.until(NAME, "would be 3.0000 m", ERROR)
         machine.world.step(0.7)
     assert node.refused == 1 and node.protocol.compensator.errors == ()
     machine.play(ran, range(ran.time_ns.size))
@@ -239,7 +239,7 @@ def test_method_can_be_changed_but_only_to_one_that_exists(machine, node):
     refused = node.set_parameters([Parameter("compensation.method", value="magic")])[0]
     assert not refused.successful and "linear" in refused.reason
     assert node.set_parameters([Parameter("compensation.method", value="spline")])[0].successful
-    machine.world.until(lambda: machine.told.last.get(NAME, {}).get("method") == "spline")
+    machine.world.until(lambda: machine.reports.last.get(NAME, {}).get("method") == "spline")
 
 
 def test_every_other_parameter_is_read_only_and_described_with_its_range(node):

@@ -16,9 +16,11 @@ from player_listener import FIRST, Listener, options
 from ros_domain import environment_of_processes
 
 from kr270_milling.base.errors import InputError, RecordingError
+from kr270_milling.cli import main
 from kr270_milling.recordings.bag.play_options import PlayOptions
 from kr270_milling.recordings.bag.playback import PlayClock, opening, passage, span
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.writer import BagWriter
 
 pytestmark = made.needs_messages
 needs_ros = pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed")
@@ -52,11 +54,11 @@ def test_senseless_options_are_refused(words):
 @pytest.mark.parametrize("seconds", [1e300, 1e10, -1.0, float("nan")])
 @pytest.mark.parametrize("name", ["start_offset", "playback_duration"])
 def test_a_time_that_no_recording_has_is_refused_in_one_sentence(bag, name, seconds):
-    with Recording(bag) as recording, pytest.raises(InputError, match=f"--{name.replace('_', '-')}: .* is no time"):
+    with Recording(bag) as recording, pytest.raises(InputError, match=f"--{name.replace('_', '-')}: .* is not a time"):
         span(recording, PlayOptions(bag, **{name: seconds}))
 
 
-def test_the_clock_of_a_playback_runs_at_its_rate_and_stands_while_paused():
+def test_the_clock_of_a_playback_runs_at_its_rate_and_stops_while_paused():
     clock = PlayClock(5, 2.0, 100.0)
     assert (clock.position(99.0), clock.position(100.0), clock.position(101.5)) == (5, 5, 5 + 3 * 10**9)
     clock.pause(101.0)
@@ -79,54 +81,54 @@ def of_topic(pairs, topic: str) -> list[bytes]:
 
 def test_everything_is_played_once_in_the_order_of_the_recording(bag):
     """The revised reference, stamped 0 as every "start at once", comes behind the pass that it was revised from."""
-    found = [(m.topic, m.data) for m in played(bag)]
-    assert found == made.raw(bag)
-    assert {topic for topic, _ in found[: len(FIRST)]} == set(FIRST)
-    last_pose = max(i for i, (topic, _) in enumerate(found) if topic == "/tool_pose")
-    assert [found[i][0] in FIRST for i in range(len(FIRST), last_pose)] == [False] * (last_pose - len(FIRST))
-    assert {topic for topic, _ in found[last_pose:]} >= set(FIRST)
+    messages = [(m.topic, m.data) for m in played(bag)]
+    assert messages == made.raw(bag)
+    assert {topic for topic, _ in messages[: len(FIRST)]} == set(FIRST)
+    last_pose = max(i for i, (topic, _) in enumerate(messages) if topic == "/tool_pose")
+    assert [messages[i][0] in FIRST for i in range(len(FIRST), last_pose)] == [False] * (last_pose - len(FIRST))
+    assert {topic for topic, _ in messages[last_pose:]} >= set(FIRST)
 
 
 def test_latched_messages_come_first_where_several_stand_at_the_first_moment(tmp_path):
     *latched, pose = made.one_pass()[: len(FIRST) + 1]
     rest = made.one_pass()[len(FIRST) + 1 :]
     assert (pose.topic, pose.stamp) == ("tool_pose", 0)
-    found = played(made.write(tmp_path / "r", [pose, *latched, *rest]))
-    assert [m.topic for m in found[: len(FIRST) + 1]] == [*FIRST, "/tool_pose"]
+    messages = played(made.write(tmp_path / "r", [pose, *latched, *rest]))
+    assert [m.topic for m in messages[: len(FIRST) + 1]] == [*FIRST, "/tool_pose"]
 
 
 def test_with_an_offset_the_last_latched_messages_from_before_come_first(bag):
-    found = played(bag, "--start-offset", "0.03")
+    messages = played(bag, "--start-offset", "0.03")
     recorded = made.raw(bag)
     before = {topic: of_topic(recorded, topic)[0] for topic in FIRST}  # the others are revised from this pass
-    assert {m.topic: m.data for m in found[: len(FIRST)]} == before
-    assert all(m.log_time >= END // 2 for m in found[len(FIRST) :]) and found[len(FIRST)].log_time == END // 2
+    assert {m.topic: m.data for m in messages[: len(FIRST)]} == before
+    assert all(m.log_time >= END // 2 for m in messages[len(FIRST) :]) and messages[len(FIRST)].log_time == END // 2
     behind = played(bag, "--start-offset", "0.061")
     assert {m.topic: m.data for m in behind if m.topic in FIRST} == {t: of_topic(recorded, t)[-1] for t in FIRST}
 
 
 def test_the_duration_ends_a_playback(bag):
-    found = played(bag, "--start-offset", "0.03", "--playback-duration", "0.01", "--topics", "/wrench")
-    assert [m.log_time for m in found] == list(range(30_000_000, 40_000_001, 500_000))
+    messages = played(bag, "--start-offset", "0.03", "--playback-duration", "0.01", "--topics", "/wrench")
+    assert [m.log_time for m in messages] == list(range(30_000_000, 40_000_001, 500_000))
 
 
 @needs_ros
 def test_messages_arrive_byte_by_byte_and_in_their_order(bag, domain):
     with Listener(domain, bag) as graph:
-        heard = graph.play()
+        received = graph.play()
     for topic in ("/tool_pose", "/wrench"):
-        assert of_topic(heard, topic) == of_topic(made.raw(bag), topic)
+        assert of_topic(received, topic) == of_topic(made.raw(bag), topic)
     for topic in FIRST:
-        assert of_topic(heard, topic)[-1] == of_topic(made.raw(bag), topic)[-1]
+        assert of_topic(received, topic)[-1] == of_topic(made.raw(bag), topic)[-1]
 
 
 @needs_ros
 def test_latched_messages_arrive_whatever_the_offset(bag, domain):
-    with Listener(domain, bag, ["--start-offset", "0.05", "--rate", "0.05"]) as graph:  # only the last one is kept
-        heard = graph.play()
+    with Listener(domain, bag, ["--start-offset", "0.05", "--rate", "0.05"]) as graph:  # only the last message remains
+        received = graph.play()
     recorded = made.raw(bag)
-    assert [of_topic(heard, t) for t in FIRST] == [of_topic(recorded, t) for t in FIRST]
-    assert of_topic(heard, "/wrench") == of_topic(recorded, "/wrench")[100:]
+    assert [of_topic(received, t) for t in FIRST] == [of_topic(recorded, t) for t in FIRST]
+    assert of_topic(received, "/wrench") == of_topic(recorded, "/wrench")[100:]
 
 
 @needs_ros
@@ -152,10 +154,10 @@ def test_a_loop_begins_again(bag, domain):
     with Listener(domain, bag, ["--loop", "--topics", "/wrench"], names=("/wrench",)) as graph:
         graph.resume()
         graph.until(lambda: len(graph.messages) >= 300)
-        heard = of_topic(graph.messages, "/wrench")
+        received = of_topic(graph.messages, "/wrench")
         assert not graph.player.done
     once = of_topic(made.raw(bag), "/wrench")
-    assert heard[:300] == (once * 3)[:300]
+    assert received[:300] == (once * 3)[:300]
 
 
 @needs_ros
@@ -168,13 +170,13 @@ def test_nothing_is_played_before_the_service_resumes(bag, domain):
 
 
 @needs_ros
-def test_the_clock_is_told_on_demand(bag, domain):
+def test_the_clock_is_published_on_demand(bag, domain):
     from rclpy.serialization import deserialize_message
     from rosgraph_msgs.msg import Clock
 
     with Listener(domain, bag, ["--clock", "100", "--rate", "0.1", "--topics", "/wrench"], names=("/clock",)) as graph:
-        heard = [deserialize_message(data, Clock).clock for _, data in graph.play()]
-    stamps = [c.sec * 10**9 + c.nanosec for c in heard]
+        received = [deserialize_message(data, Clock).clock for _, data in graph.play()]
+    stamps = [c.sec * 10**9 + c.nanosec for c in received]
     assert stamps == sorted(stamps) and 20 < len(stamps) < 70 and max(stamps) <= END
 
 
@@ -210,18 +212,85 @@ def test_a_signal_ends_the_process_with_exit_code_0(bag, domain, tmp_path):
 
 
 @needs_ros
-def test_a_playback_ends_by_itself_and_an_unusable_file_ends_with_2(bag, domain, tmp_path):
-    environment = environment_of_processes(domain, ROS_LOG_DIR=str(tmp_path))
-    player = [sys.executable, "-m", "kr270_milling.live.nodes", "player"]
-    done = subprocess.run([*player, str(bag)], env=environment, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0 and f"{len(made.one_pass())} messages played" in done.stderr
-    done = subprocess.run([*player, "nowhere.mcap"], env=environment, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "nowhere.mcap" in done.stderr
+def test_a_playback_ends_by_itself_and_an_unusable_file_ends_with_2(bag, ros_environment, capfd):
+    assert main(["replay", str(bag)]) == 0
+    assert f"{len(made.one_pass())} messages played" in capfd.readouterr().err
+    assert main(["replay", "nowhere.mcap"]) == 2
+    errors = capfd.readouterr().err
+    assert errors.count("\n") == 1 and "nowhere.mcap" in errors
 
 
 @needs_ros
-def test_replay_tells_as_json_how_much_it_played(bag, domain, tmp_path):
-    environment = environment_of_processes(domain, ROS_LOG_DIR=str(tmp_path))
-    command = [sys.executable, "-m", "kr270_milling.cli", "replay", str(bag), "--topics", "/wrench", "--json"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
-    assert json.loads(done.stdout) == {"file": str(bag), "messages": 121, "exit_code": 0}
+def test_replay_reports_as_json_how_much_it_played(bag, ros_environment, capfd):
+    assert main(["replay", str(bag), "--topics", "/wrench", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out) == {"file": str(bag), "messages": 121, "exit_code": 0}
+
+
+# --- files that are damaged, or that another program wrote: a sentence or a warning, and an end ---
+
+
+@pytest.fixture
+def play(ros_environment, monkeypatch, capfd):
+    """Run the player in this process to its end; return its exit code and its messages on standard error."""
+    play_here = pytest.importorskip("kr270_milling.live.nodes.player", exc_type=ImportError).play
+    monkeypatch.setattr("sys.argv", ["player"])
+
+    def run(*words) -> tuple[int, str]:
+        code, _ = play_here(options(*map(str, words)), [])
+        return code, capfd.readouterr().err
+
+    return run
+
+
+def damaged(directory, begin: int):
+    """A recording with a byte of its fourth chunk changed, well behind its begin [ns]."""
+    messages = [m for m in made.one_pass() if m.topic == "wrench"]
+    with BagWriter(directory) as bag:
+        bag.add_topic("/wrench", made.WRENCH)
+        for number, message in enumerate(messages):
+            bag.write("/wrench", message.data, begin + number, begin + number * 500_000)
+            if number % 10 == 9:
+                bag.flush()
+    bag = directory
+    with Recording(bag) as recording:
+        chunk, path = recording.chunks[3], recording.path
+    data = bytearray(path.read_bytes())
+    data[chunk.offset + chunk.size // 2] ^= 1
+    path.write_bytes(data)
+    return bag
+
+
+@pytest.mark.parametrize("words", [(), ("--loop",)])
+def test_damaged_recording_ends_with_a_sentence_and_1_where_it_is_met(play, tmp_path, words):
+    code, errors = play(damaged(tmp_path / "r", 10**18), *words)
+    assert code == 1 and "Traceback" not in errors
+    assert errors.splitlines()[-1].startswith("player: ") and "r.mcap" in errors.splitlines()[-1]
+
+
+def test_damaged_recording_that_may_hold_several_passes_is_refused_before_it_is_played(play, tmp_path):
+    """Where they begin is looked for in the whole file."""
+    code, errors = play(damaged(tmp_path / "r", 0))
+    assert code == 2 and "Traceback" not in errors
+    assert "r.mcap" in errors.splitlines()[-1] and "recover" in errors.splitlines()[-1]
+
+
+def test_names_and_types_that_ros_has_not_are_skipped_with_a_warning(play, tmp_path):
+    wrench = next(m for m in made.one_pass() if m.topic == "wrench")
+    foreign = {"/cam-front/x": made.WRENCH, "/a//b": made.WRENCH, "/{c}": made.WRENCH, "/d": "/msg/X",
+               "/e": "antigravity/msg/X", "/f": "std_msgs.msg/msg/String", "/g": "std_msgs/msg/Nothing"}  # fmt: skip
+    with BagWriter(tmp_path / "r") as writer:
+        for topic, kind in foreign.items():
+            writer.add_channel(topic, (kind, "ros2msg", b"int8 x"), "cdr", {})
+            writer.write(topic, wrench.data, 10**9)
+        writer.add_topic("/wrench", made.WRENCH)
+        writer.write("/wrench", wrench.data, 10**9)
+    code, errors = play(tmp_path / "r")
+    assert code == 0 and "Traceback" not in errors
+    assert "1 messages played" in errors
+    assert all(f"{topic} is not played: " in errors for topic in foreign)
+
+
+def test_clock_that_is_published_all_the_time_does_not_stop_the_playback(play, tmp_path):
+    code, errors = play(made.write(tmp_path / "r", made.one_pass()), "--clock", "1e6", "--rate", "1e-3",
+                "--playback-duration", "0.0005", "--topics", "/wrench")  # fmt: skip
+    assert code == 0, errors

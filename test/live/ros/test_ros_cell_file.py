@@ -11,11 +11,11 @@ from kr270_milling.live.graph.processes import cell_text, write_cell_file
 
 
 def values(record: Record) -> list:
-    found = []
+    result = []
     for spec in specs(type(record)):
         value = getattr(record, spec.name)
-        found += values(value) if isinstance(value, Record) else [(spec.key, value)]
-    return found
+        result += values(value) if isinstance(value, Record) else [(spec.key, value)]
+    return result
 
 
 SETS = [(), ("tool.diameter_mm=12.7", "path.feed_rate_m_per_min=3.3", "mount.abc_deg=[0.1,89.9,0.7]")]
@@ -31,7 +31,7 @@ def test_cell_file_gives_the_same_numbers_bit_for_bit(tmp_path, assignments):
         assert np.array_equal(before, after, equal_nan=missing), key
 
 
-def test_cell_file_stands_alone_and_has_no_empty_list():
+def test_cell_file_needs_no_other_file_and_has_no_empty_list():
     tree = yaml.safe_load(cell_text(read_cell(find_file("paper.yaml"))))["/**"]["ros__parameters"]
     assert "includes" not in tree
 

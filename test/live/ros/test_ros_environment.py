@@ -30,7 +30,7 @@ def test_child_finds_its_own_libraries_and_knows_its_parent(monkeypatch):
     assert environment[PARENT] == str(os.getpid())
 
 
-def test_missing_ros_is_one_sentence_that_says_how_to_install_it(tmp_path):
+def test_missing_ros_is_one_sentence_with_the_command_that_installs_it(tmp_path):
     hide = "import importlib.util as u; find = u.find_spec; u.find_spec = lambda n: None if n == 'rclpy' else find(n);"
     code = hide + "from kr270_milling.cli import main; raise SystemExit(main(['run', 'paper.yaml']))"
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)

@@ -38,26 +38,26 @@ class Failing(ManagedNode):
         raise InputError("stock", "is missed by the path")
 
 
-def test_unusable_input_is_reported_and_the_node_goes_on(world):
-    node, told = world.add(Clumsy), world.diagnostics(world.partner())
-    world.until(lambda: "/clumsy" in told.last)
+def test_unusable_input_is_reported_and_the_node_continues(world):
+    node, reports = world.add(Clumsy), world.diagnostics(world.partner())
+    world.until(lambda: "/clumsy" in reports.last)
     node.refuse()
-    told.until("/clumsy", "of no use", ERROR)
+    reports.until("/clumsy", "of no use", ERROR)
     assert node.failure is None and node.refused == 1
 
 
-def test_mistake_in_a_callback_is_told_and_ends_the_node(world):
+def test_mistake_in_a_callback_is_reported_and_ends_the_node(world):
     node = world.add(Clumsy)
     node.stumble()
     assert node.failure == "ZeroDivisionError in stumble: a mistake"
 
 
-def test_failed_transition_tells_why_and_can_be_tried_again(world):
-    node, told = world.add(Failing), world.diagnostics(world.partner())
-    world.until(lambda: "/failing" in told.last)
+def test_failed_transition_is_reported_with_its_reason_and_can_be_repeated(world):
+    node, reports = world.add(Failing), world.diagnostics(world.partner())
+    world.until(lambda: "/failing" in reports.last)
     for _ in range(2):
         node.trigger_configure()
-        told.until("/failing", "is missed by the path", ERROR)
+        reports.until("/failing", "is missed by the path", ERROR)
     assert not node.active
 
 
@@ -70,15 +70,15 @@ def test_names_can_be_remapped(world, short_cell, tmp_path):
     world.until(lambda: "knife" in partner.get_node_names())
 
 
-def test_test_runs_side_by_side_have_different_domains_and_do_not_hear_each_other(world, domain, ros_environment):
+def test_two_test_runs_have_different_domains_and_exchange_no_messages(world, domain, ros_environment):
     publisher = world.partner().create_publisher(*topics.WRENCH)
     code = (
         "import sys; sys.path.insert(0, 'test'); import conftest, ros_domain\n"
-        "held = ros_domain.own_domain(); number = held.__enter__()\n"
+        "turn = ros_domain.own_domain(); number = turn.__enter__()\n"
         "from kr270_milling.live.ros import topics\n"
         "world = conftest.World(number); node = world.partner()\n"
-        "heard = world.listen(node, topics.WRENCH); world.step(1.5)\n"
-        "print(number, len(heard), node.count_publishers('wrench'))\n"
+        "messages = world.listen(node, topics.WRENCH); world.step(1.5)\n"
+        "print(number, len(messages), node.count_publishers('wrench'))\n"
         "world.close()\n"
     )
     command = [sys.executable, "-c", code]
@@ -86,8 +86,8 @@ def test_test_runs_side_by_side_have_different_domains_and_do_not_hear_each_othe
         while other.poll() is None:
             publisher.publish(wrench_msg(0, [0.0] * 6))
             world.step(0.02)
-        number, heard, publishers = map(int, other.stdout.read().split())
-    assert number != domain and heard == publishers == 0
+        number, messages, publishers = map(int, other.stdout.read().split())
+    assert number != domain and messages == publishers == 0
 
 
 def test_autostart_is_described_and_cannot_be_set_later_and_a_status_names_its_hardware(world, short_cell, tmp_path):
@@ -96,6 +96,6 @@ def test_autostart_is_described_and_cannot_be_set_later_and_a_status_names_its_h
     node = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
     assert node.describe_parameter("autostart").description and node.describe_parameter("autostart").read_only
     assert not node.set_parameters([Parameter("autostart", value=True)])[0].successful
-    heard = world.listen(world.partner(), topics.DIAGNOSTICS)
-    world.until(lambda: heard)
-    assert heard[0].status[0].hardware_id
+    messages = world.listen(world.partner(), topics.DIAGNOSTICS)
+    world.until(lambda: messages)
+    assert messages[0].status[0].hardware_id

@@ -1,4 +1,4 @@
-"""The live view without ROS: events from messages, and the page in a real browser while they come."""
+"""The live view without ROS: events from messages, and the page in a browser while events arrive."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import json
 import numpy as np
 import pass_recording as made
 import pytest
-from browser import Visit, browser
+from browser import Visit
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.live.watch.feed import PERIOD_NS, LiveEvents
@@ -22,21 +22,21 @@ pytestmark = made.needs_messages
 
 def events_of(messages) -> list[dict]:
     feed = LiveEvents()
-    return [event for m in messages for event in feed.events(m.topic, m.data) if m.topic in HEARD]
+    return [event for m in messages for event in feed.events(m.topic, m.data) if m.topic in RECEIVED]
 
 
-HEARD = ("reference_trajectory", "target_trajectory", "tool_pose", "wrench")
+RECEIVED = ("reference_trajectory", "target_trajectory", "tool_pose", "wrench")
 
 
-def heard(messages):
-    return [m for m in messages if m.topic in HEARD]
+def received(messages):
+    return [m for m in messages if m.topic in RECEIVED]
 
 
-def test_samples_are_thinned_and_tell_what_the_messages_say():
-    messages = heard(made.one_pass())
-    found = events_of(messages)
-    assert [e["kind"] for e in found].count("pass") == 1 and found[0]["kind"] == "pass"
-    samples = [e for e in found if e["kind"] == "sample"]
+def test_samples_are_thinned_and_equal_the_messages():
+    messages = received(made.one_pass())
+    events = events_of(messages)
+    assert [e["kind"] for e in events].count("pass") == 1 and events[0]["kind"] == "pass"
+    samples = [e for e in events if e["kind"] == "sample"]
     stamps = np.array([e["t"] for e in samples])
     assert np.all(np.diff(stamps) > 0.99e-9 * PERIOD_NS)
     poses = {m.stamp: from_bytes("geometry_msgs/msg/PoseStamped", m.data) for m in messages if m.topic == "tool_pose"}
@@ -50,8 +50,8 @@ def test_samples_are_thinned_and_tell_what_the_messages_say():
         assert sample["x"] == pytest.approx(1e3 * target[0], abs=1e-3)
 
 
-def test_a_second_pass_is_told_and_states_only_when_they_change():
-    messages = heard(made.one_pass(passes=2))
+def test_a_second_pass_is_an_event_and_states_only_when_they_change():
+    messages = received(made.one_pass(passes=2))
     assert [e["number"] for e in events_of(messages) if e["kind"] == "pass"] == [1, 2]
     feed = LiveEvents()
     status = {"level": 1, "name": "/robot", "message": "slow"}
@@ -87,46 +87,45 @@ def test_only_two_places_can_be_read_and_only_under_the_name_of_this_host(served
     assert answer(port, "/", f"127.0.0.1:{port}", "POST")[0] == 501
 
 
-def test_a_port_that_is_taken_is_said(served):
+def test_a_port_that_is_in_use_is_refused(served):
     with pytest.raises(InputError, match="cannot be served"):
-        serve(Events(), "127.0.0.1", served[1])
+        serve(Events(), "a page", "127.0.0.1", served[1])
 
 
-def test_who_comes_late_gets_everything_and_the_stream_ends_with_the_graph(served):
+def test_a_late_page_receives_all_events_and_the_stream_ends_with_the_graph(served):
     events, port = served
-    told = [{"kind": "pass", "number": 1, "duration_s": None}, {"kind": "end"}]
-    for event in told:
+    sent = [{"kind": "pass", "number": 1, "duration_s": None}, {"kind": "end"}]
+    for event in sent:
         events.add(event)
     _, body = answer(port, "/events", f"127.0.0.1:{port}")
     rows = [json.loads(line[6:]) for line in body.splitlines() if line.startswith("data: ")]
-    assert rows == told
+    assert rows == sent
 
 
-def test_the_page_grows_while_events_come_and_says_when_the_graph_is_closed(served):
+def test_the_page_grows_while_events_come_and_reports_the_end_of_the_graph(served, browser):
     events, port = served
-    found = events_of(heard(made.one_pass(passes=2)))
-    with browser() as running:
-        wide = Visit(running, f"http://127.0.0.1:{port}/")
-        phone = Visit(running, f"http://127.0.0.1:{port}/", 390, dark=True, touch=True)
-        half = len(found) // 2
-        samples = [sum(e["kind"] == "sample" for e in part) for part in (found[:half], found)]
-        for part, count in zip((found[:half], found[half:]), samples, strict=True):
-            for event in part:
-                events.add(event)
-            for visit in (wide, phone):
-                visit.page.wait_for_function("(n) => KR.watch.samples === n", arg=count)
-        events.add({"kind": "end"})
+    events_sent = events_of(received(made.one_pass(passes=2)))
+    wide = Visit(browser, f"http://127.0.0.1:{port}/")
+    phone = Visit(browser, f"http://127.0.0.1:{port}/", 390, dark=True, touch=True)
+    half = len(events_sent) // 2
+    samples = [sum(e["kind"] == "sample" for e in part) for part in (events_sent[:half], events_sent)]
+    for part, count in zip((events_sent[:half], events_sent[half:]), samples, strict=True):
+        for event in part:
+            events.add(event)
         for visit in (wide, phone):
-            visit.page.wait_for_function("KR.watch.ended")
-            drawn = visit.ask("() => document.getElementById('live_series').data.map((t) => t.y.length)")
-            assert len(drawn) == 6 and sum(drawn) == 3 * samples[1]  # two passes, three rows
-            assert visit.ask("() => document.getElementById('live_map').data[0].x.length") == drawn[3]
-            seen = visit.ask(
-                """() => { const gd = document.getElementById('live_map'), x = gd.data[0].x, a = gd._fullLayout.xaxis;
-                           return [Math.min(...x) - a.range[0], a.range[1] - Math.max(...x), a._length]; }"""
-            )
-            assert min(seen[:2]) > 0 and seen[2] > 100, "the path is on the map"
-            assert "closed" in visit.page.locator("#now").inner_text()
-            assert visit.settled_overhang() <= 0.5 and visit.complaints == []
-            assert {url.rsplit("/", 1)[1] for url in visit.requests if not url.startswith("data:")} == {"", "events"}
-            visit.close()
+            visit.page.wait_for_function("(n) => KR.watch.samples === n", arg=count)
+    events.add({"kind": "end"})
+    for visit in (wide, phone):
+        visit.page.wait_for_function("KR.watch.ended")
+        drawn = visit.ask("() => document.getElementById('live_series').data.map((t) => t.y.length)")
+        assert len(drawn) == 6 and sum(drawn) == 3 * samples[1]  # two passes, three rows
+        assert visit.ask("() => document.getElementById('live_map').data[0].x.length") == drawn[3]
+        margins = visit.ask(
+            """() => { const gd = document.getElementById('live_map'), x = gd.data[0].x, a = gd._fullLayout.xaxis;
+                       return [Math.min(...x) - a.range[0], a.range[1] - Math.max(...x), a._length]; }"""
+        )
+        assert min(margins[:2]) > 0 and margins[2] > 100, "the path is on the map"
+        assert "closed" in visit.page.locator("#now").inner_text()
+        assert visit.settled_overhang() <= 0.5 and visit.complaints == []
+        assert {url.rsplit("/", 1)[1] for url in visit.requests if not url.startswith("data:")} == {"", "events"}
+        visit.close()

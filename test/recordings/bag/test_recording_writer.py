@@ -28,7 +28,7 @@ ROOT = str(Path(__file__).parents[3])
 
 def child(code: str, *args) -> subprocess.Popen:
     """Another Python process with this package and these samples on its path."""
-    env = dict(os.environ, PYTHONPATH=os.pathsep.join([ROOT, ROOT + "/test", ROOT + "/test/messages"]))
+    env = dict(os.environ, PYTHONPATH=os.pathsep.join([ROOT, ROOT + "/test", ROOT + "/test/recordings/messages"]))
     return subprocess.Popen([sys.executable, "-c", code, *map(str, args)], env=env, stdout=subprocess.PIPE, text=True)
 
 

@@ -162,7 +162,7 @@ def test_numbers_that_are_not_so_many_or_not_finite_are_refused(text):
 # --- stiffness ---
 
 
-def test_stiffness_at_the_papers_pose_says_what_is_known_of_the_arm(capsys):
+def test_stiffness_at_the_papers_pose_has_the_known_values_of_the_arm(capsys):
     """facts.md: flange, horizontal lateral compliance (x of the base), both readings of the mass."""
     result = answer(capsys, "stiffness", "kr270_2.yaml", PAPER_POSTURE)
     np.testing.assert_allclose(result["position_m"], [0, -1.6407, 0.4924], atol=5e-5)
@@ -222,7 +222,7 @@ def test_stiffness_for_people_names_arm_frame_and_units(capsys):
 # --- simulate, compensate, demo, bench ---
 
 
-def test_simulate_says_steps_time_force_area_and_scores(capsys, tmp_path):
+def test_simulate_prints_steps_time_force_area_and_scores(capsys, tmp_path):
     result = answer(capsys, "simulate", "paper.yaml", *SHORT, "--out", str(tmp_path))
     assert {"steps", "wall_s", "real_time_factor", "mean_force_n", "removed_area_mm2", "static_deviation_mm",
             "max_deviation_mm", "low_frequency_hz"} <= set(result)  # fmt: skip

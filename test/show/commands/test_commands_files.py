@@ -65,7 +65,7 @@ def test_info_counts_what_was_written(whole, capsys):
     assert "/wrench" in run(capsys, "info", whole)[1]
 
 
-def test_info_of_a_cut_off_file_says_so(cut_off, capsys):
+def test_info_of_a_cut_off_file_reports_it(cut_off, capsys):
     assert as_json(capsys, "info", cut_off)["cut_off"] is True
     assert "cut off" in run(capsys, "info", cut_off)[1]
 
@@ -81,7 +81,7 @@ def test_export_writes_tables_that_read_back_to_the_bit(whole, tmp_path, capsys)
     assert [(int(r["stamp_ns"]), float(r["force_y_n"])) for r in rows] == [(s.stamp, s.wrench[1]) for s in sent]
 
 
-def test_export_of_a_cut_off_file_says_so_and_writes_what_is_there(cut_off, tmp_path, capsys):
+def test_export_of_a_cut_off_file_reports_it_and_writes_the_rest(cut_off, tmp_path, capsys):
     code, out, _ = run(capsys, "export", cut_off, "--csv", tmp_path / "t")
     assert code == 0 and "was cut off" in out and (tmp_path / "t" / "wrench.csv").stat().st_size > 1000
 
@@ -112,10 +112,10 @@ def test_recompute_ends_with_0_when_identical_and_1_when_not(whole, tmp_path, ca
     assert (result["topic"], result["index"], result["stamp_ns"]) == ("/wrench", 60, 30_000_000)
 
 
-def test_recompute_that_cannot_go_on_ends_with_1_and_says_where(tmp_path, capsys):
+def test_recompute_that_cannot_continue_ends_with_1_and_the_place(tmp_path, capsys):
     gap = made.write(tmp_path / "r", made.changed(made.one_pass(), "wrench", 40, lambda data: None))
     code, out, _ = run(capsys, "replay", gap, "--recompute")
-    assert code == 1 and "cannot go on at 0.020000 s" in out
+    assert code == 1 and "cannot continue at 0.020000 s" in out
 
 
 def test_compensate_writes_the_trajectory_that_was_published(whole, tmp_path, capsys):

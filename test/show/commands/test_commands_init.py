@@ -1,4 +1,4 @@
-"""``init`` prints a cell that is read as it is; ``keys`` lists what the records check."""
+"""``init`` prints a cell that is read without a change; ``keys`` lists what the records check."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_a_program_with_several_tools_lists_each_refused_word_in_a_line(capsys):
     assert "cuts with 2 tools" in capsys.readouterr().err
 
 
-def test_json_carries_the_cell_and_what_the_program_says(capsys):
+def test_json_has_the_cell_and_the_words_of_the_program(capsys):
     assert main(["init", "--gcode", str(PROGRAMS / "fusion_haas.nc"), "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert yaml.safe_load(answer["cell"])["/**"]["ros__parameters"]["tool"]["diameter_mm"] == 10.0

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from krl_robot import Robot
 
+from kr270_milling.cell.cell import read_cell
 from kr270_milling.cli import main
 
 PROGRAMS = Path(__file__).parents[2] / "path" / "programs"
@@ -36,28 +37,34 @@ def drafted(capsys, directory: Path, name: str) -> Path:
 
 
 @pytest.mark.parametrize("name", DIALECTS)
-def test_the_pocket_of_each_dialect_ends_in_a_program_a_report_and_a_decision(capsys, tmp_path, name):
+def test_the_program_of_each_dialect_is_drafted_and_read_as_the_same_pocket(capsys, tmp_path, name):
+    place = 1e3 * read_cell(drafted(capsys, tmp_path, name), COARSE).target().position
+    assert_a_pocket(place, 1e-3)
+
+
+@pytest.mark.parametrize("name", ["haas.nc", "sinumerik.mpf"])
+def test_a_pocket_ends_in_a_program_a_report_and_a_decision(capsys, tmp_path, name):
     cell = drafted(capsys, tmp_path, name)
     code, text = run(capsys, "compensate", cell, "--method", "mirror", "--no-verdict", "--json", "--out",
                      tmp_path / "part", *SETS)  # fmt: skip
-    found = json.loads(text)
-    decision = found["decision"]
-    assert code == 0 and decision["may_be_run"] is True and decision["recommended_method"] == "mirror"
+    result = json.loads(text)
+    assert (
+        code == 0 and result["may_be_run"] is True and result["decision"] == "caution" and result["method"] == "mirror"
+    )
     for version in ("as_programmed", "compensated"):
-        assert {"passes_tolerance", "wall_um", "floor_um"} <= set(decision[version])
-    assert decision["compensated"]["wall_um"] < decision["as_programmed"]["wall_um"]
-    page = Path(found["report"]).read_text()
-    assert "may be run" in page and "recommended method" in page
-    folder = Path(found["programs"]["krl_spline"][0]).parent
+        assert {"passes_tolerance", "wall_um", "floor_um"} <= set(result[version])
+    assert result["compensated"]["wall_um"] < result["as_programmed"]["wall_um"]
+    page = Path(result["report"]).read_text()
+    assert '<span class="label">decision</span><strong>caution</strong>' in page
+    folder = Path(result["programs"]["krl_spline"][0]).parent
     for kind in ("ORG", "CMP"):
         robot = Robot(folder, f"MILLING_{kind}")
-        assert_a_pocket(robot, 1e3 * 100e-6 if kind == "CMP" else 1e-3)
+        assert_a_pocket(robot.column("XYZ"), 1e3 * 100e-6 if kind == "CMP" else 1e-3)
         assert_in_order(robot)
 
 
-def assert_a_pocket(robot: Robot, within: float) -> None:
+def assert_a_pocket(place: np.ndarray, within: float) -> None:
     """28 by 20 mm of tool centre path with corners of 2 mm, 1 mm deep; within [mm]."""
-    place = robot.column("XYZ")
     deep = place[place[:, 2] < -0.9]
     assert place[:, 2].min() == pytest.approx(-1.0, abs=within)
     np.testing.assert_allclose([*deep[:, :2].min(0), *deep[:, :2].max(0)], [-14, -10, 14, 10], atol=within)
@@ -71,13 +78,13 @@ def assert_in_order(robot: Robot) -> None:
     assert robot.approach[2] >= 50.0 and not any("-0.0000" in line for line in robot.steps)
 
 
-def test_check_says_of_such_a_cell_as_it_was_drafted_that_it_may_be_run(capsys, tmp_path):
+def test_check_accepts_a_drafted_cell(capsys, tmp_path):
     cell = drafted(capsys, tmp_path, "mastercam_fanuc.nc")
     code, text = run(capsys, "check", cell, "--json", *SETS)
-    found = json.loads(text)
-    assert code == 0 and found["may_be_run"] is True
-    assert {row["word"]: row["count"] for row in found["read_over"]}["G43 H1"] == 1
-    for finding in found["findings"]:
+    result = json.loads(text)
+    assert code == 0 and result["may_be_run"] is True
+    assert {row["word"]: row["count"] for row in result["read_over"]}["G43 H1"] == 1
+    for finding in result["findings"]:
         assert set(finding) >= {"severity", "what", "where", "value", "limit", "unit", "advice", "count"}
         assert set(finding["where"]) == {"point", "line", "feature", "position_mm"}
         assert finding["severity"] in ("stop", "warning", "note")

@@ -44,7 +44,7 @@ def test_of_two_robots_in_a_recording_one_is_named(tmp_path):
     assert answer.code == 0 and (tmp_path / "r" / "report" / "report.html").is_file()
 
 
-def test_copies_are_skipped_and_said_and_the_command_stands_in_the_page(tmp_path):
+def test_copies_are_skipped_with_a_sentence_and_the_page_has_the_command(tmp_path):
     recording = made.write(tmp_path / "r" / "one", made.one_pass()) / "one.mcap"
     shutil.copytree(tmp_path / "r" / "one", tmp_path / "r" / "one_recovered")
     answer = ask("report", str(tmp_path / "r"), str(recording))
@@ -79,7 +79,7 @@ def test_a_whole_recording_is_left_alone_by_recover(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["one"]
 
 
-def test_a_second_plain_demo_says_first_that_it_replaces_the_report(tmp_path, monkeypatch, capsys):
+def test_a_second_plain_demo_prints_first_that_it_replaces_the_report(tmp_path, monkeypatch, capsys):
     def stop(*_):
         raise KeyboardInterrupt
 

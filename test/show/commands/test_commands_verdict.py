@@ -19,11 +19,11 @@ def test_the_command_prints_the_verdict_with_its_seed(tmp_path, capsys):
     answer = args.run(args)
     assert answer.print(as_json=False) == 0
     text = capsys.readouterr().out
-    assert "2 plants, seed 7" in text and "verdict: compensation helps" in text
+    assert "2 simulated robots, seed 7: largest path deviation [um]" in text and "verdict: compensation helps" in text
     assert answer.print(as_json=True) == 0
-    found = json.loads(capsys.readouterr().out)["verdict"]
-    assert found["verdict"] == "helps" and found["samples"] == 2 and found["seed"] == 7
-    assert len(found["compensated"]["static_deviation_mm"]) == 3
+    result = json.loads(capsys.readouterr().out)["verdict"]
+    assert result["verdict"] == "helps" and result["samples"] == 2 and result["seed"] == 7
+    assert len(result["compensated_mm"]) == 3
 
 
 @pytest.fixture
@@ -33,25 +33,26 @@ def compensate(tmp_path, capsys):
 
     def run(*words: str) -> tuple[dict, str]:
         assert main(["compensate", "paper.yaml", "--out", str(tmp_path / "o"), "--json", *sets, *words]) == 0
-        told = capsys.readouterr()
-        return json.loads(told.out), told.err
+        printed = capsys.readouterr()
+        return json.loads(printed.out), printed.err
 
     return run
 
 
-def test_the_verdict_is_part_of_the_decision_unless_nobody_wants_it(compensate, monkeypatch):
+def test_the_verdict_is_part_of_the_decision_unless_it_is_switched_off(compensate, monkeypatch):
     monkeypatch.setattr("kr270_milling.show.commands.compensate.PLANTS", 2)
-    found, _ = compensate("--method", "spline")
-    assert found["verdict"]["samples"] == 2 and "inverse" in found["verdict"]["methods"]
-    assert found["decision"]["verdict"] == found["verdict"]["verdict"]
-    assert found["decision"]["recommended_method"] == found["verdict"]["recommended_method"]
+    result, _ = compensate("--method", "spline")
+    assert result["verdict"]["samples"] == 2 and "inverse" in result["verdict"]["methods"]
+    assert result["recommended_method"] == result["verdict"]["recommended_method"]
     quick, _ = compensate("--quick", "--method", "spline")
     assert quick["verdict"]["samples"] == 8 and set(quick["verdict"]["methods"]) == {"none", "spline"}
-    none, told = compensate("--no-verdict")
-    assert none["verdict"] is None and none["decision"]["verdict"] is None and "verdict" not in told
+    assert quick["recommended_method"] is None  # nothing was compared
+    none, errors = compensate("--no-verdict")
+    assert none["verdict"] is None and none["recommended_method"] is None
+    assert errors.startswith("warning: decision: caution: ") and "would take too long" not in errors
 
 
-def test_a_verdict_that_would_take_long_is_left_out_and_that_is_said(compensate, monkeypatch):
+def test_a_verdict_that_would_take_long_is_left_out_with_a_sentence(compensate, monkeypatch):
     monkeypatch.setattr("kr270_milling.decide.compensation.USUAL_BUDGET", 1e-3)
-    found, told = compensate("--method", "spline")
-    assert found["verdict"] is None and "--verdict runs them" in told
+    result, errors = compensate("--method", "spline")
+    assert result["verdict"] is None and "--verdict runs them" in errors

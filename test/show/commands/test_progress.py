@@ -20,33 +20,33 @@ class Terminal(io.StringIO):
 
 
 def test_a_count_that_starts_over_is_the_next_pass():
-    told = Progress("learned", most=6)
+    shown = Progress("learned", most=6)
     for _ in range(3):
         for done in (200, 400):
-            told(done, 400)
-    assert told.label == "learned, pass 3 of at most 6"
-    assert told.state == "0 s so far"  # what follows the last count is not counted
+            shown(done, 400)
+    assert shown.label == "learned, pass 3 of at most 6"
+    assert shown.state == "0 s so far"  # what follows the last count is not counted
 
 
-def test_without_a_count_the_time_so_far_is_told_and_with_one_the_time_left(monkeypatch):
+def test_without_a_count_the_time_so_far_is_shown_and_with_a_count_the_time_left(monkeypatch):
     now = [10.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
-    told = Progress("report")
+    shown = Progress("report")
     now[0] += 4.0
-    assert told.state == "4 s so far"
-    told(25, 100)
-    assert told.state == "25 %, 12 s left"  # a quarter in 4 s
-    told.say("files")
-    assert (told.label, told.state) == ("files", "0 s so far")
+    assert shown.state == "4 s so far"
+    shown(25, 100)
+    assert shown.state == "25 %, 12 s left"  # a quarter in 4 s
+    shown.say("files")
+    assert (shown.label, shown.state) == ("files", "0 s so far")
 
 
-def test_a_study_that_goes_on_counts_its_pace_from_where_it_stopped(monkeypatch):
+def test_a_resumed_study_counts_its_pace_from_its_last_end(monkeypatch):
     now = [0.0]
     monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
-    told = Progress("sweep", unit="chunks", rate="passes", each=8)
+    shown = Progress("sweep", unit="chunks", rate="passes", each=8)
     now[0] = 2.0
-    told(51, 100)  # 50 were there before
-    assert told.state == "51 of 100 chunks, 4 passes a second, 98 s left"
+    shown(51, 100)  # 50 were there before
+    assert shown.state == "51 of 100 chunks, 4 passes a second, 98 s left"
 
 
 def test_off_a_terminal_a_line_comes_every_few_seconds_and_none_of_what_is_quick(capsys, monkeypatch):
@@ -54,11 +54,11 @@ def test_off_a_terminal_a_line_comes_every_few_seconds_and_none_of_what_is_quick
     with progress("milling") as report:
         report(50, 100)
         end = time.monotonic() + 20.0
-        told = ""
-        while told.count("\n") < 2 and time.monotonic() < end:
+        shown = ""
+        while shown.count("\n") < 2 and time.monotonic() < end:
             time.sleep(0.01)
-            told += capsys.readouterr().err
-    assert all(re.fullmatch(r"milling: 50 %, \d+ s left", line) for line in told.splitlines()) and told
+            shown += capsys.readouterr().err
+    assert all(re.fullmatch(r"milling: 50 %, \d+ s left", line) for line in shown.splitlines()) and shown
     monkeypatch.setattr(module, "LINE_PERIOD", 60.0)
     with progress("milling") as report:
         report(1, 100)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from browser import Visit, browser
+from browser import Visit
 from milled_part import POCKET, small_cell
 
 from kr270_milling.base.frames import Pose
@@ -20,29 +20,23 @@ WORDS = dict(source="cell.yaml", command="kr270_milling demo", date="2026-01-02"
 #: where each picture marks the place, in its own coordinates, and where the data say that station k is
 MARKS = """() => {
   const L = KR.data.linked, k = KR.place, way = document.querySelector("input[name=axis]:checked").value === "way";
-  const found = {};
+  const marks = {};
   for (const id of ["before", "after", "difference"]) {
     const gd = document.getElementById("map_" + id);
-    if (gd) found[id] = [gd.layout.shapes[1].xanchor - L.x[k], gd.layout.shapes[1].yanchor - L.y[k]];
+    if (gd) marks[id] = [gd.layout.shapes[1].xanchor - L.x[k], gd.layout.shapes[1].yanchor - L.y[k]];
   }
   const gd = document.getElementById("series");
-  found.series = [gd.layout.shapes[0].x0 - (way ? L.way : L.time)[k], gd.layout.shapes[0].x1 - gd.layout.shapes[0].x0];
+  marks.series = [gd.layout.shapes[0].x0 - (way ? L.way : L.time)[k], gd.layout.shapes[0].x1 - gd.layout.shapes[0].x0];
   const part = document.getElementById("part");
   if (part.drawn && KR.seen("part")) {
     const here = part.data[part.data.length - 1];
-    found.part = [here.x[0] - L.x[k], here.y[0] - L.y[k], here.z[0] - L.z[k]];
+    marks.part = [here.x[0] - L.x[k], here.y[0] - L.y[k], here.z[0] - L.z[k]];
   }
   const line = document.querySelector("#source li.here");
-  if (line) found.source = [Number(line.dataset.n) - L.line[k]];
-  found.slider = [Number(document.getElementById("slider").value) - k];
-  return found;
+  if (line) marks.source = [Number(line.dataset.n) - L.line[k]];
+  marks.slider = [Number(document.getElementById("slider").value) - k];
+  return marks;
 }"""
-
-
-@pytest.fixture(scope="module")
-def running():
-    with browser() as found:
-        yield found
 
 
 class Shown(NamedTuple):
@@ -53,23 +47,23 @@ class Shown(NamedTuple):
     visit: Visit
 
 
-def shown(running, directory, cell: Cell, methods, width: int, **words) -> Shown:
+def shown(browser, directory, cell: Cell, methods, width: int, **words) -> Shown:
     """The report of a pass and its compensations; solids are drawn small, since here the processor draws them."""
     original = simulate(cell)
     passes = [original, *(compensated(cell, original, method) for method in methods)]
-    visit = Visit(running, write_report(directory, cell, passes, **WORDS, **words).as_uri(), width, touch=width < 600)
+    visit = Visit(browser, write_report(directory, cell, passes, **WORDS, **words).as_uri(), width, touch=width < 600)
     visit.page.add_style_tag(content=".plot.robot, .plot.part { height: 150px !important; }")
     visit.ask("KR.drawEverything()")
     return Shown(cell, passes, visit)
 
 
 @pytest.fixture(scope="module")
-def part(running, tmp_path_factory):
+def part(browser, tmp_path_factory):
     directory = tmp_path_factory.mktemp("part")
     cell = small_cell(directory, POCKET, "part.tolerance_um=30")
-    found = shown(running, directory, cell, ("linear", "spline"), 1400, title="A part")
-    yield found
-    found.visit.close()
+    page = shown(browser, directory, cell, ("linear", "spline"), 1400, title="A part")
+    yield page
+    page.visit.close()
 
 
 @pytest.fixture(scope="module")
@@ -78,12 +72,12 @@ def visit(part):
 
 
 @pytest.fixture(scope="module")
-def phone(running, tmp_path_factory):
+def phone(browser, tmp_path_factory):
     cell = read_cell(find_file("paper.yaml"), ["path.length_mm=20.0", "stock.grid_step_um=40.0"])
     words = dict(title="The paper", paper=True)
-    found = shown(running, tmp_path_factory.mktemp("demo"), cell, ("linear",), 390, **words)
-    yield found.visit
-    found.visit.close()
+    page = shown(browser, tmp_path_factory.mktemp("demo"), cell, ("linear",), 390, **words)
+    yield page.visit
+    page.visit.close()
 
 
 def settled(visit) -> dict:
@@ -102,7 +96,7 @@ def agrees(visit) -> None:
         assert np.abs(differences).max() < 1e-4, name
 
 
-def test_the_page_says_nothing_asks_for_nothing_and_starts_at_the_worst_place(visit):
+def test_the_page_has_no_console_message_and_no_request_and_starts_at_the_worst_place(visit):
     assert visit.complaints == [] and visit.requests == [visit.page.url]
     here = visit.ask("() => KR.data.linked.passes[KR.shownPass()].side[KR.place]")
     sides = visit.ask("""() => { const p = KR.data.linked.passes[KR.shownPass()], s = KR.data.linked.scored;

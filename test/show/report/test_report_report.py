@@ -140,7 +140,7 @@ def test_texts_from_files_are_escaped(tmp_path, cell, passes):
     first = passes[0]
     hostile = [ScoredPass(bad, first.reference, first.result, first.scores), passes[1]]
     row = Finding("stop", bad, Place(3, 1, bad), 1.0, 1.0, bad, bad, bad)
-    decision = DecisionBlock(ToleranceAnswer(False, bad), None, False, bad, bad, bad, (row,))
+    decision = DecisionBlock(ToleranceAnswer(False, bad), None, "no", bad, bad, (bad,), bad, bad, (row,))
     words = dict(title=bad, source=bad, command=bad, date=bad, decision=decision)
     text = text_of(write_report(tmp_path, hostile_cell, hostile, paper=True, **words))
     page = Page(text)
@@ -155,14 +155,15 @@ def test_the_decision_leads_the_page(tmp_path, cell, passes):
     )
     decision = DecisionBlock(
         as_programmed=ToleranceAnswer(False, "40 µm, 30 allowed"), compensated=ToleranceAnswer(True, "2 µm"),
-        may_be_run=True, recommended_method="spline", verdict="helps (1 to 3 um)", stability="stable",
-        findings=(finding,),
+        level="caution", sentence="few robots", method="method: spline, as set", verdict="helps (1 to 3 um)",
+        stability="stable", findings=(finding,),
     )  # fmt: skip
     table = ReportTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00")))
     text = text_of(write_report(tmp_path, cell, passes, decision=decision, tables=[table], **WORDS))
     page = Page(text)
-    order = ["fails", "40 µm, 30 allowed", "passes", "yes", "spline", "helps", "1 to 3 µm", "stable"]
+    order = ["caution", "few robots", "fails", "40 µm, 30 allowed", "passes", "spline", "helps", "1 to 3 µm", "stable"]
     order += ["Another table", "warning", "Feed slower.", "ring, line 7, XP12"]
+    assert '<div class="tile caution">' in text
     places = [page.texts.index(word) for word in order]
     assert places == sorted(places)
     assert "\u22121.5" in page.texts and "0.00" in page.texts and "other-2" in page.texts

@@ -57,7 +57,7 @@ def case(tmp_path_factory):
     return cell, passes, assess_all(cell, passes)
 
 
-def test_the_largest_deviation_of_each_pass_is_a_station_where_the_table_says_it(case):
+def test_the_largest_deviation_of_each_pass_is_a_station_as_in_the_table(case):
     cell, passes, parts = case
     outcome = linked(cell, passes, parts)
     for one, part in zip(outcome.passes, parts, strict=True):

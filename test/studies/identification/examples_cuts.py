@@ -9,8 +9,8 @@ import numpy as np
 
 from kr270_milling.base.table import write_table
 from kr270_milling.physics.cutting import LinearEdgeLaw, Tool
+from kr270_milling.physics.cutting.materials import find_material
 from kr270_milling.studies.identification.cuts import CutMeasurements, engagement_angles
-from kr270_milling.studies.identification.materials import find_material
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 NOTES = [

@@ -1,4 +1,4 @@
-"""``identify`` as it is typed: JSON with the pinned names, refusals in one sentence, forces out of recordings."""
+"""The command ``identify``: JSON with the pinned names, refusals in one sentence, forces out of recordings."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def test_json_of_compliance_has_the_pinned_names(capsys):
     assert result["test_pose"]["share"] < 0.03
 
 
-def test_a_bare_arm_cannot_tell_joint_6_and_says_so_with_null_as_its_interval(capsys, tmp_path):
+def test_a_bare_arm_cannot_identify_joint_6_and_its_interval_is_null(capsys, tmp_path):
     """Wrench and reflector at the flange's centre."""
     rows = ["a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg,fx_n,fy_n,fz_n,dx_mm,dy_mm,dz_mm"]
     rng = np.random.default_rng(8)
@@ -126,7 +126,7 @@ def test_a_bare_arm_cannot_tell_joint_6_and_says_so_with_null_as_its_interval(ca
     assert result["compliance_urad_per_n_m"] == pytest.approx([0.26, 0.15, 0.26, 1.79, 1.52, 2.13], rel=1e-5)
 
 
-def test_what_is_missing_is_said_in_one_sentence(capsys, tmp_path):
+def test_a_missing_value_is_reported_in_one_sentence(capsys, tmp_path):
     assert "needs a table of load tests" in refused(capsys, "identify", "compliance", "--arm", "kr270_2.yaml")
     plan = ("identify", "compliance", "--arm", "kr270_2.yaml", "--plan", "6")
     assert "--cell CELL.yaml or --at" in refused(capsys, *plan)

@@ -1,4 +1,4 @@
-"""Compliances from load tests: exact without noise, honest intervals with it, words about what cannot be told."""
+"""Compliances from load tests: exact without noise, honest intervals with it, and what cannot be identified."""
 
 from __future__ import annotations
 

@@ -53,7 +53,7 @@ def test_means_of_partial_immersion_are_those_of_the_cut_itself(mode, width, rot
 
 
 @pytest.mark.parametrize(("mode", "width"), [("slot", 0.02), ("up", 0.01), ("down", 0.004)])
-def test_coefficients_are_found_exactly_without_noise(mode, width):
+def test_coefficients_are_exact_without_noise(mode, width):
     result = fit_forces("linear_edge", measured(cuts(mode, width)))
     assert result.values == pytest.approx(TRUE, rel=1e-9)
 
@@ -68,14 +68,14 @@ def test_intervals_cover_the_truth():
     assert 0.93 <= np.mean(hits) <= 0.97
 
 
-def test_without_axial_forces_the_axial_pair_is_not_told():
+def test_without_axial_forces_the_axial_pair_is_not_identified():
     some = measured(cuts())
     some.force[:, 2] = np.nan
     result = fit_forces("linear_edge", some)
     assert np.isnan(result.values[4:]).all() and result.values[:4] == pytest.approx(TRUE[:4])
 
 
-def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_says_so():
+def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_is_reported():
     some = measured(cuts())
     some.force[:, 2] *= -1.0
     result = fit_forces("linear_edge", some)
@@ -103,7 +103,7 @@ def test_fractional_means_are_those_of_the_facts():
         assert got == pytest.approx(expected, abs=5e-3)
 
 
-def test_the_fractional_law_is_found_and_told_from_the_other():
+def test_the_fractional_law_is_identified_and_differs_from_the_other_law():
     paper = np.array([5e6, 18e-6, 0.1, 0.3, 0.2])
     some = cuts(feeds=np.linspace(0.01e-3, 0.25e-3, 12))
     rng = np.random.default_rng(1)

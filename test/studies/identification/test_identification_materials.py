@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.studies.identification.materials import find_material, materials
+from kr270_milling.physics.cutting.materials import find_material, materials
 
 
 def test_every_material_has_a_source_and_the_coefficients_of_the_milling_plane():

@@ -32,7 +32,7 @@ def test_a_wrench_acts_at_the_tool_point_and_the_reflector_sits_there(tmp_path):
     assert result.sigma[0, :3] == pytest.approx(15e-6) and result.sigma_known
 
 
-def test_a_mass_hangs_in_its_centre_and_the_reflector_sits_where_it_is_said(tmp_path):
+def test_a_mass_hangs_in_its_centre_and_the_reflector_is_at_its_stated_place(tmp_path):
     columns = "mass_kg,mass_centre_x_mm,mass_centre_y_mm,mass_centre_z_mm,reflector_x_mm,dx_mm,dy_mm,dz_mm"
     result = read(tmp_path, columns, "100,50,0,-400,120,0,0,-0.5")
     assert result.wrench[0] == pytest.approx([0, 0, -980.665, 0, 0, 0])

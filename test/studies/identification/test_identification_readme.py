@@ -74,7 +74,7 @@ def test_the_bands_are_those_of_the_page_and_the_identified_one_is_narrower(ran)
     assert widths[1] < 0.7 * widths[0]
 
 
-def test_the_plan_is_written_and_pays_as_the_page_says(ran):
+def test_the_plan_is_written_and_pays_as_the_page_states(ran):
     plan = result(ran, "--plan 12")
     errors = {design["name"]: design["error_um"] for design in plan["designs"]}
     ratio = errors["random (median of 201)"] / errors["planned for the test pose"]

@@ -118,4 +118,4 @@ def test_the_command_writes_a_cell_that_runs(tmp_path, capsys):
     table = (tmp_path / "along.csv").read_text().splitlines()
     assert len(table) == len(run) + 1 and table[0].endswith("a6_deg")
     assert main([*words, "--x", "1:2:2"]) == 2
-    assert main([*words, "--json", *(part for pair in slot for part in ("--set", pair))]) == 0  # over what is there
+    assert main([*words, "--json", *(part for pair in slot for part in ("--set", pair))]) == 0  # over the rest

@@ -50,7 +50,7 @@ class Cluster:
         line = [sys.executable, "-m", "dask", *map(str, words), "--host", "127.0.0.1"]
         path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
         with (self.place / "log").open("ab") as log:
-            # a result that a killed worker held is asked for until this time is over
+            # the result of a killed worker is requested until this time is over
             environment = {"PYTHONPATH": path, "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "3s"}
             return subprocess.Popen(line, stdout=log, stderr=log, cwd=self.place, start_new_session=True,
                                     env=os.environ | environment)  # fmt: skip
@@ -136,7 +136,7 @@ def test_no_more_chunks_are_out_than_a_few_a_worker(cluster, tmp_path, monkeypat
 
 
 def test_no_worker_draws_the_first_chunks_to_itself(cluster, tmp_path):
-    """Where all chunks needed something that one worker held, that one made all of them in the first seconds."""
+    """Chunks that all need an object of one worker would all go to this worker in the first seconds."""
     study = Study(tmp_path / "study", {})
     run_chunks(study, 8, rows_and_maker, cluster.address)
     made = chunks(study, 8)
@@ -180,7 +180,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_killed_driver_loses_what_was_out_and_the_same_command_goes_on(cluster, tmp_path, capsys):
+def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(cluster, tmp_path, capsys):
     """SIGKILL, as the kernel does it where memory ends; its workers listened on the loopback alone, and end with it.
 
     Rows of that cluster, of another scheduler's workers, and of this process alone are the same bit for bit.

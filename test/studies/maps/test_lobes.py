@@ -38,10 +38,10 @@ def test_limit_and_frequency_are_those_of_semi_discretisation(immersion, mode, n
     delay = 60.0 / speed / TEETH
     depths = np.geomspace(1e-4, 6e-3, 30)
     expected, multiplier = limit(delay, directional(name, 40), directional(name, 100), depths)
-    (found,) = lobes(benchmark(immersion, mode), [speed * RPM], arm=False)
-    assert found.depth_limit == pytest.approx(expected, rel=0.01)
+    (result,) = lobes(benchmark(immersion, mode), [speed * RPM], arm=False)
+    assert result.depth_limit == pytest.approx(expected, rel=0.01)
     beat = abs(np.angle(multiplier))
-    assert abs(np.angle(np.exp(1j * found.chatter_frequency * delay))) == pytest.approx(beat, abs=0.03)
+    assert abs(np.angle(np.exp(1j * result.chatter_frequency * delay))) == pytest.approx(beat, abs=0.03)
 
 
 def test_the_limit_converges_with_the_square_of_the_step():
@@ -79,10 +79,10 @@ def test_a_feature_is_cut_in_its_own_direction(tmp_path):
 
     def limit_of(program, direction):
         cell = small_part(tmp_path, program, *law, mode.format(*direction))
-        (found,) = feature_limits(cell, arm=False)
-        assert found.depth == pytest.approx(0.5e-3)
-        assert np.degrees(found.exit) == pytest.approx(0, abs=1.5)
-        return found.limit, cell
+        (result,) = feature_limits(cell, arm=False)
+        assert result.depth == pytest.approx(0.5e-3)
+        assert np.degrees(result.exit) == pytest.approx(0, abs=1.5)
+        return result.limit, cell
 
     with_x, cell = limit_of(along_x, (1, 0))
     (expected,) = lobes(cell, [cell.tool.spindle_speed], arm=False)
@@ -93,9 +93,9 @@ def test_a_feature_is_cut_in_its_own_direction(tmp_path):
 
 def test_without_a_cut_the_multipliers_are_those_of_the_free_modes():
     modes = Modes(np.array([OMEGA, 3 * OMEGA]), np.array([ZETA, 0.05]), np.array([[1.0, 0, 0], [0, 1.0, 0]]))
-    found = multipliers(modes, np.zeros((30, 3, 2)), 0.0, 1e-3)
+    result = multipliers(modes, np.zeros((30, 3, 2)), 0.0, 1e-3)
     expected = np.exp(-modes.damping_ratio * modes.frequency * 1e-3)
-    assert np.sort(np.abs(found))[-4:] == pytest.approx(np.sort(np.repeat(expected, 2)), rel=1e-9)
+    assert np.sort(np.abs(result))[-4:] == pytest.approx(np.sort(np.repeat(expected, 2)), rel=1e-9)
 
 
 def test_the_sense_of_rotation_mirrors_and_a_heavier_mode_cuts_deeper():

@@ -76,7 +76,7 @@ def test_of_the_whole_turns_within_the_limits_the_most_central_are_taken():
     assert not whole_turns(q, -limits, limits)
 
 
-def test_a_place_out_of_reach_is_infeasible_and_says_nothing_of_errors(placements):
+def test_a_place_out_of_reach_is_infeasible_and_has_no_errors(placements):
     rows = placements.rows(np.array([[9.0, 0.0, 0.8, 0.0, 0.0]]))
     assert not rows["feasible"].any() and not rows["reachable"].any() and np.isnan(rows["error_max_um"]).all()
 
