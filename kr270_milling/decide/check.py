@@ -96,7 +96,7 @@ class Checked:
         return f"{RAPID_MOVES}: {self.rapid_volume_mm3:.4g} mm3{where}"
 
     def as_dict(self) -> dict:
-        """For JSON; values and limits in the unit next to them."""
+        """For JSON; values and limits in the unit beside them."""
         return {
             "may_be_run": self.may_be_run,
             "points": self.points,

@@ -27,7 +27,7 @@ __all__ = [
 
 
 BUDGET = 300.0  #: [s], of a verdict that is asked for; beyond it fewer plants are run
-USUAL_BUDGET = 50.0  #: [s], of a verdict without a request; where 8 plants take longer it is left out
+USUAL_BUDGET = 50.0  #: [s], of a verdict that is not asked for; none where 8 plants take longer
 LONGEST_PASS = USUAL_BUDGET / 2  #: [s]; after a longer one not even a first plant is tried
 
 
@@ -39,7 +39,7 @@ class VerdictOrder:
     asked_for: bool = False  #: whether it may take BUDGET, else USUAL_BUDGET or nothing
     compare: bool = True  #: whether other methods are looked at
     seed: int = 1
-    estimate: Callable[[int, float], None] = lambda *_: None  #: receives the number of plants and the estimated seconds
+    estimate: Callable[[int, float], None] = lambda *_: None  #: receives the plants and the seconds that are to come
 
 
 @dataclass(frozen=True, eq=False)

@@ -280,14 +280,14 @@ def _place(cell: Cell, run: Trajectory, worst: Violation) -> Place:
     fed, point, block = cell.fed_path, worst.point, worst.block
     if point is None and (block is None or fed is None):
         return Place(line=worst.line or None)
-    if point is None:
-        position = fed.toolpath.position[block]
-    else:
+    if point is not None:
         position = run.position[min(point, len(run)) - 1]
+    else:
+        position = fed.toolpath.position[block]  # type: ignore[union-attr]
     x, y, z = (1e3 * v for v in position.tolist())
     if fed is None:
         return Place(point, None, None, (x, y, z))
-    block = _block_to(fed, point) if block is None else block
+    block = _block_to(fed, point) if block is None else block  # type: ignore[arg-type]
     line, feature = int(fed.toolpath.line[block]), fed.toolpath.features[int(fed.toolpath.feature[block])]
     return Place(point, line or None, feature or None, (x, y, z))
 

@@ -125,7 +125,7 @@ def _program(cell: Cell) -> list[Violation]:
 
 def _outside(cell: Cell) -> list[Violation]:
     """Features whose cutting moves never pass over the stock, and a path that is outside of the stock mostly."""
-    path = cell.fed_path.toolpath
+    path = cell.fed_path.toolpath  # type: ignore[union-attr]
     low, high, radius = cell.stock.min, cell.stock.max, float(cell.tool.radii.max())
     distance = np.linspace(0.0, path.length, 2 + min(PLACES, int(4.0 * path.length / radius)))
     position, block = path.on_path(distance)[0], path.block_at(distance)

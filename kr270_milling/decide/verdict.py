@@ -35,7 +35,7 @@ SAME = 0.1  #: changes of the largest deviation by less than this share are none
 FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
 TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
 NO_METHOD = "none"  #: run the path as it was programmed
-LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones stay unchanged
+LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
 
 
@@ -132,7 +132,7 @@ def compare_methods(cell: Cell, original: ScoredPass) -> MethodComparison:
     With a tracker the method is ``LEARNED``: it begins as ``inverse``, measures its passes, and keeps the best of them.
     """
     if cell.compensation.tracker:
-        why = f"{LEARNED.name}, because compensation.tracker is true: the tracker measures each pass"
+        why = f"{LEARNED.name}, because compensation.tracker is true: a tracker measures each pass, the best is used"
         return MethodComparison(LEARNED.name, why, {})
     references = _references(cell, original)
     deviations = _expected(cell, {NO_METHOD: cell.target(), **references})
@@ -153,22 +153,22 @@ def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Tra
 
     Of a tool path, where each takes long: only the method that the linear model expects to leave the least on 8 plants.
     """
-    outcome = _references(cell, original, method)
-    if cell.programmed.straight or not outcome:
-        return outcome
-    deviations = _expected(cell, outcome)
+    references = _references(cell, original, method)
+    if cell.programmed.straight or not references:
+        return references
+    deviations = _expected(cell, references)
     best = min(deviations, key=deviations.__getitem__)
-    return {best: outcome[best]}
+    return {best: references[best]}
 
 
 def _references(cell: Cell, original: ScoredPass, without: str = "") -> dict[str, Trajectory]:
     """By method. A method that repeats takes passes of the plant itself, so it is left out."""
-    outcome = {}
+    references = {}
     for name, method in METHODS.items():
         if name != without and not method.repeats:
             with contextlib.suppress(MillingError):
-                outcome[name] = compensator(cell, cell.target(), name).revise(record_of(cell, original))
-    return outcome
+                references[name] = compensator(cell, cell.target(), name).revise(record_of(cell, original))
+    return references
 
 
 def _expected(cell: Cell, references: dict[str, Trajectory]) -> dict[str, float]:
@@ -231,7 +231,7 @@ def monte_carlo(
         return rows, _tracked(cell, plants[k], gauge) if tracks else None
 
     start = time.perf_counter()
-    outcome = [run(0)]
+    drawn = [run(0)]
     each = (time.perf_counter() - start) / cores
     count = min(samples, max(FEWEST, int(min(budget / each, samples))))
     if give_up and count * each > budget:
@@ -240,16 +240,16 @@ def monte_carlo(
     pool = ThreadPoolExecutor(cores)
     try:
         for row in pool.map(run, range(1, count)):
-            progress(len(outcome), count)
-            outcome.append(row)
-            if len(outcome) >= FEWEST and time.perf_counter() - start > budget:
+            progress(len(drawn), count)
+            drawn.append(row)
+            if len(drawn) >= FEWEST and time.perf_counter() - start > budget:
                 break
     finally:  # after an interrupt only the plants that run are waited for
         pool.shutdown(cancel_futures=True)
-    progress(len(outcome), len(outcome))
-    rows = np.stack([row for row, _ in outcome])
+    progress(len(drawn), len(drawn))
+    rows = np.stack([row for row, _ in drawn])
     methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
-    tracked = [value for _, value in outcome if value is not None]
+    tracked = [value for _, value in drawn if value is not None]
     if tracked:
         methods[TRACKED] = np.array(tracked)
     quantity, shares = (PATH_DEVIATION if straight else SURFACE_ERROR), rows[:, 1, 1]
@@ -307,8 +307,8 @@ def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory]
             if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
                 continue
             heights = None if gauge.ideal is None else cut.map_heights()[2]
-            outcome = gauge.measure(dataclasses.replace(ran, heights=heights))
-            rows[k] = outcome.error, outcome.share
+            judged = gauge.measure(dataclasses.replace(ran, heights=heights))
+            rows[k] = judged.error, judged.share
     except MillingError:
         pass
     return rows
@@ -327,7 +327,7 @@ def coarser(cell: Cell) -> Cell:
         return cell
     feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
     step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))
-    timing = cell.exchange
-    if timing.period <= LONG_PERIOD and timing.micro_step <= LONG_STEP:
-        timing = timing.replace(period=2.0 * timing.period, micro_step=2.0 * timing.micro_step)
-    return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=timing)
+    exchange = cell.exchange
+    if exchange.period <= LONG_PERIOD and exchange.micro_step <= LONG_STEP:
+        exchange = exchange.replace(period=2.0 * exchange.period, micro_step=2.0 * exchange.micro_step)
+    return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=exchange)

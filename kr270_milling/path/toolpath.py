@@ -45,7 +45,8 @@ class Toolpath:
     curvature: np.ndarray  #: [1/m], (n,), in the xy plane, positive counterclockwise seen from +z; 0: straight
     spindle_speed: np.ndarray  #: [rad/s], (n,), clockwise, negative: counterclockwise; 0: off or not given
     quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tool0 in the workpiece frame at the end of each block
-    drilling: np.ndarray | None = None  #: feed of a drilling cycle, (n,) bool; None: no block
+    #: feed of a drilling cycle, (n,) bool; default: no block
+    drilling: np.ndarray = None  # type: ignore[assignment]
     program: SourceProgram = NO_PROGRAM  #: what the source says beside its moves
 
     def __post_init__(self):

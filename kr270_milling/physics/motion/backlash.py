@@ -1,4 +1,4 @@
-"""Backlash of the joints of a plant: each joint rests on one of two flanks, and its load decides on which.
+"""Backlash of the joints of a plant: each joint lies on one of two flanks, and its load decides on which one.
 
 The load on a joint is the torque of weight, cut and inertia, J_G^T G + J_F^T F - M_theta q''. Its motor only follows
 the reference, so a reversal of the motion under a constant load changes nothing.
@@ -6,10 +6,9 @@ the reference, so a reversal of the motion under a constant load changes nothing
     s_k = 1 where tau_k > T,  -1 where tau_k < -T,  else s_(k-1)       flank, with the friction torque T
     delta = J b (s_k - s_first) / 2                                    displacement of the tool
 
-This is the relay with hysteresis [Krasnoselskii and Pokrovskii, Systems with Hysteresis, Springer 1989]; the gap is
-that of the dead-zone model [Nordin and Gutman, Automatica 38 (2002), 1633-1649]. s_first is the first flank of the
-pass, on which the tool was touched off. The cut counts with its mean over about a revolution of the spindle, because
-the links do not follow single teeth:
+This is the relay with hysteresis [Krasnoselskii1989]; the gap is that of the dead-zone model
+[Nordin2002]. s_first is the first flank of the pass, on which the tool was touched off. The cut counts with its mean
+over about a revolution of the spindle, because the links do not follow single teeth:
 
     F_k = F_(k-1) + (1 - exp(-H / T_rev)) (w_k - F_(k-1)).
 

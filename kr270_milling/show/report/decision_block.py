@@ -19,7 +19,7 @@ from kr270_milling.decide.check import RAPID_MOVES, Checked, check
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, decided
 from kr270_milling.decide.findings import SEVERITIES, Finding
 from kr270_milling.decide.part import PartAssessment
-from kr270_milling.decide.tolerance import Judgement, judge
+from kr270_milling.decide.tolerance import PATH_DEVIATION, Judgement, judge
 from kr270_milling.show.report.tables import fixed_text, micro
 
 TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: of the tile
@@ -113,17 +113,19 @@ class Tile(NamedTuple):
     tone: str = "plain"
 
 
-def tiles(decision: DecisionBlock, names: Sequence[str], sizes: Sequence[float]) -> list[Tile]:
-    """The decision; a tile states what is open. sizes: largest deviations of the passes [m]."""
+def tiles(
+    decision: DecisionBlock, names: Sequence[str], sizes: Sequence[float], quantity: str = PATH_DEVIATION
+) -> list[Tile]:
+    """The decision as tiles. sizes: tolerance quantity of the passes [m]; quantity: its name."""
     rows = []
     if decision.level:
         rows.append(Tile("decision", decision.level, micro(decision.sentence), TONES[decision.level]))
-    rows.append(_judged("as programmed", decision.as_programmed, sizes[0], "largest deviation"))
+    rows.append(_judged("as programmed", decision.as_programmed, sizes[0], quantity))
     if len(names) > 1:
         best = min(range(1, len(names)), key=lambda k: sizes[k])
         less = 100 * (1 - sizes[best] / sizes[0]) if sizes[best] < sizes[0] else 0.0
-        text = f"largest deviation of '{names[best]}', " + (f"{less:.1f} % less" if less else "no better")
-        rows.append(_judged("compensated", decision.compensated, sizes[best], text))
+        sentence = f"{quantity} of '{names[best]}', " + (f"{less:.1f} % less" if less else "no better")
+        rows.append(_judged("compensated", decision.compensated, sizes[best], sentence))
     if decision.method:
         label, _, text = decision.method.partition(": ")
         word, _, why = text.partition(", ")
@@ -140,13 +142,13 @@ def tiles(decision: DecisionBlock, names: Sequence[str], sizes: Sequence[float])
     return rows
 
 
-def _judged(label: str, judged: ToleranceAnswer | None, size: float, text: str) -> Tile:
-    """size: the largest deviation [m]; text: its name, for a path without a tolerance."""
+def _judged(label: str, judged: ToleranceAnswer | None, size: float, sentence: str) -> Tile:
+    """size: the tolerance quantity [m], sentence: its name, for a path without a judgement."""
     amount = f"{fixed_text(size * 1e6, 2)} µm"
     if judged is None or judged.passes is None:
-        return Tile(label, amount, f"{text}; no tolerance is given")
+        return Tile(label, amount, f"{sentence}; no tolerance is given")
     word, tone = ("passes", "good") if judged.passes else ("fails", "bad")
-    return Tile(label, word, judged.sentence or f"{text}: {amount}", tone)
+    return Tile(label, word, judged.sentence or f"{sentence}: {amount}", tone)
 
 
 def finding_rows(decision: DecisionBlock) -> list[dict]:

@@ -12,7 +12,9 @@ from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.cell.plant import Plant, imperfect_arm, joint_gaps
-from kr270_milling.decide.load_reversals import load_reversals
+from kr270_milling.decide.compensation import compensate
+from kr270_milling.decide.findings import gathered
+from kr270_milling.decide.load_reversals import backlash_statement, load_reversals
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.backlash import Gaps, flanks, tool_jumps
 from kr270_milling.physics.motion.imperfections import Imperfections
@@ -158,6 +160,19 @@ def test_the_test_pieces_axes_without_weight_change_their_flanks_where_the_arm_b
     axes = {joint + 1 for _, joint, _ in jumps}
     assert 1 in axes and 2 not in axes
     assert max(size for *_, size in jumps) == pytest.approx(46e-6, rel=0.05)  # 6.2 arcsec at 1.5 m
+
+
+def test_the_decision_names_the_backlash(cell, ran):
+    wrench = np.zeros_like(ran.result.wrench)
+    half = len(wrench) // 2
+    wrench[1:half, 1], wrench[half:, 1] = 100.0, -100.0
+    places = gathered(cell, cell.target(), load_reversals(cell, cell.target(), with_wrench(ran, wrench)))
+    assert backlash_statement(cell, places, True) == "backlash: in the verdict only, 0 to 12.4 arcsec"
+    assert "not included, up to 49.2 um" in backlash_statement(cell, places, False)
+    decision = compensate(cell, "linear").decision
+    assert decision.backlash == "backlash: not included, no load reverses"
+    assert decision.backlash in decision.headline and decision.backlash in decision.lines()
+    assert decision.as_dict()["backlash"] == decision.backlash
 
 
 def test_keys_of_earlier_versions_are_refused_with_their_new_name():

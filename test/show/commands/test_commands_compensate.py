@@ -23,7 +23,7 @@ def quick(monkeypatch):
         path.write_text("figures left out")
         return path
 
-    monkeypatch.setattr("kr270_milling.show.commands.compensate.write_report", page)
+    monkeypatch.setattr("kr270_milling.show.report.write_report", page)
 
 
 def command(tmp_path, *words: str, gcode: str | bytes = GCODE, sets=()) -> list[str]:
