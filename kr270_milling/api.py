@@ -18,7 +18,7 @@ from kr270_milling.decide import check as checks
 from kr270_milling.decide import compensation, tolerance, verdict
 from kr270_milling.decide import decision as decisions
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.compensation.methods import Method
+from kr270_milling.physics.compensation.method import Method
 from kr270_milling.show.report.series import COLUMNS, series_lines, series_rows
 
 if TYPE_CHECKING:
@@ -114,8 +114,8 @@ def check(cell: Cell, reference: Trajectory | None = None) -> checks.Checked:
 
 def verdict_of(cell: Cell, reference: Trajectory, samples: int = verdict.SAMPLES, seed: int = 1) -> verdict.Verdict:
     """Whether a corrected trajectory helps when the models are as uncertain as the cell says."""
-    found = verdict.monte_carlo(cell, reference, samples, seed)
-    return cast(verdict.Verdict, found)  # None only where it is told when to give up
+    result = verdict.monte_carlo(cell, reference, samples, seed)
+    return cast(verdict.Verdict, result)  # None only with a limit of time
 
 
 def read_recording(path, namespace: str | None = None) -> Pass:
@@ -123,6 +123,6 @@ def read_recording(path, namespace: str | None = None) -> Pass:
     from kr270_milling.exchange.replay.recorded import pass_from_recording
 
     place = Path(path)
-    found: Sequence[Path] = sorted(place.glob("*.mcap")) if place.is_dir() else [place]
-    recorded = pass_from_recording(found[0] if found else place, place.stem, namespace)
+    files: Sequence[Path] = sorted(place.glob("*.mcap")) if place.is_dir() else [place]
+    recorded = pass_from_recording(files[0] if files else place, place.stem, namespace)
     return Pass.of(recorded.cell, recorded.scored)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import pkgutil
 import subprocess
 import sys
@@ -72,3 +73,14 @@ def test_no_file_names_a_place_of_one_machine():
     for path, text in texts():
         for word in FORBIDDEN:
             assert word not in text, f"{path.relative_to(ROOT)} holds {word}"
+
+
+def test_each_class_and_function_name_of_the_package_has_one_meaning():
+    """The functions of ``api`` have the names of what they wrap; names with an underscore belong to their file."""
+    places: dict[str, list[str]] = {}
+    for path in sorted((ROOT / "kr270_milling").rglob("*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(path.name)
+    several = {name: files for name, files in places.items() if len([f for f in files if f != "api.py"]) > 1}
+    assert not several, several

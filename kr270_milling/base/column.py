@@ -37,11 +37,12 @@ class Column:
 
 def column(
     key: str, factor: float = 1.0, title: str = "", unit: str = "", scale: float | None = None, digits: int = 1,
-    short: str = "",
+    short: str = "", default: object = dataclasses.MISSING,
 ):  # fmt: skip
-    """Return a dataclass field with its column; scale: default the factor of the key."""
+    """Return a dataclass field with its column; scale: default the factor of the key; default: of the field."""
     about = dict(key=key, factor=factor, title=title, unit=unit, digits=digits, short=short)
-    return dataclasses.field(metadata={"column": about | {"scale": factor if scale is None else scale}})
+    metadata = {"column": about | {"scale": factor if scale is None else scale}}
+    return dataclasses.field(default=default, metadata=metadata)
 
 
 def columns(record) -> tuple[Column, ...]:

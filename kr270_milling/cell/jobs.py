@@ -15,7 +15,8 @@ from kr270_milling.cell.plant import Plant
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.learning import Learner
-from kr270_milling.physics.compensation.methods import Method, method_of
+from kr270_milling.physics.compensation.method import Method
+from kr270_milling.physics.compensation.methods import method_of
 from kr270_milling.physics.compensation.mirror import Mirror, mirror
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.response import ArmResponse

@@ -50,10 +50,10 @@ class Plant:
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int) -> Trajectory:
     """Return the course of the motors of a plant that follows ``reference`` in its pass ``number``."""
-    how = cell.imperfections
-    if not how.repeatability:
+    assumed = cell.imperfections
+    if not assumed.repeatability:
         return reference
-    return reference.with_position(reference.position + how.shift(number), reference.velocity)
+    return reference.with_position(reference.position + assumed.shift(number), reference.velocity)
 
 
 def imperfect_arm(cell: Cell, reference: Trajectory, model: ArmModel) -> ArmModel:
@@ -96,21 +96,21 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     deviations. The imperfections are drawn evenly from none to what the uncertainties say: the backlash of all joints
     is the same multiple of ``arm.backlash``.
     """
-    how, law = cell.uncertainty, cell.cutting.active
+    assumed, law = cell.uncertainty, cell.cutting.active
 
     def factors(spread: np.ndarray) -> np.ndarray:
         return np.exp(np.sqrt(np.log1p(spread**2)) * rng.standard_normal(spread.size))
 
-    compliance = cell.arm.joint_compliance * factors(how.of_compliances())
+    compliance = cell.arm.joint_compliance * factors(assumed.of_compliances())
     axial = law.axial_names if law.axial else ()
     names = (*law.scattered, *axial)
-    scattered = zip(names, factors(how.of_coefficients(len(names), len(axial))), strict=True)
+    scattered = zip(names, factors(assumed.of_coefficients(len(names), len(axial))), strict=True)
     law = law.replace(**{name: float(getattr(law, name) * f) for name, f in scattered})
-    damping = min(0.9, cell.dynamics.damping_ratio * float(factors(np.array([how.damping_ratio]))[0]))
-    frequency = float(factors(np.array([how.frequency]))[0])
-    moved = bool(rng.random() < how.reference_inertia)
-    shift = how.placement * np.clip(rng.standard_normal(3), -3.0, 3.0)
-    noise, repeatability, backlash = rng.random(3) * (how.pose_noise, how.repeatability, how.backlash)
+    damping = min(0.9, cell.dynamics.damping_ratio * float(factors(np.array([assumed.damping_ratio]))[0]))
+    frequency = float(factors(np.array([assumed.frequency]))[0])
+    moved = bool(rng.random() < assumed.reference_inertia)
+    shift = assumed.placement * np.clip(rng.standard_normal(3), -3.0, 3.0)
+    noise, repeatability, backlash = rng.random(3) * (assumed.pose_noise, assumed.repeatability, assumed.backlash)
     return cell.replace(
         arm=cell.arm.replace(joint_compliance=compliance, link_mass=cell.arm.link_mass / frequency**2),
         mount=cell.mount.replace(mass=cell.mount.mass / frequency**2),

@@ -127,36 +127,37 @@ def check(
     fed = cell.fed_path
     programmed = cell.target() if fed is None else fed.trajectory
     run = programmed if reference is None else reference
-    found, joints = arm_violations(cell, run)
+    results, joints = arm_violations(cell, run)
     stability = residue = rapid_moves = exchange = reversals = None
-    reachable = joints is not None and not any(v.kind == "joint limit" for v in found)
+    reachable = joints is not None and not any(v.kind == "joint limit" for v in results)
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
-        found, _ = arm_violations(cell, run)
-    found += [*input_violations(cell), *more]
+        results, _ = arm_violations(cell, run)
+    results += [*input_violations(cell), *more]
     if reachable:
         target = cell.target()
         straight = run.velocity is None and target.velocity is not None
-        found += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
+        results += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
         ran, cut = _cut(cell, run, ran, progress)
-        found += cut
+        results += cut
         if ran:
             jumps = load_reversals(cell, run, ran)
-            found += jumps
+            results += jumps
             reversals = separate(cell, run, "load reversal", jumps)
         rapid_moves = separate(cell, run, "rapid in material", cut)
         with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
             stability = stability_statement(cell)
-            found += chatter_violations(stability, run.time)
+            results += chatter_violations(stability, run.time)
         residue = residue_of(cell, ran.result) if ran else None
         if ran:
             exchange = exchange_share(cell, ran)
-            found += exchange.violations()
+            results += exchange.violations()
         if residue and residue.word == "grows":
-            found.append(violation("growing vibration", residue.residue, residue.limit, percent=100 * residue.residue))
+            share = 100 * residue.residue
+            results.append(violation("growing vibration", residue.residue, residue.limit, percent=share))
     program = fed.toolpath.program if fed else SourceProgram()
     return Checked(
-        gathered(cell, run, found),
+        gathered(cell, run, results),
         len(run),
         ran if reachable else None,
         program,
@@ -190,8 +191,8 @@ def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) ->
     if run is target:
         return []
     how = cell.compensation
-    found = correction_size(target, run, how.tick_ns, how.max_correction)
-    found += correction_per_tick(target, run, how.tick_ns, how.max_change_per_tick)
+    results = correction_size(target, run, how.tick_ns, how.max_correction)
+    results += correction_per_tick(target, run, how.tick_ns, how.max_change_per_tick)
     if motion == "LIN":
-        found += corner_blending(target, run, cell.program.blend_distance, cell.limits.blending_share)
-    return found
+        results += corner_blending(target, run, cell.program.blend_distance, cell.limits.blending_share)
+    return results

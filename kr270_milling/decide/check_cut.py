@@ -236,23 +236,23 @@ def _spindle(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
     knot = np.clip(np.searchsorted(run.time_ns, ran.result.time_ns), 1, len(run) - 1)  # the one that is next
     torque = np.zeros(len(run))
     np.maximum.at(torque, knot, ran.result.torque)
-    found = violations("spindle torque", torque, cell.limits.spindle_torque)
-    return found + violations("spindle power", torque * cell.tool.spindle_speed, cell.limits.spindle_power)
+    results = violations("spindle torque", torque, cell.limits.spindle_torque)
+    return results + violations("spindle power", torque * cell.tool.spindle_speed, cell.limits.spindle_power)
 
 
 def _tool(cell: Cell) -> list[Violation]:
     """Feed per tooth and cutting speed, from the fastest cutting move."""
-    tool, found = cell.tool, []
+    tool, results = cell.tool, []
     teeth_a_second = tool.spindle_speed / (2.0 * np.pi) * tool.teeth
     feed, speed = cell.feed_rate / teeth_a_second, tool.spindle_speed * tool.radius
     if tool.max_feed_per_tooth and feed > tool.max_feed_per_tooth:
-        found.append(violation("feed per tooth", feed, tool.max_feed_per_tooth, most="the cutter takes"))
+        results.append(violation("feed per tooth", feed, tool.max_feed_per_tooth, most="the cutter takes"))
     elif feed > (unlikely := UNLIKELY_FEED * tool.diameter):
         most = "a quarter of the cutter's diameter"
-        found.append(violation("feed per tooth", feed, unlikely, severity="warning", most=most))
+        results.append(violation("feed per tooth", feed, unlikely, severity="warning", most=most))
     if tool.max_cutting_speed and speed > tool.max_cutting_speed:
-        found.append(violation("cutting speed", speed, tool.max_cutting_speed))
-    return found
+        results.append(violation("cutting speed", speed, tool.max_cutting_speed))
+    return results
 
 
 def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = None) -> list[Violation]:
@@ -262,19 +262,19 @@ def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = Non
     met = engagement(cell, margin)
     points = _points(run, met)
     beneath = np.where(_over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
-    found = rapid_violations(cell, run, met, ran)
-    found += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points, block=met.block)
+    results = rapid_violations(cell, run, met, ran)
+    results += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points, block=met.block)
     for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
         inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
-        found += violations(
+        results += violations(
             "in the fixture", inside, 0.0, inside > 0.0, points=points, block=met.block, subject=f"fixture {number}"
         )  # fmt: skip
     if flutes:
-        found += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
+        results += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
     if not cell.tool.centre_cutting:
         depth, over = _plunges(met)
-        found += violations("plunge", depth, 0.0, over, points=points, block=met.block)
-    return found
+        results += violations("plunge", depth, 0.0, over, points=points, block=met.block)
+    return results
 
 
 def _points(run: Trajectory, met: Engagement) -> np.ndarray:

@@ -15,10 +15,11 @@ from kr270_milling.decide.findings import violation
 from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
 from kr270_milling.decide.tolerance import judge
-from kr270_milling.decide.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, compare, monte_carlo
+from kr270_milling.decide.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, compare_methods, monte_carlo
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.limiting import Limited
-from kr270_milling.physics.compensation.methods import BEST, Method
+from kr270_milling.physics.compensation.method import Method
+from kr270_milling.physics.compensation.methods import BEST
 
 __all__ = [
     "BUDGET", "NO_METHOD", "USUAL_BUDGET", "JudgedCompensation", "VerdictOrder", "compensate", "limit_sentence",
@@ -78,7 +79,7 @@ def compensate(
     comparison = None
     if method == BEST:
         with progress("comparison"):
-            comparison = compare(cell, original)
+            comparison = compare_methods(cell, original)
         method = comparison.best
     by = compensator(cell, cell.target(), None if method == NO_METHOD else method)
     if method == NO_METHOD:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from kr270_milling.decide.check import Checked
 from kr270_milling.decide.tolerance import Judgement, um_text
-from kr270_milling.decide.verdict import Comparison, Verdict
+from kr270_milling.decide.verdict import MethodComparison, Verdict
 from kr270_milling.physics.compensation.methods import LEARNED
 
 __all__ = ["CAUTION", "ENOUGH", "NO", "YES", "Decision", "decided"]
@@ -32,7 +32,7 @@ class Decision:
     stops: tuple[str, ...] = ()  #: sentences of the findings that forbid to run the path
     warnings: int = 0
     verdict: Verdict | None = None  #: of plants that are not the model; None: not run
-    comparison: Comparison | None = None  #: where the method was chosen by ``best``
+    comparison: MethodComparison | None = None  #: where the method was chosen by ``best``
     notes: tuple[str, ...] = ()  #: what a user of the method must know
     backlash: str = ""  #: whether the figures include the backlash of the joints
 
@@ -131,7 +131,7 @@ class Decision:
 
 def decided(
     before: Judgement, after: Judgement, method: str, checked: Checked, verdict: Verdict | None = None,
-    comparison: Comparison | None = None, backlash: str = "",
+    comparison: MethodComparison | None = None, backlash: str = "",
 ) -> Decision:  # fmt: skip
     """The decision on a pass as programmed and one along the reference of a method.
 

@@ -115,7 +115,7 @@ KINDS = {
     "envelope": Kind("m", "the workpiece is {value:.4g} m from axis 1, the arm reaches {limit:.4g} m",
         "Check workpiece.xyz_mm and its unit: it is on base_link, in mm.", "warning"),
     "compliance": Kind("urad/(N m)",
-        "joint {number} gives way by {value:.3g} urad/(N m), arms of this size by 0.01 to 100",
+        "joint {number} deflects by {value:.3g} urad/(N m), arms of this size by 0.01 to 100",
         "Check arm.joint_compliance and its unit, urad per N m.", "warning"),
     "mass": Kind("kg", "link {number} has {value:.3g} kg, links of arms of this size 1 to 2000 kg",
         "Check arm.link_mass_kg and mount.mass_kg.", "warning"),
@@ -199,14 +199,14 @@ def violations(
     over = ~(value <= limits * (1 + ROUNDING)) if over is None else over
     points = np.arange(1, len(value) + 1) if points is None else points
     worst = np.where(np.isnan(value), np.inf, value) if worst is None else worst
-    found = []
+    results = []
     for start, stop in stretches(over):
         k = start + int(np.argmax(worst[start:stop]))
         first, last = int(points[start]), int(points[stop - 1])
         where = f"point {first}" if first == last else f"points {first} to {last}"
-        said = {name: word[k] if isinstance(word, np.ndarray) else word for name, word in words.items()}
-        found.append(violation(kind, value[k], limits[k], int(points[k]), where=where, **said))
-    return found
+        sentences = {name: word[k] if isinstance(word, np.ndarray) else word for name, word in words.items()}
+        results.append(violation(kind, value[k], limits[k], int(points[k]), where=where, **sentences))
+    return results
 
 
 def stretches(flags: np.ndarray) -> list[list[int]]:
@@ -252,18 +252,18 @@ class Finding:
         return f"{self.sentence}{line}{times}. {self.advice}"
 
 
-def gathered(cell: Cell, run: Trajectory, found: Iterable[Violation]) -> tuple[Finding, ...]:
+def gathered(cell: Cell, run: Trajectory, results: Iterable[Violation]) -> tuple[Finding, ...]:
     """One finding for all violations of a kind, severity and subject, named by the worst; the worst severity first."""
     groups: dict[tuple[str, str, str], list[Violation]] = {}
-    for one in found:
+    for one in results:
         groups.setdefault((one.severity, one.kind, one.subject), []).append(one)
     findings = [_finding(cell, run, group) for group in groups.values()]
     return tuple(sorted(findings, key=lambda f: (SEVERITIES.index(f.severity), f.where.point or 0)))
 
 
-def separate(cell: Cell, run: Trajectory, kind: str, found: Iterable[Violation]) -> tuple[Finding, ...]:
+def separate(cell: Cell, run: Trajectory, kind: str, results: Iterable[Violation]) -> tuple[Finding, ...]:
     """One finding for each violation of a kind, in the order of the path."""
-    return tuple(_finding(cell, run, [one]) for one in found if one.kind == kind)
+    return tuple(_finding(cell, run, [one]) for one in results if one.kind == kind)
 
 
 def _finding(cell: Cell, run: Trajectory, group: Sequence[Violation]) -> Finding:

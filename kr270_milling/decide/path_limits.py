@@ -24,11 +24,11 @@ MOST_TURNED = 4 * np.pi  #: [rad], of joints that have no limits
 
 
 def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.ndarray | None]:
-    """Everything found about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
+    """The findings about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
     tool = cell.workpiece.pose @ Pose(run.position, rotation_from_quaternion(run.quaternion))
-    found = _reach(cell, tool)
-    if found:
-        return found, None
+    results = _reach(cell, tool)
+    if results:
+        return results, None
     unlimited = cell.arm.replace(joint_lower=np.full(6, -MOST_TURNED), joint_upper=np.full(6, MOST_TURNED))
     try:
         joints = inverse_near(unlimited, cell.mount, tool, cell.posture)
@@ -37,8 +37,8 @@ def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.nda
         return [Violation("singularity", point, error.measure, 0.0, "stop", f"point {point}: {error}")], None
     at_rest = run.velocity is not None and not run.velocity[[0, -1]].any()
     limits = cell.arm.joint_speed_limit, cell.arm.joint_acceleration_limit
-    found = _joint_limits(cell, joints) + _singularities(cell, joints) + _flips(cell, joints)
-    return found + joint_rate_violations(run.time, joints, *limits, at_rest), joints
+    results = _joint_limits(cell, joints) + _singularities(cell, joints) + _flips(cell, joints)
+    return results + joint_rate_violations(run.time, joints, *limits, at_rest), joints
 
 
 def _reach(cell: Cell, tool: Pose) -> list[Violation]:
@@ -50,15 +50,15 @@ def _reach(cell: Cell, tool: Pose) -> list[Violation]:
 
 
 def _joint_limits(cell: Cell, joints: np.ndarray) -> list[Violation]:
-    found = []
+    results = []
     for axis, (low, high) in enumerate(zip(cell.arm.joint_lower, cell.arm.joint_upper, strict=True)):
         angle = joints[:, axis]
         beyond = np.maximum(angle - high, low - angle)
-        found += violations(
+        results += violations(
             "joint limit", angle, np.where(angle > high, high, low), beyond > 1e-12, worst=beyond,
             subject=f"axis {axis + 1}", low=np.degrees(low), high=np.degrees(high),
         )  # fmt: skip
-    return found
+    return results
 
 
 def _singularities(cell: Cell, joints: np.ndarray) -> list[Violation]:
@@ -70,11 +70,11 @@ def _singularities(cell: Cell, joints: np.ndarray) -> list[Violation]:
         ("elbow", elbow, limits.elbow_angle, 180 / np.pi, "deg of the stretched arm"),
         ("wrist", wrist, limits.wrist_angle, 180 / np.pi, "deg of A5"),
     ]
-    found = []
+    results = []
     for which, value, least, scale, unit in rows:
         words = dict(subject=which, measure=value * scale, wanted=least * scale, of=unit)
-        found += violations("singularity", value, least, value < least, worst=-value, **words)
-    return found
+        results += violations("singularity", value, least, value < least, worst=-value, **words)
+    return results
 
 
 def _flips(cell: Cell, joints: np.ndarray) -> list[Violation]:
@@ -91,14 +91,14 @@ def joint_rate_violations(time, joints, speed_limit, acceleration_limit, at_rest
     time [s], (n,); joints [rad], (n, 6); limits [rad/s], [rad/s^2], (6,); at_rest: as for ``joint_rates``.
     """
     rates = joint_rates(np.asarray(time), np.asarray(joints, float), at_rest)
-    found = []
+    results = []
     for kind, values, limits in zip(
         ("joint speed", "joint acceleration"), rates, (speed_limit, acceleration_limit), strict=True
     ):
         points = np.arange(1, len(joints) + 1)[-len(values) :]
         for axis, most in enumerate(limits):
-            found += violations(kind, np.abs(values[:, axis]), most, points=points, axis=f"axis {axis + 1}")
-    return found
+            results += violations(kind, np.abs(values[:, axis]), most, points=points, axis=f"axis {axis + 1}")
+    return results
 
 
 def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:

@@ -23,8 +23,9 @@ from kr270_milling.physics.compensation.methods import LEARNED, METHODS
 from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.scores import path_deviation
 
-__all__ = ["FEWEST", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "Comparison", "Verdict",
-           "alternatives", "coarser", "compare", "judge_plants", "monte_carlo", "run_sample"]  # fmt: skip
+__all__ = ["FEWEST", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "MethodComparison",
+           "Verdict", "alternatives", "coarser", "compare_methods", "judge_plants", "monte_carlo",
+           "run_sample"]  # fmt: skip
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
 LEVELS = (0.05, 0.5, 0.95)
@@ -112,7 +113,7 @@ def _high(rows: np.ndarray) -> float:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class MethodComparison:
     """The methods compared by the linear response of drawn plants, and the method that is best."""
 
     best: str
@@ -125,14 +126,14 @@ class Comparison:
         return {"best": self.best, "reason": self.sentence, "path_deviation_mm": shown}
 
 
-def compare(cell: Cell, original: ScoredPass) -> Comparison:
+def compare_methods(cell: Cell, original: ScoredPass) -> MethodComparison:
     """Choose the method for ``compensation.method: best``, in seconds: no further pass is run.
 
     With a tracker the method is ``LEARNED``: it begins as ``inverse``, measures its passes, and keeps the best of them.
     """
     if cell.compensation.tracker:
         why = f"{LEARNED.name}, because compensation.tracker is true: a tracker measures each pass, the best is used"
-        return Comparison(LEARNED.name, why, {})
+        return MethodComparison(LEARNED.name, why, {})
     references = _references(cell, original)
     deviations = _expected(cell, {NO_METHOD: cell.target(), **references})
     none = deviations[NO_METHOD]
@@ -144,7 +145,7 @@ def compare(cell: Cell, original: ScoredPass) -> Comparison:
         f"{best}, because 95 % of {FEWEST} simulated robots then have a path deviation of at most "
         f"{1e6 * deviations[best]:.3g} um by linear response ({listed})"
     )
-    return Comparison(best, why, deviations)
+    return MethodComparison(best, why, deviations)
 
 
 def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Trajectory]:

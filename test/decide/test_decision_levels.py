@@ -17,7 +17,7 @@ from kr270_milling.decide.compensation import VerdictOrder
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
 from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.tolerance import SURFACE_ERROR, Judgement
-from kr270_milling.decide.verdict import HELPS, NO_METHOD, Comparison, Verdict, compare
+from kr270_milling.decide.verdict import HELPS, NO_METHOD, MethodComparison, Verdict, compare_methods
 from kr270_milling.physics.compensation.compensator import Compensator
 
 MOVING = ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04", "dynamics.mass_model=rigid")
@@ -78,7 +78,7 @@ def test_what_is_missing_is_named():
 def test_a_method_is_recommended_only_where_methods_were_compared():
     assert decision(verdict=plants(50)).recommended_method is None
     assert decision().method_text == "method: inverse, as set"
-    compared = decision(comparison=Comparison("inverse", "inverse, because", {}))
+    compared = decision(comparison=MethodComparison("inverse", "inverse, because", {}))
     assert compared.recommended_method == "inverse" and compared.method_text == "recommended method: inverse, because"
 
 
@@ -137,7 +137,7 @@ def test_the_decision_is_the_same_in_every_output_of_a_run(answer, sets, level, 
 
 def test_best_writes_the_path_as_programmed_where_no_method_helps(tmp_path, monkeypatch):
     cell = small_part(tmp_path, GCODE, "compensation.method=best")
-    monkeypatch.setattr(compensation, "compare", lambda *_: Comparison(NO_METHOD, "none, because", {}))
+    monkeypatch.setattr(compensation, "compare", lambda *_: MethodComparison(NO_METHOD, "none, because", {}))
     done = compensation.compensate(cell)
     assert done.revised.name == "none" and done.revised.reference is done.original.reference
     assert done.decision.method == done.decision.recommended_method == "none"
@@ -146,11 +146,11 @@ def test_best_writes_the_path_as_programmed_where_no_method_helps(tmp_path, monk
 def test_best_takes_learned_only_with_a_tracker(tmp_path):
     cell = small_part(tmp_path, GCODE, *MOVING, "compensation.method=best")
     original = simulate(cell)
-    found = compare(cell, original)
+    found = compare_methods(cell, original)
     assert found.best == "inverse" and set(found.deviations) == {"none", "linear", "spline", "mirror", "inverse"}
     assert found.deviations["inverse"] == min(found.deviations.values())
     tracked = cell.replace(compensation=cell.compensation.replace(tracker=True))
-    assert compare(tracked, original).best == "learned"
+    assert compare_methods(tracked, original).best == "learned"
     for one, method in ((cell, "inverse"), (tracked, "learned")):  # a node that runs compares nothing
         assert Compensator(one.compensation, one.target()).method == method
 

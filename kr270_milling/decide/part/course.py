@@ -52,8 +52,8 @@ def _headings(tangent: np.ndarray) -> np.ndarray:
     if not level.any():
         return np.zeros(len(tangent))
     last = np.maximum.accumulate(np.where(level, np.arange(level.size), -1))
-    held = tangent[np.where(last < 0, np.argmax(level), last)]
-    return np.arctan2(held[:, 1], held[:, 0])
+    rows = tangent[np.where(last < 0, np.argmax(level), last)]
+    return np.arctan2(rows[:, 1], rows[:, 0])
 
 
 def deviations(path: Course, error: np.ndarray) -> np.ndarray:

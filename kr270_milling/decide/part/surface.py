@@ -98,30 +98,30 @@ def marks(tool: Tool, path: Course, period: float, rigid: np.ndarray) -> Marks:
     return Marks(centre, np.column_stack([np.cos(along), np.sin(along)]), radius, k, share)
 
 
-def ideal_walls(cut: CutModel, found: Marks) -> IdealWalls:
+def ideal_walls(cut: CutModel, hits: Marks) -> IdealWalls:
     """Which marks remain as walls on the finished workpiece of the rigid arm."""
     stock, beyond = cut.stock, 2.0 * cut.stock.grid_step
-    found = found[found.centre[:, 2] < stock.max[2] - cut.params.level_step]
-    outside = heights_at(cut, found.point + beyond * found.normal)
+    hits = hits[hits.centre[:, 2] < stock.max[2] - cut.params.level_step]
+    outside = heights_at(cut, hits.point + beyond * hits.normal)
     with np.errstate(invalid="ignore"):  # NaN: beside the stock
-        here = outside > found.centre[:, 2] + 2.0 * cut.params.level_step
-    kept = found[here]
+        here = outside > hits.centre[:, 2] + 2.0 * cut.params.level_step
+    kept = hits[here]
     inside = heights_at(cut, kept.point - beyond * kept.normal)
     inside = np.fmin(inside, kept.centre[:, 2])
-    return IdealWalls(found, np.flatnonzero(here), outside[here] - inside)
+    return IdealWalls(hits, np.flatnonzero(here), outside[here] - inside)
 
 
 def remaining_walls(ideal: IdealWalls, path: Course, error: np.ndarray, level: float) -> Walls:
     """The walls of the finished part, given actual minus target tool centres (n + 1, 3) [m]; level [m] of the grid."""
-    found = ideal.marks
-    k, kept = found.period, found[ideal.kept]
-    moved = (error[k] + found.share[:, None] * (error[k + 1] - error[k]))[:, :2]
+    hits = ideal.marks
+    k, kept = hits.period, hits[ideal.kept]
+    moved = (error[k] + hits.share[:, None] * (error[k + 1] - error[k]))[:, :2]
     position = np.column_stack([kept.point, kept.centre[:, 2]])
-    missed = -_reach(found, moved, kept, np.einsum("kd,kd->k", moved[ideal.kept], kept.normal), 2.0 * level)
+    missed = -_reach(hits, moved, kept, np.einsum("kd,kd->k", moved[ideal.kept], kept.normal), 2.0 * level)
     return Walls(position, -kept.normal, ideal.height, missed, path.feature[kept.period])
 
 
-def _reach(found: Marks, error: np.ndarray, kept: Marks, own: np.ndarray, level: float) -> np.ndarray:
+def _reach(hits: Marks, error: np.ndarray, kept: Marks, own: np.ndarray, level: float) -> np.ndarray:
     """How much farther than rigid ones teeth reached at each kept mark [m], (k,); error (m, 2) [m]: their shifts.
 
     own: how much farther the tooth of the kept mark itself did [m], (k,); it counts alone where a tool rests so long
@@ -130,15 +130,15 @@ def _reach(found: Marks, error: np.ndarray, kept: Marks, own: np.ndarray, level:
     out = np.array(own)
     if not out.size:
         return out
-    tree = cKDTree(found.point)
-    bound = float(np.sqrt(2.0 * found.radius.max() * DEEPEST))
+    tree = cKDTree(hits.point)
+    bound = float(np.sqrt(2.0 * hits.radius.max() * DEEPEST))
     for first in range(0, out.size, CHUNK):
         mine = kept[first : first + CHUNK]
-        _, near = tree.query(mine.point, k=min(NEIGHBOURS, len(found)), distance_upper_bound=bound)
+        _, near = tree.query(mine.point, k=min(NEIGHBOURS, len(hits)), distance_upper_bound=bound)
         near = near.reshape(len(mine), -1)
-        exists = near < len(found)
+        exists = near < len(hits)
         near = np.where(exists, near, 0)
-        theirs = found[near]
+        theirs = hits[near]
         same = exists & (np.einsum("mkd,md->mk", theirs.normal, mine.normal) > PARALLEL)
         same &= theirs.centre[..., 2] <= mine.centre[:, None, 2] + level  # a higher pass does not touch the wall here
         away = theirs.centre[..., :2] - mine.point[:, None]
@@ -239,7 +239,7 @@ def _owners(x, y, height, path: Course, target: np.ndarray, radius: float, level
     owner = np.full(height.shape, -1, np.int64)
     top, reach = float(height.max()), 0.25 * radius
     rise = np.abs(path.tangent[:, 2])
-    slack = np.where(rise < 0.5, rise * reach, 0.0) + 2.0 * level  # a plunge leaves its floor at its end
+    slack = np.where(rise < 0.5, rise * reach, 0.0) + 2.0 * level  # a plunge leaves its floor at the last point
     for k in _stations(path, target, reach):
         cx, cy, z = target[k]
         if z > top + level:

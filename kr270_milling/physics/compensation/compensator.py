@@ -12,7 +12,8 @@ from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.arm_fit import Identified
 from kr270_milling.physics.compensation.learning import Learner
 from kr270_milling.physics.compensation.limiting import Bounds, Limited
-from kr270_milling.physics.compensation.methods import Method, RevisionTask, method_of
+from kr270_milling.physics.compensation.method import Method, RevisionTask
+from kr270_milling.physics.compensation.methods import method_of
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.revision import PassRecord, corrected
 from kr270_milling.physics.compensation.settings import CompensationSettings

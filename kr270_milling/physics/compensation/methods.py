@@ -1,68 +1,12 @@
-"""The compensation methods: one object each, in the table METHODS.
-
-The command line reads the names here, so this file imports a library only when a method revises.
-"""
+"""The compensation methods: one object each, in the table METHODS."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
 
-if TYPE_CHECKING:
-    import numpy as np
+from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
 
-    from kr270_milling.path.trajectory import Trajectory
-    from kr270_milling.physics.compensation.learning import Learner
-    from kr270_milling.physics.compensation.models import CellModels
-    from kr270_milling.physics.compensation.revision import PassRecord
-
-__all__ = ["BEST", "LEARNED", "METHODS", "Correction", "Method", "RevisionTask", "method_of"]
-
-
-@dataclass(frozen=True, eq=False)
-class RevisionTask:
-    """The input of one revision."""
-
-    target: Trajectory
-    reference: Trajectory  #: of the last pass
-    ran: PassRecord  #: the last pass
-    models: CellModels
-    criterion: str  #: "min_max" or "least_squares", of methods that minimise
-    smooth: bool  #: a spline joins the knots, of methods that can do both
-    learner: Learner | None  #: of the last revision by this method
-
-
-@dataclass(frozen=True, eq=False)
-class Correction:
-    """Reference minus target at the k knots of the target, before any limit."""
-
-    offset: np.ndarray  #: [m], (k, 3)
-    smooth: bool  #: a spline joins the knots; else straight lines
-    rates: np.ndarray | None = None  #: slopes of the spline at the knots [m/s], (k, 3); None: those of the C2 spline
-    quaternion: np.ndarray | None = None  #: orientations x, y, z, w, (k, 4); None: those of the target
-    learner: Learner | None = None  #: the experience for the next revision, of a method that learns
-
-
-class Method(Protocol):
-    """A compensation method. The compensator limits the correction and chooses the best pass for every method."""
-
-    @property
-    def name(self) -> str: ...
-
-    @property
-    def needs_arm(self) -> bool:
-        """Whether the method uses the models of arm and cut, not only the pass."""
-
-    @property
-    def repeats(self) -> bool:
-        """Whether passes and revisions continue until a pass brings no improvement."""
-
-    @property
-    def smooth(self) -> bool:
-        """Whether the reference is smooth between the knots, so that a robot program runs it as SPLINE."""
-
-    def revise(self, task: RevisionTask) -> Correction:
-        """Return the correction for the next pass; raise RevisionError where the pass does not allow one."""
+__all__ = ["BEST", "LEARNED", "METHODS", "method_of"]
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ __all__ = ["cut_along", "cut_step", "cut_undo"]
 
 
 def _step(s, p, pose_from, pose_to, first, n, forces, wrench):
-    """Stand-in for compiled code; see ``cut_step``."""
+    """Plain form of compiled code; see ``cut_step``."""
     raise NotImplementedError
 
 
 def _undo(s):
-    """Stand-in for compiled code; see ``cut_undo``."""
+    """Plain form of compiled code; see ``cut_undo``."""
     raise NotImplementedError
 
 

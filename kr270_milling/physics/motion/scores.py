@@ -72,7 +72,7 @@ def score(
     """
     deviation = path_deviation(actual, target, feed)
     engaged = time >= full_engagement - 1e-9
-    engaged[-1] = True  # a pass that ends before it is engaged is scored at its end
+    engaged[-1] = True  # a pass that ends before it is engaged is scored at the last row
     largest = float(np.max(np.abs(deviation[engaged])))
     if not straight:
         return Scores(np.nan, largest, low_frequency, np.nan, np.nan)

@@ -18,19 +18,18 @@ from kr270_milling.show.commands.console import (
     Colored,
     TextTable,
     cell_of,
+    columns_of,
     command_line,
     fixed,
     joints_text,
     now,
     plant_of,
     table_of,
-    um,
 )
 from kr270_milling.show.commands.progress import progress
 
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
-DEVIATIONS = (("pass", "name", 2), ("static", "static_deviation_mm", um), ("max", "max_deviation_mm", um))
 
 COMMANDS = {
     "compensate": command(
@@ -87,9 +86,9 @@ def run_compensate(args) -> Answer:
             print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
         if args.json and done.decision.level == CAUTION:
             print(f"warning: {done.decision.text}", file=sys.stderr)
-        found = _found(cell, done)
-        found |= _write(draft, final, cell, done, args, source)
-    return Answer(found, _shown(cell, done, found, args), code=done.decision.exit_code)
+        values = _values(cell, done)
+        values |= _write(draft, final, cell, done, args, source)
+    return Answer(values, _shown(cell, done, values, args), code=done.decision.exit_code)
 
 
 def _order(args):
@@ -108,25 +107,25 @@ def _estimate(plants: int, seconds: float) -> None:
         print(f"verdict: {plants} plants, about {seconds:.0f} s", file=sys.stderr)
 
 
-def _found(cell, done) -> dict:
+def _values(cell, done) -> dict:
     """What ``--json`` prints, but for the files."""
     from kr270_milling.cell.jobs import joint_ranges
 
     original, revised = done.original, done.revised
-    found = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
-    found |= {k: v for k, v in revised.row().items() if k != "name"}
-    found["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
-    found["original"] = {k: v for k, v in original.row().items() if k != "name"}
-    found["passes"] = [ran.row() for ran in (original, revised)]
-    found |= _correction(cell, revised, done.by)
-    found["features"] = {part.name: part.table() for part in done.parts}
-    found["check"] = done.checked.as_dict()
-    found["verdict"] = done.decision.verdict and done.decision.verdict.as_dict()
-    return found | done.decision.as_dict()
+    values = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
+    values |= {k: v for k, v in revised.row().items() if k != "name"}
+    values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
+    values["original"] = {k: v for k, v in original.row().items() if k != "name"}
+    values["passes"] = [ran.row() for ran in (original, revised)]
+    values |= _correction(cell, revised, done.by)
+    values["features"] = {part.name: part.table() for part in done.parts}
+    values["check"] = done.checked.as_dict()
+    values["verdict"] = done.decision.verdict and done.decision.verdict.as_dict()
+    return values | done.decision.as_dict()
 
 
 def _correction(cell, revised, by) -> dict:
-    """The size of the correction, and the part of it that was limited."""
+    """How large the correction is, and the parts that a limit removed."""
     import numpy as np
 
     from kr270_milling.decide.compensation import limit_sentence
@@ -134,14 +133,14 @@ def _correction(cell, revised, by) -> dict:
 
     size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
     limited = [dataclasses.asdict(part) | {"sentence": limit_sentence(part, by)} for part in by.limited]
-    found = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
+    values = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
     if by.errors[1:]:
-        found["remaining_errors_mm"] = [1e3 * error for error in by.errors]
-    found["identified"] = by.identified and by.identified.as_dict()
-    found["note"] = by.note or None
+        values["remaining_errors_mm"] = [1e3 * error for error in by.errors]
+    values["identified"] = by.identified and by.identified.as_dict()
+    values["note"] = by.note or None
     if not by.chosen.smooth:
-        found["chord_error_mm"] = 1e3 * chord_error(cell.target())
-    return found
+        values["chord_error_mm"] = 1e3 * chord_error(cell.target())
+    return values
 
 
 def _write(draft, final, cell, done, args, source) -> dict:
@@ -197,7 +196,7 @@ def _joints_table(cell, revised):
     return ReportTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
 
 
-def _shown(cell, done, found: dict, args):
+def _shown(cell, done, values: dict, args):
     """The output for the terminal, the decision first."""
     from kr270_milling.decide.decision import NO
 
@@ -205,33 +204,36 @@ def _shown(cell, done, found: dict, args):
     yield Colored(decision.text, COLORS[decision.level])
     yield from decision.lines()[1:]
     if done.parts:
-        yield _features(found["features"], found["method"])
+        yield _features(values["features"], values["method"])
     else:
-        yield table_of("Predicted path deviation [um]", DEVIATIONS, found["passes"])
-    if found["note"]:
-        yield found["note"]
-    if found["identified"]:
-        yield _identified(found["identified"])
+        from kr270_milling.physics.motion.scores import Scores
+
+        columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
+        yield table_of("Predicted path deviation [um]", columns, values["passes"])
+    if values["note"]:
+        yield values["note"]
+    if values["identified"]:
+        yield _identified(values["identified"])
     yield cell.cut_text
-    yield joints_text(found["commanded_joints_deg"])
-    yield f"largest correction {found['largest_correction_mm']:.4f} mm"
-    if "chord_error_mm" in found:
-        yield f"LIN chords deviate from the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um"
+    yield joints_text(values["commanded_joints_deg"])
+    yield f"largest correction {values['largest_correction_mm']:.4f} mm"
+    if "chord_error_mm" in values:
+        yield f"LIN chords deviate from the programmed path by up to {values['chord_error_mm'] * 1e3:.2f} um"
     yield from (*done.checked.findings_lines(), done.checked.counts)
-    if found["verdict"]:
-        yield from _verdict(found["verdict"])
-    yield f"{found['points']} reference points: {found['trajectory']}"
+    if values["verdict"]:
+        yield from _verdict(values["verdict"])
+    yield f"{values['points']} reference points: {values['trajectory']}"
     if decision.level == NO:
         yield "programs marked NOT RELEASED" if args.force else "no robot program is written (--force writes one)"
-    for kind, paths in found["programs"].items():
+    for kind, paths in values["programs"].items():
         yield f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}"
-    yield from (f"{kind}: {found[kind]}" for kind in ("report", "part") if kind in found)
+    yield from (f"{kind}: {values[kind]}" for kind in ("report", "part") if kind in values)
 
 
-def _identified(found: dict) -> str:
-    """The arm as fitted to the passes, in one line."""
-    modes = ", ".join(f"{m['frequency_hz']:.2f} Hz ({100 * m['damping_ratio']:.1f} %)" for m in found["modes"])
-    gain, compliance = found["gain"], found["compliance_factor"]
+def _identified(values: dict) -> str:
+    """The arm as the passes show it, in one line."""
+    modes = ", ".join(f"{m['frequency_hz']:.2f} Hz ({100 * m['damping_ratio']:.1f} %)" for m in values["modes"])
+    gain, compliance = values["gain"], values["compliance_factor"]
     return f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"
 
 

@@ -18,7 +18,7 @@ from kr270_milling.base.parameter_file import find_file
 
 __all__ = [
     "Answer", "Colored", "TextTable", "cell_of", "columns_of", "command_line", "fixed", "joints_text", "now",
-    "output_directory", "plant_of", "print_json", "print_table", "shown_path", "table_of", "um", "yes",
+    "output_directory", "plant_of", "print_json", "print_table", "shown_path", "table_of", "yes",
 ]  # fmt: skip
 
 WIDEST = 1000  # characters of a table
@@ -93,15 +93,15 @@ def table_of(title: str, columns: Sequence[tuple], rows: Iterable[Mapping]) -> T
     return TextTable(title, [heading for heading, *_ in columns], texts)
 
 
-def columns_of(record, *names: str, unit: str = "") -> tuple[tuple, ...]:
-    """Columns for ``table_of`` from the fields of a record class; names: only these fields.
+def columns_of(record, unit: str = "") -> tuple[tuple, ...]:
+    """Columns for ``table_of`` from the fields of a record class that have a short heading.
 
     unit: a unit that the title of the table states, so the headings do not.
     """
     return tuple(
         (c.short if c.unit == unit else c.heading(short=True), c.key, functools.partial(_shown, c))
         for c in columns(record)
-        if c.short and (not names or c.name in names)
+        if c.short
     )
 
 
@@ -119,11 +119,6 @@ def _text(value, style: int | Callable[[Any], str]) -> str:
 def fixed(value: float, digits: int = 2) -> str:
     """Return a number with so many decimals; "-" for NaN."""
     return "-" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
-
-
-def um(length_mm: float) -> str:
-    """A length [mm] in micrometres."""
-    return fixed(1e3 * length_mm)
 
 
 def yes(value: bool) -> str:

@@ -187,5 +187,5 @@ def _columns() -> tuple:
     """Columns of the passes."""
     from kr270_milling.physics.motion.scores import Scores
 
-    return (("pass", "name", 0), *columns_of(Scores, "static_deviation", "max_deviation"),
+    return (("pass", "name", 0), *columns_of(Scores),
             ("lost", "messages_lost", 0), ("complete", "complete", yes))  # fmt: skip

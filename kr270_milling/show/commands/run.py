@@ -127,6 +127,6 @@ def _columns() -> tuple:
     """Columns of the passes."""
     from kr270_milling.physics.motion.scores import Scores
 
-    return (("pass", "name", 2), *columns_of(Scores, "static_deviation", "max_deviation"),
+    return (("pass", "name", 2), *columns_of(Scores),
             ("wall [s]", "wall_s", 2), ("x real time", "real_time_factor", 2), ("lost", "messages_lost", 0),
             ("recording", "recording", shown_path))  # fmt: skip

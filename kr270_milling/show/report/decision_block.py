@@ -99,9 +99,9 @@ def _answer(judged: Judgement) -> ToleranceAnswer:
 def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
     """The question, in one sentence."""
     speed = cell.tool.spindle_speed * 30 / np.pi
-    how = f"a {cell.tool.diameter * 1e3:g} mm cutter with {cell.tool.teeth} teeth at {speed:.0f} rpm"
+    cutter = f"a {cell.tool.diameter * 1e3:g} mm cutter with {cell.tool.teeth} teeth at {speed:.0f} rpm"
     then = "" if len(passes) == 1 else ", and what does compensation change"
-    return f"How far off does {cell.arm.name} mill {cell.programmed.description} with {how}{then}?"
+    return f"How far off does {cell.arm.name} mill {cell.programmed.description} with {cutter}{then}?"
 
 
 class Tile(NamedTuple):

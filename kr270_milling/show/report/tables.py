@@ -170,5 +170,5 @@ def details(passes: Sequence[ScoredPass]) -> ReportTable:
 
 def warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:
     """Where the exchange was too coarse."""
-    worst = max((exchange_share(cell, ran) for ran in passes), key=lambda found: found.share)
+    worst = max((exchange_share(cell, ran) for ran in passes), key=lambda lines: lines.share)
     return worst.text if worst.share > worst.warn else ""

@@ -11,7 +11,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator, remaining_error
-from kr270_milling.physics.compensation.methods import Correction
+from kr270_milling.physics.compensation.method import Correction
 from kr270_milling.physics.compensation.models import CellModels
 from kr270_milling.physics.compensation.revision import KnotsError, PassRecord, RevisionError, sampled_correction
 from kr270_milling.physics.compensation.settings import CompensationSettings
