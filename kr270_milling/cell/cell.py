@@ -30,6 +30,7 @@ from kr270_milling.physics.robot import Arm, Mount, inverse_near, pose
 __all__ = ["Cell", "read_cell", "with_program"]
 
 SAME_PLACE = 1e-3  #: [mm], [deg]
+MOST_LONG_POSTURES = 20_000  #: of a program that is cut by its engagement; more lie between two of them, linearly
 LONG_CUTTING = 60.0  #: [s]; programs that cut longer are not swept tooth by tooth where cutting.detail is auto
 
 
@@ -170,9 +171,13 @@ class Cell(Record):
         """Exchange periods between two modelled postures, and the stamps [ns] of the postures."""
         if not self.dynamics.follow_pose:
             return 1, np.zeros(1, np.int64)
-        fastest = float(np.max(reference.feed(reference.time_ns)))
-        between = max(1, int(self.dynamics.posture_spacing / max(fastest, 1e-9) / self.exchange.period))
-        knots = -(-self.clock.steps(reference.duration_ns) // between)
+        steps, least = self.clock.steps(reference.duration_ns), 1
+        if self.by_engagement:  # a rapid move has no force, and a long program does not need every posture
+            fastest, least = self.feed_rate, -(-steps // MOST_LONG_POSTURES)
+        else:
+            fastest = float(np.max(reference.feed(reference.time_ns)))
+        between = max(least, int(self.dynamics.posture_spacing / max(fastest, 1e-9) / self.exchange.period))
+        knots = -(-steps // between)
         check_postures(knots + 1, self.dynamics.posture_spacing)
         return between, self.clock.stamp(np.arange(knots + 1) * between)
 

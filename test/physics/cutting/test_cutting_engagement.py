@@ -262,3 +262,14 @@ def test_a_straight_cut_stays_with_the_teeth():
     assert read_cell(find_file("paper.yaml")).cutting.detail == "teeth"
     with pytest.raises(MillingError, match=r"cutting.detail.*straight cut"):
         read_cell(find_file("paper.yaml"), ["cutting.detail=engagement"])
+
+
+def test_a_program_of_hours_is_modelled_at_a_bounded_number_of_postures(monkeypatch):
+    cell = read_cell(find_file("test_piece.yaml"), ["cutting.detail=engagement"])
+    target = cell.target()
+    free = cell.arm_model(target)
+    monkeypatch.setattr("kr270_milling.cell.cell.MOST_LONG_POSTURES", 50)
+    bounded = cell.arm_model(target)
+    assert len(free.transition) > 100 and len(bounded.transition) <= 51
+    passes = [run_pass(model, cell.cut(), cell.clock, target, target).deflection for model in (free, bounded)]
+    assert np.abs(passes[1] - passes[0]).max() < 0.05 * np.abs(passes[0]).max()
