@@ -10,8 +10,9 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simulate
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.check import Checked, check
-from kr270_milling.decide.findings import violation
+from kr270_milling.decide.findings import Violation, violation
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
+from kr270_milling.decide.programs.written import written_pass
 from kr270_milling.decide.tolerance import Judgement, judge
 from kr270_milling.decide.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, monte_carlo
 from kr270_milling.physics.compensation.compensator import Compensator
@@ -79,7 +80,8 @@ class JudgedCompensation:
     """Both passes and what is to be thought of them."""
 
     original: ScoredPass
-    revised: ScoredPass
+    planned: ScoredPass  #: along the planned reference
+    revised: ScoredPass  #: of the program as written; its reference is the planned one
     by: Compensator
     parts: tuple[PartAssessment, ...]  #: of both passes along a tool path
     checked: Checked  #: of the revised path
@@ -106,13 +108,15 @@ def compensate(
     by = compensator(cell, cell.target(), method)
     with progress(by.method, by.most_passes) as report:
         revised = compensated(cell, original, method, report, by, plant)
+    with progress("program as written") as report:
+        planned, revised = revised, written_pass(cell, revised, motion, plant, report)
     with progress("surfaces"):
         parts = () if cell.programmed.straight else assess_all(cell, (original, revised))
     limited = [
         violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, said=limit_sentence(p, by))
         for p in by.limited
     ]
-    checked = check(cell, revised.reference, motion, ran=revised, more=limited)
+    checked = check(cell, revised.reference, motion, ran=revised, more=[*limited, *unlike(planned, revised)])
     with progress("verdict") as report:
         judged = _verdict(cell, original, revised, verdict, report) if verdict else None
     before, after = map(lambda ran, part: judge(cell, ran, part), (original, revised), parts or (None, None))
@@ -120,7 +124,7 @@ def compensate(
     if judged:
         recommended = judged.recommended
     decision = Decision(before, after, checked.may_be_run, checked.count("warning"), recommended, judged)
-    return JudgedCompensation(original, revised, by, parts, checked, decision)
+    return JudgedCompensation(original, planned, revised, by, parts, checked, decision)
 
 
 def _verdict(cell: Cell, original: ScoredPass, revised: ScoredPass, order: VerdictOrder, report) -> Verdict | None:
@@ -132,6 +136,18 @@ def _verdict(cell: Cell, original: ScoredPass, revised: ScoredPass, order: Verdi
         cell, revised.reference, order.samples, order.seed, budget=BUDGET if order.asked_for else USUAL_BUDGET,
         give_up=not order.asked_for, progress=report, estimate=order.estimate, method=revised.name, others=others,
     )  # fmt: skip
+
+
+WRITTEN_SHARE = 0.2  #: share of the planned deviation by which that of the written program may differ
+WRITTEN_STEP = 0.5e-6  #: [m], differences below it come from the 0.1 um of the points
+
+
+def unlike(planned: ScoredPass, written: ScoredPass) -> list[Violation]:
+    """A violation where planned and written program differ by more than a share of the planned deviation."""
+    plan, error = planned.scores.max_deviation, written.scores.max_deviation
+    if abs(error - plan) <= max(WRITTEN_SHARE * plan, WRITTEN_STEP):
+        return []
+    return [violation("written program", error, plan)]
 
 
 def limit_sentence(part: Limited, by: Compensator) -> str:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_banded
 
-from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.path.trajectory import AT_REST, Trajectory
 
 __all__ = ["block_ends", "controller_motion", "spline_slopes"]
 
@@ -21,15 +21,17 @@ def block_ends(target: Trajectory) -> np.ndarray:
     return ends
 
 
-def controller_motion(points: Trajectory, target: Trajectory) -> Trajectory:
+def controller_motion(points: Trajectory, target: Trajectory, stops: np.ndarray | None = None) -> Trajectory:
     """Return the C2 spline in time through the points of the SPLINE blocks of a program for ``target``.
 
-    It rests at the stops of the target. Where the target does not start or end at rest (a straight cut, which has a
-    run-in and a run-out in the program), the spline has the velocity of the target there.
+    It rests at the stops (n,) of the blocks; None: ``block_ends`` of a target with the same knots. A target that starts
+    or ends in motion, as a straight cut does, gives the spline its velocity at that end.
     """
-    ends = block_ends(target)
-    slopes = np.where(target.standing[:, None], 0.0, target.sample_velocity(target.time_ns))
-    return points.with_position(points.position, spline_slopes(points.time, points.position, ends, slopes))
+    stops = block_ends(target) if stops is None else stops
+    slopes = np.zeros_like(points.position)
+    ends = target.sample_velocity(target.time_ns[[0, -1]])
+    slopes[[0, -1]] = np.where(np.linalg.norm(ends, axis=1, keepdims=True) <= AT_REST, 0.0, ends)
+    return points.with_position(points.position, spline_slopes(points.time, points.position, stops, slopes))
 
 
 def spline_slopes(time: np.ndarray, values: np.ndarray, fixed: np.ndarray, slopes=0.0) -> np.ndarray:

@@ -15,7 +15,8 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.jobs import joint_ranges
 from kr270_milling.decide.compensation import VerdictOrder, compensate, limit_sentence
 from kr270_milling.decide.part import write_part
-from kr270_milling.decide.programs.files import write_programs
+from kr270_milling.decide.programs.files import time_law, write_programs
+from kr270_milling.decide.programs.written import SOFTER, softer_pass
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.physics.compensation.revision import chord_error
 from kr270_milling.show.commands.console import (
@@ -72,6 +73,8 @@ def _found(cell, done) -> dict:
     found = {"method": revised.name, "points": len(revised.reference)}
     found |= {k: v for k, v in revised.row().items() if k != "name"}
     found["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
+    found["planned_max_deviation_mm"] = 1e3 * done.planned.scores.max_deviation
+    found["time_law"] = time_law(cell)
     found["original"] = {k: v for k, v in original.row().items() if k != "name"}
     found["passes"] = [ran.row() for ran in (original, revised)]
     found |= _correction(cell, revised, done.by)
@@ -128,7 +131,8 @@ def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
     title = f"{cell.programmed.file_name}: before and after compensation ({revised.name})"
     report = write_report(
         draft, cell, (done.original, revised), title=title, source=str(source), command=command_line(args), date=date,
-        parts=done.parts, decision=decision_block(done.decision, done.checked), tables=[_joints_table(cell, revised)],
+        parts=done.parts, decision=decision_block(done.decision, done.checked),
+        tables=[_joints_table(cell, revised), _time_law_table(cell, done)],
     )  # fmt: skip
     stl = draft / f"part_{revised.name}.stl"
     write_part(stl, cell, revised.result)
@@ -146,6 +150,16 @@ def _joints_table(cell, revised):
     return ReportTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
 
 
+def _time_law_table(cell, done) -> ReportTable:
+    """Largest deviation of the plan, of the written program, and of its points with a lower acceleration."""
+    with progress(f"{SOFTER:g} times the acceleration") as report:
+        softer = softer_pass(cell, done.revised.reference, progress=report)
+    rows = [("plan", done.planned), ("written program", done.revised)]
+    rows += [(f"written program, {SOFTER:g} times the acceleration", softer)] if softer else []
+    texts = tuple((name, f"{1e6 * ran.scores.max_deviation:.2f}") for name, ran in rows)
+    return ReportTable("Plan and program: largest deviation [um]", ("pass", "max"), texts, time_law(cell))
+
+
 def _shown(cell, done, found: dict, args):
     """What people read, the decision first."""
     checked = done.checked
@@ -154,6 +168,10 @@ def _shown(cell, done, found: dict, args):
         yield _features(found["features"], found["method"])
     else:
         yield table_of("Predicted path deviation [um]", DEVIATIONS, found["passes"])
+    yield (
+        f"largest deviation of the written program {1e3 * found['max_deviation_mm']:.3g} um, of the plan "
+        f"{1e3 * found['planned_max_deviation_mm']:.3g} um; {found['time_law']}"
+    )
     if found["note"]:
         yield found["note"]
     if found["identified"]:
