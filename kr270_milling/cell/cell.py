@@ -163,7 +163,7 @@ class Cell(Record):
         """Eq. (1) over one exchange period, at the posture where the reference starts or along all of it."""
         between, stamps = self._postures(reference)
         models = self.modes_at(self.joints_along(reference, stamps))
-        dynamics, before = self.dynamics, approach(self.target())
+        dynamics, before = self.dynamics, np.zeros(6) if reference.standing[0] else approach(self.target())
         ratio, inertia = dynamics.damping_ratio, dynamics.reference_inertia
         return arm_model(models, ratio, self.exchange.period, between, inertia, before)
 

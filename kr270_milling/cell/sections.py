@@ -168,7 +168,7 @@ class Program(Record):
     motion: str = parameter("SPLINE", choices=("SPLINE", "LIN"), text="SPL segments in SPLINE blocks, or LIN")
     line_limit: int = parameter(1400, low=100, high=100000, text="most lines of a .src or .dat file")
     blend_distance: float = parameter(1e-3, unit="mm", low=0.0, high=100.0, text="$APO.CDIS of LIN motions")
-    point_spacing: float = parameter(1e-5, unit="mm", above=0.0, high=10.0, text="closer points are left out")
+    point_spacing: float = parameter(1e-6, unit="mm", above=0.0, high=10.0, text="closer points are left out")
     approach_speed_percent: int = parameter(10, low=1, high=100, text="axis speed of the PTP motions")
     approach_feed: float = parameter(0.05, unit="m_per_min", above=0.0, high=60.0, text="down to the first point")
     safe_height: float = parameter(

@@ -11,9 +11,10 @@ from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simula
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.decision import Decision, decided
-from kr270_milling.decide.findings import violation
+from kr270_milling.decide.findings import Violation, violation
 from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
+from kr270_milling.decide.programs.written import written_pass
 from kr270_milling.decide.tolerance import judge
 from kr270_milling.decide.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, compare_methods, monte_carlo
 from kr270_milling.physics.compensation.compensator import Compensator
@@ -47,7 +48,8 @@ class JudgedCompensation:
     """Both passes and the decision on them."""
 
     original: ScoredPass
-    revised: ScoredPass
+    planned: ScoredPass  #: along the planned reference
+    revised: ScoredPass  #: of the program as written; its reference is the planned one
     by: Compensator
     parts: tuple[PartAssessment, ...]  #: of both passes along a tool path
     checked: Checked  #: of the revised path
@@ -82,26 +84,28 @@ def compensate(
             comparison = compare_methods(cell, original)
         method = comparison.best
     by = compensator(cell, cell.target(), None if method == NO_METHOD else method)
-    if method == NO_METHOD:
-        revised = replace(original, name=NO_METHOD)
-    else:
-        with progress(by.method, by.most_passes) as report:
-            revised = compensated(cell, original, method, report, by, plant)
-    with progress("surfaces"):
-        parts = () if cell.programmed.straight else assess_all(cell, (original, revised))
     motions = tuple(motions) or (cell.program.motion if by.chosen.smooth else "LIN",)
     motion = "LIN" if "LIN" in motions else motions[0]  # LIN motions are blended
+    if method == NO_METHOD:
+        planned = revised = replace(original, name=NO_METHOD)
+    else:
+        with progress(by.method, by.most_passes) as report:
+            planned = compensated(cell, original, method, report, by, plant)
+        with progress("program as written") as report:
+            revised = written_pass(cell, planned, motion, plant, report)
+    with progress("surfaces"):
+        parts = () if cell.programmed.straight else assess_all(cell, (original, revised))
     limited = [
         violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, said=limit_sentence(p, by))
         for p in by.limited
     ]
-    checked = check(cell, revised.reference, motion, ran=revised, more=limited)
+    checked = check(cell, revised.reference, motion, ran=revised, more=[*limited, *unlike(planned, revised)])
     with progress("verdict") as report:
         judged = _verdict(cell, original, revised, verdict, report, comparison is None) if verdict else None
     before, after = map(lambda ran, part: judge(cell, ran, part), (original, revised), parts or (None, None))
     backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
-    return JudgedCompensation(original, revised, by, parts, checked, decision, motions)
+    return JudgedCompensation(original, planned, revised, by, parts, checked, decision, motions)
 
 
 def _verdict(
@@ -118,6 +122,18 @@ def _verdict(
         cell, revised.reference, order.samples, order.seed, budget=BUDGET if order.asked_for else USUAL_BUDGET,
         give_up=not order.asked_for, progress=report, estimate=order.estimate, method=revised.name, others=others,
     )  # fmt: skip
+
+
+WRITTEN_SHARE = 0.2  #: share of the planned deviation by which that of the written program may differ
+WRITTEN_STEP = 0.5e-6  #: [m], differences below it come from the 0.1 um of the points
+
+
+def unlike(planned: ScoredPass, written: ScoredPass) -> list[Violation]:
+    """A violation where planned and written program differ by more than a share of the planned deviation."""
+    plan, error = planned.scores.max_deviation, written.scores.max_deviation
+    if abs(error - plan) <= max(WRITTEN_SHARE * plan, WRITTEN_STEP):
+        return []
+    return [violation("written program", error, plan)]
 
 
 def limit_sentence(part: Limited, by: Compensator) -> str:

@@ -24,7 +24,15 @@ from kr270_milling.path.trajectory_csv import write_csv
 from kr270_milling.physics.robot import pose, status_turn
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 
-__all__ = ["RSI_TICKS_NS", "as_commanded", "write_joint_table", "write_programs", "write_rsi_table"]
+__all__ = [
+    "RSI_TICKS_NS",
+    "as_commanded",
+    "source_of",
+    "time_law",
+    "write_joint_table",
+    "write_programs",
+    "write_rsi_table",
+]
 
 AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
 BESIDE = ((0.0, 0.0), (0.0, 2e-4), (2e-4, 2e-4))  #: [m], of the approach beside the first point, tried in this order
@@ -53,9 +61,9 @@ def write_programs(
     joints = commanded_joints(cell, original), commanded_joints(cell, revised)
     commanded = as_commanded(cell, original, joints[0]), as_commanded(cell, revised, joints[1])
     program = cell.program if released else cell.program.replace(name=NOT_RELEASED)
-    heading = krl.Heading(__version__, date, source, method, (*decision, *findings))
+    heading = krl.Heading(__version__, date, source, method, (time_law(cell), *decision, *findings))
     label = f"{method}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
-    setup, origin = _setup(cell, *commanded), _source(cell, len(original))
+    setup, origin = _setup(cell, *commanded), source_of(cell, len(original))
     files: dict[str, list[Path]] = {}
     programs = []
     for motion in dict.fromkeys(() if motions is None else motions or (program.motion,)):
@@ -130,7 +138,21 @@ def _approach(cell: Cell, run: Trajectory, safe_z: float) -> krl.Approach:
     return approaches[0]
 
 
-def _source(cell: Cell, count: int) -> krl_motion.Source | None:
+def time_law(cell: Cell) -> str:
+    """The times of the points, on which every figure of a program rests, as one line."""
+    if cell.timed_path is None:
+        feed = f"constant feed of {60 * cell.feed_rate:.4g} m/min"
+        return f"time law assumed: {feed} from point 1 to the last; give the program a run-in and a run-out"
+    if cell.timed_path.timed_by_source:
+        return "time law assumed: the times of the recorded path"
+    timing = cell.timing
+    return (
+        f"time law assumed: acceleration {timing.acceleration:g} m/s2, jerk {timing.jerk:g} m/s3 along the path, a "
+        f"point every {1e3 * timing.controller_step:g} ms"
+    )
+
+
+def source_of(cell: Cell, count: int) -> krl_motion.Source | None:
     """Line and feature of each knot; None without a program."""
     lines, features = cell.programmed.knot_source
     return krl_motion.Source(lines, features) if len(lines) == count else None

@@ -2,7 +2,7 @@
 
 NAME_ORG and NAME_CMP are a main module each (.src, .dat), which calls NAME_ORG_001, ... when the points exceed the line
 limit. Point k is knot k-1 of both trajectories. SPLINE: SPL segments with their speed, one block from stop to stop;
-the controller's own spline runs through the points and may differ from the trajectory between them. LIN: straight
+between the points the motion is that of ``path.controller_motion``. LIN: straight
 lines, blended by C_DIS except where the tool stops. The robot also stops where one module ends and the next begins,
 so modules end at stops where they can. A dwell is not written: the speed of the next move covers its time.
 

@@ -143,9 +143,7 @@ class Compensator:
         )
         made = self.chosen.revise(task)
         self.learner = made.learner
-        self.reference, self.limited = corrected(
-            target, made.offset, made.smooth, bounds, rates=made.rates, quaternion=made.quaternion
-        )
+        self.reference, self.limited = corrected(target, made.offset, made.smooth, bounds, quaternion=made.quaternion)
         if self.learner is not None:
             self._refuse_worse(self.learner)
         return self.reference

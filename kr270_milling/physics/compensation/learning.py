@@ -15,6 +15,7 @@ import functools
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from kr270_milling.path.controller_motion import block_ends, controller_motion
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.arm_fit import Evidence, Identified, fit_arm
 from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted
@@ -66,7 +67,8 @@ class Learner:
     @classmethod
     def of_model(cls, target: Trajectory, models: CellModels, criterion: str, smooth: bool) -> Learner:
         """Return a learner without passes, which knows the model alone."""
-        conditions = KnotConditions(smooth, target.standing, resting_segments(target))
+        stops = block_ends(target) if smooth else target.standing
+        conditions = KnotConditions(smooth, stops, resting_segments(target))
         arm = models.arm(target) if models.arm else ArmResponse.rigid(len(target) - 1)
         return cls(target, arm, conditions, criterion, models)
 
@@ -178,20 +180,22 @@ class Learner:
         moved = arm.swing(segments, self.path, self.path[0, 1]) + arm.follow(segments, ran.cubic)
         return moved if ran.wrench is None else moved + arm.deflect(segments, ran.wrench)
 
-    def correction(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """Values [m] and, of a smooth correction, rates [m/s] at the knots, (k, 3) each."""
-        lifted, base = Lifted(self.arm, self.segments, self.conditions), self.expected
-        if not self.conditions.smooth:  # straight lines deviate from a curved path without any load
-            chords = cubic_coefficients(self.target.time_ns, self.target.position, None) - self.path
-            base = base + self.arm.follow(self.segments, chords)
+    def correction(self) -> np.ndarray:
+        """Values [m] at the knots, (k, 3), for the motion of a program: a C2 spline, or straight lines."""
+        lifted = Lifted(self.arm, self.segments, self.conditions)
+        # the motion through the programmed points deviates from the path between them without any load
+        plain = self.target.with_position(self.target.position)
+        base = self._with(controller_motion(plain, self.target) if self.conditions.smooth else plain)
         smoothness = SMOOTHNESS + (self._rough / ROUGH) ** 2
         if self.criterion == "min_max" and not self._rough:
             solution = lifted.min_max(base, self._weight(), smoothness, self.scored)
         else:
             solution = lifted.least_squares(base, self._weight(), smoothness)
-        values, rates = solution.knots(self.segments)
-        rates[self.conditions.resting] = 0.0  # removes the rounding
-        return values, rates if self.conditions.smooth else None
+        return solution.knots(self.segments)
+
+    def _with(self, reference: Trajectory) -> np.ndarray:
+        """Deviation [m], (m, parts, 3), of a tool that runs along ``reference`` without the feedback of the cut."""
+        return self.expected + self.arm.follow(self.segments, self.cubic(reference))
 
     def _weight(self) -> np.ndarray:
         """(m, parts, 3, 3): across the feed one, along it less, where nothing is scored little."""
@@ -208,6 +212,6 @@ class Learner:
 
     def predicted(self, reference: Trajectory) -> float:
         """Largest deviation across the feed [m] that the model expects along ``reference`` where it is scored."""
-        left = self.expected + self.arm.follow(self.segments, self.cubic(reference))
+        left = self._with(reference)
         size = np.einsum("kpi,kpij,kpj->kp", left, self._weight(), left)[self.scored]
         return float(np.sqrt(size.max(initial=0.0)))

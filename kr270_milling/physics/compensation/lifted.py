@@ -43,12 +43,11 @@ class LiftedCorrection:
     cubic: np.ndarray
     left: np.ndarray
 
-    def knots(self, segments: Segments) -> tuple[np.ndarray, np.ndarray]:
-        """Values [m] and rates [m/s] at the knots, (m + 1, 3) each."""
+    def knots(self, segments: Segments) -> np.ndarray:
+        """Values [m] at the knots, (m + 1, 3)."""
         t = segments.duration[-1]
         c, v, a, j = self.cubic[-1]
-        end, rate = c + v * t + a * t**2 / 2.0 + j * t**3 / 6.0, v + a * t + j * t**2 / 2.0
-        return np.vstack([self.cubic[:, 0], end]), np.vstack([self.cubic[:, 1], rate])
+        return np.vstack([self.cubic[:, 0], c + v * t + a * t**2 / 2.0 + j * t**3 / 6.0])
 
 
 class Lifted:

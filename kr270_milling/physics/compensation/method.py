@@ -38,7 +38,6 @@ class Correction:
 
     offset: np.ndarray  #: [m], (k, 3)
     smooth: bool  #: a spline joins the knots; else straight lines
-    rates: np.ndarray | None = None  #: slopes of the spline at the knots [m/s], (k, 3); None: those of the C2 spline
     quaternion: np.ndarray | None = None  #: orientations x, y, z, w, (k, 4); None: those of the target
     learner: Learner | None = None  #: the experience for the next revision, of a method that learns
 

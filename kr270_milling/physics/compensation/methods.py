@@ -58,8 +58,7 @@ class ResponseMethod:
 
         learner = task.learner or Learner.of_model(task.target, task.models, task.criterion, task.smooth)
         learner = learner.with_pass(task.ran, task.reference)
-        offset, rates = learner.correction()
-        return Correction(offset, rates is not None, rates, learner=learner)
+        return Correction(learner.correction(), task.smooth, learner=learner)
 
 
 BEST = "best"  #: in place of a method: a comparison chooses the method

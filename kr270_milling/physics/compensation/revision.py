@@ -9,14 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.linalg import solve_banded
 
 from kr270_milling.base.errors import MillingError
+from kr270_milling.path.controller_motion import block_ends, controller_motion, spline_slopes
 from kr270_milling.path.trajectory import Trajectory, slerp
 from kr270_milling.physics.compensation.limiting import UNBOUNDED, Bounds, Limited, describe, limit_change
 
-__all__ = ["KnotsError", "PassRecord", "RevisionError", "chord_error", "corrected", "knot_rates",
+__all__ = ["KnotsError", "PassRecord", "RevisionError", "chord_error", "corrected",
            "resting_segments", "sampled_correction"]  # fmt: skip
 
 SAME_PLACE = 1e-8  #: [m], between two knots at rest: what rounding in a file moves
@@ -101,27 +100,24 @@ def corrected(
     smooth: bool,
     bounds: Bounds = UNBOUNDED,
     *,
-    rates: np.ndarray | None = None,
     quaternion: np.ndarray | None = None,
 ) -> tuple[Trajectory, tuple[Limited, ...]]:
     """Add a correction to the target within bounds; return the reference, and where the correction was limited.
 
-    offset: the correction [m] of the knots, (k, 3); rates: slopes [m/s] of a smooth correction, (k, 3), None: those of
-    its C2 spline; quaternion: orientations that belong to the offset, (k, 4), None: those of the target.
+    offset: the correction [m] of the knots, (k, 3); quaternion: orientations that belong to the offset, (k, 4),
+    None: those of the target.
 
     Straight lines between the knots are what a controller runs as LIN motions: on a curved target these are its chords
-    (see ``chord_error``). A smooth correction has a slope at each knot. It is C2 in time, and C1 where the target
-    stops, so that an exact stop of the robot program is a stop of the trajectory. While the target rests the correction
-    stays at its mean: the chips end with the feed, and a tool that follows the fading load would leave a mark that no
-    program point can remove. ``rates`` apply only where nothing is limited.
+    (see ``chord_error``). A smooth reference is the motion that the controller runs through its points in SPLINE blocks
+    (``controller_motion``): C2 in time, and at rest at the first point, at the stops of the target and at the last
+    point. While the target rests the correction stays at its mean: the chips end with the feed, and a tool that
+    follows the fading load would leave a mark that no program point can remove.
     """
-    still = target.standing
+    ends = block_ends(target)
     given = np.asarray(offset, float)
 
     def slopes(knots: np.ndarray) -> np.ndarray | None:
-        if rates is not None and np.array_equal(knots, given):
-            return rates
-        return knot_rates(target.time, knots, still) if smooth else None
+        return spline_slopes(target.time, knots, ends) if smooth else None
 
     wanted = _rested(target, given)
     size = np.linalg.norm(wanted, axis=1, keepdims=True)
@@ -129,14 +125,13 @@ def corrected(
     shorter = _smaller(target, shorter, slopes, bounds)
     knots = _slower(target, shorter, slopes, bounds)
     limited = describe("size", target.time, wanted, shorter) + describe("change", target.time, shorter, knots)
-    slope = slopes(knots)
-    velocity = None if slope is None else target.sample_velocity(target.time_ns) + slope
     turned = target.quaternion
     if quaternion is not None:
         share = np.linalg.norm(knots, axis=1, keepdims=True) / np.maximum(size, 1e-300)
         turned = slerp(target.quaternion, quaternion, np.where(size > 0, np.minimum(share, 1.0), 1.0))
     position = target.sample(target.time_ns) + knots
-    return Trajectory(target.time_ns, position, turned, velocity, target.frame), limited
+    reference = Trajectory(target.time_ns, position, turned, None, target.frame)
+    return controller_motion(reference, target) if smooth else reference, limited
 
 
 def resting_segments(target: Trajectory) -> np.ndarray:
@@ -198,27 +193,6 @@ def _slower(target: Trajectory, given: np.ndarray, slopes, bounds: Bounds) -> np
             np.multiply.at(most, segment[over], 0.999 * max_change / change[over])
         knots = limit_change(given, most)
     return knots * (max_change / change.max())  # the slope of a spline scales with its height
-
-
-def knot_rates(time: np.ndarray, values: np.ndarray, resting: np.ndarray | None) -> np.ndarray:
-    """Slopes (n, 3) at times (n,) of the cubic spline through ``values`` (n, 3): C2, and 0 where ``resting`` (n,).
-
-    At a resting knot the spline is C1; the ends are natural where they do not rest.
-    """
-    if resting is None or not resting.any():
-        return CubicSpline(time, values, bc_type="natural")(time, 1)
-    step = np.diff(time)
-    slope = np.diff(values, axis=0) / step[:, None]
-    below, middle, above = np.zeros(time.size), np.full(time.size, 2.0), np.zeros(time.size)
-    right = np.zeros_like(values)
-    below[1:-1], above[1:-1] = step[1:], step[:-1]  # C2 at the inner knots
-    middle[1:-1] = 2.0 * (step[1:] + step[:-1])
-    right[1:-1] = 3.0 * (step[1:, None] * slope[:-1] + step[:-1, None] * slope[1:])
-    above[0] = below[-1] = 1.0  # natural ends
-    right[0], right[-1] = 3.0 * slope[0], 3.0 * slope[-1]
-    below[resting], above[resting], middle[resting], right[resting] = 0.0, 0.0, 1.0, 0.0
-    bands = np.stack([np.append(0.0, above[:-1]), middle, np.append(below[1:], 0.0)])
-    return solve_banded((1, 1), bands, right)
 
 
 def chord_error(target: Trajectory) -> float:

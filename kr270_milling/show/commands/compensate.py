@@ -110,11 +110,14 @@ def _estimate(plants: int, seconds: float) -> None:
 def _values(cell, done) -> dict:
     """What ``--json`` prints, but for the files."""
     from kr270_milling.cell.jobs import joint_ranges
+    from kr270_milling.decide.programs.files import time_law
 
     original, revised = done.original, done.revised
     values = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
     values |= {k: v for k, v in revised.row().items() if k != "name"}
     values["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
+    values["planned_max_deviation_mm"] = 1e3 * done.planned.scores.max_deviation
+    values["time_law"] = time_law(cell)
     values["original"] = {k: v for k, v in original.row().items() if k != "name"}
     values["passes"] = [ran.row() for ran in (original, revised)]
     values |= _correction(cell, revised, done.by)
@@ -173,7 +176,8 @@ def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
     title = f"{cell.programmed.file_name}: before and after compensation ({revised.name})"
     report = write_report(
         draft, cell, (done.original, revised), title=title, source=str(source), command=command_line(args), date=date,
-        parts=done.parts, decision=decision_block(done.decision, done.checked), tables=[_joints_table(cell, revised)],
+        parts=done.parts, decision=decision_block(done.decision, done.checked),
+        tables=[_joints_table(cell, revised), _time_law_table(cell, done)],
     )  # fmt: skip
     stl = draft / f"part_{revised.name}.stl"
     write_part(stl, cell, revised.result)
@@ -196,6 +200,20 @@ def _joints_table(cell, revised):
     return ReportTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
 
 
+def _time_law_table(cell, done):
+    """Largest deviation of the plan, of the written program, and of its points with a lower acceleration."""
+    from kr270_milling.decide.programs.files import time_law
+    from kr270_milling.decide.programs.written import SOFTER, softer_pass
+    from kr270_milling.show.report import ReportTable
+
+    with progress(f"{SOFTER:g} times the acceleration") as report:
+        softer = softer_pass(cell, done.revised.reference, progress=report)
+    rows = [("plan", done.planned), ("written program", done.revised)]
+    rows += [(f"written program, {SOFTER:g} times the acceleration", softer)] if softer else []
+    texts = tuple((name, f"{1e6 * ran.scores.max_deviation:.2f}") for name, ran in rows)
+    return ReportTable("Plan and program: largest deviation [um]", ("pass", "max"), texts, time_law(cell))
+
+
 def _shown(cell, done, values: dict, args):
     """The output for the terminal, the decision first."""
     from kr270_milling.decide.decision import NO
@@ -210,6 +228,10 @@ def _shown(cell, done, values: dict, args):
 
         columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
         yield table_of("Predicted path deviation [um]", columns, values["passes"])
+    yield (
+        f"largest deviation of the written program {1e3 * values['max_deviation_mm']:.3g} um, of the plan "
+        f"{1e3 * values['planned_max_deviation_mm']:.3g} um; {values['time_law']}"
+    )
     if values["note"]:
         yield values["note"]
     if values["identified"]:

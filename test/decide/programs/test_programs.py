@@ -71,7 +71,8 @@ def test_programs_bring_the_flange_where_the_joint_positions_do(cell, tmp_path, 
     assert np.abs(read.transforms[:, :3, 3] - run.position[knots]).max() < 1e-6
     assert table[:, 0] == pytest.approx(run.time, abs=1e-9)
     away = np.linalg.norm(np.diff(run.position[knots], axis=0), axis=1)
-    assert away.min() > 0.9e-5 and len(knots) > 0.9 * len(run)  # nothing but close points is left out
+    least = 0.9 * cell.program.point_spacing
+    assert away.min() > least and len(knots) > 0.9 * len(run)  # nothing but close points is left out
 
 
 def test_tool_and_base_are_mount_and_workpiece_as_the_controller_sees_them(cell, tmp_path):

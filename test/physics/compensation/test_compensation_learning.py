@@ -56,7 +56,7 @@ def test_frequency_damping_and_compliance_of_the_plant_are_identified(cell, lear
 def test_learning_leaves_less_than_a_hundredth_though_the_model_is_wrong(learned):
     _, original, by, ran = learned
     assert by.finished and len(by.errors) <= 5
-    assert original.scores.max_deviation > 70 * UM and ran.scores.max_deviation < 0.5 * UM
+    assert original.scores.max_deviation > 70 * UM and ran.scores.max_deviation < 0.01 * original.scores.max_deviation
 
 
 def test_the_kept_reference_is_the_best_that_was_measured(cell, learned):
@@ -131,7 +131,7 @@ def test_without_a_measured_wrench_that_of_the_model_is_taken(cell):
     assert ran.scores.max_deviation < 0.1 * original.scores.max_deviation
 
 
-@pytest.mark.parametrize(("noise", "left"), [(5 * UM, 2 * UM), (20 * UM, 6 * UM)])
+@pytest.mark.parametrize(("noise", "left"), [(5 * UM, 3 * UM), (20 * UM, 6 * UM)])
 def test_noise_of_the_measured_pose_is_averaged_and_not_milled(cell, noise, left):
     plant = plant_of(cell, pose_noise=noise, seed=5)
     original = simulate(cell, plant=plant)

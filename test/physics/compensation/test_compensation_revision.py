@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from kr270_milling.path.controller_motion import spline_slopes
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.limiting import UNBOUNDED, Bounds
@@ -13,7 +14,6 @@ from kr270_milling.physics.compensation.revision import (
     PassRecord,
     RevisionError,
     corrected,
-    knot_rates,
     sampled_correction,
 )
 from kr270_milling.physics.compensation.settings import CompensationSettings
@@ -81,17 +81,17 @@ def test_linear_takes_away_what_is_linear_between_the_knots():
     assert left(target, reference, displacement) < 1e-16 and cut_off == () and reference.velocity is None
 
 
-def test_spline_takes_away_a_natural_spline_on_the_knots():
+def test_spline_takes_away_a_spline_that_starts_and_ends_without_slope():
     target = line()
-    displacement = knot_spline(target, "natural")
+    displacement = knot_spline(target, "clamped")
     reference, _ = sampled(True, target, target, ran(target, displacement))
     assert left(target, reference, displacement) < 1e-16
 
 
 @pytest.mark.parametrize("criterion", ["min_max", "least_squares"])
-def test_learned_takes_away_any_spline_on_the_knots(criterion):
+def test_learned_takes_away_a_spline_that_starts_and_ends_without_slope(criterion):
     target = line()
-    displacement = knot_spline(target, "not-a-knot")
+    displacement = knot_spline(target, "clamped")
     reference, _ = revised("learned", target, ran(target, displacement), criterion)
     assert left(target, reference, displacement) < 1e-3 * 50e-6  # it sees the means of parts of 3.1 ms, not each sample
 
@@ -125,7 +125,7 @@ def test_times_orientation_and_frame_stay(smooth):
 def test_a_spline_revision_has_no_jump_in_acceleration():
     target = line()
     reference, _ = sampled(True, target, target, ran(target, ringing))
-    again = CubicSpline(reference.time, reference.position - target.position, bc_type="natural")
+    again = CubicSpline(reference.time, reference.position - target.position, bc_type="clamped")
     expected = again(reference.time, 1) + target.sample_velocity(target.time_ns)
     np.testing.assert_allclose(reference.velocity, expected, atol=1e-12)
 
@@ -135,10 +135,10 @@ def test_a_spline_revision_has_no_jump_in_acceleration():
 
 @pytest.mark.parametrize(("method", "order"), [("linear", 2.0), ("spline", 4.0), ("learned", 4.0)])
 def test_the_error_left_falls_with_the_controller_step_by_the_order_of_the_interpolation(method, order):
-    """Of a smooth displacement without curvature at the ends, as a natural spline wants it."""
+    """Of a smooth displacement without slope at the ends, as the motion of the program needs it."""
 
     def displacement(t):
-        waves = np.sin(np.pi * t / 1.2) - 0.5 * np.sin(2 * np.pi * t / 1.2) + 0.3 * np.sin(5 * np.pi * t / 1.2)
+        waves = np.cos(np.pi * t / 1.2) - 0.5 * np.cos(2 * np.pi * t / 1.2) + 0.3 * np.cos(5 * np.pi * t / 1.2)
         return 50e-6 * np.outer(waves, [1.0, 1.0, 1.0])
 
     finest = 50_000_000 if method == "learned" else 25_000_000  # of means, so some nanometres stay at any step
@@ -249,14 +249,15 @@ def test_the_sampled_displacement_is_free_of_what_repeats_every_revolution():
     assert np.abs(found - (50e-6 + 20e-6 * inner * 1e-9)).max() < 1e-8  # the ripple alone is 15e-6
 
 
-def test_without_a_rest_the_slopes_are_scipys_and_with_one_the_spline_is_c2_everywhere_else():
+def test_the_slopes_are_scipys_and_a_stop_is_the_only_knot_where_the_spline_is_not_c2():
     values, t = np.random.default_rng(3).normal(0, 1, (25, 3)), 0.05 * np.arange(25)
-    np.testing.assert_array_equal(knot_rates(t, values, None), CubicSpline(t, values, bc_type="natural")(t, 1))
-    still = np.arange(25) == 9
-    rates, h = knot_rates(t, values, still), 0.05
+    ends = np.isin(np.arange(25), [0, 24])
+    expected = CubicSpline(t, values, bc_type="clamped")(t, 1)
+    np.testing.assert_allclose(spline_slopes(t, values, ends), expected, rtol=0.0, atol=1e-12)
+    rates, h = spline_slopes(t, values, ends | (np.arange(25) == 9)), 0.05
     move = np.diff(values, axis=0)
     left = (-6 * move + 2 * h * rates[:-1] + 4 * h * rates[1:]) / h**2  # second derivative at each segment's end
     right = (6 * move - 4 * h * rates[:-1] - 2 * h * rates[1:]) / h**2  # and at its start
     same = np.isclose(left[:-1], right[1:], rtol=1e-8, atol=1e-6).all(axis=1)
     assert np.flatnonzero(~same).tolist() == [8]  # the knot that rests
-    np.testing.assert_allclose([right[0], left[-1]], 0.0, atol=1e-6)  # natural ends
+    assert not rates[[0, 9, 24]].any()

@@ -204,7 +204,8 @@ def test_the_reference_that_was_written_is_checked_and_simulated_as_it_was_predi
     assert main(["simulate", *words]) == 0
     simulated = json.loads(capsys.readouterr().out)
     whole = [row for row in result["features"]["spline"] if row["feature"] == "whole part"][0]
-    assert simulated["whole_part"]["max_normal_um"] == pytest.approx(whole["max_normal_um"], rel=1e-9)
+    rounding = 0.1  # [um] of the points of the program, whose figures are printed
+    assert simulated["whole_part"]["max_normal_um"] == pytest.approx(whole["max_normal_um"], abs=rounding)
     assert np.isfinite(whole["max_wall_error_um"])
 
 
