@@ -16,6 +16,7 @@ from kr270_milling.cell import jobs
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decide import check as checks
 from kr270_milling.decide import compensation, tolerance, verdict
+from kr270_milling.decide import decision as decisions
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import Method
 from kr270_milling.show.report.series import COLUMNS, series_lines, series_rows
@@ -81,7 +82,7 @@ class Compensation:
     original: Pass
     compensated: Pass
     checked: checks.Checked
-    decision: compensation.Decision
+    decision: decisions.Decision
 
     def __repr__(self) -> str:
         return f"<Compensation {self.compensated.name}: {self.decision.headline}>"

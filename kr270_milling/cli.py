@@ -36,10 +36,10 @@ COMMANDS = {
     "keys": Entry("cells", "list the keys of a cell file with unit, range, default and meaning"),
     "run": Entry("run", "run the passes of a cell as ROS 2 nodes, each recorded to MCAP"),
     "simulate": Entry("simulate", "simulate one pass of a cell"),
-    "compensate": Entry("options", "revise the trajectory of a cell; tables, report and robot programs"),
-    "check": Entry("options", "say whether a path, or its corrected trajectory, may be run"),
+    "compensate": Entry("compensate", "revise the trajectory of a cell; tables, report and robot programs"),
+    "check": Entry("simulate", "say whether a path, or its corrected trajectory, may be run"),
     "stiffness": Entry("cells", "pose, stiffness and natural frequencies of an arm at one posture"),
-    "stability": Entry("options", "limit depth of cut and chatter frequency over spindle speed"),
+    "stability": Entry("stability", "limit depth of cut and chatter frequency over spindle speed"),
     "map": Entry(
         "studies", "where to clamp the part and how to turn the tool: reach, limits and predicted error over placements"
     ),
@@ -52,7 +52,7 @@ COMMANDS = {
     "report": Entry("recordings", "make the report of one or several recordings"),
     "watch": Entry("run", "show a running graph, live, on a page of this host"),
     "recover": Entry("recordings", "make a whole recording of one that was cut off or damaged"),
-    "bench": Entry("options", "time the sweep of the teeth and the stiffness model"),
+    "bench": Entry("bench", "time the sweep of the teeth and the stiffness model"),
 }
 
 

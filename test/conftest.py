@@ -159,12 +159,12 @@ class World:
 
     def add(self, kind, *arguments: str, cell=None, directory: Path | None = None, **kwargs):
         """A node of this package; arguments as behind --ros-args; cell: its parameters."""
-        from kr270_milling.live.graph.processes import write_cell
+        from kr270_milling.live.graph.processes import write_cell_file
 
         arguments = list(arguments)
         if cell is not None:
             file = Path(directory, f"cell_{len(self.nodes)}.yaml")
-            write_cell(cell, file)
+            write_cell_file(cell, file)
             arguments = ["--params-file", str(file), *arguments]
         node = kind(context=self.context, use_global_arguments=False, cli_args=["--ros-args", *arguments], **kwargs)
         return self.take(node)

@@ -27,7 +27,8 @@ MOTION, MIRROR, REVISION = (
 MEASURED = "physics/motion/arm_model.py"
 RESPONSE, LIFTED = "physics/compensation/response.py", "physics/compensation/lifted.py"
 LEARNING = "physics/compensation/learning.py"
-PLAY = "physics/motion/imperfections.py"
+IMPERFECTIONS = "physics/motion/imperfections.py"
+BACKLASH = "physics/motion/backlash.py"
 TESTS = {
     LOADS: ["robot_loads", "robot_equilibrium", "robot_elastostatics"],
     BALANCE: ["robot_equilibrium", "robot_elastostatics"],
@@ -43,7 +44,8 @@ TESTS = {
     RESPONSE: ["compensation_response"],
     LIFTED: ["compensation_lifted"],
     LEARNING: ["compensation_learning"],
-    PLAY: ["simulation_imperfections"],
+    IMPERFECTIONS: ["simulation_imperfections"],
+    BACKLASH: ["simulation_backlash"],
 }
 
 #: equation, file, a text that occurs once in the file, with <<old|new>>
@@ -159,8 +161,9 @@ MUTATIONS = [
     ("lifted cost to go", LIFTED, "gradient[:size] <<+|->> total[:size, size:] @ push[k]"),
     ("lifted policy", LIFTED, "later = total[:size, :size] <<+|->> total[:size, size:] @ policy[k]"),
     ("wrench on the path", LEARNING, "factor * (self._ideal <<-|+>> deviated)"),
-    ("repeatability", PLAY, "np.sqrt(8.0 / np.pi) <<+|->> 3.0 * np.sqrt"),
-    ("play", PLAY, "min(max(stands[k - 1, axis], motor <<-|+>> half[axis])"),
+    ("repeatability", IMPERFECTIONS, "np.sqrt(8.0 / np.pi) <<+|->> 3.0 * np.sqrt"),
+    ("flank", BACKLASH, "lost = 0.5 * width[j] * (flank <<-|+>> first)"),
+    ("friction", BACKLASH, "if torque < <<-|>>friction"),
 ]
 
 

@@ -34,7 +34,7 @@ def test_importing_the_package_imports_no_library():
 def test_a_pass_shows_its_scores(both):
     static, most = 1e6 * both.original.scores.static_deviation, 1e6 * both.original.scores.max_deviation
     assert repr(both.original) == f"<Pass original: static {static:.2f} um, max {most:.2f} um>"
-    assert "may be run" in repr(both) and isinstance(both.compensated.reference, Trajectory)
+    assert "decision: caution" in repr(both) and isinstance(both.compensated.reference, Trajectory)
     assert both.original.tolerance.passes is None and both.original.tolerance.wall == both.original.scores.max_deviation
 
 

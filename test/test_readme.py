@@ -100,21 +100,30 @@ def test_the_readme_is_short():
     assert PAGES[0].read_text(encoding="utf-8").count("\n") <= 120
 
 
+def without_digits(line: str) -> str:
+    return re.sub(r"[\d.]+", "#", line)
+
+
 def test_the_tutorial_runs_as_it_stands(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
     page = (ROOT / "kr270_milling/guide/tutorial.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"<!-- pocket.nc -->\n```\n(.*?)```", page, re.DOTALL)
     Path("pocket.nc").write_text(program)
-    ends = []
+    ends, shown = [], ""
     for line in (line for text in re.findall(r"```sh\n(.*?)```", page, re.DOTALL) for line in text.splitlines()):
         words, _, into = line.partition(" > ")
-        capsys.readouterr()
+        shown += capsys.readouterr().out
         ends.append(main(shlex.split(words)[1:]))
         if into:
             Path(into).write_text(capsys.readouterr().out)
     assert ends == [0, 0, 0] and Path("part/report.html").is_file() and list(Path("part").glob("krl_*/*_CMP.src"))
-    assert "recommended method" in capsys.readouterr().out.splitlines()[0]
+    printed = [without_digits(line) for line in (shown + capsys.readouterr().out).splitlines()]
+    examples = [text for text in page.split("```")[1::2] if text.startswith(("\nas programmed", "\ndecision"))]
+    assert len(examples) == 2
+    for line in "".join(examples).split("\n"):
+        line, _, _ = line.partition(" and in ")  # the verdict has tests of its own
+        assert any(one.startswith(without_digits(line)) for one in printed), line
 
 
 def test_the_key_reference_is_what_keys_prints(capsys):

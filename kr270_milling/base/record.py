@@ -28,6 +28,14 @@ __all__ = [
     "find_file",
 ]  # fmt: skip
 
+#: key of an earlier version -> what its user must know
+MOVED = {
+    "limits.backlash_deg": "is not a known key: the backlash is arm.backlash_arcsec since 0.3.0",
+    "imperfections.backlash_deg": "is not a known key: its unit is arcsec since 0.3.0, imperfections.backlash_arcsec",
+    "uncertainty.backlash_deg": "is not a known key: since 0.3.0 uncertainty.backlash is a multiple of "
+    "arm.backlash_arcsec",
+}
+
 
 @dataclasses.dataclass(frozen=True)
 class Spec:
@@ -215,6 +223,8 @@ def build(record: type[Record], tree: dict, file="", prefix: str = ""):
     known = {s.key: s for s in specs(record)}
     for key in tree:
         if key not in known:
+            if prefix + key in MOVED:
+                raise ConfigError(file, f"{prefix}{key}", None, MOVED[prefix + key])
             near = difflib.get_close_matches(str(key), known, 1)
             hint = f"; did you mean {near[0]}?" if near else f"; known here: {', '.join(known)}"
             raise ConfigError(file, f"{prefix}{key}", None, "is not a known key" + hint)

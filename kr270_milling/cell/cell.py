@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
 import pathlib
@@ -9,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from kr270_milling.base.errors import ConfigError, ParameterError
+from kr270_milling.base.errors import ConfigError, InputError, ParameterError
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
 from kr270_milling.base.record import Record, build, override, parameter, read_tree
 from kr270_milling.cell.path import check_postures
@@ -19,7 +20,7 @@ from kr270_milling.path.cam.readers import find_tool_path
 from kr270_milling.path.timing import TimedPath, Timing
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.settings import CompensationSettings
-from kr270_milling.physics.cutting import Cut, Cutting, Stock, Tool
+from kr270_milling.physics.cutting import Cut, CutModel, Cutting, EngagementCut, Stock, Tool
 from kr270_milling.physics.motion.arm_model import Dynamics, arm_model, modal_models
 from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, approach
 from kr270_milling.physics.motion.exchange import Clock, Exchange, Publish
@@ -29,6 +30,7 @@ from kr270_milling.physics.robot import Arm, Mount, inverse_near, pose
 __all__ = ["Cell", "read_cell", "with_program"]
 
 SAME_PLACE = 1e-3  #: [mm], [deg]
+LONG_CUTTING = 60.0  #: [s]; programs that cut longer are not swept tooth by tooth where cutting.detail is auto
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,6 +71,8 @@ class Cell(Record):
         if abs(turn - round(turn)) > 1e-6:
             raise ParameterError("exchange.micro_step_deg", np.degrees(self.exchange.micro_step), "a whole part of 360")
         self._check_posture()
+        if self.by_engagement and not self.path.file:
+            raise ParameterError("cutting.detail", "engagement", "teeth or auto for a straight cut")
         if self.tool.spindle_speed > 0.0:
             self.exchange.clock(self.tool.spindle_speed)
         elif self.programmed.spindle_speed_needed:
@@ -112,7 +116,11 @@ class Cell(Record):
     def programmed(self) -> StraightCut | ProgramPath:
         """The programmed path."""
         common = self.path, self.stock, self.tool, self.timing, self.exchange
-        return ProgramPath(*common, self.arm, self.joints) if self.path.file else StraightCut(*common)
+        return (
+            ProgramPath(*common, self.arm, self.joints, not self.by_engagement)
+            if self.path.file
+            else StraightCut(*common)
+        )
 
     @property
     def fed_path(self) -> TimedPath | None:
@@ -190,9 +198,23 @@ class Cell(Record):
         """Exchange periods from one published deflection to the next: ``publish.every``, or as many as make 10 ms."""
         return self.publish.every or self.steps_of(0.01)
 
-    def cut(self) -> Cut:
+    @property
+    def by_engagement(self) -> bool:
+        """Whether the mean force of the engagement is the model of the cut, and not the sweep of the teeth."""
+        return self.cutting.detail == "engagement"
+
+    @property
+    def cut_text(self) -> str:
+        """The model of the cut in one line."""
+        if not self.by_engagement:
+            return "cut: teeth, each tooth by itself"
+        period, step = 1e3 * self.exchange.period, 1e3 * self.stock.grid_step
+        return f"cut: engagement, mean force over {period:.3g} ms on a map of {step:.3g} mm (cutting.detail)"
+
+    def cut(self) -> CutModel:
         """Fresh workpiece."""
-        return Cut(self.tool, self.cutting, self.stock, self.exchange.micro_step)
+        model = EngagementCut if self.by_engagement else Cut
+        return model(self.tool, self.cutting, self.stock, self.exchange.micro_step)
 
     @property
     def feed_rate(self) -> float:
@@ -227,7 +249,33 @@ def read_cell(path, assignments=()) -> Cell:
 
 
 def with_program(cell: Cell, source="") -> Cell:
-    """Return the cell, with the spindle speed of its program where the file has no spindle speed."""
+    """Return the cell with the spindle speed, where the file has none, and the cutting model that its program needs."""
+    cell = _with_spindle(cell, source)
+    try:
+        return _with_cut_model(cell)
+    except ParameterError as error:
+        raise ConfigError(source, error.key, error.value, error.allowed) from None
+
+
+def _with_cut_model(cell: Cell) -> Cell:
+    """Return the cell with ``cutting.detail`` as teeth or engagement; engagement: with its period and its grid.
+
+    A program that cannot be read leaves ``auto``: the error appears where the path is used.
+    """
+    detail = cell.cutting.detail
+    if detail == "auto":
+        with contextlib.suppress(InputError):
+            detail = "engagement" if cell.programmed.cutting_time > LONG_CUTTING else "teeth"
+    if detail != "engagement":
+        return cell.replace(cutting=cell.cutting.replace(detail=detail)) if detail != cell.cutting.detail else cell
+    return cell.replace(
+        cutting=cell.cutting.replace(detail=detail),
+        exchange=cell.exchange.for_engagement(cell.tool.spindle_speed),
+        stock=cell.stock.for_engagement(float(cell.tool.radii.max())),
+    )
+
+
+def _with_spindle(cell: Cell, source) -> Cell:
     if cell.tool.spindle_speed > 0.0:
         return cell
     speeds = cell.programmed.program.spindle_speeds

@@ -57,7 +57,10 @@ def simulate(
         record = pass_record(cell, result.time_ns, result.tool, result.wrench, plant.cell.imperfections, number)
         return ScoredPass(name, reference, result, scored(cell, result, plant.cell.low_frequency), record)
     cut = cell.cut()
-    result = run_pass(cell.arm_model(reference), cut, cell.clock, target, reference, cell.exchange.iterations, progress)
+    result = run_pass(
+        cell.arm_model(reference), cut, cell.clock, target, reference, cell.exchange.iterations, progress,
+        cell.programmed.drilling_at,
+    )  # fmt: skip
     if not cell.programmed.straight:  # its sweep takes long, so the assessment of the part uses this workpiece
         result = dataclasses.replace(result, heights=cut.map_heights()[2])
     return ScoredPass(name, reference, result, scored(cell, result))
@@ -157,6 +160,7 @@ def deviated_cut(cell: Cell, target: Trajectory, time_ns: np.ndarray, shift: np.
     stamps = cell.clock.stamp(steps)
     tool = target.sample(stamps) + np.column_stack([np.interp(stamps, time_ns, axis) for axis in shift.T])
     wrench, _, _ = cell.cut().along(tool, steps * cell.clock.micro_steps)
+    wrench = np.where(cell.programmed.drilling_at(stamps)[:, None], 0.0, wrench)
     return pass_record(cell, stamps, tool, wrench)
 
 

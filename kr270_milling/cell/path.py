@@ -19,7 +19,7 @@ from kr270_milling.physics.motion.exchange import Exchange
 
 __all__ = ["MOST_STEPS", "check_duration", "check_effort", "check_feed", "check_path", "check_postures", "sinking"]
 
-MOST_STEPS = 5e6  #: exchange periods or reference points of one pass; its series take some 250 bytes a step
+MOST_STEPS = 1e7  #: exchange periods or reference points of one pass; its series take some 250 bytes a step
 MOST_TOOTH_STEPS = 1e10  #: micro-steps of single teeth in one pass, some 0.1 us each
 MOST_VISITS = 1e13  #: nodes under the footprint, each time that it is swept as a whole, some ns each
 MOST_POSTURES = 100_000  #: at which the arm's modes are computed, some ms and 3 kB each
@@ -28,14 +28,17 @@ SAME_SPEED = 0.1  # [rad/s], 1 rpm: spindle speeds that differ by less are one
 UPRIGHT = np.radians(1.0)  # the cut is that of a tool along z: beyond this its floors and chips are others
 
 
-def check_duration(file: str, run: Trajectory, exchange: Exchange, tool: Tool, stock: Stock) -> None:
+def check_duration(
+    file: str, run: Trajectory, exchange: Exchange, tool: Tool, stock: Stock, by_teeth: bool = True
+) -> None:
     """Raise InputError or ParameterError for a path of days, a mistake of the feed: cost grows with the steps."""
     steps = run.duration_ns * 1e-9 / exchange.period
     if not steps <= MOST_STEPS:
         shown = f"{run.duration_ns * 1e-9:.4g} s, {steps:.3g} exchange periods, more than {MOST_STEPS:g}"
         raise InputError(file, f"would take {shown}: cut it in pieces, or raise exchange.period_ms")
     sinks = sinking(run.time, run.position[:, 2], float(stock.max[2]))
-    check_effort(exchange, tool, stock, run.duration_ns * 1e-9, sinks)
+    if by_teeth:
+        check_effort(exchange, tool, stock, run.duration_ns * 1e-9, sinks)
 
 
 def check_effort(exchange: Exchange, tool: Tool, stock: Stock, duration: float, sinks: tuple = (0.0, 0.0)) -> None:

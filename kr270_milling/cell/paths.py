@@ -47,6 +47,7 @@ class StraightCut:
     sha256 = ""  #: of the file
     program = SourceProgram()
     spindle_speed_needed = True  #: no program states the spindle speed
+    cutting_time = 0.0  #: [s], of a program
     fed = None  #: the tool path under the limits of the controller alone
     timed = None  #: the tool path under the limits of controller and joints
 
@@ -105,6 +106,10 @@ class StraightCut:
         """Whether the tool makes a rapid move at times (n,) [ns]."""
         return np.zeros(time_ns.size, bool)
 
+    def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
+        """Whether the tool feeds in a drilling cycle at times (n,) [ns]."""
+        return np.zeros(time_ns.size, bool)
+
 
 @dataclass(frozen=True, eq=False)
 class ProgramPath:
@@ -117,6 +122,7 @@ class ProgramPath:
     exchange: Exchange
     arm: Arm
     joints: Callable[[Trajectory], np.ndarray]  #: trajectory -> joint positions [rad], (n, 6), at its knots
+    by_teeth: bool = True  #: each tooth is swept
 
     straight = False
     full_engagement = 0.0  #: [s], the whole path is scored where it cuts
@@ -153,9 +159,11 @@ class ProgramPath:
 
     @property
     def feed_rate(self) -> float:
-        """[m/s], the highest programmed feed of the cutting moves."""
+        """[m/s], the highest programmed feed of the milling moves, of a program that only drills of all feed moves."""
         toolpath = self.timed.toolpath
-        return float(np.max(toolpath.feed[~toolpath.rapid], initial=0.0))
+        milling = ~toolpath.rapid & ~toolpath.drilling
+        cuts = milling if milling.any() else ~toolpath.rapid
+        return float(np.max(toolpath.feed[cuts], initial=0.0))
 
     @property
     def spindle_speed_needed(self) -> bool:
@@ -168,6 +176,15 @@ class ProgramPath:
         read = self.fed.toolpath if self.tool.spindle_speed > 0.0 else self._read()
         return SourceProgram() if isinstance(read, TimedPath) else read.program
 
+    @property
+    def cutting_time(self) -> float:
+        """[s], of the cutting moves at their programmed feeds; of a recording: its duration."""
+        read = self._read()
+        if isinstance(read, TimedPath):
+            return read.trajectory.duration_ns * 1e-9
+        cutting = ~read.rapid
+        return float(np.sum(read.block_length[cutting] / read.feed[cutting]))
+
     @functools.cached_property
     def fed(self) -> TimedPath:
         """The tool path under the limits of the controller alone; a recorded trajectory keeps its times.
@@ -177,7 +194,7 @@ class ProgramPath:
         """
         read = self._read()
         timed = read if isinstance(read, TimedPath) else time_path(read, self.timing)
-        check_duration(self.path.file, timed.trajectory, self.exchange, self.tool, self.stock)
+        check_duration(self.path.file, timed.trajectory, self.exchange, self.tool, self.stock, self.by_teeth)
         check_path(self.path.file, timed, self.tool, self.stock)
         return timed
 
@@ -224,6 +241,11 @@ class ProgramPath:
     def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
         """Whether the tool makes a rapid move at times (n,) [ns]."""
         return self.timed.toolpath.rapid[self.timed.block_at(time_ns)]
+
+    def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
+        """Whether the tool feeds in a drilling cycle at times (n,) [ns]."""
+        drilling = self.timed.toolpath.drilling
+        return drilling[self.timed.block_at(time_ns)] if drilling.any() else np.zeros(time_ns.size, bool)
 
     def _read(self) -> Toolpath | TimedPath:
         path = self.path

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.motion.imperfections import Imperfections, play
+from kr270_milling.physics.motion.backlash import Gaps
+from kr270_milling.physics.motion.dynamics import ArmModel
+from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
-from kr270_milling.physics.robot import jacobian
+from kr270_milling.physics.robot.kinematics import forward, jacobian_at
+from kr270_milling.physics.robot.loads import GRAVITY, link_loads, load_torque
+from kr270_milling.physics.robot.mass import rigid_joint_mass
 
-__all__ = ["Plant", "imperfect_course", "perturbed"]
+__all__ = ["Plant", "imperfect_arm", "imperfect_course", "joint_gaps", "perturbed"]
+
+MOST_KNOTS = 20_000  #: at which the load on the joints is known along a path
 
 
 class Plant:
@@ -28,35 +36,54 @@ class Plant:
     def run(self, reference: Trajectory, progress=None) -> PassResult:
         """One pass on a fresh workpiece.
 
-        It is true, and not what a noisy tracker reports: its ``reference`` is the course that the motors took, with
-        repeatability and backlash.
+        The result is true, and not what a noisy tracker reports: its ``reference`` is the course of the motors, with
+        repeatability; its deflections contain the backlash.
         """
         cell, number = self.cell, self.passes
         self.passes += 1
         course = imperfect_course(cell, reference, number)
         iterations = cell.exchange.iterations
-        return run_pass(cell.arm_model(reference), cell.cut(), cell.clock, self.target, course, iterations, progress)
+        model = imperfect_arm(cell, reference, cell.arm_model(reference))
+        silent = cell.programmed.drilling_at
+        return run_pass(model, cell.cut(), cell.clock, self.target, course, iterations, progress, silent)
 
 
 def imperfect_course(cell: Cell, reference: Trajectory, number: int) -> Trajectory:
-    """Return the path of the unloaded tool of a plant that follows ``reference`` in its pass ``number``.
-
-    With the play of the joints straight lines join the ends of the exchange periods.
-    """
+    """Return the course of the motors of a plant that follows ``reference`` in its pass ``number``."""
     how = cell.imperfections
-    if how.backlash.any():
-        stamps = cell.clock.stamp(np.arange(cell.clock.steps(reference.duration_ns) + 1))
-        stamps[-1] = max(int(stamps[-2]) + 1, min(int(stamps[-1]), reference.duration_ns))
-        joints = cell.joints_along(reference, stamps)
-        moves = cell.workpiece.pose.rotation.T @ jacobian(cell.arm, cell.mount, joints)[:, :3]
-        lost = play(joints, how.backlash) - joints
-        # counted from where the pass begins, where the tool was touched off
-        shift = np.einsum("nij,nj->ni", moves, lost - lost[0])
-        turns = reference.sample_orientation(stamps)
-        reference = Trajectory(stamps, reference.sample(stamps) + shift, turns, None, reference.frame)
     if not how.repeatability:
         return reference
     return reference.with_position(reference.position + how.shift(number), reference.velocity)
+
+
+def imperfect_arm(cell: Cell, reference: Trajectory, model: ArmModel) -> ArmModel:
+    """Return the arm of a plant that follows ``reference``: its model, with the backlash of its joints."""
+    width = cell.imperfections.backlash
+    return dataclasses.replace(model, gaps=joint_gaps(cell, reference, width)) if width.any() else model
+
+
+def joint_gaps(cell: Cell, reference: Trajectory, width: np.ndarray) -> Gaps:
+    """Return the gaps of joints with a backlash ``width`` [rad], (6,), along a reference, one knot a controller step.
+
+    tau = J_G^T G - M_theta q''   weight (6) and inertia of rigid links; q'' from differences of the joint positions
+    """
+    every = max(cell.steps_of(cell.timing.controller_step), -(-cell.clock.steps(reference.duration_ns) // MOST_KNOTS))
+    knots = np.arange(max(3, -(-cell.clock.steps(reference.duration_ns) // every) + 1))
+    joints = cell.joints_along(reference, np.minimum(cell.clock.stamp(knots * every), reference.duration_ns))
+    frames = forward(cell.arm, cell.mount, joints)
+    loads = link_loads(cell.arm, cell.mount, GRAVITY if cell.dynamics.gravity else 0.0)
+    inner = np.diff(joints, 2, axis=0) / (every * cell.clock.period) ** 2
+    acceleration = np.concatenate([inner[:1], inner, inner[-1:]])
+    inertia = np.einsum("nij,nj->ni", rigid_joint_mass(cell.arm, cell.mount, joints), acceleration)
+    to_workpiece = np.kron(np.eye(2), cell.workpiece.pose.rotation.T)
+    return Gaps(
+        torque=load_torque(frames, np.zeros(6), loads) - inertia,
+        jacobian=np.ascontiguousarray(to_workpiece @ jacobian_at(frames, frames.tool.position)),
+        friction=np.array(cell.arm.friction_torque),
+        width=np.array(width, float),
+        share=1.0 - float(np.exp(-cell.clock.period * cell.tool.spindle_speed / (2.0 * np.pi))),
+        steps_per_knot=float(every),
+    )
 
 
 def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
@@ -66,8 +93,8 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
 
     Where the place of the part is wrong, the robot runs its program in the same place, so the stock moves under the
     path; the difference of the postures does not matter. The size of the shift is limited to 3 standard
-    deviations. The imperfections are drawn evenly from none to what the uncertainties say, the backlash of all joints
-    alike.
+    deviations. The imperfections are drawn evenly from none to what the uncertainties say: the backlash of all joints
+    is the same multiple of ``arm.backlash``.
     """
     how, law = cell.uncertainty, cell.cutting.active
 
@@ -89,6 +116,6 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
         mount=cell.mount.replace(mass=cell.mount.mass / frequency**2),
         cutting=cell.cutting.replace(**{cell.cutting.law: law}),
         dynamics=cell.dynamics.replace(damping_ratio=damping, reference_inertia=moved),
-        imperfections=Imperfections(noise, repeatability, np.full(6, backlash), int(rng.integers(2**31))),
+        imperfections=Imperfections(noise, repeatability, backlash * cell.arm.backlash, int(rng.integers(2**31))),
         stock=cell.stock.replace(min=cell.stock.min + shift, max=cell.stock.max + shift),
     )

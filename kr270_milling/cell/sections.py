@@ -111,10 +111,6 @@ class Limits(Record):
     shoulder_distance: float = parameter(
         0.1, unit="mm", low=0.0, high=5000.0, text="least distance of the wrist centre from axis 1"
     )
-    # assumed: one minute of arc, what makers of cycloidal gears promise; nothing is known of this arm
-    backlash: np.ndarray = parameter(
-        np.full(6, math.radians(1.0 / 60.0)), unit="deg", size=6, low=0.0, high=5.0, text="backlash of each joint"
-    )
     blending_share: float = parameter(
         0.5, above=0.0, high=10.0, text="share of the correction that the blending of LIN motions may round off"
     )
@@ -231,11 +227,12 @@ class Uncertainty(Record):
         high=1.0,
         text="share of the plants whose reference moves the motor side, as every real arm's does",
     )  # fmt: skip
-    # ISO 9283, 0.06 mm: data sheet of the KR 270; noise: a laser tracker at some metres; backlash: half a minute of arc
+    # ISO 9283, 0.06 mm: data sheet of the KR 270; noise: a laser tracker at some metres; backlash: none to
+    # twice that of the arm
     repeatability: float = parameter(60e-6, unit="um", low=0.0, high=1e4, text="largest repeatability of a plant")
     pose_noise: float = parameter(10e-6, unit="um", low=0.0, high=1e4, text="largest noise of a measured position")
     backlash: float = parameter(
-        np.radians(0.5 / 60.0), unit="deg", low=0.0, high=5.0, text="largest backlash of a joint of a plant"
+        2.0, low=0.0, high=1000.0, text="largest backlash of a plant, a multiple of arm.backlash_arcsec"
     )
     placement: float = parameter(
         0.05e-3, unit="mm", low=0.0, high=10.0, text="of the stock's place along each axis of the workpiece frame"

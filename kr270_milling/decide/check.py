@@ -12,7 +12,10 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
 from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
+from kr270_milling.decide.exchange_share import ExchangeShare, exchange_share
 from kr270_milling.decide.findings import SEVERITIES, Finding, Violation, gathered, separate, violation
+from kr270_milling.decide.inputs import input_violations
+from kr270_milling.decide.load_reversals import load_reversals
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
 from kr270_milling.decide.stability import Stability, chatter_violations, stability_statement
 from kr270_milling.path.source_program import SourceProgram
@@ -23,14 +26,14 @@ from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError
 RAPID_MOVES = "removed by rapid moves"
 MOST_LINES = 10  #: of the program that the line about rapid moves names
 
-__all__ = ["RAPID_MOVES", "Checked", "cell_violations", "check"]
+__all__ = ["RAPID_MOVES", "Checked", "check"]
 
 ARM_ERRORS = DeflectionError, UnstableLoadError, EquilibriumError  #: an arm that cannot bear its load
 
 
 @dataclass(frozen=True, eq=False)
 class Checked:
-    """What was found, the worst first."""
+    """The findings, the worst first."""
 
     findings: tuple[Finding, ...]
     points: int
@@ -39,13 +42,15 @@ class Checked:
     stability: Stability | None  #: of the programmed path, if the arm can follow it
     residue: Residue | None  #: of the pass that was simulated
     rapid_moves: tuple[Finding, ...] | None = None  #: each one through material; None: the arm cannot make the path
+    exchange: ExchangeShare | None = None  #: of the pass that was simulated
+    load_reversals: tuple[Finding, ...] | None = None  #: each one, with its jump; None: no pass was simulated
 
     def __repr__(self) -> str:
         return f"<Checked: {self.summary}>"
 
     @property
     def may_be_run(self) -> bool:
-        """Whether nothing was found that forbids it."""
+        """Whether no finding forbids it."""
         return not self.count("stop")
 
     def count(self, severity: str) -> int:
@@ -55,16 +60,25 @@ class Checked:
     @property
     def summary(self) -> str:
         """One line: points, counts, and whether the path may be run."""
-        counts = ", ".join(f"{self.count(s)} {s}{'' if self.count(s) == 1 else 's'}" for s in ("stop", "warning"))
         verdict = "may be run, after a test in T1" if self.may_be_run else "must not be run"
-        return f"{self.points} points, {counts}: the path {verdict}"
+        return f"{self.counts}: the path {verdict}"
+
+    @property
+    def counts(self) -> str:
+        """Points, stops and warnings."""
+        counts = ", ".join(f"{self.count(s)} {s}{'' if self.count(s) == 1 else 's'}" for s in ("stop", "warning"))
+        return f"{self.points} points, {counts}"
 
     def lines(self) -> list[str]:
-        """What terminal, report and program headers print: one line a finding, then the summary."""
+        """One line a finding, then the summary."""
+        return [*self.findings_lines(), self.summary]
+
+    def findings_lines(self) -> list[str]:
+        """One line a finding, and what the path does beside."""
         read_over = [self.program.summary] if self.program.summary else []
-        stability = [one.text for one in (self.stability, self.residue) if one]
+        stability = [one.text for one in (self.stability, self.residue, self.exchange) if one]
         findings = (f"{f.severity:8} {f.text}" for f in self.findings)
-        return [*read_over, *findings, self.rapid_text, *stability, self.summary]
+        return [*read_over, *findings, self.rapid_text, *stability]
 
     @property
     def rapid_volume_mm3(self) -> float | None:
@@ -82,7 +96,7 @@ class Checked:
         return f"{RAPID_MOVES}: {self.rapid_volume_mm3:.4g} mm3{where}"
 
     def as_dict(self) -> dict:
-        """For JSON; values and limits in the unit that stands beside them."""
+        """For JSON; values and limits in the unit beside them."""
         return {
             "may_be_run": self.may_be_run,
             "points": self.points,
@@ -90,8 +104,10 @@ class Checked:
             "findings": [f.as_dict() for f in self.findings],
             "removed_by_rapid_moves_mm3": self.rapid_volume_mm3,
             "rapid_moves": None if self.rapid_moves is None else [f.as_dict() for f in self.rapid_moves],
+            "load_reversals": None if self.load_reversals is None else [f.as_dict() for f in self.load_reversals],
             "stability": self.stability and self.stability.as_dict(),
             "simulated_pass": self.residue and self.residue.as_dict(),
+            "largest_pose_correction_share": self.exchange and self.exchange.share,
             "read_over": [{"word": word.word, "count": word.count} for word in self.program.read_over],
         }
 
@@ -112,28 +128,43 @@ def check(
     programmed = cell.target() if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     found, joints = arm_violations(cell, run)
-    stability = residue = rapid_moves = None
+    stability = residue = rapid_moves = exchange = reversals = None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in found)
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
         found, _ = arm_violations(cell, run)
-    found += [*cell_violations(cell), *more]
+    found += [*input_violations(cell), *more]
     if reachable:
         target = cell.target()
         straight = run.velocity is None and target.velocity is not None
         found += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
         ran, cut = _cut(cell, run, ran, progress)
         found += cut
+        if ran:
+            jumps = load_reversals(cell, run, ran)
+            found += jumps
+            reversals = separate(cell, run, "load reversal", jumps)
         rapid_moves = separate(cell, run, "rapid in material", cut)
         with contextlib.suppress(*ARM_ERRORS):  # the pass reports the same error as a finding
             stability = stability_statement(cell)
             found += chatter_violations(stability, run.time)
         residue = residue_of(cell, ran.result) if ran else None
+        if ran:
+            exchange = exchange_share(cell, ran)
+            found += exchange.violations()
         if residue and residue.word == "grows":
             found.append(violation("growing vibration", residue.residue, residue.limit, percent=100 * residue.residue))
     program = fed.toolpath.program if fed else SourceProgram()
     return Checked(
-        gathered(cell, run, found), len(run), ran if reachable else None, program, stability, residue, rapid_moves
+        gathered(cell, run, found),
+        len(run),
+        ran if reachable else None,
+        program,
+        stability,
+        residue,
+        rapid_moves,
+        exchange,
+        reversals,
     )
 
 
@@ -164,46 +195,3 @@ def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) ->
     if motion == "LIN":
         found += corner_blending(target, run, cell.program.blend_distance, cell.limits.blending_share)
     return found
-
-
-#: [rad/(N m)], joint compliances of heavy arms lie at 0.1 to 10 urad/(N m) (Table 1 of [Klimchik2012]: 0.15 to 2.13)
-COMPLIANCE = 1e-8, 1e-4
-#: [kg], links of arms that carry a milling spindle (Table 1: 18 to 337)
-LINK_MASS = 1.0, 2e3
-WIDEST_GRID = 0.05  #: of the tool's radius: with fewer nodes across a cut its force is noise
-
-
-def cell_violations(cell: Cell) -> list[Violation]:
-    """What is unlikely in the parameter file; all are warnings, for the user may have an unlikely cell."""
-    arm, step, widest = cell.arm, cell.stock.grid_step, WIDEST_GRID * cell.tool.radius
-    reach = arm.a1 + arm.a2 + arm.forearm + arm.d6 + float(np.linalg.norm(cell.mount.xyz))
-    away = float(np.hypot(*cell.workpiece.xyz[:2]))
-    found = _unlikely("compliance", arm.joint_compliance, COMPLIANCE) + _unlikely("mass", arm.link_mass, LINK_MASS)
-    if step > widest:
-        found.append(violation("tool and grid", step, widest, diameter=1e3 * cell.tool.diameter))
-    if away > reach:
-        found.append(violation("envelope", away, reach))
-    return found + _posture(cell)
-
-
-def _unlikely(kind: str, values: np.ndarray, bounds: tuple[float, float]) -> list[Violation]:
-    """The first value that is not within the bounds."""
-    over = np.flatnonzero(~((values >= bounds[0]) & (values <= bounds[1])))
-    return [violation(kind, values[k], bounds[int(values[k] > bounds[1])], number=k + 1) for k in over[:1]]
-
-
-def _posture(cell: Cell) -> list[Violation]:
-    """Joints outside the limits, or all so small that they must be radians."""
-    q, arm = np.asarray(cell.posture), cell.arm
-    key = "start_joints_deg" if cell.start_joints.size else "posture_hint_deg"
-    beyond = np.maximum(q - arm.joint_upper, arm.joint_lower - q)
-    k = int(np.argmax(beyond))
-    degrees = np.degrees(np.abs(q))
-    if beyond[k] > 0.0:
-        limit = arm.joint_upper[k] if q[k] > arm.joint_upper[k] else arm.joint_lower[k]
-        said = f"axis {k + 1} is at {np.degrees(q[k]):.4g} deg"
-        return [violation("posture", q[k], limit, key=key, said=said)]
-    if np.any(degrees > 0.0) and np.all(degrees <= 2.0 * np.pi) and np.any(degrees % 1.0 > 1e-9):
-        said = f"all within {degrees.max():.3g} deg, as radians would be"
-        return [violation("posture", np.radians(degrees.max()), np.radians(2.0 * np.pi), key=key, said=said)]
-    return []

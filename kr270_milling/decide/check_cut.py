@@ -252,17 +252,17 @@ def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = Non
     points = _points(run, met)
     beneath = np.where(_over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
     found = rapid_violations(cell, run, met, ran)
-    found += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points)
+    found += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points, block=met.block)
     for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
         inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
         found += violations(
-            "in the fixture", inside, 0.0, inside > 0.0, points=points, subject=f"fixture {number}"
+            "in the fixture", inside, 0.0, inside > 0.0, points=points, block=met.block, subject=f"fixture {number}"
         )  # fmt: skip
     if flutes:
-        found += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points)
+        found += violations("depth of cut", met.depth, flutes, met.depth > flutes, points=points, block=met.block)
     if not cell.tool.centre_cutting:
         depth, over = _plunges(met)
-        found += violations("plunge", depth, 0.0, over, points=points)
+        found += violations("plunge", depth, 0.0, over, points=points, block=met.block)
     return found
 
 
@@ -332,10 +332,13 @@ class Residue:
     word: str  #: "repeats", "grows" or "no statement"
     residue: float  #: root mean square from tooth to tooth, a share of the feed per tooth; NaN without a statement
     limit: float = CHATTERS  #: the same share, above which the vibration grows
+    teeth: bool = True  #: the pass resolves single teeth
 
     @property
     def text(self) -> str:
         """One line."""
+        if not self.teeth:
+            return "simulated pass (arm only): no statement about vibration, the mean force has no teeth"
         if self.word == "no statement":
             return f"simulated pass (arm only): no cut of {FEWEST_TEETH} teeth without a break to compare"
         share = f"{100 * self.residue:.2g}" if self.residue >= SMALL else f"less than {100 * SMALL:g}"
@@ -356,6 +359,8 @@ def residue_of(cell: Cell, result: PassResult) -> Residue:
     period and grows until the teeth leave the material, so that a straight cut is also judged by whether its residue
     grows. What swings slower than a tenth of the tooth frequency is left to the deviation.
     """
+    if cell.by_engagement:
+        return Residue("no statement", np.nan, teeth=False)
     period = 2.0 * np.pi / (cell.tool.spindle_speed * cell.tool.teeth)
     feed_per_tooth = cell.feed_rate * period
     limit = max(CHATTERS, GRID_NOISE * cell.stock.grid_step / max(feed_per_tooth, 1e-12))

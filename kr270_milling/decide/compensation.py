@@ -3,63 +3,30 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simulate
 from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.check import Checked, check
+from kr270_milling.decide.decision import Decision, decided
 from kr270_milling.decide.findings import violation
+from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
-from kr270_milling.decide.tolerance import Judgement, judge
-from kr270_milling.decide.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, monte_carlo
+from kr270_milling.decide.tolerance import judge
+from kr270_milling.decide.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, compare, monte_carlo
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.limiting import Limited
-from kr270_milling.physics.compensation.methods import Method
+from kr270_milling.physics.compensation.methods import BEST, Method
 
 __all__ = [
-    "BUDGET", "NO_METHOD", "USUAL_BUDGET", "Decision", "JudgedCompensation", "VerdictOrder", "compensate",
-    "limit_sentence",
+    "BUDGET", "NO_METHOD", "USUAL_BUDGET", "JudgedCompensation", "VerdictOrder", "compensate", "limit_sentence",
 ]  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Decision:
-    """What to do with a compensated path."""
-
-    as_programmed: Judgement
-    compensated: Judgement
-    may_be_run: bool
-    warnings: int
-    recommended_method: str  #: "none": the compensation does not make the part better
-    verdict: Verdict | None = None  #: of plants that are not the model; None: nobody asked, or it would take long
-
-    @property
-    def headline(self) -> str:
-        """One line."""
-        run = "yes" if self.may_be_run else "no"
-        if self.may_be_run and self.warnings:
-            run += f", with {self.warnings} warning{'' if self.warnings == 1 else 's'}"
-        verdict = f"; verdict: {self.verdict.text}" if self.verdict else ""
-        return (
-            f"as programmed: {self.as_programmed.words}; compensated: {self.compensated.words}; may be run: {run}"
-            f"{verdict}; recommended method: {self.recommended_method}"
-        )
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {
-            "as_programmed": self.as_programmed.as_dict(),
-            "compensated": self.compensated.as_dict(),
-            "may_be_run": self.may_be_run,
-            "recommended_method": self.recommended_method,
-            "verdict": self.verdict and self.verdict.word,
-        }
-
-
 BUDGET = 300.0  #: [s], of a verdict that is asked for; beyond it fewer plants are run
-USUAL_BUDGET = 50.0  #: [s], of one that nobody asks for; where 8 plants take longer it is left out
+USUAL_BUDGET = 50.0  #: [s], of a verdict that is not asked for; none where 8 plants take longer
 LONGEST_PASS = USUAL_BUDGET / 2  #: [s]; after a longer one not even a first plant is tried
 
 
@@ -71,12 +38,12 @@ class VerdictOrder:
     asked_for: bool = False  #: whether it may take BUDGET, else USUAL_BUDGET or nothing
     compare: bool = True  #: whether other methods are looked at
     seed: int = 1
-    estimate: Callable[[int, float], None] = lambda *_: None  #: is told how many plants in how many seconds are to come
+    estimate: Callable[[int, float], None] = lambda *_: None  #: receives the plants and the seconds that are to come
 
 
 @dataclass(frozen=True, eq=False)
 class JudgedCompensation:
-    """Both passes and what is to be thought of them."""
+    """Both passes and the decision on them."""
 
     original: ScoredPass
     revised: ScoredPass
@@ -84,6 +51,11 @@ class JudgedCompensation:
     parts: tuple[PartAssessment, ...]  #: of both passes along a tool path
     checked: Checked  #: of the revised path
     decision: Decision
+    motions: tuple[str, ...]  #: of the robot programs
+
+    def lines(self) -> list[str]:
+        """The decision and the findings, as terminal, manifest and programs print them."""
+        return [*self.decision.lines(), *self.checked.findings_lines(), self.checked.counts]
 
 
 def compensate(
@@ -91,43 +63,56 @@ def compensate(
     method: str | Method | None = None,
     *,
     plant: Plant | None = None,
-    motion: str | None = None,
+    motions: Sequence[str] = (),
     verdict: VerdictOrder | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(),
 ) -> JudgedCompensation:
     """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
 
-    plant: what runs the passes; motion: of the programs, LIN or SPLINE; progress(text, passes at most): a context that
-    yields what a job calls to tell how far it is.
+    The method ``best`` compares the methods and runs the best of them. plant: what runs the passes; motions: of the
+    programs, LIN or SPLINE; progress(text, passes at most): a context that yields a function for the progress of a job.
     """
     method = method or cell.compensation.method
     with progress("original") as report:
         original = simulate(cell, progress=report, plant=plant)
-    by = compensator(cell, cell.target(), method)
-    with progress(by.method, by.most_passes) as report:
-        revised = compensated(cell, original, method, report, by, plant)
+    comparison = None
+    if method == BEST:
+        with progress("comparison"):
+            comparison = compare(cell, original)
+        method = comparison.best
+    by = compensator(cell, cell.target(), None if method == NO_METHOD else method)
+    if method == NO_METHOD:
+        revised = replace(original, name=NO_METHOD)
+    else:
+        with progress(by.method, by.most_passes) as report:
+            revised = compensated(cell, original, method, report, by, plant)
     with progress("surfaces"):
         parts = () if cell.programmed.straight else assess_all(cell, (original, revised))
+    motions = tuple(motions) or (cell.program.motion if by.chosen.smooth else "LIN",)
+    motion = "LIN" if "LIN" in motions else motions[0]  # LIN motions are blended
     limited = [
         violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, said=limit_sentence(p, by))
         for p in by.limited
     ]
     checked = check(cell, revised.reference, motion, ran=revised, more=limited)
     with progress("verdict") as report:
-        judged = _verdict(cell, original, revised, verdict, report) if verdict else None
+        judged = _verdict(cell, original, revised, verdict, report, comparison is None) if verdict else None
     before, after = map(lambda ran, part: judge(cell, ran, part), (original, revised), parts or (None, None))
-    recommended = revised.name if after.error < before.error else NO_METHOD
-    if judged:
-        recommended = judged.recommended
-    decision = Decision(before, after, checked.may_be_run, checked.count("warning"), recommended, judged)
-    return JudgedCompensation(original, revised, by, parts, checked, decision)
+    backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
+    decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
+    return JudgedCompensation(original, revised, by, parts, checked, decision, motions)
 
 
-def _verdict(cell: Cell, original: ScoredPass, revised: ScoredPass, order: VerdictOrder, report) -> Verdict | None:
-    """What plants drawn from the uncertainties say; None where nobody asked for it and it would take too long."""
+def _verdict(
+    cell: Cell, original: ScoredPass, revised: ScoredPass, order: VerdictOrder, report, compares: bool
+) -> Verdict | None:
+    """The verdict of plants drawn from the uncertainties; None where it was not asked for and would take too long.
+
+    compares: whether no comparison was made yet.
+    """
     if not order.asked_for and original.result.wall_time > LONGEST_PASS:
         return None
-    others = alternatives(cell, original, revised.name) if order.compare else {}
+    others = alternatives(cell, original, revised.name) if order.compare and compares else {}
     return monte_carlo(
         cell, revised.reference, order.samples, order.seed, budget=BUDGET if order.asked_for else USUAL_BUDGET,
         give_up=not order.asked_for, progress=report, estimate=order.estimate, method=revised.name, others=others,

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.trajectory import Trajectory
 
 __all__ = ["KINDS", "SEVERITIES", "Finding", "Kind", "Place", "Violation", "gathered", "separate", "stretches",
@@ -22,12 +23,13 @@ __all__ = ["KINDS", "SEVERITIES", "Finding", "Kind", "Place", "Violation", "gath
 DEG = 180.0 / math.pi
 ROUNDING = 1e-5  #: share of a limit that a value may lie above it: what was cut down to the limit is not beyond it
 EXCEEDS = " exceeds {limit:.4g} {unit} ({where}): {value:.4g} {unit} at point {point}"
+SAME_PLACE = 1e-9  #: [m], rounding of distances along a path
 SEVERITIES = ("stop", "warning", "note")  #: the worst first; "stop": must not be run
 
 
 #: unit of a finding -> factor from SI
 SCALES = {"mm": 1e3, "um": 1e6, "mm3": 1e9, "deg": DEG, "deg/s": DEG, "deg/s^2": DEG, "%": 100.0, "kW": 1e-3,
-          "m/min": 60.0, "urad/(N m)": 1e6}  # fmt: skip
+          "m/min": 60.0, "urad/(N m)": 1e6, "N/mm2": 1e-6, "rpm": 30.0 / math.pi}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -63,9 +65,10 @@ KINDS = {
         "Lower the feed there, or keep away from the singularity."),
     "joint acceleration": Kind("deg/s^2", "the acceleration of {axis}" + EXCEEDS,
         "Lower timing.acceleration_m_per_s2, or round the corner."),
-    "axis reversal": Kind("um",
-        "{subject} reverses at point {point}: its backlash lets the tool jump by {value:.3g} um",
-        "It shows on the part unless a load holds the axis to one side.", "note"),
+    "load reversal": Kind("um",
+        "the load on {subject} reverses at point {point}, beyond {friction_n_m:.3g} N m of friction: if {subject} has "
+        "{arcsec:.3g} arcsec of backlash{source}, the tool jumps by {value:.3g} um",
+        "Measure arm.backlash_arcsec, or lower the acceleration there.", "note"),
     "correction size": Kind("mm", "the correction" + EXCEEDS,
         "Check compliances and force law; then raise compensation.max_correction_mm."),
     "correction per tick": Kind("um", "the change of the correction per tick" + EXCEEDS,
@@ -100,6 +103,10 @@ KINDS = {
     "growing vibration": Kind("1",
         "vibration grows in the simulated pass: {percent:.2g} % of the feed per tooth remain from tooth to tooth",
         "Lower the depth of cut, or move to a stable spindle speed (kr270_milling stability)."),
+    "exchange": Kind("%",
+        "the largest correction of a predicted pose is {value:.1f} % of the feed per tooth at point {point}, more than "
+        "{limit:g} %: the simulated pass says nothing",
+        "Use a shorter exchange.period_ms or more exchange.iterations."),
     "deflection": Kind("mm", "{said}", "Check force law, feed per tooth, compliances and masses."),
     "joint deflection": Kind("deg", "{said}", "Check compliances and masses; the linear springs do not hold so far."),
     "load on the arm": Kind("1", "{said}", "Check masses and compliances: the arm does not bear its own weight."),
@@ -112,7 +119,29 @@ KINDS = {
         "Check arm.joint_compliance and its unit, urad per N m.", "warning"),
     "mass": Kind("kg", "link {number} has {value:.3g} kg, links of arms of this size 1 to 2000 kg",
         "Check arm.link_mass_kg and mount.mass_kg.", "warning"),
-    "posture": Kind("deg", "{key}: {said}", "Give the posture within the limits of the arm, in degrees.", "warning"),
+    "payload": Kind("kg", "mount.mass_kg is {value:.4g} kg, but the arm carries arm.payload_kg, {limit:.4g} kg",
+        "Check mount.mass_kg and its unit, or take a lighter spindle."),
+    "force coefficient": Kind("N/mm2",
+        "K_tc is {value:.4g} N/mm2, but published coefficients, with a margin of three, lie between {low:.4g} and "
+        "{high:.4g} N/mm2",
+        "Check the unit of cutting.linear_edge; a material of your own gets a row in config/materials.csv."),
+    "tool diameter": Kind("mm", "tool.diameter_mm is {value:.6g} mm, but the program is for {label}, {limit:.6g} mm",
+        "Set tool.diameter_mm, or post the program for this cutter."),
+    "tool shape": Kind("mm",
+        "the program is for {label}, a {shape}, but floors and forces are those of a flat end mill",
+        "Set tool.type: flat if the cutter is flat; another shape is not modelled."),
+    "spindle off": Kind("rpm",
+        "the program never starts the spindle; the cell assumes {rpm:.6g} rpm",
+        "Write S and M3 before the first cut, or start the spindle by program.spindle_on.", "warning"),
+    "drilling": Kind("1", "drilling: force not modelled ({number}); deviations, decision and correction leave drilling "
+        "out",
+        "Check the thrust of the drill against the arm by hand.", "note"),
+    "outside the stock": Kind("mm", "{subject} cuts nothing: its path stays {value:.4g} mm or more beside the stock",
+        "Check datum, unit and stock.min_mm, stock.max_mm."),
+    "stock too small": Kind("%",
+        "{value:.3g} % of the cutting moves are beside the stock, more than {limit:.3g} %",
+        "Check datum, unit and stock.min_mm, stock.max_mm.", "warning"),
+    "posture": Kind("deg", "{key}: {reason}", "Give the posture within the limits of the arm, in degrees.", "warning"),
 }  # fmt: skip
 
 
@@ -129,15 +158,16 @@ class Violation:
     subject: str = ""  #: of what kind there are several: an axis, a singularity
     amounts: dict[str, float] = field(default_factory=dict)  #: more numbers of the sentence, units in their names
     block: int | None = None  #: of the tool path; None: that of the point
+    line: int | None = None  #: of the program, of a finding that belongs to no point
 
 
 def violation(
     kind: str, value: float, limit: float, point: int | None = None, *, severity: str = "", subject: str = "",
-    block: int | None = None, amounts: dict[str, float] | None = None, **words,
+    block: int | None = None, line: int | None = None, amounts: dict[str, float] | None = None, **words,
 ) -> Violation:  # fmt: skip
     """value and limit in SI units; severity: default that of the kind; words, amounts: what else its sentence names.
 
-    block: of the tool path, default: the block that starts at or contains the point.
+    block: of the tool path, default: the block that leads to the point; line: of the program.
     """
     known, amounts = KINDS[kind], amounts or {}
     sentence = known.sentence.format(
@@ -145,7 +175,7 @@ def violation(
         **words,
     )  # fmt: skip
     return Violation(kind, point, float(value), float(limit), severity or known.severity, sentence, subject, amounts,
-                     block)  # fmt: skip
+                     block, line)  # fmt: skip
 
 
 def violations(
@@ -240,18 +270,29 @@ def _finding(cell: Cell, run: Trajectory, group: Sequence[Violation]) -> Finding
     worst = max(group, key=lambda v: np.inf if np.isnan(v.value) else abs(v.value - v.limit))
     kind = KINDS[worst.kind]
     value, limit = worst.value * kind.scale, worst.limit * kind.scale
-    place = _place(cell, run, worst.point, worst.block)
+    place = _place(cell, run, worst)
     return Finding(worst.severity, worst.kind, place, value, limit, kind.unit, kind.advice, worst.sentence, len(group),
                    worst.amounts)  # fmt: skip
 
 
-def _place(cell: Cell, run: Trajectory, point: int | None, block: int | None) -> Place:
+def _place(cell: Cell, run: Trajectory, worst: Violation) -> Place:
+    """The place of a point of the program, of a block without a point, or of a line."""
+    fed, point, block = cell.fed_path, worst.point, worst.block
+    if point is None and (block is None or fed is None):
+        return Place(line=worst.line or None)
     if point is None:
-        return Place()
-    x, y, z = (1e3 * v for v in run.position[min(point, len(run)) - 1].tolist())
-    fed = cell.fed_path
+        position = fed.toolpath.position[block]
+    else:
+        position = run.position[min(point, len(run)) - 1]
+    x, y, z = (1e3 * v for v in position.tolist())
     if fed is None:
         return Place(point, None, None, (x, y, z))
-    block = int(fed.block[min(point, len(fed.block)) - 1]) if block is None else block
+    block = _block_to(fed, point) if block is None else block
     line, feature = int(fed.toolpath.line[block]), fed.toolpath.features[int(fed.toolpath.feature[block])]
     return Place(point, line or None, feature or None, (x, y, z))
+
+
+def _block_to(fed: TimedPath, point: int) -> int:
+    """The block that leads to a point, counted from 1; where two blocks meet, the block that ends there."""
+    ends, distance = np.cumsum(fed.toolpath.block_length), fed.distance[min(point, len(fed.distance)) - 1]
+    return int(np.clip(np.searchsorted(ends, distance - SAME_PLACE), 1, len(ends) - 1))

@@ -12,15 +12,13 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.decide.findings import Violation, violation, violations
 from kr270_milling.path.timing import joint_rates
 from kr270_milling.path.trajectory import Trajectory, offsets
-from kr270_milling.physics.robot import inverse_near, jacobian, singularity_measures, status_turn
+from kr270_milling.physics.robot import inverse_near, singularity_measures, status_turn
 from kr270_milling.physics.robot.errors import SingularityError
 from kr270_milling.physics.robot.inverse import branches
 
-__all__ = ["arm_violations", "axis_reversals", "corner_blending", "correction_per_tick", "correction_size",
+__all__ = ["arm_violations", "corner_blending", "correction_per_tick", "correction_size",
            "joint_rate_violations"]  # fmt: skip
 
-LEAST_JUMP = 1e-7  #: [m], of the tool where an axis reverses; a smaller one shows nowhere
-LEAST_TURN = 1e-5  #: [rad]; smaller movements of a joint are noise
 LEAST_ROUNDING = 1e-7  #: [m], of a corner; less is no matter
 MOST_TURNED = 4 * np.pi  #: [rad], of joints that have no limits
 
@@ -38,11 +36,9 @@ def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.nda
         point = error.index[0] + 1
         return [Violation("singularity", point, error.measure, 0.0, "stop", f"point {point}: {error}")], None
     at_rest = run.velocity is not None and not run.velocity[[0, -1]].any()
-    lever = np.linalg.norm(jacobian(cell.arm, cell.mount, joints)[:, :3], axis=1)  # |d position / d joint|
     limits = cell.arm.joint_speed_limit, cell.arm.joint_acceleration_limit
     found = _joint_limits(cell, joints) + _singularities(cell, joints) + _flips(cell, joints)
-    found += joint_rate_violations(run.time, joints, *limits, at_rest)
-    return found + axis_reversals(joints, cell.limits.backlash, lever), joints
+    return found + joint_rate_violations(run.time, joints, *limits, at_rest), joints
 
 
 def _reach(cell: Cell, tool: Pose) -> list[Violation]:
@@ -103,35 +99,6 @@ def joint_rate_violations(time, joints, speed_limit, acceleration_limit, at_rest
         for axis, most in enumerate(limits):
             found += violations(kind, np.abs(values[:, axis]), most, points=points, axis=f"axis {axis + 1}")
     return found
-
-
-def axis_reversals(joints, backlash, lever) -> list[Violation]:
-    """Where a joint turns back, so that its backlash [rad], (6,), shows.
-
-    joints [rad], (n, 6); lever: distance of the tool tip from each axis [m], (n, 6), so that the tool jumps by
-    backlash times lever. An axis that pauses and goes on in the same sense does not reverse.
-    """
-    found = []
-    for axis, play in enumerate(backlash):
-        for k in _turns(joints[:, axis].tolist()):
-            jump = float(play * lever[k, axis])
-            if jump >= LEAST_JUMP:
-                found.append(violation("axis reversal", jump, 0.0, k + 1, subject=f"axis {axis + 1}"))
-    return sorted(found, key=lambda v: v.point or 0)
-
-
-def _turns(angle: list[float]) -> list[int]:
-    """Knots at the extremes after which ``angle`` goes back by more than noise."""
-    turns, extreme, sense = [], 0, 0
-    for k, value in enumerate(angle):
-        gone = value - angle[extreme]
-        if gone * sense > 0:
-            extreme = k  # further in the same sense
-        elif abs(gone) > LEAST_TURN:
-            if sense:
-                turns.append(extreme)
-            extreme, sense = k, 1 if gone > 0 else -1
-    return turns
 
 
 def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:

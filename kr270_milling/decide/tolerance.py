@@ -1,16 +1,28 @@
-"""Does a pass keep the part within its tolerance: what remains on walls and floors against what is allowed."""
+"""The tolerance quantity of a pass, and whether the pass keeps the part within its tolerance.
+
+Along a tool path the quantity is the largest wall or floor error that remains on the part. A straight cut has no part:
+the quantity is the largest path deviation.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.decide.part.assessment import PartAssessment, assess
+from kr270_milling.decide.part.assessment import PartAssessment, assess, assess_result
+from kr270_milling.decide.part.course import course
+from kr270_milling.decide.part.surface import IdealPart, ideal_part
+from kr270_milling.physics.motion.milling_pass import PassResult
+from kr270_milling.physics.motion.scores import path_deviation
 
-__all__ = ["Judgement", "judge", "judge_part"]
+__all__ = ["PATH_DEVIATION", "SURFACE_ERROR", "Gauge", "Judgement", "judge", "judge_part", "um_text"]
+
+SURFACE_ERROR, PATH_DEVIATION = "largest wall or floor error", "largest path deviation"
 
 
 @dataclass(frozen=True)
@@ -23,10 +35,17 @@ class Judgement:
     error: float  #: the one that decides: farthest beyond its tolerance, else nearest to it
     tolerance: float  #: [m] of that one; 0 where none is asked for
     feature: str | None  #: where it is
+    quantity: str = SURFACE_ERROR  #: name of ``error``
+
+    @property
+    def share(self) -> float:
+        """The deciding error as a share of its tolerance; NaN where none is asked for."""
+        return self.error / self.tolerance if self.tolerance else np.nan
 
     def as_dict(self) -> dict:
         """For JSON."""
         return {
+            "quantity": self.quantity,
             "passes_tolerance": self.passes,
             "wall_um": 1e6 * self.wall,
             "floor_um": 1e6 * self.floor,
@@ -37,12 +56,47 @@ class Judgement:
 
     @property
     def words(self) -> str:
-        """For the first line of the output."""
+        """One sentence."""
+        return self.sentence()
+
+    def sentence(self, where: str = "") -> str:
+        """Quantity, tolerance and error; where: of what pass, for example "on the model"."""
+        error, place = um_text(self.error), f" {where}" if where else ""
+        if math.isnan(self.error):
+            return f"no milled wall or floor that could be measured{place}"
         if self.passes is None:
-            return f"leaves {1e6 * self.error:.0f} um (part.tolerance_um says nothing)"
-        where = f" at {self.feature}" if self.feature and not self.passes else ""
-        word = "passes" if self.passes else "fails"
-        return f"{word} ({1e6 * self.error:.0f} um against {1e6 * self.tolerance:.0f}{where})"
+            return f"{self.quantity} is {error}{place}"
+        feature = f" at {self.feature}" if self.feature and not self.passes else ""
+        word = "meets" if self.passes else "misses"
+        return f"{self.quantity} {word} {um_text(self.tolerance)}{place} ({error}{feature})"
+
+
+def um_text(length: float) -> str:
+    """A length [m] in micrometres: three digits, from 1 mm on whole micrometres."""
+    return f"{1e6 * length:.0f} um" if length >= 1e-3 else f"{1e6 * length:.3g} um"
+
+
+@dataclass(frozen=True, eq=False)
+class Gauge:
+    """Judges passes along the target of a cell, of that cell and of its plants: the same quantity for all."""
+
+    cell: Cell
+    ideal: IdealPart | None  #: the part of a rigid arm; None: a straight cut
+
+    @classmethod
+    def of(cls, cell: Cell) -> Gauge:
+        """Sweep the part of the rigid arm once."""
+        if cell.programmed.straight:
+            return cls(cell, None)
+        target = cell.target()
+        stamps = cell.clock.stamp(np.arange(cell.clock.steps(target.duration_ns) + 1))
+        return cls(cell, ideal_part(cell, course(cell, stamps), target.sample(stamps)))
+
+    def measure(self, result: PassResult) -> Judgement:
+        """Judge one pass along the target; ``result.heights`` spares a sweep of the workpiece."""
+        if self.ideal is None:
+            return _judge_straight_cut(self.cell, result, _largest_deviation(self.cell, result))
+        return judge_part(self.cell, assess_result(self.cell, "", result, self.ideal))
 
 
 def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Judgement:
@@ -50,7 +104,9 @@ def judge(cell: Cell, ran: ScoredPass, part: PartAssessment | None = None) -> Ju
 
     part: its assessment, if it is known already.
     """
-    return _judge_straight_cut(cell, ran) if cell.programmed.straight else judge_part(cell, part or assess(cell, ran))
+    if cell.programmed.straight:
+        return _judge_straight_cut(cell, ran.result, ran.scores.max_deviation)
+    return judge_part(cell, part or assess(cell, ran))
 
 
 def judge_part(cell: Cell, part: PartAssessment) -> Judgement:
@@ -59,24 +115,32 @@ def judge_part(cell: Cell, part: PartAssessment) -> Judgement:
     for row in part.rows:
         wall, floor = cell.part.of(row.name)
         rows += [(row.max_wall, wall, row.name), (row.max_floor, floor, row.name)]
-    return _judge(part.whole.max_wall, part.whole.max_floor, rows)
+    return _judge(part.whole.max_wall, part.whole.max_floor, rows, SURFACE_ERROR)
 
 
-def _judge_straight_cut(cell: Cell, ran: ScoredPass) -> Judgement:
-    """The fully engaged part: its side is the wall, its height the floor."""
-    result = ran.result
+def _largest_deviation(cell: Cell, result: PassResult) -> float:
+    """Largest path deviation [m] from full engagement on, as in the scores of a straight cut."""
+    scored = result.time >= cell.full_engagement - 1e-9
+    scored[-1] = True
+    feed = cell.target().sample_velocity(result.time_ns)
+    return float(np.abs(path_deviation(result.actual, result.target, feed)[scored]).max())
+
+
+def _judge_straight_cut(cell: Cell, result: PassResult, largest: float) -> Judgement:
+    """The fully engaged part: its side is the wall, its height the floor; largest: deviation to the side [m]."""
     engaged = result.time >= cell.full_engagement - 1e-9
-    wall = ran.scores.max_deviation
     floor = float(np.max(np.abs((result.actual - result.target)[engaged, 2]), initial=0.0))
-    return _judge(wall, floor, list(zip((wall, floor), cell.part.of(), (None, None), strict=True)))
+    wall_tolerance, floor_tolerance = cell.part.of()
+    rows = [(largest, wall_tolerance, None), (floor, floor_tolerance, None)]
+    return _judge(largest, floor, rows, PATH_DEVIATION)
 
 
-def _judge(wall: float, floor: float, rows: list[tuple[float, float, str | None]]) -> Judgement:
+def _judge(wall: float, floor: float, rows: Sequence[tuple[float, float, str | None]], quantity: str) -> Judgement:
     """rows: error, tolerance, feature."""
     rows = [row for row in rows if not np.isnan(row[0])]
     judged = [row for row in rows if row[1] > 0.0]
     if not judged:
         error, _, feature = max(rows, key=lambda row: row[0], default=(np.nan, 0.0, None))
-        return Judgement(wall, floor, None, error, 0.0, feature)
+        return Judgement(wall, floor, None, error, 0.0, feature, quantity)
     error, tolerance, feature = max(judged, key=lambda row: row[0] / row[1])
-    return Judgement(wall, floor, bool(error <= tolerance), error, tolerance, feature)
+    return Judgement(wall, floor, bool(error <= tolerance), error, tolerance, feature, quantity)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import math
 import os
 import time
@@ -15,14 +16,15 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, expected_deviations, record_of, simulate
-from kr270_milling.cell.plant import Plant, imperfect_course, perturbed
+from kr270_milling.cell.plant import Plant, imperfect_arm, imperfect_course, perturbed
+from kr270_milling.decide.tolerance import PATH_DEVIATION, SURFACE_ERROR, Gauge
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.methods import LEARNED, METHODS
-from kr270_milling.physics.motion.milling_pass import PassResult, run_pass
+from kr270_milling.physics.motion.milling_pass import run_pass
 from kr270_milling.physics.motion.scores import path_deviation
 
-__all__ = ["HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "Verdict", "alternatives", "coarser",
-           "deviations", "judge", "monte_carlo", "run_sample"]  # fmt: skip
+__all__ = ["FEWEST", "HELPS", "INDIFFERENT", "NO_METHOD", "SAMPLES", "TRACKED", "UNTRUSTED", "Comparison", "Verdict",
+           "alternatives", "coarser", "compare", "judge_plants", "monte_carlo", "run_sample"]  # fmt: skip
 
 HELPS, INDIFFERENT, UNTRUSTED = "helps", "does not matter", "cannot be trusted here"
 LEVELS = (0.05, 0.5, 0.95)
@@ -32,20 +34,23 @@ SAME = 0.1  #: changes of the largest deviation by less than this share are none
 FAILING = 0.05  #: share of plants that may fail on the compensated trajectory
 TRACKED = f"{LEARNED.name}, with a tracker"  #: passes of the plant itself are measured and learned from
 NO_METHOD = "none"  #: run the path as it was programmed
-LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones stay as they are
+LONG_PERIOD, LONG_STEP = 0.3e-3, math.radians(1.0) + 1e-9  #: [s], [rad] of the exchange; longer ones do not change
 DIVERGED = 10e-3  #: [m] a plant whose tool strays farther is unstable
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """What the samples say. Deviations in rows of (largest, static) [m], one a sample; NaN: the plant failed."""
+    """The answer of the plants. Errors are the tolerance quantity [m], one a plant; NaN: the plant failed."""
 
     word: str  #: "helps", "does not matter" or "cannot be trusted here"
     reason: str
-    original: np.ndarray  #: (n, 2)
-    compensated: np.ndarray  #: (n, 2)
+    original: np.ndarray  #: (n,)
+    compensated: np.ndarray  #: (n,)
     seed: int | None
-    methods: dict[str, np.ndarray] = field(default_factory=dict)  #: largest deviation [m], (n,), by method
+    methods: dict[str, np.ndarray] = field(default_factory=dict)  #: errors by method, (n,)
+    quantity: str = PATH_DEVIATION  #: name of the errors
+    shares: np.ndarray | None = None  #: errors of the compensated plants as shares of the tolerance, (n,); None: no
+    #: tolerance is given
 
     def __repr__(self) -> str:
         return f"<Verdict: {self.text}>"
@@ -56,38 +61,42 @@ class Verdict:
 
         "none" where no method makes the part better by 10 %.
         """
-        before = self.original[:, 0]
+        before = self.original
         sound = {NO_METHOD: _high(before) * (1.0 - SAME)}
         for name, rows in self.methods.items():
-            if name != TRACKED and judge(before[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
+            if name != TRACKED and judge_plants(before[: len(rows)], rows, 0.0)[0] != UNTRUSTED:
                 sound[name] = _high(rows)
         return min(sound, key=sound.__getitem__)
 
     @property
     def text(self) -> str:
         """The word with the band of what the compensation leaves."""
-        low, middle, high = (1e6 * value for value in self.bands("compensated")["max"])
+        low, middle, high = (1e6 * value for value in self.band("compensated"))
         return f"{self.word} ({len(self.original)} plants: {middle:.3g} um, 5 to 95 % {low:.3g} to {high:.3g})"
 
-    def bands(self, which: str) -> dict[str, tuple[float, ...]]:
-        """5, 50 and 95 % of the largest and of the static deviation [m]; which: "original" or "compensated"."""
-        return {name: _band(rows) for name, rows in zip(("max", "static"), getattr(self, which).T, strict=True)}
+    @property
+    def within(self) -> int | None:
+        """Plants that meet the tolerance on the compensated trajectory; None without a tolerance."""
+        return None if self.shares is None else int(np.sum(self.shares <= 1.0))
+
+    def band(self, which: str) -> tuple[float, ...]:
+        """5, 50 and 95 % of the error [m]; which: "original" or "compensated"."""
+        return _band(getattr(self, which))
 
     def as_dict(self) -> dict:
         """For JSON; each band is 5, 50, 95 %."""
-        methods = {NO_METHOD: self.original[:, 0], **self.methods}
+        methods = {NO_METHOD: self.original, **self.methods}
         return {
             "verdict": self.word,
             "reason": self.reason,
+            "quantity": self.quantity,
             "samples": len(self.original),
             "seed": self.seed,
-            "failed": int(np.isnan(self.compensated).any(axis=1).sum()),
-            "recommended_method": self.recommended,
+            "within_tolerance": self.within,
+            "failed": int(np.isnan(self.compensated).sum()),
+            "recommended_method": self.recommended if len(self.methods) > 1 else None,
             "methods": {name: [1e3 * value for value in _band(rows)] for name, rows in methods.items()},
-            **{
-                which: {f"{k}_deviation_mm": [1e3 * v for v in band] for k, band in self.bands(which).items()}
-                for which in ("original", "compensated")
-            },
+            **{f"{which}_mm": [1e3 * v for v in self.band(which)] for which in ("original", "compensated")},
         }
 
 
@@ -102,37 +111,84 @@ def _high(rows: np.ndarray) -> float:
     return float(np.quantile(np.nan_to_num(rows, nan=1.0), 0.95))
 
 
-def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Trajectory]:
-    """References of the other methods, planned on the same pass; of a tool path, where each takes long, only that of
-    the method that the linear model expects to leave the least on 8 plants.
+@dataclass(frozen=True)
+class Comparison:
+    """The methods compared by the linear response of drawn plants, and the method that is best."""
 
-    A method that repeats takes passes of the plant itself, and ``LEARNED`` is tried with a tracker on each plant.
+    best: str
+    sentence: str  #: why
+    deviations: dict[str, float]  #: path deviation [m] that 95 % of the plants stay below, by method
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        shown = {name: 1e3 * value for name, value in self.deviations.items()}
+        return {"best": self.best, "reason": self.sentence, "path_deviation_mm": shown}
+
+
+def compare(cell: Cell, original: ScoredPass) -> Comparison:
+    """Choose the method for ``compensation.method: best``, in seconds: no further pass is run.
+
+    With a tracker the method is ``LEARNED``: it begins as ``inverse``, measures its passes, and keeps the best of them.
     """
-    found = {}
-    for name in METHODS:
-        if name != method and not METHODS[name].repeats:
+    if cell.compensation.tracker:
+        why = f"{LEARNED.name}, because compensation.tracker is true: a tracker measures each pass, the best is used"
+        return Comparison(LEARNED.name, why, {})
+    references = _references(cell, original)
+    deviations = _expected(cell, {NO_METHOD: cell.target(), **references})
+    none = deviations[NO_METHOD]
+    best = min(references, key=deviations.__getitem__, default=NO_METHOD)
+    if best != NO_METHOD and deviations[best] > (1.0 - SAME) * none:
+        best = NO_METHOD
+    listed = ", ".join(f"{name} {1e6 * value:.3g}" for name, value in deviations.items() if name != best)
+    why = (
+        f"{best}, because 95 % of {FEWEST} simulated robots then have a path deviation of at most "
+        f"{1e6 * deviations[best]:.3g} um by linear response ({listed})"
+    )
+    return Comparison(best, why, deviations)
+
+
+def alternatives(cell: Cell, original: ScoredPass, method: str) -> dict[str, Trajectory]:
+    """References of the other methods, planned on the same pass.
+
+    Of a tool path, where each takes long: only the method that the linear model expects to leave the least on 8 plants.
+    """
+    references = _references(cell, original, method)
+    if cell.programmed.straight or not references:
+        return references
+    deviations = _expected(cell, references)
+    best = min(deviations, key=deviations.__getitem__)
+    return {best: references[best]}
+
+
+def _references(cell: Cell, original: ScoredPass, without: str = "") -> dict[str, Trajectory]:
+    """By method. A method that repeats takes passes of the plant itself, so it is left out."""
+    references = {}
+    for name, method in METHODS.items():
+        if name != without and not method.repeats:
             with contextlib.suppress(MillingError):
-                found[name] = compensator(cell, cell.target(), name).revise(record_of(cell, original))
-    if cell.programmed.straight:
-        return found
+                references[name] = compensator(cell, cell.target(), name).revise(record_of(cell, original))
+    return references
+
+
+def _expected(cell: Cell, references: dict[str, Trajectory]) -> dict[str, float]:
+    """Path deviation [m] that 95 % of ``FEWEST`` plants stay below, by the linear response of each plant."""
     rng = np.random.default_rng(0)
     plants = [perturbed(coarser(cell), rng) for _ in range(FEWEST)]
     with ThreadPoolExecutor(_cores()) as pool:
-        rows = np.array(list(pool.map(lambda plant: expected_deviations(plant, list(found.values())), plants)))
-    best = list(found)[int(np.argmin(np.quantile(rows, 0.95, axis=0)))]
-    return {best: found[best]}
+        rows = np.array(list(pool.map(lambda plant: expected_deviations(plant, list(references.values())), plants)))
+    return dict(zip(references, np.quantile(rows, 0.95, axis=0).tolist(), strict=True))
 
 
 def _cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def _tracked(cell: Cell, plant: Cell) -> float:
-    """Largest deviation [m] of a plant whose own passes are measured and learned from; NaN where that fails."""
+def _tracked(cell: Cell, plant: Cell, gauge: Gauge) -> float:
+    """The error [m] of a plant whose own passes are measured and learned from; NaN where that fails."""
     try:
         cuts = Plant(cell, plant)
         learned = compensated(cell, simulate(cell, plant=cuts), LEARNED, plant=cuts)
-        return learned.scores.max_deviation
+        return gauge.measure(learned.result).error
     except MillingError:
         return np.nan
 
@@ -153,7 +209,7 @@ def monte_carlo(
     """Run ``samples`` plants drawn from ``cell.uncertainty`` along the cell's target and along the revised trajectory.
 
     budget [s]: when the first plant shows that all would take longer, fewer are run, but at least 8; give_up: None is
-    returned where 8 take longer as well. progress(done, plants) and estimate(plants, seconds) are told what is to come.
+    returned where 8 take longer as well. progress(done, plants) and estimate(plants, seconds) receive what is to come.
     method: the name of the revised trajectory; others: trajectories of other methods, to recommend one; with them the
     first 8 plants of a straight cut also learn from their own passes. The plants run in as many threads as there are
     cores; the numbers do not depend on how many.
@@ -162,18 +218,19 @@ def monte_carlo(
         raise ParameterError("samples", samples, "a whole number of at least 1")
     progress = progress or (lambda *_: None)
     target, straight, cores = cell.target(), cell.programmed.straight, _cores()
-    nominal, scored_from = (cell, cell.full_engagement) if straight else (coarser(cell), None)
+    nominal = cell if straight else coarser(cell)
+    gauge = Gauge.of(nominal)
     references = {method: revised, **(others or {})}
     rng = np.random.default_rng(seed)
     plants = [perturbed(nominal, rng) for _ in range(samples)]
 
     def run(k: int) -> tuple[np.ndarray, float | None]:
-        rows = run_sample(plants[k], target, (target, *references.values()), scored_from)
+        rows = run_sample(plants[k], target, (target, *references.values()), gauge)
         tracks = others and straight and k < FEWEST
-        return rows, _tracked(cell, plants[k]) if tracks else None
+        return rows, _tracked(cell, plants[k], gauge) if tracks else None
 
     start = time.perf_counter()
-    found = [run(0)]
+    drawn = [run(0)]
     each = (time.perf_counter() - start) / cores
     count = min(samples, max(FEWEST, int(min(budget / each, samples))))
     if give_up and count * each > budget:
@@ -182,24 +239,29 @@ def monte_carlo(
     pool = ThreadPoolExecutor(cores)
     try:
         for row in pool.map(run, range(1, count)):
-            progress(len(found), count)
-            found.append(row)
-            if len(found) >= FEWEST and time.perf_counter() - start > budget:
+            progress(len(drawn), count)
+            drawn.append(row)
+            if len(drawn) >= FEWEST and time.perf_counter() - start > budget:
                 break
     finally:  # after an interrupt only the plants that run are waited for
         pool.shutdown(cancel_futures=True)
-    progress(len(found), len(found))
-    rows = np.stack([row for row, _ in found])
+    progress(len(drawn), len(drawn))
+    rows = np.stack([row for row, _ in drawn])
     methods = {name: rows[:, k, 0] for k, name in enumerate(references, 1)}
-    tracked = [value for _, value in found if value is not None]
+    tracked = [value for _, value in drawn if value is not None]
     if tracked:
         methods[TRACKED] = np.array(tracked)
-    word, reason = judge(rows[:, 0, 0], rows[:, 1, 0], cell.uncertainty.matters_above)
-    return Verdict(word, reason, rows[:, 0], rows[:, 1], seed, methods)
+    quantity, shares = (PATH_DEVIATION if straight else SURFACE_ERROR), rows[:, 1, 1]
+    before, after = rows[:, 0, 0], rows[:, 1, 0]
+    word, reason = judge_plants(before, after, cell.uncertainty.matters_above, quantity)
+    given = bool(np.isfinite(rows[..., 1]).any())
+    return Verdict(word, reason, before, after, seed, methods, quantity, shares if given else None)
 
 
-def judge(original: np.ndarray, compensated: np.ndarray, matters_above: float) -> tuple[str, str]:
-    """The verdict and its reason from the largest deviations [m], (n,), of the same plants on both trajectories.
+def judge_plants(
+    original: np.ndarray, compensated: np.ndarray, matters_above: float, quantity: str = PATH_DEVIATION
+) -> tuple[str, str]:
+    """The verdict and its reason from the errors [m], (n,), of the same plants on both trajectories.
 
     In this order: more than 5 % of the plants fail on the compensated trajectory and not on the original: cannot be
     trusted. 95 % of the originals stay below ``matters_above`` [m] and 95 % of the compensated as well: does not
@@ -217,7 +279,7 @@ def judge(original: np.ndarray, compensated: np.ndarray, matters_above: float) -
     if worst < matters_above:
         return INDIFFERENT, f"95 % of the plants stay below {1e6 * worst:.3g} um either way"
     low, middle, high = np.quantile(after / np.maximum(before, 1e-300), LEVELS)
-    share = f"the largest deviation becomes {100 * middle:.0f} % of what it was ({100 * low:.0f} to {100 * high:.0f} %)"
+    share = f"the {quantity} becomes {100 * middle:.0f} % of what it was ({100 * low:.0f} to {100 * high:.0f} %)"
     if low > 1.0 - SAME and high < 1.0 + SAME:
         return INDIFFERENT, share
     if high >= 1.0:
@@ -227,21 +289,25 @@ def judge(original: np.ndarray, compensated: np.ndarray, matters_above: float) -
     return HELPS, share
 
 
-def run_sample(
-    plant: Cell, target: Trajectory, references: Sequence[Trajectory], scored_from: float | None
-) -> np.ndarray:
-    """Largest and static deviation [m], (k, 2), of one plant along k references; NaN where it does not survive one.
+def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory], gauge: Gauge) -> np.ndarray:
+    """The error [m] of one plant along k references, and its share of the tolerance, (k, 2).
 
-    The references are corrections of one target: the arm's model along the target holds for all.
+    NaN where the plant does not survive a reference; a share is also NaN without a tolerance. The references are
+    corrections of one target: the arm's model along the target holds for all.
     """
     rows = np.full((len(references), 2), np.nan)
     try:
         model = plant.arm_model(target)
         for k, reference in enumerate(references):
             course = imperfect_course(plant, reference, k)
-            ran = run_pass(model, plant.cut(), plant.clock, target, course, plant.exchange.iterations)
-            found = deviations(ran, target, scored_from)
-            rows[k] = found if found[0] < DIVERGED else np.nan
+            silent = plant.programmed.drilling_at
+            cut, arm = plant.cut(), imperfect_arm(plant, reference, model)
+            ran = run_pass(arm, cut, plant.clock, target, course, plant.exchange.iterations, silent=silent)
+            if np.abs(path_deviation(ran.actual, ran.target, target.sample_velocity(ran.time_ns))).max() >= DIVERGED:
+                continue
+            heights = None if gauge.ideal is None else cut.map_heights()[2]
+            judged = gauge.measure(dataclasses.replace(ran, heights=heights))
+            rows[k] = judged.error, judged.share
     except MillingError:
         pass
     return rows
@@ -256,29 +322,11 @@ def coarser(cell: Cell) -> Cell:
     """
     turns = cell.tool.spindle_speed / (2.0 * math.pi)
     fed = cell.fed_path
-    if fed is None:
+    if fed is None or cell.by_engagement:
         return cell
     feed_per_tooth = float(fed.toolpath.feed.max(initial=0.0)) / (turns * cell.tool.teeth)
     step = min(3.0 * cell.stock.grid_step, max(cell.stock.grid_step, 0.5 * feed_per_tooth))
-    how = cell.exchange
-    if how.period <= LONG_PERIOD and how.micro_step <= LONG_STEP:
-        how = how.replace(period=2.0 * how.period, micro_step=2.0 * how.micro_step)
-    return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=how)
-
-
-def deviations(result: PassResult, target: Trajectory, scored_from: float | None) -> tuple[float, float]:
-    """Largest and static path deviation [m] of a pass.
-
-    scored_from [s]: of a straight cut, as in its scores: from there on, and the mean over the last quarter. None: of a
-    tool path, while it cuts; static is then the mean magnitude.
-    """
-    deviation = path_deviation(result.actual, result.target, target.sample_velocity(result.time_ns))
-    if scored_from is not None:
-        scored = result.time >= scored_from - 1e-9
-        scored[-1] = True
-        return float(np.abs(deviation[scored]).max()), float(abs(deviation[-max(1, deviation.size // 4) :].mean()))
-    cutting = result.volume > 0.0
-    if not cutting.any():
-        return math.nan, math.nan
-    size = np.abs(deviation[cutting])
-    return float(size.max()), float(size.mean())
+    exchange = cell.exchange
+    if exchange.period <= LONG_PERIOD and exchange.micro_step <= LONG_STEP:
+        exchange = exchange.replace(period=2.0 * exchange.period, micro_step=2.0 * exchange.micro_step)
+    return cell.replace(stock=cell.stock.replace(grid_step=step), exchange=exchange)

@@ -12,7 +12,7 @@ from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import PoseSample, StockMap, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.exchange.inputs import ExchangeError, Output, checked_pose
-from kr270_milling.physics.cutting import Cut
+from kr270_milling.physics.cutting import CutModel
 
 __all__ = ["CutProtocol", "NoWorkpiece"]
 
@@ -31,7 +31,7 @@ class CutProtocol:
 
     def __init__(self, cell: Cell):
         self.cell = cell
-        self.cut: Cut | None = None  #: the tool on the workpiece
+        self.cut: CutModel | None = None  #: the tool on the workpiece
         self.step = -1  #: last exchange that was answered; -1 before the first one
         self.stamp_ns = 0  #: of the last answer
         self.end_ns = 0  #: of the reference trajectory; 0 where it is not known
@@ -77,7 +77,7 @@ class CutProtocol:
         self.stamp_ns = sample.stamp
         return [("wrench", WrenchSample(sample.stamp, WORKPIECE, self._wrench))]
 
-    def _answer(self, cut: Cut, stamp_ns: int, tool: np.ndarray) -> None:
+    def _answer(self, cut: CutModel, stamp_ns: int, tool: np.ndarray) -> None:
         """Update the wrench. Raises ExchangeError for a stamp that is neither the next nor the last one."""
         step = self._clock.step(stamp_ns)
         if step == 0 and self.step <= 0:
@@ -97,7 +97,7 @@ class CutProtocol:
             last = self._clock.stamp(self.step) * 1e-9
             raise ExchangeError(stamp_ns, f"{relation} the last one, {last:.6f} s")
 
-    def _sweep(self, cut: Cut, step: int, start: np.ndarray, end: np.ndarray) -> None:
+    def _sweep(self, cut: CutModel, step: int, start: np.ndarray, end: np.ndarray) -> None:
         n = self._clock.micro_steps
         self._wrench = cut.sweep(start, end, (step - 1) * n, n)
         self.step, self._before, self._tool = step, start, np.array(end)

@@ -12,7 +12,7 @@ import numpy as np
 from kr270_milling.base.frames import JOINT_NAMES, WORKPIECE
 from kr270_milling.base.samples import ClockSample, JointSample, PoseSample, Text, TwistSample, WrenchSample
 from kr270_milling.cell.cell import Cell
-from kr270_milling.cell.plant import imperfect_course
+from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.inputs import ExchangeError, Output, checked_wrench, in_workpiece_axes
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import CompliantArm
@@ -54,7 +54,7 @@ class RobotProtocol:
         if reference is None:
             raise ExchangeError(0, "a pass needs a reference trajectory")
         course = imperfect_course(cell, reference, self.passes)
-        model = cell.arm_model(reference)
+        model = imperfect_arm(cell, reference, cell.arm_model(reference))
         self.steps = cell.clock.steps(course.duration_ns)
         stamps = cell.clock.stamp(np.arange(self.steps + 1))
         self._stamps: list[int] = stamps.tolist()  # a list gives an item in a tenth of the time of an array

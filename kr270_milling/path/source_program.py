@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import re
 from dataclasses import dataclass
 
 from kr270_milling.base.errors import InputError
@@ -45,6 +47,7 @@ class ProgramTool:
     teeth: int = 0  #: 0: the program does not say
     line: int = 0  #: of its first tool change
     cuts: int = 0  #: cutting blocks that it makes
+    corner_radius: float = 0.0  #: [m], 0: sharp corners, or the program does not say
 
     @property
     def label(self) -> str:
@@ -53,10 +56,23 @@ class ProgramTool:
         known += [f"{1e3 * self.diameter:g} mm"] if self.diameter else []
         return f"{self.name} ({', '.join(known)})" if known else self.name
 
+    @property
+    def shape(self) -> str:
+        """The kind of a mill that is not flat; "" for all other tools."""
+        for word, shape in (("ball", "ball-end mill"), ("bull", "bull-nose mill"), ("chamfer", "chamfer mill")):
+            if word in self.description:
+                return shape
+        if "engrav" in self.description or re.search(r"v-?bit", self.description):
+            return "tapered mill"
+        if self.corner_radius > 0.0:
+            return "ball-end mill" if self.corner_radius > 0.49 * self.diameter > 0.0 else "bull-nose mill"
+        return ""
+
     def completed(self, other: ProgramTool) -> ProgramTool:
         """With what another description of the tool says where this one says nothing."""
         words = self.description or other.description
-        return ProgramTool(self.name, words, self.diameter or other.diameter, self.teeth or other.teeth)
+        sizes = {name: getattr(self, name) or getattr(other, name) for name in ("diameter", "teeth", "corner_radius")}
+        return dataclasses.replace(self, description=words, **sizes)
 
 
 @dataclass(frozen=True)

@@ -45,14 +45,18 @@ class Toolpath:
     curvature: np.ndarray  #: [1/m], (n,), in the xy plane, positive counterclockwise seen from +z; 0: straight
     spindle_speed: np.ndarray  #: [rad/s], (n,), clockwise, negative: counterclockwise; 0: off or not given
     quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tool0 in the workpiece frame at the end of each block
+    drilling: np.ndarray | None = None  #: feed of a drilling cycle, (n,) bool; None: no block
     program: SourceProgram = NO_PROGRAM  #: what the source says beside its moves
 
     def __post_init__(self):
         position = np.array(self.position, float)
         if position.ndim != 2 or position.shape[1] != 3 or len(position) < 2:
             raise ToolpathError("it needs a start and at least one move")
-        for name in ("position", "feed", "rapid", "line", "feature", "curvature", "spindle_speed", "quaternion"):
-            kind = {"rapid": bool, "line": np.int64, "feature": np.int64}.get(name, float)
+        if self.drilling is None:
+            object.__setattr__(self, "drilling", np.zeros(len(position), bool))
+        for name in ("position", "feed", "rapid", "drilling", "line", "feature", "curvature", "spindle_speed",
+                     "quaternion"):  # fmt: skip
+            kind = {"rapid": bool, "drilling": bool, "line": np.int64, "feature": np.int64}.get(name, float)
             values = np.array(getattr(self, name), kind)
             shape = (len(position),) + {"position": (3,), "quaternion": (4,)}.get(name, ())
             if values.shape != shape:
@@ -124,7 +128,7 @@ MOST_FEATURES = 200  #: a part with more of them is named by something that is n
 #: columns of the blocks while they are collected
 COLUMNS: dict[str, int | slice] = {
     "position": slice(0, 3), "quaternion": slice(3, 7), "feed": 7, "curvature": 8, "spindle_speed": 9, "rapid": 10,
-    "line": 11, "feature": 12,
+    "line": 11, "feature": 12, "drilling": 13,
 }  # fmt: skip
 
 
@@ -137,13 +141,14 @@ class PathBuilder:
         self.features: dict[str, int] = {"": 0}
         self.feature = 0  #: that the moves make
         self.spindle_speed = 0.0  #: [rad/s]
+        self.drilling = False  #: whether the moves belong to a drilling cycle
         self.quaternion = TOOL_DOWN
         self.last: tuple[float, float, float] | None = None  #: where the last move went
         self._last_quaternion = TOOL_DOWN
         self._blocks = array("d")
 
     def __len__(self) -> int:
-        return len(self._blocks) // 13
+        return len(self._blocks) // 14
 
     def name_feature(self, name: str) -> None:
         """The moves that follow make this feature."""
@@ -159,12 +164,12 @@ class PathBuilder:
         if len(self) >= MOST_BLOCKS:
             raise InputError(self.source, f"the path has more than {MOST_BLOCKS} blocks", line)
         self.last, self._last_quaternion = position, self.quaternion
-        numbers = (feed, curvature, self.spindle_speed, rapid, line, self.feature)
+        numbers = (feed, curvature, self.spindle_speed, rapid, line, self.feature, self.drilling and not rapid)
         self._blocks.extend((*position, *self.quaternion, *numbers))
 
     def columns(self) -> dict[str, np.ndarray]:
         """The blocks so far, by the names of the fields of a Toolpath."""
-        blocks = np.frombuffer(self._blocks).reshape(-1, 13)
+        blocks = np.frombuffer(self._blocks).reshape(-1, 14)
         return {name: blocks[:, column] for name, column in COLUMNS.items()}
 
     def build(self, program: SourceProgram = NO_PROGRAM) -> Toolpath:

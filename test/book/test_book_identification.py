@@ -10,12 +10,12 @@ from book import check
 
 from kr270_milling.base.record import find_file
 from kr270_milling.physics.cutting import LinearEdgeLaw, Tool
+from kr270_milling.physics.cutting.materials import find_material
 from kr270_milling.physics.robot.analysis import read_arm
-from kr270_milling.physics.robot.arm import Compensator
+from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.studies.identification import forces
-from kr270_milling.studies.identification.compliance import fit
-from kr270_milling.studies.identification.cuts import Cuts, engagement
-from kr270_milling.studies.identification.materials import find_material
+from kr270_milling.studies.identification.compliance import fit_compliance
+from kr270_milling.studies.identification.cuts import CutMeasurements, engagement_angles
 from kr270_milling.studies.identification.modes import find_modes
 from kr270_milling.studies.identification.plan import Bench, Candidates, Planner, candidates, read_test_pose
 from kr270_milling.studies.identification.problem import Problem
@@ -49,7 +49,7 @@ def test_coverage():
     choice = candidates(ARM, MOUNT, Bench(MOUNT.xyz), 500, 1)
     hits = 0
     for _ in range(CAMPAIGNS):
-        found = fit(_campaign(choice, rng.choice(len(choice.tests), 12, replace=False), rng))
+        found = fit_compliance(_campaign(choice, rng.choice(len(choice.tests), 12, replace=False), rng))
         hits += np.sum(np.abs(found.values - TRUE.joint_compliance) <= found.half_widths)
     return 0.95, hits / (6 * CAMPAIGNS), 0.02
 
@@ -68,7 +68,7 @@ def test_plan():
     true = displacements(TRUE, MOUNT, pose)[:, :3]
 
     def error(rows) -> float:
-        found = fit(_campaign(choice, rows, rng))
+        found = fit_compliance(_campaign(choice, rows, rng))
         return float(np.sum((displacements(found.problem.arm_at(found.factors), MOUNT, pose)[:, :3] - true) ** 2))
 
     ours = np.mean([error(planned) for _ in range(60)])
@@ -82,7 +82,7 @@ def test_plan():
     "N m/rad",
 )
 def test_compensator():
-    spring = Compensator(stiffness=150e3, preload=15e3, base_x=-0.69, base_z=0.12, arm_length=0.18)
+    spring = GravityCompensator(stiffness=150e3, preload=15e3, base_x=-0.69, base_z=0.12, arm_length=0.18)
     q2, a = math.radians(-50.0), math.hypot(0.69, 0.12)
     angle = math.atan2(-math.sin(q2), math.cos(q2)) - math.atan2(0.12, -0.69)
     product, cosine = a * 0.18, math.cos(angle)
@@ -100,12 +100,14 @@ def test_compensator():
 def test_force_coverage():
     rng, tool = np.random.default_rng(13), Tool(diameter=0.02, teeth=4, spindle_speed=800.0)
     true = find_material("Al7075-T6")[1].values
-    ends = np.array([engagement(mode, w, 0.02) for mode, w in [("slot", 0.02)] * 6 + [("up", 0.01)] * 6])
+    ends = np.array([engagement_angles(mode, w, 0.02) for mode, w in [("slot", 0.02)] * 6 + [("up", 0.01)] * 6])
     feed, nothing = np.tile(np.linspace(0.05e-3, 0.2e-3, 6), 2), np.full((12, 3), np.nan)
-    cuts = Cuts(tool, feed, np.full(12, 1e-3), *ends.T, nothing, np.ones(12), False)
+    cuts = CutMeasurements(tool, feed, np.full(12, 1e-3), *ends.T, nothing, np.ones(12), False)
     force, hits = LinearEdgeLaw(*map(float, true)).mean_forces(cuts), 0
     for _ in range(CAMPAIGNS):
-        found = forces.fit("linear_edge", dataclasses.replace(cuts, force=force + 2.0 * rng.normal(size=(12, 3))))
+        found = forces.fit_forces(
+            "linear_edge", dataclasses.replace(cuts, force=force + 2.0 * rng.normal(size=(12, 3)))
+        )
         hits += np.sum(np.abs(found.values - true) <= found.half_widths)
     return 0.95, hits / (6 * CAMPAIGNS), 0.02
 

@@ -42,7 +42,7 @@ def test_a_path_file_is_reckoned_too(tmp_path):
     slow = HEAD + "G0 X-14 Y0 Z2\nG0 Z-1\nG1 X28 F0.005\n"
     with pytest.raises(MillingError, match="exchange periods"):
         small_part(tmp_path, slow, "timing.controller_step_ms=1000.0").target()
-    fine = ["exchange.micro_step_deg=0.01", "tool.teeth=50", "exchange.iterations=20"]
+    fine = ["exchange.micro_step_deg=0.01", "tool.teeth=50", "exchange.iterations=20", "cutting.detail=teeth"]
     with pytest.raises(ParameterError, match=r"micro_step_deg.*larger"):
         small_part(tmp_path, slow.replace("F0.005", "F4"), *fine).target()
 
@@ -51,7 +51,7 @@ def test_a_ramp_of_a_large_tool_on_a_fine_grid_is_refused_and_a_plain_one_is_not
     ramp = HEAD + "G0 X2 Y0 Z0\n" + "".join(f"G1 X{20 + 10 * (-1) ** k} Z{-k / 100} F100\n" for k in range(1, 60))
     small_part(tmp_path, ramp).target()
     with pytest.raises(ParameterError, match=r"grid_step_um.*sinking"):
-        small_part(tmp_path, ramp, "tool.diameter_mm=80.0", "stock.grid_step_um=0.5").target()
+        small_part(tmp_path, ramp, "tool.diameter_mm=80.0", "stock.grid_step_um=0.5", "cutting.detail=teeth").target()
 
 
 def test_what_a_footprint_swept_as_a_whole_costs():

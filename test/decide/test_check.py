@@ -47,7 +47,7 @@ def along_joints(cell, joints) -> Trajectory:
 def test_a_sound_path_may_be_run_and_is_simulated(cell):
     checked = check(cell)
     assert checked.may_be_run and checked.points == len(cell.target()) and checked.ran.result.removed_volume > 0
-    assert checked.as_dict()["may_be_run"] and kinds(checked, "note") <= {"axis reversal"}
+    assert checked.as_dict()["may_be_run"] and kinds(checked, "note") <= {"load reversal"}
 
 
 def test_the_papers_own_case_may_be_run():
@@ -181,7 +181,7 @@ def test_points_out_of_reach_are_findings_of_check(tmp_path, capsys):
     far = "G21 S8000 M3\nG0 X-14 Y0 Z-0.5\nG1 X12 F4000\nG1 Y2500\nM30\n"
     assert main(command(tmp_path, "--json", gcode=far)) == 1
     found = json.loads(capsys.readouterr().out)["findings"]
-    assert {f["what"] for f in found} == {"reach"} and found[0]["where"]["line"] == 4
+    assert {f["what"] for f in found} == {"reach", "stock too small"} and found[0]["where"]["line"] == 4
 
 
 def test_the_command_checks_a_corrected_trajectory(tmp_path, capsys, cell):

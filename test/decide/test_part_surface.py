@@ -197,6 +197,8 @@ def test_a_mark_among_too_many_of_other_walls_counts_alone():
     normal = np.array([[0.0, 1.0]] * other + [[1.0, 0.0]] * mine)
     centre = np.column_stack([-radius * normal, np.full(other + mine, -1e-3)])  # all teeth point at the origin
     marks = Marks(centre, normal, np.full(61, radius), np.zeros(61, np.int64), np.full(61, 0.5))
-    path = Course(np.zeros(2), np.array([[1.0, 0, 0]] * 2), np.zeros(2), np.zeros(2, np.int64), ("corner",))
+    path = Course(
+        np.zeros(2), np.array([[1.0, 0, 0]] * 2), np.zeros(2), np.zeros(2, np.int64), ("corner",), np.zeros(2, bool)
+    )
     walls = remaining_walls(IdealWalls(marks, np.array([60]), np.array([1e-3])), path, np.full((2, 3), 1e-5), 1e-9)
     np.testing.assert_allclose(walls.error, [-1e-5])  # the wall is cut 10 um too deep

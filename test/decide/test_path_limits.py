@@ -7,7 +7,6 @@ import pytest
 
 from kr270_milling.decide.findings import violations
 from kr270_milling.decide.path_limits import (
-    axis_reversals,
     corner_blending,
     correction_per_tick,
     correction_size,
@@ -49,16 +48,6 @@ def test_a_step_of_the_correction_is_shared_by_the_ticks_of_its_interval():
     (finding,) = correction_per_tick(LINE, revised, 4_000_000, 7.9e-6)
     assert finding.point == 11 and finding.value == pytest.approx(8e-6)
     assert correction_per_tick(LINE, revised, 4_000_000, 8.1e-6) == []
-
-
-def test_an_axis_reverses_where_it_turns_back_and_not_where_it_pauses():
-    joints = np.zeros((9, 6))
-    joints[:, 1] = [0, 1, 2, 2, 3, 2, 1, 1, 2]
-    joints[:, 4] = [0, 1, 2, 2, 3, 3, 3, 4, 5]
-    joints[:, 5] = 1e-6 * np.array([0, 1, 0, 1, 0, 1, 0, 1, 0])  # noise
-    findings = axis_reversals(joints, np.full(6, 1e-4), np.full(joints.shape, 2.0))
-    assert [(f.point, f.severity) for f in findings] == [(5, "note"), (7, "note")]
-    assert all("axis 2" in f.sentence and f.value == 2e-4 for f in findings)  # 0.1 mrad at 2 m
 
 
 def corner(stop: bool) -> tuple[Trajectory, Trajectory]:

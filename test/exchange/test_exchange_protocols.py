@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import pytest
+from small_part import GCODE, small_part
 
 from kr270_milling.base.errors import MessageError
 from kr270_milling.base.frames import rotation_from_quaternion
@@ -74,7 +75,17 @@ def started(steps: int = 3):
     ("tool.runout_um=[0, 5, -5, 2]",),
 ])  # fmt: skip
 def test_the_protocols_give_the_compiled_pass_bit_for_bit(options):
-    cell = cell_with(*options)
+    same_as_compiled(cell_with(*options))
+
+
+@pytest.mark.parametrize("iterations", [1, 2])
+def test_the_protocols_give_the_compiled_pass_of_the_mean_force_bit_for_bit(tmp_path, iterations):
+    cell = small_part(tmp_path, GCODE, "cutting.detail=engagement", f"exchange.iterations={iterations}")
+    assert cell.clock.period == pytest.approx(4e-3)
+    same_as_compiled(cell)
+
+
+def same_as_compiled(cell):
     robot, cut = protocols(cell)
     outputs, expected = run(robot, cut), simulate(cell).result
     np.testing.assert_array_equal(column(outputs, "deflection", "twist"), expected.deflection)

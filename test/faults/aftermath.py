@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.exchange.replay.attached import cell_of
+from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.recordings.bag.info import info
@@ -40,7 +40,7 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, started_ns: int,
     Raises RecordingError.
     """
     with Recording(path) as recording:
-        about, every = info(recording), cell_of(recording).thinned_steps
+        about, every = info(recording), attached_cell(recording).thinned_steps
         wrong, short, started, ends = False, 0, False, {}
         for topic, values in zip(WIDTH, (expected.tool, expected.wrench, expected.deflection), strict=True):
             recorded = series(recording, topic)

@@ -87,15 +87,6 @@ def test_what_is_no_such_file_is_told_in_one_sentence(name, kind, tmp_path):
         assert contents(tmp_path) == before
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_a_file_that_may_not_be_read_is_told(name, tmp_path):
-    path = tmp_path / f"thing{ENDS.get(name, '.mcap')}"
-    path.write_bytes(b"x")
-    path.chmod(0)
-    assert str(path) in refused(*words(name, path, tmp_path / "out"))
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes")
 @pytest.mark.parametrize("name", COMMANDS)
 @pytest.mark.parametrize("strange", [b"\xff\xfe", b"a\nb", b"\x1b[2J", b"-x", b"<b>", "ä".encode()])

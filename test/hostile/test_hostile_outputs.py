@@ -8,7 +8,7 @@ import threading
 
 import pytest
 from hostile import SHORT, ask, contents, refused, settings
-from test_recording_samples import record
+from recording_samples import record
 
 pytest.importorskip("geometry_msgs")
 SECRET = b"not to be touched"
@@ -44,9 +44,9 @@ def written(name: str, recordings, out) -> list[str]:
     """The files of a run that goes well, by their names below ``out``."""
     answer = ask(*words(name, recordings, out))
     assert answer.code in (0, 1) and answer.err == "", answer
-    found = [key for key, value in contents(out).items() if value != "dir"]
-    assert found and all(contents(out)[key] for key in found)
-    return found
+    actual = [key for key, value in contents(out).items() if value != "dir"]
+    assert actual and all(contents(out)[key] for key in actual)
+    return actual
 
 
 @pytest.mark.parametrize("name", WRITERS)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import Record, build, find_file, flatten, specs
 from kr270_milling.cell.cell import Cell, read_cell
-from kr270_milling.exchange.replay.attached import cell_of
+from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.writer import BagWriter
 
@@ -165,5 +165,5 @@ def test_a_recording_whose_parameter_files_name_each_other_many_times_is_refused
             pass
         begin = time.process_time()
         with Recording(tmp_path / str(number)) as recording, pytest.raises(MillingError, match="64 names|alias"):
-            cell_of(recording)
+            attached_cell(recording)
         assert time.process_time() - begin < 5

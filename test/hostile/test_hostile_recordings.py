@@ -14,15 +14,13 @@ import lz4.frame
 import pytest
 import zstandard
 from mcap.writer import CompressionType, Writer
-from test_recording_reader import Whole, poses, write_mcap
-from test_recording_samples import record
+from recording_samples import Whole, record, write_mcap
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import export
 from kr270_milling.recordings.bag.info import info
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import recover
-from kr270_milling.recordings.bag.series import series
 from kr270_milling.recordings.bag.verify import findings
 
 MB = 1024 * 1024
@@ -135,13 +133,13 @@ def test_files_that_claim_absurd_sizes_take_no_memory(tmp_path):
     assert grown < 100 * MB
 
 
-@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.NONE])
-def test_reading_a_file_holds_one_unpacked_chunk(tmp_path, compression):
-    """Two chunks of 100 MB with messages of 64 kB."""
-    data = bytes(65_536)
-    path = write_mcap(tmp_path / "a.mcap", ((i, data) for i in range(3200)), compression, chunk_size=100 * MB)
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_reading_a_file_needs_memory_for_one_unpacked_chunk(tmp_path, compression):
+    """Two chunks of 100 MB with messages that cannot be compressed."""
+    data = os.urandom(1_000_000)
+    path = write_mcap(tmp_path / "a.mcap", ((i, data[i:]) for i in range(210)), compression, chunk_size=100 * MB)
     lines, grown = growth(path)
-    assert lines == ["read 3200 []"] and grown < 180 * MB
+    assert lines == ["read 210 []"] and grown < 150 * MB
 
 
 def test_every_compression_gives_its_bytes_back_and_a_truncated_chunk_is_refused(tmp_path):
@@ -160,6 +158,25 @@ def test_every_compression_gives_its_bytes_back_and_a_truncated_chunk_is_refused
         path.write_bytes(BEGIN + chunk_record(packed[: len(packed) // 2], len(data), compression, zlib.crc32(data)))
         with pytest.raises(RecordingError, match="unpack|checksum"):
             Recording(path)
+        path.write_bytes(BEGIN + chunk_record(packed, len(data) + 1, compression))  # without a checksum
+        with pytest.raises(RecordingError, match="announces"):
+            Recording(path)
+
+
+def test_a_chunk_above_the_limit_is_not_unpacked(tmp_path, monkeypatch):
+    path = write_mcap(tmp_path / "a.mcap", [(0, bytes(100_000))])
+    monkeypatch.setattr("kr270_milling.recordings.bag.records.LIMIT", 50_000)
+    with Recording(path) as recording, pytest.raises(RecordingError, match="unpacked bytes, more than the limit"):
+        list(recording.messages())
+
+
+def test_a_definition_that_cannot_be_parsed_is_reported_with_the_offset_of_its_chunk(tmp_path):
+    body = struct.pack("<BQHHI1sII", 4, 17, 1, 0, 1, b"\xff", 0, 0)  # the topic is not UTF-8
+    (tmp_path / "a.mcap").write_bytes(BEGIN + chunk_record(body, len(body), b"", zlib.crc32(body)))
+    with pytest.raises(RecordingError, match="cannot be parsed") as error:
+        Recording(tmp_path / "a.mcap")
+    assert error.value.offset == len(BEGIN)
+    assert recover(tmp_path / "a.mcap").messages == 0
 
 
 def test_a_message_of_an_undefined_channel_is_an_error(tmp_path):
@@ -167,27 +184,6 @@ def test_a_message_of_an_undefined_channel_is_an_error(tmp_path):
     (tmp_path / "a.mcap").write_bytes(BEGIN + chunk_record(body, len(body), b"", zlib.crc32(body)))
     with Recording(tmp_path / "a.mcap") as recording, pytest.raises(RecordingError, match="channel 9"):
         list(recording.messages())
-
-
-@pytest.mark.parametrize(("name", "limit", "sentence"), [
-    ("reader.DEFINED_LIMIT", 500, "take more than 500 bytes"), ("reader.MOST_CHUNKS", 10, "more than 10 chunks"),
-    ("chunks.MOST_MESSAGES", 2, "more than 2 messages"), ("chunks.MOST_DEFINITIONS", 1, "more than 1 definitions"),
-])  # fmt: skip
-def test_definitions_chunks_and_messages_are_limited(tmp_path, monkeypatch, name, limit, sentence):
-    path = write_mcap(tmp_path / "a.mcap", poses(range(100)), chunk_size=500)
-    monkeypatch.setattr(f"kr270_milling.recordings.bag.{name}", limit)
-    with pytest.raises(RecordingError, match=sentence), Recording(path) as recording:
-        list(recording.messages())
-
-
-def test_a_series_that_unfolds_far_beyond_the_file_is_refused(tmp_path, monkeypatch):
-    path = write_mcap(tmp_path / "a.mcap", [(0, poses([0])[0][1])] * 20_000, chunk_size=8 * MB)
-    monkeypatch.setattr("kr270_milling.recordings.bag.series.LIMIT_PER_BYTE", 1)
-    with Recording(path) as recording:
-        assert len(series(recording, "/tool_pose").values) == 20_000
-        monkeypatch.setattr("kr270_milling.recordings.bag.series.BASE_LIMIT", 1000)
-        with pytest.raises(RecordingError, match="times the size of the file"):
-            series(recording, "/tool_pose")
 
 
 def test_a_message_that_unfolds_into_millions_of_objects_is_not_exported_and_other_topics_are(tmp_path):

@@ -42,7 +42,7 @@ def looked_at(path: Path) -> Page:
     page = Page()
     text = path.read_text(encoding="utf-8")
     page.feed(text)
-    # the page's own scripts are inline; a text from a file never stands in it as markup, nor in the data of a script
+    # the page's own scripts are inline; a text from a file is never markup, nor in the data of a script
     assert not [evil for evil in ("<script>alert", "<script>evil", "<img src=x", "</title></svg>") if evil in text]
     assert not page.tags & {"img", "iframe", "object", "embed", "link"}, page.tags
     assert not [name for name in page.attributes if name.startswith("on")]

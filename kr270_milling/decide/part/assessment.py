@@ -14,8 +14,9 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decide.part.course import Course, course, deviations
 from kr270_milling.decide.part.surface import IdealPart, Surface, ideal_part, surface
+from kr270_milling.physics.motion.milling_pass import PassResult
 
-__all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all"]
+__all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all", "assess_result"]
 
 QUANTILE = 0.95
 
@@ -118,9 +119,14 @@ def _of(measure, values: np.ndarray) -> float:
 
 def assess(cell: Cell, ran: ScoredPass, ideal: IdealPart | None = None) -> PartAssessment:
     """Assess a pass of a cell; ideal: the part that the target itself leaves, if it is known already."""
-    result, path = ran.result, course(cell, ran.result.time_ns)
+    return assess_result(cell, ran.name, ran.result, ideal)
+
+
+def assess_result(cell: Cell, name: str, result: PassResult, ideal: IdealPart | None = None) -> PartAssessment:
+    """Assess the series of a pass along the path of a cell, also of a plant that is not the cell."""
+    path = course(cell, result.time_ns)
     return PartAssessment(
-        ran.name,
+        name,
         path,
         deviations(path, result.actual - result.target),
         result.volume > 0.0,

@@ -22,6 +22,7 @@ class Course:
     heading: np.ndarray  #: [rad], (n + 1,), of the tangent in the xy plane; moves along the spindle keep the last one
     feature: np.ndarray  #: (n + 1,), index into ``features``
     features: tuple[str, ...]
+    drilling: np.ndarray  #: in a drilling cycle, (n + 1,) bool
 
     @property
     def left(self) -> np.ndarray:
@@ -37,12 +38,13 @@ def course(cell: Cell, time_ns: np.ndarray) -> Course:
         way = np.linalg.norm(target.sample(time_ns) - target.position[0], axis=1)
         along = target.position[-1] - target.position[0]
         tangent = np.tile(along / np.linalg.norm(along), (time_ns.size, 1))
-        return Course(way, tangent, _headings(tangent), np.zeros(time_ns.size, np.int64), ("straight cut",))
+        return Course(way, tangent, _headings(tangent), np.zeros(time_ns.size, np.int64), ("straight cut",),
+                      np.zeros(time_ns.size, bool))  # fmt: skip
     path, distance = timed.toolpath, timed.distance_at(time_ns)
     _, tangent, _ = path.on_path(distance)
     feature = path.feature[path.block_at(distance)]
     names = tuple(name or "unnamed" for name in path.features)
-    return Course(distance, tangent, _headings(tangent), feature, names)
+    return Course(distance, tangent, _headings(tangent), feature, names, cell.programmed.drilling_at(time_ns))
 
 
 def _headings(tangent: np.ndarray) -> np.ndarray:

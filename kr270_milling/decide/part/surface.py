@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decide.part.course import Course
 from kr270_milling.decide.part.workpiece import heights_at, machined
-from kr270_milling.physics.cutting import Cut, Stock, Tool
+from kr270_milling.physics.cutting import CutModel, Stock, Tool
 
 __all__ = ["Floors", "IdealPart", "IdealWalls", "Marks", "Surface", "Walls", "ideal_part", "remaining_walls", "surface"]
 
@@ -87,7 +87,7 @@ def marks(tool: Tool, path: Course, period: float, rigid: np.ndarray) -> Marks:
         for angle, radius in zip(tool.angles, tool.radii, strict=True):
             phase = (angle - tool.sense * side * np.pi / 2 + relative) / (2 * np.pi)  # whole numbers are passages
             low, high = np.where(corner, phase[1:] - turn / (2 * np.pi), phase[:-1]), phase[1:]
-            k = np.flatnonzero(np.ceil(high) > np.ceil(low))
+            k = np.flatnonzero((np.ceil(high) > np.ceil(low)) & ~path.drilling[1:])
             share = (np.ceil(low[k]) - low[k]) / (high[k] - low[k])
             rows.append((k, share, np.full(k.size, radius), np.full(k.size, side)))
     k, share, radius, sides = (np.concatenate(column) for column in zip(*rows, strict=True))
@@ -98,7 +98,7 @@ def marks(tool: Tool, path: Course, period: float, rigid: np.ndarray) -> Marks:
     return Marks(centre, np.column_stack([np.cos(along), np.sin(along)]), radius, k, share)
 
 
-def ideal_walls(cut: Cut, found: Marks) -> IdealWalls:
+def ideal_walls(cut: CutModel, found: Marks) -> IdealWalls:
     """Which marks remain as walls on the finished workpiece of the rigid arm."""
     stock, beyond = cut.stock, 2.0 * cut.stock.grid_step
     found = found[found.centre[:, 2] < stock.max[2] - cut.params.level_step]
@@ -188,6 +188,7 @@ class IdealPart:
     walls: IdealWalls
     level: float  #: of the height map [m]
     thinning: int
+    drilled: np.ndarray  #: floors of holes, (a, b) bool: they are not judged
 
 
 def ideal_part(cell: Cell, path: Course, target: np.ndarray) -> IdealPart:
@@ -197,7 +198,8 @@ def ideal_part(cell: Cell, path: Course, target: np.ndarray) -> IdealPart:
     x, y, height = cut.map_heights()
     owner = _owners(x, y, height, path, target, cell.tool.radius, level)
     walls = ideal_walls(cut, marks(cell.tool, path, cell.clock.period, target))
-    return IdealPart(x, y, height, owner, walls, level, cut.map_thinning)
+    drilled = _drilled(x, y, height, target[path.drilling], cell.tool.radius, 2.0 * level)
+    return IdealPart(x, y, height, owner, walls, level, cut.map_thinning, drilled)
 
 
 def surface(
@@ -223,7 +225,11 @@ def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) 
     spacing = stock.grid_step * ideal.thinning
     width = 1 + 2 * int(np.ceil((largest + 2.0 * stock.grid_step) / spacing))
     rise = maximum_filter(ideal.height, width, mode="nearest") - minimum_filter(ideal.height, width, mode="nearest")
-    floor = (rise <= 2.0 * ideal.level + SLOPE * width * spacing) & (ideal.height < stock.max[2] - 0.5 * ideal.level)
+    floor = (
+        ~ideal.drilled
+        & (rise <= 2.0 * ideal.level + SLOPE * width * spacing)
+        & (ideal.height < stock.max[2] - 0.5 * ideal.level)
+    )
     error = np.where(floor, height - ideal.height, np.nan)
     return Floors(ideal.x, ideal.y, ideal.height, error, ideal.owner)
 
@@ -244,6 +250,17 @@ def _owners(x, y, height, path: Course, target: np.ndarray, radius: float, level
         owner[i, j][near] = path.feature[k]
     _, nearest = distance_transform_edt(owner < 0, return_indices=True)
     return np.where(height < top - 0.5 * level, owner[tuple(nearest)], -1)  # slivers between two of these places
+
+
+def _drilled(x, y, height, bottoms: np.ndarray, radius: float, slack: float) -> np.ndarray:
+    """(a, b): nodes at the bottom of a hole; bottoms (m, 3) [m]: places of the tool tip in drilling cycles."""
+    out = np.zeros(height.shape, bool)
+    for cx, cy in np.unique(np.round(bottoms[:, :2], 7), axis=0):
+        z = bottoms[np.hypot(bottoms[:, 0] - cx, bottoms[:, 1] - cy) < 1e-6, 2].min()
+        i, j = (slice(*np.searchsorted(axis, [c - radius, c + radius])) for axis, c in ((x, cx), (y, cy)))
+        near = (x[i, None] - cx) ** 2 + (y[None, j] - cy) ** 2 < radius**2
+        out[i, j] |= near & (height[i, j] > z - slack)
+    return out
 
 
 def _stations(path: Course, target: np.ndarray, reach: float) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kr270_milling.base.files import write_files
 from kr270_milling.cell.cell import Cell
-from kr270_milling.physics.cutting import Cut, Stock
+from kr270_milling.physics.cutting import CutModel, Stock
 from kr270_milling.physics.cutting.grid import TILE
 from kr270_milling.physics.motion.milling_pass import PassResult
 
@@ -20,7 +20,7 @@ FINE = 0.25e-3  #: [m]
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
-def machined(cell: Cell, positions: np.ndarray) -> Cut:
+def machined(cell: Cell, positions: np.ndarray) -> CutModel:
     """A fresh workpiece after the tool tip went through positions (n + 1, 3) [m], one exchange period from each to the
     next, workpiece frame. Positions that are the target's leave the part of a rigid arm. Raises GridError."""
     cut = cell.cut()
@@ -28,7 +28,7 @@ def machined(cell: Cell, positions: np.ndarray) -> Cut:
     return cut
 
 
-def heights_at(cut: Cut, xy: np.ndarray) -> np.ndarray:
+def heights_at(cut: CutModel, xy: np.ndarray) -> np.ndarray:
     """The part's surface z [m], (m,), at the nodes nearest to points (m, 2) [m]; NaN beside the stock."""
     stock, state = cut.stock, cut.state
     place = (np.asarray(xy, float) - stock.min[:2]) / stock.grid_step
@@ -48,7 +48,7 @@ def write_part(path, cell: Cell, result: PassResult) -> int:
     return write_stl(path, cut, (*cut.map_heights()[:2], result.heights))
 
 
-def write_stl(path, cut: Cut, lattice: tuple[np.ndarray, ...] = ()) -> int:
+def write_stl(path, cut: CutModel, lattice: tuple[np.ndarray, ...] = ()) -> int:
     """Write the part of ``cut`` as seen in heights 0.25 mm apart, coordinates in mm; returns the triangles.
 
     A large part has 4 million triangles at most. lattice: x (a,), y (b,) and heights (a, b) [m] in place of those of
@@ -71,7 +71,7 @@ def write_stl(path, cut: Cut, lattice: tuple[np.ndarray, ...] = ()) -> int:
     return len(record)
 
 
-def _thinning(cut: Cut) -> int:
+def _thinning(cut: CutModel) -> int:
     """One node in so many each way: 0.25 mm apart, or as far as a large part needs."""
     thinning = max(1, round(FINE / cut.stock.grid_step))
     while _most_triangles(cut.stock, thinning) > MOST_TRIANGLES:

@@ -34,7 +34,8 @@ NOT_RELEASED = "NOT_RELEASED"  #: name of a program that must not be run
 
 def write_programs(
     directory, cell: Cell, original: Trajectory, revised: Trajectory, *, method: str, date: str,
-    motions: Sequence[str] | None = (), source: str = "", findings: Sequence[str] = (), released: bool = True,
+    motions: Sequence[str] | None = (), source: str = "", decision: Sequence[str] = (),
+    findings: Sequence[str] = (), released: bool = True,
 ) -> dict[str, list[Path]]:  # fmt: skip
     """Write all files for a controller or a planner; return the paths by kind.
 
@@ -43,8 +44,8 @@ def write_programs(
     tick; "joints": joint positions of both, named as well; "trajectory": the revised one as CSV, which ``simulate`` and
     ``check`` read; "manifest": which file goes where, in which order to try them, and what the columns are.
 
-    method: for the names; date: ISO text; source: sha256 of what the original was made from; findings: lines of the
-    check, for every header. A program that is not released has NOT_RELEASED for its name.
+    method: for the names; date: ISO text; source: sha256 of what the original was made from; decision: its lines;
+    findings: lines of the check, both for every header. A program that is not released has NOT_RELEASED for its name.
     """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
         raise InputError("method", f"{method[:40]!r} cannot be part of a file name")
@@ -52,7 +53,7 @@ def write_programs(
     joints = commanded_joints(cell, original), commanded_joints(cell, revised)
     commanded = as_commanded(cell, original, joints[0]), as_commanded(cell, revised, joints[1])
     program = cell.program if released else cell.program.replace(name=NOT_RELEASED)
-    heading = krl.Heading(__version__, date, source, method, tuple(findings))
+    heading = krl.Heading(__version__, date, source, method, (*decision, *findings))
     label = f"{method}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
     setup, origin = _setup(cell, *commanded), _source(cell, len(original))
     files: dict[str, list[Path]] = {}
@@ -75,7 +76,8 @@ def write_programs(
     write_csv(files["trajectory"][0], revised, joints[1])
     text = krl.filled(
         "manifest.txt", released=released, programs=programs, name=program.name, files=files,
-        tick_ms=f"{tick_ns / 1e6:g}", findings=findings,
+        tick_ms=f"{tick_ns / 1e6:g}", decision=decision,
+        findings=findings,
     )  # fmt: skip
     write_files({files["manifest"][0]: [text]})
     return files

@@ -12,14 +12,14 @@ from kr270_milling.base.parameter_file import read_yaml
 from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.recordings.bag.reader import Recording
 
-__all__ = ["cell_of", "plant_of"]
+__all__ = ["attached_cell", "attached_plant"]
 
 CELL, PLANT = "cell.yaml", "plant.yaml"
 LONGEST_NAME = 200  # [bytes], of an attached file
 MOST_ATTACHED = 64 * 1024 * 1024  # [bytes] of attachments that are unpacked to read the cell
 
 
-def cell_of(recording: Recording) -> Cell:
+def attached_cell(recording: Recording) -> Cell:
     """Return the cell of the attached ``cell.yaml``, or of the only attached YAML file.
 
     Files that the cell names (includes, a tool path) are read from the attachments, else from the shipped files.
@@ -35,7 +35,7 @@ def cell_of(recording: Recording) -> Cell:
     return _read(recording, CELL if CELL in names else parameter_files[0])
 
 
-def plant_of(recording: Recording, cell: Cell) -> Cell:
+def attached_plant(recording: Recording, cell: Cell) -> Cell:
     """Return the cell that cut in the pass: the attached ``plant.yaml``, else the cell itself."""
     return _read(recording, PLANT) if PLANT in _names(recording) else cell
 

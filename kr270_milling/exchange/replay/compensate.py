@@ -14,7 +14,7 @@ from kr270_milling.exchange.replay.robots import Robot, Robots
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.reader import Recording
 
-__all__ = ["Revised", "compensate"]
+__all__ = ["Revised", "compensate_recording"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class Revised:
         )
 
 
-def compensate(path, method: str | None = None, progress=None) -> list[Revised]:
+def compensate_recording(path, method: str | None = None, progress=None) -> list[Revised]:
     """Return one revision per robot; ``method`` takes the place of the recorded one.
 
     Raises RecordingError where no pass is complete, or where the pass cannot be revised.

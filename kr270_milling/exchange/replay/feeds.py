@@ -21,7 +21,7 @@ MOST_AHEAD = 10  # exchange periods that a message may precede its cause in the 
 Stop = Callable[[int, str], None]  # (stamp [ns], reason)
 
 
-class Feed:
+class InputFeed:
     """Base of robot and cut: the comparison of outputs, and the first input that is not in the recording."""
 
     outputs: tuple[str, ...] = ()
@@ -51,7 +51,7 @@ class Feed:
         self._lack = None
 
 
-class RobotFeed(Feed):
+class RobotFeed(InputFeed):
     """reference_trajectory and wrench in; tool_pose, deflection, joint_states and clock compared.
 
     Every deflection is computed, whatever ``publish.every`` says, so those that were recorded more often are compared
@@ -134,7 +134,7 @@ class RobotFeed(Feed):
             self._publish(self.protocol.start())
 
 
-class CutFeed(Feed):
+class CutFeed(InputFeed):
     """tool_pose in; wrench and workpiece compared."""
 
     outputs = ("wrench",)

@@ -9,7 +9,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.samples import LearnedPass, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.exchange.compensator import PassInbox, ReceivedPass
-from kr270_milling.exchange.replay.attached import cell_of, plant_of
+from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
 from kr270_milling.exchange.replay.inputs import INPUTS
 from kr270_milling.recordings.bag.reader import Recording
 
@@ -90,8 +90,8 @@ class EarlierRecordings:
     def _passes_of(self, file: Path) -> tuple[Cell | None, list[ReceivedPass]]:
         names = {f"{self._namespace}/{name}": name for name in TOPICS}
         with Recording(file) as recording:
-            cell = cell_of(recording)
-            plant = plant_of(recording, cell)
+            cell = attached_cell(recording)
+            plant = attached_plant(recording, cell)
             collector = PassCollector(cell, self._end_ns)
             for message in recording.messages(set(names), as_written=True):
                 with contextlib.suppress(MillingError):  # refused by the live node as well

@@ -15,8 +15,8 @@ from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.path import MOST_STEPS
-from kr270_milling.cell.plant import imperfect_course
-from kr270_milling.exchange.replay.attached import cell_of, plant_of
+from kr270_milling.cell.plant import imperfect_arm, imperfect_course
+from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult, follow
 from kr270_milling.recordings.bag.reader import Recording
@@ -42,7 +42,7 @@ class RecordedPass:
     program: str | None = None  #: text of the tool path file, where the recording carries it
 
 
-class Rows(NamedTuple):
+class StepRows(NamedTuple):
     """A series of one pass by the steps of the exchange, ascending."""
 
     step: np.ndarray  #: (n,)
@@ -66,8 +66,8 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
 def pass_from_recording(path, name: str | None = None, namespace: str | None = None) -> RecordedPass:
     """The pass that a recording holds; a file that was cut off gives the part that is there. It is read once."""
     with Recording(path) as recording:
-        cell = cell_of(recording)
-        plant = plant_of(recording, cell)
+        cell = attached_cell(recording)
+        plant = attached_plant(recording, cell)
         reference, wall, series = _read(recording, namespace)
         program = _program(recording, cell)
     last = cell.clock.steps(reference.duration_ns)
@@ -119,15 +119,15 @@ def _wall_times(diagnostics) -> Iterator[float]:
             yield float(pair.value)
 
 
-def _by_step(cell: Cell, series: TopicSeries, last: int) -> Rows:
+def _by_step(cell: Cell, series: TopicSeries, last: int) -> StepRows:
     """Of a repeated stamp the last, which is what counted when an exchange was iterated."""
     step = np.rint(series.stamp / (cell.clock.period * 1e9)).astype(np.int64)
     rows = np.flatnonzero((step >= 0) & (step <= last) & (cell.clock.stamp(step) == series.stamp))[::-1]
     steps, latest = np.unique(step[rows], return_index=True)
-    return Rows(steps, series.values[rows[latest]])
+    return StepRows(steps, series.values[rows[latest]])
 
 
-def _lost(cell: Cell, recorded: dict[str, Rows], last: int) -> int:
+def _lost(cell: Cell, recorded: dict[str, StepRows], last: int) -> int:
     """Poses, wrenches and deflections that are missing up to a step; of the deflections those that were due."""
     thinned = cell.thinned_steps
     due = np.count_nonzero(recorded["deflection"].step % thinned == 0)
@@ -135,13 +135,14 @@ def _lost(cell: Cell, recorded: dict[str, Rows], last: int) -> int:
     return sum(max(0, last + 1 - count) for count in there.values()) + max(0, last // thinned + 1 - due)
 
 
-def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, recorded: dict[str, Rows]) -> Rows:
+def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, recorded: dict[str, StepRows]) -> StepRows:
     """Those that were recorded and, as far as these are the same to the bit, those between them: they follow from the
     wrenches, which were all published."""
     wrench, there = recorded["wrench"], recorded["deflection"]
     if len(there.step) >= len(wrench.step):
         return there
-    model, whole = plant.arm_model(reference), plant.clock.steps(course.duration_ns) + 1
+    model = imperfect_arm(plant, reference, plant.arm_model(reference))
+    whole = plant.clock.steps(course.duration_ns) + 1
     count = np.flatnonzero(np.append(wrench.step, -1) != np.arange(len(wrench.step) + 1))[0]  # without a hole
     pushes = model.push(course, plant.clock.stamp(np.arange(whole)))
     computed = follow(model, pushes, wrench.values[: min(count, whole)])
@@ -149,7 +150,9 @@ def _all_deflections(plant: Cell, reference: Trajectory, course: Trajectory, rec
     other = (computed[there.step[known]].view(np.int64) != there.values[known].view(np.int64)).any(axis=1)
     end = int(there.step[known][np.argmax(other)]) if other.any() else len(computed)
     later = there.step >= end
-    return Rows(np.append(np.arange(end), there.step[later]), np.append(computed[:end], there.values[later], axis=0))
+    return StepRows(
+        np.append(np.arange(end), there.step[later]), np.append(computed[:end], there.values[later], axis=0)
+    )
 
 
 def _program(recording: Recording, cell: Cell) -> str | None:

@@ -11,7 +11,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
-from kr270_milling.exchange.replay.attached import cell_of, plant_of
+from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
 from kr270_milling.exchange.replay.compare import Channel
 from kr270_milling.exchange.replay.feeds import CutFeed, RobotFeed
 from kr270_milling.exchange.replay.inputs import INPUTS, OUTPUTS, STAMPED, TYPES
@@ -117,8 +117,8 @@ class Robots:
 
     def __init__(self, recording: Recording):
         self.recording = recording
-        self.cell = cell_of(recording)
-        cells = self.cell, plant_of(recording, self.cell)
+        self.cell = attached_cell(recording)
+        cells = self.cell, attached_plant(recording, self.cell)
         self._names = self._find_topics()
         firsts = self._first_references()
         self.robots: dict[str, Robot] = {}

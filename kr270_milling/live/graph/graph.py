@@ -14,7 +14,14 @@ from typing import Any
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.live.graph.driver import Driver
-from kr270_milling.live.graph.processes import Child, RunError, recording_parameters, ros_arguments, stop, write_cell
+from kr270_milling.live.graph.processes import (
+    Child,
+    RunError,
+    recording_parameters,
+    ros_arguments,
+    stop,
+    write_cell_file,
+)
 from kr270_milling.live.graph.watchdog import (
     COMPENSATOR,
     CUT,
@@ -27,7 +34,7 @@ from kr270_milling.live.graph.watchdog import (
 )
 from kr270_milling.live.ros.environment import keep_to_this_host
 
-__all__ = ["CELL", "NOT_COMPLETE", "PLANNER", "Graph", "PassRun"]
+__all__ = ["CELL", "NOT_COMPLETE", "PLANNER", "Graph", "RunValues"]
 
 UP = 60.0  # [s] for a node to start, to compile at its first use, or to revise a long trajectory
 MATCH = 30.0  # [s] for the nodes to discover each other
@@ -40,7 +47,7 @@ NOT_COMPLETE = "its recording is not complete"
 
 
 @dataclass(frozen=True)
-class PassRun:
+class RunValues:
     """Values of one pass that are not in its recording."""
 
     name: str
@@ -99,9 +106,9 @@ class Graph:
         started = time.monotonic()
         keep_to_this_host()
         (self.out / "log").mkdir(exist_ok=True)
-        write_cell(self.cell, self.out / "cell.yaml")
+        write_cell_file(self.cell, self.out / "cell.yaml")
         if self.plant is not None:
-            write_cell(self.plant, self.out / "plant.yaml")
+            write_cell_file(self.plant, self.out / "plant.yaml")
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
                 self._handlers[number] = signal.signal(number, lambda caught, _: self._signals.append(caught))
@@ -220,7 +227,7 @@ class Graph:
     def _value(self, key: str, node: str = COMPENSATOR) -> str:
         return self.driver.value(node, key)
 
-    def run_pass(self, name: str) -> PassRun:
+    def run_pass(self, name: str) -> RunValues:
         """Run one pass on a fresh workpiece and record it to ``out/name``."""
         self.begin_recording(name)
         self.driver.until(self._same_reference, "transfer of the reference trajectory", MATCH, ROBOT)
@@ -239,7 +246,7 @@ class Graph:
         self.end_recording()
         errors = tuple(float(e) * 1e-6 for e in self._value("remaining_error_um").split())
         finished = self._value("finished") == "True"
-        return PassRun(name, self.out / name, reference, wall, errors, finished)
+        return RunValues(name, self.out / name, reference, wall, errors, finished)
 
     def _pass_complete(self) -> bool:
         status = self.driver.status(ROBOT)

@@ -10,20 +10,20 @@ from pathlib import Path
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.exchange.replay.recorded import pass_from_recording
-from kr270_milling.live.graph.graph import Graph, PassRun
+from kr270_milling.live.graph.graph import Graph, RunValues
 from kr270_milling.physics.compensation.compensator import Compensator
 
-__all__ = ["RanPass", "fresh_directory", "run_plan"]
+__all__ = ["RunRow", "fresh_directory", "run_plan"]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class RanPass:
+class RunRow:
     """One row of the table of a run."""
 
-    run: PassRun
+    run: RunValues
     scored: ScoredPass
     messages_lost: int
-    learning: tuple[RanPass, ...] = ()  #: every pass of a method that repeats; the row itself is the best of them
+    learning: tuple[RunRow, ...] = ()  #: every pass of a method that repeats; the row itself is the best of them
 
     def row(self) -> dict:
         """Return the row with the keys that the command prints."""
@@ -59,7 +59,7 @@ def run_plan(
     methods: Sequence[str],
     passes: int | None = None,
     say: Callable[[str], None] = lambda text: None,
-) -> list[RanPass]:
+) -> list[RunRow]:
     """Run the original pass, then those of each method.
 
     passes: number of passes with the original (default: as needed)
@@ -68,11 +68,11 @@ def run_plan(
     numbers = itertools.count(1)
     most = _most_passes(graph.cell, methods, passes)
 
-    def run(name: str) -> RanPass:
+    def run(name: str) -> RunRow:
         say(f"{name}, pass {next(numbers)} of at most {most}")
         pass_run = graph.run_pass(name)
         recorded = pass_from_recording(pass_run.recording, name, graph.driver.namespace)
-        return RanPass(pass_run, recorded.scored, recorded.lost_to_end)
+        return RunRow(pass_run, recorded.scored, recorded.lost_to_end)
 
     original = run("original")
     rows = [original]
@@ -96,9 +96,9 @@ def _most_passes(cell: Cell, methods: Sequence[str], passes: int | None) -> int:
     return 1 + sum(1 if most is None else most for most in limits)
 
 
-def _repeated(method: str, run: Callable[[str], RanPass], original: RanPass, most: int | None) -> RanPass:
+def _repeated(method: str, run: Callable[[str], RunRow], original: RunRow, most: int | None) -> RunRow:
     """Run passes until the compensator is finished, at most ``most``; return the pass along the best reference."""
-    tried: list[RanPass] = []
+    tried: list[RunRow] = []
     while not (tried and tried[-1].run.finished) and (most is None or len(tried) < most):
         tried.append(run(f"{method}_{len(tried) + 1}"))
     errors = tried[-1].run.errors  # the first error is that of the original pass

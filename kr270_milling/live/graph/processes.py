@@ -19,7 +19,7 @@ from kr270_milling.base.record import tree_of
 from kr270_milling.cell.cell import Cell
 from kr270_milling.live.ros.environment import child_environment
 
-__all__ = ["Child", "RunError", "cell_text", "recording_parameters", "ros_arguments", "stop", "write_cell"]
+__all__ = ["Child", "RunError", "cell_text", "recording_parameters", "ros_arguments", "stop", "write_cell_file"]
 
 GRACE = 3.0  # [s] for a node to close its files and to leave the graph, before it is killed
 TOGETHER = "milling_cell"  # the program that holds several nodes
@@ -122,7 +122,7 @@ def recording_parameters(cell: Cell, out: Path, name: str, plant: Cell | None = 
     if plant is not None:
         (out / "log" / name).mkdir(exist_ok=True)
         attach.append(str(out / "log" / name / "plant.yaml"))
-        write_cell(plant, Path(attach[-1]))
+        write_cell_file(plant, Path(attach[-1]))
     attach += map(str, cell.programmed.files)
     return {"attach": attach, "command": shlex.join(sys.argv), "directory": str(out / name)}
 
@@ -136,7 +136,7 @@ def cell_text(cell: Cell) -> str:
     return "# Written by kr270_milling: the cell of this run.\n" + text
 
 
-def write_cell(cell: Cell, path: Path) -> None:
+def write_cell_file(cell: Cell, path: Path) -> None:
     path.write_text(cell_text(cell), encoding="utf-8")
 
 

@@ -24,7 +24,7 @@ from kr270_milling.recordings.bag.play_options import PlayOptions
 from kr270_milling.recordings.bag.playback import PlayClock, is_latched, opening, passage, span
 from kr270_milling.recordings.bag.reader import RawMessage, Recording
 
-__all__ = ["Player", "main", "play", "qos_of"]
+__all__ = ["Player", "player_main", "run_player", "qos_of"]
 
 TICK = 0.001  # [s] between two checks for due messages
 AT_ONCE = 500  # messages in one check at most, so that signals and services are handled in between
@@ -194,7 +194,7 @@ def _duration(value) -> Duration | None:
     return Duration(seconds=seconds, nanoseconds=rest) if limited else None
 
 
-def play(options: PlayOptions, ros_args: list[str] | None = None, progress=None) -> tuple[int, int]:
+def run_player(options: PlayOptions, ros_args: list[str] | None = None, progress=None) -> tuple[int, int]:
     """Run the player as this process; return its exit code and the number of published messages."""
     players: list[Player] = []
 
@@ -206,7 +206,7 @@ def play(options: PlayOptions, ros_args: list[str] | None = None, progress=None)
     return code, sum(player.count for player in players)
 
 
-def main() -> int:
+def player_main() -> int:
     """Console script ``player``."""
     parser = argparse.ArgumentParser(
         prog="player", description="Play a recording back onto topics.", epilog="example: player out/pass1 --rate 0.5"
@@ -214,5 +214,5 @@ def main() -> int:
     parser.add_argument("file", metavar="FILE.mcap|DIR", help="a recording")
     for names, keywords in PLAY:
         parser.add_argument(*names, **keywords)
-    code, _ = play(play_options(parser.parse_args(own_arguments())), sys.argv)
+    code, _ = run_player(play_options(parser.parse_args(own_arguments())), sys.argv)
     return end_process(code)

@@ -33,9 +33,9 @@ def start(name: str | None = None) -> int:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))  # blocked by ``run`` until here
     name = name or Path(sys.argv[0]).stem
     if name == "player":
-        from kr270_milling.live.nodes.player import main
+        from kr270_milling.live.nodes.player import player_main
 
-        return main()
+        return player_main()
     from kr270_milling.live.ros.spin import run_nodes
 
     names = _chosen_nodes() if name == "milling_cell" else [name]

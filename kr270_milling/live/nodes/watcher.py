@@ -13,7 +13,7 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import Ending
 from kr270_milling.live.ros.polling import POLL_PERIOD, poll, polled_subscription
-from kr270_milling.live.watch.feed import INPUTS, Feed
+from kr270_milling.live.watch.feed import INPUTS, LiveEvents
 from kr270_milling.live.watch.server import Events
 
 __all__ = ["Watcher"]
@@ -30,13 +30,13 @@ class Watcher(Ending, Node):
     def __init__(self, events: Events, namespace: str, **kwargs):
         super().__init__("watch", namespace=namespace, start_parameter_services=False, enable_rosout=False, **kwargs)
         self._events = events
-        self._feed = Feed()
+        self._feed = LiveEvents()
         self._present: float | None = None
         self._subscriptions_of = [self._subscribe(topics.BY_NAME[name]) for name in INPUTS]
         self.create_timer(POLL_PERIOD, self._poll)
         self.create_timer(0.2, self._check_graph)
 
-    def _subscribe(self, topic: topics.Topic):
+    def _subscribe(self, topic: topics.RosTopic):
         latched = topic.qos is topics.LATCHED
         qos = QoSProfile(
             depth=topic.qos.depth,

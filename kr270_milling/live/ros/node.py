@@ -125,7 +125,7 @@ class Reporting(Ending, Node):
         descriptor = ParameterDescriptor(description=about, read_only=read_only, **fields)
         return self.declare_parameter(name, default, descriptor).value
 
-    def subscribe(self, topic: topics.Topic, callback):
+    def subscribe(self, topic: topics.RosTopic, callback):
         """Subscribe to the serialised messages of a topic."""
         return self.create_subscription(topic.type, topic.name, callback, topic.qos, raw=True)
 

@@ -9,7 +9,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from kr270_milling.live.ros.names import message_class
 from kr270_milling.recordings.messages.topics import TOPICS
 
-__all__ = ["BY_NAME", "LATCHED", "LOOP", "Topic"]
+__all__ = ["BY_NAME", "LATCHED", "LOOP", "RosTopic"]
 
 #: the loop of one exchange: lockstep, one message in flight; the publisher's history is so long that a recorder which
 #: was stopped for two seconds can still request the messages that it missed
@@ -23,7 +23,7 @@ LATCHED = QoSProfile(
 )
 
 
-class Topic(NamedTuple):
+class RosTopic(NamedTuple):
     """Unpacks into the arguments of ``create_publisher``."""
 
     type: type
@@ -32,10 +32,10 @@ class Topic(NamedTuple):
 
 
 #: name without slash -> topic
-BY_NAME = {t.key: Topic(message_class(t.type), t.name, LATCHED if t.latched else LOOP) for t in TOPICS}
+BY_NAME = {t.key: RosTopic(message_class(t.type), t.name, LATCHED if t.latched else LOOP) for t in TOPICS}
 
 
-def __getattr__(name: str) -> Topic:
+def __getattr__(name: str) -> RosTopic:
     """Return a topic by its name in capitals."""
     try:
         return BY_NAME[name.lower()]

@@ -17,7 +17,7 @@ from kr270_milling.recordings.messages.codec import (
 )
 from kr270_milling.recordings.messages.topics import TOPICS
 
-__all__ = ["INPUTS", "PERIOD_NS", "Feed"]
+__all__ = ["INPUTS", "PERIOD_NS", "LiveEvents"]
 
 #: topics of the feed, without their namespace
 INPUTS = tuple(topic.key for topic in TOPICS if topic.page)
@@ -25,7 +25,7 @@ PERIOD_NS = 33_333_333  #: of the pass between two samples
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 
 
-class Feed:
+class LiveEvents:
     """Events of one robot."""
 
     def __init__(self):

@@ -39,10 +39,12 @@ BEFORE = re.compile(rf"{NUMBER}\s*dia(?:m|meter)?\b", re.I)
 METRIC = re.compile(rf"{NUMBER}\s*mm\b", re.I)
 FRACTION = re.compile(r"(?<![\w.])(?:(\d+)[- ])?(\d+)/(\d+)\s*(?:\"|in|inch|''|flat|ball|end|\s|$)", re.I)
 INCH_MARK = re.compile(rf"{NUMBER}\s*(?:\"|''|in\b|inch)", re.I)
+CORNER = re.compile(rf"\b(?:CR|corner rad(?:ius)?\.?)\s*[-=:]?\s*{NUMBER}", re.I)
 TEETH = re.compile(r"(?:(\d+)\s*-?\s*(?:flutes?|flt|fl|teeth)\b|\bz\s*=\s*(\d+)\b|\b(\d+)f\b)", re.I)
 KIND = re.compile(
-    r"(?:flat|ball|bull ?nose|face|chamfer|shell|slot|spot|center|twist|square|rough\w*|thread|carbide|\s|-)*"
-    r"(?:end ?mills?|mill|drill|tap|reamer|probe|cutter|engrav\w*|v-?bit|face ?mill|fly ?cutter)\b",
+    r"(?:flat|ball(?: ?nose)?|bull ?nose|face|chamfer|shell|slot|spot|center|twist|square|rough\w*|thread|carbide|\s"
+    r"|-)*(?:end ?mills?|mill|ball ?nose|bull ?nose|drill|tap|reamer|probe|cutter|engrav\w*|v-?bit|face ?mill"
+    r"|fly ?cutter)\b",
     re.I,
 )
 
@@ -78,7 +80,9 @@ def described_tool(comment: str, unit: float, changed: str | None = None) -> Pro
         return None
     count = int(next(filter(None, teeth.groups()))) if teeth else 0
     words = " ".join(kind.group().split()).lower().strip("- ") if kind else ""
-    return ProgramTool(name, words, diameter, count if 1 <= count <= 20 else 0)
+    corner = CORNER.search(comment)
+    radius = float(corner.group(1)) * unit if corner else 0.0
+    return ProgramTool(name, words, diameter, count if 1 <= count <= 20 else 0, corner_radius=radius)
 
 
 def _diameter(comment: str, unit: float) -> float:

@@ -280,7 +280,9 @@ class Machine:
             if rapid:
                 self.program.rapid((x, y, z))
             else:
+                self.program.drilling = True
                 self._feed_to(at, [(x, y, z)], abs(z - at[2]))
+                self.program.drilling = False
             at = (x, y, z)
         back = max(cycle.initial, cycle.retract) if self.to_initial and not math.isnan(cycle.initial) else cycle.retract
         self.program.rapid((x, y, back))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import Counter
 
@@ -146,8 +147,7 @@ class ProgramBuilder(PathBuilder):
                 known[tool.name] = known[tool.name].completed(tool) if tool.name in known else tool
         described = ((name, line, known.get(name, ProgramTool(name))) for name, line in names.items())
         return tuple(
-            ProgramTool(name, tool.description, tool.diameter, tool.teeth, line, self._cuts[name])
-            for name, line, tool in described
+            dataclasses.replace(tool, name=name, line=line, cuts=self._cuts[name]) for name, line, tool in described
         )
 
     def _selection(self, cutters: list[ProgramTool]) -> list[Refusal]:

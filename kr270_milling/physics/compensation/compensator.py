@@ -73,7 +73,7 @@ class Compensator:
         self.parameters = parameters
         self.target = target
         self.models = models or CellModels()
-        self.chosen = method_of(method or parameters.method)  #: the method object
+        self.chosen = method_of(method or parameters.planned_method)  #: the method object
         self.first: PassRecord | None = None  #: the pass along the target
         self.reset()
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from kr270_milling.physics.compensation.models import CellModels
     from kr270_milling.physics.compensation.revision import PassRecord
 
-__all__ = ["LEARNED", "METHODS", "Correction", "Method", "RevisionTask", "method_of"]
+__all__ = ["BEST", "LEARNED", "METHODS", "Correction", "Method", "RevisionTask", "method_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +118,7 @@ class ResponseMethod:
         return Correction(offset, rates is not None, rates, learner=learner)
 
 
+BEST = "best"  #: in place of a method: a comparison chooses the method
 LEARNED = ResponseMethod("learned", repeats=True)
 
 #: every method by its name, in the order in which the commands list them

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kr270_milling.base.record import Record, parameter
-from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.physics.compensation.methods import BEST, METHODS
 
 __all__ = ["CompensationSettings"]
 
@@ -14,7 +14,14 @@ __all__ = ["CompensationSettings"]
 class CompensationSettings(Record):
     """YAML ``compensation``: method and limits of the revised reference trajectory."""
 
-    method: str = parameter(text="method that revises the reference trajectory", choices=tuple(METHODS))
+    method: str = parameter(
+        text="method that revises the reference trajectory; best: compensate compares the methods, while a compensator "
+        "that runs takes inverse, or learned with a tracker",
+        choices=(BEST, *METHODS),
+    )
+    tracker: bool = parameter(
+        False, text="a tracker measures the tool on the real machine, so that learned can learn from its passes"
+    )
     relaxation: float = parameter(0.9, above=0.0, high=1.0, text="alpha of (32)")
     sag_compensated: bool = parameter(True, text="the controller already compensates the sag under the link weights")
     criterion: str = parameter(
@@ -34,6 +41,13 @@ class CompensationSettings(Record):
         0.1e-3, unit="mm", above=0.0, high=50.0, text="largest change of the correction within one tick"
     )
     tick: float = parameter(12e-3, unit="ms", low=1.0, high=1000.0, text="cycle in which the controller corrects")
+
+    @property
+    def planned_method(self) -> str:
+        """The method where nothing compares."""
+        if self.method != BEST:
+            return self.method
+        return "learned" if self.tracker else "inverse"
 
     @property
     def tick_ns(self) -> int:

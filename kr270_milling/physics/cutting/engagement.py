@@ -40,10 +40,14 @@ __all__ = [
 ]
 
 BINS = 72  #: K, of a whole turn
-SINES = 4096  #: entries of the table from the place across the feed to the front bin
+SINES = 4096  # entries of the table ``front`` from one side of the tool to the other
+BEYOND = SINES // 4  # further entries at both ends: a crescent and the shift of a node reach beyond the sides
+FINE = 1 << 20  # parts of an entry in which the compiled loop counts
 FRONT = BINS // 2  # bins that can cut: those ahead of the tool axis
 END_NODES = 0.4  # nodes across the feed in the outermost bins
+FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # of the radius: a longer move is divided
+NODE = 1 << 40  # one node in a sum of nodes and levels
 FLOOR_LEVEL = 5  # place in ints: the whole footprint is cut at least to this level (-1: not known)
 
 
@@ -67,17 +71,14 @@ class EngagementParams(NamedTuple):
     coefficients: np.ndarray  # of the law [SI], (p,)
     end_factor: float  # axial force of end cutting over that of the law
     moments: bool  # whether forces turn the tool about its tip
-    front: np.ndarray  # int16, (SINES + 1,): front bin by (1 + sin(phi)) / 2 in steps of 1 / SINES
-    around: (
-        np.ndarray
-    )  # int16, (2 reach + 1, 2 reach + 1): bin of a whole turn by the place beside the tool axis [nodes]
+    front: np.ndarray  # int16, (SINES + 2 BEYOND,): front bin by BEYOND + SINES (1 + sin(phi)) / 2
+    around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): bin of a whole turn by the place beside the axis [nodes]
     reach: int  # nodes
-    shift: (
-        np.ndarray
-    )  # (64, 64): place of a node within its cell across the feed [nodes], by the last bits of its numbers
+    shift: np.ndarray  # int64, (64, 64): of a node within its cell across the feed [entries / FINE], by its last bits
     widths: np.ndarray  # (FRONT,): of the front bins [rad]
     cosines: np.ndarray  # (FRONT,): C_k
     directions: np.ndarray  # (FRONT, 2): cos and sin of the middle of each front bin
+    turns: np.ndarray  # (BINS, 2): cos and sin of the middle of each bin of a whole turn
 
 
 class EngagementState(NamedTuple):
@@ -93,10 +94,9 @@ class EngagementState(NamedTuple):
     saved_last: np.ndarray
     log_place: np.ndarray  # int64: nodes that the last step lowered
     log_level: np.ndarray  # uint16: their levels before
-    area: np.ndarray  # (FRONT,): nodes removed ahead in the present step, by bin
-    volume: np.ndarray  # (FRONT,): levels removed ahead, by bin
-    sunk_area: np.ndarray  # (BINS,): nodes lowered below the former footprint, by bin
-    sunk_volume: np.ndarray  # (BINS,)
+    spans: np.ndarray  # int32, (4, columns): first and last node of each column, of the footprint and of the former one
+    ahead: np.ndarray  # int64, (FRONT,): removed ahead in the present step, by bin: nodes << 40 | levels
+    sunk: np.ndarray  # int64, (BINS,): the same, below the former footprint
 
 
 def make_engagement_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -> EngagementParams:
@@ -111,6 +111,9 @@ def make_engagement_params(tool: Tool, cutting: Cutting, stock: Stock, micro_ste
     inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, FRONT - 1)
     edges = np.concatenate([[-0.5 * np.pi], inner, [0.5 * np.pi]])
     middles = 0.5 * (edges[1:] + edges[:-1])
+    sines = np.arange(-BEYOND, SINES + BEYOND) * (2.0 / SINES) - 1.0
+    node = 0.5 * SINES * stock.grid_step / radius * FINE
+    whole = (np.arange(BINS) + 0.5) * 2.0 * np.pi / BINS - np.pi
     return EngagementParams(
         radius=radius,
         teeth=tool.teeth,
@@ -127,17 +130,16 @@ def make_engagement_params(tool: Tool, cutting: Cutting, stock: Stock, micro_ste
         tolerance=int(stock.floor_tolerance / stock.level_step),
         law=cutting.active.address(),
         coefficients=cutting.coefficients,
-        end_factor=1.0,
+        end_factor=cutting.end_ratio,
         moments=cutting.moments,
-        front=np.clip(np.searchsorted(np.sin(edges), np.linspace(-1.0, 1.0, SINES + 1)) - 1, 0, FRONT - 1).astype(
-            np.int16
-        ),
+        front=np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, FRONT - 1).astype(np.int16),
         around=np.clip(np.floor((angle / (2 * np.pi) + 0.5) * BINS), 0, BINS - 1).astype(np.int16),
         reach=reach,
-        shift=np.random.default_rng(0).uniform(-0.5, 0.5, (64, 64)),
+        shift=np.rint(np.random.default_rng(0).uniform(-0.5, 0.5, (64, 64)) * node).astype(np.int64),
         widths=np.diff(edges),
         cosines=np.diff(np.sin(edges)),
         directions=np.stack([np.cos(middles), np.sin(middles)], -1),
+        turns=np.stack([np.cos(whole), np.sin(whole)], -1),
     )
 
 
@@ -158,10 +160,9 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
         saved_last=np.full(3, math.nan),
         log_place=np.empty(8 * footprint, np.int64),
         log_level=np.empty(8 * footprint, np.uint16),
-        area=np.zeros(FRONT),
-        volume=np.zeros(FRONT),
-        sunk_area=np.zeros(BINS),
-        sunk_volume=np.zeros(BINS),
+        spans=np.zeros((4, 2 * params.reach + 3), np.int32),
+        ahead=np.zeros(FRONT, np.int64),
+        sunk=np.zeros(BINS, np.int64),
     )
 
 
@@ -216,9 +217,9 @@ def _part(s, p, x0, y0, x1, y1, z, passes, wrench):
         return 0.0
     whole = level > s.ints[FLOOR_LEVEL] + p.tolerance
     for k in range(FRONT):
-        s.area[k] = s.volume[k] = 0.0
+        s.ahead[k] = 0
     for k in range(BINS):
-        s.sunk_area[k] = s.sunk_volume[k] = 0.0
+        s.sunk[k] = 0
     dx, dy = x1 - x0, y1 - y0
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
@@ -246,39 +247,54 @@ def _clear(s, p, x0, y0, x1, y1, level, whole, first, ahead_x, ahead_y):
     u0, v0 = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale
     u1, v1 = (x1 - p.origin_x) * scale, (y1 - p.origin_y) * scale
     r2 = (p.radius * scale) ** 2
-    across = 0.5 * SINES / math.sqrt(r2)
-    side_x, side_y = -ahead_y * across, ahead_x * across  # sin(phi) in steps of the table, a node
-    zero = 0.5 * SINES + 0.5 - 0.5 * ((u0 + u1) * side_x + (v0 + v1) * side_y)
+    across = 0.5 * SINES * FINE / math.sqrt(r2)
+    side_x, side_y = -ahead_y * across, ahead_x * across  # sin(phi) in parts of the table, a node
+    zero = (0.5 * SINES + 0.5 + BEYOND) * FINE - 0.5 * ((u0 + u1) * side_x + (v0 + v1) * side_y)
     about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
-    frame = (side_x, side_y, across, zero, about_i, about_j)
+    frame = (side_x, np.int64(side_y), zero, about_i, about_j)
     r = p.radius * scale
-    for i in range(max(int(math.ceil(u1 - r)), 0), min(int(math.floor(u1 + r)), p.nx - 1) + 1):
-        half = math.sqrt(max(r2 - (i - u1) * (i - u1), 0.0))
-        low, high = max(int(math.ceil(v1 - half)), 0), min(int(math.floor(v1 + half)), p.ny - 1)
-        old2 = r2 - (i - u0) * (i - u0)
-        if old2 < 0.0:
-            _column(s, p, i, low, high, level, first, frame)
+    start = max(int(math.ceil(u1 - r)), 0)
+    count = min(int(math.floor(u1 + r)), p.nx - 1) + 1 - start
+    _spans(s.spans[0], s.spans[1], start, count, u1, v1, r2)
+    _spans(s.spans[2], s.spans[3], start, count, u0, v0, r2)
+    for n in range(count):
+        low, high = max(s.spans[0, n], 0), min(s.spans[1, n], p.ny - 1)
+        was_low, was_high = s.spans[2, n], s.spans[3, n]
+        if low > high:
             continue
-        old = math.sqrt(old2)
-        was_low, was_high = int(math.ceil(v0 - old)), int(math.floor(v0 + old))
         if was_high < low or was_low > high:
-            _column(s, p, i, low, high, level, first, frame)
+            _column(s, p, start + n, low, high, level, first, frame)
             continue
         if was_low > low:
-            _column(s, p, i, low, was_low - 1, level, first, frame)
+            _column(s, p, start + n, low, was_low - 1, level, first, frame)
         if whole:
-            _column(s, p, i, max(low, was_low), min(high, was_high), level, True, frame)
+            _column(s, p, start + n, max(low, was_low), min(high, was_high), level, True, frame)
         if was_high < high:
-            _column(s, p, i, was_high + 1, high, level, first, frame)
+            _column(s, p, start + n, was_high + 1, high, level, first, frame)
+
+
+@inlined
+def _spans(low, high, start, count, u, v, square):
+    """Fill the first and the last node of each column within a footprint at (u, v) [nodes]; none: first above last."""
+    for n in range(count):
+        beside = start + n - u
+        half = square - beside * beside
+        root = math.sqrt(max(half, 0.0))
+        low[n] = np.int32(np.ceil(v - root) if half >= 0.0 else FAR)
+        high[n] = np.int32(np.floor(v + root) if half >= 0.0 else -FAR)
 
 
 @inlined
 def _column(s, p, i, low, high, level, sinking, frame):
     """Lower the nodes (i, low..high) to ``level`` and add what they lose to their bins."""
     pool, log_place, log_level = s.pool, s.log_place, s.log_level
-    side_x, side_y, wide, zero, about_i, about_j = frame
-    zero += i * side_x
-    j, logged, new, total = low, s.ints[LOGGED], 0, 0
+    side_x, side_y, zero, about_i, about_j = frame
+    across = np.int64(zero + i * side_x)
+    j, logged, new, total = np.int64(low), s.ints[LOGGED], 0, 0
+    ahead, sunk, shift = s.ahead, s.sunk, p.shift[i & 63]
+    room = logged + high - low < log_place.size
+    if not room:
+        logged = log_place.size
     while j <= high:
         stop = min(high, j | 255) + 1
         slot = s.table[i >> 8, j >> 8]
@@ -295,24 +311,17 @@ def _column(s, p, i, low, high, level, sinking, frame):
             before = np.int64(pool[place])
             if before < level:
                 pool[place] = level
-                if logged < log_place.size:
+                if room:
                     log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, before
                     logged += 1
                 lost = level - before
                 total += lost
                 new += before == 0
                 if sinking:
-                    k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])
-                    s.sunk_area[k] += 1.0
-                    s.sunk_volume[k] += lost
+                    sunk[np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])] += NODE + lost
                 else:
-                    k = np.uint64(
-                        p.front[
-                            np.uint64(min(max(zero + j * side_y + wide * p.shift[i & 63, j & 63], 0.0), float(SINES)))
-                        ]
-                    )
-                    s.area[k] += 1.0
-                    s.volume[k] += lost
+                    sine = np.uint64((across + j * side_y + shift[np.uint64(j & 63)]) >> 20)
+                    ahead[np.uint64(p.front[sine])] += NODE + lost
             j += 1
     s.ints[LOGGED] = logged
     s.ints[NODES_CUT] += new
@@ -327,27 +336,28 @@ def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
     share = p.teeth / (2.0 * math.pi)
     local_x = local_y = force_z = moment_x = moment_y = torque = 0.0
     for k in range(FRONT):
-        if s.area[k] > 0.0:
+        if s.ahead[k]:
+            area, volume = float(s.ahead[k] >> 40), float(s.ahead[k] & (NODE - 1))
             expected = p.radius * m * p.cosines[k]
             h = m * p.cosines[k] / p.widths[k] / passes
-            height = share * p.widths[k] * s.volume[k] * cell * p.level_step / expected  # a_k f_k N dphi / (2 pi)
+            height = share * p.widths[k] * volume * cell * p.level_step / expected  # a_k f_k N dphi / (2 pi)
             f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
             c, d = p.directions[k, 0], p.directions[k, 1]
             x = (-f_r * c + p.sense * f_t * d) * height
             y = (-f_r * d - p.sense * f_t * c) * height
             z = -f_a * height
-            middle = 0.5 * s.volume[k] / s.area[k] * p.level_step  # height above the tip
+            middle = 0.5 * volume / area * p.level_step  # height above the tip
             local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
             moment_x += p.radius * d * z - middle * y
             moment_y += middle * x - p.radius * c * z
             torque += f_t * height * p.radius
     for k in range(BINS):
-        if s.sunk_area[k] > 0.0:  # each tooth takes a layer of all radii: width A / (R dphi), thickness a_k / passes
-            h = s.sunk_area[k] * cell / (p.radius * dphi)
-            height = share * dphi * s.sunk_volume[k] / s.sunk_area[k] * p.level_step / passes
+        if s.sunk[k]:  # each tooth takes a layer of all radii: width A / (R dphi), thickness a_k / passes
+            area, volume = float(s.sunk[k] >> 40), float(s.sunk[k] & (NODE - 1))
+            h = area * cell / (p.radius * dphi)
+            height = share * dphi * volume / area * p.level_step / passes
             f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
-            angle = (k + 0.5) * dphi - math.pi
-            c, d = math.cos(angle), math.sin(angle)
+            c, d = p.turns[k, 0], p.turns[k, 1]
             z = -f_a * height * p.end_factor
             wrench[0] += (-f_r * c + p.sense * f_t * d) * height
             wrench[1] += (-f_r * d - p.sense * f_t * c) * height

@@ -18,7 +18,7 @@ from numba.extending import intrinsic
 from kr270_milling.base.record import Record, specs
 from kr270_milling.physics.cutting.tool import Tool
 
-__all__ = ["Cuts", "ForceLaw", "Line", "call_law"]
+__all__ = ["Cuts", "ForceLaw", "ChartLine", "call_law"]
 
 FORCES = types.UniTuple(types.float64, 3)
 SIGNATURE = FORCES(types.float64, types.CPointer(types.float64))
@@ -49,7 +49,7 @@ class Cuts(Protocol):
         """Angle where the chip ends [rad], (n,)."""
 
 
-class Line(NamedTuple):
+class ChartLine(NamedTuple):
     """A line that the chart of a law shows beside its forces."""
 
     name: str
@@ -129,7 +129,7 @@ class ForceLaw(Record):
         """Names of the coefficients in the JSON of ``identify forces``, with units."""
         return tuple(spec.key for spec in specs(cls))
 
-    def lines(self, h: np.ndarray) -> list[Line]:
+    def lines(self, h: np.ndarray) -> list[ChartLine]:
         """Lines that the chart shows beside the forces at chip thicknesses h [m]."""
         return []
 

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from kr270_milling.base.record import parameter
-from kr270_milling.physics.cutting.force_law import ForceLaw, Line
+from kr270_milling.physics.cutting.force_law import ChartLine, ForceLaw
 
 __all__ = ["KLIMCHIK2012", "FractionalLaw", "fractional"]
 
@@ -54,11 +54,14 @@ class FractionalLaw(ForceLaw):
     symbol = "x-thin-open"
     caption = "Thin chips take more force for their size."
 
-    def lines(self, h: np.ndarray) -> list[Line]:
+    def lines(self, h: np.ndarray) -> list[ChartLine]:
         """Tangent at h = 0, k_0 h, and asymptote, k_0 (r h + (1 - r) h_s)."""
         slope = self.stiffness / READING_DEPTH
         far = self.ratio * h + (1 - self.ratio) * self.specific_chip_thickness
-        return [Line("slope k_0 at h = 0", slope * h, 1), Line("asymptote, slope k_∞ = r k_0", slope * far, 3)]
+        return [
+            ChartLine("slope k_0 at h = 0", slope * h, 1),
+            ChartLine("asymptote, slope k_∞ = r k_0", slope * far, 3),
+        ]
 
     def marks(self) -> list[tuple[float, str]]:
         return [(self.specific_chip_thickness, "h_s")]

@@ -40,6 +40,16 @@ class Cutting(Record):
         text="dphi of h = A / (R dphi): as seen from the tool centre of the step before, as section 4 has it; nominal: "
         "the spindle's, which damps vibrations along the tooth's motion too much",
     )
+    detail: str = parameter(
+        "auto",
+        choices=("teeth", "engagement", "auto"),
+        text="model of the cut: the sweep of the teeth, or the mean force of the engagement for long programs; auto: "
+        "teeth for a straight cut and for programs of up to 60 s of cutting",
+    )
+    end_ratio: float = parameter(
+        1.0, low=0.0, high=20.0,
+        text="axial force of the end teeth of a sinking tool over that of the law; used where detail is engagement",
+    )  # fmt: skip
     moments: bool = parameter(
         True, text="moments of the forces about the tool tip, reaction torque of the spindle; false: forces only, (29)"
     )

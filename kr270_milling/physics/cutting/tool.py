@@ -68,6 +68,9 @@ class Tool(Record):
         0.0, unit="deg", low=0.0, high=75.0, text="helix angle: at z above the tip an edge lags by z tan(helix) / R"
     )
 
+    type: str = parameter(
+        "program", choices=("program", "flat"), text="flat: a flat end mill, whatever the comments of the program say"
+    )
     flute_length: float = parameter(0.0, unit="mm", low=0.0, high=500.0, text="of the cutting edges; 0: not known")
     centre_cutting: bool = parameter(True, text="whether the tool can plunge straight into material")
     max_feed_per_tooth: float = parameter(0.0, unit="mm", low=0.0, high=10.0, text="its maker's limit; 0: not known")

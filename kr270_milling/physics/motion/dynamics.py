@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.backlash import NO_GAPS, STATES, Gaps, cross_gaps
 
 __all__ = ["ArmModel", "ModalModel", "advance", "approach", "discretise", "discretise_reference", "modes", "push",
            "reference_motion"]  # fmt: skip
@@ -68,11 +69,13 @@ class ArmModel:
     reference: np.ndarray  #: R, (n, 2r, 18); (n, 2r, 0) where the reference moves the tool itself, (1) as printed
     steps_per_knot: float  #: exchange periods from one posture to the next
     approach: np.ndarray | None = None  #: r' before the pass [m/s, rad/s], (6,); None: the first of the reference
+    gaps: Gaps = NO_GAPS  #: backlash of the joints, whose displacement joins the deflection
 
     @property
     def arrays(self) -> tuple:
         """What ``advance`` takes."""
-        return self.transition, self.input, self.output, self.feedthrough, self.steps_per_knot
+        gaps = self.gaps.arrays
+        return self.transition, self.input, self.output, self.feedthrough, self.steps_per_knot, gaps
 
     def push(self, reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
         """R m over each period between the stamps [ns], (periods, 2r); none, (0, 2r), for (1) as printed."""
@@ -85,6 +88,11 @@ class ArmModel:
     @property
     def order(self) -> int:
         return self.transition.shape[-1]
+
+    @property
+    def states(self) -> int:
+        """Numbers that ``advance`` carries: those of eq. (1), and those of the gaps where there are some."""
+        return self.order + (STATES if len(self.gaps.torque) else 0)
 
 
 def condense(compliance: np.ndarray, mass: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -236,13 +244,13 @@ def advance(step, state, wrench, pushes, arrays, new_state, deflection):
     ``step`` counts exchange periods from the start of the pass; between two postures of the model the matrices are
     interpolated linearly. pushes: of the moving reference, ``ArmModel.push``; (0, 2r) for (1) as printed.
     """
-    transition, driven, output, feedthrough, steps_per_knot = arrays
+    transition, driven, output, feedthrough, steps_per_knot, gaps = arrays
     n = transition.shape[0]
     place = step / steps_per_knot
     k = min(int(place), n - 1)
     m = min(k + 1, n - 1)
     f = min(place - k, 1.0) if m > k else 0.0
-    order = state.size
+    order = transition.shape[1]
     for i in range(order):
         total = 0.0
         for j in range(order):
@@ -263,3 +271,5 @@ def advance(step, state, wrench, pushes, arrays, new_state, deflection):
             q = feedthrough[k, i, j]
             total += (q + f * (feedthrough[m, i, j] - q)) * wrench[j]
         deflection[i] = total
+    if gaps[0].shape[0] > 0:
+        cross_gaps(step, state[order:], wrench, gaps, new_state[order:], deflection)

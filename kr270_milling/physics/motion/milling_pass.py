@@ -78,9 +78,9 @@ class CompliantArm:
         self.model = model
         self.pushes = np.zeros((0, model.order)) if pushes is None else pushes
         self.step = 0  #: exchange periods done
-        self.state = np.zeros(model.order)
+        self.state = np.zeros(model.states)
         self.wrench = np.zeros(6)
-        self._scratch = np.zeros(model.order)
+        self._scratch = np.zeros(model.states)
 
     def predict(self, wrench: np.ndarray | None = None) -> np.ndarray:
         """Deflection (6,) at the end of the next period under ``wrench``, or under that of the last period."""
@@ -105,7 +105,7 @@ def follow(model: ArmModel, pushes: np.ndarray, wrenches: np.ndarray) -> np.ndar
     Those that ``CompliantArm.correct`` gives one by one, to the bit.
     """
     deflections = np.zeros((len(wrenches), 6))
-    _follow(np.ascontiguousarray(wrenches, float), np.zeros(model.order), pushes, model.arrays, deflections)
+    _follow(np.ascontiguousarray(wrenches, float), np.zeros(model.states), pushes, model.arrays, deflections)
     return deflections
 
 
@@ -125,7 +125,7 @@ def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _exchange(first, last, iterations, reference, arm, state, wrench, cut_state, cut_params, micro_steps, out):
+def _exchange(first, last, iterations, reference, silent, arm, state, wrench, cut_state, cut_params, micro_steps, out):
     """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large."""
     tool, deflections, wrenches, corrections, torques, volumes = out
     pushes, arrays = arm
@@ -136,17 +136,26 @@ def _exchange(first, last, iterations, reference, arm, state, wrench, cut_state,
         before, torque = cut_state.floats[LEVEL_SUM], 0.0
         for k in range(iterations):
             advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot predicts
-            tool[n + 1] = reference[n + 1] + deflection[:3]
+            for j in range(3):
+                tool[n + 1, j] = reference[n + 1, j] + deflection[j]
             if k > 0 and not cut_undo(cut_state):
                 return False
             torque = cut_step(  # the cut answers
                 cut_state, cut_params, tool[n], tool[n + 1], n * micro_steps, micro_steps, no_forces, answer
             )
+            if silent[n + 1]:
+                answer[:], torque = 0.0, 0.0
         advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot corrects
         state[:] = scratch
-        deflections[n + 1], wrenches[n + 1] = deflection, answer
-        corrections[n + 1] = np.sqrt(np.sum((reference[n + 1] + deflection[:3] - tool[n + 1]) ** 2))
-        torques[n + 1], volumes[n + 1] = torque, (cut_state.floats[LEVEL_SUM] - before) * per_node
+        away = 0.0
+        for j in range(3):
+            away += (reference[n + 1, j] + deflection[j] - tool[n + 1, j]) ** 2
+        for j in range(6):
+            deflections[n + 1, j], wrenches[n + 1, j] = deflection[j], answer[j]
+        corrections[n + 1] = np.sqrt(away)
+        torques[n + 1] = torque
+        if not silent[n + 1]:
+            volumes[n + 1] = (cut_state.floats[LEVEL_SUM] - before) * per_node
     wrench[:] = answer
     return True
 
@@ -159,9 +168,12 @@ def run_pass(
     reference: Trajectory,
     iterations: int = 1,
     progress: Callable[[int, int], None] | None = None,
+    silent: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> PassResult:
     """One pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
 
+    silent: stamps (n,) [ns] -> whether the force of a period that ends there is not modelled, (n,) bool: drilling. The
+    tool then removes material without a force, and the period counts as one without a cut.
     progress(done, total) is called every 200 exchange periods. Raises GridError if the grid has no tile left,
     UndoError if the periods are too long to be iterated, and PassError where the arm would fly off.
     """
@@ -171,14 +183,15 @@ def run_pass(
     each = np.zeros(n + 1)
     out = (np.zeros((n + 1, 3)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6)), each, each.copy(), each.copy())
     out[0][0] = course[0]
-    state, wrench = np.zeros(model.order), np.zeros(6)
+    state, wrench = np.zeros(model.states), np.zeros(6)
     arm = (model.push(reference, stamps), model.arrays)
+    without = np.zeros(n + 1, bool) if silent is None else silent(stamps)
     carried = (cut.state, cut.params, clock.micro_steps, out)
-    _exchange(0, 0, iterations, course, arm, state, wrench, *carried)  # compiled before the clock runs
+    _exchange(0, 0, iterations, course, without, arm, state, wrench, *carried)  # compiled before the clock runs
     area, volume, start = cut.removed_area, cut.removed_volume, time.perf_counter()
     for first in range(0, n, CHUNK):
         last = min(first + CHUNK, n)
-        whole = _exchange(first, last, iterations, course, arm, state, wrench, *carried)
+        whole = _exchange(first, last, iterations, course, without, arm, state, wrench, *carried)
         if cut.state.ints[FAILED]:
             raise GridError(cut.state.pool.size // TILE**2)
         if not whole:

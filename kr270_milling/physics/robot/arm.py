@@ -18,15 +18,19 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter
 
-__all__ = ["AXES", "BARE", "NO_COMPENSATOR", "Arm", "Compensator", "Mount", "moment_slope"]
+__all__ = ["AXES", "BARE", "NO_COMPENSATOR", "Arm", "GravityCompensator", "Mount", "moment_slope"]
 
 #: direction of each joint axis in the frame of the link that it turns, (6, 3)
 AXES = np.array([[0, 0, -1], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [0, 1, 0], [-1, 0, 0]], float)
 AXES.setflags(write=False)
 
 
+#: [rad]; 3e-5: KUKA KR 300 R2500, JonasWeigand/Robot_Identification (A1 to A3); assumed: the same for A4 to A6
+ASSUMED_BACKLASH = np.full(6, 6.2 * math.pi / 648000)
+
+
 @dataclass(frozen=True, eq=False)
-class Compensator(Record):
+class GravityCompensator(Record):
     """YAML ``arm.compensator``: a spring between links 1 and 2, a second spring of joint 2; stiffness 0: there is none.
 
     It is hinged to link 1 at A = (a_x, a_z), seen from axis 2 in the plane of the arm (x forward, z up), and to the
@@ -99,7 +103,7 @@ def moment_slope(spring, cosine, sine):
     return -k * (slope**2 + (s - s_0) * bend)
 
 
-NO_COMPENSATOR = Compensator()
+NO_COMPENSATOR = GravityCompensator()
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +134,18 @@ class Arm(Record):
         unit="mm", text="radius of each link seen as a thin tube, for the rotary inertia of its sections", low=0.0,
         high=2000.0, size=6,
     )  # fmt: skip
-    compensator: Compensator = NO_COMPENSATOR
+    backlash: np.ndarray = parameter(
+        ASSUMED_BACKLASH, unit="arcsec", size=6, low=0.0, high=18000.0,
+        text="backlash of each joint, between its two flanks",
+    )  # fmt: skip
+    # the whole drive of the KR 300 of that model: 188, 490, 470, 99, 99, 57 N m (motor friction times gear ratio);
+    # assumed: half of it acts on the link's side, where it holds the link while the load reverses
+    friction_torque: np.ndarray = parameter(
+        [94.0, 245.0, 235.0, 49.0, 49.0, 29.0], unit="n_m", size=6, low=0.0, high=1e5,
+        text="friction torque of each joint on the link's side; a smaller load leaves the link on its flank",
+    )  # fmt: skip
+    payload: float = parameter(0.0, unit="kg", low=0.0, high=5000.0, text="most that the flange carries; 0: not known")
+    compensator: GravityCompensator = NO_COMPENSATOR
 
     def check(self):
         if not np.all(self.joint_lower < self.joint_upper):

@@ -17,8 +17,8 @@ from kr270_milling.base.frames import Pose
 from kr270_milling.physics.robot.arm import AXES, Arm, Mount
 from kr270_milling.physics.robot.errors import SingularityError
 
-__all__ = ["LinkFrames", "check_regular", "column", "cross", "elbow_and_reach", "forward", "jacobian", "jacobian_at",
-           "pose", "rotate_matrix", "singularity_measures", "status_turn"]  # fmt: skip
+__all__ = ["LinkFrames", "check_regular", "cross", "elbow_and_reach", "forward", "jacobian", "jacobian_at",
+           "jacobian_column", "pose", "rotate_matrix", "singularity_measures", "status_turn"]  # fmt: skip
 
 #: number of the coordinate axis that each joint turns about, and KUKA's sign
 TURNS = [(int(np.argmax(np.abs(axis))), float(axis.sum())) for axis in AXES]
@@ -39,7 +39,7 @@ class LinkFrames:
 
 
 @njit(cache=True, nogil=True)
-def column(ax, ay, az, rx, ry, rz):
+def jacobian_column(ax, ay, az, rx, ry, rz):
     """j = a x r, translations of a column of the Jacobian: joint axis a, tool point r from the axis [m/rad]."""
     return ay * rz - az * ry, az * rx - ax * rz, ax * ry - ay * rx
 
@@ -47,7 +47,7 @@ def column(ax, ay, az, rx, ry, rz):
 @guvectorize(["(float64[:], float64[:], float64[:])"], "(n),(n)->(n)", cache=True)
 def cross(a, b, out):
     """a x b over the last axis; in batches three times as fast as array operations, with the same bits."""
-    out[0], out[1], out[2] = column(a[0], a[1], a[2], b[0], b[1], b[2])
+    out[0], out[1], out[2] = jacobian_column(a[0], a[1], a[2], b[0], b[1], b[2])
 
 
 def rotate_matrix(matrix: np.ndarray, rotation: np.ndarray) -> np.ndarray:

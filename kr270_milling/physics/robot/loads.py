@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.physics.robot.arm import NO_COMPENSATOR, Arm, Compensator, Mount
+from kr270_milling.physics.robot.arm import NO_COMPENSATOR, Arm, GravityCompensator, Mount
 from kr270_milling.physics.robot.kinematics import LinkFrames, cross
 
 __all__ = ["GRAVITY", "LinkLoads", "link_loads", "load_torque", "load_hessian", "moment_arms"]
@@ -28,7 +28,7 @@ class LinkLoads:
 
     mass: np.ndarray  #: [kg], (8,)
     gravity: np.ndarray  #: [m/s^2] in base_link, (3,)
-    compensator: Compensator = NO_COMPENSATOR  #: it balances weights, so it is there where they are
+    compensator: GravityCompensator = NO_COMPENSATOR  #: it balances weights, so it is there where they are
     share: float = 1.0  #: of the whole load that is on: gravity has it already, the compensator's moment gets it
 
     def part(self, share: float) -> LinkLoads:

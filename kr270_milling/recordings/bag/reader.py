@@ -13,36 +13,35 @@ from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
 from mcap.records import Channel as McapChannel
-from mcap.records import Schema, Statistics
+from mcap.records import ChunkIndex, Schema, Statistics
 
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.recordings.bag.chunks import ChunkPlace, ChunkReader, RawMessage
+from kr270_milling.recordings.bag.chunks import ChunkReader, RawMessage
 from kr270_milling.recordings.bag.decode import RecordedTopic, make_decoder
 from kr270_milling.recordings.bag.records import (
     HEAD,
     MAGIC,
-    SMALL_LIMIT,
+    ChunkPlace,
     Damage,
     RecordPlace,
     attachment_at,
     checksum,
+    chunk_at,
     mcap_file,
     open_to_read,
     place_at,
-    places,
     read_bytes,
     record_at,
+    walk,
 )
 
-__all__ = ["BEGIN", "END", "Attachment", "MessagePlace", "RawMessage", "Recording", "RecordedTopic"]
+__all__ = ["BEGIN", "END", "INDEXES", "Attachment", "MessagePlace", "RawMessage", "RecordedTopic", "Recording",
+           "chunk_of"]  # fmt: skip
 
 MessagePlace = tuple[int, int]  # of a message: offset of its chunk, offset in the unpacked chunk
 BEGIN, END = (0, 0), (2**64, 0)  # before the first message, after the last message
 FOOTER = HEAD.pack(Opcode.FOOTER, 20)
 FOOTER_SIZE = len(FOOTER) + 20 + len(MAGIC)
-DEFINED_LIMIT = 32 * 1024 * 1024  # [bytes] of names, definitions and metadata in memory
-ENTRY = 150  # [bytes] that Python takes for a small record
-MOST_CHUNKS = 250_000  # 60 MB; 70 hours of a recorder that closes one chunk a second
 RUN = 1024 * 1024  # [bytes] of messages outside of chunks that are read together
 NO_SCHEMA = Schema(id=0, data=b"", encoding="", name="")
 
@@ -78,7 +77,6 @@ class Recording:
         self.attachments: list[Attachment] = []
         self.read_chunk = ChunkReader(self.stream, self.channels)
         self._metadata: dict[str, dict[str, str]] = {}
-        self._defined = 0  # [bytes]
         try:
             with self._damage_as_error():
                 self._open(progress)
@@ -108,8 +106,7 @@ class Recording:
         if footer is not None and self._read_summary(footer):
             self._take(header)
             return
-        ended = self._scan(progress)
-        if footer is not None and not ended:
+        if self._scan(self.size, progress) is None and footer is not None:
             raise Damage("a record claims more bytes than the file has", self.chunks[-1].end if self.chunks else 8)
 
     def footer(self) -> RecordPlace | None:
@@ -125,70 +122,75 @@ class Recording:
         start = record.summary_start
         if not start:
             return False
-        if not len(MAGIC) <= start <= footer.offset or footer.offset - start > SMALL_LIMIT:
+        if not len(MAGIC) <= start <= footer.offset:
             raise Damage("the footer points to an impossible place", footer.offset)
         if record.summary_crc not in (0, checksum(self.stream, start, footer.end - 4)):
             raise Damage("the summary at the end does not fit its checksum", start)
-        statistics: Statistics | None = None
-        metadata = 0
-        for place in places(self.stream, start, footer.offset):
+        statistics: list[Statistics] = []
+        indexes: Counter[int] = Counter()
+
+        def visit(place: RecordPlace) -> None:
             if place.opcode == Opcode.STATISTICS:
-                statistics = record_at(self.stream, place)
+                statistics.append(record_at(self.stream, place))
             elif place.opcode in INDEXES:
-                metadata += place.opcode == Opcode.METADATA_INDEX
+                indexes[place.opcode] += 1
                 self._take_index(place)
             else:
                 self._take(place)
-        if statistics is None:
+
+        walk(self.stream, start, footer.offset, visit)
+        if not statistics:
             return False
-        self.counts.update(statistics.channel_message_counts)
-        counted = (statistics.chunk_count, statistics.attachment_count, statistics.metadata_count)
-        listed = (len(self.chunks), len(self.attachments), metadata)
-        return counted == listed and (not statistics.message_count or bool(self.chunks)) and not (
-            set(self.counts) - set(self.channels))  # fmt: skip
+        counted = statistics[-1]
+        self.counts.update(counted.channel_message_counts)
+        counts = (counted.chunk_count, counted.attachment_count, counted.metadata_count)
+        complete = counts == tuple(indexes[opcode] for opcode in INDEXES)
+        return complete and set(self.counts) <= set(self.channels) and (not counted.message_count or bool(self.chunks))
 
     def _take_index(self, place: RecordPlace) -> None:
         """Take what the summary says of a chunk, an attachment or metadata."""
         index = record_at(self.stream, place)
         if place.opcode == Opcode.CHUNK_INDEX:
-            offset, end = index.chunk_start_offset, index.chunk_start_offset + index.chunk_length
-            first, last = index.message_start_time, index.message_end_time
-            self._add_chunk(ChunkPlace(Opcode.CHUNK, offset, end, first, last, index.uncompressed_size))
+            self._add_chunk(chunk_of(index))
         elif place.opcode == Opcode.ATTACHMENT_INDEX:
             end = index.offset + index.length
-            self._add_attachment(Attachment(index.name, index.media_type, index.data_size, index.offset, end))
+            self.attachments.append(Attachment(index.name, index.media_type, index.data_size, index.offset, end))
         else:
             metadata = place_at(self.stream, index.offset, self.size)
             if metadata is None or metadata.opcode != Opcode.METADATA:
                 raise Damage("the index of metadata points to another record", place.offset)
             self._take(metadata)
 
-    def _scan(self, progress) -> bool:
-        """Read all records of a file without a complete summary. Return whether the data section has an end."""
-        self._reset()
-        for place in places(self.stream, len(MAGIC), self.size):
-            if place.opcode == Opcode.DATA_END:
-                return True
-            self._take(place)
-            if progress:
-                progress(place.end, self.size)
-        return False
+    def _scan(
+        self,
+        end: int,
+        progress: Callable[[int, int], None] | None = None,
+        resume: Callable[[Damage, RecordPlace | None], int] | None = None,
+    ) -> RecordPlace | None:
+        """Read all records of the data section instead of the summary; return the end of the data section.
 
-    def _reset(self) -> None:
-        """Forget the places and counts of an incomplete summary; its definitions stay."""
+        The definitions of an incomplete summary stay.
+        """
         self.chunks.clear()
         self.attachments.clear()
         self._metadata.clear()
         self.counts.clear()
 
+        def visit(place: RecordPlace) -> None:
+            self._take(place)
+            if progress:
+                progress(place.end, self.size)
+
+        return walk(self.stream, len(MAGIC), end, visit, resume)
+
     def _take(self, place: RecordPlace) -> None:
         """Take one record of the data section, or a definition. Raises Damage."""
         if place.opcode == Opcode.CHUNK:
-            chunk, content = self.read_chunk.survey(place)
+            chunk, _ = chunk_at(self.stream, place)
+            content = self.read_chunk(chunk)
             self._add_chunk(chunk)
-            for opcode, begin, end in content.definitions:
-                inner = RecordPlace(opcode, begin, end)
-                self._define(record_at(content.stream(), inner), opcode, end - begin, place.offset)
+            for definition in content.definitions:
+                self._define(record_at(content.stream(), definition))
             self.counts.update(content.counts)
         elif place.opcode == Opcode.MESSAGE:
             self._take_message(place)
@@ -196,48 +198,36 @@ class Recording:
             header = record_at(self.stream, place)
             self.profile, self.library = header.profile, header.library
         elif place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.METADATA):
-            self._define(record_at(self.stream, place), place.opcode, place.end - place.offset, place.offset)
+            self._define(record_at(self.stream, place))
         elif place.opcode == Opcode.ATTACHMENT:
-            record = record_at(self.stream, place)
+            record = attachment_at(self.stream, place)
             about = Attachment(record.name, record.media_type, len(record.data), place.offset, place.end)
-            self._add_attachment(about)
+            self.attachments.append(about)
 
     def _take_message(self, place: RecordPlace) -> None:
         """Take a message outside of chunks; consecutive messages are read together."""
         message = record_at(self.stream, place)
         self.counts[message.channel_id] += 1
-        time, last = message.log_time, self.chunks[-1] if self.chunks else None
-        if last and last.opcode == place.opcode and last.end == place.offset and place.end - last.offset <= RUN:
-            first, latest = min(last.first_time, time), max(last.last_time, time)
-            self.chunks[-1] = ChunkPlace(place.opcode, last.offset, place.end, first, latest, place.end - last.offset)
-        else:
-            self._add_chunk(ChunkPlace(place.opcode, place.offset, place.end, time, time, place.end - place.offset))
+        first = last = message.log_time
+        offset, before = place.offset, self.chunks[-1] if self.chunks else None
+        if before and before.opcode == place.opcode and before.end == offset and place.end - before.offset <= RUN:
+            offset, first, last = before.offset, min(before.first_time, first), max(before.last_time, last)
+            self.chunks.pop()
+        self._add_chunk(ChunkPlace(place.opcode, offset, place.end, first, last, place.end - offset))
 
     def _add_chunk(self, chunk: ChunkPlace) -> None:
-        if len(self.chunks) == MOST_CHUNKS:
-            raise Damage(f"the file has more than {MOST_CHUNKS} chunks", chunk.offset)
         if self.chunks and self.chunks[-1].opcode != chunk.opcode:  # no writer mixes both; an opcode is damaged
             raise Damage("the file has messages in chunks and outside of chunks", chunk.offset)
         self.chunks.append(chunk)
 
-    def _add_attachment(self, about: Attachment) -> None:
-        self._count_memory(ENTRY + len(about.name), about.offset)
-        self.attachments.append(about)
-
-    def _define(self, record, opcode: int, size: int, offset: int) -> None:
+    def _define(self, record) -> None:
         """Take a schema, a channel or metadata; a later definition replaces an earlier one."""
-        known: dict = self._metadata
-        if opcode != Opcode.METADATA:
-            known = self.schemas if opcode == Opcode.SCHEMA else self.channels
-        key, value = (record.name, record.metadata) if known is self._metadata else (record.id, record)
-        if known.get(key) != value:
-            self._count_memory(size + ENTRY * (1 + len(getattr(record, "metadata", ()))), offset)
-            known[key] = value
-
-    def _count_memory(self, size: int, offset: int) -> None:
-        self._defined += size
-        if self._defined > DEFINED_LIMIT:
-            raise Damage(f"names, definitions and metadata take more than {DEFINED_LIMIT} bytes", offset)
+        if isinstance(record, Schema):
+            self.schemas[record.id] = record
+        elif isinstance(record, McapChannel):
+            self.channels[record.id] = record
+        else:
+            self._metadata[record.name] = record.metadata
 
     def _list_topics(self) -> dict[str, RecordedTopic]:
         topics: dict[str, RecordedTopic] = {}
@@ -328,4 +318,13 @@ class Recording:
         self.close()
 
 
-INDEXES = (Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
+def chunk_of(index: ChunkIndex) -> ChunkPlace:
+    """The chunk that an index in the summary describes."""
+    begin, end = index.chunk_start_offset, index.chunk_start_offset + index.chunk_length
+    first, last = index.message_start_time, index.message_end_time
+    return ChunkPlace(
+        Opcode.CHUNK, begin, end, first, last, index.uncompressed_size, index.compression, index.compressed_size
+    )
+
+
+INDEXES = {Opcode.CHUNK_INDEX: "chunks", Opcode.ATTACHMENT_INDEX: "attachments", Opcode.METADATA_INDEX: "metadata"}

@@ -14,9 +14,8 @@ from pathlib import Path
 from mcap.opcode import Opcode
 
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.recordings.bag.chunks import ChunkPlace
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.records import MAGIC, Damage, RecordPlace, attachment_at, mcap_file, place_at
+from kr270_milling.recordings.bag.records import ChunkPlace, Damage, RecordPlace, mcap_file
 from kr270_milling.recordings.bag.verify import findings
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
@@ -114,50 +113,34 @@ class Salvage(Recording):
     def _open(self, progress) -> None:
         self.dropped: list[str] = []
         self.lost_bytes = 0
-        self._ended = False
+        self._total: int | None = None  # messages by the summary
+        self._indexed: list[int] = []  # offsets of chunks and attachments by the summary
         footer = self.footer()
         self.cut_off = footer is None
-        total: int | None = None
-        indexed: list[int] = []  # offsets of chunks, attachments and metadata by the summary
-        if footer is not None:
-            try:
-                if self._read_summary(footer):
-                    total = self.count
-                    indexed = [chunk.offset for chunk in self.chunks] + [about.offset for about in self.attachments]
-            except Damage as damage:
-                self.dropped.append(f"the summary: {damage.reason}")
-        self._reset()
-        self._total, self._indexed = total, sorted(indexed)
-        self._in_summary = len(self.dropped)  # this damage costs no message
-        self._walk(footer.offset if footer else self.size)
+        try:
+            if footer is not None and self._read_summary(footer):
+                self._total = self.count
+                self._indexed = sorted(
+                    [*(chunk.offset for chunk in self.chunks), *(about.offset for about in self.attachments)]
+                )
+        except Damage as damage:
+            self.dropped.append(f"the summary: {damage.reason}")
+        in_summary = len(self.dropped)  # this damage costs no message
+        ended = self._scan(footer.offset if footer else self.size, resume=self._resume) is not None
+        if self._total is None and ended and len(self.dropped) == in_summary:
+            self._total = self.count
         if self.profile is None and not (self.chunks or self.attachments or self._metadata):
             raise Damage("nothing in it can be recovered", 0)
 
-    def _walk(self, end: int) -> None:
-        """Take every readable record of the data section."""
-        at = len(MAGIC)
-        while at < end:
-            place = None
-            try:
-                place = place_at(self.stream, at, end)
-                if place is None:
-                    raise Damage("no whole record", at)
-                if place.opcode == Opcode.DATA_END:
-                    self._ended = True
-                    return
-                self._take(place)
-                at = place.end
-            except Damage as damage:
-                following = self._following(at, place, end)
-                self.drop(at, following, damage.reason)
-                at = following
-
-    def _following(self, at: int, place: RecordPlace | None, end: int) -> int:
+    def _resume(self, damage: Damage, place: RecordPlace | None) -> int:
         """Offset of the record after a damaged one, or the end."""
-        position = bisect.bisect_right(self._indexed, at)
+        position = bisect.bisect_right(self._indexed, damage.offset)
         if position < len(self._indexed):
-            return min(self._indexed[position], end)
-        return place.end if place and place.opcode in KNOWN else end
+            after = min(self._indexed[position], self.size)
+        else:
+            after = place.end if place and place.opcode in KNOWN else self.size
+        self.drop(damage.offset, after, damage.reason)
+        return after
 
     def _take_index(self, place: RecordPlace) -> None:
         if place.opcode != Opcode.METADATA_INDEX:  # metadata may be damaged; the walk reads them
@@ -168,8 +151,6 @@ class Salvage(Recording):
             raise Damage("a record has an unknown opcode", place.offset)
         if place.opcode == Opcode.MESSAGE and self.chunks and self.chunks[-1].opcode == Opcode.CHUNK:
             raise Damage("a message is outside of the chunks", place.offset)
-        if place.opcode == Opcode.ATTACHMENT:
-            attachment_at(self.stream, place)
         super()._take(place)
 
     def drop(self, begin: int, end: int, reason: str) -> None:
@@ -178,9 +159,7 @@ class Salvage(Recording):
 
     def lost_messages(self, written: int) -> int | None:
         """Number of lost messages, if the file states how many it had."""
-        if self._total is not None:
-            return max(self._total - written, 0)
-        return 0 if self._ended and len(self.dropped) == self._in_summary else None
+        return None if self._total is None else max(self._total - written, 0)
 
 
 def _copy(source: Salvage, writer: BagWriter, progress: Callable[[int, int], None] | None) -> None:

@@ -15,8 +15,6 @@ from kr270_milling.recordings.messages.cdr import layout_of, unpack_alike, unpac
 
 __all__ = ["FIXED", "TopicSeries", "series", "several", "stamped"]
 
-#: [bytes] of a series: a base, and a multiple of the size of the file
-BASE_LIMIT, LIMIT_PER_BYTE = 64 * 1024 * 1024, 50
 BATCH = 1024 * 1024  # [bytes] of messages that are unpacked together
 #: type -> (column, unit) of the numbers after its header
 FIXED = {
@@ -61,10 +59,8 @@ class _Batch:
 
     def __init__(self, recording: Recording, topic: str):
         self._recording, self._topic, self._width = recording, topic, _width(recording, topic)
-        self._limit = BASE_LIMIT + LIMIT_PER_BYTE * recording.size
         self._layout: tuple = ()
         self._waiting: list[bytes] = []
-        self._size = 0  # [bytes] of the numbers
         self._stamps, self._values = [np.empty(0, np.int64)], [np.empty((0, self._width))]
 
     def add(self, data: bytes) -> None:
@@ -81,10 +77,6 @@ class _Batch:
         self._waiting.clear()
         self._stamps.append(stamps)
         self._values.append(values)
-        self._size += values.nbytes
-        if self._size > self._limit:
-            size = f"{self._limit} bytes, {LIMIT_PER_BYTE} times the size of the file"
-            raise RecordingError(self._recording.path, f"{self._topic} unfolds into more than {size}")
 
     def series(self) -> TopicSeries:
         self._unpack()

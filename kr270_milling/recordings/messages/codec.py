@@ -66,7 +66,7 @@ def _value(store, kind, value):
     return [_value(store, (inner, about), item) for item in ([None] * count if value is None else value)]
 
 
-class Kind(NamedTuple):
+class MessageKind(NamedTuple):
     """A record's message: its type, record -> bytes, bytes -> record."""
 
     type: str
@@ -74,12 +74,14 @@ class Kind(NamedTuple):
     read: Callable
 
 
-def _stored(type_name: str, fields: Callable, record: Callable) -> Kind:
+def _stored(type_name: str, fields: Callable, record: Callable) -> MessageKind:
     """A message that the type store writes from fields, and reads to an object from which a record is made."""
-    return Kind(type_name, lambda r: serialise(type_name, fields(r)), lambda d: record(deserialise(type_name, d)))
+    return MessageKind(
+        type_name, lambda r: serialise(type_name, fields(r)), lambda d: record(deserialise(type_name, d))
+    )
 
 
-def _stamped(type_name: str, record: Callable, *widths: int) -> Kind:
+def _stamped(type_name: str, record: Callable, *widths: int) -> MessageKind:
     """A message that is a header and doubles, quick: one of these comes twice in every exchange.
 
     widths: of the arrays of the record, one or two.
@@ -95,7 +97,7 @@ def _stamped(type_name: str, record: Callable, *widths: int) -> Kind:
         values = np.array(numbers)
         return record(stamp, frame, *((values,) if first == count else (values[:first], values[first:])))
 
-    return Kind(type_name, write, read)
+    return MessageKind(type_name, write, read)
 
 
 def time_fields(ns: int) -> dict:
@@ -226,7 +228,7 @@ KINDS = {
     JointProgram: _stored("trajectory_msgs/msg/JointTrajectory", _program, _read_program),
     StockMap: _stored("nav_msgs/msg/OccupancyGrid", _map, _read_map),
     CompensatorState: _stored("diagnostic_msgs/msg/DiagnosticStatus", _state, _read_state),
-    Trajectory: Kind(TRAJECTORY, lambda run: serialise(TRAJECTORY, _trajectory(run)), trajectory_from_bytes),
+    Trajectory: MessageKind(TRAJECTORY, lambda run: serialise(TRAJECTORY, _trajectory(run)), trajectory_from_bytes),
 }
 READERS = {kind.type: kind.read for kind in KINDS.values()}
 

@@ -1,4 +1,4 @@
-"""``kr270_milling bench``: the time of the sweep of the teeth and of the stiffness model on this machine."""
+"""``kr270_milling bench``: the time of both models of the cut and of the stiffness model on this machine."""
 
 from __future__ import annotations
 
@@ -7,28 +7,27 @@ import statistics
 import time
 from collections.abc import Callable
 
-import numpy as np
-
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import simulate
-from kr270_milling.physics.robot import equilibrium, stiffness
-from kr270_milling.physics.robot.analysis import read_arm
+from kr270_milling.show.commands.command import command
 from kr270_milling.show.commands.console import Answer
 
-__all__ = ["posture_job", "run"]
+__all__ = ["COMMANDS", "posture_job", "run_bench"]
 
 REPEATS = 5
 POSTURES = 1000
+COMMANDS = {"bench": command("bench.run_bench", "bench")}
 
 
-def run(args) -> Answer:
-    times = {**_pass(), **_postures()}
-    return Answer(times, [f"{key:20} {value:.6g}" for key, value in times.items()])
+def run_bench(args) -> Answer:
+    times = {**_pass(), **_details(), **_postures()}
+    return Answer(times, [f"{key:27} {value:.6g}" for key, value in times.items()])
 
 
 def _pass() -> dict:
     """The paper's pass, 1 deg micro-steps, 10 um grid; the first pass may compile."""
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.jobs import simulate
+
     cell = read_cell(find_file("paper.yaml"))
     start = time.perf_counter()
     result = simulate(cell).result
@@ -44,8 +43,36 @@ def _pass() -> dict:
     }
 
 
+def _details() -> dict:
+    """Machining time per processor time of a pass over the shipped test piece, by each model of the cut."""
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.physics.motion.milling_pass import run_pass
+
+    rates = {}
+    for detail, repeats in (("teeth", 1), ("engagement", REPEATS)):
+        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={detail}"])
+        target = cell.target()
+        model = cell.arm_model(target)
+        walls = []
+        for _ in range(repeats + (detail == "engagement")):  # its first pass may compile
+            start = time.process_time()
+            run_pass(model, cell.cut(), cell.clock, target, target, cell.exchange.iterations)
+            walls.append(time.process_time() - start)
+        rates[detail] = target.duration_ns * 1e-9 / min(walls)
+    return {
+        "teeth_real_time_factor": rates["teeth"],
+        "engagement_real_time_factor": rates["engagement"],
+        "engagement_over_teeth": rates["engagement"] / rates["teeth"],
+    }
+
+
 def posture_job() -> Callable[[], object]:
     """The calculation of pose, Jacobian, Hessian and loaded stiffness of POSTURES postures in one batch."""
+    import numpy as np
+
+    from kr270_milling.physics.robot import equilibrium, stiffness
+    from kr270_milling.physics.robot.analysis import read_arm
+
     arm, mount = read_arm(find_file("paper.yaml"))
     around = np.radians([90.0, -50.0, 120.0, 180.0, 25.0, 180.0])
     q = around + np.random.default_rng(1).uniform(-0.2, 0.2, (POSTURES, 6))

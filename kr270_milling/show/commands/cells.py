@@ -8,24 +8,24 @@ from pathlib import Path
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.live.nodes.play_arguments import numbers
 from kr270_milling.show.commands.command import POSTURE, command, option
-from kr270_milling.show.commands.console import Answer, Table
+from kr270_milling.show.commands.console import Answer, TextTable
 
 SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 COMMANDS = {
     "init": command(
-        "cells.init", "init --gcode config/test_piece.nc",
+        "cells.run_init", "init --gcode config/test_piece.nc",
         option("--gcode FILE", "the program: G-code or APT/CL"),
         option("--tool T1", "of a program with several tools: whose moves", default=""),
         option("--robot", "arm file, also a shipped one by its name", default="kr270_2"),
     ),
     "keys": command(
-        "cells.keys", "keys tool",
+        "cells.run_keys", "keys tool",
         option("section SECTION", "for example tool; default: all", default="", nargs="?"),
         option("--markdown", "print a table for a page", bool),
     ),
     "stiffness": command(
-        "cells.stiffness", "stiffness config/kr270_2.yaml --joints-deg 90,-50,120,180,25,180",
+        "cells.run_stiffness", "stiffness config/kr270_2.yaml --joints-deg 90,-50,120,180,25,180",
         option("arm ARM.yaml", "arm or cell file; the flange is the tool point of a bare arm"),
         option("--joints-deg A1,...,A6", "posture", POSTURE, required=True),
         option("--wrench FX,FY,FZ,MX,MY,MZ", "[N, N m], default: none", numbers(6), [0.0] * 6),
@@ -35,7 +35,7 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def init(args) -> Answer:
+def run_init(args) -> Answer:
     from kr270_milling.cell.draft import draft_text, straight_text
     from kr270_milling.path.cam.readers import read_toolpath
 
@@ -49,7 +49,7 @@ def init(args) -> Answer:
     return Answer({"cell": text, "program": program and asdict(program)}, [text.removesuffix("\n")])
 
 
-def keys(args) -> Answer:
+def run_keys(args) -> Answer:
     from kr270_milling.cell.keys import keys_of
 
     entries = keys_of(args.section)
@@ -76,7 +76,7 @@ def _shown(default) -> str:
     return str(default).lower() if isinstance(default, bool) else str(default) or '""'
 
 
-def stiffness(args) -> Answer:
+def run_stiffness(args) -> Answer:
     """Pose, Jacobian, Cartesian stiffness (17) and natural frequencies at one posture."""
     import numpy as np
 
@@ -95,7 +95,7 @@ def stiffness(args) -> Answer:
     title = "Diagonals and deflection under the wrench [m, rad, N]"
     shown = [
         f"{arm.name} at {args.joints_deg} deg, {args.frame} frame, tool point at ({x}, {y}, {z}) m\n",
-        Table(title, ["axis", "compliance", "stiffness", "deflection"], rows),
+        TextTable(title, ["axis", "compliance", "stiffness", "deflection"], rows),
     ]
     for model, values in result["mode_frequencies_hz"].items():
         shown.append(f"natural frequencies, {model} mass: " + ", ".join(f"{v:.2f}" for v in values) + " Hz")

@@ -13,7 +13,10 @@ from typing import NamedTuple
 
 from kr270_milling.live.nodes.play_arguments import bounded, numbers
 
-__all__ = ["CELL", "PLANT", "POSTURE", "RECORDING", "REFERENCE", "Command", "Group", "add_command", "command", "option"]
+__all__ = [
+    "CELL", "MOTIONS", "PLANT", "POSTURE", "RECORDING", "REFERENCE", "Command", "Group", "add_command", "command",
+    "option",
+]  # fmt: skip
 
 
 class Group(NamedTuple):
@@ -65,6 +68,7 @@ PLANT = (
         bounded(0.0, 1e4),
     ),
 )
+MOTIONS = ("LIN", "SPLINE")
 POSTURE = numbers(6, most=720.0)
 RECORDING = option("file FILE.mcap|DIR", "a recording, also one that was cut off")
 REFERENCE = option("--reference FILE.csv", "run along this trajectory, as written by compensate")

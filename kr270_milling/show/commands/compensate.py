@@ -1,6 +1,6 @@
 """``kr270_milling compensate``: the revised trajectory of a cell, what it is predicted to achieve, and the programs.
 
-Exit code 1 where the check finds that the revised path must not be run; then no program is written, unless by force.
+Exit code 1 where the decision is ``no``; then no program is written, unless by force.
 """
 
 from __future__ import annotations
@@ -8,19 +8,15 @@ from __future__ import annotations
 import dataclasses
 import sys
 
-import numpy as np
-
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.cell.jobs import joint_ranges
-from kr270_milling.decide.compensation import VerdictOrder, compensate, limit_sentence
-from kr270_milling.decide.part import write_part
-from kr270_milling.decide.programs.files import write_programs
-from kr270_milling.physics.compensation.methods import METHODS
-from kr270_milling.physics.compensation.revision import chord_error
+from kr270_milling.live.nodes.play_arguments import bounded
+from kr270_milling.physics.compensation.methods import BEST, METHODS
+from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, Group, command, option
 from kr270_milling.show.commands.console import (
     Answer,
-    Table,
+    Colored,
+    TextTable,
     cell_of,
     command_line,
     fixed,
@@ -30,30 +26,76 @@ from kr270_milling.show.commands.console import (
     table_of,
     um,
 )
-from kr270_milling.show.commands.options import FEWEST_PLANTS, PLANTS
 from kr270_milling.show.commands.progress import progress
-from kr270_milling.show.report import ReportTable, decision_block, write_report
 
+PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
+COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
 DEVIATIONS = (("pass", "name", 2), ("static", "static_deviation_mm", um), ("max", "max_deviation_mm", um))
 
+COMMANDS = {
+    "compensate": command(
+        "compensate.run_compensate", "compensate config/test_piece.yaml --out out",
+        *CELL,
+        *PLANT,
+        option(
+            "--method",
+            "default: the cell's compensation.method; best: compare the methods and run the best",
+            choices=(BEST, *METHODS),
+        ),
+        option("--out DIR", "where everything goes", default="out"),
+        option(
+            "--krl",
+            "motions of the robot programs; may be given twice (default: LIN for the method linear, which corrects "
+            "in straight lines, else the cell's program.motion)",
+            choices=MOTIONS,
+            action="append",
+        ),
+        Group(None, (
+            option(
+                "--verdict N",
+                f"judge the compensation by N plants (default {PLANTS}) drawn from the cell's uncertainty; by "
+                f"fewer, but at least {FEWEST_PLANTS}, where they take more than 5 minutes. Without this option: "
+                f"as many as take less than a minute, and none where {FEWEST_PLANTS} take longer",
+                bounded(1, 999_999, int),
+                nargs="?",
+                const=PLANTS,
+            ),
+            option("--quick", f"a verdict of {FEWEST_PLANTS} plants; a method that is set is compared with none", bool),
+            option("--no-verdict", "no verdict: the model itself is what cuts", bool),
+        )),
+        option(
+            "--force",
+            "also write the programs after the decision no, marked NOT RELEASED in name and header",
+            bool,
+        ),
+        option("--seed N", "of the verdict's plants", bounded(1, 999_999, int), 1),
+    ),
+}  # fmt: skip
 
-def run(args) -> Answer:
+
+def run_compensate(args) -> Answer:
+    from kr270_milling.decide.compensation import compensate
+    from kr270_milling.decide.decision import CAUTION
+
     source, cell = find_file(args.cell), cell_of(args)
-    method = args.method or cell.compensation.method
-    motions = args.krl or [cell.program.motion if METHODS[method].smooth else "LIN"]
     plant = plant_of(args, cell)
     with staged(args.out) as (draft, final):
-        motion = "LIN" if "LIN" in motions else motions[0]  # these are blended
-        done = compensate(cell, method, plant=plant, motion=motion, verdict=_order(args), progress=progress)
+        done = compensate(
+            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args), progress=progress
+        )
         if not (done.decision.verdict or args.no_verdict):
             print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
+        if args.json and done.decision.level == CAUTION:
+            print(f"warning: {done.decision.text}", file=sys.stderr)
         found = _found(cell, done)
-        found |= _write(draft, final, cell, done, motions, args, source)
-    return Answer(found, _shown(cell, done, found, args), code=int(not done.checked.may_be_run))
+        found |= _write(draft, final, cell, done, args, source)
+    return Answer(found, _shown(cell, done, found, args), code=done.decision.exit_code)
 
 
 def _order(args):
     """The verdict that is wanted; None for none."""
+    from kr270_milling.decide.compensation import VerdictOrder
+
     if args.no_verdict:
         return None
     samples = args.verdict or (FEWEST_PLANTS if args.quick else PLANTS)
@@ -68,8 +110,10 @@ def _estimate(plants: int, seconds: float) -> None:
 
 def _found(cell, done) -> dict:
     """What ``--json`` prints, but for the files."""
+    from kr270_milling.cell.jobs import joint_ranges
+
     original, revised = done.original, done.revised
-    found = {"method": revised.name, "points": len(revised.reference)}
+    found = {"method": revised.name, "cut": cell.cutting.detail, "points": len(revised.reference)}
     found |= {k: v for k, v in revised.row().items() if k != "name"}
     found["commanded_joints_deg"] = joint_ranges(cell, revised.reference)
     found["original"] = {k: v for k, v in original.row().items() if k != "name"}
@@ -78,21 +122,16 @@ def _found(cell, done) -> dict:
     found["features"] = {part.name: part.table() for part in done.parts}
     found["check"] = done.checked.as_dict()
     found["verdict"] = done.decision.verdict and done.decision.verdict.as_dict()
-    found["decision"] = done.decision.as_dict()
-    return found
-
-
-def _first_line(done) -> str:
-    """The decision; ahead of it, where the method makes the part worse, that it does."""
-    before, after = done.decision.as_programmed.error, done.decision.compensated.error
-    if after <= before:
-        return done.decision.headline
-    errors = f"({1e6 * after:.3g} um against {1e6 * before:.3g})"
-    return f"{done.revised.name} makes the part worse than no compensation {errors}: {done.decision.headline}"
+    return found | done.decision.as_dict()
 
 
 def _correction(cell, revised, by) -> dict:
-    """How large the correction is, and what of it was not let through."""
+    """The size of the correction, and the part of it that was limited."""
+    import numpy as np
+
+    from kr270_milling.decide.compensation import limit_sentence
+    from kr270_milling.physics.compensation.revision import chord_error
+
     size = np.linalg.norm(revised.reference.position - cell.target().position, axis=1)
     limited = [dataclasses.asdict(part) | {"sentence": limit_sentence(part, by)} for part in by.limited]
     found = {"largest_correction_mm": 1e3 * float(size.max()), "limited": limited}
@@ -105,15 +144,19 @@ def _correction(cell, revised, by) -> dict:
     return found
 
 
-def _write(draft, final, cell, done, motions, args, source) -> dict:
+def _write(draft, final, cell, done, args, source) -> dict:
     """All files; their final paths by kind."""
+    from kr270_milling.decide.decision import NO
+    from kr270_milling.decide.programs.files import write_programs
+
     date = now()
-    checked, revised = done.checked, done.revised
+    revised, released = done.revised, done.decision.level != NO
     with progress("files"):
         files = write_programs(
             draft, cell, done.original.reference, revised.reference, method=revised.name, date=date,
-            motions=motions if checked.may_be_run or args.force else None, source=cell.programmed.sha256,
-            findings=checked.lines(), released=checked.may_be_run,
+            motions=done.motions if released or args.force else None, source=cell.programmed.sha256,
+            decision=done.decision.lines(), findings=[*done.checked.findings_lines(), done.checked.counts],
+            released=released,
         )  # fmt: skip
         placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
         placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
@@ -123,7 +166,10 @@ def _write(draft, final, cell, done, motions, args, source) -> dict:
 
 
 def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
-    """Report with the error maps, and the part as it is predicted."""
+    """Report with the error maps, and the predicted part."""
+    from kr270_milling.decide.part import write_part
+    from kr270_milling.show.report import decision_block, write_report
+
     revised = done.revised
     title = f"{cell.programmed.file_name}: before and after compensation ({revised.name})"
     report = write_report(
@@ -137,6 +183,11 @@ def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
 
 def _joints_table(cell, revised):
     """The posture that is commanded, for the report."""
+    import numpy as np
+
+    from kr270_milling.cell.jobs import joint_ranges
+    from kr270_milling.show.report import ReportTable
+
     columns = [
         *joint_ranges(cell, revised.reference).values(),
         *np.degrees([cell.arm.joint_lower, cell.arm.joint_upper]),
@@ -147,9 +198,12 @@ def _joints_table(cell, revised):
 
 
 def _shown(cell, done, found: dict, args):
-    """What people read, the decision first."""
-    checked = done.checked
-    yield _first_line(done)
+    """The output for the terminal, the decision first."""
+    from kr270_milling.decide.decision import NO
+
+    decision = done.decision
+    yield Colored(decision.text, COLORS[decision.level])
+    yield from decision.lines()[1:]
     if done.parts:
         yield _features(found["features"], found["method"])
     else:
@@ -158,15 +212,16 @@ def _shown(cell, done, found: dict, args):
         yield found["note"]
     if found["identified"]:
         yield _identified(found["identified"])
+    yield cell.cut_text
     yield joints_text(found["commanded_joints_deg"])
     yield f"largest correction {found['largest_correction_mm']:.4f} mm"
     if "chord_error_mm" in found:
-        yield f"LIN chords stand off the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um"
-    yield from checked.lines()
+        yield f"LIN chords deviate from the programmed path by up to {found['chord_error_mm'] * 1e3:.2f} um"
+    yield from (*done.checked.findings_lines(), done.checked.counts)
     if found["verdict"]:
         yield from _verdict(found["verdict"])
     yield f"{found['points']} reference points: {found['trajectory']}"
-    if not checked.may_be_run:
+    if decision.level == NO:
         yield "programs marked NOT RELEASED" if args.force else "no robot program is written (--force writes one)"
     for kind, paths in found["programs"].items():
         yield f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}"
@@ -174,13 +229,13 @@ def _shown(cell, done, found: dict, args):
 
 
 def _identified(found: dict) -> str:
-    """What the passes told of the arm, in one line."""
+    """The arm as fitted to the passes, in one line."""
     modes = ", ".join(f"{m['frequency_hz']:.2f} Hz ({100 * m['damping_ratio']:.1f} %)" for m in found["modes"])
     gain, compliance = found["gain"], found["compliance_factor"]
     return f"arm as the passes show it: modes {modes}; gain {gain:.3f}, compliance {compliance:.3f} x the model's"
 
 
-def _features(features: dict, method: str) -> Table:
+def _features(features: dict, method: str) -> TextTable:
     """Before and after, side by side."""
     before, after = ({row["feature"]: row for row in features[name]} for name in ("original", method))
     keys = ("max_normal_um", "mean_normal_um", "max_wall_error_um", "max_floor_error_um")
@@ -190,17 +245,13 @@ def _features(features: dict, method: str) -> Table:
         rows.append([name] + [fixed(v, 1) for pair in pairs for v in pair])
     columns = ["feature", "max", "after", "mean", "after", "wall", "after", "floor", "after"]
     title = f"Before and after ({method}) [um]: deviation to the side while cutting, errors that remain"
-    return Table(title, columns, rows)
+    return TextTable(title, columns, rows)
 
 
 def _verdict(verdict: dict):
-    rows = []
-    for which in ("original", "compensated"):
-        for name in ("max", "static"):
-            band = verdict[which][f"{name}_deviation_mm"]
-            rows.append([f"{which}, {name}"] + [f"{1e3 * v:.1f}" for v in band])
-    title = f"{verdict['samples']} plants, seed {verdict['seed']}: deviation [um]"
-    levels = ", ".join(f"{name} {1e3 * band[2]:.1f} um" for name, band in verdict["methods"].items())
-    yield Table(title, ["", "5 %", "50 %", "95 %"], rows)
+    columns = ["", "5 %", "50 %", "95 %"]
+    rows = [[name, *(f"{1e3 * value:.1f}" for value in band)] for name, band in verdict["methods"].items()]
+    yield TextTable(
+        f"{verdict['samples']} simulated robots, seed {verdict['seed']}: {verdict['quantity']} [um]", columns, rows
+    )
     yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"
-    yield f"recommended method: {verdict['recommended_method']} (95 % of the plants: {levels})"

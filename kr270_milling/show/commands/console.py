@@ -17,19 +17,32 @@ from kr270_milling.base.column import Column, columns
 from kr270_milling.base.parameter_file import find_file
 
 __all__ = [
-    "Answer", "Table", "cell_of", "columns_of", "command_line", "fixed", "joints_text", "now", "output_directory",
-    "plant_of", "print_json", "print_table", "shown_path", "table_of", "um", "yes",
+    "Answer", "Colored", "TextTable", "cell_of", "columns_of", "command_line", "fixed", "joints_text", "now",
+    "output_directory", "plant_of", "print_json", "print_table", "shown_path", "table_of", "um", "yes",
 ]  # fmt: skip
 
 WIDEST = 1000  # characters of a table
 
 
-class Table(NamedTuple):
+class TextTable(NamedTuple):
     """As ``print_table`` takes it."""
 
     title: str
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
+
+
+class Colored(NamedTuple):
+    """A line that a terminal shows in bold and in a colour; a file or a pipe receives the text alone."""
+
+    text: str
+    color: str
+
+    def print(self) -> None:
+        from rich.console import Console
+        from rich.text import Text
+
+        Console(soft_wrap=True).print(Text(self.text, style=f"bold {self.color}"))
 
 
 @dataclass(frozen=True)
@@ -45,8 +58,10 @@ class Answer:
         if as_json:
             print_json(self.result)
         for part in () if as_json else self.shown:
-            if isinstance(part, Table):
+            if isinstance(part, TextTable):
                 print_table(*part)
+            elif isinstance(part, Colored):
+                part.print()
             else:
                 print(part)
         return self.code
@@ -72,10 +87,10 @@ def plant_of(args, cell):
     return None if perfect and not args.plant else Plant(cell, cuts, imperfections)
 
 
-def table_of(title: str, columns: Sequence[tuple], rows: Iterable[Mapping]) -> Table:
+def table_of(title: str, columns: Sequence[tuple], rows: Iterable[Mapping]) -> TextTable:
     """A table of records; columns: heading, key, and decimals of the number or a function value -> text."""
     texts = [[_text(row[key], style) for _, key, style in columns] for row in rows]
-    return Table(title, [heading for heading, *_ in columns], texts)
+    return TextTable(title, [heading for heading, *_ in columns], texts)
 
 
 def columns_of(record, *names: str, unit: str = "") -> tuple[tuple, ...]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.show.commands.command import PLANT, command, option
-from kr270_milling.show.commands.console import Answer, Table, command_line, now, plant_of
+from kr270_milling.show.commands.console import Answer, TextTable, command_line, now, plant_of
 from kr270_milling.show.commands.progress import progress
 from kr270_milling.show.commands.run import run_passes, summary
 
@@ -26,7 +26,7 @@ NEEDS = "learned and inverse need a tracker or the model: the encoders of the jo
 
 COMMANDS = {
     "demo": command(
-        "demo.run", "demo --out out",
+        "demo.run_demo", "demo --out out",
         option("--out DIR", "where report and series go", default="out"),
         option("--plain", "the plain loop, also where ROS is installed", bool),
         *PLANT,
@@ -34,7 +34,7 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def run(args) -> Answer:
+def run_demo(args) -> Answer:
     from kr270_milling.cell.cell import read_cell
 
     source = find_file("paper.yaml")
@@ -91,8 +91,8 @@ def _answer(passes, second, result: dict) -> Answer:
     columns = ["pass", "static", "paper", "max", "paper", "low frequency, model [Hz]"]
     rows = [[name, static, largest, low] for name, static, _, largest, _, low in map(_row, second)]
     return Answer({**result, **both}, [
-        Table(AS_PRINTED, columns, [_row(p) for p in passes]),
-        Table(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows),
+        TextTable(AS_PRINTED, columns, [_row(p) for p in passes]),
+        TextTable(WITH_INERTIA, ["pass", "static", "max", "low frequency, model [Hz]"], rows),
         NEEDS,
         f"ran as: {result['ran_as']}",
         f"report: {result['report']}",

@@ -16,7 +16,7 @@ from kr270_milling.show.commands.command import (
     command,
     option,
 )
-from kr270_milling.show.commands.console import Answer, Table, cell_of
+from kr270_milling.show.commands.console import Answer, TextTable, cell_of
 from kr270_milling.show.commands.progress import progress
 
 SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -31,7 +31,7 @@ COMMANDS = {
         "", "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml",
         parts={
             "compliance": ("joint compliances from load tests, or the load tests to make", command(
-                "identify.compliance",
+                "identify.identify_compliance",
                 "identify compliance MEASUREMENTS.csv --arm config/kr270_2.yaml --cell config/test_piece.yaml "
                 "--out identified",
                 option("measurements MEASUREMENTS.csv", "one load test a row", nargs="?"),
@@ -53,7 +53,7 @@ COMMANDS = {
                 option("--out DIR", "write YAML to include and report, or table and KRL of the plan"),
             )),
             "forces": ("force coefficients from mean forces of cuts, or from recordings of a sensor", command(
-                "identify.forces", "identify forces CUTS.csv --cell config/test_piece.yaml --out identified",
+                "identify.identify_forces", "identify forces CUTS.csv --cell config/test_piece.yaml --out identified",
                 option("cuts CUTS.csv", "one cut a row, with its forces or a recording of them"),
                 option("--cell CELL.yaml", "its tool made the cuts"),
                 option("--teeth", "of the tool, instead of the cell's", int),
@@ -71,7 +71,7 @@ COMMANDS = {
                 INCLUDE,
             )),
             "damping": ("frequency and damping of the modes from a ring-down or an impact", command(
-                "identify.damping", "identify damping RECORDING --topic deflection --out identified",
+                "identify.identify_damping", "identify damping RECORDING --topic deflection --out identified",
                 option("recording RECORDING", "recording, UFF file, or CSV with time_s, x y z rx ry rz, force_n"),
                 option("--topic", "of a recording", default="deflection"),
                 option("--from S", "seconds after the first sample", bounded(0, 1e6), dest="start"),
@@ -84,7 +84,7 @@ COMMANDS = {
                 INCLUDE,
             )),
             "material": ("published force coefficients of a material", command(
-                "identify.material", "identify material Al7075-T6",
+                "identify.identify_material", "identify material Al7075-T6",
                 option("name NAME", "of a material; without it all are listed", nargs="?"),
                 option("--row", "which, where a material has several", int, 1),
                 option("--out DIR", "write YAML to include"),
@@ -92,7 +92,7 @@ COMMANDS = {
         },
     ),
     "compare": command(
-        "identify.compare", "compare out/original config/paper.yaml",
+        "identify.run_compare", "compare out/original config/paper.yaml",
         option("recording RECORDING", "of a force sensor, a tracker, or both"),
         *CELL,
         option("--reference FILE.csv", "the pass ran along this, as written by compensate"),
@@ -109,17 +109,17 @@ def _answer(args, outcome) -> Answer:
     """Print an outcome; with --out also write its files."""
     files = [str(path) for path in outcome.write(args.out)] if args.out else []
     result = outcome.result | ({"files": files} if args.out else {})
-    return Answer(result, [*(Table(*table) for table in outcome.tables), *outcome.sentences, *files])
+    return Answer(result, [*(TextTable(*table) for table in outcome.tables), *outcome.sentences, *files])
 
 
-def compliance(args) -> Answer:
+def identify_compliance(args) -> Answer:
     """Identify compliances from load tests, or plan load tests for a cell."""
     import numpy as np
 
     from kr270_milling.physics.robot.analysis import read_arm
     from kr270_milling.show.report.identification.compliance import compliance_outcome
     from kr270_milling.studies.identification import plan as load_tests
-    from kr270_milling.studies.identification.compliance import fit
+    from kr270_milling.studies.identification.compliance import fit_compliance
     from kr270_milling.studies.identification.measurements import read_measurements
     from kr270_milling.studies.identification.problem import Problem
 
@@ -134,7 +134,7 @@ def compliance(args) -> Answer:
         raise InputError("identify compliance", "needs a table of load tests, or --plan N to make one")
     measured = read_measurements(find_file(args.measurements), arm, mount)
     compensator = tuple(name.strip() for name in args.compensator.split(",") if name.strip())
-    identified = fit(Problem(arm, mount, measured, not args.no_gravity, compensator), args.robust)
+    identified = fit_compliance(Problem(arm, mount, measured, not args.no_gravity, compensator), args.robust)
     return _answer(args, compliance_outcome(identified, pose, Path(args.measurements).name))
 
 
@@ -160,7 +160,7 @@ def _plan(args, arm, mount, pose) -> Answer:
     blind = sorted((planner.random(args.plan, rng) for _ in range(BLIND_DESIGNS)), key=lambda d: d.pose_error)
     designs[f"random (median of {BLIND_DESIGNS})"] = blind[BLIND_DESIGNS // 2]
     best = designs[DESIGNS[0]]
-    plan = load_tests.in_order(choice.take(best.rows))
+    plan = load_tests.sorted_tests(choice.take(best.rows))
     result = plan_as_dict(plan, designs, best)
     if args.out:
         error = f"expected error {1e6 * best.pose_error:.3f} um per 100 N"
@@ -168,11 +168,11 @@ def _plan(args, arm, mount, pose) -> Answer:
                  "measure the reflector without the load, then with it; dx, dy, dz: difference, base axes"]  # fmt: skip
         with staged(args.out) as (draft, final):
             result["files"] = [str(final(path)) for path in write_plan(draft, plan, notes)]
-    tables = (Table(*table) for table in plan_tables(plan, designs))
+    tables = (TextTable(*table) for table in plan_tables(plan, designs))
     return Answer(result, [*tables, *result["blind_spots"], *result.get("files", ())])
 
 
-def forces(args) -> Answer:
+def identify_forces(args) -> Answer:
     """Identify force coefficients from mean forces of cuts."""
     from kr270_milling.physics.cutting import LAWS
     from kr270_milling.show.report.identification.forces import force_outcome
@@ -213,7 +213,7 @@ def _tool(args):
     return build(Tool, tree, args.cell or "command line", "tool."), down
 
 
-def damping(args) -> Answer:
+def identify_damping(args) -> Answer:
     """Identify frequency and damping of the modes from a ring-down or an impact."""
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.show.report.identification.modes import mode_outcome
@@ -231,10 +231,10 @@ def damping(args) -> Answer:
     return _answer(args, mode_outcome(identified, signals, shapes, title))
 
 
-def material(args) -> Answer:
+def identify_material(args) -> Answer:
     """Print published force coefficients, or write a file to include."""
+    from kr270_milling.physics.cutting.materials import find_material, materials
     from kr270_milling.show.report.identification.forces import material_outcome
-    from kr270_milling.studies.identification.materials import find_material, materials
 
     rows = find_material(args.name) if args.name else materials()
     if args.out and (not args.name or not 1 <= args.row <= len(rows)):
@@ -242,7 +242,7 @@ def material(args) -> Answer:
     return _answer(args, material_outcome(rows, args.name, rows[args.row - 1] if args.out else None))
 
 
-def compare(args) -> Answer:
+def run_compare(args) -> Answer:
     """Compare a measured pass with the simulated pass."""
     import numpy as np
 
@@ -259,7 +259,7 @@ def compare(args) -> Answer:
     force, tool = (comparison.VectorSeries(ran.time, values) for values in (ran.wrench[:, :3], ran.actual))
     feed = cell.target().sample_velocity(ran.time_ns)
     compared = comparison.compare(
-        measured, comparison.PassSeries(force, tool), ran.target, feed, 2 * np.pi / cell.tool.spindle_speed
+        measured, comparison.ComparedSeries(force, tool), ran.target, feed, 2 * np.pi / cell.tool.spindle_speed
     )
     return _answer(args, comparison_outcome(compared, Path(args.recording).name, Path(args.cell).name))
 
@@ -276,4 +276,4 @@ def _measured(args):
     sensor = Sensor(args.force_topic, turn_of(args.sensor_abc), args.sensor_on == "part")
     force = comparison.VectorSeries(*force_series(args.recording, sensor)) if args.force_topic in names else None
     pose = comparison.VectorSeries(*pose_series(args.recording, args.pose_topic)) if args.pose_topic in names else None
-    return comparison.PassSeries(force, pose)
+    return comparison.ComparedSeries(force, pose)

@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 
 COMMANDS = {
     "info": command(
-        "recordings.info", "info out/pass1",
+        "recordings.run_info", "info out/pass1",
         RECORDING,
         option("--verify", "check every byte; exit code 1 on damage", bool),
     ),
     "export": command(
-        "recordings.export", "export out/pass1 --csv tables",
+        "recordings.run_export", "export out/pass1 --csv tables",
         RECORDING,
         option("--csv DIR", "write one CSV file per topic into this directory"),
         option("--parquet DIR", "the same as Parquet; needs pyarrow"),
         option("--topics TOPIC", "only these", nargs="+"),
     ),
     "report": command(
-        "recordings.report", "report out",
+        "recordings.run_report", "report out",
         option(
             "recordings FILE-or-DIR",
             "recordings, or directories that hold some; passes of one path are compared on the same scales",
@@ -42,14 +42,14 @@ COMMANDS = {
         option("--out DIR", "where the report goes (default: report in the first DIR, or beside the first FILE)"),
     ),
     "recover": command(
-        "recordings.recover", "recover out/pass1",
+        "recordings.run_recover", "recover out/pass1",
         option("file FILE.mcap|DIR", "the damaged recording; it is not touched"),
         option("--out DIR", "the new recording (default: beside it, with _recovered; none of a whole one)"),
     ),
 }  # fmt: skip
 
 
-def info(args) -> Answer:
+def run_info(args) -> Answer:
     from kr270_milling.recordings.bag import info as bag_info
     from kr270_milling.recordings.bag.reader import Recording
     from kr270_milling.recordings.bag.verify import findings
@@ -64,7 +64,7 @@ def info(args) -> Answer:
     return Answer(about | ({"damage": damage} if args.verify else {}), shown, code=int(bool(damage)))
 
 
-def export(args) -> Answer:
+def run_export(args) -> Answer:
     """Exit code 1 where a topic cannot be exported."""
     from kr270_milling.recordings.bag.export import export as export_files
     from kr270_milling.recordings.bag.reader import Recording
@@ -87,13 +87,13 @@ def export(args) -> Answer:
     return Answer(about, [*(cut if recording.cut_off else ()), *files], code=int(bool(refused)))
 
 
-def recover(args) -> Answer:
+def run_recover(args) -> Answer:
     from kr270_milling.recordings.bag.recover import recover as recover_file
 
     with progress("recovering") as report:
         recovered = recover_file(args.file, args.out, report)
     if recovered.whole and args.out is None:
-        return Answer(recovered.as_dict(), [f"{recovered.source}: is whole, nothing to recover; left as it is"])
+        return Answer(recovered.as_dict(), [f"{recovered.source}: is whole, nothing to recover; unchanged"])
     state = "was whole already" if recovered.whole else f"{recovered.lost_bytes} bytes of it could not be used"
     shown = [f"{recovered.source}: {state}"]
     shown += ["  damage: " + one_line(sentence) for sentence in recovered.damage]
@@ -103,7 +103,7 @@ def recover(args) -> Answer:
     return Answer(recovered.as_dict(), [*shown, f"{recovered.messages} messages in {recovered.directory}"])
 
 
-def report(args) -> Answer:
+def run_report(args) -> Answer:
     """Of one recording, or of several passes of one path on the same scales."""
     from kr270_milling.show.report import write_report
     from kr270_milling.show.report.series import write_series

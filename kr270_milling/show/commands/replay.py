@@ -21,7 +21,7 @@ PUBLISHED: dict = {True: "identical to what the node published", False: "NOT wha
 
 COMMANDS = {
     "replay": command(
-        "replay.run", "replay out/pass1 --recompute",
+        "replay.run_replay", "replay out/pass1 --recompute",
         option("file FILE.mcap|DIR", "a recording"),
         Group(None, (
             option(
@@ -40,7 +40,7 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def run(args) -> Answer:
+def run_replay(args) -> Answer:
     if args.recompute:
         return _recompute(args)
     if args.compensate:
@@ -50,10 +50,10 @@ def run(args) -> Answer:
 
 def _play(args) -> Answer:
     require_ros()
-    from kr270_milling.live.nodes.player import play
+    from kr270_milling.live.nodes.player import run_player
 
     with progress("playing") as report:
-        code, count = play(play_options(args), ["--ros-args", *args.ros_args] if args.ros_args else [], report)
+        code, count = run_player(play_options(args), ["--ros-args", *args.ros_args] if args.ros_args else [], report)
     return Answer({"file": args.file, "messages": count, "exit_code": code}, [], code=code)
 
 
@@ -81,10 +81,10 @@ def _shown(value) -> str:
 
 
 def _compensate(args) -> Answer:
-    from kr270_milling.exchange.replay.compensate import compensate
+    from kr270_milling.exchange.replay.compensate import compensate_recording
 
     with progress("compensating") as report:
-        revisions = compensate(args.file, args.method, report)
+        revisions = compensate_recording(args.file, args.method, report)
     files = [_write(args.out, revised) for revised in revisions] if args.out else [None] * len(revisions)
     robots = [revised.as_dict() | {"csv": file} for revised, file in zip(revisions, files, strict=True)]
     shown = []

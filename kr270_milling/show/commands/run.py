@@ -20,7 +20,7 @@ LAST_LOOK = 1.0  #: [s] for an open page to receive the last events
 
 COMMANDS = {
     "run": command(
-        "run.run", "run config/paper.yaml --method spline --out out",
+        "run.run_graph", "run config/paper.yaml --method spline --out out",
         *CELL,
         *PLANT,
         option(
@@ -32,7 +32,7 @@ COMMANDS = {
         option("--namespace NAME", "ROS namespace of the four nodes", default=""),
     ),
     "watch": command(
-        "run.watch", "watch --port 8270",
+        "run.run_watch", "watch --port 8270",
         option("--namespace NAME", "ROS namespace of the robot", default=""),
         option("--host", "where it is served (default: 127.0.0.1, this host alone)", default="127.0.0.1"),
         option("--port", "default: 8270; 0: any that is free", bounded(0, 65535, int), 8270),
@@ -40,21 +40,23 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def run(args) -> Answer:
+def run_graph(args) -> Answer:
     require_ros()
     cell = cell_of(args)
-    methods = list(dict.fromkeys(args.method or [cell.compensation.method]))  # each once, in the order given
+    methods = list(dict.fromkeys(args.method or [cell.compensation.planned_method]))  # each once, in the order given
     options = args.passes, args.namespace, not args.processes, plant_of(args, cell)
     ran = run_passes(cell, methods, args.out, *options)
     up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
     result = summary(ran)
-    return Answer(result, [table_of("Path deviation, four nodes and a recorder", _columns(), result["passes"]), up])
+    return Answer(
+        result, [table_of("Path deviation, four nodes and a recorder", _columns(), result["passes"]), cell.cut_text, up]
+    )
 
 
 def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:
     """Run a cell's passes as nodes, with the arm and the material of ``plant`` if there is one.
 
-    Returns graph_up_s, out (the directory used) and passes, a list of RanPass.
+    Returns graph_up_s, out (the directory used) and passes, a list of RunRow.
     """
     from kr270_milling.live.graph.graph import Graph
     from kr270_milling.live.graph.plan import fresh_directory, run_plan
@@ -95,7 +97,7 @@ def summary(ran: dict) -> dict:
     return {**ran, "out": str(ran["out"]), "passes": [one.row() for one in ran["passes"]]}
 
 
-def watch(args) -> int:
+def run_watch(args) -> int:
     """Print the address and serve the page until Ctrl-C or the end of the graph."""
     require_ros()
     from kr270_milling.live.nodes.watcher import Watcher

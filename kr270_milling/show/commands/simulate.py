@@ -7,7 +7,7 @@ from pathlib import Path
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
-from kr270_milling.show.commands.command import CELL, PLANT, REFERENCE, command, option
+from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, REFERENCE, command, option
 from kr270_milling.show.commands.console import Answer, cell_of, columns_of, joints_text, plant_of, table_of
 from kr270_milling.show.commands.progress import progress
 
@@ -15,16 +15,22 @@ FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that com
 FEATURES = "Deviation to the side of the path while cutting, and largest errors of what remains [um]"
 COMMANDS = {
     "simulate": command(
-        "simulate.simulate", "simulate config/paper.yaml --set path.depth_of_cut_mm=1",
+        "simulate.run_simulate", "simulate config/paper.yaml --set path.depth_of_cut_mm=1",
         *CELL,
         *PLANT,
         REFERENCE,
         option("--out DIR", "write the series of the pass here as CSV; of a tool path also the part as STL"),
     ),
+    "check": command(
+        "simulate.run_check", "check config/test_piece.yaml",
+        *CELL,
+        option("--reference FILE.csv", "check this trajectory, as written by compensate"),
+        option("--motion", "default: the cell's program.motion", choices=MOTIONS),
+    ),
 }  # fmt: skip
 
 
-def simulate(args) -> Answer:
+def run_simulate(args) -> Answer:
     from kr270_milling.cell import jobs
     from kr270_milling.decide.check_cut import residue_of
     from kr270_milling.decide.part import FeatureRow, assess, write_part
@@ -57,6 +63,7 @@ def simulate(args) -> Answer:
         *([table_of(FEATURES, columns, (*summary["features"], summary["whole_part"]))] if part else _scores(summary)),
         f"tolerance: {tolerance.words}",
         residue.text,
+        cell.cut_text,
         joints_text(summary["commanded_joints_deg"]),
         f"removed area        {summary['removed_area_mm2']:10.3f} mm2",
         f"{summary['steps']} micro-steps in {summary['wall_s']:.3f} s, {summary['real_time_factor']:.1f} x real time",
@@ -64,7 +71,7 @@ def simulate(args) -> Answer:
     ])  # fmt: skip
 
 
-def check(args) -> Answer:
+def run_check(args) -> Answer:
     """Exit code 1 if the path must not be run."""
     from kr270_milling.decide import check as decision
     from kr270_milling.decide.tolerance import judge
@@ -75,10 +82,10 @@ def check(args) -> Answer:
     with progress("checking") as report:
         checked = decision.check(cell, reference, args.motion, progress=report)
         tolerance = judge(cell, checked.ran) if checked.ran else None
-    result = {"cell": args.cell, "reference": args.reference, **checked.as_dict()}
+    result = {"cell": args.cell, "reference": args.reference, "cut": cell.cutting.detail, **checked.as_dict()}
     result["tolerance"] = tolerance and tolerance.as_dict()
     words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
-    return Answer(result, [*words, *checked.lines()], code=int(not checked.may_be_run))
+    return Answer(result, [*words, cell.cut_text, *checked.lines()], code=int(not checked.may_be_run))
 
 
 def _scores(summary: dict) -> list[str]:
@@ -115,6 +122,7 @@ def _summary(cell, ran) -> dict:
     return {
         **ran.row(),
         "commanded_joints_deg": jobs.joint_ranges(cell, ran.reference),
+        "cut": cell.cutting.detail,
         "steps": result.micro_steps,
         "duration_s": duration,
         "wall_s": result.wall_time,

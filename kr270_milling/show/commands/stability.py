@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from kr270_milling.base.files import staged
-from kr270_milling.decide.stability import feature_limits
+from kr270_milling.live.nodes.play_arguments import grid
+from kr270_milling.show.commands.command import CELL, command, option
 from kr270_milling.show.commands.console import Answer, cell_of, table_of, yes
-from kr270_milling.show.commands.options import LOBE_SPEEDS
 from kr270_milling.show.commands.progress import progress
-from kr270_milling.show.report.study_page import points, write_page
-from kr270_milling.studies.maps.lobes import lobes
 
+LOBE_SPEEDS = 60
 SHOWN = 24  #: rows of the printed table
 
 
@@ -32,15 +29,37 @@ ALONG = (("feature", "feature", 1), ("from [deg]", "entry_deg", 0), ("to [deg]",
          ("depth [mm]", "depth_mm", 3), ("limit [mm]", "depth_limit_mm", _depth),
          ("chatter [Hz]", "chatter_hz", 1), ("stable", "stable", yes))  # fmt: skip
 
+COMMANDS = {
+    "stability": command(
+        "stability.run_stability", "stability config/paper.yaml --speeds 4000:12000:100",
+        *CELL,
+        option(
+            "--speeds LOW:HIGH:COUNT",
+            f"spindle speeds [rpm] (default: {LOBE_SPEEDS} from half to one and a half times that of the cell)",
+            grid(1.0, 2e5, 100_000),
+        ),
+        option("--no-arm", "leave out the arm: the modes of tool.modes alone", bool),
+        option("--along", "instead of lobes: the limit depth of each feature of the path", bool),
+        option("--out DIR", "write lobes.csv and the picture lobes.html here"),
+        note="keys: path.radial_immersion (share of the diameter) and path.mode (slot, up, down) state the engagement, "
+        "tool.modes the vibration of tool and spindle",
+    ),
+}  # fmt: skip
 
-def run(args) -> Answer:
+
+def run_stability(args) -> Answer:
+    import numpy as np
+
+    from kr270_milling.decide.stability import feature_limits
+    from kr270_milling.studies.maps.lobes import lobes
+
     cell = cell_of(args)
     about = {"cell": args.cell, "arm": not args.no_arm}
     if args.along:
         rows = [one.as_dict() for one in feature_limits(cell, not args.no_arm)]
-        title = f"Limit depth along the path at {cell.tool.spindle_speed * 30.0 / np.pi:.0f} rpm{_rigid(cell)}"
+        title = f"Limit depth along the path at {cell.tool.spindle_speed * 30.0 / math.pi:.0f} rpm{_rigid(cell)}"
         return Answer(about | {"features": rows}, [table_of(title, ALONG, rows)])
-    nominal = cell.tool.spindle_speed * 30.0 / np.pi
+    nominal = cell.tool.spindle_speed * 30.0 / math.pi
     low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, LOBE_SPEEDS)
     with progress("stability") as report:
         results = lobes(cell, (np.linspace(low, high, count) * np.pi / 30.0).tolist(), not args.no_arm, progress=report)
@@ -56,6 +75,8 @@ def run(args) -> Answer:
 
 def _write(args, cell, rows: list[dict], summary: str) -> list[str]:
     """Table and picture."""
+    from kr270_milling.show.report.study_page import points, write_page
+
     speeds = [row["spindle_speed_rpm"] for row in rows]
     limit, chatter = ([row[name] for row in rows] for name in ("depth_limit_mm", "chatter_hz"))
     own = [cell.tool.spindle_speed * 30.0 / math.pi], [1e3 * cell.path.depth_of_cut]

@@ -26,7 +26,7 @@ PLACES = grid(-1e5, 1e5, 1_000_000)
 
 COMMANDS = {
     "map": command(
-        "studies.place", "map config/test_piece.yaml --x 1200:1800:13 --y=-300:300:7 --tool-turn=-90:90:7",
+        "studies.run_map", "map config/test_piece.yaml --x 1200:1800:13 --y=-300:300:7 --tool-turn=-90:90:7",
         *CELL,
         option("--x LOW:HIGH:COUNT", "[mm] of the workpiece's origin on base_link", PLACES),
         option("--y LOW:HIGH:COUNT", "[mm]", PLACES),
@@ -49,7 +49,7 @@ COMMANDS = {
         )),
     ),
     "sweep": command(
-        "studies.sweep", "sweep config/paper.yaml --vary path.depth_of_cut_mm=0.2:1:0.2 --out sweep",
+        "studies.run_sweep", "sweep config/paper.yaml --vary path.depth_of_cut_mm=0.2:1:0.2 --out sweep",
         *CELL,
         option(
             "--vary KEY=LOW:HIGH:STEP",
@@ -67,13 +67,13 @@ COMMANDS = {
 }  # fmt: skip
 
 
-def place(args) -> Answer:
+def run_map(args) -> Answer:
     import numpy as np
 
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.show.report.placements import write_map
     from kr270_milling.studies.maps.engine import Study, content, run_chunks
-    from kr270_milling.studies.maps.placements import Placements, Summary, course_of, write_cells
+    from kr270_milling.studies.maps.placements import Placements, Summary, path_places, write_cells
 
     if args.along is not None:
         return _along(args)
@@ -86,7 +86,7 @@ def place(args) -> Answer:
         scale * (np.array([value]) if axis is None else np.linspace(*axis))
         for axis, value, scale in zip(given, here, scales, strict=True)
     )
-    placements = Placements(cell, course_of(cell), axes, args.chunk)
+    placements = Placements(cell, path_places(cell), axes, args.chunk)
     if len(placements) > MOST:
         raise ParameterError("map", len(placements), f"at most {MOST} placements in all")
     plan = {"study": "map", "cell": content(source, cell), "set": args.set, "axes": given, "chunk": args.chunk}
@@ -124,7 +124,7 @@ def _along(args) -> Answer:
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.cell.jobs import simulate
     from kr270_milling.studies.maps import along as turning
-    from kr270_milling.studies.maps.placements import course_at
+    from kr270_milling.studies.maps.placements import places_at
 
     if any(axis is not None for axis in (args.x, args.y, args.z, args.turn)):
         raise ParameterError("--along", args.along, "without --x, --y, --z and --turn: the workpiece stays")
@@ -135,7 +135,7 @@ def _along(args) -> Answer:
         ran = simulate(cell, progress=report).result
     chosen = np.linspace(0, len(ran.time) - 1, min(args.places, len(ran.time))).astype(int)
     step = float(ran.time[-1] - ran.time[0]) / (len(chosen) - 1)
-    turns = turning.Turns(cell, course_at(cell, ran, chosen), step, np.degrees(1e-6 * args.smooth))
+    turns = turning.Turns(cell, places_at(cell, ran, chosen), step, np.degrees(1e-6 * args.smooth))
     grid = np.radians(np.linspace(*(args.tool_turn or TURNS)))
     way, same, own = (
         turning.find_way(turns, grid),
@@ -183,13 +183,13 @@ def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
     from kr270_milling.recordings.bag.writer import BagWriter
     from kr270_milling.recordings.messages.codec import to_bytes
     from kr270_milling.recordings.messages.trajectory import TRAJECTORY
-    from kr270_milling.studies.maps.placements import place_of, write_cell
+    from kr270_milling.studies.maps.placements import place_of, write_placement
 
     changes = {"path": {"file": TURNED_RECORDING}, "workpiece": place_of(cell.workpiece.pose),
                "posture_deg": np.degrees(q[0]).tolist()}  # fmt: skip
     note = f"The tool turns about its axis along the path, from {np.degrees(way.turn[0]):.2f} deg on"
     with staged(out) as (draft, final):
-        write_cell(draft / TURNED_CELL, source, settings, cell, changes, note)
+        write_placement(draft / TURNED_CELL, source, settings, cell, changes, note)
         write_csv(draft / TURNED_TABLE, run, q)
         with BagWriter(draft / TURNED_RECORDING) as writer:
             writer.add_topic("/target_trajectory", TRAJECTORY)
@@ -197,7 +197,7 @@ def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
         return [final(draft / name) for name in (TURNED_CELL, TURNED_TABLE, TURNED_RECORDING)]
 
 
-def sweep(args) -> Answer:
+def run_sweep(args) -> Answer:
     """Full passes with other values of any keys, scores to Parquet."""
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.studies.maps.engine import Study, content, run_chunks

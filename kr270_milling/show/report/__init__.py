@@ -13,6 +13,7 @@ from kr270_milling.base.record import flatten
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decide.part import PartAssessment, assess_all
+from kr270_milling.decide.tolerance import judge
 from kr270_milling.show.report import tables as texts
 from kr270_milling.show.report.assumptions import assumptions
 from kr270_milling.show.report.decision_block import DecisionBlock, asked, decision_block, finding_rows, judged, tiles
@@ -61,6 +62,7 @@ def write_report(
         else [p.scores.max_deviation for p in passes]
     )
     best = int(np.argmin(sizes))
+    judgements = [judge(cell, ran, part) for ran, part in zip(passes, parts, strict=True)]
     pictures, robot, charts = (
         linked(cell, passes, parts, program),
         robot_model(cell, passes[best]),
@@ -93,7 +95,7 @@ def write_report(
         paper_source=texts.PAPER,
         names=names,
         asked=asked(cell, passes),
-        tiles=tiles(decision, names, sizes),
+        tiles=tiles(decision, names, [one.error for one in judgements], judgements[0].quantity),
         findings=finding_rows(decision),
         scores=texts.line_scores(passes, paper) if programmed.straight else texts.part_scores(parts),
         features=None if programmed.straight else texts.feature_table(parts),

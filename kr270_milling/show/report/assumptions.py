@@ -18,7 +18,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.robot.mass import MODELS
 
-__all__ = ["Assumption", "assumptions", "mode_frequencies"]
+__all__ = ["Assumption", "assumptions", "model_frequencies"]
 
 TEXT = Path(__file__).parent / "page" / "assumptions.txt"
 
@@ -31,7 +31,7 @@ class Assumption(NamedTuple):
     reason: str
 
 
-def mode_frequencies(cell: Cell) -> dict[str, np.ndarray]:
+def model_frequencies(cell: Cell) -> dict[str, np.ndarray]:
     """First natural frequencies [Hz] at the start of the path with each mass model that has an answer there."""
     start = cell.joints(cell.target())[:1]
     frequencies = {}
@@ -47,7 +47,7 @@ def assumptions(cell: Cell, paper: bool) -> list[Assumption]:
     """The rows that hold for this cell; with ``paper`` also those about the paper's text and Table 2."""
     passing = cell.tool.spindle_speed / (2 * np.pi) * cell.tool.teeth
     rows = [Assumption(*texts) for texts in cell.cutting.active.assumptions(cell.feed_rate / passing)]
-    modes = mode_frequencies(cell).items()
+    modes = model_frequencies(cell).items()
     jinja2.Template(TEXT.read_text(encoding="utf-8"), undefined=jinja2.StrictUndefined).render(
         row=lambda *texts: rows.append(Assumption(*map(str, texts))),
         cell=cell,

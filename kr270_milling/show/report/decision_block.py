@@ -1,6 +1,6 @@
 """The first screen of a report: what was asked, the decision in words and numbers as tiles, the findings.
 
-The report judges nothing itself: ``decision_block`` takes over what ``decision`` found.
+The report judges nothing itself: ``decision_block`` takes the ``Decision``.
 """
 
 from __future__ import annotations
@@ -16,17 +16,19 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decide.check import RAPID_MOVES, Checked, check
-from kr270_milling.decide.compensation import NO_METHOD, Decision
+from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, decided
 from kr270_milling.decide.findings import SEVERITIES, Finding
 from kr270_milling.decide.part import PartAssessment
-from kr270_milling.decide.tolerance import Judgement, judge
-from kr270_milling.show.report.tables import fixed, micro
+from kr270_milling.decide.tolerance import PATH_DEVIATION, Judgement, judge
+from kr270_milling.show.report.tables import fixed_text, micro
 
-__all__ = ["Answer", "DecisionBlock", "Tile", "asked", "decision_block", "finding_rows", "judged", "tiles"]
+TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: of the tile
+
+__all__ = ["DecisionBlock", "Tile", "ToleranceAnswer", "asked", "decision_block", "finding_rows", "judged", "tiles"]
 
 
 @dataclass(frozen=True)
-class Answer:
+class ToleranceAnswer:
     """Whether one version of the path meets the tolerance."""
 
     passes: bool | None  #: None: no tolerance is given
@@ -37,10 +39,12 @@ class Answer:
 class DecisionBlock:
     """The answer to what was asked; what is None or empty is not known and is not shown."""
 
-    as_programmed: Answer | None = None
-    compensated: Answer | None = None
-    may_be_run: bool | None = None
-    recommended_method: str = ""
+    as_programmed: ToleranceAnswer | None = None
+    compensated: ToleranceAnswer | None = None
+    level: str = ""  #: "yes", "caution" or "no"
+    sentence: str = ""  #: why
+    method: str = ""  #: the method that was run, and why
+    notes: tuple[str, ...] = ()  #: what a user of the method must know
     verdict: str = ""  #: of plants that are not the model, with its band
     stability: str = ""  #: statement in one sentence
     findings: tuple[Finding, ...] = ()
@@ -49,41 +53,47 @@ class DecisionBlock:
 
 def decision_block(decision: Decision, checked: Checked) -> DecisionBlock:
     """decision: of an original and a compensated pass; checked: findings of the path that is to be run."""
-    verdict = decision.verdict.text if decision.verdict else ""
-    return _block(decision.as_programmed, decision.compensated, checked, decision.recommended_method, verdict)
+    return _block(decision.as_programmed, decision.compensated, checked, decision, decision.method_text)
 
 
 def judged(cell: Cell, passes: Sequence[ScoredPass], parts: Sequence[PartAssessment]) -> DecisionBlock:
     """The decision on passes that come without one, as recordings do: the best of the others against the first.
 
-    parts: their assessments. Where the path cannot be checked any more, nothing is said of whether it may be run.
+    parts: their assessments. Where the path cannot be checked any more, the block has no decision.
     """
     judgements = [judge(cell, ran, part) for ran, part in zip(passes, parts, strict=True)]
     best = min(range(len(passes)), key=lambda k: (k == 0 < len(passes) - 1, judgements[k].error))
-    checked = None
+    decision = checked = None
     with contextlib.suppress(MillingError, OSError):  # the tool path of a recording may be nowhere else
         checked = check(cell, passes[best].reference, ran=passes[best])
-    if not best:
-        return _block(judgements[0], None, checked)
-    better = judgements[best].error < judgements[0].error
-    return _block(judgements[0], judgements[best], checked, passes[best].name if better else NO_METHOD)
+        decision = decided(judgements[0], judgements[best], passes[best].name, checked)
+    return _block(judgements[0], judgements[best] if best else None, checked, decision)
 
 
-def _block(before: Judgement, after: Judgement | None, checked: Checked | None, method="", verdict="") -> DecisionBlock:
+def _block(
+    before: Judgement, after: Judgement | None, checked: Checked | None, decision: Decision | None, method: str = ""
+) -> DecisionBlock:
     stability = checked.stability.text.removeprefix("stability: ") if checked and checked.stability else ""
-    may_be_run, findings = (checked.may_be_run, checked.findings) if checked else (None, ())
-    rapid_moves = checked.rapid_text.removeprefix(f"{RAPID_MOVES}: ") if checked else ""
-    compensated = _answer(after) if after else None
-    return DecisionBlock(_answer(before), compensated, may_be_run, method, verdict, stability, findings,
-                         rapid_moves)  # fmt: skip
+    return DecisionBlock(
+        as_programmed=_answer(before),
+        compensated=_answer(after) if after else None,
+        level=decision.level if decision else "",
+        sentence=decision.sentence if decision else "",
+        method=method,
+        notes=decision.notes if decision else (),
+        verdict=decision.verdict.text if decision and decision.verdict else "",
+        stability=stability,
+        findings=checked.findings if checked else (),
+        rapid_moves=checked.rapid_text.removeprefix(f"{RAPID_MOVES}: ") if checked else "",
+    )
 
 
-def _answer(judged: Judgement) -> Answer:
-    left = f"{1e6 * judged.error:.1f} µm on wall or floor"
+def _answer(judged: Judgement) -> ToleranceAnswer:
+    left = f"{judged.quantity} {1e6 * judged.error:.1f} µm"
     if judged.passes is None:
-        return Answer(None, f"{left}; part.tolerance_um says nothing")
+        return ToleranceAnswer(None, f"{left}; no tolerance is given: set part.tolerance_um")
     where = f" at {judged.feature}" if judged.feature else ""
-    return Answer(judged.passes, f"{left}{where}, {1e6 * judged.tolerance:.0f} µm allowed")
+    return ToleranceAnswer(judged.passes, f"{left}{where}, {1e6 * judged.tolerance:.0f} µm allowed")
 
 
 def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
@@ -95,7 +105,7 @@ def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
 
 
 class Tile(NamedTuple):
-    """tone: "good", "bad" or "plain"; the word says the same, so that the colour is not needed."""
+    """tone: "good", "caution", "bad" or "plain"; the word says the same, so that the colour is not needed."""
 
     label: str
     word: str
@@ -103,47 +113,50 @@ class Tile(NamedTuple):
     tone: str = "plain"
 
 
-def tiles(decision: DecisionBlock, names: Sequence[str], sizes: Sequence[float]) -> list[Tile]:
-    """The decision; what nobody decided is said to be open. sizes: largest deviations of the passes [m]."""
-    found = [_judged("as programmed", decision.as_programmed, sizes[0], "largest deviation")]
+def tiles(
+    decision: DecisionBlock, names: Sequence[str], sizes: Sequence[float], quantity: str = PATH_DEVIATION
+) -> list[Tile]:
+    """The decision as tiles. sizes: tolerance quantity of the passes [m]; quantity: its name."""
+    rows = []
+    if decision.level:
+        rows.append(Tile("decision", decision.level, micro(decision.sentence), TONES[decision.level]))
+    rows.append(_judged("as programmed", decision.as_programmed, sizes[0], quantity))
     if len(names) > 1:
         best = min(range(1, len(names)), key=lambda k: sizes[k])
         less = 100 * (1 - sizes[best] / sizes[0]) if sizes[best] < sizes[0] else 0.0
-        said = f"largest deviation of '{names[best]}', " + (f"{less:.1f} % less" if less else "no better")
-        found.append(_judged("compensated", decision.compensated, sizes[best], said))
-    if decision.may_be_run:
-        found.append(Tile("may be run", "yes", "no finding forbids it", "good"))
-    elif decision.may_be_run is not None:
-        stops = sum(f.severity == "stop" for f in decision.findings)
-        found.append(Tile("may be run", "no", f"{stops} finding{'s' * (stops != 1)} forbid it", "bad"))
-    if decision.recommended_method:
-        why = "run the path as it was programmed" if decision.recommended_method == NO_METHOD else ""
-        found.append(Tile("recommended method", decision.recommended_method, why))
+        sentence = f"{quantity} of '{names[best]}', " + (f"{less:.1f} % less" if less else "no better")
+        rows.append(_judged("compensated", decision.compensated, sizes[best], sentence))
+    if decision.method:
+        label, _, text = decision.method.partition(": ")
+        word, _, why = text.partition(", ")
+        rows.append(Tile(label, word, micro("; ".join([why, *decision.notes]))))
+    elif decision.notes:
+        rows.append(Tile("note", "", micro("; ".join(decision.notes))))
     if decision.verdict:
         word, _, band = decision.verdict.partition(" (")
-        found.append(Tile("verdict", word, micro(band.rstrip(")"))))
+        rows.append(Tile("verdict", word, micro(band.rstrip(")"))))
     if decision.rapid_moves:
-        found.append(Tile(RAPID_MOVES, "", micro(decision.rapid_moves)))
+        rows.append(Tile(RAPID_MOVES, "", micro(decision.rapid_moves)))
     if decision.stability:
-        found.append(Tile("stability", "", decision.stability))
-    return found
+        rows.append(Tile("stability", "", decision.stability))
+    return rows
 
 
-def _judged(label: str, judged: Answer | None, size: float, said: str) -> Tile:
-    """size: the largest deviation [m], said: what it is, for a path that nobody judged."""
-    amount = f"{fixed(size * 1e6, 2)} µm"
+def _judged(label: str, judged: ToleranceAnswer | None, size: float, sentence: str) -> Tile:
+    """size: the tolerance quantity [m], sentence: its name, for a path without a judgement."""
+    amount = f"{fixed_text(size * 1e6, 2)} µm"
     if judged is None or judged.passes is None:
-        return Tile(label, amount, f"{said}; no tolerance is given")
+        return Tile(label, amount, f"{sentence}; no tolerance is given")
     word, tone = ("passes", "good") if judged.passes else ("fails", "bad")
-    return Tile(label, word, judged.sentence or f"{said}: {amount}", tone)
+    return Tile(label, word, judged.sentence or f"{sentence}: {amount}", tone)
 
 
 def finding_rows(decision: DecisionBlock) -> list[dict]:
     """The worst first; where: the place in words."""
-    found = []
+    rows = []
     for one in sorted(decision.findings, key=lambda f: SEVERITIES.index(f.severity)):
         point, line = one.where.point, one.where.line
         words = [one.where.feature, f"line {line}" if line else None, f"XP{point}" if point else None]
         where = ", ".join(filter(None, words))
-        found.append({**vars(one), "sentence": micro(one.sentence), "where": where, "point": point})
-    return found
+        rows.append({**vars(one), "sentence": micro(one.sentence), "where": where, "point": point})
+    return rows

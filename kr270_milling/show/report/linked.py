@@ -14,7 +14,7 @@ from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decide.part import PartAssessment
 from kr270_milling.show.report.charts import envelope_index, stations
 
-__all__ = ["Linked", "PartSurface", "PassSeries", "PassSurface", "SourceLine", "linked", "part_surface"]
+__all__ = ["Linked", "PartSurface", "StationSeries", "SurfaceErrors", "SourceLine", "linked", "part_surface"]
 
 LONGEST = 160  #: characters of a source line
 MOST_LINES = 4000  #: of the source; beyond it only those on which a station lies
@@ -23,7 +23,7 @@ WALL_BUCKETS = 400
 
 
 @dataclass(frozen=True, eq=False)
-class PassSeries:
+class StationSeries:
     """One pass at the stations, (k,) each; NaN beyond its end."""
 
     name: str
@@ -55,7 +55,7 @@ class Linked:
     features: tuple[str, ...]
     cutting: np.ndarray  #: (k,) 0 or 1: material is removed in some pass, within a revolution
     scored: np.ndarray  #: (k,) 0 or 1: the tool cuts and is fully engaged
-    passes: tuple[PassSeries, ...]
+    passes: tuple[StationSeries, ...]
     source: tuple[SourceLine, ...]
     source_name: str
 
@@ -92,7 +92,7 @@ def linked(
         features=tuple(path.features),
         cutting=_joined(cutting, cell)[chosen].astype(np.int64),
         scored=(cutting & engaged)[chosen].astype(np.int64),
-        passes=tuple(PassSeries(p.name, *rows[:, chosen]) for p, rows in zip(passes, series, strict=True)),
+        passes=tuple(StationSeries(p.name, *rows[:, chosen]) for p, rows in zip(passes, series, strict=True)),
         source=_source(cell, line[chosen], program),
         source_name=cell.programmed.file_name,
     )
@@ -105,7 +105,7 @@ def _joined(cutting: np.ndarray, cell: Cell) -> np.ndarray:
 
 
 def _series(one: ScoredPass, part: PartAssessment) -> np.ndarray:
-    """The rows of PassSeries at all times of the pass, (5, n)."""
+    """The rows of StationSeries at all times of the pass, (5, n)."""
     shift = one.result.reference - one.result.target
     across = np.sum(shift[:, :2] * part.path.left, axis=1)
     _, side, height = part.deviation.T * 1e6
@@ -127,7 +127,7 @@ def _source(cell: Cell, used: np.ndarray, program: str | None) -> tuple[SourceLi
 
 
 @dataclass(frozen=True, eq=False)
-class PassSurface:
+class SurfaceErrors:
     """Errors that one pass leaves; positive: material is left standing."""
 
     name: str
@@ -145,7 +145,7 @@ class PartSurface:
     wall_x: np.ndarray  #: (w,)
     wall_y: np.ndarray
     wall_z: np.ndarray  #: of the upper edge
-    passes: tuple[PassSurface, ...]
+    passes: tuple[SurfaceErrors, ...]
 
 
 def part_surface(parts: Sequence[PartAssessment]) -> PartSurface:
@@ -161,7 +161,7 @@ def part_surface(parts: Sequence[PartAssessment]) -> PartSurface:
     top = wall_z + walls.height[chosen] * 1e3
     unknown = np.full(chosen.size, np.nan)
     passes = tuple(
-        PassSurface(
+        SurfaceErrors(
             part.name,
             _largest(_blocks(part.surface.floors.error, share, share)).T * 1e6,
             error[chosen] * 1e6 if error.size == walls.error.size else unknown,

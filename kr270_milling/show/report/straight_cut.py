@@ -9,7 +9,7 @@ import numpy as np
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decide.part import PartAssessment
-from kr270_milling.physics.cutting import Cut, Tool
+from kr270_milling.physics.cutting import CutModel, Tool
 from kr270_milling.show.report.charts import (
     Chart,
     Curve,
@@ -157,7 +157,7 @@ def _of_pass(cell: Cell, one: ScoredPass, shade) -> list[Chart]:
     ]
 
 
-def micro_step_forces(cut: Cut, tool: np.ndarray, micro_steps: int) -> np.ndarray:
+def micro_step_forces(cut: CutModel, tool: np.ndarray, micro_steps: int) -> np.ndarray:
     """Force [N], (n * micro_steps, 3), of every micro-step of a pass, by sweeping a fresh workpiece once more.
 
     tool: the positions (n + 1, 3) [m] that the cut was given, micro_steps: from one to the next.

@@ -12,11 +12,12 @@ import numpy as np
 from kr270_milling.base.column import Column, columns
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, mean_force
+from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.part import FeatureRow, PartAssessment
 from kr270_milling.physics.motion.scores import Scores
 
-__all__ = ["PAPER", "TABLE_2", "ReportTable", "details", "feature_table", "fixed", "input_rows", "line_scores", "micro",
-           "part_scores", "shown", "typographic", "warning"]  # fmt: skip
+__all__ = ["PAPER", "TABLE_2", "ReportTable", "details", "feature_table", "fixed_text", "input_rows", "line_scores",
+           "micro", "part_scores", "shown", "typographic", "warning"]  # fmt: skip
 
 UM = 1e6
 #: source of the columns `paper`
@@ -41,7 +42,7 @@ class ReportTable:
     note: str = ""
 
 
-def fixed(value: float, digits: int) -> str:
+def fixed_text(value: float, digits: int) -> str:
     """Fixed decimals with a typographer's minus, never "-0"; a dash where there is no number."""
     if value is None or not np.isfinite(value):
         return "–"
@@ -131,7 +132,7 @@ def _heading(column: Column) -> str:
 
 
 def _text(column: Column, value: float) -> str:
-    return fixed(value * column.scale, column.digits)
+    return fixed_text(value * column.scale, column.digits)
 
 
 def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
@@ -151,9 +152,9 @@ def details(passes: Sequence[ScoredPass]) -> ReportTable:
         result = one.result
         shift = float(np.linalg.norm(result.reference - result.target, axis=1).max())
         rows.append((
-            one.name, " / ".join(fixed(v, 2) for v in mean_force(result)), fixed(shift * UM, 2),
-            fixed(result.removed_volume * 1e9, 3), fixed(float(result.correction.max()) * 1e9, 2),
-            str(result.micro_steps), fixed(result.wall_time, 3),
+            one.name, " / ".join(fixed_text(v, 2) for v in mean_force(result)), fixed_text(shift * UM, 2),
+            fixed_text(result.removed_volume * 1e9, 3), fixed_text(float(result.correction.max()) * 1e9, 2),
+            str(result.micro_steps), fixed_text(result.wall_time, 3),
         ))  # fmt: skip
     columns = (
         "pass", "mean force x / y / z, last quarter [N]", "largest shift of the reference [µm]", "removed volume [mm³]",
@@ -169,11 +170,5 @@ def details(passes: Sequence[ScoredPass]) -> ReportTable:
 
 def warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:
     """Where the exchange was too coarse."""
-    per_tooth = cell.feed_rate * 2 * np.pi / cell.tool.spindle_speed / cell.tool.teeth
-    share = max(float(p.result.correction.max()) for p in passes) / per_tooth
-    if share <= cell.exchange.warn_correction:
-        return ""
-    return (
-        f"The largest correction of a predicted pose is {100 * share:.1f} % of the feed per tooth, above the "
-        f"{100 * cell.exchange.warn_correction:g} % set: use a shorter exchange.period_ms or more exchange.iterations."
-    )
+    worst = max((exchange_share(cell, ran) for ran in passes), key=lambda found: found.share)
+    return worst.text if worst.share > worst.warn else ""

@@ -12,8 +12,8 @@ from kr270_milling.physics.motion.scores import path_deviation, ringing_frequenc
 from kr270_milling.studies.identification.signals import resampled
 
 __all__ = [
-    "ComparedChannel", "Comparison", "Line", "NoOverlapError", "PassSeries", "VectorSeries", "best_lag", "compare",
-    "line_through",
+    "ComparedChannel", "ComparedSeries", "Comparison", "LinearFit", "NoOverlapError", "VectorSeries", "best_lag",
+    "compare", "line_through",
 ]  # fmt: skip
 
 LEAST_OVERLAP = 0.6  #: share of the shorter series that both must have in common
@@ -25,7 +25,7 @@ class NoOverlapError(MillingError):
 
 
 @dataclass(frozen=True)
-class Line:
+class LinearFit:
     """measured = gain * simulated + offset, by least squares."""
 
     gain: float
@@ -63,14 +63,14 @@ def _slide(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return fftconvolve(a, b[::-1], axes=0).sum(1)
 
 
-def line_through(measured: np.ndarray, simulated: np.ndarray, independent: int) -> Line:
+def line_through(measured: np.ndarray, simulated: np.ndarray, independent: int) -> LinearFit:
     """One gain and one offset of (n,) numbers; independent: how many of them count as such (they are smoothed)."""
     a = np.column_stack([simulated, np.ones_like(simulated)])
     (gain, offset), *_ = np.linalg.lstsq(a, measured, rcond=None)
     left = measured - a @ [gain, offset]
     spread = np.sum((simulated - simulated.mean()) ** 2) * independent / len(simulated)
     sigma = np.sqrt(np.mean(left**2) / max(spread, 1e-300))
-    return Line(float(gain), float(sigma), float(offset), float(np.sqrt(np.mean(left**2))))
+    return LinearFit(float(gain), float(sigma), float(offset), float(np.sqrt(np.mean(left**2))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class VectorSeries:
 
 
 @dataclass(frozen=True, eq=False)
-class PassSeries:
+class ComparedSeries:
     """Series of one pass; the series of a measured pass have separate clocks."""
 
     force: VectorSeries | None  #: on the tool [N]
@@ -98,7 +98,7 @@ class ComparedChannel:
     time: np.ndarray  #: [s], (n,)
     measured: np.ndarray  #: (n,)
     simulated: np.ndarray  #: (n,)
-    line: Line  #: of the series smoothed over a revolution
+    line: LinearFit  #: of the series smoothed over a revolution
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ class Comparison:
     ringing: dict[str, tuple[float, float]]  #: frequency [Hz] and damping ratio, "measured" and "simulated"
 
 
-def compare(measured: PassSeries, simulated: PassSeries, target, feed, revolution: float) -> Comparison:
+def compare(measured: ComparedSeries, simulated: ComparedSeries, target, feed, revolution: float) -> Comparison:
     """target (m, 3) [m] and feed (m, 3) of the simulated tool's times; revolution [s] of the spindle.
 
     Raises InputError without a measured series, NoOverlapError for one of another pass.

@@ -20,7 +20,7 @@ from kr270_milling.studies.identification.intervals import half_interval, robust
 from kr270_milling.studies.identification.measurements import Measurements
 from kr270_milling.studies.identification.problem import Cause, Exclusion, Problem
 
-__all__ = ["Fit", "TooFewError", "fit"]
+__all__ = ["Fit", "TooFewError", "fit_compliance"]
 
 #: relative standard deviation of a number that the data cannot identify, as in the cell's ``uncertainty``: assumed
 PRIOR = 0.15
@@ -104,7 +104,7 @@ class Fit:
         return moved, np.sqrt(np.maximum(square, 0.0))
 
 
-def fit(problem: Problem, robust: bool = False) -> Fit:
+def fit_compliance(problem: Problem, robust: bool = False) -> Fit:
     """Identify the arm; robust: tests that contradict the others lose their weight. Raises TooFewError, SoftArmError.
 
     A number keeps the value of the arm file if it has no effect, if another number has the same effect, or if its

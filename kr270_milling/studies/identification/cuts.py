@@ -18,7 +18,16 @@ from kr270_milling.physics.cutting.tool import Tool
 from kr270_milling.physics.robot.loads import GRAVITY
 from kr270_milling.studies.identification.signals import read_topic
 
-__all__ = ["COLUMNS", "Cuts", "Sensor", "engagement", "force_series", "mean_force", "read_cuts", "turn_of"]
+__all__ = [
+    "COLUMNS",
+    "CutMeasurements",
+    "Sensor",
+    "engagement_angles",
+    "force_series",
+    "recorded_mean_force",
+    "read_cuts",
+    "turn_of",
+]
 
 MODES = ("slot", "up", "down")
 FORCES = ("fx_n", "fy_n", "fz_n")
@@ -45,7 +54,7 @@ def turn_of(abc) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class Cuts:
+class CutMeasurements:
     """n cuts with one tool at constant feed; forces are means over whole revolutions."""
 
     tool: Tool
@@ -66,7 +75,7 @@ class Cuts:
         return len(np.unique(np.round(self.feed_per_tooth, 9)))
 
 
-def engagement(mode, width, diameter: float) -> tuple[np.ndarray, np.ndarray]:
+def engagement_angles(mode, width, diameter: float) -> tuple[np.ndarray, np.ndarray]:
     """Entry and exit angles [rad], (n,), of a tooth, from the feed direction in the sense of rotation.
 
     The chip thickness is h = f_z cos(phi). Up-milling begins at phi = -90 deg with h = 0 and ends where the width is
@@ -76,7 +85,7 @@ def engagement(mode, width, diameter: float) -> tuple[np.ndarray, np.ndarray]:
     return np.where(mode == "down", -limit, -np.pi / 2), np.where(mode == "up", limit, np.pi / 2)
 
 
-def read_cuts(path, tool: Tool, sensor: Sensor) -> Cuts:
+def read_cuts(path, tool: Tool, sensor: Sensor) -> CutMeasurements:
     """A CSV file of cuts, one a row; the columns are COLUMNS. Raises InputError.
 
     A row without forces names a recording (beside the file) and the seconds of the cut in it.
@@ -95,8 +104,8 @@ def read_cuts(path, tool: Tool, sensor: Sensor) -> Cuts:
     force, sigma = _forces(table, sensor, tool.spindle_speed)
     known = bool(np.isfinite(sigma).all())
     table.refuse(known & (sigma <= 0.0), "sigma_n must be above 0")
-    angles = engagement(mode, width, tool.diameter)
-    return Cuts(tool, feed, depth, *angles, force, sigma if known else np.ones(len(table)), known)
+    angles = engagement_angles(mode, width, tool.diameter)
+    return CutMeasurements(tool, feed, depth, *angles, force, sigma if known else np.ones(len(table)), known)
 
 
 def _forces(table: Table, sensor: Sensor, spindle_speed: float) -> tuple[np.ndarray, np.ndarray]:
@@ -109,7 +118,7 @@ def _forces(table: Table, sensor: Sensor, spindle_speed: float) -> tuple[np.ndar
     for row in np.flatnonzero(recordings != ""):
         idle = (tare[row], tared[row]) if np.isfinite(tare[row] + tared[row]) else sensor.tare
         file, window = Path(table.path).parent / recordings[row], (start[row], stop[row])
-        force[row], own = mean_force(file, dataclasses.replace(sensor, tare=idle), window, spindle_speed)
+        force[row], own = recorded_mean_force(file, dataclasses.replace(sensor, tare=idle), window, spindle_speed)
         sigma[row] = own if np.isnan(sigma[row]) else sigma[row]
     return force, sigma
 
@@ -121,7 +130,9 @@ def force_series(path, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
     return time - time[0], sign * values[:, :3] @ sensor.rotation.T
 
 
-def mean_force(path, sensor: Sensor, window: tuple[float, float], spindle_speed: float) -> tuple[np.ndarray, float]:
+def recorded_mean_force(
+    path, sensor: Sensor, window: tuple[float, float], spindle_speed: float
+) -> tuple[np.ndarray, float]:
     """Mean force on the tool over the whole revolutions of a window [s], (3,) [N], and its standard deviation [N].
 
     The deviation comes from the means of the single revolutions. Raises RecordingError.

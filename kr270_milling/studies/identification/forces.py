@@ -17,17 +17,15 @@ from scipy.optimize import least_squares
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import specs
-from kr270_milling.physics.cutting import LAWS, ForceLaw, LinearEdgeLaw
-from kr270_milling.studies.identification.cuts import Cuts
+from kr270_milling.physics.cutting import LAWS, ForceLaw
+from kr270_milling.physics.cutting.materials import NAMES, SCALE
+from kr270_milling.studies.identification.cuts import CutMeasurements
 from kr270_milling.studies.identification.intervals import MixedUpError, half_interval, scatter, solve
 
 __all__ = [
-    "NAMES", "SCALE", "TOWARD_PART", "LawFit", "OneFeedError", "fit", "fit_all", "law_sections",
+    "NAMES", "SCALE", "TOWARD_PART", "LawFit", "OneFeedError", "fit_forces", "fit_all", "law_sections",
 ]  # fmt: skip
 
-#: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON, in the order and the units of LinearEdgeLaw
-NAMES = LinearEdgeLaw.result_keys()
-SCALE = np.array([spec.scale for spec in specs(LinearEdgeLaw)])  #: [N/m^2, N/m per file unit]
 FIRST = "linear_edge"
 TOWARD_PART, INTO_HOLDER = -1.0, 1.0  #: s of F_z
 
@@ -52,7 +50,7 @@ class LawFit:
     """
 
     law: str
-    cuts: Cuts
+    cuts: CutMeasurements
     values: np.ndarray  #: (p,)
     half_widths: np.ndarray  #: of their 95 % intervals, (p,)
     modelled: np.ndarray  #: mean forces [N], (n, 3)
@@ -84,7 +82,7 @@ class LawFit:
         return {**values, "ci95": widths}
 
 
-def fit(law: str, cuts: Cuts) -> LawFit:
+def fit_forces(law: str, cuts: CutMeasurements) -> LawFit:
     """The coefficients of a force law, a name in ``LAWS``; raises OneFeedError.
 
     The axial coefficients only where fz was measured in two cuts at least.
@@ -93,19 +91,19 @@ def fit(law: str, cuts: Cuts) -> LawFit:
     return _fit_curved(law, cuts) if design is None else _fit_linear(law, cuts, design)
 
 
-def fit_all(cuts: Cuts, needed: str) -> list[LawFit]:
+def fit_all(cuts: CutMeasurements, needed: str) -> list[LawFit]:
     """Fits of all laws that the cuts identify, the linear-edge law first, as published coefficients are of that law.
 
     Raises OneFeedError where the linear-edge law or the ``needed`` law cannot be fitted.
     """
-    fits = [fit(FIRST, cuts)]
+    fits = [fit_forces(FIRST, cuts)]
     for law in [name for name in LAWS if name not in (FIRST, needed)]:
         with contextlib.suppress(OneFeedError):
-            fits.append(fit(law, cuts))
-    return fits if needed == FIRST else [*fits, fit(needed, cuts)]
+            fits.append(fit_forces(law, cuts))
+    return fits if needed == FIRST else [*fits, fit_forces(needed, cuts)]
 
 
-def _fit_linear(law: str, cuts: Cuts, design: np.ndarray) -> LawFit:
+def _fit_linear(law: str, cuts: CutMeasurements, design: np.ndarray) -> LawFit:
     """Linear least squares; the sign of the axial force is that of the measured F_z."""
     sign = INTO_HOLDER if np.nansum(cuts.force[:, 2]) > 0.0 else TOWARD_PART
     design = design * np.array([1.0, 1.0, sign / TOWARD_PART])[:, None]
@@ -124,7 +122,7 @@ def _fit_linear(law: str, cuts: Cuts, design: np.ndarray) -> LawFit:
     return LawFit(law, cuts, values, widths, design @ np.nan_to_num(values), sign)
 
 
-def _fit_curved(law: str, cuts: Cuts) -> LawFit:
+def _fit_curved(law: str, cuts: CutMeasurements) -> LawFit:
     """Non-linear least squares from the start values of the law."""
     kind, start = LAWS[law], np.array(LAWS[law].start)
     axial = _axial_columns(kind)
@@ -164,7 +162,7 @@ def _with(kind: type[ForceLaw], lateral, **axial: float) -> ForceLaw:
     return kind(**dict(zip(names, map(float, lateral), strict=True)), **(dict.fromkeys(kind.axial_names, 0.0) | axial))
 
 
-def _fit_axial(kind: type[ForceLaw], cuts: Cuts, lateral) -> tuple[np.ndarray, np.ndarray]:
+def _fit_axial(kind: type[ForceLaw], cuts: CutMeasurements, lateral) -> tuple[np.ndarray, np.ndarray]:
     """Axial coefficients and half widths by linear least squares: F_z is a sum of coefficients times unit forces."""
     used, count = np.isfinite(cuts.force[:, 2]), len(kind.axial_names)
     if not count or used.sum() < 2:

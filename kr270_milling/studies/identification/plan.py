@@ -25,7 +25,8 @@ from kr270_milling.studies.identification.measurements import Measurements, unme
 from kr270_milling.studies.identification.problem import Problem
 
 __all__ = [
-    "CRITERIA", "Bench", "Candidates", "Design", "Planner", "at_posture", "candidates", "in_order", "read_test_pose",
+    "CRITERIA", "Bench", "Candidates", "Design", "Planner", "at_posture", "candidates", "read_test_pose",
+    "sorted_tests",
 ]  # fmt: skip
 
 MARGIN = np.radians(5.0)  #: distance to every joint limit
@@ -177,7 +178,7 @@ class Planner:
         return int(np.argmax(gain))
 
 
-def in_order(plan: Candidates) -> Candidates:
+def sorted_tests(plan: Candidates) -> Candidates:
     """Return the tests sorted by load, then by nearest posture: few changes of the load, short motions."""
     order: list[int] = []
     for kind in np.unique(plan.kind):

@@ -23,14 +23,14 @@ from scipy.spatial.transform import Rotation
 from kr270_milling.base.errors import MillingError, ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import specs
-from kr270_milling.physics.robot.arm import Arm, Compensator, Mount
+from kr270_milling.physics.robot.arm import Arm, GravityCompensator, Mount
 from kr270_milling.physics.robot.kinematics import LinkFrames, forward, jacobian_at
 from kr270_milling.physics.robot.loads import GRAVITY, link_loads, load_hessian, load_torque
 from kr270_milling.studies.identification.measurements import Measurements
 
 __all__ = ["Cause", "Exclusion", "Problem", "SoftArmError"]
 
-COMPENSATOR = tuple(spec.name for spec in specs(Compensator))
+COMPENSATOR = tuple(spec.name for spec in specs(GravityCompensator))
 STEP = 1e-4  #: share of its scale by which a number of the compensator is changed for its derivative
 ITERATIONS = 20
 PRECISION = 1e-8  #: [rad] of the last Newton step, which leaves its square

@@ -26,7 +26,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.path.timing import limit_by_joints
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot import inverse_near
-from kr270_milling.studies.maps.placements import Course, about_z
+from kr270_milling.studies.maps.placements import PathPlaces, about_z
 from kr270_milling.studies.maps.postures import postures
 
 __all__ = ["NoWayError", "Turns", "Way", "constant_way", "find_way", "turned"]
@@ -56,7 +56,7 @@ class Turns:
     """What a turn costs at each of n times ``step`` [s] apart, and where it takes the joints."""
 
     cell: Cell
-    course: Course  #: n places, in the order of time
+    course: PathPlaces  #: n places, in the order of time
     step: float  #: [s]
     weight: float  #: w [m s/rad]
 

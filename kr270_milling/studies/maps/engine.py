@@ -25,7 +25,7 @@ from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.base.record import read_tree
 from kr270_milling.cell.cell import Cell
 
-__all__ = ["EngineError", "Rows", "Study", "content", "run_chunks"]
+__all__ = ["EngineError", "StudyRows", "Study", "content", "run_chunks"]
 
 AHEAD = 3  #: chunks a worker that are under way at once: none idles, and memory stays bounded
 ALONE = 4.0  #: [s] of work that is done before a local cluster is up
@@ -57,7 +57,7 @@ class EngineError(MillingError):
     """The extra libraries are missing, or the scheduler does not answer."""
 
 
-class Rows:
+class StudyRows:
     """The rows of a study; a worker makes any chunk of them from its number alone."""
 
     chunk: int  #: rows a file

@@ -13,7 +13,7 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.decide.stability import modes_of
 from kr270_milling.physics.motion.monodromy import Modes
 from kr270_milling.physics.motion.stability import Lobe, has_uniform_pitch, stability_map
-from kr270_milling.studies.identification.cuts import engagement
+from kr270_milling.studies.identification.cuts import engagement_angles
 
 __all__ = ["lobes"]
 
@@ -40,6 +40,6 @@ def _lobe_at(cell: Cell, modes: Modes, speed: float) -> Lobe:
     """The limit depth at one spindle speed [rad/s]; modes: in axes with x along the feed."""
     tool = cell.tool
     mode = "slot" if cell.path.radial_immersion >= 1.0 else cell.path.mode
-    entry, leave = (float(angle) for angle in engagement(mode, cell.path.radial_immersion, 1.0))
+    entry, leave = (float(angle) for angle in engagement_angles(mode, cell.path.radial_immersion, 1.0))
     feed_per_tooth = 2.0 * math.pi * cell.feed_rate / (tool.spindle_speed * tool.teeth)
     return Lobe(speed, *stability_map(modes, tool, cell.cutting, feed_per_tooth, entry, leave, speed).limit())

@@ -26,12 +26,12 @@ from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.physics.robot import cartesian_mass, jacobian
 from kr270_milling.physics.robot.inverse import branches
 from kr270_milling.physics.robot.mass import mode_frequencies
-from kr270_milling.studies.maps.engine import Rows
+from kr270_milling.studies.maps.engine import StudyRows
 from kr270_milling.studies.maps.postures import along_path, postures, whole_turns
 
 __all__ = [
-    "MAPPED", "Course", "Placements", "Summary", "about_z", "course_at", "course_of", "moved_cell", "place_of",
-    "write_cell", "write_cells",
+    "MAPPED", "PathPlaces", "Placements", "Summary", "about_z", "places_at", "path_places", "moved_cell", "place_of",
+    "write_placement", "write_cells",
 ]  # fmt: skip
 
 SINGULAR = 1e-6  #: measure of a posture below which no Jacobian is inverted
@@ -46,7 +46,7 @@ MAPPED = {"error_max_um": "error before compensation [um]", "compensated_max_um"
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class PathPlaces:
     """m places on the path of a cell, workpiece frame."""
 
     position: np.ndarray  #: of the tool tip [m], (m, 3)
@@ -55,19 +55,19 @@ class Course:
     force: np.ndarray  #: mean cutting force on the tool [N], (m, 3)
 
 
-def course_of(cell: Cell) -> Course:
+def path_places(cell: Cell) -> PathPlaces:
     """Places where the tool cuts in one pass of the cell, and REST over the whole path for its reach and limits."""
     result = simulate(cell).result
     cutting = np.flatnonzero(result.volume > 0.0)
     chosen = cutting[np.linspace(0, len(cutting) - 1, PLACES).astype(int)]
     rest = np.setdiff1d(np.linspace(0, len(result.volume) - 1, REST).astype(int), chosen)
     both = np.union1d(chosen, rest)
-    course = course_at(cell, result, both)
+    course = places_at(cell, result, both)
     course.force[np.isin(both, rest)] = 0.0
     return course
 
 
-def course_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> Course:
+def places_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> PathPlaces:
     """The exchange periods ``chosen`` (m,) of a pass, with the mean force of the revolution there.
 
     The feed of a resting tool is 0.
@@ -79,15 +79,15 @@ def course_at(cell: Cell, result: PassResult, chosen: np.ndarray) -> Course:
     total = np.concatenate([np.zeros((1, 3)), np.cumsum(result.wrench[:, :3], axis=0)])
     first = np.maximum(chosen + 1 - window, 0)
     mean = (total[chosen + 1] - total[first]) / (chosen + 1 - first)[:, None]
-    return Course(target.sample(time_ns), rotation_from_quaternion(target.sample_orientation(time_ns)), feed, mean)
+    return PathPlaces(target.sample(time_ns), rotation_from_quaternion(target.sample_orientation(time_ns)), feed, mean)
 
 
 @dataclass(frozen=True, eq=False)
-class Placements(Rows):
+class Placements(StudyRows):
     """A grid of placements, each with 8 rows, one a branch."""
 
     cell: Cell
-    course: Course
+    course: PathPlaces
     axes: tuple[np.ndarray, ...]  #: x, y, z [m], turn [rad] of the workpiece; turn of the tool about its axis [rad]
     chunk: int = 500  #: placements a file, 8 rows each
     base: Pose = field(init=False)
@@ -173,7 +173,7 @@ def about_z(angle) -> np.ndarray:
     return rotation_from_abc(np.asarray(angle)[..., None] * [1.0, 0.0, 0.0])
 
 
-def moved_cell(cell: Cell, course: Course, row: dict) -> dict:
+def moved_cell(cell: Cell, course: PathPlaces, row: dict) -> dict:
     """What a parameter file must say for a placement: workpiece, mount, posture hint; lengths in mm, angles in deg."""
     origin = np.array([row["x_mm"], row["y_mm"], row["z_mm"]]) * 1e-3
     frame = Pose(origin, about_z(np.radians(row["turn_deg"])) @ cell.workpiece.pose.rotation)
@@ -236,18 +236,18 @@ class Summary:
         self.best = sorted([*others, row], key=lambda one: one["error_max_um"])[: self.count]
 
 
-def write_cells(folder, source: Path, settings, cell: Cell, course: Course, rows: list[dict]) -> list[Path]:
+def write_cells(folder, source: Path, settings, cell: Cell, course: PathPlaces, rows: list[dict]) -> list[Path]:
     """A parameter file for each row, which includes ``source`` and moves workpiece, mount and posture."""
     written = []
     for number, row in enumerate(rows, 1):
         note = (f"Placement {number} of the map: largest static error across the feed {row['error_max_um']:.1f} um "
                 f"before, {row['compensated_max_um']:.1f} um after compensation (predicted, one sigma)")  # fmt: skip
         written.append(Path(folder) / f"best_{number}.yaml")
-        write_cell(written[-1], source, settings, cell, moved_cell(cell, course, row), note)
+        write_placement(written[-1], source, settings, cell, moved_cell(cell, course, row), note)
     return written
 
 
-def write_cell(path: Path, source: Path, settings, cell: Cell, changes: dict, note: str) -> None:
+def write_placement(path: Path, source: Path, settings, cell: Cell, changes: dict, note: str) -> None:
     """A parameter file that includes ``source``, with the ``key=value`` texts of the command line and the changes.
 
     changes: as of ``moved_cell``, its posture as ``posture_deg``.

@@ -11,7 +11,7 @@ from numba import njit
 from kr270_milling.base.frames import Pose
 from kr270_milling.physics.robot.arm import Arm, Mount, moment_slope
 from kr270_milling.physics.robot.inverse import branches_at, lengths_of, wrapped
-from kr270_milling.physics.robot.kinematics import column
+from kr270_milling.physics.robot.kinematics import jacobian_column
 
 __all__ = ["along_path", "postures", "whole_turns"]
 
@@ -77,7 +77,7 @@ def _fill(lengths, spring, middle, soft, place, position, rotation, force, q, wa
 @njit(cache=True, nogil=True)
 def _add(gives, soft, ax, ay, az, rx, ry, rz, force):
     """One joint with axis a, the tool at r from it: column j = a x r of the Jacobian, gives += c j (j . F)."""
-    jx, jy, jz = column(ax, ay, az, rx, ry, rz)
+    jx, jy, jz = jacobian_column(ax, ay, az, rx, ry, rz)
     turned = soft * (jx * force[0] + jy * force[1] + jz * force[2])
     gives[0] += jx * turned
     gives[1] += jy * turned

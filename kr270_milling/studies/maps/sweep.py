@@ -15,7 +15,7 @@ from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import mean_force, simulate
 from kr270_milling.cell.keys import keys_of
 from kr270_milling.physics.motion.exchange import Exchange
-from kr270_milling.studies.maps.engine import Rows
+from kr270_milling.studies.maps.engine import StudyRows
 
 __all__ = ["Axis", "Sweep", "parse_axis"]
 
@@ -73,7 +73,7 @@ def _text(value: float | str) -> str:
 
 
 @dataclass(frozen=True)
-class Sweep(Rows):
+class Sweep(StudyRows):
     """Keys, scores, and the sentence of what failed, for each combination of values."""
 
     cell: str  #: file

@@ -18,7 +18,7 @@ from kr270_milling.base.version import __version__
 from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main
 from kr270_milling.exchange.cut import CutProtocol
-from kr270_milling.exchange.replay.compensate import compensate
+from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.exchange.robot import RobotProtocol
@@ -202,7 +202,7 @@ def test_a_recording_of_another_patch_of_this_version_is_recomputed(tmp_path, mo
     assert recompute(made.write(tmp_path / "r", made.one_pass())).verdict == "identical"
 
 
-@pytest.mark.parametrize("job", [recompute, compensate])
+@pytest.mark.parametrize("job", [recompute, compensate_recording])
 def test_a_flipped_bit_in_the_first_chunk_is_one_sentence(tmp_path, job):
     file = made.write(tmp_path / "r", made.one_pass()) / "r.mcap"
     with Recording(file) as recording:
@@ -308,7 +308,7 @@ def test_messages_with_any_content_end_in_a_verdict_or_a_sentence(tmp_path, seed
             data[where : where + 8] = random.bytes(8)[: len(data) - where]
         messages[at] = made.Message(messages[at].topic, bytes(data), 0)
     directory = made.write(tmp_path / "r", messages)
-    for job in (recompute, compensate):
+    for job in (recompute, compensate_recording):
         with contextlib.suppress(MillingError):
             job(directory)
 
@@ -342,7 +342,7 @@ def test_one_message_that_the_live_nodes_refused_does_not_spoil_a_recording(tmp_
     topic, sample = REFUSED[name]
     directory = made.write(tmp_path / "r", disturbed(topic, to_bytes(sample)))
     if job == "compensate":
-        assert compensate(directory)[0].published is True
+        assert compensate_recording(directory)[0].published is True
         return
     result = recompute(directory)
     assert result.verdict == "identical", (result.first, result.stops)

@@ -15,7 +15,7 @@ from kr270_milling.base.samples import CompensatorState, PoseSample
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.cell.plant import Plant
-from kr270_milling.exchange.replay.compensate import compensate
+from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph.processes import cell_text
@@ -75,7 +75,7 @@ def test_every_pass_is_recomputed_with_the_recordings_that_its_state_names(tmp_p
         result = recompute(tmp_path / name)
         assert result.verdict == "identical", (result.first, result.stops)
         assert result.channels["/reference_trajectory"].compared == result.channels["/joint_trajectory"].compared == 2
-        assert [revised.published for revised in compensate(tmp_path / name)] == [True]
+        assert [revised.published for revised in compensate_recording(tmp_path / name)] == [True]
 
 
 def test_recordings_in_one_directory_are_named_by_their_files(tmp_path):
@@ -95,7 +95,7 @@ def test_a_missing_recording_is_named(tmp_path, lost):
     assert result.channels["/wrench"].compared == STEPS
     assert result.channels["/reference_trajectory"].given == result.channels["/compensator_state"].given == 2
     with pytest.raises(RecordingError, match=f"{lost}/{lost}.mcap is missing"):
-        compensate(tmp_path / "b")
+        compensate_recording(tmp_path / "b")
 
 
 def test_another_pass_in_the_place_of_a_named_one_is_no_substitute(tmp_path):
@@ -187,13 +187,13 @@ def test_references_without_states_are_taken_as_recorded(tmp_path):
     result = recompute(made.write(tmp_path / "r", messages))
     assert result.verdict == "incomplete" and "without its compensator_state" in str(result.stops[0])
     assert result.channels["/reference_trajectory"].given == result.channels["/joint_trajectory"].compared == 2
-    assert compensate(tmp_path / "r")[0].published is True  # the cell states the method
+    assert compensate_recording(tmp_path / "r")[0].published is True  # the cell states the method
 
 
 def test_a_later_pass_of_learned_without_states_is_not_decided(tmp_path):
     messages = [m for m in made.files_of("learned", NAMES)[1] if m.topic != "compensator_state"]
     with pytest.raises(RecordingError, match="learned needs the passes before this one"):
-        compensate(made.write(tmp_path / "r", messages, cell=made.cell_text("learned")))
+        compensate_recording(made.write(tmp_path / "r", messages, cell=made.cell_text("learned")))
 
 
 FOREIGN = np.linspace(0, 48_000_000, 7).astype(np.int64)  # [ns], knots; those of the pass end at 60 ms
@@ -213,13 +213,13 @@ def test_a_method_that_cannot_revise_a_recorded_pass_states_the_reason(tmp_path)
     other = Trajectory(FOREIGN, target.sample(FOREIGN), target.sample_orientation(FOREIGN))
     messages.insert(0, made.Message("reference_trajectory", made.reference_data(other), 0))
     with pytest.raises(RecordingError, match="at the times of the target's"):
-        compensate(made.write(tmp_path / "r", messages), "inverse")
+        compensate_recording(made.write(tmp_path / "r", messages), "inverse")
 
 
 @pytest.mark.parametrize("method", ["linear", "spline", "mirror"])
 def test_the_compensator_makes_of_a_recording_what_was_published(tmp_path, method):
     messages = made.one_pass(method)
-    (revised,) = compensate(made.write(tmp_path / "r", messages, cell=made.cell_text(method)))
+    (revised,) = compensate_recording(made.write(tmp_path / "r", messages, cell=made.cell_text(method)))
     published = [m.data for m in messages if m.topic == "reference_trajectory"]
     assert revised.published is True and revised.method == method
     assert made.reference_data(revised.reference) == published[1] != published[0]
@@ -227,7 +227,7 @@ def test_the_compensator_makes_of_a_recording_what_was_published(tmp_path, metho
 
 def test_another_method_may_be_asked_of_a_recording(tmp_path):
     directory = made.write(tmp_path / "r", made.one_pass("linear"))
-    (revised,) = compensate(directory, "spline")
+    (revised,) = compensate_recording(directory, "spline")
     expected = [m.data for m in made.one_pass("spline") if m.topic == "reference_trajectory"][1]
     assert revised.published is None and made.reference_data(revised.reference) == expected
 
@@ -235,7 +235,7 @@ def test_another_method_may_be_asked_of_a_recording(tmp_path):
 def test_a_broken_off_pass_gives_no_revision(tmp_path):
     directory = made.write(tmp_path / "r", made.one_pass()[:100])
     with pytest.raises(RecordingError, match="no complete pass"):
-        compensate(directory)
+        compensate_recording(directory)
 
 
 def test_a_state_without_fields_is_refused(tmp_path):
@@ -255,9 +255,9 @@ PASSES = ("original", "learned_1", "learned_2")
 
 @pytest.fixture(scope="module")
 def plant(tmp_path_factory):
-    """A softer arm with play and scatter, and a tracker with noise."""
+    """A softer arm with backlash, no friction and scatter, and a tracker with noise."""
     cell = made.cell_of("learned")
-    arm = cell.arm.replace(joint_compliance=1.1 * cell.arm.joint_compliance)
+    arm = cell.arm.replace(joint_compliance=1.1 * cell.arm.joint_compliance, friction_torque=np.zeros(6))
     imperfections = cell.imperfections.replace(pose_noise=2e-6, repeatability=60e-6, backlash=np.full(6, 1e-5), seed=3)
     file = tmp_path_factory.mktemp("cell") / "plant.yaml"
     file.write_text(cell_text(Plant(cell, cell.replace(arm=arm), imperfections).cell))

@@ -11,7 +11,7 @@ import pass_recording as made
 import pytest
 
 from kr270_milling.base.errors import ConfigError, RecordingError
-from kr270_milling.exchange.replay.attached import cell_of
+from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.reader import Recording
@@ -71,7 +71,7 @@ def cell_in(directory, **attached: str):
     """The cell of a recording with these files attached; "__" in a keyword is the point."""
     files = {name.replace("__", "."): text for name, text in attached.items()}
     with Recording(made.write(directory, [], attachments=files)) as recording:
-        return cell_of(recording)
+        return attached_cell(recording)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy")
 
 from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.live.graph import plan
-from kr270_milling.live.graph.graph import PassRun
+from kr270_milling.live.graph.graph import RunValues
 
 
 class PlainGraph:
@@ -37,11 +37,11 @@ class PlainGraph:
     def choose(self, method: str) -> None:
         self.compensator.choose(method)
 
-    def run_pass(self, name: str) -> PassRun:
+    def run_pass(self, name: str) -> RunValues:
         self.ran[name] = simulate(self.cell, self.compensator.reference, name)
         self.compensator.revise(record_of(self.cell, self.ran[name].result))
         state = self.compensator
-        return PassRun(name, Path(name), "", 1.0, tuple(state.errors), state.finished)
+        return RunValues(name, Path(name), "", 1.0, tuple(state.errors), state.finished)
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from pass_recording import STEPS
 
 pytest.importorskip("rclpy")
 
-from kr270_milling.exchange.replay.compensate import compensate
+from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
 
 COMMAND = [sys.executable, "-m", "kr270_milling.live.nodes", "milling_cell"]
@@ -60,7 +60,7 @@ def test_all_nodes_of_a_pass_run_in_one_process_and_its_recording_recomputes(sta
     assert compared["/wrench"] == compared["/deflection"] == STEPS and compared["/robot_description"] == 1
     assert compared["/reference_trajectory"] == compared["/joint_trajectory"] == 2 and compared["/clock"] == 7
     assert all(c.differing == c.missing == c.waiting == 0 for c in result.channels.values())
-    (revised,) = compensate(tmp_path / "r")
+    (revised,) = compensate_recording(tmp_path / "r")
     assert revised.published is True and revised.method == "linear"
 
 

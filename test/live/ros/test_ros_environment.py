@@ -13,7 +13,7 @@ import yaml
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import Record, specs
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.live.graph.processes import cell_text, write_cell
+from kr270_milling.live.graph.processes import cell_text, write_cell_file
 from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only
 
 
@@ -65,7 +65,7 @@ SETS = [(), ("tool.diameter_mm=12.7", "path.feed_rate_m_per_min=3.3", "mount.abc
 @pytest.mark.parametrize("assignments", SETS)
 def test_cell_file_gives_the_same_numbers_bit_for_bit(tmp_path, assignments):
     cell = read_cell(find_file("paper.yaml"), assignments)
-    write_cell(cell, tmp_path / "cell.yaml")
+    write_cell_file(cell, tmp_path / "cell.yaml")
     again = read_cell(tmp_path / "cell.yaml")
     for (key, before), (_, after) in zip(values(cell), values(again), strict=True):
         missing = isinstance(before, float) and np.isnan(before)  # a coefficient of the law that is not in use

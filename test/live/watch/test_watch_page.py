@@ -12,7 +12,7 @@ import pytest
 from browser import Visit
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.live.watch.feed import PERIOD_NS, Feed
+from kr270_milling.live.watch.feed import PERIOD_NS, LiveEvents
 from kr270_milling.live.watch.server import Events, serve
 from kr270_milling.recordings.messages.codec import from_bytes, serialise
 from kr270_milling.show.report.watch_page import watch_page
@@ -21,7 +21,7 @@ pytestmark = made.needs_messages
 
 
 def events_of(messages) -> list[dict]:
-    feed = Feed()
+    feed = LiveEvents()
     return [event for m in messages for event in feed.events(m.topic, m.data) if m.topic in RECEIVED]
 
 
@@ -53,7 +53,7 @@ def test_samples_are_thinned_and_equal_the_messages():
 def test_a_second_pass_is_an_event_and_states_only_when_they_change():
     messages = received(made.one_pass(passes=2))
     assert [e["number"] for e in events_of(messages) if e["kind"] == "pass"] == [1, 2]
-    feed = Feed()
+    feed = LiveEvents()
     status = {"level": 1, "name": "/robot", "message": "slow"}
     data = serialise("diagnostic_msgs/msg/DiagnosticArray", {"status": [status]})
     assert len(list(feed.events("diagnostics", data))) == 1

@@ -31,7 +31,7 @@ def copy(tmp_path_factory) -> Path:
     shutil.copytree(PACKAGE, folder / "kr270_milling")
     shutil.copytree(PACKAGE.parent / "config", folder / "config")
     shutil.copy(PACKAGE.parent / "package.xml", folder)
-    shutil.copy(HERE / "kienzle.py", folder / "kr270_milling/cutting")
+    shutil.copy(HERE / "kienzle.py", folder / "kr270_milling/physics/cutting")
     table = folder / "kr270_milling/physics/cutting/laws.py"
     text = table.read_text(encoding="utf-8")
     row = '"linear_edge": LinearEdgeLaw'

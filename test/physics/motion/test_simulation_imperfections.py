@@ -1,4 +1,4 @@
-"""Noise, repeatability and backlash of a plant: their statistics, and the play operator's own laws."""
+"""Noise and repeatability of a plant: their statistics."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import pytest
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.cell.plant import Plant, imperfect_course
-from kr270_milling.physics.motion.imperfections import Imperfections, play
+from kr270_milling.cell.plant import Plant
+from kr270_milling.physics.motion.imperfections import Imperfections
 
 UM = 1e-6
 SHORT = ("path.length_mm=12", "stock.grid_step_um=80", "exchange.micro_step_deg=3")
@@ -38,25 +38,6 @@ def test_noise_and_repeatability_of_a_pass_come_from_seed_and_number():
     assert abs(np.corrcoef(how.measured(zero, 1)[:, 0], how.measured(zero, 2)[:, 0])[0, 1]) < 0.15
 
 
-def test_a_joint_behind_its_play_follows_at_half_of_it_and_rests_while_the_motor_crosses_it():
-    motor = np.concatenate([np.linspace(0, 1, 101), np.linspace(1, 0, 101)[1:]])[:, None] * np.ones(6)
-    width = np.array([0.1, 0.2, 0.0, 0.1, 0.1, 0.1])
-    stands = play(motor, width)
-    up, down = stands[:101], stands[101:]
-    assert up[20:] == pytest.approx(motor[20:101] - width / 2) and np.array_equal(stands[:, 2], motor[:, 2])
-    crossing = np.round(width / 0.01).astype(int)
-    for axis, steps in enumerate(crossing.tolist()):
-        assert np.all(down[: max(0, steps - 1), axis] == up[-1, axis])
-        assert down[steps:, axis] == pytest.approx(motor[101 + steps :, axis] + width[axis] / 2)
-
-
-def test_play_does_not_know_how_fast_it_is_run_through():
-    motor = np.cumsum(np.random.default_rng(0).normal(size=(40, 6)), axis=0)
-    slow = np.stack([np.interp(np.arange(0, 39.01, 0.25), np.arange(40), m) for m in motor.T], axis=1)
-    width = np.full(6, 0.7)
-    assert play(slow, width)[::4][1:] == pytest.approx(play(motor, width)[1:])
-
-
 def test_a_plant_without_imperfections_is_its_cell(cell):
     plain, plant = simulate(cell), simulate(cell, plant=Plant(cell, cell))
     assert np.array_equal(plain.result.actual, plant.result.actual) and plain.scores == plant.scores
@@ -77,21 +58,6 @@ def test_a_pass_that_lies_beside_the_commanded_one_is_cut_there(cell):
     plain = simulate(cell).result
     assert ran.actual - plain.actual == pytest.approx(np.broadcast_to(shift, ran.actual.shape), abs=0.05 * 60 * UM)
     assert np.array_equal(ran.target, plain.target)
-
-
-def test_backlash_shows_where_a_joint_turns_back_and_is_as_large_as_its_lever(cell):
-    """Out and back across the arm: on the way back the tool stands beside the reference by the play of the joints."""
-    target = cell.target()
-    away = np.minimum(target.time_ns, target.duration_ns - target.time_ns)
-    there_and_back = target.with_position(target.position[:1] + np.outer(away * 1e-9, [0.0, 0.05, 0.0]))
-    width = np.radians([0.01, 0, 0, 0, 0, 0])
-    plant = cell.replace(imperfections=Imperfections(backlash=width))
-    course = imperfect_course(plant, there_and_back, 0)
-    off = course.position - there_and_back.sample(course.time_ns)
-    middle = len(off) // 2
-    assert np.abs(off[: middle - 2]).max() < 1e-9  # it was touched off on that side
-    lever = np.hypot(*(cell.workpiece.pose.apply(there_and_back.position[0]))[:2])  # of axis 1, about z of the base
-    assert np.linalg.norm(off[-1]) == pytest.approx(width[0] * lever, rel=0.02)
 
 
 def test_the_path_is_the_models_and_the_arm_is_the_plants(cell):

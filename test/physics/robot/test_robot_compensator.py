@@ -10,12 +10,12 @@ import pytest
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.record import find_file
 from kr270_milling.physics.robot.analysis import read_arm
-from kr270_milling.physics.robot.arm import Compensator
+from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.physics.robot.elastostatics import equilibrium
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.physics.robot.loads import link_loads, load_hessian, load_torque
 
-SPRING = Compensator(stiffness=50e3, preload=6e3, base_x=-0.69, base_z=0.12, arm_length=0.18)
+SPRING = GravityCompensator(stiffness=50e3, preload=6e3, base_x=-0.69, base_z=0.12, arm_length=0.18)
 ANGLES = np.radians(np.linspace(-140.0, -5.0, 28))
 
 
@@ -77,7 +77,7 @@ def test_a_balanced_arm_sags_less_and_without_weights_there_is_no_compensator():
     q = np.radians([0.0, -40.0, 90.0, 0.0, 30.0, 0.0])
     bent = equilibrium(arm, mount, q).theta[1]
     moment = bent / arm.joint_compliance[1]
-    per_newton = Compensator(1e3, 1e3, -0.69, 0.12, 0.18).moment(math.cos(q[1]), math.sin(q[1]))
+    per_newton = GravityCompensator(1e3, 1e3, -0.69, 0.12, 0.18).moment(math.cos(q[1]), math.sin(q[1]))
     sprung = arm.replace(compensator=SPRING.replace(preload=1e3, stiffness=1e3))
     assert moment * per_newton < 0.0  # it works against the weights
     assert 0.0 < equilibrium(sprung, mount, q).theta[1] < bent
@@ -86,4 +86,4 @@ def test_a_balanced_arm_sags_less_and_without_weights_there_is_no_compensator():
 
 def test_a_spring_whose_length_may_vanish_is_refused():
     with pytest.raises(ParameterError, match="keeps a length"):
-        Compensator(stiffness=1e3, base_x=-0.15, base_z=0.0, arm_length=0.15)
+        GravityCompensator(stiffness=1e3, base_x=-0.15, base_z=0.0, arm_length=0.15)

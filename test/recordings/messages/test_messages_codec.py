@@ -58,12 +58,12 @@ def test_a_record_comes_back_from_its_bytes_with_every_bit(record):
 
 @pytest.mark.parametrize("run", RUNS)
 def test_a_trajectory_comes_back_with_every_bit(run):
-    found = trajectory_from_bytes(to_bytes(run), as_sent=True)
-    assert found.frame == run.frame and found.time_ns.tobytes() == run.time_ns.tobytes()
-    assert found.position.tobytes() == run.position.tobytes()
-    assert found.quaternion.tobytes() == run.quaternion.tobytes()
-    assert (found.velocity is None) == (run.velocity is None)
-    assert run.velocity is None or found.velocity.tobytes() == run.velocity.tobytes()
+    actual = trajectory_from_bytes(to_bytes(run), as_sent=True)
+    assert actual.frame == run.frame and actual.time_ns.tobytes() == run.time_ns.tobytes()
+    assert actual.position.tobytes() == run.position.tobytes()
+    assert actual.quaternion.tobytes() == run.quaternion.tobytes()
+    assert (actual.velocity is None) == (run.velocity is None)
+    assert run.velocity is None or actual.velocity.tobytes() == run.velocity.tobytes()
 
 
 @pytest.mark.parametrize("record", [*RECORDS, *RUNS], ids=lambda r: type(r).__name__)
@@ -109,8 +109,8 @@ def test_a_record_refuses_a_wrong_shape_and_keeps_its_arrays():
 def test_any_message_is_written_from_nested_mappings():
     kind = "diagnostic_msgs/msg/DiagnosticArray"
     status = {"name": "n", "level": 2, "values": [{"key": "k", "value": "v"}]}
-    found = deserialise(kind, serialise(kind, {"header": {"stamp": {"sec": 1}}, "status": [status]}))
-    assert found.header.stamp.sec == 1 and found.status[0].level == 2 and found.status[0].values[0].value == "v"
+    actual = deserialise(kind, serialise(kind, {"header": {"stamp": {"sec": 1}}, "status": [status]}))
+    assert actual.header.stamp.sec == 1 and actual.status[0].level == 2 and actual.status[0].values[0].value == "v"
     with pytest.raises(KeyError, match="no field x"):
         serialise(kind, {"x": 1})
 

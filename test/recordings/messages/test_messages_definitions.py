@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 from mcap_ros2._dynamic import generate_dynamic
+from recording_samples import TOPICS, raw, sample
 from rosbags.typesys import get_types_from_msg
-from test_recording_samples import TOPICS, raw, sample
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.decode import RecordedTopic, make_decoder, store_for

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_recording_samples import JOINTS, POSE, STORE, TOPICS, joints, pose, raw, sample
+from recording_samples import JOINTS, POSE, STORE, TOPICS, joints, pose, raw, sample
 
 from kr270_milling.recordings.messages.cdr import Cursor, stamp_of
 

@@ -7,7 +7,7 @@ import pytest
 from budget import budget
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_recording_samples import JOINTS, POSE, STORE, TWIST, WRENCH, joints, pose, raw, twist, wrench
+from recording_samples import JOINTS, POSE, STORE, TWIST, WRENCH, joints, pose, raw, twist, wrench
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import rows
@@ -38,10 +38,10 @@ def test_numbers_come_out_bit_for_bit(tmp_path, type_name, build, width, little)
     stamps = np.cumsum(np.random.default_rng(4).integers(0, 10**10, 200))
     messages = [build(int(t), v, "base_link") for t, v in zip(stamps, values, strict=True)]
     with Recording(written(tmp_path / "a", type_name, messages, little)) as recording:
-        found = series(recording, "/t")
-    np.testing.assert_array_equal(found.values, values)
-    np.testing.assert_array_equal(found.stamp, stamps)
-    assert not found.values.flags.writeable and not found.stamp.flags.writeable
+        actual = series(recording, "/t")
+    np.testing.assert_array_equal(actual.values, values)
+    np.testing.assert_array_equal(actual.stamp, stamps)
+    assert not actual.values.flags.writeable and not actual.stamp.flags.writeable
 
 
 @given(st.lists(st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=12), min_size=1, max_size=30))
@@ -50,31 +50,31 @@ def test_frames_of_any_length_do_not_move_the_numbers(tmp_path_factory, frames):
     values = np.arange(7.0 * len(frames)).reshape(-1, 7)
     messages = [pose(i, v, frame) for i, (v, frame) in enumerate(zip(values, frames, strict=True))]
     with Recording(written(tmp_path_factory.mktemp("x") / "a", POSE, messages)) as recording:
-        found = series(recording, "/t")
+        actual = series(recording, "/t")
         assert [frame for _, _, frame, _ in stamped(recording, "/t")] == frames
-    np.testing.assert_array_equal(found.values, values)
+    np.testing.assert_array_equal(actual.values, values)
 
 
 def joint_table(directory, messages) -> dict[str, list]:
     """The columns of a topic with joint states."""
-    found: dict[str, list] = {}
+    actual: dict[str, list] = {}
     with Recording(written(directory, JOINTS, messages)) as recording:
         for names, cells in rows(recording, "/t"):
             for name, cell in zip(names, cells, strict=True):
-                found.setdefault(name, []).append(cell)
-    return found
+                actual.setdefault(name, []).append(cell)
+    return actual
 
 
 def test_joint_states_with_and_without_velocities(tmp_path):
     rng = np.random.default_rng(5)
     position, velocity, effort = rng.normal(size=(3, 100, 6))
     messages = [joints(i, position[i], velocity[i] if i % 2 else (), effort[i] if i > 50 else ()) for i in range(100)]
-    found = joint_table(tmp_path / "a", messages)
+    actual = joint_table(tmp_path / "a", messages)
     velocity[::2], effort[:51] = np.nan, np.nan
-    assert found["stamp_ns"] == list(range(100))
+    assert actual["stamp_ns"] == list(range(100))
     for kind, unit, expected in (("position", "rad", position), ("velocity", "rad_per_s", velocity),
                                  ("effort", "n_m", effort)):  # fmt: skip
-        columns = [found[f"{kind}_joint_a{i}_{unit}"] for i in range(1, 7)]
+        columns = [actual[f"{kind}_joint_a{i}_{unit}"] for i in range(1, 7)]
         np.testing.assert_array_equal(np.transpose(columns), expected)
 
 
@@ -85,8 +85,8 @@ def test_joint_states_with_another_number_of_values_are_told(tmp_path):
 
 def test_a_topic_without_messages_has_empty_arrays(tmp_path):
     with Recording(written(tmp_path / "a", POSE, [])) as recording:
-        found = series(recording, "/t")
-    assert len(found.stamp) == 0 and found.values.shape == (0, 7)
+        actual = series(recording, "/t")
+    assert len(actual.stamp) == 0 and actual.values.shape == (0, 7)
 
 
 @given(data=st.binary(max_size=120), kind=st.sampled_from([POSE, WRENCH, TWIST, JOINTS]), cut=st.integers(0, 200))
@@ -112,6 +112,6 @@ def test_30000_poses_are_read_in_less_than_a_second(tmp_path):
     body = raw(pose(0, np.arange(7)))
     with Recording(written(tmp_path / "a", POSE, [body] * 30_000)) as recording:
         begin = time.process_time()
-        found = series(recording, "/t")
+        actual = series(recording, "/t")
         assert time.process_time() - begin < 1.0
-    np.testing.assert_array_equal(found.values, np.tile(np.arange(7.0), (30_000, 1)))
+    np.testing.assert_array_equal(actual.values, np.tile(np.arange(7.0), (30_000, 1)))

@@ -8,7 +8,7 @@ import pytest
 from budget import budget
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_recording_samples import PATH, STORE, path, pose, raw
+from recording_samples import PATH, STORE, path, pose, raw
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.export import rows
@@ -31,13 +31,13 @@ def random_path(points: int, bodies: int = 1, speeds: bool = True, seed: int = 1
 @pytest.mark.parametrize("points", [0, 1, 2, 3, 200])
 def test_every_number_of_a_trajectory_comes_out(points, speeds, bodies, little):
     message, times, (position, quaternion, velocity) = random_path(points, bodies, speeds)
-    found = read_trajectory(bytes(STORE.serialize_cdr(message, PATH, little_endian=little)))
-    np.testing.assert_array_equal(found.time, times)
-    np.testing.assert_array_equal(found.position, position)
-    np.testing.assert_array_equal(found.quaternion, quaternion)
-    np.testing.assert_array_equal(found.velocity, velocity if speeds else np.full_like(velocity, np.nan))
-    assert np.isnan(found.acceleration).all()
-    assert (found.stamp, found.frame_id, found.names) == (77, "workpiece", tuple(f"tool{i}" for i in range(bodies)))
+    actual = read_trajectory(bytes(STORE.serialize_cdr(message, PATH, little_endian=little)))
+    np.testing.assert_array_equal(actual.time, times)
+    np.testing.assert_array_equal(actual.position, position)
+    np.testing.assert_array_equal(actual.quaternion, quaternion)
+    np.testing.assert_array_equal(actual.velocity, velocity if speeds else np.full_like(velocity, np.nan))
+    assert np.isnan(actual.acceleration).all()
+    assert (actual.stamp, actual.frame_id, actual.names) == (77, "workpiece", tuple(f"tool{i}" for i in range(bodies)))
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=60))
@@ -47,10 +47,10 @@ def test_points_with_and_without_velocities_may_mix(with_speed):
         if not speed:
             message.points[i].velocities.clear()
             velocity[i] = np.nan
-    found = read_trajectory(raw(message))
-    np.testing.assert_array_equal(found.time, times)
-    np.testing.assert_array_equal(found.position, position)
-    np.testing.assert_array_equal(found.velocity, velocity)
+    actual = read_trajectory(raw(message))
+    np.testing.assert_array_equal(actual.time, times)
+    np.testing.assert_array_equal(actual.position, position)
+    np.testing.assert_array_equal(actual.velocity, velocity)
 
 
 def test_200000_points_take_less_than_a_second():
@@ -62,10 +62,10 @@ def test_200000_points_take_less_than_a_second():
     assert (len(head) - 4) % 8 == 4  # so that the first transform needs no padding either
     data = head + count * point
     begin = time.process_time()
-    found = read_trajectory(data)
+    actual = read_trajectory(data)
     assert time.process_time() - begin < 1.0
-    assert found.time.tolist() == [3_000_000_004] * count
-    np.testing.assert_array_equal(found.velocity[:, 0], np.tile(np.arange(6.0), (count, 1)))
+    assert actual.time.tolist() == [3_000_000_004] * count
+    np.testing.assert_array_equal(actual.velocity[:, 0], np.tile(np.arange(6.0), (count, 1)))
 
 
 @given(st.integers(0, 400), st.binary(max_size=30))
@@ -73,10 +73,10 @@ def test_200000_points_take_less_than_a_second():
 def test_a_damaged_message_is_refused_or_read_within_its_bytes(cut, tail):
     data = raw(random_path(3)[0])
     try:
-        found = read_trajectory(data[:cut] + tail)
+        actual = read_trajectory(data[:cut] + tail)
     except ValueError:
         return
-    assert 20 * len(found.time) <= len(data[:cut] + tail)
+    assert 20 * len(actual.time) <= len(data[:cut] + tail)
 
 
 def test_a_message_made_to_change_its_layout_all_the_time_costs_no_more_than_its_size():
@@ -96,10 +96,10 @@ def test_trajectories_of_a_recording_are_tables_up_to_one_that_is_none(tmp_path)
             writer.write("/reference_trajectory", raw(random_path(points)[0]), 0)
         writer.write("/reference_trajectory", raw(pose(100, np.zeros(7))), 0)
     with Recording(tmp_path / "a") as recording:
-        found = rows(recording, "/reference_trajectory")
-        assert [next(found)[1][0] for _ in range(7)] == [0, 0, 1, 1, 1, 1, 1]  # number of the message
+        actual = rows(recording, "/reference_trajectory")
+        assert [next(actual)[1][0] for _ in range(7)] == [0, 0, 1, 1, 1, 1, 1]  # number of the message
         with pytest.raises(RecordingError, match="is not a trajectory_msgs"):
-            next(found)
+            next(actual)
 
 
 def test_points_without_content_for_many_bodies_are_refused_before_room_is_made_for_them():

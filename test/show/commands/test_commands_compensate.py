@@ -23,7 +23,7 @@ def quick(monkeypatch):
         path.write_text("figures left out")
         return path
 
-    monkeypatch.setattr("kr270_milling.show.commands.compensate.write_report", page)
+    monkeypatch.setattr("kr270_milling.show.report.write_report", page)
 
 
 def command(tmp_path, *words: str, gcode: str | bytes = GCODE, sets=()) -> list[str]:
@@ -43,7 +43,8 @@ def test_a_tool_path_ends_with_table_report_programs_and_findings(tmp_path, caps
         "arc",
         "whole part",
         "largest correction",
-        "may be run, after a test in T1",
+        "0 stops",
+        "decision: caution: largest wall or floor error is",
         "report.html",
     ):
         assert word in text
@@ -104,7 +105,7 @@ def test_limited_corrections_are_printed(quick, tmp_path, capsys):
 def test_a_path_that_must_not_be_run_ends_with_1_and_a_sentence(quick, tmp_path, capsys):
     assert main(command(tmp_path, sets=["limits.spindle_power_kw=0.01"])) == 1
     text = capsys.readouterr().out
-    assert "the path must not be run" in text
+    assert text.startswith("decision: no: the path must not be run: the spindle power")
     assert not list((tmp_path / "out").glob("krl*")) and "no robot program is written" in text
 
 
@@ -221,11 +222,11 @@ def test_the_command_prints_the_verdict_with_its_seed(tmp_path, capsys):
     answer = args.run(args)
     assert answer.print(as_json=False) == 0
     text = capsys.readouterr().out
-    assert "2 plants, seed 7" in text and "verdict: compensation helps" in text
+    assert "2 simulated robots, seed 7: largest path deviation [um]" in text and "verdict: compensation helps" in text
     assert answer.print(as_json=True) == 0
     result = json.loads(capsys.readouterr().out)["verdict"]
     assert result["verdict"] == "helps" and result["samples"] == 2 and result["seed"] == 7
-    assert len(result["compensated"]["static_deviation_mm"]) == 3
+    assert len(result["compensated_mm"]) == 3
 
 
 @pytest.fixture
@@ -245,12 +246,13 @@ def test_the_verdict_is_part_of_the_decision_unless_it_is_switched_off(compensat
     monkeypatch.setattr("kr270_milling.show.commands.compensate.PLANTS", 2)
     result, _ = compensate("--method", "spline")
     assert result["verdict"]["samples"] == 2 and "inverse" in result["verdict"]["methods"]
-    assert result["decision"]["verdict"] == result["verdict"]["verdict"]
-    assert result["decision"]["recommended_method"] == result["verdict"]["recommended_method"]
+    assert result["recommended_method"] == result["verdict"]["recommended_method"]
     quick, _ = compensate("--quick", "--method", "spline")
     assert quick["verdict"]["samples"] == 8 and set(quick["verdict"]["methods"]) == {"none", "spline"}
+    assert quick["recommended_method"] is None  # nothing was compared
     none, errors = compensate("--no-verdict")
-    assert none["verdict"] is None and none["decision"]["verdict"] is None and "verdict" not in errors
+    assert none["verdict"] is None and none["recommended_method"] is None
+    assert errors.startswith("warning: decision: caution: ") and "would take too long" not in errors
 
 
 def test_a_verdict_that_would_take_long_is_left_out_with_a_sentence(compensate, monkeypatch):

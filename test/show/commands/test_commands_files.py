@@ -204,7 +204,7 @@ def test_names_that_are_alike_get_their_directories(tmp_path):
 def test_a_whole_recording_is_left_alone_by_recover(tmp_path):
     directory = made.write(tmp_path / "one", made.one_pass())
     answer = ask("recover", str(directory))
-    assert answer.code == 0 and "left as it is" in answer.out
+    assert answer.code == 0 and "nothing to recover; unchanged" in answer.out
     assert sorted(p.name for p in tmp_path.iterdir()) == ["one"]
 
 

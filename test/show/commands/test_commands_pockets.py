@@ -48,13 +48,14 @@ def test_a_pocket_ends_in_a_program_a_report_and_a_decision(capsys, tmp_path, na
     code, text = run(capsys, "compensate", cell, "--method", "mirror", "--no-verdict", "--json", "--out",
                      tmp_path / "part", *SETS)  # fmt: skip
     result = json.loads(text)
-    decision = result["decision"]
-    assert code == 0 and decision["may_be_run"] is True and decision["recommended_method"] == "mirror"
+    assert (
+        code == 0 and result["may_be_run"] is True and result["decision"] == "caution" and result["method"] == "mirror"
+    )
     for version in ("as_programmed", "compensated"):
-        assert {"passes_tolerance", "wall_um", "floor_um"} <= set(decision[version])
-    assert decision["compensated"]["wall_um"] < decision["as_programmed"]["wall_um"]
+        assert {"passes_tolerance", "wall_um", "floor_um"} <= set(result[version])
+    assert result["compensated"]["wall_um"] < result["as_programmed"]["wall_um"]
     page = Path(result["report"]).read_text()
-    assert "may be run" in page and "recommended method" in page
+    assert '<span class="label">decision</span><strong>caution</strong>' in page
     folder = Path(result["programs"]["krl_spline"][0]).parent
     for kind in ("ORG", "CMP"):
         robot = Robot(folder, f"MILLING_{kind}")

@@ -17,10 +17,10 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
 from kr270_milling.decide.findings import Finding, Place
 from kr270_milling.show.report import ReportTable, write_report
-from kr270_milling.show.report.assumptions import assumptions, mode_frequencies
-from kr270_milling.show.report.decision_block import Answer, DecisionBlock
+from kr270_milling.show.report.assumptions import assumptions, model_frequencies
+from kr270_milling.show.report.decision_block import DecisionBlock, ToleranceAnswer
 from kr270_milling.show.report.page.page import plotly_script
-from kr270_milling.show.report.tables import fixed
+from kr270_milling.show.report.tables import fixed_text
 
 SHORT = ["path.length_mm=12.0", "stock.grid_step_um=40.0"]
 WORDS = dict(title="A pass", source="/elsewhere/some one/paper.yaml", command="kr270_milling demo", date="2025-01-02")
@@ -110,7 +110,7 @@ def test_the_scores_stand_in_the_page_as_they_were_given(written, passes):
     for one in passes:
         s = one.scores
         for value, digits in ((s.static_deviation * 1e6, 2), (s.max_deviation * 1e6, 2), (s.ringing_damping, 3)):
-            assert f"<td>{fixed(value, digits)}</td>" in written[1]
+            assert f"<td>{fixed_text(value, digits)}</td>" in written[1]
 
 
 def test_the_papers_column_is_there_only_for_the_paper(tmp_path, cell, passes, written):
@@ -137,7 +137,7 @@ def test_texts_from_files_are_escaped(tmp_path, cell, passes):
     first = passes[0]
     hostile = [ScoredPass(bad, first.reference, first.result, first.scores), passes[1]]
     row = Finding("stop", bad, Place(3, 1, bad), 1.0, 1.0, bad, bad, bad)
-    decision = DecisionBlock(Answer(False, bad), None, False, bad, bad, bad, (row,))
+    decision = DecisionBlock(ToleranceAnswer(False, bad), None, "no", bad, bad, (bad,), bad, bad, (row,))
     words = dict(title=bad, source=bad, command=bad, date=bad, decision=decision)
     text = text_of(write_report(tmp_path, hostile_cell, hostile, paper=True, **words))
     page = Page(text)
@@ -151,14 +151,16 @@ def test_the_decision_leads_the_page(tmp_path, cell, passes):
         "warning", "correction per tick", Place(12, 7, "ring"), 31.0, 30.0, "um", "Feed slower.", "it is 31 um", 3
     )
     decision = DecisionBlock(
-        as_programmed=Answer(False, "40 µm, 30 allowed"), compensated=Answer(True, "2 µm"), may_be_run=True,
-        recommended_method="spline", verdict="helps (1 to 3 um)", stability="stable", findings=(finding,),
+        as_programmed=ToleranceAnswer(False, "40 µm, 30 allowed"), compensated=ToleranceAnswer(True, "2 µm"),
+        level="caution", sentence="few robots", method="method: spline, as set", verdict="helps (1 to 3 um)",
+        stability="stable", findings=(finding,),
     )  # fmt: skip
     table = ReportTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00")))
     text = text_of(write_report(tmp_path, cell, passes, decision=decision, tables=[table], **WORDS))
     page = Page(text)
-    order = ["fails", "40 µm, 30 allowed", "passes", "yes", "spline", "helps", "1 to 3 µm", "stable"]
+    order = ["caution", "few robots", "fails", "40 µm, 30 allowed", "passes", "spline", "helps", "1 to 3 µm", "stable"]
     order += ["Another table", "warning", "Feed slower.", "ring, line 7, XP12"]
+    assert '<div class="tile caution">' in text
     places = [page.texts.index(word) for word in order]
     assert places == sorted(places)
     assert "\u22121.5" in page.texts and "0.00" in page.texts and "other-2" in page.texts
@@ -212,7 +214,7 @@ def test_the_assumption_table_quotes_this_cell_and_the_derived_numbers(cell):
     assert "7.4 kN" in rows["reading of (26)"].reason
     assert "533.3 Hz" in rows["tooth passing frequency"].value
     assert "0.150 s" in rows["radial engagement"].value
-    modes = mode_frequencies(cell)
+    modes = model_frequencies(cell)
     assert modes["lumped"][0] == pytest.approx(6.69, abs=0.02)  # sqrt(1 / (0.717 um/N 790.4 kg)) / 2 pi
     assert 11.0 < modes["consistent"][0] < 14.0
     for hertz in (modes["lumped"][0], modes["consistent"][0]):
@@ -227,6 +229,6 @@ def test_assumptions_about_the_papers_text_are_left_out_for_another_cell(cell):
 
 
 def test_a_rounded_zero_has_no_sign_and_a_missing_number_is_a_dash():
-    assert fixed(-0.001, 2) == "0.00"
-    assert fixed(-0.09, 2) == "−" + "0.09"
-    assert fixed(np.nan, 2) == "–"
+    assert fixed_text(-0.001, 2) == "0.00"
+    assert fixed_text(-0.09, 2) == "−" + "0.09"
+    assert fixed_text(np.nan, 2) == "–"

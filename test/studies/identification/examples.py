@@ -11,7 +11,7 @@ from campaigns import ARM, MOUNT, displacements
 from kr270_milling.base.record import find_file
 from kr270_milling.show.report.identification.plan import load_text
 from kr270_milling.studies.identification.measurements import write_measurements
-from kr270_milling.studies.identification.plan import Bench, Planner, candidates, in_order, read_test_pose
+from kr270_milling.studies.identification.plan import Bench, Planner, candidates, read_test_pose, sorted_tests
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 #: of the arm that the example is measured on, as factors on Table 1 of [Klimchik2012]
@@ -28,7 +28,7 @@ def load_tests(path) -> None:
     """The table of load tests."""
     pose = read_test_pose(find_file("test_piece.yaml"), MOUNT)
     choice = candidates(ARM, MOUNT, Bench(MOUNT.xyz), 500, 1)
-    plan = in_order(choice.take(Planner(ARM, MOUNT, choice, pose).best(18).rows))
+    plan = sorted_tests(choice.take(Planner(ARM, MOUNT, choice, pose).best(18).rows))
     true = ARM.replace(joint_compliance=ARM.joint_compliance * FACTORS)
     moved = displacements(true, MOUNT, plan.tests)
     moved[:, :3] += 20e-6 * np.random.default_rng(270).normal(size=(len(moved), 3))

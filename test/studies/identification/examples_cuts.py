@@ -9,8 +9,8 @@ import numpy as np
 
 from kr270_milling.base.table import write_table
 from kr270_milling.physics.cutting import LinearEdgeLaw, Tool
-from kr270_milling.studies.identification.cuts import Cuts, engagement
-from kr270_milling.studies.identification.materials import find_material
+from kr270_milling.physics.cutting.materials import find_material
+from kr270_milling.studies.identification.cuts import CutMeasurements, engagement_angles
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
 NOTES = [
@@ -25,10 +25,10 @@ NAMES = ("feed_per_tooth_mm", "depth_mm", "width_mm", "mode", "fx_n", "fy_n", "f
 def cuts(path) -> None:
     """The table of cuts."""
     tool = Tool(diameter=0.02, teeth=4, spindle_speed=8000 * 2 * math.pi / 60)
-    entry, leave = np.array([engagement(mode, 1e-3 * width, tool.diameter) for _, mode, width in ROWS]).T
+    entry, leave = np.array([engagement_angles(mode, 1e-3 * width, tool.diameter) for _, mode, width in ROWS]).T
     n = len(ROWS)
     feed = 1e-3 * np.array([f for f, _, _ in ROWS])
-    some = Cuts(tool, feed, np.full(n, 1e-3), entry, leave, np.full((n, 3), np.nan), np.ones(n), False)
+    some = CutMeasurements(tool, feed, np.full(n, 1e-3), entry, leave, np.full((n, 3), np.nan), np.ones(n), False)
     force = LinearEdgeLaw(*np.nan_to_num(find_material("Al7075-T6")[1].values).tolist()).mean_forces(some)
     force = force + 2.0 * np.random.default_rng(7075).normal(size=force.shape)
     rows = [[f, 1.0, width, mode, *(f"{v:.2f}" for v in force[i])] for i, (f, mode, width) in enumerate(ROWS)]

@@ -12,7 +12,7 @@ from known_cuts import TRUE, cuts, measured
 from kr270_milling.cli import main
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import serialise
-from kr270_milling.studies.identification.cuts import Sensor, mean_force
+from kr270_milling.studies.identification.cuts import Sensor, recorded_mean_force
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 RPM, RATE = 6000.0, 2500  # 25 samples a revolution
@@ -78,7 +78,7 @@ def test_the_weight_on_a_sensor_is_taken_off_where_there_is_no_tare(tmp_path, on
             fields = {"header": {"stamp": stamp}, "wrench": {"force": dict(zip("xyz", shown.tolist(), strict=True))}}
             writer.write("/wrench", serialise(WRENCH, fields), k)
     sensor = Sensor(on_part=on_part, mass=20.0)
-    result, _ = mean_force(tmp_path / "cut", sensor, (0.02, 0.08), RPM * 2 * math.pi / 60)
+    result, _ = recorded_mean_force(tmp_path / "cut", sensor, (0.02, 0.08), RPM * 2 * math.pi / 60)
     assert result == pytest.approx(force, abs=1e-3)
 
 

@@ -15,19 +15,19 @@ from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.plant import perturbed
 from kr270_milling.physics.robot.analysis import read_arm
-from kr270_milling.physics.robot.arm import Compensator
+from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.physics.robot.elastostatics import equilibrium
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.show.report.identification.compliance import reason, sentences
 from kr270_milling.show.report.identification.plan import blind_spots, write_plan
-from kr270_milling.studies.identification.compliance import TooFewError, fit
+from kr270_milling.studies.identification.compliance import TooFewError, fit_compliance
 from kr270_milling.studies.identification.plan import (
     CRITERIA,
     Bench,
     Planner,
     candidates,
-    in_order,
     read_test_pose,
+    sorted_tests,
 )
 from kr270_milling.studies.identification.problem import Cause, Exclusion, Problem, SoftArmError
 
@@ -52,7 +52,7 @@ def test_derivatives_are_those_of_differences(rng):
 
 
 def test_without_noise_the_compliances_are_fitted_exactly(rng):
-    fitted = fit(Problem(ARM, MOUNT, campaigns.measured(campaigns.loads(rng))))
+    fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(campaigns.loads(rng))))
     assert fitted.values == pytest.approx(TRUE.joint_compliance, rel=1e-7)
     assert fitted.free.all() and fitted.residual_rms < 1e-10
 
@@ -60,7 +60,7 @@ def test_without_noise_the_compliances_are_fitted_exactly(rng):
 def test_gravity_matters_and_can_be_left_out(rng):
     """The derivative of the weights' torque (15) is a part of the stiffness."""
     seen = campaigns.measured(campaigns.loads(rng))
-    off = fit(Problem(ARM, MOUNT, seen, gravity=False)).values
+    off = fit_compliance(Problem(ARM, MOUNT, seen, gravity=False)).values
     assert 1e-4 < np.abs(off / TRUE.joint_compliance - 1).max() < 0.05
 
 
@@ -70,14 +70,14 @@ def test_intervals_cover_the_truth(known):
     rng = np.random.default_rng(3)
     hits = []
     for _ in range(60):
-        fitted = fit(Problem(ARM, MOUNT, campaigns.measured(campaigns.loads(rng), rng=rng, known=known)))
+        fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(campaigns.loads(rng), rng=rng, known=known)))
         hits.append(np.abs(fitted.values - TRUE.joint_compliance) <= fitted.half_widths)
     assert 0.91 <= np.mean(hits) <= 0.99
 
 
 def test_a_joint_that_no_load_turned_is_named(rng):
     """Force and reflector at the flange's centre: axis 6 passes through it."""
-    fitted = fit(Problem(ARM, MOUNT, campaigns.measured(campaigns.loads(rng, point=np.zeros(3)), rng=rng)))
+    fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(campaigns.loads(rng, point=np.zeros(3)), rng=rng)))
     assert fitted.free.tolist() == [True] * 5 + [False]
     assert reason(fitted, 5) == "joint 6: no load turned it"
     assert fitted.values[5] == ARM.joint_compliance[5] and fitted.half_widths[5] == np.inf
@@ -85,13 +85,13 @@ def test_a_joint_that_no_load_turned_is_named(rng):
 
 def test_a_reflector_on_the_axis_differs_from_a_load_on_the_axis(rng):
     tests = dataclasses.replace(campaigns.loads(rng), reflector=np.zeros((20, 3)))
-    assert fit(Problem(ARM, MOUNT, campaigns.measured(tests))).exclusions[5].cause is Cause.ON_AXIS
+    assert fit_compliance(Problem(ARM, MOUNT, campaigns.measured(tests))).exclusions[5].cause is Cause.ON_AXIS
 
 
 def test_weights_alone_do_not_turn_the_vertical_axis(rng):
     tests = campaigns.loads(rng)
     tests.wrench[:, :2] = 0.0
-    fitted = fit(Problem(ARM, MOUNT, campaigns.measured(tests)))
+    fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(tests)))
     assert fitted.exclusions == {0: Exclusion(Cause.NO_LOAD)}
 
 
@@ -103,7 +103,7 @@ def test_published_compliances_are_identified_from_hanging_loads(rng):
     weights.wrench[:, :3] = np.column_stack([np.zeros((15, 2)), -9.81 * rng.uniform(250.0, 280.0, 15)])
     moved = displacements(arm, mount, weights)
     moved[:, 3:] = np.nan
-    fitted = fit(Problem(ARM, mount, dataclasses.replace(weights, displacement=moved)))
+    fitted = fit_compliance(Problem(ARM, mount, dataclasses.replace(weights, displacement=moved)))
     assert fitted.free.tolist() == [False, *[True] * 5]
     assert 1e6 * fitted.values[1:] == pytest.approx(table, rel=1e-6)
     assert 1e6 * fitted.values[0] == pytest.approx(0.26)  # stays as Table 1 has it
@@ -113,7 +113,7 @@ def test_joints_that_move_alike_are_not_identified(rng):
     """One posture, one load: three numbers, of which axes 2, 3 and 5 make two."""
     tests = campaigns.loads(rng, 1)
     many = tests.take(np.zeros(8, int))
-    fitted = fit(Problem(ARM, MOUNT, campaigns.measured(many)))
+    fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(many)))
     assert fitted.free.sum() <= 3
     assert [e.cause for e in fitted.exclusions.values()].count(Cause.ALIKE) == 3
 
@@ -121,7 +121,7 @@ def test_joints_that_move_alike_are_not_identified(rng):
 def test_a_joint_whose_effect_is_below_the_noise_keeps_the_value_of_the_file(rng):
     tests = campaigns.loads(rng)
     tests.wrench[:] *= 0.01
-    fitted = fit(Problem(ARM, MOUNT, campaigns.measured(tests, rng=rng)))
+    fitted = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(tests, rng=rng)))
     assert not fitted.free.all() and Cause.NOISE in [e.cause for e in fitted.exclusions.values()]
     assert np.all(fitted.values > 0.0)
 
@@ -129,7 +129,7 @@ def test_a_joint_whose_effect_is_below_the_noise_keeps_the_value_of_the_file(rng
 def test_robust_fit_withstands_outliers_that_the_plain_one_does_not(rng):
     seen = campaigns.measured(campaigns.loads(rng, 30), rng=rng)
     seen.displacement[[3, 11, 20], :3] += 3e-3
-    plain, robust = (fit(Problem(ARM, MOUNT, seen), robust=r) for r in (False, True))
+    plain, robust = (fit_compliance(Problem(ARM, MOUNT, seen), robust=r) for r in (False, True))
     errors = [np.abs(f.values / TRUE.joint_compliance - 1).max() for f in (plain, robust)]
     assert errors[1] < 0.2 * errors[0]
     assert np.flatnonzero(robust.weights == 0.0).tolist() == [3, 11, 20]
@@ -138,16 +138,16 @@ def test_robust_fit_withstands_outliers_that_the_plain_one_does_not(rng):
 
 def test_stated_noise_that_is_too_small_widens_the_intervals(rng):
     tests = campaigns.loads(rng)
-    honest = fit(Problem(ARM, MOUNT, campaigns.measured(tests, rng=rng)))
+    honest = fit_compliance(Problem(ARM, MOUNT, campaigns.measured(tests, rng=rng)))
     seen = campaigns.measured(tests, rng=rng)
-    bold = fit(Problem(ARM, MOUNT, dataclasses.replace(seen, sigma=seen.sigma / 5)))
+    bold = fit_compliance(Problem(ARM, MOUNT, dataclasses.replace(seen, sigma=seen.sigma / 5)))
     assert bold.half_widths == pytest.approx(honest.half_widths, rel=0.4)
     assert bold.chi2_reduced > 15
 
 
 def test_a_sentence_warns_of_displacements_against_the_loads(rng):
     seen = campaigns.measured(campaigns.loads(rng), rng=rng)
-    right, wrong = (fit(Problem(ARM, MOUNT, dataclasses.replace(seen, displacement=s * seen.displacement)))
+    right, wrong = (fit_compliance(Problem(ARM, MOUNT, dataclasses.replace(seen, displacement=s * seen.displacement)))
                     for s in (1, -1))  # fmt: skip
     assert any("look at the signs" in text for text in sentences(wrong))
     assert not any("look at the signs" in text for text in sentences(right))
@@ -157,18 +157,18 @@ def test_rotations_help_where_they_are_measured(rng):
     tests = campaigns.loads(rng)
     shifts = campaigns.measured(tests)
     both = dataclasses.replace(shifts, displacement=displacements(TRUE, MOUNT, tests))
-    widths = [fit(Problem(ARM, MOUNT, m)).half_widths for m in (shifts, both)]
+    widths = [fit_compliance(Problem(ARM, MOUNT, m)).half_widths for m in (shifts, both)]
     assert np.all(widths[1] < widths[0])
 
 
 def test_the_compensator_is_identified(rng):
-    spring = Compensator(stiffness=200e3, preload=20e3, base_x=-0.69, base_z=0.12, arm_length=0.4)
+    spring = GravityCompensator(stiffness=200e3, preload=20e3, base_x=-0.69, base_z=0.12, arm_length=0.4)
     tests = campaigns.loads(rng, 40)
     tests.wrench[:, 2] -= 2000.0
     true = TRUE.replace(compensator=spring)
     seen = campaigns.measured(tests, arm=true, rng=rng, sigma=1e-6)
     start = ARM.replace(compensator=spring.replace(stiffness=150e3, preload=15e3))
-    fitted = fit(
+    fitted = fit_compliance(
         Problem(start, MOUNT, dataclasses.replace(seen, sigma=seen.sigma / 20), True, ("stiffness", "preload"))
     )
     assert np.all(np.abs(fitted.values[6:] - [200e3, 20e3]) < 2 * fitted.half_widths[6:])
@@ -178,9 +178,44 @@ def test_the_compensator_is_identified(rng):
 def test_too_few_numbers_and_an_arm_that_falls_are_refused(rng):
     tests = campaigns.measured(campaigns.loads(rng, 2))
     with pytest.raises(TooFewError, match="6 measured numbers"):
-        fit(Problem(ARM, MOUNT, tests))
+        fit_compliance(Problem(ARM, MOUNT, tests))
     with pytest.raises(SoftArmError, match="no equilibrium under the load of row"):
         Problem(ARM, MOUNT, tests).predict(np.full(6, 1e4))
+
+
+# --- Identified intervals reach the plants of the verdict ---
+
+
+SPREADS = [0.01, 0.02, 0.04, 0.08, 0.16, 0.32]
+
+
+def factors(*settings: str) -> np.ndarray:
+    """Of the compliances and of the coefficients K_tc, K_ac, K_ae of 400 plants, (400, 9)."""
+    cell = read_cell(find_file("test_piece.yaml"), ["cutting.linear_edge.axial_edge_n_per_mm=-3", *settings])
+    rng = np.random.default_rng(6)
+    return np.array([known(perturbed(cell, rng)) for _ in range(400)]) / known(cell)
+
+
+def known(cell) -> list[float]:
+    law = cell.cutting.linear_edge
+    return [*cell.arm.joint_compliance, law.tangential_cutting, law.axial_cutting, law.axial_edge]
+
+
+def test_each_joint_and_each_coefficient_scatters_by_its_own_spread():
+    """Log-normal of relative deviation v: ln has the deviation sqrt(ln(1 + v^2)); 400 samples know it to 3.5 %."""
+    joints = f"uncertainty.joint_compliances={SPREADS}"
+    for given, axial in (([0.05, 0.1, 0.1, 0.1], [0.15, 0.15]), ([0.05, 0.1, 0.1, 0.1, 0.2, 0.3], [0.2, 0.3])):
+        drawn = np.log(factors(joints, f"uncertainty.force_coefficients={given}")).std(0)
+        assert drawn == pytest.approx(np.sqrt(np.log1p(np.square([*SPREADS, 0.05, *axial]))), rel=0.12)
+
+
+def test_without_them_the_common_spread_holds():
+    assert np.log(factors()).std(0) == pytest.approx(np.full(9, np.sqrt(np.log1p(0.15**2))), rel=0.12)
+
+
+def test_lists_of_another_length_are_refused():
+    with pytest.raises(ParameterError, match="empty or one number"):
+        factors("uncertainty.force_coefficients=[0.1]")
 
 
 # --- Plans of load tests: the design is what it claims, the exchange finds the best of what can be enumerated ---
@@ -244,7 +279,7 @@ def test_masses_alone_leave_the_vertical_axis_unknown(choice):
 
 
 def test_the_plan_is_sorted_by_load_and_written_for_the_controller(choice, planner, tmp_path):
-    plan = in_order(choice.take(planner.best(10).rows))
+    plan = sorted_tests(choice.take(planner.best(10).rows))
     assert np.all(np.diff(plan.kind) >= 0)
     files = write_plan(tmp_path, plan, ["a note"])
     program = files[1].read_bytes().decode("ascii")
@@ -257,38 +292,3 @@ def test_a_sentence_names_the_joints_that_a_plan_cannot_identify():
     relative = np.array([0.01, 0.02, 0.02, 0.05, 0.04, 1.0])
     (sentence,) = blind_spots(relative)
     assert sentence.startswith("joint 6: these tests hardly identify") and blind_spots(relative[:5]) == []
-
-
-# --- Identified intervals reach the plants of the verdict ---
-
-
-SPREADS = [0.01, 0.02, 0.04, 0.08, 0.16, 0.32]
-
-
-def factors(*settings: str) -> np.ndarray:
-    """Of the compliances and of the coefficients K_tc, K_ac, K_ae of 400 plants, (400, 9)."""
-    cell = read_cell(find_file("test_piece.yaml"), ["cutting.linear_edge.axial_edge_n_per_mm=-3", *settings])
-    rng = np.random.default_rng(6)
-    return np.array([known(perturbed(cell, rng)) for _ in range(400)]) / known(cell)
-
-
-def known(cell) -> list[float]:
-    law = cell.cutting.linear_edge
-    return [*cell.arm.joint_compliance, law.tangential_cutting, law.axial_cutting, law.axial_edge]
-
-
-def test_each_joint_and_each_coefficient_scatters_by_its_own_spread():
-    """Log-normal of relative deviation v: ln has the deviation sqrt(ln(1 + v^2)); 400 samples know it to 3.5 %."""
-    joints = f"uncertainty.joint_compliances={SPREADS}"
-    for given, axial in (([0.05, 0.1, 0.1, 0.1], [0.15, 0.15]), ([0.05, 0.1, 0.1, 0.1, 0.2, 0.3], [0.2, 0.3])):
-        drawn = np.log(factors(joints, f"uncertainty.force_coefficients={given}")).std(0)
-        assert drawn == pytest.approx(np.sqrt(np.log1p(np.square([*SPREADS, 0.05, *axial]))), rel=0.12)
-
-
-def test_without_them_the_common_spread_holds():
-    assert np.log(factors()).std(0) == pytest.approx(np.full(9, np.sqrt(np.log1p(0.15**2))), rel=0.12)
-
-
-def test_lists_of_another_length_are_refused():
-    with pytest.raises(ParameterError, match="empty or one number"):
-        factors("uncertainty.force_coefficients=[0.1]")

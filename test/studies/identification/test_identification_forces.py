@@ -11,13 +11,13 @@ from known_cuts import FEEDS, TOOL, TRUE, cuts, measured
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.physics.cutting import Cut, Cutting, FractionalLaw, LinearEdgeLaw, Stock
+from kr270_milling.physics.cutting.materials import find_material, materials
 from kr270_milling.studies.identification.cuts import Sensor, read_cuts
 from kr270_milling.studies.identification.forces import (
     OneFeedError,
-    fit,
+    fit_forces,
     law_sections,
 )
-from kr270_milling.studies.identification.materials import find_material, materials
 
 
 def test_slot_means_are_the_closed_forms():
@@ -55,7 +55,7 @@ def test_means_of_partial_immersion_are_those_of_the_cut_itself(mode, width, rot
 
 @pytest.mark.parametrize(("mode", "width"), [("slot", 0.02), ("up", 0.01), ("down", 0.004)])
 def test_coefficients_are_exact_without_noise(mode, width):
-    result = fit("linear_edge", measured(cuts(mode, width)))
+    result = fit_forces("linear_edge", measured(cuts(mode, width)))
     assert result.values == pytest.approx(TRUE, rel=1e-9)
 
 
@@ -64,7 +64,7 @@ def test_intervals_cover_the_truth():
     rng = np.random.default_rng(5)
     hits = []
     for _ in range(300):
-        result = fit("linear_edge", measured(cuts("up", 0.012), rng=rng, sigma=2.0))
+        result = fit_forces("linear_edge", measured(cuts("up", 0.012), rng=rng, sigma=2.0))
         hits.append(np.abs(result.values - TRUE) <= result.half_widths)
     assert 0.93 <= np.mean(hits) <= 0.97
 
@@ -72,14 +72,14 @@ def test_intervals_cover_the_truth():
 def test_without_axial_forces_the_axial_pair_is_not_identified():
     some = measured(cuts())
     some.force[:, 2] = np.nan
-    result = fit("linear_edge", some)
+    result = fit_forces("linear_edge", some)
     assert np.isnan(result.values[4:]).all() and result.values[:4] == pytest.approx(TRUE[:4])
 
 
 def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_is_reported():
     some = measured(cuts())
     some.force[:, 2] *= -1.0
-    result = fit("linear_edge", some)
+    result = fit_forces("linear_edge", some)
     assert result.values == pytest.approx(TRUE) and result.axial == 1.0
     sections = law_sections("linear_edge", result.values, result.half_widths, result.axial)
     assert sections["cutting"]["linear_edge"]["axial_cutting_n_per_mm2"][0] == pytest.approx(-222.0)
@@ -89,9 +89,9 @@ def test_an_axial_force_into_the_holder_has_positive_coefficients_too_and_is_rep
 
 def test_one_feed_is_refused():
     with pytest.raises(OneFeedError, match="at least 2 feeds"):
-        fit("linear_edge", measured(cuts(feeds=(0.1e-3,) * 5)))
+        fit_forces("linear_edge", measured(cuts(feeds=(0.1e-3,) * 5)))
     with pytest.raises(OneFeedError, match="2 feeds per tooth"):
-        fit("fractional", measured(cuts(feeds=(0.1e-3, 0.2e-3))))
+        fit_forces("fractional", measured(cuts(feeds=(0.1e-3, 0.2e-3))))
 
 
 def test_fractional_means_are_those_of_the_facts():
@@ -110,10 +110,10 @@ def test_the_fractional_law_is_identified_and_differs_from_the_other_law():
     rng = np.random.default_rng(1)
     force = FractionalLaw(*paper).mean_forces(some) + 0.3 * rng.normal(size=(12, 3))
     some = dataclasses.replace(some, force=force)
-    result = fit("fractional", some)
+    result = fit_forces("fractional", some)
     assert np.all(np.abs(result.values - paper) < 1.5 * result.half_widths)
     assert np.all(result.half_widths < 0.2 * paper)
-    assert result.lateral_rms < 0.5 * fit("linear_edge", some).lateral_rms
+    assert result.lateral_rms < 0.5 * fit_forces("linear_edge", some).lateral_rms
 
 
 @pytest.mark.parametrize(

@@ -17,8 +17,8 @@ from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main
 from kr270_milling.show.report.identification.comparison import advice
 from kr270_milling.studies.identification.comparison import (
+    ComparedSeries,
     NoOverlapError,
-    PassSeries,
     VectorSeries,
     best_lag,
     compare,
@@ -119,14 +119,14 @@ def model():
     return run(CELL)
 
 
-def as_pass(result, lag=0.0, noise=0.0) -> PassSeries:
+def as_pass(result, lag=0.0, noise=0.0) -> ComparedSeries:
     rng = np.random.default_rng(4)
     force = result.wrench[:, :3] + noise * 1e6 * rng.normal(size=result.wrench[:, :3].shape)
     place = result.actual + noise * rng.normal(size=result.actual.shape)
-    return PassSeries(VectorSeries(result.time + lag, force), VectorSeries(result.time + lag, place))
+    return ComparedSeries(VectorSeries(result.time + lag, force), VectorSeries(result.time + lag, place))
 
 
-def compared(measured: PassSeries, model):
+def compared(measured: ComparedSeries, model):
     feed = CELL.target().sample_velocity(model.time_ns)
     return compare(measured, as_pass(model), model.target, feed, 2 * np.pi / CELL.tool.spindle_speed)
 
@@ -156,16 +156,16 @@ def test_advice_separates_larger_forces_from_a_softer_arm(model):
 
 def test_a_force_alone_or_a_place_alone_is_compared(model):
     both = as_pass(model)
-    assert set(compared(PassSeries(both.force, None), model).lags) == {"force"}
-    assert set(compared(PassSeries(None, both.tool), model).lags) == {"pose"}
+    assert set(compared(ComparedSeries(both.force, None), model).lags) == {"force"}
+    assert set(compared(ComparedSeries(None, both.tool), model).lags) == {"pose"}
     with pytest.raises(MillingError, match="neither a force nor a place"):
-        compared(PassSeries(None, None), model)
+        compared(ComparedSeries(None, None), model)
 
 
 def test_another_pass_is_refused(model):
     noise = np.random.default_rng(0).normal(size=model.wrench[:, :3].shape)
     with pytest.raises(NoOverlapError, match="does not resemble"):
-        compared(PassSeries(VectorSeries(model.time, noise), None), model)
+        compared(ComparedSeries(VectorSeries(model.time, noise), None), model)
 
 
 def test_lag_and_line_of_a_known_series():

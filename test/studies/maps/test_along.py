@@ -13,7 +13,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cli import main
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.studies.maps.along import NoWayError, Turns, constant_way, find_way
-from kr270_milling.studies.maps.placements import Course
+from kr270_milling.studies.maps.placements import PathPlaces
 
 GRID = np.radians(np.arange(-90.0, 91.0, 10.0))
 ARM, _ = read_arm(find_file("kr270_2.yaml"))
@@ -81,7 +81,7 @@ def across() -> Turns:
     """A cut of 1.2 m across the front of the arm in 24 s, the spindle across axis 6."""
     cell = read_cell(find_file("test_piece.yaml"))
     y = np.linspace(-0.6, 0.6, 49)
-    course = Course(np.stack([0 * y, y, 0 * y], 1), np.tile(np.diag([1.0, -1.0, -1.0]), (49, 1, 1)),
+    course = PathPlaces(np.stack([0 * y, y, 0 * y], 1), np.tile(np.diag([1.0, -1.0, -1.0]), (49, 1, 1)),
                     np.tile([0.0, 1.0, 0.0], (49, 1)), np.tile([150.0, -40.0, -20.0], (49, 1)))  # fmt: skip
     return Turns(cell, course, 0.5, np.degrees(0.05e-6))
 

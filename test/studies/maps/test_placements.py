@@ -14,9 +14,9 @@ from kr270_milling.cell.jobs import simulate
 from kr270_milling.cli import main
 from kr270_milling.physics.motion.arm_model import modal_models
 from kr270_milling.physics.robot import compliance, equilibrium, pose
-from kr270_milling.physics.robot.arm import NO_COMPENSATOR, Compensator
+from kr270_milling.physics.robot.arm import NO_COMPENSATOR, GravityCompensator
 from kr270_milling.studies.maps.engine import Study
-from kr270_milling.studies.maps.placements import Course, Placements, moved_cell
+from kr270_milling.studies.maps.placements import PathPlaces, Placements, moved_cell
 from kr270_milling.studies.maps.postures import whole_turns
 from kr270_milling.studies.maps.sweep import Axis, Sweep, parse_axis
 
@@ -27,7 +27,7 @@ pytest.importorskip("pyarrow")
 def placements() -> Placements:
     cell = read_cell(find_file("test_piece.yaml"), ["dynamics.gravity=false"])
     x = np.linspace(-0.04, 0.04, 5)
-    course = Course(
+    course = PathPlaces(
         np.stack([x, 0 * x, -1e-3 + 0 * x], 1),
         np.tile(np.diag([1.0, -1.0, -1.0]), (5, 1, 1)),
         np.tile([1.0, 0.0, 0.0], (5, 1)),
@@ -93,8 +93,8 @@ def test_the_compensator_and_the_lowest_mode_are_those_of_the_loaded_arm(placeme
     names = ("x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg")
     place = dict(zip(names, (1500.0, 0.0, 800.0, 0.0, 0.0), strict=True))
     whole = placements.course
-    course = Course(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
-    spring = Compensator(stiffness=20e6, base_x=-0.69, base_z=0.12, arm_length=0.4)
+    course = PathPlaces(whole.position[2:3], whole.rotation[2:3], whole.feed[2:3], np.array([[0.0, 0.0, 150.0]]))
+    spring = GravityCompensator(stiffness=20e6, base_x=-0.69, base_z=0.12, arm_length=0.4)
     cell = read_cell(find_file("test_piece.yaml"))
     rows = Placements(cell, course, placements.axes).rows(np.array([[1.5, 0.0, 0.8, 0.0, 0.0]]))
     branch = int(np.flatnonzero(rows["feasible"][0])[0])

@@ -157,12 +157,17 @@ class _AptReader(Machine):
         super().change_tool(tool)
 
     def _cutter(self, values: list[str]) -> None:
-        """CUTTER/d, r, ... and TLDATA/MILL, d, ... say the diameter."""
+        """CUTTER/d, r, ... and TLDATA/MILL, d, ... say the diameter; r is the radius of the corner of a mill."""
         self.program.silent["CUTTER"] += 1
         sizes = [value for value in values if not value[:1].isalpha()]
         diameter = _number(sizes[0]) * self.unit if sizes else 0.0
         if 0 < diameter <= LARGEST_CUTTER:
-            self.program.known[self.program.tool] = ProgramTool(self.program.tool, diameter=diameter)
+            mill = not values[0][:1].isalpha() or values[0].upper() == "MILL"
+            radius = _number(sizes[1]) * self.unit if mill and len(sizes) > 1 else 0.0
+            radius = radius if 0.0 < radius <= 0.501 * diameter else 0.0
+            self.program.known[self.program.tool] = ProgramTool(
+                self.program.tool, diameter=diameter, corner_radius=radius
+            )
 
     # --- moves ---
 

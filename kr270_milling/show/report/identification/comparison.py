@@ -6,7 +6,7 @@ import numpy as np
 
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import points
-from kr270_milling.studies.identification.comparison import ComparedChannel, Comparison, Line
+from kr270_milling.studies.identification.comparison import ComparedChannel, Comparison, LinearFit
 
 __all__ = ["advice", "comparison_outcome"]
 
@@ -65,7 +65,7 @@ def advice(comparison: Comparison) -> list[str]:
     return sentences or ["measurement and simulation agree: nothing to identify again"]
 
 
-def _differs(line: Line, expected: float) -> bool:
+def _differs(line: LinearFit, expected: float) -> bool:
     away = abs(line.gain - expected)
     return away > AGREES * max(expected, 0.1) and away > SURE * line.gain_sigma
 

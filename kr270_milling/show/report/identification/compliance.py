@@ -6,7 +6,7 @@ import numpy as np
 from scipy import stats
 
 from kr270_milling.base.record import specs
-from kr270_milling.physics.robot.arm import Compensator
+from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import figure_of, points
 from kr270_milling.studies.identification.compliance import Fit
@@ -113,7 +113,7 @@ def _as_dict(fit: Fit, pose: Measurements | None) -> dict:
 
 def _compensator(fit: Fit, numbers: np.ndarray) -> dict[str, float]:
     """Numbers (p,) [SI] of the compensator in units of the parameter file."""
-    by_name = {spec.name: spec for spec in specs(Compensator)}
+    by_name = {spec.name: spec for spec in specs(GravityCompensator)}
     chosen = [by_name[name] for name in fit.problem.compensator]
     return {spec.key: float(number / spec.scale) for spec, number in zip(chosen, numbers[6:], strict=True)}
 

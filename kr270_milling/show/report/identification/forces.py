@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from kr270_milling.physics.cutting import LAWS
+from kr270_milling.physics.cutting.materials import Material
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import points
 from kr270_milling.studies.identification.forces import NAMES, SCALE, TOWARD_PART, LawFit, law_sections
-from kr270_milling.studies.identification.materials import Material
 
 __all__ = ["force_outcome", "material_outcome"]
 

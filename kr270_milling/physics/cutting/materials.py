@@ -9,12 +9,16 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.record import specs
 from kr270_milling.base.table import read_table
-from kr270_milling.studies.identification.forces import NAMES, SCALE
+from kr270_milling.physics.cutting.linear_edge import LinearEdgeLaw
 
-__all__ = ["Material", "find_material", "materials"]
+__all__ = ["NAMES", "SCALE", "Material", "find_material", "materials"]
 
 FILE = "materials.csv"
+#: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON, in the order and the units of LinearEdgeLaw
+NAMES = LinearEdgeLaw.result_keys()
+SCALE = np.array([spec.scale for spec in specs(LinearEdgeLaw)])  #: [N/m^2, N/m per file unit]
 TEXTS = ("material", "cutter", "lubrication", "reference")
 COLUMNS = (*TEXTS, *NAMES)
 SOURCE = "Chinese Journal of Mechanical Engineering (2021), doi 10.1186/s10033-021-00536-9, table 5"

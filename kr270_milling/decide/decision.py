@@ -1,0 +1,145 @@
+"""The decision on a compensated path, made once: terminal, JSON, report, manifest and programs print this object."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from kr270_milling.decide.check import Checked
+from kr270_milling.decide.tolerance import Judgement, um_text
+from kr270_milling.decide.verdict import Comparison, Verdict
+from kr270_milling.physics.compensation.methods import LEARNED
+
+__all__ = ["CAUTION", "ENOUGH", "NO", "YES", "Decision", "decided"]
+
+YES, CAUTION, NO = "yes", "caution", "no"
+ENOUGH = 0.9  #: share of the plants that must meet the tolerance for a ``yes``
+REDUCE = "reduce the uncertainty: identify compliances"
+NEEDS_TRACKER = "learned needs a tracker on the real machine: here it learned from simulated passes"
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Whether a compensated path is to be run.
+
+    ``yes``: no stop, and at least 90 % of the plants meet the tolerance. ``no``: a stop, or the model misses the
+    tolerance. ``caution``: everything else, also where the tolerance or the verdict is missing.
+    """
+
+    as_programmed: Judgement
+    compensated: Judgement
+    method: str  #: that was run and is written; "none": the path as programmed
+    stops: tuple[str, ...] = ()  #: sentences of the findings that forbid to run the path
+    warnings: int = 0
+    verdict: Verdict | None = None  #: of plants that are not the model; None: not run
+    comparison: Comparison | None = None  #: where the method was chosen by ``best``
+    notes: tuple[str, ...] = ()  #: what a user of the method must know
+    backlash: str = ""  #: whether the figures include the backlash of the joints
+
+    @property
+    def may_be_run(self) -> bool:
+        """Whether no finding forbids it."""
+        return not self.stops
+
+    @property
+    def level(self) -> str:
+        """``yes``, ``caution`` or ``no``."""
+        if self.stops or self.compensated.passes is False:
+            return NO
+        if self.verdict is None or self.verdict.within is None or self.compensated.passes is None:
+            return CAUTION
+        return YES if self.verdict.within >= ENOUGH * len(self.verdict.compensated) else CAUTION
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 1 for ``no``."""
+        return int(self.level == NO)
+
+    @property
+    def recommended_method(self) -> str | None:
+        """The method that a comparison recommends; None without a comparison."""
+        if self.comparison:
+            return self.comparison.best
+        return self.verdict.recommended if self.verdict and len(self.verdict.methods) > 1 else None
+
+    @property
+    def sentence(self) -> str:
+        """Why, and what is missing."""
+        model = self.compensated.sentence("on the model")
+        if self.stops:
+            more = f", and {len(self.stops) - 1} more" if len(self.stops) > 1 else ""
+            return f"the path must not be run: {self.stops[0]}{more}; {model}"
+        parts = [model + self._plants]
+        if self.compensated.passes is None and math.isfinite(self.compensated.error):
+            parts.append("no tolerance is given: set part.tolerance_um")
+        if self.verdict is None:
+            parts.append("no verdict of simulated robots: kr270_milling compensate --verdict runs them")
+        elif self.level == CAUTION and self.verdict.within is not None:
+            parts.append(REDUCE)
+        return "; ".join(parts)
+
+    @property
+    def _plants(self) -> str:
+        """The plants, in the same quantity."""
+        if self.verdict is None:
+            return ""
+        count, median = len(self.verdict.compensated), f"median {um_text(self.verdict.band('compensated')[1])}"
+        if self.verdict.within is None:
+            return f", {median} in {count} simulated robots"
+        return f" and in {self.verdict.within} of {count} simulated robots ({median})"
+
+    @property
+    def text(self) -> str:
+        """One line: level and sentence."""
+        return f"decision: {self.level}: {self.sentence}"
+
+    @property
+    def method_text(self) -> str:
+        """One line: the method that is written, and the one that a comparison recommends."""
+        if self.comparison:
+            return f"recommended method: {self.comparison.sentence}"
+        chosen = f"method: {self.method}, as set"
+        return f"{chosen}; recommended method: {self.recommended_method}" if self.recommended_method else chosen
+
+    @property
+    def headline(self) -> str:
+        """One line with both passes."""
+        backlash = f"; {self.backlash}" if self.backlash else ""
+        return f"{self.text}{backlash}; as programmed: {self.as_programmed.words}; {self.method_text}"
+
+    def lines(self) -> list[str]:
+        """The lines that terminal, manifest and programs print."""
+        more = [self.backlash] if self.backlash else []
+        return [self.text, *more, f"as programmed: {self.as_programmed.words}", self.method_text, *self.notes]
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return {
+            "decision": self.level,
+            "sentence": self.sentence,
+            "quantity": self.compensated.quantity,
+            "as_programmed": self.as_programmed.as_dict(),
+            "compensated": self.compensated.as_dict(),
+            "may_be_run": self.may_be_run,
+            "method": self.method,
+            "recommended_method": self.recommended_method,
+            "comparison": self.comparison and self.comparison.as_dict(),
+            "notes": list(self.notes),
+            "backlash": self.backlash,
+        }
+
+
+def decided(
+    before: Judgement, after: Judgement, method: str, checked: Checked, verdict: Verdict | None = None,
+    comparison: Comparison | None = None, backlash: str = "",
+) -> Decision:  # fmt: skip
+    """The decision on a pass as programmed and one along the reference of a method.
+
+    checked: findings of the path of the second one; backlash: whether the figures include it.
+    """
+    stops = tuple(finding.sentence for finding in checked.findings if finding.severity == "stop")
+    notes = [NEEDS_TRACKER] if method == LEARNED.name else []
+    if after.error > before.error:
+        errors = f"{um_text(after.error)} against {um_text(before.error)}"
+        notes.append(f"{method} makes the part worse than no compensation ({errors})")
+    return Decision(before, after, method, stops, checked.count("warning"), verdict, comparison, tuple(notes), backlash)

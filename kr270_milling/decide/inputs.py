@@ -1,0 +1,147 @@
+"""Checks of the inputs: numbers that no arm, tool or material has, and a cell that is not the cell of the program."""
+
+from __future__ import annotations
+
+import functools
+import math
+
+import numpy as np
+
+from kr270_milling.cell.cell import Cell
+from kr270_milling.decide.findings import Violation, violation
+from kr270_milling.physics.cutting import LinearEdgeLaw
+from kr270_milling.physics.cutting.materials import materials
+
+__all__ = ["input_violations"]
+
+#: [rad/(N m)], joint compliances of heavy arms lie at 0.1 to 10 urad/(N m) (Table 1 of [Klimchik2012]: 0.15 to 2.13)
+COMPLIANCE = 1e-8, 1e-4
+#: [kg], links of arms that carry a milling spindle (Table 1: 18 to 337)
+LINK_MASS = 1.0, 2e3
+WIDEST_GRID = 0.05  #: of the tool's radius: with fewer nodes across a cut its force is noise
+MATERIAL_RANGE = 0.3, 3.0  #: factors of the least and the largest published K_tc; beyond them a unit has slipped
+DIAMETER_ROUNDING = 20e-6  #: [m], of a diameter in a comment: 0.394 in for 10 mm
+REGROUND = 0.02  #: share of the diameter that regrinding takes; a larger difference is another tool
+MOST_OUTSIDE = 0.5  #: share of the cutting moves outside of the stock; leads and overlaps take less
+PLACES = 100_000  #: of a path, at most
+
+
+def input_violations(cell: Cell) -> list[Violation]:
+    """Everything that is wrong or unlikely in the parameter file, and between the cell and its program."""
+    return _unlikely_arm(cell) + _placement(cell) + _posture(cell) + _material(cell) + _program(cell)
+
+
+def _unlikely_arm(cell: Cell) -> list[Violation]:
+    arm, mass = cell.arm, cell.mount.mass
+    found = _unlikely("compliance", arm.joint_compliance, COMPLIANCE) + _unlikely("mass", arm.link_mass, LINK_MASS)
+    if arm.payload and mass > arm.payload:
+        found.append(violation("payload", mass, arm.payload))
+    return found
+
+
+def _unlikely(kind: str, values: np.ndarray, bounds: tuple[float, float]) -> list[Violation]:
+    """The first value that is not within the bounds."""
+    over = np.flatnonzero(~((values >= bounds[0]) & (values <= bounds[1])))
+    return [violation(kind, values[k], bounds[int(values[k] > bounds[1])], number=k + 1) for k in over[:1]]
+
+
+def _placement(cell: Cell) -> list[Violation]:
+    """A workpiece out of reach, a grid that is too coarse for the tool."""
+    arm, step, widest = cell.arm, cell.stock.grid_step, WIDEST_GRID * cell.tool.radius
+    reach = arm.a1 + arm.a2 + arm.forearm + arm.d6 + float(np.linalg.norm(cell.mount.xyz))
+    away = float(np.hypot(*cell.workpiece.xyz[:2]))
+    found = []
+    if step > widest:
+        found.append(violation("tool and grid", step, widest, diameter=1e3 * cell.tool.diameter))
+    if away > reach:
+        found.append(violation("envelope", away, reach))
+    return found
+
+
+def _posture(cell: Cell) -> list[Violation]:
+    """Joints outside the limits, or all so small that they must be radians."""
+    q, arm = np.asarray(cell.posture), cell.arm
+    key = "start_joints_deg" if cell.start_joints.size else "posture_hint_deg"
+    beyond = np.maximum(q - arm.joint_upper, arm.joint_lower - q)
+    k = int(np.argmax(beyond))
+    degrees = np.degrees(np.abs(q))
+    if beyond[k] > 0.0:
+        limit = arm.joint_upper[k] if q[k] > arm.joint_upper[k] else arm.joint_lower[k]
+        reason = f"axis {k + 1} is at {np.degrees(q[k]):.4g} deg"
+        return [violation("posture", q[k], limit, key=key, reason=reason)]
+    if np.any(degrees > 0.0) and np.all(degrees <= 2.0 * np.pi) and np.any(degrees % 1.0 > 1e-9):
+        reason = f"all within {degrees.max():.3g} deg, as radians would be"
+        return [violation("posture", np.radians(degrees.max()), np.radians(2.0 * np.pi), key=key, reason=reason)]
+    return []
+
+
+@functools.cache
+def _published() -> tuple[float, float]:
+    """The least and the largest K_tc of ``config/materials.csv`` [N/m^2]."""
+    values = [float(row.values[0]) for row in materials()]
+    return min(values), max(values)
+
+
+def _material(cell: Cell) -> list[Violation]:
+    """K_tc far from those of all published rows: a unit has slipped, or the material is another one."""
+    law = cell.cutting.active
+    if not isinstance(law, LinearEdgeLaw):
+        return []
+    low, high = (factor * value for factor, value in zip(MATERIAL_RANGE, _published(), strict=True))
+    value = law.tangential_cutting
+    if low <= value <= high:
+        return []
+    return [violation("force coefficient", value, low if value < low else high, low=1e-6 * low, high=1e-6 * high)]
+
+
+def _program(cell: Cell) -> list[Violation]:
+    """What contradicts the program of ``path.file``."""
+    fed = cell.fed_path
+    if fed is None:
+        return []
+    path, found = fed.toolpath, _outside(cell)
+    tool = path.program.current
+    if path.program.tools and not path.spindle_speed[~path.rapid].any():
+        block = int(np.flatnonzero(~path.rapid[1:])[0]) + 1
+        rpm = cell.tool.spindle_speed * 30.0 / math.pi
+        found.append(violation("spindle off", 0.0, cell.tool.spindle_speed, block=block, rpm=rpm))
+    if path.drilling.any():
+        block = int(np.argmax(path.drilling))
+        holes = len(np.unique(path.position[path.drilling, :2], axis=0))
+        number = f"{holes} hole" + "s" * (holes > 1)
+        found.append(violation("drilling", float(holes), 0.0, block=block, number=number))
+    if tool is None:
+        return found
+    if tool.diameter and abs(tool.diameter - cell.tool.diameter) > DIAMETER_ROUNDING:
+        other = abs(tool.diameter - cell.tool.diameter) > REGROUND * tool.diameter
+        severity = "stop" if other else "warning"
+        found.append(violation("tool diameter", cell.tool.diameter, tool.diameter, severity=severity, line=tool.line,
+                               label=tool.label))  # fmt: skip
+    if tool.shape and cell.tool.type != "flat":
+        found.append(violation("tool shape", tool.corner_radius, 0.0, line=tool.line, label=tool.label,
+                               shape=tool.shape))  # fmt: skip
+    return found
+
+
+def _outside(cell: Cell) -> list[Violation]:
+    """Features whose cutting moves never pass over the stock, and a path that is outside of the stock mostly."""
+    path = cell.fed_path.toolpath
+    low, high, radius = cell.stock.min, cell.stock.max, float(cell.tool.radii.max())
+    distance = np.linspace(0.0, path.length, 2 + min(PLACES, int(4.0 * path.length / radius)))
+    position, block = path.on_path(distance)[0], path.block_at(distance)
+    cuts = ~path.rapid[block]
+    away = np.hypot(*(position[:, :2] - np.clip(position[:, :2], low[:2], high[:2])).T)
+    outside = away >= radius
+    found = []
+    for number in np.unique(path.feature[block[cuts]]).tolist():
+        mine = cuts & (path.feature[block] == number)
+        if outside[mine].all():
+            name = path.features[number] or "the path"
+            first = int(np.flatnonzero(mine)[0])
+            found.append(violation("outside the stock", float(away[mine].min()) - radius, 0.0, block=int(block[first]),
+                                   subject=name))  # fmt: skip
+    share = float(np.mean(outside[cuts])) if cuts.any() else 0.0
+    if not found and share > MOST_OUTSIDE:
+        first = int(np.flatnonzero(cuts & outside)[0])
+        found.append(violation("stock too small", share, MOST_OUTSIDE, block=int(block[first])))
+    return found

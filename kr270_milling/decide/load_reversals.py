@@ -1,0 +1,54 @@
+"""Places of a path where the load on a joint reverses, so that its backlash moves the tool."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.cell.plant import joint_gaps
+from kr270_milling.decide.findings import Finding, Violation, violation
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.backlash import tool_jumps
+from kr270_milling.physics.robot.arm import ASSUMED_BACKLASH
+
+__all__ = ["backlash_statement", "load_reversals"]
+
+LEAST_JUMP = 1e-7  #: [m], of the tool; a smaller jump shows nowhere
+ARCSEC = math.pi / 648000  # [rad]
+
+
+def load_reversals(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
+    """Each change of a flank under weight, inertia of the path and the cut of the simulated pass, in the order of time.
+
+    The gaps are those of a plant whose joints have ``arm.backlash``; see ``physics.motion.backlash``.
+    """
+    width, result = cell.arm.backlash, ran.result
+    places = []
+    for step, joint, jump in tool_jumps(joint_gaps(cell, run, width), result.wrench):
+        if jump < LEAST_JUMP:
+            continue
+        point = int(np.clip(np.searchsorted(run.time_ns, result.time_ns[step]), 0, len(run) - 1)) + 1
+        amounts = {"arcsec": float(width[joint] / ARCSEC), "friction_n_m": float(cell.arm.friction_torque[joint])}
+        source = " (assumed)" if math.isclose(width[joint], ASSUMED_BACKLASH[joint]) else " (arm.backlash_arcsec)"
+        places.append(
+            violation("load reversal", jump, 0.0, point, subject=f"axis {joint + 1}", amounts=amounts, source=source)
+        )
+    return places
+
+
+def backlash_statement(cell: Cell, reversals: Sequence[Finding] | None, drawn: bool) -> str:
+    """Return whether the decision includes the backlash; drawn: a verdict with plants was made."""
+    width = cell.uncertainty.backlash * cell.arm.backlash / ARCSEC
+    if not cell.arm.backlash.any():
+        return "backlash: none (arm.backlash_arcsec is 0)"
+    if drawn and width.any():
+        return f"backlash: in the verdict only, 0 to {width.max():.3g} arcsec"
+    if not reversals:
+        return f"backlash: not included{'' if reversals is None else ', no load reverses'}"
+    largest = max(one.value for one in reversals)
+    places = f"{len(reversals)} place{'s' * (len(reversals) > 1)}"
+    return f"backlash: not included, up to {largest:.3g} um where the load on an axis reverses ({places})"

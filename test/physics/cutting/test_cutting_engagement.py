@@ -1,0 +1,264 @@
+"""The mean-force model: closed forms of the mean, volume, undo, convergence, and the sweep of the teeth beside it."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from cuttings import LAWS
+from kienzle import KienzleLaw
+from slot import fitted_order
+
+from kr270_milling.base.errors import MillingError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, EngagementCut, Stock, Tool
+from kr270_milling.physics.cutting import engagement as engagement_model
+from kr270_milling.physics.motion.milling_pass import run_pass
+
+RADIUS, TEETH, DEPTH, FEED = 10e-3, 4, 1e-3, 0.125e-3  # [m]; feed per tooth
+SPEED = 8000.0 * math.pi / 30.0  # [rad/s]
+VELOCITY = FEED * TEETH * SPEED / (2.0 * math.pi)
+MICRO_STEP = math.radians(1.0)
+AXIAL = Cutting("linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6, axial_edge=2e3))
+THIRD = KienzleLaw(700e6, 0.25, 0.35)  # ordinary aluminium
+CUTTINGS = {
+    "fractional": LAWS["fractional"],
+    "linear_edge": AXIAL,
+    "kienzle": SimpleNamespace(active=THIRD, coefficients=THIRD.coefficients, moments=True, end_ratio=1.0),
+}
+#: y of the material as shares of R: the tool turns clockwise and feeds along +x
+IMMERSIONS = {
+    "slot": (-1.1, 1.1),
+    "half up": (-1.1, 0.0),
+    "half down": (0.0, 1.1),
+    "5 % up": (-1.1, -0.9),
+    "5 % down": (0.9, 1.1),
+}
+
+
+def tool(helix: float = 0.0) -> Tool:
+    return Tool(diameter=2 * RADIUS, teeth=TEETH, spindle_speed=SPEED, helix=math.radians(helix))
+
+
+def block(low: float, high: float, grid_step: float = 1e-4, length: float = 40e-3) -> Stock:
+    return Stock(
+        min=np.array([0.0, low * RADIUS, -5e-3]), max=np.array([length, high * RADIUS, 0.0]), grid_step=grid_step
+    )
+
+
+def straight(dt: float, length: float, start: float = -RADIUS - 1e-3) -> tuple[np.ndarray, np.ndarray]:
+    """Tool tips (n, 3) [m] along +x and their micro-steps (n,)."""
+    n = round(SPEED * dt / MICRO_STEP)
+    step = VELOCITY * n * MICRO_STEP / SPEED
+    x = start + step * np.arange(int(length / step))
+    return np.column_stack([x, np.zeros_like(x), np.full_like(x, -DEPTH)]), n * np.arange(x.size)
+
+
+def closed_form(cutting, cutter: Tool, low: float, high: float) -> np.ndarray:
+    """Mean force (3,) [N] over a revolution, (29) integrated over phi from the feed, clockwise from -y to +y."""
+    edges = np.linspace(-math.pi / 2, math.pi / 2, 20001)
+    phi, width = 0.5 * (edges[1:] + edges[:-1]), edges[1] - edges[0]
+    engaged = (np.sin(phi) > low) & (np.sin(phi) < high)
+    tangential, radial, axial = np.where(engaged, cutting.active.per_depth(FEED * np.cos(phi)), 0.0)
+    forward, across = np.cos(phi), np.sin(phi)
+    share = TEETH / (2 * math.pi) * width * DEPTH
+    return share * np.array([
+        np.sum(-radial * forward + cutter.sense * tangential * across),
+        np.sum(-radial * across - cutter.sense * tangential * forward),
+        -np.sum(axial),
+    ])  # fmt: skip
+
+
+def mean_force(cutting, immersion: str, helix: float = 0.0, dt: float = 4e-3, grid_step: float = 1e-4) -> np.ndarray:
+    """Mean (3,) [N] where the tool is fully engaged."""
+    cut = EngagementCut(tool(helix), cutting, block(*IMMERSIONS[immersion], grid_step), MICRO_STEP)
+    path, steps = straight(dt, 40e-3 + RADIUS)
+    wrench = cut.along(path, steps)[0]
+    return wrench[(path[:, 0] > 2 * RADIUS) & (path[:, 0] < 28e-3), :3].mean(axis=0)
+
+
+def error(cutting, immersion: str, **options) -> float:
+    """Of the mean force, a share of its size."""
+    exact = closed_form(cutting, tool(), *IMMERSIONS[immersion])
+    return float(np.abs(mean_force(cutting, immersion, **options) - exact).max() / np.linalg.norm(exact))
+
+
+@pytest.mark.parametrize("helix", [0.0, 30.0, 45.0])
+@pytest.mark.parametrize("immersion", IMMERSIONS)
+@pytest.mark.parametrize("law", CUTTINGS)
+def test_the_mean_force_is_that_of_the_closed_form_within_one_percent(law, immersion, helix):
+    assert error(CUTTINGS[law], immersion, helix=helix) < 0.01
+
+
+@pytest.mark.parametrize("helix", [0.0, 30.0, 45.0])
+@pytest.mark.parametrize("immersion", ["slot", "half up", "half down"])
+def test_wrench_and_torque_are_the_means_of_the_swept_teeth(immersion, helix):
+    """The helix moves the cut of a tooth in time, and neither its mean force nor its mean moment."""
+    low, high = IMMERSIONS[immersion]
+    path, steps = straight(7.5e-3, 2.5 * RADIUS)  # a step is a revolution
+    results = []
+    for model, grid_step in ((Cut, 2e-5), (EngagementCut, 1e-4)):
+        cut = model(tool(helix), AXIAL, block(low, high, grid_step, 20e-3), MICRO_STEP)
+        wrench, torque, volume = cut.along(path, steps)
+        full = path[:, 0] > RADIUS / 5
+        full &= path[:, 0] < 9e-3
+        results.append((wrench[full].mean(axis=0), torque[full].mean(), volume[full].sum()))
+    (teeth, teeth_torque, teeth_volume), (mean, torque, volume) = results
+    assert mean[:3] == pytest.approx(teeth[:3], abs=0.015 * np.linalg.norm(teeth[:3]))
+    assert mean[3:] == pytest.approx(teeth[3:], abs=0.02 * np.linalg.norm(teeth[3:]))
+    assert torque == pytest.approx(teeth_torque, rel=0.015)
+    assert volume == pytest.approx(teeth_volume, rel=0.01)
+
+
+@pytest.mark.parametrize("immersion", IMMERSIONS)
+def test_the_removed_volume_is_that_of_the_geometry_and_none_is_lost_between_steps(immersion):
+    low, high = (min(max(side, -1.0), 1.0) for side in IMMERSIONS[immersion])
+    cut = EngagementCut(tool(), AXIAL, block(*IMMERSIONS[immersion]), MICRO_STEP)
+    path, steps = straight(4e-3, 45e-3 + 2 * RADIUS)  # through the stock
+    volume = cut.along(path, steps)[2]
+    assert path[-1, 0] > 40e-3
+    assert volume.sum() == pytest.approx(cut.removed_volume, rel=1e-9)
+    past = path[:, 0] < 38e-3
+    assert cut.removed_volume == pytest.approx((high - low) * RADIUS * 40e-3 * DEPTH, rel=0.01)
+    assert (volume[past] >= 0.0).all()
+
+
+def test_the_thrust_of_a_plunge_is_that_of_the_law_on_all_teeth():
+    """Each tooth takes a layer of dz / passes over the radius: h = A / (R dphi) = R / 2 on average, a = dz / passes."""
+    cut = EngagementCut(tool(), AXIAL, block(-2.0, 2.0), MICRO_STEP)
+    n = round(SPEED * 4e-3 / MICRO_STEP)
+    middle = np.array([20e-3, 0.0, 0.0])
+    sink = np.array([0.0, 0.0, -0.05e-3])
+    cut.sweep(middle, middle + sink, 0, n)
+    wrench = cut.sweep(middle + sink, middle + 2 * sink, n, n)
+    layer = 0.05e-3 / (n * MICRO_STEP * TEETH / (2 * math.pi))
+    axial = AXIAL.active.per_depth(RADIUS / 2)[2]
+    assert wrench[2] == pytest.approx(-TEETH * axial * layer, rel=0.02)
+    assert np.abs(wrench[:2]).max() < 0.02 * abs(wrench[2])
+    assert cut.torque > 0.0
+    twice = EngagementCut(tool(), AXIAL.replace(end_ratio=2.0), block(-2.0, 2.0), MICRO_STEP)
+    twice.sweep(middle, middle + sink, 0, n)
+    assert twice.sweep(middle + sink, middle + 2 * sink, n, n)[2] == pytest.approx(2 * wrench[2], rel=1e-12)
+
+
+def test_the_end_ratio_leaves_a_level_cut_unchanged():
+    assert np.array_equal(mean_force(AXIAL.replace(end_ratio=3.0), "half up"), mean_force(AXIAL, "half up"))
+
+
+def test_a_ramp_removes_the_wedge_below_the_path():
+    cut = EngagementCut(tool(), AXIAL, block(-1.5, 1.5), MICRO_STEP)
+    path, steps = straight(4e-3, 20e-3, start=12e-3)
+    path[:, 2] = -1e-3 * np.linspace(0.0, 1.0, len(path))
+    cut.along(path, steps)
+    way = path[-1, 0] - path[0, 0]
+    x, _, surface = cut.heights(low=(15e-3, -1e-4), high=(25e-3, 1e-4))
+    lowest = np.interp(x + RADIUS, path[:, 0], path[:, 2])  # the last place whose footprint covers the node
+    inside = x + RADIUS < path[-1, 0]
+    assert way > 19e-3
+    assert surface[inside, 0] == pytest.approx(lowest[inside], abs=1.5 * 1e-3 * 0.267 / 19)
+
+
+@pytest.mark.parametrize("sinking", [0.0, 2e-5])
+def test_a_step_taken_back_leaves_every_bit_of_the_state(sinking):
+    cut = EngagementCut(tool(), AXIAL, block(-1.1, 1.1), MICRO_STEP)
+    path, steps = straight(4e-3, 20e-3)
+    cut.along(path, steps)
+    n = int(steps[1])
+    end = path[-1] + [0.2e-3, 0.1e-3, -sinking]
+
+    def bits():
+        tiles = cut.tiles * 256**2
+        return [a.tobytes() for a in (cut.state.pool[:tiles], cut.state.table, cut.state.floats, cut.state.last)]
+
+    before, volume = bits(), cut.removed_volume
+    first = cut.sweep(path[-1], end, int(steps[-1]), n)
+    assert cut.removed_volume > volume
+    cut.restore()
+    assert bits() == before
+    assert np.array_equal(cut.sweep(path[-1], end, int(steps[-1]), n), first)
+
+
+def test_the_error_falls_with_the_step_of_the_map():
+    """Scatter of the force over the steps; nodes that a step removes at random give an order of about one."""
+    steps = [4e-4, 2e-4, 1e-4, 5e-5]
+    scatter = []
+    for grid_step in steps:
+        cut = EngagementCut(tool(), AXIAL, block(*IMMERSIONS["slot"], grid_step), MICRO_STEP)
+        path, counts = straight(4e-3, 40e-3 + RADIUS)
+        force = cut.along(path, counts)[0][:, :3]
+        scatter.append(float(force[(path[:, 0] > 2 * RADIUS) & (path[:, 0] < 28e-3)].std(axis=0).max()))
+    assert fitted_order(steps, scatter) > 0.7
+    assert scatter[2] < 0.03 * np.linalg.norm(closed_form(AXIAL, tool(), -1.0, 1.0))
+
+
+def test_the_mean_force_does_not_depend_on_the_length_of_a_step():
+    """The chip thickness belongs to the feed per tooth and not to the step: the error has no order in dt to lose."""
+    assert max(error(AXIAL, "half down", dt=dt) for dt in (1e-3, 2e-3, 4e-3, 8e-3)) < 0.01
+
+
+def test_the_error_falls_with_the_number_of_bins():
+    errors = {}
+    for bins in (12, 24, 72):
+        edges = np.linspace(-math.pi / 2, math.pi / 2, bins // 2 + 1)
+        chips = np.diff(np.sin(edges)) / np.diff(edges) * FEED
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        law = AXIAL.active.per_depth(chips)
+        share = TEETH / (2 * math.pi) * DEPTH * np.diff(edges)
+        binned = np.sum(share * (-law[1] * np.cos(middle) + law[0] * np.sin(middle)))
+        exact = closed_form(AXIAL, tool(), -1.0, 1.0)
+        errors[bins] = abs(binned - exact[0]) / np.linalg.norm(exact)
+    assert fitted_order(1.0 / np.array(list(errors)), list(errors.values())) > 1.7
+    assert errors[engagement_model.BINS] < 1e-3
+
+
+def test_the_test_piece_deflects_as_under_the_swept_teeth():
+    results = []
+    for detail in ("teeth", "engagement"):
+        cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={detail}"])
+        target = cell.target()
+        results.append(run_pass(cell.arm_model(target), cell.cut(), cell.clock, target, target))
+    teeth, mean = results
+    at = np.searchsorted(teeth.time_ns, mean.time_ns[1:-1])
+    swept = teeth.deflection[at, :3]
+    difference = np.linalg.norm(mean.deflection[1:-1, :2] - swept[:, :2], axis=1)
+    for axis in range(3):
+        largest = np.abs(swept[:, axis]).max(), np.abs(mean.deflection[:, axis]).max()
+        assert largest[1] == pytest.approx(largest[0], rel=0.02, abs=0.5e-6)
+        root = [float(np.sqrt(np.mean(a[:, axis] ** 2))) for a in (swept, mean.deflection[1:-1, :3])]
+        assert root[1] == pytest.approx(root[0], rel=0.02, abs=0.5e-6)
+    assert np.sqrt(np.mean(difference**2)) < 1.5e-6
+    assert mean.removed_volume == pytest.approx(teeth.removed_volume, rel=0.005)
+
+
+@pytest.mark.parametrize("value, detail", [("auto", "teeth"), ("teeth", "teeth"), ("engagement", "engagement")])
+def test_the_detail_of_a_short_program_is_that_of_the_key(value, detail):
+    cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={value}"])
+    assert cell.cutting.detail == detail
+    assert isinstance(cell.cut(), EngagementCut if detail == "engagement" else Cut)
+
+
+def test_a_long_program_is_cut_by_its_engagement_and_may_ask_for_the_teeth(tmp_path):
+    program = tmp_path / "long.nc"
+    moves = "".join(f"G1 X{40 * (-1) ** k} Y{k % 40 - 20}\n" for k in range(60))
+    program.write_text(f"G21 G90 G17\nS8000 M3\nG0 X60 Y0 Z5\nG0 Z-0.5\nG1 X40 F4000\n{moves}G0 Z5\nM30\n")
+    words = [f"path.file={program}"]
+    cell = read_cell(find_file("test_piece.yaml"), words)
+    assert cell.by_engagement
+    assert cell.clock.period == pytest.approx(4e-3) and cell.clock.micro_steps == 192
+    assert cell.stock.grid_step == pytest.approx(1e-4)
+    assert "engagement" in cell.cut_text
+    assert not read_cell(find_file("test_piece.yaml"), [*words, "cutting.detail=teeth"]).by_engagement
+
+
+def test_the_map_of_a_small_cutter_is_finer():
+    words = ["cutting.detail=engagement", "tool.diameter_mm=2"]
+    assert read_cell(find_file("test_piece.yaml"), words).stock.grid_step == pytest.approx(1e-3 / 50)
+
+
+def test_a_straight_cut_stays_with_the_teeth():
+    assert read_cell(find_file("paper.yaml")).cutting.detail == "teeth"
+    with pytest.raises(MillingError, match=r"cutting.detail.*straight cut"):
+        read_cell(find_file("paper.yaml"), ["cutting.detail=engagement"])

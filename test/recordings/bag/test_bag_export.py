@@ -1,0 +1,359 @@
+"""Export, summary and playback of recordings, also with several passes in one file."""
+
+from __future__ import annotations
+
+import csv
+import importlib.util
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from mcap.writer import Writer
+from player_listener import options
+from recording_samples import (
+    DIAGNOSTICS,
+    GRID,
+    JOINTS,
+    PERIOD,
+    POSE,
+    TEXT,
+    TOPICS,
+    WRENCH,
+    header,
+    joints,
+    make,
+    pose,
+    raw,
+    record,
+    time,
+    wrench,
+)
+
+from kr270_milling.base.errors import RecordingError
+from kr270_milling.base.version import __version__
+from kr270_milling.cli import main
+from kr270_milling.recordings.bag import export as module
+from kr270_milling.recordings.bag.export import export
+from kr270_milling.recordings.bag.info import info, info_text
+from kr270_milling.recordings.bag.playback import opening, pass_spans, passage, span
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.series import series
+from kr270_milling.recordings.bag.writer import BagWriter
+
+
+def rows(file) -> list[dict]:
+    with open(file, newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(stream))
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("export")
+    record(directory / "a", 5)
+    with Recording(directory / "a") as recording:
+        files = export(recording, directory / "csv").files
+    return {file.stem: rows(file) for file in files}
+
+
+def test_every_topic_has_a_table_with_a_row_per_message(tables):
+    points = {"target_trajectory": 10}  # two points a message
+    assert {k: len(v) for k, v in tables.items()} == {t[1:]: points.get(t[1:], 5) for t in TOPICS}
+
+
+def test_columns_name_their_units(tables):
+    assert list(tables["tool_pose"][0])[:6] == ["log_time_ns", "stamp_ns", "frame_id", "position_x_m", "position_y_m",
+                                                "position_z_m"]  # fmt: skip
+    assert list(tables["wrench"][0])[3:] == ["force_x_n", "force_y_n", "force_z_n", "torque_x_n_m", "torque_y_n_m",
+                                             "torque_z_n_m"]  # fmt: skip
+    assert list(tables["deflection"][0])[5:7] == ["linear_z_m", "angular_x_rad"]
+    assert "velocity_joint_a2_rad_per_s" in tables["joint_states"][0]
+    assert "time_from_start_ns" in tables["target_trajectory"][0]
+
+
+def test_numbers_read_back_to_the_same_bits(tables):
+    for step, row in enumerate(tables["tool_pose"]):
+        values = [float(row[k]) for k in list(row)[3:]]
+        assert values == (step + 0.1 * np.arange(7)).tolist()
+        assert (row["stamp_ns"], row["frame_id"]) == (str(step * PERIOD), "base_link")
+
+
+def test_other_types_have_a_column_per_field_and_json_for_lists(tables):
+    row = tables["diagnostics"][2]
+    assert json.loads(row["status"])[0]["message"] == "äußerst gut"
+    assert row["header_stamp_nanosec"] == str(2 * PERIOD)
+    grid = tables["workpiece"][0]
+    assert json.loads(grid["data"]) == [i % 101 for i in range(1000)]
+    assert grid["info_width"] == "40"
+    assert tables["robot_description"][1]["data"] == "<robot name='1'/>"
+
+
+def test_a_new_file_begins_where_the_joints_change(tmp_path):
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/joint_states", JOINTS)
+        for i, names in enumerate([["a", "b"], ["a", "b"], ["c"]]):
+            writer.write("/joint_states", raw(joints(i, [1.0] * len(names), names=names)), 0)
+    with Recording(tmp_path / "a") as recording:
+        files = export(recording, tmp_path / "csv").files
+    assert [f.name for f in files] == ["joint_states.csv", "joint_states_2.csv"]
+    assert [len(rows(f)) for f in files] == [2, 1]
+
+
+def test_topics_can_be_chosen_and_unknown_ones_are_told(tmp_path):
+    record(tmp_path / "a", 2)
+    with Recording(tmp_path / "a") as recording:
+        assert [f.name for f in export(recording, tmp_path / "csv", ["/wrench"]).files] == ["wrench.csv"]
+        with pytest.raises(RecordingError, match="/wrnch"):
+            export(recording, tmp_path / "csv", ["/wrnch"])
+
+
+def test_names_of_topics_do_not_lead_out_of_the_directory_and_do_not_collide(tmp_path):
+    victim = tmp_path / "victim.csv"
+    victim.write_text("mine")
+    (tmp_path / "csv").mkdir()
+    (tmp_path / "csv" / "a_b.csv").symlink_to(victim)
+    with BagWriter(tmp_path / "a") as writer:
+        for topic in ("/../victim", "/a/b", "/a_b", "/ä b", "/"):
+            writer.add_topic(topic, POSE)
+            writer.write(topic, raw(pose(0, np.zeros(7))), 0)
+    with Recording(tmp_path / "a") as recording:
+        files = export(recording, tmp_path / "csv").files
+    assert sorted(f.name for f in files) == ["a_b.csv", "a_b_2.csv", "unnamed.csv", "victim.csv", "ä_b.csv"]
+    assert all(f.parent == tmp_path / "csv" and len(rows(f)) == 1 for f in files)
+    assert victim.read_text() == "mine"
+
+
+def test_a_topic_that_cannot_be_decoded_is_named_and_the_others_are_written(tmp_path, capsys):
+    with open(tmp_path / "a.mcap", "wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channel = writer.register_channel("/thing", "json", writer.register_schema("Thing", "jsonschema", b"{}"))
+        text = writer.register_channel("/text", "cdr", writer.register_schema(TEXT, "ros2msg", b"string data\n"))
+        broken = writer.register_channel("/broken", "cdr", writer.register_schema(TEXT, "ros2msg", b"string data\n"))
+        for step in range(3):
+            writer.add_message(channel, 1, b"{}", 1)
+            writer.add_message(text, 2, raw(make(TEXT, "notes")), 2)
+            writer.add_message(broken, 3, raw(make(TEXT, "x")) if step < 2 else b"\0\1\0\0\xff\xff\xff\xff", 3)
+        writer.finish()
+    with Recording(tmp_path / "a.mcap") as recording:
+        actual = export(recording, tmp_path / "csv")
+    assert [file.name for file in actual.files] == ["text.csv"] and len(rows(actual.files[0])) == 3
+    assert "only cdr with ros2msg" in actual.refused["/thing"]
+    assert "a message on /broken is not a std_msgs/msg/String" in actual.refused["/broken"]
+    assert [file.name for file in (tmp_path / "csv").iterdir()] == ["text.csv"]
+    assert main(["export", str(tmp_path / "a.mcap"), "--csv", str(tmp_path / "again")]) == 1
+    printed = capsys.readouterr()
+    assert "text.csv" in printed.out and printed.err.count("not exported: ") == 2
+
+
+def test_parquet_is_written_where_pyarrow_is_and_else_told(tmp_path):
+    record(tmp_path / "a", 5)
+    with Recording(tmp_path / "a") as recording:
+        if importlib.util.find_spec("pyarrow") is None:
+            with pytest.raises(RecordingError, match="pyarrow"):
+                export(recording, tmp_path / "parquet", kind="parquet")
+            return
+        import pyarrow.parquet
+
+        files = export(recording, tmp_path / "parquet", kind="parquet").files
+    table = pyarrow.parquet.read_table(next(f for f in files if f.stem == "tool_pose"))
+    assert table["position_y_m"].to_pylist() == [step + 0.1 for step in range(5)]
+
+
+EXPORT = """
+import resource, sys
+from kr270_milling.base.errors import RecordingError
+from kr270_milling.recordings.bag.export import export
+from kr270_milling.recordings.bag.reader import Recording
+with Recording(sys.argv[1]) as recording:
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+    try:
+        export(recording, sys.argv[2])
+    except RecordingError as error:
+        print(error)
+"""
+
+
+@pytest.mark.parametrize("steps", [30, 5000])
+def test_nothing_stays_where_the_disk_is_full(tmp_path, steps):
+    """The disk is full in the last bytes, which are written when the file is closed, or long before."""
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/tool_pose", POSE)
+        for step in range(steps):
+            writer.write("/tool_pose", raw(pose(step * PERIOD, np.full(7, 0.1 + step / 7))), 0)
+    command = [sys.executable, "-c", EXPORT, str(tmp_path / "a"), str(tmp_path / "csv")]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 0 and "the tables cannot be written" in ran.stdout, ran.stderr
+    assert list((tmp_path / "csv").iterdir()) == []
+
+
+def test_large_messages_of_any_type_are_not_gathered_by_the_thousand(tmp_path):
+    """Each becomes a text of five times its size ("100, ")."""
+    size, count = 100_000, 25
+    about = make("nav_msgs/msg/MapMetaData", time(0), 1e-5, size, 1, pose(0, [0, 0, 0, 0, 0, 0, 1]).pose)
+    data = raw(make(GRID, header(0), about, np.full(size, 100, np.int8)))
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/workpiece", GRID)
+        for _ in range(count):
+            writer.write("/workpiece", data, 0)
+    with Recording(tmp_path / "a") as recording:
+        actual = [len(table) for table in module._tables(row for _, row in module.rows(recording, "/workpiece"))]
+    assert sum(actual) == count and 1 < max(actual) < 10  # 1 MB of text
+
+
+def test_info_counts_what_was_written(tmp_path):
+    written = record(tmp_path / "a", 30, attachments={"cell.yaml": "a: 1\n"}, metadata={"seed": 7})
+    with Recording(tmp_path / "a") as recording:
+        data = info(recording)
+    assert json.loads(json.dumps(data)) == data
+    assert (data["messages"], data["cut_off"], data["missing"]) == (30 * len(TOPICS), False, 0)
+    assert data["duration_s"] == pytest.approx(29 * PERIOD / 1e9)
+    for name, topic in data["topics"].items():
+        assert topic["type"] == TOPICS[name]
+        assert (topic["count"], topic["size_bytes"]) == (30, sum(len(d) for t, _, d in written if t == name))
+        assert topic["rate_hz"] == pytest.approx(2000.0)
+    assert data["attachments"] == [dict(name="cell.yaml", media_type="application/yaml", size_bytes=5)]
+    assert data["metadata"]["kr270_milling"]["seed"] == "7"
+    assert data["library"] == f"kr270_milling/{__version__}"
+
+
+def test_info_counts_gaps(tmp_path):
+    with BagWriter(tmp_path / "a") as writer:
+        writer.add_topic("/tool_pose", POSE)
+        for step in (s for s in range(200) if s not in (60, 61, 150)):
+            writer.write("/tool_pose", raw(pose(step * PERIOD, np.zeros(7))), 0)
+    with Recording(tmp_path / "a") as recording:
+        data = info(recording)
+    assert data["missing"] == 3 and data["topics"]["/tool_pose"]["gaps"]["gaps"] == 2
+    assert "3 missing in 2 gaps" in info_text(data)
+
+
+def test_text_says_that_a_file_was_cut_off(tmp_path):
+    record(tmp_path / "a", 30, chunk_size=5000)
+    whole = (tmp_path / "a" / "a.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 4])
+    with Recording(tmp_path / "cut.mcap") as recording:
+        data = info(recording)
+    assert 0 < data["messages"] < 300
+    assert "cut off" in info_text(data)
+
+
+def test_an_empty_recording_has_no_times(tmp_path):
+    BagWriter(tmp_path / "a").close()
+    with Recording(tmp_path / "a") as recording:
+        data = info(recording)
+    assert (data["messages"], data["start_ns"], data["duration_s"], data["topics"]) == (0, None, 0.0, {})
+    assert "0 messages" in info_text(data)
+
+
+STEPS = 200
+LATCHED = [{"durability": "transient_local", "depth": 1}]
+
+
+def status(stamp: int) -> bytes:
+    return raw(make(DIAGNOSTICS, header(stamp), []))
+
+
+def write(directory, passes: int = 2, dropped=(), chunk_size: int = 5000) -> Recording:
+    """Every pass: a text, then poses and wrenches, numbered on; dropped: (pass, step) of missing wrenches.
+
+    A node without a clock reports with the stamp 0.
+    """
+    with BagWriter(directory, chunk_size=chunk_size) as writer:
+        for topic, kind in {"/tool_pose": POSE, "/wrench": WRENCH, "/diagnostics": DIAGNOSTICS}.items():
+            writer.add_topic(topic, kind)
+        writer.add_topic("/note", TEXT, LATCHED)
+        for number in range(passes):
+            for step in range(STEPS):
+                stamp = step * PERIOD
+                writer.write("/tool_pose", raw(pose(stamp, np.full(7, number * STEPS + step))), 1)
+                if (number, step) not in dropped:
+                    writer.write("/wrench", raw(wrench(stamp, np.full(6, number * STEPS + step))), 1)
+                if step == 5:
+                    writer.write("/note", raw(make(TEXT, f"pass {number}")), 1)
+                if step % 20 == 0:
+                    writer.write("/diagnostics", status(0), 1)
+        report = writer.report()
+    recording = Recording(directory)
+    assert report["/wrench"]["missing"] == len(dropped)
+    return recording
+
+
+def played(recording: Recording, *words: str) -> list:
+    topics = set(recording.topics())
+    start, end = span(recording, options(str(recording.path), *words))
+    return [*opening(recording, start, topics), *passage(recording, start, end, topics)]
+
+
+def test_what_is_missing_in_the_second_pass_is_counted_also_where_the_first_has_it(tmp_path):
+    dropped = {(1, step) for step in range(50, 150)}
+    with write(tmp_path / "a", dropped=dropped) as recording:
+        actual = info(recording)
+    assert actual["missing"] == 100
+    about = actual["topics"]["/wrench"]
+    assert (about["gaps"]["gaps"], about["gaps"]["backwards"], about["gaps"]["repeated"]) == (1, 0, 0)
+
+
+def test_the_rate_of_a_topic_is_that_of_each_pass(tmp_path):
+    with write(tmp_path / "a", 3) as recording:
+        assert info(recording)["topics"]["/tool_pose"]["rate_hz"] == pytest.approx(2000.0)
+
+
+def test_a_text_of_the_second_pass_has_the_time_of_the_second_pass(tmp_path):
+    with write(tmp_path / "a") as recording:
+        assert [m.log_time for m in recording.messages(["/note"])] == [5 * PERIOD, 5 * PERIOD]
+
+
+def test_series_and_tables_hold_one_pass_after_the_other(tmp_path):
+    with write(tmp_path / "a") as recording:
+        assert series(recording, "/wrench").values[:, 0].tolist() == list(range(2 * STEPS))
+        (file,) = export(recording, tmp_path / "csv", ["/note"]).files
+    with open(file, newline="") as stream:
+        assert [row["data"] for row in csv.DictReader(stream)] == ["pass 0", "pass 1"]
+
+
+def test_passes_are_played_one_after_the_other_at_their_pace(tmp_path):
+    with write(tmp_path / "a", 3) as recording:
+        actual = [m for m in played(recording) if m.topic != "/diagnostics"]
+        assert len(pass_spans(recording)) == 3
+        sent = [m.data for m in recording.messages(["/tool_pose"], as_written=True)]
+    poses = [m for m in actual if m.topic == "/tool_pose"]
+    assert [m.data for m in poses] == sent
+    times = [m.log_time for m in actual]
+    assert times == sorted(times)
+    one = (STEPS - 1) * PERIOD + 1  # a pass begins right behind the one before
+    assert [m.log_time for m in poses] == [number * one + step * PERIOD for number in range(3) for step in range(STEPS)]
+
+
+def test_an_offset_leads_into_a_later_pass_with_what_was_latched_before_it(tmp_path):
+    one = (STEPS - 1) * PERIOD + 1
+    with write(tmp_path / "a") as recording:
+        actual = played(recording, "--start-offset", str((one + 2 * PERIOD) * 1e-9), "--playback-duration", "0.001")
+        notes = [m.data for m in recording.messages(["/note"], as_written=True)]
+    poses = [m for m in actual if m.topic == "/tool_pose"]
+    assert (actual[0].topic, actual[0].data) == ("/note", notes[0])
+    assert [m.log_time for m in poses] == [one + step * PERIOD for step in (2, 3, 4)]
+
+
+def test_a_recording_on_another_clock_or_of_one_pass_is_one_part(tmp_path):
+    record(tmp_path / "a", 30)
+    with Recording(tmp_path / "a") as recording:
+        assert len(pass_spans(recording)) == 1
+        assert [m.data for m in played(recording)] == [m.data for m in recording.messages()]
+    with BagWriter(tmp_path / "b") as writer:
+        writer.add_topic("/tool_pose", POSE)
+        for log_time in (5, 9, 7, 5, 8):
+            writer.write("/tool_pose", raw(pose(0, np.zeros(7))), 1, log_time)
+    with Recording(tmp_path / "b") as recording:
+        assert [m.log_time for m in played(recording)] == [5, 5, 7, 8, 9]
+
+
+def test_a_cut_off_file_of_two_passes_is_played_in_their_order(tmp_path):
+    write(tmp_path / "a").close()
+    whole = (tmp_path / "a" / "a.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 2 // 3])
+    with Recording(tmp_path / "cut.mcap") as recording:
+        assert recording.cut_off and len(pass_spans(recording)) == 2
+        sent = [m.data for m in recording.messages(["/tool_pose"])]
+        assert [m.data for m in played(recording) if m.topic == "/tool_pose"] == sent and len(sent) > STEPS

@@ -1,0 +1,338 @@
+"""Reading recordings, here and in readers by other people: rosbags, mcap and Foxglove's packages."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import struct
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from budget import budget
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, IndexType, Writer
+from recording_samples import GRID, PERIOD, POSE, STORE, TOPICS, Whole, poses, read, record, sample, write_mcap
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+
+from kr270_milling.base.errors import RecordingError
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.recover import recover
+from kr270_milling.recordings.bag.series import series
+from kr270_milling.recordings.bag.verify import findings
+
+RELAXED = settings(max_examples=budget(150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A small file with several chunks, its bytes and what is in it."""
+    directory = tmp_path_factory.mktemp("whole") / "a"
+    written = record(directory, 40, topics=["/tool_pose", "/wrench", "/robot_description"],
+                     attachments={"cell.yaml": "a: 1\n" * 50}, chunk_size=2000)  # fmt: skip
+    return Whole(((directory / "a.mcap").read_bytes(), written))
+
+
+def test_what_was_written_is_read_byte_by_byte(whole, tmp_path):
+    data, written = whole
+    (tmp_path / "a.mcap").write_bytes(data)
+    messages, cut_off = read(tmp_path / "a.mcap")
+    assert not cut_off
+    assert sorted(messages) == sorted(written)
+
+
+@pytest.mark.parametrize("kind", list(CompressionType))
+def test_messages_come_in_the_order_of_their_log_times_from_every_packing(tmp_path, kind):
+    times = np.random.default_rng(2).permutation(3000)
+    path = write_mcap(tmp_path / "a.mcap", poses(times), kind, chunk_size=20_000)
+    with Recording(path) as recording:
+        messages = list(recording.messages())
+    assert len(recording.chunks) > 10
+    assert [m.log_time for m in messages] == list(range(3000))
+
+
+def test_equal_log_times_keep_the_order_of_the_file(tmp_path):
+    messages = [(i // 50, data) for i, (_, data) in enumerate(poses(range(500)))]
+    path = write_mcap(tmp_path / "a.mcap", messages, chunk_size=3000)
+    assert [data for _, _, data in read(path)[0]] == [data for _, data in messages]
+
+
+def test_overlapping_chunks_are_merged_within_the_memory_for_chunks(tmp_path, monkeypatch):
+    times = np.arange(2000).reshape(20, 100).T.ravel()  # every chunk reaches over all times
+    path = write_mcap(tmp_path / "a.mcap", poses(times), chunk_size=10_000)
+    monkeypatch.setattr("kr270_milling.recordings.bag.chunks.CACHE", 50_000)
+    with Recording(path) as recording:
+        assert [m.log_time for m in recording.messages()] == list(range(2000))
+        assert recording.read_chunk.used <= 50_000 + 50_000
+
+
+def test_topics_and_times_can_be_chosen(whole, tmp_path):
+    data, written = whole
+    (tmp_path / "a.mcap").write_bytes(data)
+    with Recording(tmp_path / "a.mcap") as recording:
+        actual = list(recording.messages(["/wrench"], start=10 * 500_000, end=13 * 500_000))
+    assert [m.data for m in actual] == [d for t, at, d in written if t == "/wrench" and 10 <= at / 500_000 < 13]
+
+
+def test_files_without_chunks_are_read(tmp_path):
+    with RosbagsWriter(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection("/tool_pose", POSE, typestore=STORE)
+        for log_time, data in poses(range(100)):
+            writer.write(connection, log_time, data)
+    messages, cut_off = read(tmp_path / "bag")
+    assert not cut_off
+    assert [(t, d) for _, t, d in messages] == poses(range(100))
+
+
+def test_files_without_index_and_summary_are_read(tmp_path):
+    bare = dict(use_statistics=False, repeat_channels=False, repeat_schemas=False, use_summary_offsets=False)
+    messages = poses(range(99, -1, -1))
+    path = write_mcap(tmp_path / "a.mcap", messages, chunk_size=2000, index_types=IndexType.NONE, **bare)
+    assert [t for _, t, _ in read(path)[0]] == list(range(100))
+
+
+def test_a_file_cut_off_anywhere_gives_a_beginning_of_it_or_one_sentence(whole, tmp_path):
+    """Every begin of a record, one byte before, one byte after, and many places between."""
+    data, written = whole
+    expected = [data for _, _, data in written]
+    path = tmp_path / "a.mcap"
+    places, at = {0, 1, 7, 8}, 8
+    while at < len(data) - 8:
+        places |= {at - 1, at, at + 1, at + 5, at + 9, at + 10}
+        at += 9 + struct.unpack_from("<Q", data, at + 1)[0]
+    counts = []
+    for place in sorted(p for p in places | set(range(0, len(data), 997)) if p < len(data)):
+        path.write_bytes(data[:place])
+        try:
+            messages, cut_off = read(path)
+        except RecordingError as error:
+            assert "\n" not in str(error) and place < 60  # only where not even the header is whole
+            continue
+        assert cut_off
+        assert [d for _, _, d in messages] == expected[: len(messages)]
+        counts.append(len(messages))
+    assert counts == sorted(counts)  # a longer file has never fewer messages
+    assert counts[0] == 0 and counts[-1] == len(expected)
+
+
+@given(place=st.integers(0, 10**6), bit=st.integers(0, 7))
+@RELAXED
+def test_verify_finds_every_flipped_bit(whole, tmp_path, place, bit):
+    data, _ = whole
+    path = tmp_path / "a.mcap"
+    path.write_bytes(data)
+    with Recording(path) as recording:
+        assert findings(recording) == []
+    flipped = bytearray(data)
+    flipped[place % len(data)] ^= 1 << bit
+    path.write_bytes(flipped)
+    assert is_reported(path)
+
+
+def is_reported(path) -> bool:
+    """Whether a damaged file is called damaged or cut off."""
+    try:
+        with Recording(path) as recording:
+            return bool(findings(recording))
+    except RecordingError:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [(b"", "not an MCAP file"), (b"\x89MCA", "ends in its first bytes"), (b"#!/bin/sh\necho", "not an MCAP file"),
+     (b"\x89MCAP0\r\n", "before its header"), (b"\x89MCAP0\r\n\x01\x05\0", "before its header")],
+)  # fmt: skip
+def test_what_is_no_recording_says_why(tmp_path, content, sentence):
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(RecordingError, match=sentence):
+        Recording(tmp_path / "a.mcap")
+
+
+def test_paths_without_a_recording_say_why(tmp_path):
+    (tmp_path / "empty").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "none.mcap", tmp_path / "empty", tmp_path / "pipe", "a\0b"):
+        with pytest.raises(RecordingError):
+            Recording(path)
+
+
+def test_a_foreign_schema_is_listed_and_its_bytes_are_read_but_not_decoded(tmp_path):
+    with open(tmp_path / "a.mcap", "wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("Thing", "jsonschema", b'{"type": "object"}')
+        channel = writer.register_channel("/thing", "json", schema)
+        bare = writer.register_channel("/bare", "", 0)
+        writer.add_message(channel, 1, b'{"a": 1}', 1)
+        writer.add_message(bare, 2, b"xyz", 2)
+        writer.finish()
+    with Recording(tmp_path / "a.mcap") as recording:
+        assert [m.data for m in recording.messages()] == [b'{"a": 1}', b"xyz"]
+        assert recording.topics()["/thing"].schema_encoding == "jsonschema"
+        for topic in ("/thing", "/bare"):
+            with pytest.raises(RecordingError, match="only cdr with ros2msg"):
+                list(recording.decoded([topic]))
+            with pytest.raises(RecordingError):
+                series(recording, topic)
+
+
+def test_decoded_messages_have_the_fields_of_the_definition(tmp_path):
+    record(tmp_path / "a", 3)
+    with Recording(tmp_path / "a") as recording:
+        decoded = {m.topic: d for m, d in recording.decoded()}
+    assert set(decoded) == set(TOPICS)
+    assert decoded["/tool_pose"].pose.position.y == 2.1
+    assert decoded["/diagnostics"].status[1].message == "äußerst gut"
+
+
+PACKAGES = ("@mcap/core", "@foxglove/rosmsg", "@foxglove/rosmsg2-serialization", "fzstd")
+SCRIPT = """
+const fs = require("fs"), crypto = require("crypto");
+const { McapIndexedReader, McapStreamReader } = require("@mcap/core");
+const { parse } = require("@foxglove/rosmsg");
+const { MessageReader } = require("@foxglove/rosmsg2-serialization");
+const { decompress } = require("fzstd");
+const decompressHandlers = { zstd: (data, size) => decompress(data, new Uint8Array(Number(size))) };
+const plain = (_, v) => typeof v === "bigint" ? Number(v) : ArrayBuffer.isView(v) ? Array.from(v) : v;
+const schemas = new Map(), channels = new Map(), readers = new Map();
+function print(m) {
+  const channel = channels.get(m.channelId), schema = schemas.get(channel.schemaId);
+  if (!readers.has(m.channelId)) {
+    readers.set(m.channelId, new MessageReader(parse(new TextDecoder().decode(schema.data), { ros2: true })));
+  }
+  const sha = crypto.createHash("sha256").update(m.data).digest("hex");
+  const value = readers.get(m.channelId).readMessage(m.data);
+  console.log(JSON.stringify([channel.topic, Number(m.logTime), sha, value], plain));
+}
+async function indexed(file) {
+  const handle = await fs.promises.open(file);
+  const readable = {
+    size: async () => BigInt((await handle.stat()).size),
+    read: async (offset, length) => {
+      const buffer = new Uint8Array(Number(length));
+      await handle.read(buffer, 0, Number(length), Number(offset));
+      return buffer;
+    },
+  };
+  const reader = await McapIndexedReader.Initialize({ readable, decompressHandlers });
+  reader.schemasById.forEach((v, k) => schemas.set(k, v));
+  reader.channelsById.forEach((v, k) => channels.set(k, v));
+  for await (const m of reader.readMessages()) print(m);
+  const names = [];
+  for await (const a of reader.readAttachments()) names.push(a.name);
+  console.log(JSON.stringify(names));
+  await handle.close();
+}
+function streamed(file) {
+  const reader = new McapStreamReader({ decompressHandlers });
+  reader.append(fs.readFileSync(file));
+  for (let r; (r = reader.nextRecord()); ) {
+    if (r.type === "Schema") schemas.set(r.id, r);
+    if (r.type === "Channel") channels.set(r.id, r);
+    if (r.type === "Message") print(r);
+  }
+}
+const [mode, file] = process.argv.slice(-2);
+mode === "indexed" ? indexed(file) : streamed(file);
+"""
+
+
+def order(messages) -> list:
+    return sorted(messages, key=lambda m: (m[1], m[0]))
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("bag") / "pass_1"
+    written = record(directory, 25, attachments={"cell.yaml": "a: 1\n"}, chunk_size=20_000)
+    return directory, written
+
+
+@pytest.mark.parametrize("part", ["", "pass_1.mcap"])
+def test_rosbags_reads_the_same_bytes_at_the_same_times(bag, part):
+    directory, written = bag
+    with Reader(directory / part) as reader:
+        actual = [(c.topic, t, bytes(d)) for c, t, d in reader.messages()]
+        assert (reader.start_time, reader.end_time) == (0, 24 * PERIOD + 1)
+        assert {k: (v.msgtype, v.msgcount) for k, v in reader.topics.items()} == {k: (v, 25) for k, v in TOPICS.items()}
+        assert reader.ros_distro == (None if part else "jazzy")
+    assert order(actual) == order(written)
+
+
+@pytest.mark.parametrize("part", ["", "pass_1.mcap"])
+def test_rosbags_decodes_every_type_with_the_definitions_in_the_file(bag, part):
+    directory, _ = bag
+    with AnyReader([directory / part]) as reader:  # builds its types from the schemas in the file
+        for connection, stamp, data in reader.messages():
+            actual = reader.deserialize(data, connection.msgtype)
+            expected = sample(connection.topic, stamp // PERIOD)
+            again = STORE.serialize_cdr(expected, expected.__msgtype__)
+            assert bytes(reader.typestore.serialize_cdr(actual, connection.msgtype)) == bytes(again)
+            if connection.msgtype == GRID:
+                np.testing.assert_array_equal(actual.data, expected.data)
+
+
+def test_rosbags_knows_the_profiles_that_were_offered(bag):
+    directory, _ = bag
+    with Reader(directory) as by_yaml, Reader(directory / "pass_1.mcap") as by_file:
+        for connection, same in zip(by_yaml.connections, by_file.connections, strict=True):
+            [profile] = connection.ext.offered_qos_profiles
+            assert connection.ext == same.ext
+            assert (profile.depth, profile.durability.name) == (1, "TRANSIENT_LOCAL")
+
+
+def modules() -> Path | None:
+    """Where the packages for node are: KR270_NODE_MODULES or one of NODE_PATH."""
+    places = [os.environ.get("KR270_NODE_MODULES", ""), *os.environ.get("NODE_PATH", "").split(os.pathsep)]
+    return next((Path(p) for p in places if p and all(Path(p, name).is_dir() for name in PACKAGES)), None)
+
+
+def run_node(mode: str, file: Path) -> list:
+    if shutil.which("node") is None:
+        pytest.skip("node is not installed")
+    if modules() is None:
+        pytest.skip(f"set KR270_NODE_MODULES to a node_modules with {', '.join(PACKAGES)}")
+    env = dict(os.environ, NODE_PATH=str(modules()))
+    done = subprocess.run(["node", "-e", SCRIPT, "--", mode, str(file)], env=env, capture_output=True, text=True,
+                          timeout=120)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return [json.loads(line) for line in done.stdout.splitlines()]
+
+
+def hashed(messages) -> list:
+    return order([topic, at, hashlib.sha256(data).hexdigest()] for topic, at, data in messages)
+
+
+def test_foxglove_reads_the_same_bytes_and_numbers(bag):
+    directory, written = bag
+    *lines, attachments = run_node("indexed", directory / "pass_1.mcap")
+    assert attachments == ["cell.yaml"]
+    assert [at for _, at, *_ in lines] == sorted(at for _, at, _ in written)
+    assert order(line[:3] for line in lines) == hashed(written)
+    values = {(topic, at // PERIOD): value for topic, at, _, value in lines}
+    assert values["/tool_pose", 3]["pose"]["position"] == dict(x=3.0, y=3.1, z=3.2)
+    assert values["/joint_states", 2]["position"] == (2 + 0.1 * np.arange(6)).tolist()
+    assert values["/workpiece", 24]["data"] == [i % 101 for i in range(1000)]
+    assert values["/diagnostics", 7]["status"][1]["values"] == [dict(key="correction", value="7")]
+    assert values["/target_trajectory", 4]["points"][1]["transforms"][0]["rotation"] == dict(x=0, y=1, z=0, w=0)
+
+
+def test_foxglove_reads_a_cut_off_file_and_the_recovered_one(bag, tmp_path):
+    directory, written = bag
+    whole = (directory / "pass_1.mcap").read_bytes()
+    with Recording(directory) as recording:
+        last = recording.chunks[-1]
+    (tmp_path / "cut.mcap").write_bytes(whole[: last.offset + last.size // 2])
+    result = recover(tmp_path / "cut.mcap")
+    assert 0 < result.messages < len(written)
+    expected = hashed(written[: result.messages])
+    assert order(line[:3] for line in run_node("streamed", tmp_path / "cut.mcap")) == expected
+    *lines, _ = run_node("indexed", tmp_path / "cut_recovered" / "cut_recovered.mcap")
+    assert order(line[:3] for line in lines) == expected
