@@ -15,7 +15,7 @@ from sample_messages import pose_msg
 
 pytest.importorskip("rclpy")
 
-from faults import trial
+from faults import soak, trial
 from faults.__main__ import main
 from faults.aftermath import is_alive
 from faults.disturbed import Message
@@ -93,7 +93,8 @@ def test_tail_that_a_recorder_lost_is_reported_and_counted(ros_environment, tmp_
     assert f"1 not whole, lost and counted: {done.lost}" in row.cells()
 
 
-def test_soak_measures_every_process_and_loses_nothing(ros_environment, capsys):
+def test_soak_measures_every_process_and_loses_nothing(ros_environment, short_cell, monkeypatch, capsys):
+    monkeypatch.setattr(soak, "fault_cell", lambda: short_cell)
     main(["--json", "--soak", "--passes", "2", "--minutes", "0.03"])
     out, errors = capsys.readouterr()
     assert out, errors

@@ -8,7 +8,6 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
-from hostile import ask
 
 from kr270_milling.cli import _parser
 from kr270_milling.exchange.replay.inputs import TYPES
@@ -100,12 +99,10 @@ def commands(folder: str, language: str) -> list[list[str]]:
     return [line.split()[1:] for block in blocks for line in block.splitlines() if line.startswith("kr270_milling ")]
 
 
-def test_the_commands_of_the_report_run(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for words in commands("show/report", "sh"):
-        assert ask(*words).code == 0
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    assert "kr270_milling demo --plain --out out" in page
+def test_the_command_of_the_report_is_the_demo_of_the_tests(demo):
+    (words,) = commands("show/report", "sh")
+    assert words == ["demo", "--plain", "--out", "out"]
+    assert f"kr270_milling {' '.join(words)}" in Path(demo.json["report"]).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(("folder", "language"), [("show/report", "text"), ("live/watch", "sh")])
