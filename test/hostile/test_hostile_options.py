@@ -38,7 +38,7 @@ def test_wrenches_that_no_arm_holds_are_refused(text):
 
 @pytest.mark.parametrize(("command", "option", "values"), [
     ("compensate", "--verdict", COUNTS), ("compensate", "--seed", COUNTS), ("run", "--passes", COUNTS),
-    ("compensate", "--method", ("", "best", "LINEAR")), ("run", "--method", ("", "best")),
+    ("compensate", "--method", ("", "fastest", "LINEAR")), ("run", "--method", ("", "best")),
     ("compensate", "--krl", ("", "PTP")), ("check", "--motion", ("", "PTP")),
 ])  # fmt: skip
 def test_counts_and_choices_are_held_to_what_they_may_be(command, option, values, tmp_path):
