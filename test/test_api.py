@@ -53,7 +53,8 @@ def test_check_and_verdict_of_a_compensated_pass(both):
     checked, judged = check(cell), verdict(cell, both.compensated.reference, samples=2)
     assert checked.may_be_run and judged.word in repr(judged) and "may be run" in repr(checked)
     assert max(len(repr(shown)) for shown in (cell, checked, judged)) < 200
-    assert simulate(cell, both.compensated.reference).scores.max_deviation == both.compensated.scores.max_deviation
+    planned = simulate(cell, both.compensated.reference).scores.max_deviation
+    assert planned == pytest.approx(both.compensated.scores.max_deviation, abs=0.1e-6)  # the program has rounded points
 
 
 def test_compensate_says_what_of_the_correction_was_not_let_through():

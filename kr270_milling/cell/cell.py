@@ -314,5 +314,6 @@ def _check_place(cell: Cell, tree: dict, path) -> None:
     derived = {"xyz_mm": 1e3 * place.xyz, "abc_deg": np.degrees(place.abc)}
     for key, value in derived.items():
         given = tree["workpiece"].get(key)
-        if given is not None and not np.allclose(given, value, rtol=0.0, atol=SAME_PLACE):
+        same = np.shape(given) == (3,) and np.allclose(given, value, rtol=0.0, atol=SAME_PLACE)
+        if given is not None and np.size(given) and not same:
             raise ConfigError(path, f"workpiece.{key}", given, "left out: at_start_joints places the workpiece")

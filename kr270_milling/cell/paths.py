@@ -182,7 +182,7 @@ class ProgramPath:
         read = self._read()
         if isinstance(read, TimedPath):
             return read.trajectory.duration_ns * 1e-9
-        cutting = ~read.rapid
+        cutting = ~read.rapid & (read.feed > 0.0)  # a recorded path may begin with a block without a feed
         return float(np.sum(read.block_length[cutting] / read.feed[cutting]))
 
     @functools.cached_property

@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 from book import check
+from scipy.interpolate import CubicSpline
 from scipy.linalg import expm
 from scipy.signal import lsim, lti
 
@@ -144,14 +145,42 @@ def test_work_of_the_motors():
 @check(
     "compensated by (1) as printed, milled with -M r'': {method}, largest deviation",
     "two other calculations [derived], to the digits given", "m",
-    cases=("method expected", [("linear", 20e-6), ("spline", 27e-6), ("mirror", 5.5e-6)]),
+    cases=("method expected", [("linear", 20e-6), ("mirror", 5.5e-6)]),
 )  # fmt: skip
 def test_compensation_without_the_reference(method, expected):
+    moving, reference = _compensated_as_printed(method)
+    return expected, simulate(moving, reference).scores.max_deviation, 0.5e-6
+
+
+def _compensated_as_printed(method):
     printed, moving = (
         read_cell(find_file("paper.yaml"), (f"dynamics.reference_inertia={on}",)) for on in ("false", "true")
     )
-    reference = compensated(printed, simulate(printed), method).reference
-    return expected, simulate(moving, reference).scores.max_deviation, 0.5e-6
+    return moving, compensated(printed, simulate(printed), method).reference
+
+
+@check(
+    "compensated by (1) as printed, milled with -M r'': spline, largest deviation",
+    "transfer function (2 z w s + w^2) / (s^2 + 2 z w s + w^2) of one mode, spline by scipy, lsim", "m",
+)  # fmt: skip
+def test_a_spline_compensation_without_the_reference_by_a_transfer_function():
+    """The mode follows the correction, and answers the change of the force; both are added to the original pass.
+
+    All links are at the tool, so one mode of 790.4 kg moves the tool across the feed.
+    """
+    moving, reference = _compensated_as_printed("spline")
+    before, after = simulate(moving), simulate(moving, reference)
+    ran, time = before.result, before.result.time
+    offset = (reference.position - moving.target().position)[:, 1]
+    correction = CubicSpline(reference.time, offset, bc_type=((1, 0.0), (1, 0.0)))(time)
+    w, z = 2 * np.pi * moving.low_frequency, moving.dynamics.damping_ratio
+    mode = [1.0, 2 * z * w, w**2]
+    _, followed, _ = lsim(([2 * z * w, w**2], mode), correction, time)
+    change = (after.result.wrench - ran.wrench)[:, 1] / moving.arm.link_mass.sum()
+    _, pushed, _ = lsim(([1.0], mode), change, time)
+    scored = time >= moving.full_engagement - 1e-9
+    deviation = (ran.deflection[:, 1] + followed + pushed)[scored]
+    return np.abs(deviation).max(), after.scores.max_deviation, 0.5e-6
 
 
 @functools.cache

@@ -137,7 +137,7 @@ def test_the_decision_is_the_same_in_every_output_of_a_run(answer, sets, level, 
 
 def test_best_writes_the_path_as_programmed_where_no_method_helps(tmp_path, monkeypatch):
     cell = small_part(tmp_path, GCODE, "compensation.method=best")
-    monkeypatch.setattr(compensation, "compare", lambda *_: MethodComparison(NO_METHOD, "none, because", {}))
+    monkeypatch.setattr(compensation, "compare_methods", lambda *_: MethodComparison(NO_METHOD, "none, because", {}))
     done = compensation.compensate(cell)
     assert done.revised.name == "none" and done.revised.reference is done.original.reference
     assert done.decision.method == done.decision.recommended_method == "none"

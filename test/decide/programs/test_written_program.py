@@ -64,7 +64,7 @@ def test_a_program_with_stops_leaves_what_the_plan_leaves(part, method):
 
 def test_a_program_in_straight_lines_of_a_smooth_plan_is_a_finding(part):
     cell, _ = part
-    done = compensate(cell, "inverse", motion="LIN")
+    done = compensate(cell, "inverse", motions=("LIN",))
     (finding,) = [f for f in done.checked.findings if f.what == "written program"]
     assert finding.severity == "warning"
     assert finding.value == pytest.approx(1e6 * done.revised.scores.max_deviation)

@@ -232,7 +232,7 @@ def test_replay_reports_as_json_how_much_it_played(bag, ros_environment, capfd):
 @pytest.fixture
 def play(ros_environment, monkeypatch, capfd):
     """Run the player in this process to its end; return its exit code and its messages on standard error."""
-    play_here = pytest.importorskip("kr270_milling.live.nodes.player", exc_type=ImportError).play
+    play_here = pytest.importorskip("kr270_milling.live.nodes.player", exc_type=ImportError).run_player
     monkeypatch.setattr("sys.argv", ["player"])
 
     def run(*words) -> tuple[int, str]:

@@ -70,9 +70,14 @@ def test_a_file_names_only_the_law_that_it_uses():
     cutting = build(Cutting, {"law": "linear_edge", "linear_edge": LINEAR_EDGE})
     assert cutting.coefficients == pytest.approx([700e6, 17.9e3, 180.96e6, 20.42e3, 0.0, 0.0])
     assert build(Cutting, {"fractional": FRACTIONAL}).coefficients == pytest.approx([5e6, 18e-6, 0.1, 0.3, 0.0])
-    assert set(flatten(cutting)) == {"law", "moments", "chip_angle", "fractional.axial_ratio"} | {
-        f"linear_edge.{key}" for key in (*LINEAR_EDGE, "axial_cutting_n_per_mm2", "axial_edge_n_per_mm")
-    }
+    assert set(flatten(cutting)) == {
+        "law",
+        "moments",
+        "chip_angle",
+        "detail",
+        "end_ratio",
+        "fractional.axial_ratio",
+    } | {f"linear_edge.{key}" for key in (*LINEAR_EDGE, "axial_cutting_n_per_mm2", "axial_edge_n_per_mm")}
 
 
 @pytest.mark.parametrize("law, coefficients", [("linear_edge", LINEAR_EDGE), ("fractional", FRACTIONAL)])

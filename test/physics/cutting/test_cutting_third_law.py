@@ -96,7 +96,7 @@ def test_simulate_and_stability_take_the_third_law(copy):
 def test_compensate_has_a_verdict_with_the_third_law(copy, tmp_path):
     words = ["--method", "spline", "--verdict", "3", "--out", str(tmp_path)]
     verdict = run(copy, "compensate", "paper.yaml", *settings(), *words)["verdict"]
-    assert verdict["samples"] == 3 and len(set(verdict["compensated"]["static_deviation_mm"])) == 3
+    assert verdict["samples"] == 3 and len(set(verdict["compensated_mm"])) == 3
     assert (tmp_path / "reference_spline.csv").is_file()
 
 
