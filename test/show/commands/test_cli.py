@@ -248,6 +248,7 @@ def test_compensate_writes_a_trajectory_that_simulate_runs_to_the_predicted_scor
     assert result["method"] == "spline" and result["max_deviation_mm"] < 1.1e-3  # 1.04 um, the C2 spline
     again = answer(capsys, "simulate", "paper.yaml", "--reference", str(path))
     rounding = 1e-4  # [mm], of the points of the program, whose figure compensate prints
+    assert again["max_deviation_mm"] == pytest.approx(result["planned_max_deviation_mm"], rel=1e-6)
     assert again["max_deviation_mm"] == pytest.approx(result["max_deviation_mm"], abs=rounding)
 
 
