@@ -18,7 +18,7 @@ _short.maxlevel, _short.maxstring, _short.maxother, _short.maxlist, _short.maxdi
 
 
 def _shown(value) -> str:
-    """The value on one line of bearable length, whatever a file made of it."""
+    """Return the value as text on one line, at most 200 characters."""
     if getattr(value, "ndim", None) == 0:  # a NumPy number
         value = value.item()
     try:
@@ -29,15 +29,15 @@ def _shown(value) -> str:
 
 
 def one_line(text: str) -> str:
-    """Without anything that steers a terminal or breaks the line: names and values come from files."""
+    """Escape control characters and line breaks: names and values in messages come from files."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 class ParameterError(MillingError):
-    """A value that its record refuses.
+    """A value that a parameter record refuses.
 
-    key: the name of the parameter in a parameter file; value: what was given, in the file's unit;
-    allowed: what would have been right.
+    key: name of the parameter in a parameter file; value: the refused value in the file's unit; allowed: the allowed
+    values as text.
     """
 
     def __init__(self, key: str, value, allowed: str):
@@ -46,7 +46,7 @@ class ParameterError(MillingError):
 
 
 class ConfigError(MillingError):
-    """A parameter file that cannot be used: which file, which key, what it says, what would have been right."""
+    """A parameter file that cannot be used: file, key, value and the allowed values as text."""
 
     def __init__(self, file, key: str, value, allowed: str):
         self.file, self.key, self.value, self.allowed = str(file), key, value, allowed
@@ -56,7 +56,7 @@ class ConfigError(MillingError):
 
 
 class InputError(MillingError):
-    """A file or a command-line value that cannot be used; line is the line number where there is one."""
+    """A file or a command-line value that cannot be used; line: the line number in a text file."""
 
     def __init__(self, source, reason: str, line: int | None = None):
         self.source, self.reason, self.line = str(source), reason, line
@@ -64,7 +64,7 @@ class InputError(MillingError):
 
 
 class RecordingError(MillingError):
-    """A recording that cannot be written or read; offset is the byte where it went wrong, if that is known."""
+    """A recording that cannot be written or read; offset: byte of the fault in the file, if known."""
 
     def __init__(self, path, reason: str, offset: int | None = None):
         self.path, self.reason, self.offset = str(path), reason, offset
@@ -72,4 +72,4 @@ class RecordingError(MillingError):
 
 
 class MessageError(MillingError):
-    """A message that cannot be used; the node reports it and drops it."""
+    """A message that cannot be used; the node reports the error and ignores the message."""

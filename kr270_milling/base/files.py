@@ -1,4 +1,4 @@
-"""Output files and directories that are written as a whole or not at all."""
+"""Write output files and directories completely or not at all."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ __all__ = ["staged", "write_files"]
 
 @contextlib.contextmanager
 def staged(directory) -> Iterator[tuple[Path, Callable[[str | Path], Path]]]:
-    """A fresh directory to write into; when the block ends well, its files move to ``directory``.
+    """Write into a temporary directory whose files move to ``directory`` when the block ends without an error.
 
-    Yields it and the function that returns the final path of one of its files. After an error nothing is left, and
-    ``directory`` is as it was. Files of the same names are replaced; a link on the way is refused, so that nothing is
-    written elsewhere. Raises InputError where the directory cannot be made.
+    Yields the temporary directory and a function that returns the final path of a file. After an error ``directory``
+    is unchanged. Files of the same names are replaced. A symbolic link inside ``directory`` is refused, so that no file
+    is written elsewhere. Raises InputError if the directory cannot be created.
     """
     final = Path(directory)
     try:
         final.parent.mkdir(parents=True, exist_ok=True)
         if final.exists() and not final.is_dir():
             raise InputError(final, "is a file, but must be a directory to write into")
-        # inside of one that exists: it may be a mount point, to which nothing moves from outside
+        # inside an existing directory, which may be a mount point: files cannot move between file systems
         place = final if final.is_dir() else final.parent
         draft = place / f".{final.name}.{uuid.uuid4().hex}.part"
         draft.mkdir()
@@ -60,8 +60,10 @@ def _move(draft: Path, final: Path) -> None:
 
 
 def write_files(contents: dict[Path, Iterable], newline: str = "\n") -> None:
-    """Write several files of pieces of text, or all of bytes; either all of them appear under their names, in place of
-    what had these names, or none does (short of a power cut). Raises InputError."""
+    """Write several files from pieces of text or of bytes; raise InputError.
+
+    Either all files appear under their names and replace existing files, or none does. A power cut may leave some.
+    """
     parts = {Path(path): Path(path).with_name(f".{Path(path).name}.{os.getpid()}.part") for path in contents}
     try:
         for path, pieces in contents.items():
@@ -80,7 +82,7 @@ def write_files(contents: dict[Path, Iterable], newline: str = "\n") -> None:
 def _write(path: Path, pieces: Iterator, newline: str) -> None:
     first = next(pieces, "")
     text = isinstance(first, str)
-    # a file name in a text need not be text that UTF-8 can hold
+    # a file name inside the text may contain bytes that are not UTF-8
     options: dict = dict(encoding="utf-8", errors="backslashreplace", newline=newline) if text else {}
     with open(path, "x" if text else "xb", **options) as stream:
         stream.write(first)

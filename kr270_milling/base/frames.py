@@ -40,17 +40,17 @@ class Pose:
 
     @property
     def quaternion(self) -> np.ndarray:
-        """(..., 4) in the order x, y, z, w with w >= 0."""
+        """Return the quaternion (..., 4) in the order x, y, z, w with w >= 0."""
         return quaternion_from_rotation(self.rotation)
 
     @classmethod
     def from_abc(cls, position, abc) -> Pose:
-        """From a position [m], (3,), and KUKA angles A, B, C [rad], (3,)."""
+        """Build a pose from a position [m], (3,), and KUKA angles A, B, C [rad], (3,)."""
         return cls(np.asarray(position, float), rotation_from_abc(abc))
 
 
 def rotation_from_abc(abc) -> np.ndarray:
-    """Rotation matrix (..., 3, 3) from KUKA angles A, B, C [rad], (..., 3)."""
+    """Return the rotation matrix (..., 3, 3) of KUKA angles A, B, C [rad], (..., 3)."""
     a, b, c = np.moveaxis(np.asarray(abc, float), -1, 0)
     (ca, cb, cc), (sa, sb, sc) = np.cos((a, b, c)), np.sin((a, b, c))
     rows = [
@@ -62,7 +62,7 @@ def rotation_from_abc(abc) -> np.ndarray:
 
 
 def abc_from_rotation(rotation: np.ndarray) -> np.ndarray:
-    """KUKA angles A, B, C [rad], (..., 3); at B = +-90 deg, where A and C are one angle, C is 0."""
+    """Return KUKA angles A, B, C [rad], (..., 3); at B = +-90 deg only A - C or A + C is defined, and C is 0."""
     r = np.asarray(rotation, float)
     cosine_b = np.hypot(r[..., 0, 0], r[..., 1, 0])
     regular = cosine_b > 1e-9
@@ -73,12 +73,12 @@ def abc_from_rotation(rotation: np.ndarray) -> np.ndarray:
 
 
 def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrix (..., 3, 3) from quaternions x, y, z, w, (..., 4); they need not be of length 1, but not 0."""
+    """Return the rotation matrix (..., 3, 3) of quaternions x, y, z, w, (..., 4), of any length above 0."""
     q = np.asarray(quaternion, float)
     return Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(q.shape[:-1] + (3, 3))
 
 
 def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
-    """Quaternions x, y, z, w with w >= 0, (..., 4), from rotation matrices (..., 3, 3)."""
+    """Return quaternions x, y, z, w with w >= 0, (..., 4), of rotation matrices (..., 3, 3)."""
     r = np.asarray(rotation, float)
     return Rotation.from_matrix(r.reshape(-1, 3, 3)).as_quat(canonical=True).reshape(r.shape[:-2] + (4,))

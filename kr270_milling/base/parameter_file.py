@@ -1,4 +1,4 @@
-"""Parameter files, ``/**: ros__parameters: ...`` in YAML: merged over each other, the command line on top."""
+"""Read and write parameter files (YAML, ``/**: ros__parameters: ...``), their includes and ``--set`` overrides."""
 
 from __future__ import annotations
 
@@ -14,29 +14,32 @@ from kr270_milling.base.errors import ConfigError
 
 __all__ = ["find_file", "merge", "override", "parse", "read_tree", "read_yaml", "refusal", "write_include"]
 
-MOST_BYTES = 256 * 1024  # the YAML reader takes some seconds for them
-MOST_INCLUDES = 64  # names in all files together; to merge a file of MOST_BYTES takes some milliseconds
-MOST_DEPTH = 8  # files that include one another
+MOST_BYTES = 256 * 1024  # the YAML reader needs some seconds for a file of this size
+MOST_INCLUDES = 64  # names in all files together; merging a file of MOST_BYTES takes some milliseconds
+MOST_DEPTH = 8  # length of a chain of includes
 
 
 def refusal(file, key: str, value, allowed: str) -> ConfigError:
-    """The error about a value of a file; a key without a value differs from a value."""
+    """Return the error for a value of a file; a key without a value has its own text."""
     if value is None:
         return ConfigError(file, key, None, f"has no value, it must be {allowed}")
     return ConfigError(file, key, value, allowed)
 
 
 def read_tree(path) -> dict:
-    """The ``/**: ros__parameters:`` dict of a parameter file, merged over the files that its ``includes`` name.
+    """Return the ``/**: ros__parameters:`` dict of a parameter file, merged over the files of its ``includes``.
 
-    Each file is read once, however often it is named. Raises ConfigError, also for more than MOST_INCLUDES names in
-    all the files together and for more than MOST_DEPTH files that include one another.
+    Each file is read once, even if several files include it. Raises ConfigError, also for more than MOST_INCLUDES
+    names in all files together and for a chain of more than MOST_DEPTH includes.
     """
     return _merged(Path(path), (), {}, [])
 
 
 def _merged(path: Path, above: tuple[Path, ...], trees: dict[Path, dict], named: list[str]) -> dict:
-    """above: the files that lead to this one; trees: what was read so far; named: all names of files so far."""
+    """Merge a file over its includes.
+
+    above: the chain of files that include this file; trees: files already read; named: all included names so far.
+    """
     place = path.resolve()
     if place in trees:
         return trees[place]
@@ -56,7 +59,7 @@ def _merged(path: Path, above: tuple[Path, ...], trees: dict[Path, dict], named:
 
 
 def _content(path: Path) -> tuple[list[str], dict]:
-    """The names in ``includes`` and the other keys of a file."""
+    """Return the names in ``includes`` and the other keys of a file."""
     tree = read_yaml(path)
     for key in ("/**", "ros__parameters"):
         if not isinstance(tree, dict) or set(tree) != {key}:
@@ -71,9 +74,9 @@ def _content(path: Path) -> tuple[list[str], dict]:
 
 
 def _as_lists(tree, file, key: str = ""):
-    """The tree with every list of groups as one group of lists, row after row; raises ConfigError.
+    """Convert every list of groups into one group of lists; raise ConfigError.
 
-    ``[{a: 1.0}, {a: 2.0}]`` is to a ROS node ``{a: [1.0, 2.0]}``.
+    A ROS node has no lists of groups: ``[{a: 1.0}, {a: 2.0}]`` becomes ``{a: [1.0, 2.0]}``.
     """
     if isinstance(tree, dict):
         return {name: _as_lists(value, file, f"{key}.{name}".lstrip(".")) for name, value in tree.items()}
@@ -90,7 +93,7 @@ def _as_lists(tree, file, key: str = ""):
 
 
 def read_yaml(path: Path):
-    """What a YAML file of bearable size says; raises ConfigError."""
+    """Return the content of a YAML file of at most MOST_BYTES; raise ConfigError."""
     try:
         if path.stat().st_size > MOST_BYTES:
             raise ConfigError(path, "", None, f"has more than {MOST_BYTES} bytes, so it is no parameter file")
@@ -111,7 +114,7 @@ def parse(text: str, file, key: str):
     except RecursionError:
         raise ConfigError(file, key, None, "is not valid YAML: nested too deeply") from None
     except (yaml.YAMLError, ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        # beside its own errors PyYAML lets through those of the constructors that an explicit tag chooses
+        # PyYAML does not catch the errors of the constructor that an explicit tag selects
         raise ConfigError(file, key, None, "is not valid YAML: " + " ".join(str(error).split())) from None
 
 
@@ -120,8 +123,10 @@ def _strict_loader():
     import yaml
 
     class Loader(yaml.SafeLoader):
-        """Refuses the same key twice, numbers to the base 60 (1:30), which ROS reads as texts, and aliases (*name),
-        which ROS refuses too: a few lines of aliases can expand beyond any memory."""
+        """Refuses repeated keys, numbers to the base 60 (1:30) and aliases (*name).
+
+        ROS reads 1:30 as text and refuses aliases. A few lines of aliases can expand beyond any memory.
+        """
 
         def compose_node(self, parent, index):
             if self.check_event(yaml.AliasEvent):
@@ -150,7 +155,7 @@ def _strict_loader():
 
 
 def merge(below: dict, above: dict) -> dict:
-    """``above`` laid over ``below``, group by group."""
+    """Return ``below`` with the values of ``above``, group by group."""
     merged = dict(below)
     for key, value in above.items():
         both = isinstance(value, dict) and isinstance(merged.get(key), dict)
@@ -159,7 +164,7 @@ def merge(below: dict, above: dict) -> dict:
 
 
 def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, frozenset]:
-    """Apply ``key=value`` texts (dotted keys); returns the new tree and the keys set."""
+    """Apply ``key=value`` texts (dotted keys); return the new tree and the keys that were set."""
     keys = set()
     for text in assignments:
         key, equals, value = text.partition("=")
@@ -174,24 +179,24 @@ def override(tree: dict, assignments: typing.Iterable[str]) -> tuple[dict, froze
 
 
 def find_file(name: str, beside: Path | None = None) -> Path:
-    """A parameter file by path, beside another file, or among the shipped ones; raises ConfigError if nowhere.
+    """Return a parameter file by path, next to another file, or from the shipped files; raise ConfigError.
 
-    A shipped one goes by its bare name or as ``config/name``: a mistyped folder never ends at another file.
+    A shipped file has its bare name or ``config/name``, so that a mistyped folder never opens another file.
     """
     places = [Path(name)] if beside is None else [beside / name]
     if Path(name).parent in (Path("."), Path("config")):
         places += [directory / Path(name).name for directory in shipped_directories()]
     for place in places:
-        with contextlib.suppress(OSError, ValueError):  # too long, in a folder that is not ours, a zero byte in it
+        with contextlib.suppress(OSError, ValueError):  # too long, no permission, a zero byte in the name
             if place.is_file():
                 return place
     raise ConfigError(name, "", None, f"is no such file (looked at {', '.join(str(p) for p in places)})")
 
 
 def shipped_directories() -> list[Path]:
-    """Where the shipped ``config`` lies: in the source checkout that runs, under the ament index or Python's prefix.
+    """Return the directories of the shipped ``config``: source checkout, ament index, Python's prefix.
 
-    The checkout first, so that its code never meets the files of another version that is installed beside it.
+    The checkout is first, so that its code never reads the files of another installed version.
     """
     source = Path(__file__).resolve().parents[2]
     checkout = [source / "config"] if (source / "package.xml").is_file() else []
@@ -201,7 +206,7 @@ def shipped_directories() -> list[Path]:
 
 
 def write_include(path, sections: dict, notes: list[str], digits: int = 6) -> Path:
-    """A ROS parameter file; sections: nested groups, a value is a number, a list, a text or (value, comment)."""
+    """Write a ROS parameter file; sections: nested groups; a value is a number, list, text or (value, comment)."""
     lines = [f"# {note}" for note in notes] + ["/**:", "  ros__parameters:"]
     _write_group(lines, sections, 4, digits)
     path = Path(path)
@@ -228,7 +233,7 @@ def _write_group(lines: list[str], group: dict, indent: int, digits: int) -> Non
 
 
 def _yaml_text(value, digits: int) -> str:
-    """As the ROS parser reads it: a number with a point, or with a point and an exponent."""
+    """Return the value as YAML text; the ROS parser needs a decimal point in every float, also with an exponent."""
     value = value.tolist() if hasattr(value, "tolist") else value
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(json.dumps(v) if isinstance(v, str) else _yaml_text(v, digits) for v in value) + "]"

@@ -1,4 +1,4 @@
-"""The end of this process: exit codes, and an exit without Python's finalisation."""
+"""End this process: exit codes, and an exit without Python's finalisation."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["end_process", "exit_code", "flush"]
 
 
 def exit_code(error: BaseException | None) -> int:
-    """Of a process that an error is about to end; 0 without one."""
+    """Return the exit code of a process that ends with this error; 0 for None."""
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else int(error.code is not None)
     if isinstance(error, KeyboardInterrupt):
@@ -21,10 +21,10 @@ def exit_code(error: BaseException | None) -> int:
 
 
 def end_process(code: int) -> NoReturn:
-    """End without Python's own finalisation.
+    """Flush the outputs and end this process without Python's finalisation.
 
-    In it the static objects of a middleware could still crash, and an interrupt within compiled code turns any exit
-    code into a death by SIGINT.
+    During finalisation static objects of a middleware can crash, and an interrupt in compiled code replaces the exit
+    code by SIGINT.
     """
     flush()
     os._exit(code)
@@ -32,5 +32,5 @@ def end_process(code: int) -> NoReturn:
 
 def flush() -> None:
     for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):  # a reader that has gone, a stream that is closed
+        with contextlib.suppress(OSError, ValueError):  # the reader has ended, or the stream is closed
             stream.flush()

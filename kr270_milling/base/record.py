@@ -39,7 +39,7 @@ MOVED = {
 
 @dataclasses.dataclass(frozen=True)
 class Spec:
-    """What is known of one parameter beside its value."""
+    """The properties of one parameter: name, type, default, unit, bounds and help text."""
 
     name: str
     kind: type  # float, int, bool, str, np.ndarray (of floats), tuple (of strings) or a Record
@@ -67,7 +67,7 @@ class Spec:
 
     @property
     def allowed(self) -> str:
-        """The sentence about what would be right."""
+        """Return the allowed values as the end of an error message."""
         if self.kind in (str, tuple):
             what = "one of " + ", ".join(self.choices) if self.choices else "a text"
             return what if self.kind is str else f"a list, each {what}"
@@ -81,9 +81,9 @@ class Spec:
         return f"{number} {limits}".strip()
 
     def read(self, value):
-        """What a file says as the very type that is asked for, in the file's unit; raises ValueError.
+        """Convert a value of a parameter file to the type of the parameter, in the file's unit; raise ValueError.
 
-        A whole number is taken where a float is due.
+        A whole number is accepted for a float.
         """
         if self.kind is float:
             return _number(value)
@@ -96,13 +96,13 @@ class Spec:
         return value
 
     def to_si(self, value):
-        """A value that was read, in SI."""
+        """Convert a value from the file's unit to SI."""
         if self.kind is np.ndarray:
             return np.array(value, float) * self.scale
         return value * self.scale if self.kind is float else value
 
     def to_file(self, value):
-        """A value in SI as a file says it."""
+        """Convert a value from SI to the file's unit and to plain Python types."""
         if self.kind is np.ndarray:
             return (value / self.scale).tolist()
         if self.kind is float:
@@ -110,7 +110,7 @@ class Spec:
         return list(value) if self.kind is tuple else value
 
     def checked(self, value):
-        """The value (SI), if it is allowed, arrays read-only; raises ParameterError."""
+        """Return the value (SI), arrays read-only; raise ParameterError for a value that is not allowed."""
         if self.kind is np.ndarray:
             value = np.array(value, float)
             value.setflags(write=False)
@@ -121,10 +121,10 @@ class Spec:
         return value
 
     def _allows(self, value) -> bool:
-        """Whether the value (SI) has the right type and size and is within its bounds.
+        """Return whether the value (SI) has the right type and size and is within the bounds.
 
-        The bounds are turned into SI as a value of the file is, by one product, which keeps the order of two numbers: a
-        value that is within them in the file's unit is within them here, to the last digit.
+        The bounds are converted to SI by the same product as a value of the file, and a product keeps the order of two
+        numbers. A value that is within the bounds in the file's unit is therefore within the bounds in SI.
         """
         if self.choices and not set(value if self.kind is tuple else [value]) <= set(self.choices):
             return False
@@ -150,16 +150,16 @@ def _number(value) -> float:
 
 
 def _readable(value):
-    """Without the digits that the way to SI and back may have added."""
+    """Round away the digits that the conversion to SI and back may have added."""
     if isinstance(value, list):
         return [_readable(v) for v in value]
     return float(f"{value:.14g}") if isinstance(value, float) else value
 
 
 def parameter(default=dataclasses.MISSING, **about):
-    """A dataclass field that a parameter file may set; ``default`` is in SI.
+    """Return a dataclass field that a parameter file may set; ``default`` is in SI.
 
-    about: ``text`` and, where they apply, unit, low, high, above, choices and size of its ``Spec``.
+    about: fields of its ``Spec``: text, unit, low, high, above, choices, size.
     """
     if isinstance(default, (list, np.ndarray)):
         values = tuple(default)
@@ -167,11 +167,11 @@ def parameter(default=dataclasses.MISSING, **about):
     return dataclasses.field(default=default, metadata=about)
 
 
-_SPECS: dict[type, tuple[Spec, ...]] = {}  # made once for each class
+_SPECS: dict[type, tuple[Spec, ...]] = {}  # cache, one entry for each record class
 
 
 def specs(record: type[Record]) -> tuple[Spec, ...]:
-    """The parameters of a record class in their order; a field that is itself a Record has ``kind`` that class."""
+    """Return the parameters of a record class in their order; ``kind`` of a nested record is its class."""
     if record not in _SPECS:
         hints = typing.get_type_hints(record)
         made = []
@@ -185,10 +185,10 @@ def specs(record: type[Record]) -> tuple[Spec, ...]:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Record:
-    """Base of the parameter dataclasses: checks every value at the door and makes arrays read-only.
+    """Base of the parameter dataclasses: checks every value on construction and makes arrays read-only.
 
-    Raises ParameterError, with key and value in the file's unit. A record that was built from a parameter file keeps
-    the numbers of the file, and returns them unchanged (``tree_of``).
+    Raises ParameterError with key and value in the file's unit. A record from a parameter file stores the numbers of
+    the file, so that ``tree_of`` returns them unchanged.
     """
 
     def __post_init__(self):
@@ -198,16 +198,16 @@ class Record:
         self.check()
 
     def check(self) -> None:
-        """Conditions between several values; a child raises ParameterError."""
+        """Check conditions between several values; a child class raises ParameterError."""
 
     def replace(self, **changes):
-        """A copy with some values (SI) replaced."""
+        """Return a copy with some values (SI) replaced."""
         copy = dataclasses.replace(self, **changes)
         return _keep(copy, {name: value for name, value in _given(self).items() if name not in changes})
 
 
 def _keep(record, given: dict):
-    """The record, which remembers by their names the values that a file gives, in the file's units."""
+    """Store name -> value of the file, in the file's units, in the record, and return the record."""
     object.__setattr__(record, "_in_file_units", given)
     return record
 
@@ -217,7 +217,10 @@ def _given(record: Record) -> dict:
 
 
 def build(record: type[Record], tree: dict, file="", prefix: str = ""):
-    """A record from the nested dict of a parameter file; raises ConfigError for unknown, missing, unusable keys."""
+    """Build a record from the nested dict of a parameter file.
+
+    Raises ConfigError for keys that are unknown, missing or have a value that is not allowed.
+    """
     if not isinstance(tree, dict):
         raise refusal(file, prefix.rstrip("."), tree, "a group of keys")
     known = {s.key: s for s in specs(record)}
@@ -248,7 +251,7 @@ def build(record: type[Record], tree: dict, file="", prefix: str = ""):
 
 
 def tree_of(record: Record) -> dict:
-    """The nested dict of a parameter file: the numbers that the record was built from where it was, in file units."""
+    """Return the nested dict of a parameter file, in file units; numbers that come from a file are unchanged."""
     given = _given(record)
     tree: dict[str, typing.Any] = {}
     for spec in specs(type(record)):
@@ -261,7 +264,7 @@ def tree_of(record: Record) -> dict:
 
 
 def flatten(record: Record) -> dict[str, object]:
-    """Dotted keys and values in file units, as a node declares them and a report lists them."""
+    """Return dotted key -> value in file units, for the parameters of a node and the table of a report."""
     return _flat(tree_of(record), "")
 
 

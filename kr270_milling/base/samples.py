@@ -1,4 +1,4 @@
-"""The records of the topics: what a message says, with stamps in nanoseconds and SI units, without any message."""
+"""Records of the messages on the topics: stamps in nanoseconds, values in SI units, no ROS types."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = [
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sample:
-    """Base of the records: arrays become read-only arrays of their type and shape."""
+    """Base of the records: converts arrays to their type, checks their shape, makes them read-only."""
 
     def __post_init__(self):
         for field in dataclasses.fields(self):
@@ -34,12 +34,12 @@ def _array(value, field) -> np.ndarray:
 
 
 def _values(*shape: int, kind: type = float):
-    """A field with an array; -1 in its shape: any length."""
+    """Return a field for an array of this shape; -1: any length."""
     return dataclasses.field(metadata={"shape": shape, "kind": kind})
 
 
 class PoseSample(NamedTuple):
-    """Where the tool is (geometry_msgs/PoseStamped); it comes in every exchange, so that nothing is checked here."""
+    """Pose of the tool (geometry_msgs/PoseStamped); not checked, because every exchange creates one."""
 
     stamp: int  #: [ns]
     frame: str
@@ -48,7 +48,7 @@ class PoseSample(NamedTuple):
 
 
 class WrenchSample(NamedTuple):
-    """Force and moment on the tool (geometry_msgs/WrenchStamped); made as quickly as a pose."""
+    """Force and moment on the tool (geometry_msgs/WrenchStamped); not checked, as a pose."""
 
     stamp: int  #: [ns]
     frame: str
@@ -56,7 +56,7 @@ class WrenchSample(NamedTuple):
 
 
 class TwistSample(NamedTuple):
-    """A deflection: small displacement and rotation (geometry_msgs/TwistStamped); made as quickly as a pose."""
+    """Deflection: small displacement and rotation (geometry_msgs/TwistStamped); not checked, as a pose."""
 
     stamp: int  #: [ns]
     frame: str
@@ -74,7 +74,7 @@ class JointSample(Sample):
 
 @dataclass(frozen=True, eq=False)
 class ClockSample(Sample):
-    """The time of the pass (rosgraph_msgs/Clock)."""
+    """Time of the pass (rosgraph_msgs/Clock)."""
 
     stamp: int  #: [ns]
 
@@ -98,7 +98,7 @@ class JointProgram(Sample):
 
 @dataclass(frozen=True, eq=False)
 class StockMap(Sample):
-    """How much of the stock is left, seen from above (nav_msgs/OccupancyGrid)."""
+    """Remaining height of the stock, seen from above (nav_msgs/OccupancyGrid)."""
 
     stamp: int  #: [ns]
     frame: str
@@ -108,7 +108,7 @@ class StockMap(Sample):
 
 
 class LearnedPass(NamedTuple):
-    """A pass that a reference trajectory follows from."""
+    """A pass from which the compensator computed a reference trajectory."""
 
     recording: str  #: file of the pass with its directory, such as original/original.mcap; empty: not recorded
     fingerprint: str  #: of all poses and wrenches that the compensator received
@@ -118,7 +118,7 @@ class LearnedPass(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CompensatorState(Sample):
-    """What the compensator publishes of itself with each reference trajectory (diagnostic_msgs/DiagnosticStatus)."""
+    """State of the compensator, published before each reference trajectory (diagnostic_msgs/DiagnosticStatus)."""
 
     name: str  #: of the node
     method: str
@@ -126,4 +126,4 @@ class CompensatorState(Sample):
     finished: bool  #: the method will not improve the reference any more
     target: str  #: fingerprint of the target trajectory
     reference: str  #: fingerprint of the reference trajectory
-    learned: tuple[LearnedPass, ...]  #: the passes that the reference follows from, in their order
+    learned: tuple[LearnedPass, ...]  #: the passes that the reference was computed from, in their order

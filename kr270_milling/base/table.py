@@ -1,4 +1,4 @@
-"""Tables of measurements as CSV files: named columns in any order, numbers and texts, every fault with its line."""
+"""Read and write tables of measurements as CSV files: named columns in any order; every error has its line."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["Table", "read_table", "write_table"]
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A file's columns as texts; rows without any value are left out."""
+    """The columns of a CSV file as texts, without empty rows."""
 
     path: str
     names: tuple[str, ...]
@@ -31,12 +31,12 @@ class Table:
         return name in self.names
 
     def texts(self, name: str) -> list[str]:
-        """One column."""
+        """Return one column as texts."""
         column = self.names.index(name)
         return [row[column] for row in self.rows]
 
     def number(self, name: str, default: float | None = None) -> np.ndarray:
-        """One column, (n,), ``default`` where the column or the value is missing; raises InputError."""
+        """Return one column, (n,), with ``default`` for a missing column or value; raise InputError."""
         if name not in self:
             if default is None:
                 raise InputError(self.path, f"has no column {name}", 1)
@@ -44,11 +44,11 @@ class Table:
         return np.array([self._value(t, name, n, default) for t, n in zip(self.texts(name), self.lines, strict=True)])
 
     def numbers(self, names, default: float | None = None) -> np.ndarray:
-        """Several columns, (n, columns)."""
+        """Return several columns, (n, columns)."""
         return np.stack([self.number(name, default) for name in names], -1)
 
     def refuse(self, wrong, reason: str) -> None:
-        """Raise InputError with the line of the first row that is wrong, (n,), if there is one."""
+        """Raise InputError with the line of the first row where ``wrong`` (n,) is true."""
         if np.any(wrong):
             raise InputError(self.path, reason, self.lines[int(np.argmax(wrong))])
 
@@ -67,9 +67,9 @@ class Table:
 
 
 def read_table(path, known, required=(), whole: bool = False) -> Table:
-    """A CSV file with a header line; lines that begin with # are notes. Raises InputError.
+    """Read a CSV file with a header line; lines that begin with # are comments. Raises InputError.
 
-    known: names that a column may have; required: those that must be there; whole: the last line must have an end.
+    known: allowed names of columns; required: names that must be present; whole: the last line must end with a newline.
     """
     lines = read_lines(path)
     if whole and (reason := unended(lines)):
@@ -97,7 +97,7 @@ def read_table(path, known, required=(), whole: bool = False) -> Table:
 
 
 def _cells(lines: list[str], path) -> list[tuple[int, tuple[str, ...]]]:
-    """Rows with any value and their lines."""
+    """Return the rows that contain a value, with their line numbers."""
     reader = csv.reader(lines)
     try:
         rows = [(number, tuple(map(str.strip, row))) for number, row in enumerate(reader, 1)]
@@ -107,7 +107,7 @@ def _cells(lines: list[str], path) -> list[tuple[int, tuple[str, ...]]]:
 
 
 def write_table(path, names, rows, notes=()) -> None:
-    """Notes as lines with #, the header, then rows of numbers and texts."""
+    """Write notes as lines with #, the header, then rows of numbers and texts."""
     with open(path, "w", encoding="utf-8", newline="") as stream:
         stream.writelines(f"# {note}\n" for note in notes)
         writer = csv.writer(stream, lineterminator="\n")

@@ -1,4 +1,4 @@
-"""Text files read: refused with a line number when unreadable."""
+"""Read text files; an unreadable file gives an error with its line number."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from kr270_milling.base.errors import InputError
 
 __all__ = ["read_lines", "short", "unended"]
 
-MOST_BYTES = 1 << 30  # read at once; a block of a tool path has some 30
+MOST_BYTES = 1 << 30  # the file is read at once; a block of a tool path has some 30 bytes
 
 
 def read_lines(path) -> list[str]:
-    """The lines of a UTF-8 (or ASCII) text file without their ends; the last item is "" if the last line has an end.
+    """Return the lines of a UTF-8 (or ASCII) text file; the last item is "" if the file ends with a newline.
 
-    Raises InputError for what is no such text, with the first line that is not.
+    Raises InputError with the line of the first character that is not text.
     """
     try:
         if not Path(path).is_file():  # a directory, a pipe, a device
@@ -45,11 +45,14 @@ def _line_at(data: bytes, offset: int) -> int:
 
 
 def unended(lines: list[str]) -> str:
-    """What is wrong where the last line has no end, as in a file that was cut off: its last number may be; else ""."""
+    """Return the reason why a file without a final newline is refused; "" for a complete file.
+
+    Such a file may be cut off in the middle of its last number.
+    """
     reason = "the file ends in the middle of a line, so it may be cut off; if it is whole, end its last line"
     return reason if lines[-1].strip() else ""
 
 
 def short(text: str) -> str:
-    """The beginning of a text from a file, for a sentence."""
+    """Return the beginning of a text from a file, for an error message."""
     return text if len(text) <= 20 else text[:20] + "..."

@@ -19,6 +19,6 @@ UNITS = {
 
 
 def seconds(ns: int) -> str:
-    """Nanoseconds as decimal seconds, every digit: 1500000000 is "1.500000000"."""
+    """Return nanoseconds as decimal seconds with all digits: 1500000000 is "1.500000000"."""
     whole, rest = divmod(abs(ns), SECOND)
     return f"{'-' if ns < 0 else ''}{whole}.{rest:09d}"
