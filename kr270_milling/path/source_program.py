@@ -1,4 +1,4 @@
-"""Statements of a CAM program beside its path, and words that cannot be run: records for all readers."""
+"""Records for all readers: what a CAM program states in addition to its path, and the words that cannot be run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_LINES = 40  #: kinds that a terminal lists
 
 @dataclass(frozen=True)
 class ReadOver:
-    """A word that does not move the tool, and its number in the program."""
+    """A word without effect on the path, and how often the program contains it."""
 
     word: str
     count: int
@@ -58,7 +58,7 @@ class ProgramTool:
 
     @property
     def shape(self) -> str:
-        """The kind of a mill that is not flat; "" for all other tools."""
+        """Return the kind of a mill that is not flat; "" for all other tools."""
         for word, shape in (("ball", "ball-end mill"), ("bull", "bull-nose mill"), ("chamfer", "chamfer mill")):
             if word in self.description:
                 return shape
@@ -69,7 +69,7 @@ class ProgramTool:
         return ""
 
     def completed(self, other: ProgramTool) -> ProgramTool:
-        """With what another description of the tool says where this one says nothing."""
+        """Return this description, with missing values taken from another description of the same tool."""
         words = self.description or other.description
         sizes = {name: getattr(self, name) or getattr(other, name) for name in ("diameter", "teeth", "corner_radius")}
         return dataclasses.replace(self, description=words, **sizes)
@@ -77,32 +77,32 @@ class ProgramTool:
 
 @dataclass(frozen=True)
 class SourceProgram:
-    """Statements of a program beside its moves; empty for a path without a program."""
+    """What a program states in addition to its moves; empty for a path without a program."""
 
     title: str = ""
-    tool: str = ""  #: the tool whose moves the path holds, "" where the program names none
-    tools: tuple[ProgramTool, ...] = ()  #: all that the program changes to
+    tool: str = ""  #: the tool that runs the moves of the path; "" if the program names no tool
+    tools: tuple[ProgramTool, ...] = ()  #: all tools of the program
     spindle_speeds: tuple[float, ...] = ()  #: [rad/s], of the cutting moves, negative counterclockwise; 0 is left out
     feeds: tuple[float, ...] = ()  #: [m/s], of the cutting moves
-    work_offset: str = ""  #: the one that the path is counted from, "G54"
+    work_offset: str = ""  #: the origin of the coordinates, such as "G54"
     operations: tuple[str, ...] = ()  #: names of the features with cutting moves
     read_over: tuple[ReadOver, ...] = ()
     refused: tuple[Refusal, ...] = ()
 
     @property
     def summary(self) -> str:
-        """One line about the words that were read over, "" if nothing was."""
+        """Return one line about the ignored words, "" if there are none."""
         words = ", ".join(f"{r.count} {r.word}" for r in self.read_over)
         return f"read over: {words}" if words else ""
 
     @property
     def current(self) -> ProgramTool | None:
-        """The tool whose moves the path holds."""
+        """Return the tool that runs the moves of the path."""
         return next((tool for tool in self.tools if tool.name == self.tool), None)
 
 
 class ProgramError(InputError):
-    """A program with words that cannot be run: all of them, each with its line and advice."""
+    """A program with words that cannot be run; lists all of these words with line and advice."""
 
     def __init__(self, source, program: SourceProgram):
         self.program = program
@@ -120,7 +120,7 @@ class ProgramError(InputError):
 
 
 def _lines_of(others: list[Refusal]) -> str:
-    """Lines of other words of the same kind."""
+    """Return the lines of the other words of the same kind, as text."""
     if not others:
         return ""
     lines = ", ".join(str(refusal.line) for refusal in others[:3])

@@ -1,14 +1,14 @@
-"""A tool path becomes a trajectory: feed along the path with limited acceleration and jerk, knots at controller steps.
+"""Time a tool path: speed along the path with limited acceleration and jerk, knots at controller steps.
 
-Blocks that meet tangentially, or in a corner that rounds off by less than the tolerance at some fair speed, are run
-through; at all other corners the tool stops, exactly on a controller step, so that a knot is in the corner. Between
-stops the speed is as high as the feeds, the curvature (centripetal acceleration) and S-shaped ramps allow. The ramps
-bound acceleration and jerk *along* the path; across it only the acceleration is bounded. All passes over the blocks
-are linear in their number. Where a joint would run too fast or accelerate too hard, the knots come later.
+The tool runs through a corner if the blocks are tangent, or if the corner rounds off by less than the tolerance at
+``FAIR`` of the feed or more. At all other corners the tool stops, exactly on a controller step, so that a knot is in
+the corner. Between stops the speed is as high as the feeds, the curvature (centripetal acceleration) and S-shaped
+ramps allow. The ramps bound acceleration and jerk *along* the path; across the path only the acceleration is bounded.
+The cost is linear in the number of blocks. Where a joint would exceed its speed or acceleration, knots are delayed.
 
-A ramp from v0 to v1 raises the acceleration at the jerk j, holds it at most at a, and lowers it again: it lasts
-2 sqrt(|v1 - v0| / j) while the acceleration stays below a, |v1 - v0| / a + a / j otherwise, and covers the mean speed
-times that. Every ramp starts and ends without acceleration, so ramps can be joined in any order.
+A ramp from v0 to v1 raises the acceleration at the jerk j to at most a, and lowers it again. Its duration is
+2 sqrt(|v1 - v0| / j) while the acceleration stays below a, and |v1 - v0| / a + a / j otherwise. Its length is the mean
+speed times the duration. Every ramp starts and ends without acceleration, so ramps can follow each other in any order.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MOST_KNOTS = 5_000_000  # a trajectory takes some 200 bytes a knot while it is m
 
 @dataclass(frozen=True, eq=False)
 class Timing(Record):
-    """What the controller allows along a path."""
+    """Limits of the controller along a path."""
 
     controller_step: float = parameter(0.05, unit="ms", low=1.0, high=1000.0, text="time between knots")
     acceleration: float = parameter(2.0, unit="m_per_s2", above=0.0, high=50.0, text="along and across the path")
@@ -49,16 +49,16 @@ class Timing(Record):
 
 @dataclass(frozen=True, eq=False)
 class TimedPath:
-    """A trajectory and where on its tool path each knot lies."""
+    """A trajectory, and the place of each knot on its tool path."""
 
     toolpath: Toolpath
     trajectory: Trajectory
     block: np.ndarray  #: (m,), block of the tool path that each knot lies on
     distance: np.ndarray  #: [m], (m,), along the path
-    timed_by_source: bool = False  #: it came with its times, nothing is to change them
+    timed_by_source: bool = False  #: the times come from the source and stay unchanged
 
     def distance_at(self, time_ns) -> np.ndarray:
-        """Distance along the path [m] at times [ns]."""
+        """Return the distance along the path [m] at times [ns]."""
         k, u, step = self.trajectory.locate(time_ns)
         u, step = u[..., 0], step[..., 0]
         if self.trajectory.velocity is None:
@@ -68,16 +68,16 @@ class TimedPath:
         return self.distance[k] + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
 
     def block_at(self, time_ns) -> np.ndarray:
-        """Block of the tool path at times [ns]."""
+        """Return the block of the tool path at times [ns]."""
         return self.toolpath.block_at(self.distance_at(time_ns))
 
 
 def time_path(toolpath: Toolpath, timing: Timing) -> TimedPath:
-    """Run a tool path under the limits; the trajectory starts and ends at rest and has velocities at its knots."""
+    """Time a tool path within the limits; the trajectory starts and ends at rest and has velocities at its knots."""
     ramps, stops, ends = _ramps(toolpath, timing)
     time_ns = np.arange(stops[-1] + 1, dtype=np.int64) * timing.step_ns
     distance, speed, _ = ramps.sample(np.arange(stops[-1] + 1) * timing.controller_step)
-    distance[stops], speed[stops], speed[0] = ends, 0.0, 0.0  # without the rounding, so that a stop is known as one
+    distance[stops], speed[stops], speed[0] = ends, 0.0, 0.0  # exact values: a rounded speed would hide a stop
     position, tangent, quaternion = toolpath.on_path(distance)
     position[-1] = toolpath.position[-1]
     run = Trajectory(time_ns, position, quaternion, speed[:, None] * tangent)
@@ -85,7 +85,10 @@ def time_path(toolpath: Toolpath, timing: Timing) -> TimedPath:
 
 
 def _segments(toolpath: Toolpath, timing: Timing) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Blocks run as one: lengths [m], (m,), speed limits [m/s], (m,), and limits where they meet, (m + 1,)."""
+    """Join blocks of equal limits to segments.
+
+    Returns the lengths [m], (m,), the speed limits [m/s], (m,), and the limits at the joints, (m + 1,).
+    """
     bend = np.maximum(np.abs(toolpath.curvature[1:]), 1e-12)
     feed = np.where(toolpath.rapid[1:], timing.rapid_feed, toolpath.feed[1:])
     limit = np.minimum(feed, np.sqrt(timing.acceleration / bend))  # centripetal
@@ -97,7 +100,7 @@ def _segments(toolpath: Toolpath, timing: Timing) -> tuple[np.ndarray, np.ndarra
 
 
 def _ramps(toolpath: Toolpath, timing: Timing) -> tuple[Ramps, np.ndarray, np.ndarray]:
-    """The phases of motion along the whole path, the knots at which the tool stops, and their distances [m]."""
+    """Return the phases of motion along the whole path, the knots at which the tool stops, and their distances [m]."""
     step, bounds = timing.controller_step, (timing.acceleration, timing.jerk)
     length, limit, cap = _segments(toolpath, timing)
     vertex = vertex_speeds(cap, length, *bounds)
@@ -113,7 +116,7 @@ def _ramps(toolpath: Toolpath, timing: Timing) -> tuple[Ramps, np.ndarray, np.nd
     if not steps.sum() <= MOST_KNOTS:
         raise ToolpathError(f"it would last {steps.sum() * step:.3g} s; is the feed right?")
     missing = steps * step - duration
-    softer = cruise[final] >= missing  # brake so gently that the stop falls on a step; else run a little slower
+    softer = cruise[final] >= missing  # brake more gently, so that the stop is on a step; else reduce the speed
     down[final] += np.where(softer, 2 * missing, 0.0)
     cruise[final] -= np.where(softer, missing, 0.0)
     slower = np.where(softer, 1.0, steps * step / duration)[run, None]
@@ -125,11 +128,11 @@ def _ramps(toolpath: Toolpath, timing: Timing) -> tuple[Ramps, np.ndarray, np.nd
 
 
 def _corner_speeds(toolpath: Toolpath, timing: Timing, limit: np.ndarray) -> np.ndarray:
-    """Speed [m/s], (n-2,), at which each corner between two blocks may be run; 0: stop.
+    """Return the highest speed [m/s], (n-2,), in each corner between two blocks; 0: stop.
 
-    Between two knots a step h apart the trajectory rounds a turn by the angle t off by v h sin(t/2) / 4 at most, and
-    changes its velocity by 2 v sin(t/2) within the step, or within one block where blocks are shorter. A fifth of the
-    tolerance is left for the speed that the tool gains or loses within that step.
+    Between two knots a step h apart the trajectory rounds off a corner of the angle t by at most v h sin(t/2) / 4. The
+    velocity changes by 2 v sin(t/2) within the step, or within one block if the block is shorter. A fifth of the
+    tolerance is left for the change of speed within that step.
     """
     k = np.arange(1, len(toolpath))
     start, end = toolpath.tangent(k, np.zeros(k.size)), toolpath.tangent(k, toolpath.plane_length[k])
@@ -145,14 +148,14 @@ def _corner_speeds(toolpath: Toolpath, timing: Timing, limit: np.ndarray) -> np.
 
 
 def ramp_time(change, acceleration: float, jerk: float) -> np.ndarray:
-    """Shortest duration [s] of a ramp by ``change`` [m/s]."""
+    """Return the shortest duration [s] of a ramp by ``change`` [m/s]."""
     change = np.abs(change)
     gentle = 2 * np.sqrt(change / jerk)
     return np.where(change <= acceleration**2 / jerk, gentle, change / acceleration + acceleration / jerk)
 
 
 def reachable(speed: float, length: float, acceleration: float, jerk: float) -> float:
-    """The highest speed [m/s] that a ramp from ``speed`` reaches within ``length`` [m]; closed form."""
+    """Return the highest speed [m/s] that a ramp from ``speed`` reaches within ``length`` [m], in closed form."""
     edge = acceleration**2 / jerk  # change of speed at which the acceleration just reaches its limit
     if length <= (2 * speed + edge) * acceleration / jerk:
         # (2 v + x^2) x = length sqrt(j) with x^2 the change of speed: the one real root of a cubic
@@ -167,7 +170,10 @@ def reachable(speed: float, length: float, acceleration: float, jerk: float) -> 
 
 
 def vertex_speeds(cap: np.ndarray, length: np.ndarray, acceleration: float, jerk: float) -> np.ndarray:
-    """Highest speeds [m/s], (m+1,), at the ends of m segments, below ``cap`` (m+1,) and within reach of each other."""
+    """Return the highest speeds [m/s], (m+1,), at the ends of m segments.
+
+    The speeds are below ``cap`` (m+1,), and a ramp between two neighbours fits into their segment.
+    """
     speeds, lengths = cap.tolist(), length.tolist()
     for i, distance in enumerate(lengths):
         if speeds[i + 1] > speeds[i]:
@@ -179,7 +185,7 @@ def vertex_speeds(cap: np.ndarray, length: np.ndarray, acceleration: float, jerk
 
 
 def peak_speeds(first, last, cap, length, acceleration: float, jerk: float) -> np.ndarray:
-    """Highest speed [m/s], (m,), within each segment that leaves room for the ramps at both ends."""
+    """Return the highest speed [m/s], (m,), within each segment, with room for the ramps at both ends."""
 
     def room(peak):
         up, down = ramp_time(peak - first, acceleration, jerk), ramp_time(peak - last, acceleration, jerk)
@@ -196,12 +202,12 @@ def peak_speeds(first, last, cap, length, acceleration: float, jerk: float) -> n
 
 @dataclass(frozen=True, eq=False)
 class Ramps:
-    """Phases of motion along a path, one after the other from time 0; a cruise is a ramp between equal speeds."""
+    """Consecutive phases of motion along a path from time 0; constant speed is a ramp between equal speeds."""
 
     duration: np.ndarray  #: [s], (p,)
     first: np.ndarray  #: [m/s], (p,), speed at the start of the phase
-    last: np.ndarray  #: [m/s], (p,), speed at the end of each
-    edge: np.ndarray  #: (p,), share of the phase in which the acceleration rises, and again falls; 0 < edge <= 1/2
+    last: np.ndarray  #: [m/s], (p,), speed at the end of the phase
+    edge: np.ndarray  #: (p,), share of the phase in which the acceleration rises, equal to the share in which it falls
 
     @classmethod
     def make(cls, duration, first, last, acceleration: float, jerk: float) -> Ramps:
@@ -212,11 +218,11 @@ class Ramps:
 
     @property
     def start(self) -> np.ndarray:
-        """[s], (p + 1,)"""
+        """Return the start of each phase and the end of the last one [s], (p + 1,)."""
         return np.concatenate([[0.0], np.cumsum(self.duration)])
 
     def sample(self, time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Distance [m], speed [m/s] and acceleration [m/s^2] at times [s], (m,)."""
+        """Return distance [m], speed [m/s] and acceleration [m/s^2] at times [s], (m,)."""
         start = self.start
         travelled = np.concatenate([[0.0], np.cumsum((self.first + self.last) / 2 * self.duration)])
         k = np.clip(np.searchsorted(start, time, side="right") - 1, 0, len(self.duration) - 1)
@@ -238,15 +244,15 @@ ROUNDS = 200
 
 
 def joint_rates(time, joints, at_rest: bool = True) -> tuple[np.ndarray, np.ndarray]:
-    """Joint speeds between the knots [rad/s], (n-1, 6), and accelerations at the knots [rad/s^2], (n, 6).
+    """Return joint speeds between the knots [rad/s], (n-1, 6), and accelerations at the knots [rad/s^2], (n, 6).
 
-    time [s], (n,); joints [rad], (n, 6). at_rest: the motion starts and ends at rest, else with its first and last
+    time [s], (n,); joints [rad], (n, 6); at_rest: the motion starts and ends at rest, otherwise at its first and last
     speed.
     """
     step = np.diff(time)[:, None]
     speed = np.diff(joints, axis=0) / step
     inner = 2 * np.diff(speed, axis=0) / (step[1:] + step[:-1])
-    if at_rest:  # from rest the mean speed of the first step is half of what it gains
+    if at_rest:  # from rest, the mean speed of the first step is half of the speed at its end
         first, last = 2 * speed[:1] / step[:1], -2 * speed[-1:] / step[-1:]
     else:
         first = last = np.zeros((1, speed.shape[1]))
@@ -254,11 +260,11 @@ def joint_rates(time, joints, at_rest: bool = True) -> tuple[np.ndarray, np.ndar
 
 
 def limit_by_joints(trajectory: Trajectory, joints, speed_limit, acceleration_limit) -> Trajectory:
-    """The same knots at later times, so that no joint exceeds its speed and acceleration; time steps only grow.
+    """Delay the knots so that no joint exceeds its speed and acceleration; time steps never become shorter.
 
-    joints [rad], (n, 6), at the knots; speed_limit [rad/s] and acceleration_limit [rad/s^2], (6,). Steps are stretched
-    where the limits are exceeded, round by round; what 200 rounds leave over is taken off the whole by a uniform
-    stretch. Speeds and accelerations are those of ``joint_rates``.
+    joints [rad], (n, 6), at the knots; speed_limit [rad/s] and acceleration_limit [rad/s^2], (6,). Each round stretches
+    the steps that exceed a limit. After 200 rounds one uniform stretch removes the rest. Speeds and accelerations are
+    those of ``joint_rates``.
     """
     joints = np.asarray(joints, float)
     speed_limit, acceleration_limit = np.asarray(speed_limit, float), np.asarray(acceleration_limit, float)
@@ -273,7 +279,7 @@ def limit_by_joints(trajectory: Trajectory, joints, speed_limit, acceleration_li
     step = old * np.maximum(1, (np.abs(speed) / speed_limit).max(axis=1))
 
     def excess() -> np.ndarray:
-        """By how much each knot exceeds its accelerations, (n,)."""
+        """Return the ratio of acceleration to limit at each knot, (n,), of the worst joint."""
         time = np.concatenate([[0], np.cumsum(step)])
         return (np.abs(joint_rates(time, joints, at_rest)[1]) / acceleration_limit).max(axis=1)
 

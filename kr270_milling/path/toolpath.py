@@ -1,4 +1,4 @@
-"""A tool path as a milling programme gives it: blocks with a feed rate, not yet with times; and what collects them."""
+"""A tool path of a milling program: blocks with feed rates, without times; and the builder that collects blocks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from kr270_milling.path.trajectory import TOOL_DOWN, slerp
 
 __all__ = ["REACH", "TOP", "PathBuilder", "Toolpath", "ToolpathError", "cut_features"]
 
-#: [m] no coordinate of a part in a robot cell is larger; beyond it the unit must be wrong
+#: [m] largest coordinate of a part in a robot cell; a larger one has a wrong unit
 REACH = 100.0
 
 
@@ -22,7 +22,7 @@ NO_PROGRAM = SourceProgram()
 
 
 class ToolpathError(MillingError):
-    """A tool path that cannot be run; index is the first offending block, None where it is not one block."""
+    """A tool path that cannot be run; index: the first wrong block, None if the fault is not in a single block."""
 
     def __init__(self, reason: str, index: int | None = None):
         self.reason, self.index = reason, index
@@ -31,9 +31,9 @@ class ToolpathError(MillingError):
 
 @dataclass(frozen=True, eq=False)
 class Toolpath:
-    """Block k runs from position k-1 to position k; block 0 is where the path starts. Arrays become read-only.
+    """Blocks of a path: block k runs from position k-1 to position k; block 0 is the start. Arrays become read-only.
 
-    Arcs are chords that touch the arc at both ends, with its curvature, so that the arc is not lost.
+    An arc is a row of chords with both ends on the arc; the curvature of the arc is stored with each chord.
     """
 
     position: np.ndarray  #: [m], (n, 3), end of each block, of the tool tip in the workpiece frame
@@ -48,7 +48,7 @@ class Toolpath:
     drilling: np.ndarray = field(
         default_factory=lambda: np.zeros(0, bool)
     )  #: strokes of a cycle, (n,) bool; empty: none
-    program: SourceProgram = NO_PROGRAM  #: what the source says beside its moves
+    program: SourceProgram = NO_PROGRAM  #: what the source states in addition to its moves
 
     def __post_init__(self):
         position = np.array(self.position, float)
@@ -77,12 +77,12 @@ class Toolpath:
 
     @property
     def block_length(self) -> np.ndarray:
-        """[m], (n,), along the arcs; 0 for block 0."""
+        """Return the length of each block [m], (n,), along the arcs; 0 for block 0."""
         return np.hypot(self.plane_length, np.diff(self.position[:, 2], prepend=self.position[0, 2]))
 
     @property
     def plane_length(self) -> np.ndarray:
-        """[m], (n,), of the projection of each block onto the xy plane."""
+        """Return the length of each block in the xy plane [m], (n,)."""
         chord = np.hypot(*np.diff(self.position[:, :2], axis=0, prepend=self.position[:1, :2]).T)
         bent = np.abs(self.curvature) > 0
         curvature = np.where(bent, np.abs(self.curvature), 1.0)
@@ -90,16 +90,16 @@ class Toolpath:
 
     @property
     def length(self) -> float:
-        """[m]"""
+        """Return the length of the path [m]."""
         return float(self.block_length.sum())
 
     def block_at(self, distance) -> np.ndarray:
-        """The block, from 1, that holds each distance [m] along the path."""
+        """Return the block, from 1, at each distance [m] along the path."""
         ends = np.cumsum(self.block_length)
         return np.clip(np.searchsorted(ends, distance, side="right"), 1, len(self) - 1)
 
     def tangent(self, block: np.ndarray, way: np.ndarray) -> np.ndarray:
-        """Unit tangent, (m, 3), at the distance ``way`` [m] from the start of a block, measured in the xy plane."""
+        """Return the unit tangent, (m, 3), at the distance ``way`` [m], in the xy plane, from the start of a block."""
         move = self.position[block] - self.position[block - 1]
         plane = self.plane_length[block]
         heading = np.arctan2(move[:, 1], move[:, 0]) + self.curvature[block] * (way - plane / 2)
@@ -107,7 +107,7 @@ class Toolpath:
         return flat / np.linalg.norm(flat, axis=1, keepdims=True)
 
     def on_path(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Position [m], unit tangent and quaternion at distances [m], (m,), along the path; arcs are arcs again."""
+        """Return position [m], unit tangent and quaternion at distances [m], (m,), on the true arcs of the path."""
         block, length = self.block_at(distance), self.block_length
         share = np.clip((distance - np.cumsum(length)[block - 1]) / length[block], 0, 1)
         plane, bend = self.plane_length[block], self.curvature[block]
@@ -122,11 +122,11 @@ class Toolpath:
         return position, self.tangent(block, share * plane), quaternion
 
 
-#: height of a tool that was sent home: the highest one of the program, which ``PathBuilder.build`` puts in
+#: stands for the height of a tool at its home position; ``PathBuilder.build`` replaces it by the largest height
 TOP = math.inf
-#: more blocks than this cannot be meant (a full circle of 100 m radius within 2 um has 16,000)
+#: largest number of blocks (a full circle of 100 m radius within 2 um has 16,000)
 MOST_BLOCKS = 20_000_000
-MOST_FEATURES = 200  #: a part with more of them is named by something that is no feature
+MOST_FEATURES = 200  #: with more names, the comments do not name features
 #: columns of the blocks while they are collected
 COLUMNS: dict[str, int | slice] = {
     "position": slice(0, 3), "quaternion": slice(3, 7), "feed": 7, "curvature": 8, "spindle_speed": 9, "rapid": 10,
@@ -135,17 +135,17 @@ COLUMNS: dict[str, int | slice] = {
 
 
 class PathBuilder:
-    """Collects blocks; moves that go nowhere are left out, a feature without a cutting move is none."""
+    """Collects blocks; leaves out moves of length 0 and features without a cutting move."""
 
     def __init__(self, source):
         self.source = source
-        self.line = 1  #: that is read
+        self.line = 1  #: current line of the source
         self.features: dict[str, int] = {"": 0}
-        self.feature = 0  #: that the moves make
+        self.feature = 0  #: feature of the next moves
         self.spindle_speed = 0.0  #: [rad/s]
         self.drilling = False  #: whether the moves belong to a drilling cycle
         self.quaternion = TOOL_DOWN
-        self.last: tuple[float, float, float] | None = None  #: where the last move went
+        self.last: tuple[float, float, float] | None = None  #: end of the last move
         self._last_quaternion = TOOL_DOWN
         self._blocks = array("d")
 
@@ -153,7 +153,7 @@ class PathBuilder:
         return len(self._blocks) // 14
 
     def name_feature(self, name: str) -> None:
-        """The moves that follow make this feature."""
+        """Start a feature: the next moves belong to it."""
         self.feature = self.features.setdefault(name, len(self.features))
 
     def move(self, position: tuple[float, float, float], feed: float, rapid: bool, line: int, curvature=0.0) -> None:
@@ -170,12 +170,12 @@ class PathBuilder:
         self._blocks.extend((*position, *self.quaternion, *numbers))
 
     def columns(self) -> dict[str, np.ndarray]:
-        """The blocks so far, by the names of the fields of a Toolpath."""
+        """Return the blocks so far, by the names of the fields of a Toolpath."""
         blocks = np.frombuffer(self._blocks).reshape(-1, 14)
         return {name: blocks[:, column] for name, column in COLUMNS.items()}
 
     def build(self, program: SourceProgram = NO_PROGRAM) -> Toolpath:
-        """The path; raises InputError where it never moves."""
+        """Return the path; raise InputError for a path without a move."""
         columns = self.columns()
         position, away = columns["position"], np.isinf(columns["position"][:, 2])
         if away.any():
@@ -195,6 +195,6 @@ class PathBuilder:
 
 
 def cut_features(columns: dict[str, np.ndarray]) -> list[int]:
-    """Numbers of the features with cutting moves, without the unnamed one, in the order of the program."""
+    """Return the numbers of the named features with cutting moves, in the order of the program."""
     numbers = np.unique(columns["feature"][columns["rapid"] == 0]).astype(int).tolist()
     return [k for k in numbers if k][:MOST_FEATURES]

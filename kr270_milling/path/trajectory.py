@@ -1,8 +1,9 @@
-"""A sampled trajectory of the tool and how a controller runs between its knots.
+"""A sampled trajectory of the tool, and the motion of a controller between the knots.
 
 Convention of ROS joint trajectory controllers: knots without velocities are joined by straight lines, knots with
-velocities by cubic Hermite segments, so a C2 cubic spline given with its knot velocities is run exactly. Orientations
-are joined by the shortest rotation at constant rate (slerp). Before the first and after the last knot the tool rests.
+velocities by cubic Hermite segments. A controller therefore runs a C2 cubic spline exactly if the knots carry its
+velocities. Orientations are joined by the shortest rotation at constant rate (slerp). The tool rests before the first
+and after the last knot.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ AT_REST = 1e-6  #: [m/s] a slower tool is at rest: 12 nm in a tick of 12 ms are 
 
 
 class TrajectoryError(MillingError):
-    """A trajectory that no tool can follow; index is the first offending knot, None where it is not one knot."""
+    """A trajectory that no tool can follow; index: the first wrong knot, None if the fault is not in a single knot."""
 
     def __init__(self, reason: str, index: int | None = None):
         self.reason, self.index = reason, index
@@ -75,11 +76,11 @@ class Trajectory:
 
     @property
     def time(self) -> np.ndarray:
-        """Knot times [s], (n,)."""
+        """Return the knot times [s], (n,)."""
         return self.time_ns * 1e-9
 
     def sample(self, time_ns) -> np.ndarray:
-        """Position [m], (..., 3), at times [ns] of any shape."""
+        """Return the position [m], (..., 3), at times [ns] of any shape."""
         k, u, step = self.locate(time_ns)
         start, move = self.position[k], self.position[k + 1] - self.position[k]
         if self.velocity is None:
@@ -88,9 +89,9 @@ class Trajectory:
         return start + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
 
     def sample_velocity(self, time_ns, side: Literal["left", "right"] = "right") -> np.ndarray:
-        """Velocity [m/s], (..., 3), at times [ns] of any shape; where two segments meet in a corner, of the later one.
+        """Return the velocity [m/s], (..., 3), at times [ns] of any shape.
 
-        side: "left" for the earlier one, as ``numpy.searchsorted`` has it.
+        side: at a corner, "right" is the velocity of the later segment, "left" of the earlier one.
         """
         k, u, step = self.locate(time_ns, side)
         move = self.position[k + 1] - self.position[k]
@@ -102,27 +103,27 @@ class Trajectory:
 
     @property
     def standing(self) -> np.ndarray:
-        """(n,) True at the knots where the tool rests; never where straight lines run through the knots."""
+        """Return an array (n,), true at the knots where the tool rests; without velocities no inner knot is at rest."""
         if self.velocity is None:
             return np.zeros(len(self), bool)
         return np.linalg.norm(self.velocity, axis=1) <= AT_REST
 
     def feed(self, time_ns) -> np.ndarray:
-        """Speed of the tool tip [m/s] at times [ns] of any shape."""
+        """Return the speed of the tool tip [m/s] at times [ns] of any shape."""
         return np.linalg.norm(self.sample_velocity(time_ns), axis=-1)
 
     def sample_orientation(self, time_ns) -> np.ndarray:
-        """Quaternions x, y, z, w, (..., 4), at times [ns] of any shape."""
+        """Return quaternions x, y, z, w, (..., 4), at times [ns] of any shape."""
         k, u, _ = self.locate(time_ns)
         return slerp(self.quaternion[k], self.quaternion[k + 1], u)
 
     def moving(self, time_ns) -> np.ndarray:
-        """Whether times [ns] of any shape lie between the first and the last knot, both included."""
+        """Return whether times [ns] of any shape are between the first and the last knot, both included."""
         time = np.asarray(time_ns)
         return (time >= 0) & (time <= self.duration_ns)
 
     def locate(self, time_ns, side: Literal["left", "right"] = "right") -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Segment (...), place in it from 0 to 1 (..., 1), its duration [s] (..., 1), at times [ns] of any shape.
+        """Return segment (...), position in it from 0 to 1 (..., 1) and its duration [s] (..., 1) at times [ns].
 
         side: "right" for the later segment at a knot, "left" for the earlier one.
         """
@@ -132,7 +133,7 @@ class Trajectory:
         return k, (time - self.time_ns[k])[..., None] / step_ns, step_ns * 1e-9
 
     def with_position(self, position, velocity=None) -> Trajectory:
-        """The same times and orientations with other positions [m], (n, 3), and knot velocities [m/s]."""
+        """Return a copy with other positions [m], (n, 3), and knot velocities [m/s]."""
         return Trajectory(self.time_ns, position, self.quaternion, velocity, self.frame)
 
     @classmethod
@@ -140,7 +141,7 @@ class Trajectory:
         cls, start, direction, length: float, feed_rate: float, knot_period_s: float, quaternion=TOOL_DOWN,
         frame: str = "workpiece",
     ) -> Trajectory:  # fmt: skip
-        """Constant feed rate [m/s] over a length [m]: knots at the controller step, the last at the exact end."""
+        """Return a line of a length [m] at constant feed rate [m/s]; the last knot is at the exact end."""
         direction = np.asarray(direction, float)
         if not (length > 0 and feed_rate > 0 and knot_period_s > 0 and np.linalg.norm(direction) > 0):
             raise TrajectoryError("length, feed rate, knot period and direction must be above 0")
@@ -153,9 +154,9 @@ class Trajectory:
 
 
 def slerp(first: np.ndarray, second: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Quaternions (..., 4) at the fractions u (..., 1) of the shortest turn from ``first`` to ``second``."""
+    """Return quaternions (..., 4) at the fractions u (..., 1) of the shortest rotation from ``first`` to ``second``."""
     cosine = np.sum(first * second, axis=-1, keepdims=True)
-    second = np.where(cosine < 0, -second, second)  # q and -q are one rotation: take the short way
+    second = np.where(cosine < 0, -second, second)  # q and -q are the same rotation: take the shorter one
     sine = np.linalg.norm(second - np.abs(cosine) * first, axis=-1, keepdims=True)
     angle = np.arctan2(sine, np.abs(cosine))
     turning = sine > 1e-9
@@ -179,7 +180,7 @@ def _refuse(bad: np.ndarray, reason: str) -> None:
 
 
 def fingerprint(trajectory: Trajectory) -> str:
-    """CRC-32 of times, positions and velocities, whose bits a message keeps; 8 hexadecimal digits."""
+    """Return the CRC-32 of times, positions and velocities as 8 hexadecimal digits; a message keeps these bits."""
     velocity = b"" if trajectory.velocity is None else trajectory.velocity.tobytes()
     return f"{zlib.crc32(trajectory.time_ns.tobytes() + trajectory.position.tobytes() + velocity):08x}"
 
