@@ -46,6 +46,7 @@ COMMANDS = {
     "sweep": Entry("studies", "full passes with other values of any keys, on as many cores as there are"),
     "identify": Entry("identify", "find compliances, force coefficients and modes from measurements of the own cell"),
     "compare": Entry("identify", "set a measured pass beside the simulated one"),
+    "rsi": Entry("rsi", "correct a running robot program over KUKA RobotSensorInterface"),
     "info": Entry("recordings", "show what a recording holds"),
     "replay": Entry("replay", "play a recording back onto topics, recompute it bit for bit, or compensate from it"),
     "export": Entry("recordings", "write the topics of a recording as tables"),

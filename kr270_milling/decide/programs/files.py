@@ -159,12 +159,15 @@ def source_of(cell: Cell, count: int) -> krl_motion.Source | None:
 
 
 def write_rsi_table(path, original: Trajectory, revised: Trajectory, tick_ns: int = RSI_TICKS_NS[0]) -> None:
-    """The offsets at every RSI tick (4 or 12 ms): time_s, dX, dY, dZ [mm], dA, dB, dC [deg]."""
+    """Write the offsets at every RSI tick (4 or 12 ms): time_s, dX, dY, dZ [mm], dA, dB, dC [deg], X, Y, Z [mm].
+
+    X, Y, Z: the programmed point, from which the command ``rsi`` takes the progress on the path.
+    """
     if tick_ns not in RSI_TICKS_NS:
         raise TrajectoryError(f"RSI corrects every 4 or 12 ms, not every {tick_ns / 1e6:g} ms")
     time_ns, shift, turn = offsets(original, revised, tick_ns)
-    rows = np.hstack([shift * 1e3, np.degrees(turn)]) + 0.0  # + 0.0 turns -0.0 into 0.0
-    _write_rows(path, "dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg", time_ns, rows, "{:.6f}".format)
+    rows = np.hstack([shift * 1e3, np.degrees(turn), original.sample(time_ns) * 1e3]) + 0.0  # -0.0 becomes 0.0
+    _write_rows(path, "dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg,X_mm,Y_mm,Z_mm", time_ns, rows, "{:.6f}".format)
 
 
 def write_joint_table(path, trajectory: Trajectory, joints) -> None:

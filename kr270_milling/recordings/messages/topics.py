@@ -71,6 +71,9 @@ TOPICS = (
     Topic("reference_path", "nav_msgs/msg/Path", None, COMPENSATOR, latched=True, note="for viewers"),
     Topic("recording", "std_msgs/msg/String", Text, RECORDER, (COMPENSATOR,), latched=True,
           note="file that is being written; empty: none"),
+    Topic("correction", "geometry_msgs/msg/TwistStamped", TwistSample, "", stamped=True, needed=False,
+          note="of the command `rsi`: displacement and rotation that the controller adds"),
+    Topic("rsi_status", "std_msgs/msg/String", Text, "", needed=False, note="of the command `rsi`: one sentence"),
     Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", None, "", needed=False, page=True),
 )  # fmt: skip
 

@@ -1,0 +1,143 @@
+"""The correction as a function of the place on the path: progress, limits and ramps.
+
+The progress is the projection of the commanded point onto the programmed path, in a window ahead of the last progress.
+Override changes and stops therefore do not shift the correction, and a path may cross itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.table import Table, read_table
+
+__all__ = ["Corrector", "CorrectionTable", "Limits", "read_corrections"]
+
+SHIFT = ("dX_mm", "dY_mm", "dZ_mm", "dA_deg", "dB_deg", "dC_deg")
+PLACE = ("X_mm", "Y_mm", "Z_mm")
+UNITS = np.array([1e-3, 1e-3, 1e-3, *(np.pi / 180.0,) * 3])
+CLOSE = 2e-5  #: [m]: of two places this equally near, the earlier one is the progress
+
+
+@dataclass(frozen=True, eq=False)
+class CorrectionTable:
+    """The programmed path and its correction at the same places."""
+
+    time: np.ndarray  #: [s], (n,)
+    position: np.ndarray  #: [m], (n, 3), in $BASE
+    correction: np.ndarray  #: X, Y, Z [m], A, B, C [rad], (n, 6), absolute, in $BASE
+
+
+def read_corrections(path) -> CorrectionTable:
+    """Read a table of RSI offsets with the places X_mm, Y_mm, Z_mm, as ``compensate`` writes it; raise InputError."""
+    table: Table = read_table(path, ("time_s", *SHIFT, *PLACE), ("time_s", *SHIFT, *PLACE), whole=True)
+    time = table.number("time_s")
+    table.refuse(np.diff(time, prepend=-np.inf) <= 0.0, "time_s must increase")
+    found = CorrectionTable(time, 1e-3 * table.numbers(PLACE), UNITS * table.numbers(SHIFT))
+    if len(time) < 2 or not np.any(np.diff(found.position, axis=0)):
+        raise InputError(path, "needs two different places")
+    return found
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of the applied correction."""
+
+    size: float = 1e-3  #: [m], of the displacement
+    angle: float = float(np.radians(0.5))  #: of the rotation [rad]
+    rate: float = 20e-3  #: [m/s], of the displacement; the rotation changes in proportion to its limit
+    ramp: float = 0.2  #: [s], from no correction to the full one
+    reach: float = 1e-3  #: [m]: no correction farther from the path
+    window: float = 10e-3  #: [m], length of the path ahead of the last progress in which the tool is looked for
+    missed: int = 3  #: cycles without a telegram after which the correction starts from zero
+
+
+class Corrector:
+    """Progress on the path, and the correction to apply in each cycle. One object serves one run of the program."""
+
+    def __init__(self, table: CorrectionTable, limits: Limits, cycle: float):
+        """cycle [s]: 0.004 or 0.012."""
+        step = np.linalg.norm(np.diff(table.position, axis=0), axis=1)
+        moved = np.concatenate([[True], step > 0.0])  # places at rest give no direction
+        self._point = table.position[moved]
+        self._value = np.append(table.correction[:-1][moved[1:]], table.correction[-1:], axis=0)  # last one of a rest
+        self._way = np.concatenate([[0.0], np.cumsum(step[step > 0.0])])  # [m]
+        self._limits, self._cycle = limits, cycle
+        self.progress = 0.0  #: [m] along the path
+        self.applied = np.zeros(6)
+        self.share = 0.0  #: of the wanted correction, 0 to 1
+        self.reason = "waiting for the start of the path"  #: why the correction is what it is
+        self.limited = 0  #: cycles in which a limit reduced the correction
+        self._started = False
+
+    @property
+    def length(self) -> float:
+        """Length of the path [m]."""
+        return float(self._way[-1])
+
+    def step(self, point: np.ndarray, cycles: int = 1) -> np.ndarray:
+        """Return the correction (6,) for the commanded point [m], (3,); cycles: since the last telegram."""
+        limits = self._limits
+        distance = self._advance(point)
+        missed = cycles > limits.missed
+        near = distance <= limits.reach
+        if missed:
+            self.share, self.reason = 0.0, f"{cycles - 1} cycles without a telegram"
+        elif near:
+            self._started = True
+            self.reason = "end of the path" if self.progress >= self.length else "on the path"
+        elif self._started:
+            self.reason = f"{1e3 * distance:.1f} mm from the path"
+        change = self._cycle / limits.ramp
+        self.share = float(np.clip(self.share + (change if near and not missed else -change), 0.0, 1.0))
+        wanted = self.share * self._at_progress()
+        self.applied = self._limit(wanted)
+        return self.applied
+
+    def repeat(self) -> np.ndarray:
+        """Return the correction of the last cycle, for a telegram that arrived twice."""
+        return self.applied
+
+    def _advance(self, point: np.ndarray) -> float:
+        """Move the progress to the projection of the point, and return the distance [m] of the point from it."""
+        first = max(0, int(np.searchsorted(self._way, self.progress, side="right")) - 1)
+        last = min(int(np.searchsorted(self._way, self.progress + self._limits.window)), len(self._way) - 1)
+        first = min(first, len(self._way) - 2)
+        last = max(last, first + 1)
+        start, along = self._point[first:last], np.diff(self._point[first : last + 1], axis=0)
+        length = np.diff(self._way[first : last + 1])
+        share = np.clip(np.einsum("ij,ij->i", point - start, along) / length**2, 0.0, 1.0)
+        way = np.maximum(self._way[first:last] + share * length, self.progress)
+        share = (way - self._way[first:last]) / length
+        distance = np.linalg.norm(point - start - share[:, None] * along, axis=1)
+        least = np.concatenate([[np.inf], distance, [np.inf]])
+        local = (distance <= least[:-2]) & (distance <= least[2:]) & (distance <= distance.min() + CLOSE)
+        chosen = int(np.argmax(local))
+        if distance[chosen] <= self._limits.reach:
+            self.progress = float(way[chosen])
+        return float(distance[chosen])
+
+    def _at_progress(self) -> np.ndarray:
+        index = int(np.clip(np.searchsorted(self._way, self.progress, side="right") - 1, 0, len(self._way) - 2))
+        share = (self.progress - self._way[index]) / (self._way[index + 1] - self._way[index])
+        return (1.0 - share) * self._value[index] + share * self._value[index + 1]
+
+    def _limit(self, wanted: np.ndarray) -> np.ndarray:
+        """Bound the size, then the change since the last cycle, separately for the displacement and the angles."""
+        limits, result = self._limits, np.empty(6)
+        share = self._cycle * limits.rate / limits.size
+        reduced = False
+        for part, most in ((slice(0, 3), limits.size), (slice(3, 6), limits.angle)):
+            bounded = _shortened(wanted[part], most)
+            change = _shortened(bounded - self.applied[part], most * share)
+            result[part] = self.applied[part] + change
+            reduced |= not np.allclose(result[part], wanted[part], rtol=0.0, atol=1e-9)
+        self.limited += reduced
+        return result
+
+
+def _shortened(vector: np.ndarray, most: float) -> np.ndarray:
+    size = float(np.linalg.norm(vector))
+    return vector if size <= most else vector * (most / size)

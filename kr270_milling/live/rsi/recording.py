@@ -1,0 +1,63 @@
+"""The recording of an RSI session: programmed path, tool pose, correction and status."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+
+import numpy as np
+
+from kr270_milling.base.frames import WORKPIECE, quaternion_from_rotation, rotation_from_abc
+from kr270_milling.base.samples import PoseSample, Text, TwistSample
+from kr270_milling.base.units import SECOND
+from kr270_milling.live.rsi.corrector import CorrectionTable
+from kr270_milling.live.rsi.session import Cycle
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
+from kr270_milling.recordings.bag.writer import BagWriter
+from kr270_milling.recordings.messages.codec import to_bytes, type_of
+
+__all__ = ["RsiRecording"]
+
+
+class RsiRecording:
+    """Writes the topics ``target_trajectory``, ``reference_trajectory``, ``tool_pose``, ``correction``, ``rsi_status``.
+
+    The stamps are the counter of the robot since the first telegram. Raises RecordingError.
+    """
+
+    def __init__(self, directory, table: CorrectionTable, metadata: Mapping[str, object]):
+        self._writer = BagWriter(directory, metadata=metadata)
+        self._lock = threading.Lock()
+        self._stamp = 0
+        time_ns = (table.time * SECOND).round().astype("int64")
+        target = Trajectory(time_ns - time_ns[0], table.position, TOOL_DOWN)
+        self._write("target_trajectory", target, 0)
+        self._write("reference_trajectory", target.with_position(table.position + table.correction[:, :3]), 0)
+
+    def add(self, cycle: Cycle) -> None:
+        """Record one cycle."""
+        self._stamp = cycle.stamp
+        if cycle.actual is not None:
+            turn = quaternion_from_rotation(rotation_from_abc(cycle.actual[3:]))
+            self._write("tool_pose", PoseSample(cycle.stamp, WORKPIECE, cycle.actual[:3], turn), cycle.stamp)
+        a, b, c = cycle.correction[3:]
+        twist = TwistSample(cycle.stamp, WORKPIECE, np.array([*cycle.correction[:3], c, b, a]))
+        self._write("correction", twist, cycle.stamp)
+        with self._lock:
+            self._writer.tick(time.monotonic())
+
+    def report(self, sentence: str) -> None:
+        """Record a sentence of the session."""
+        self._write("rsi_status", Text(sentence), self._stamp)
+
+    def _write(self, topic: str, record, stamp: int) -> None:
+        with self._lock:
+            self._writer.add_topic(f"/{topic}", type_of(record))
+            self._writer.write(f"/{topic}", to_bytes(record), stamp, stamp)
+
+    def __enter__(self) -> RsiRecording:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self._writer.close()

@@ -1,0 +1,89 @@
+"""``kr270_milling rsi``: correct a running robot program over KUKA RobotSensorInterface (UDP)."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+from kr270_milling.live.nodes.play_arguments import bounded
+from kr270_milling.show.commands.command import command, option
+from kr270_milling.show.commands.console import Answer, command_line, shown_path
+
+COMMANDS = {
+    "rsi": command(
+        "rsi.run_rsi", "rsi out --port 49152",
+        option("file DIR|FILE.csv", "directory of compensate, or its table rsi_offsets_*.csv"),
+        option("--port", "UDP port of the object ETHERNET", bounded(1, 65535, int), 49152),
+        option("--host", "address of this host (default: 127.0.0.1, this host alone)", default="127.0.0.1"),
+        option("--cycle-ms", "cycle of the controller", bounded(4, 12, int), 4),
+        option("--max-mm", "largest displacement", bounded(0.0, 5.0, above=True), 1.0),
+        option("--max-deg", "largest rotation", bounded(0.0, 2.0, above=True), 0.5),
+        option("--rate-mm-per-s", "fastest change of the displacement", bounded(0.0, 200.0, above=True), 20.0),
+        option("--ramp-s", "from no correction to the full one", bounded(0.0, 10.0, above=True), 0.2),
+        option("--reach-mm", "no correction farther from the path", bounded(0.0, 50.0, above=True), 1.0),
+        option("--progress", "pose from which the place on the path is taken: RSol, or RIst minus the correction",
+               choices=("rsol", "rist"), default="rsol"),
+        option("--out DIR", "directory of the recording", default="rsi"),
+        note="It ends when the robot is silent for 1 s. This host is not a real-time system: see live/rsi/README.md.",
+    ),
+}  # fmt: skip
+
+
+def run_rsi(args) -> Answer:
+    from kr270_milling.live.graph.plan import fresh_directory
+    from kr270_milling.live.rsi.corrector import Corrector, Limits, read_corrections
+    from kr270_milling.live.rsi.recording import RsiRecording
+    from kr270_milling.live.rsi.session import RsiSession, open_socket
+
+    table = read_corrections(_table(args.file))
+    limits = Limits(
+        1e-3 * args.max_mm, math.radians(args.max_deg), 1e-3 * args.rate_mm_per_s, args.ramp_s, 1e-3 * args.reach_mm
+    )
+    corrector = Corrector(table, limits, 1e-3 * args.cycle_ms)
+    directory = fresh_directory(args.out)
+    with open_socket(args.host, args.port) as connection, RsiRecording(
+        directory, table, {"command_line": command_line(args)}
+    ) as recording:  # fmt: skip
+
+        def report(sentence: str) -> None:
+            print(sentence, file=sys.stderr, flush=True)
+            recording.report(sentence)
+
+        report(f"waiting for the robot on {args.host}:{connection.getsockname()[1]}, UDP")
+        session = RsiSession(connection, corrector, args.cycle_ms, report, recording.add, args.progress == "rist")
+        try:
+            session.run()
+        except KeyboardInterrupt:
+            report("interrupted")
+    counts = session.counts
+    done = corrector.progress / corrector.length
+    result = {
+        "answered": counts.answered, "late": counts.late, "missed_cycles": counts.missed, "repeated": counts.repeated,
+        "ignored": counts.refused, "most_delay": counts.most_delay, "longest_answer_ms": 1e3 * counts.longest,
+        "mean_answer_ms": 1e3 * counts.total / max(counts.answered, 1), "limited_cycles": corrector.limited,
+        "path_share": done, "recording": str(directory),
+    }  # fmt: skip
+    shown = [
+        f"{counts.answered} cycles answered, {counts.late} later than {args.cycle_ms} ms, {counts.missed} missed, "
+        f"{counts.refused} telegrams ignored",
+        f"answer after {result['mean_answer_ms']:.2f} ms in the mean, {result['longest_answer_ms']:.2f} ms at most; "
+        f"largest Delay that the robot reported: {counts.most_delay}",
+        f"{100 * done:.1f} % of the path; limits reduced the correction in {corrector.limited} cycles",
+        f"recording: {shown_path(directory)}",
+    ]
+    return Answer(result, shown, code=int(bool(counts.late or counts.missed)))
+
+
+def _table(name: str) -> Path:
+    """Return the table of offsets: the file, or the only one of a directory."""
+    from kr270_milling.base.errors import InputError
+
+    path = Path(name)
+    if not path.is_dir():
+        return path
+    tables = sorted(path.glob("rsi_offsets_*.csv"))
+    if len(tables) != 1:
+        reason = f"holds {len(tables)} tables rsi_offsets_*.csv" + "; name one of them" * bool(tables)
+        raise InputError(path, reason)
+    return tables[0]

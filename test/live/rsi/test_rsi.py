@@ -1,0 +1,253 @@
+"""RSI: a simulated controller over UDP receives the correction of its place on the path."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+from rsi_controller import Controller, telegram
+
+from kr270_milling.base.errors import InputError, MessageError
+from kr270_milling.live.rsi.corrector import Corrector, CorrectionTable, Limits, read_corrections
+from kr270_milling.live.rsi.session import RsiSession, open_socket
+from kr270_milling.live.rsi.telegram import read_telegram, write_answer
+from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.series import series
+
+CYCLE = 0.004
+FEED = 4.0 / 60  # [m/s]
+
+
+def table_of(position, shift) -> CorrectionTable:
+    position = np.asarray(position, float)
+    correction = np.zeros((len(position), 6))
+    correction[:, :3] = shift
+    return CorrectionTable(CYCLE * np.arange(len(position)), position, correction)
+
+
+def line(length: float = 0.05, shift=lambda x: np.stack([0 * x, 1e-4 * np.sin(60 * x), -3e-5 + 0 * x], -1)):
+    x = np.arange(0.0, length + 1e-9, FEED * CYCLE)
+    return table_of(np.stack([x, 0 * x, 0 * x], -1), shift(x))
+
+
+def corrections(corrector: Corrector, points) -> np.ndarray:
+    return np.array([corrector.step(p) for p in points])
+
+
+# --- the correction belongs to the place ---
+
+
+def test_at_constant_feed_the_correction_is_that_of_the_table_within_1_um():
+    table = line()
+    applied = corrections(Corrector(table, Limits(), CYCLE), table.position)
+    ramped = table.time > Limits.ramp + CYCLE
+    np.testing.assert_allclose(applied[ramped], table.correction[ramped], atol=1e-9)
+    assert np.abs(applied[0]).max() < 1e-6  # it starts from nothing
+
+
+@pytest.mark.parametrize("override", [0.1, 0.3, 1.0])
+def test_the_override_does_not_shift_the_correction(override):
+    table = line()
+    x = np.arange(0.0, 0.05, override * FEED * CYCLE)
+    applied = corrections(Corrector(table, Limits(), CYCLE), np.stack([x, 0 * x, 0 * x], -1))
+    wanted = 1e-4 * np.sin(60 * x)
+    late = x > 0.02
+    assert np.abs(applied[late, 1] - wanted[late]).max() < 1e-6
+
+
+def test_a_stop_keeps_the_correction_and_the_path_continues_from_there():
+    table = line()
+    x = np.concatenate([np.linspace(0, 0.02, 200), np.full(500, 0.02), np.linspace(0.02, 0.04, 200)])
+    applied = corrections(Corrector(table, Limits(), CYCLE), np.stack([x, 0 * x, 0 * x], -1))
+    np.testing.assert_allclose(applied[250:700, 1], 1e-4 * np.sin(1.2), atol=1e-8)
+    np.testing.assert_allclose(applied[-1, 1], 1e-4 * np.sin(2.4), atol=1e-6)
+
+
+def test_a_path_that_crosses_itself_and_one_that_returns_keep_their_order():
+    """The correction counts the way, so that a wrong leg shows."""
+    angle = np.linspace(0.0, 2 * np.pi, 800)
+    eight = np.stack([0.03 * np.sin(angle), 0.03 * np.sin(2 * angle), 0 * angle], -1)
+    there = np.linspace(0.0, 0.02, 300)
+    back = np.concatenate([there, there[::-1][1:]])
+    for points in (eight, np.stack([back, 0 * back, 0 * back], -1)):
+        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+        table = table_of(points, np.stack([0 * way, 2e-4 * way / way[-1], 0 * way], -1))
+        applied = corrections(Corrector(table, Limits(), CYCLE), points)
+        assert np.abs(applied[100:, 1] - table.correction[100:, 1]).max() < 1e-6
+
+
+def test_the_result_does_not_depend_on_the_frame():
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    table = line()
+    turned = table_of(table.position @ turn.T + 0.7, table.correction[:, :3] @ turn.T)
+    one = corrections(Corrector(table, Limits(), CYCLE), table.position)
+    other = corrections(Corrector(turned, Limits(), CYCLE), turned.position)
+    np.testing.assert_allclose(other[:, :3], one[:, :3] @ turn.T, atol=1e-9)
+
+
+# --- limits ---
+
+
+def test_size_and_rate_are_limited_whatever_the_table_and_the_robot_do():
+    rng = np.random.default_rng(5)
+    limits = Limits(size=2e-4, angle=1e-3, rate=5e-3)
+    table = line()
+    wild = CorrectionTable(table.time, table.position, rng.normal(0.0, 1e-2, (len(table.time), 6)))
+    corrector = Corrector(wild, limits, CYCLE)
+    before = np.zeros(6)
+    for point in table.position + rng.normal(0.0, 5e-4, table.position.shape):
+        now = corrector.step(point, int(rng.integers(1, 6)))
+        assert np.linalg.norm(now[:3]) <= limits.size * 1.001 and np.linalg.norm(now[3:]) <= limits.angle * 1.001
+        assert np.linalg.norm(now[:3] - before[:3]) <= limits.rate * CYCLE * 1.001
+        before = now
+    assert corrector.limited > 100
+
+
+def test_away_from_the_path_the_correction_ramps_to_zero_and_back():
+    table = line()
+    corrector = Corrector(table, Limits(), CYCLE)
+    corrections(corrector, table.position[:100])
+    lifted = corrections(corrector, np.repeat(table.position[100:101] + [0, 0, 5e-3], 60, axis=0))
+    assert np.all(lifted[-1] == 0.0) and corrector.reason == "5.0 mm from the path"
+    assert np.abs(np.diff(lifted, axis=0)).max() < 1e-5
+    corrections(corrector, table.position[100:180])
+    np.testing.assert_allclose(corrector.applied, table.correction[179], atol=1e-8)
+
+
+def test_after_missed_cycles_the_correction_starts_from_zero():
+    table = line()
+    corrector = Corrector(table, Limits(), CYCLE)
+    corrections(corrector, table.position[:100])
+    corrector.step(table.position[105], 6)
+    assert corrector.share == 0.0 and corrector.reason == "5 cycles without a telegram"
+
+
+# --- telegrams ---
+
+
+def test_a_telegram_is_read_in_si_and_the_answer_repeats_its_counter():
+    read = read_telegram(telegram(17, (1.5, -2.0, 3.0), abc=(180.0, 0.0, -90.0), delay=2))
+    np.testing.assert_allclose(read.commanded, [1.5e-3, -2e-3, 3e-3, np.pi, 0.0, -np.pi / 2])
+    assert (read.ipoc, read.delay) == (17, 2)
+    answer = write_answer(17, np.array([1e-4, 0.0, -2.5e-6, np.radians(0.01), 0.0, 0.0])).decode()
+    wanted = 'X="0.1000" Y="0.0000" Z="-0.0025" A="0.0100" B="0.0000" C="0.0000"'
+    assert answer == f'<Sen Type="ImFree"><RKorr {wanted}/><IPOC>17</IPOC></Sen>'
+
+
+BAD = {
+    "empty": b"",
+    "text": b"hello",
+    "cut off": telegram(1, (0, 0, 0))[:60],
+    "another root": b"<Sen/>",
+    "no counter": telegram(1, (0, 0, 0)).replace(b"<IPOC>1</IPOC>", b""),
+    "a counter of many digits": telegram("9" * 400, (0, 0, 0)),
+    "a negative counter": telegram(-4, (0, 0, 0)),
+    "no number": telegram(1, (0, 0, 0)).replace(b'X="0.0000"', b'X="zero"'),
+    "nan": telegram(1, (float("nan"), 0, 0)),
+    "far away": telegram(1, (1e9, 0, 0)),
+    "entities": b'<!DOCTYPE Rob [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]><Rob><IPOC>&b;</IPOC></Rob>',
+    "UTF-16": ('<?xml version="1.0" encoding="UTF-16"?>' + telegram(1, (0, 0, 0)).decode()).encode("utf-16"),
+    "oversized": telegram(1, (0, 0, 0)) + b" " * 5000,
+    "bytes": bytes(range(256)),
+}
+
+
+@pytest.mark.parametrize("data", BAD.values(), ids=list(BAD))
+def test_an_unusable_telegram_is_refused_in_one_sentence(data):
+    with pytest.raises(MessageError) as caught:
+        read_telegram(data)
+    assert "\n" not in str(caught.value)
+
+
+# --- over UDP ---
+
+
+@pytest.fixture
+def running():
+    """A session over the line, its controller, and its sentences."""
+    table, sentences = line(), []
+    connection = open_socket("127.0.0.1", 0)
+    session = RsiSession(connection, Corrector(table, Limits(), CYCLE), 4, sentences.append)
+    thread = threading.Thread(target=session.run)
+    thread.start()
+    controller = Controller(connection.getsockname()[1])
+    yield table, session, controller, sentences
+    session.stop.set()
+    thread.join()
+    controller.socket.close()
+    connection.close()
+
+
+def test_lost_repeated_foreign_and_wrong_telegrams_do_not_disturb_the_correction(running):
+    table, session, controller, sentences = running
+    other = Controller(controller.port)
+    points = 1e3 * table.position
+    for k in range(150):
+        applied = controller.cycle(points[k])
+    controller.ipoc += 8  # two cycles are lost
+    applied = controller.cycle(points[152])
+    np.testing.assert_allclose(1e-3 * applied[:3], table.correction[152, :3], atol=1e-6)
+    controller.send(telegram(controller.ipoc, points[152]))  # repeated
+    assert np.array_equal(controller.receive()[1], applied)
+    for data in BAD.values():
+        controller.send(data)
+    controller.send(telegram(controller.ipoc - 400, points[30]))  # an old counter
+    other.send(telegram(controller.ipoc + 4, (500.0, 0.0, 0.0)))
+    assert not other.has_answer() and not controller.has_answer()
+    np.testing.assert_allclose(1e-3 * controller.cycle(points[153])[:3], table.correction[153, :3], atol=1e-6)
+    counts = session.counts
+    assert (counts.repeated, counts.missed, counts.refused) == (1, 2, len(BAD) + 2)
+    assert any(s.startswith("ignored: ") for s in sentences) and "on the path, 0.0 mm of the path" in sentences
+    other.socket.close()
+
+
+def test_a_robot_that_falls_silent_ends_the_session(running):
+    _, session, controller, sentences = running
+    controller.cycle((0.0, 0.0, 0.0))
+    assert session.stop.wait(5.0)
+    assert sentences[-1] == "no telegram for 1 s"
+
+
+def test_the_command_answers_a_controller_and_records_it(tmp_path):
+    table = line(0.02)
+    rows = np.hstack([table.time[:, None], 1e3 * table.correction[:, :3], 0 * table.correction[:, :3],
+                      1e3 * table.position])  # fmt: skip
+    names = "time_s,dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg,X_mm,Y_mm,Z_mm"
+    file = tmp_path / "rsi_offsets_linear.csv"
+    np.savetxt(file, rows, delimiter=",", header=names, comments="", fmt="%.7f")
+    port = _free_port()
+    words = [sys.executable, "-m", "kr270_milling.cli", "rsi", str(tmp_path), "--port", str(port), "--ramp-s", "0.01",
+             "--out", str(tmp_path / "rsi"), "--json"]  # fmt: skip
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert f"127.0.0.1:{port}" in process.stderr.readline()
+    controller = Controller(port)
+    for k, point in enumerate(1e3 * table.position):
+        applied = controller.cycle(point)
+        assert k < 10 or np.abs(1e-3 * applied[:3] - table.correction[k, :3]).max() < 1e-6
+    process.send_signal(signal.SIGINT)
+    controller.socket.close()
+    out, err = process.communicate(timeout=60)
+    assert f'"answered": {len(table.time)}' in out and re.search('"path_share": 1.0', out), err
+    with Recording(tmp_path / "rsi") as recording:
+        stamp, values = series(recording, "/correction")
+        np.testing.assert_array_equal(stamp, (table.time * 1e9).round())
+        np.testing.assert_allclose(values[10:, :3], table.correction[10:, :3], atol=1e-6)
+        assert recording.topics()["/tool_pose"].count == len(stamp)
+
+
+def _free_port() -> int:
+    with open_socket("127.0.0.1", 0) as connection:
+        return connection.getsockname()[1]
+
+
+def test_a_table_without_places_and_a_used_port_are_refused(tmp_path):
+    (tmp_path / "rsi.csv").write_text("time_s,dX_mm,dY_mm,dZ_mm,dA_deg,dB_deg,dC_deg\n0,0,0,0,0,0,0\n1,0,0,0,0,0,0\n")
+    with pytest.raises(InputError, match="has no column X_mm"):
+        read_corrections(tmp_path / "rsi.csv")
+    with open_socket("127.0.0.1", 0) as connection, pytest.raises(InputError, match="cannot be used"):
+        open_socket("127.0.0.1", connection.getsockname()[1])

@@ -1,0 +1,60 @@
+"""A simulated robot controller that runs a path with RSI: one telegram a cycle, the answer of the sensor side back."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+
+import numpy as np
+
+ANSWER = re.compile(
+    r'<Sen Type="ImFree"><RKorr X="(.*?)" Y="(.*?)" Z="(.*?)" A="(.*?)" B="(.*?)" C="(.*?)"/><IPOC>(\d+)</IPOC></Sen>'
+)
+
+
+def telegram(ipoc, point_mm, actual_mm=None, delay=0, abc=(0.0, 90.0, 0.0)) -> bytes:
+    def pose(name, p):
+        x, y, z = p
+        a, b, c = abc
+        return f'<{name} X="{x:.4f}" Y="{y:.4f}" Z="{z:.4f}" A="{a:.4f}" B="{b:.4f}" C="{c:.4f}"/>'
+
+    both = pose("RIst", point_mm if actual_mm is None else actual_mm) + pose("RSol", point_mm)
+    return f'<Rob Type="KUKA">{both}<Delay D="{delay}"/><IPOC>{ipoc}</IPOC></Rob>'.encode()
+
+
+class Controller:
+    """Sends telegrams to a port of this host."""
+
+    def __init__(self, port: int, timeout: float = 2.0):
+        self.port = port
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.settimeout(timeout)
+        self.ipoc = 4_208_163_634
+
+    def send(self, data: bytes) -> None:
+        self.socket.sendto(data, ("127.0.0.1", self.port))
+
+    def receive(self) -> tuple[int, np.ndarray]:
+        """Return the IPOC and the correction [mm, deg], (6,)."""
+        data = self.socket.recv(4096).decode()
+        *values, ipoc = ANSWER.fullmatch(data).groups()
+        return int(ipoc), np.array(values, float)
+
+    def cycle(self, point_mm, **more) -> np.ndarray:
+        """Run one cycle and return the correction [mm, deg], (6,)."""
+        self.ipoc += 4
+        self.send(telegram(self.ipoc, point_mm, **more))
+        ipoc, correction = self.receive()
+        assert ipoc == self.ipoc
+        return correction
+
+    def has_answer(self) -> bool:
+        """Whether an unexpected answer has arrived."""
+        self.socket.settimeout(0.1)
+        with contextlib.suppress(TimeoutError):
+            self.socket.recv(4096)
+            return True
+        self.socket.settimeout(2.0)
+        return False
