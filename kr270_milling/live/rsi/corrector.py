@@ -13,7 +13,7 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.table import Table, read_table
 
-__all__ = ["Corrector", "CorrectionTable", "Limits", "read_corrections"]
+__all__ = ["Corrector", "CorrectionTable", "CorrectionLimits", "read_corrections"]
 
 SHIFT = ("dX_mm", "dY_mm", "dZ_mm", "dA_deg", "dB_deg", "dC_deg")
 PLACE = ("X_mm", "Y_mm", "Z_mm")
@@ -35,15 +35,15 @@ def read_corrections(path) -> CorrectionTable:
     table: Table = read_table(path, ("time_s", *SHIFT, *PLACE), ("time_s", *SHIFT, *PLACE), whole=True)
     time = table.number("time_s")
     table.refuse(np.diff(time, prepend=-np.inf) <= 0.0, "time_s must increase")
-    found = CorrectionTable(time, 1e-3 * table.numbers(PLACE), UNITS * table.numbers(SHIFT))
-    if len(time) < 2 or not np.any(np.diff(found.position, axis=0)):
+    result = CorrectionTable(time, 1e-3 * table.numbers(PLACE), UNITS * table.numbers(SHIFT))
+    if len(time) < 2 or not np.any(np.diff(result.position, axis=0)):
         raise InputError(path, "needs two different places")
-    return found
+    return result
 
 
 @dataclass(frozen=True)
-class Limits:
-    """Limits of the applied correction."""
+class CorrectionLimits:
+    """CorrectionLimits of the applied correction."""
 
     size: float = 1e-3  #: [m], of the displacement
     angle: float = float(np.radians(0.5))  #: of the rotation [rad]
@@ -57,7 +57,7 @@ class Limits:
 class Corrector:
     """Progress on the path, and the correction to apply in each cycle. One object serves one run of the program."""
 
-    def __init__(self, table: CorrectionTable, limits: Limits, cycle: float):
+    def __init__(self, table: CorrectionTable, limits: CorrectionLimits, cycle: float):
         """cycle [s]: 0.004 or 0.012."""
         step = np.linalg.norm(np.diff(table.position, axis=0), axis=1)
         moved = np.concatenate([[True], step > 0.0])  # places at rest give no direction

@@ -12,7 +12,7 @@ from kr270_milling.base.frames import WORKPIECE, quaternion_from_rotation, rotat
 from kr270_milling.base.samples import PoseSample, Text, TwistSample
 from kr270_milling.base.units import SECOND
 from kr270_milling.live.rsi.corrector import CorrectionTable
-from kr270_milling.live.rsi.session import Cycle
+from kr270_milling.live.rsi.session import AnsweredCycle
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes, type_of
@@ -31,11 +31,11 @@ class RsiRecording:
         self._lock = threading.Lock()
         self._stamp = 0
         time_ns = (table.time * SECOND).round().astype("int64")
-        target = Trajectory(time_ns - time_ns[0], table.position, TOOL_DOWN)
+        target = Trajectory(time_ns - time_ns[0], table.position, np.array(TOOL_DOWN))
         self._write("target_trajectory", target, 0)
         self._write("reference_trajectory", target.with_position(table.position + table.correction[:, :3]), 0)
 
-    def add(self, cycle: Cycle) -> None:
+    def add(self, cycle: AnsweredCycle) -> None:
         """Record one cycle."""
         self._stamp = cycle.stamp
         if cycle.actual is not None:

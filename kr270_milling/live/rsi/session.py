@@ -17,14 +17,14 @@ from kr270_milling.base.units import SECOND
 from kr270_milling.live.rsi.corrector import Corrector
 from kr270_milling.live.rsi.telegram import MOST_BYTES, RobotTelegram, read_telegram, write_answer
 
-__all__ = ["Cycle", "Counts", "RsiSession", "open_socket"]
+__all__ = ["AnsweredCycle", "Counts", "RsiSession", "open_socket"]
 
 SILENCE = 1.0  #: [s] without a telegram after which the robot is reported as silent
 POLL = 0.2  #: [s]
 
 
 @dataclass(frozen=True, eq=False)
-class Cycle:
+class AnsweredCycle:
     """One answered cycle, for the recording."""
 
     stamp: int  #: [ns], since the first telegram, by the counter of the robot
@@ -49,17 +49,17 @@ class Counts:
 
 @dataclass
 class RsiSession:
-    """Answers one robot until ``stop`` is set or, with ``quiet_end``, until the robot is silent after its path.
+    """Answers one robot until ``stop`` is set, or until the robot is silent for SILENCE.
 
-    report: receives sentences about changes of state; record: receives each ``Cycle`` in a second thread, so that a
-    slow disk does not delay an answer. from_actual: progress from RIst minus the applied correction instead of RSol.
+    report: receives sentences about changes of state. record: receives each ``AnsweredCycle`` in a second thread, so
+    that a slow disk does not delay an answer. from_actual: progress from RIst minus the correction instead of RSol.
     """
 
     connection: socket.socket
     corrector: Corrector
     cycle_ms: int
     report: Callable[[str], None]
-    record: Callable[[Cycle], None] | None = None
+    record: Callable[[AnsweredCycle], None] | None = None
     from_actual: bool = False
     stop: threading.Event = field(default_factory=threading.Event)
 
@@ -69,21 +69,21 @@ class RsiSession:
         self._last: int | None = None  # IPOC
         self._first = 0
         self._reason = ""
-        self._waiting: deque[Cycle] = deque()
+        self._waiting: deque[AnsweredCycle] = deque()
 
     def run(self) -> Counts:
         """Answer telegrams; return the counts at the end."""
         writer = threading.Thread(target=self._write, daemon=True)
         writer.start()
         self.connection.settimeout(POLL)
-        heard = time.monotonic()
+        latest = time.monotonic()
         gc.freeze()  # objects of the start are not searched again during the cycles
         try:
             while not self.stop.is_set():
                 try:
                     data, sender = self.connection.recvfrom(MOST_BYTES + 1)
                 except TimeoutError:
-                    if self._robot is not None and time.monotonic() - heard > SILENCE:
+                    if self._robot is not None and time.monotonic() - latest > SILENCE:
                         self._lose_robot()
                     continue
                 received = time.monotonic()
@@ -91,7 +91,7 @@ class RsiSession:
                     self._refuse(f"a telegram from a second sender {sender[0]}:{sender[1]}")
                     continue
                 self._answer(data, sender, received)
-                heard = received
+                latest = received
         finally:
             self.stop.set()
             writer.join()
@@ -117,7 +117,7 @@ class RsiSession:
         counts.late += took > 1e-3 * self.cycle_ms
         counts.longest, counts.total = max(counts.longest, took), counts.total + took
         counts.most_delay = max(counts.most_delay, telegram.delay)
-        self._waiting.append(Cycle((telegram.ipoc - self._first) * SECOND // 1000, telegram.actual, correction))
+        self._waiting.append(AnsweredCycle((telegram.ipoc - self._first) * SECOND // 1000, telegram.actual, correction))
         if self.corrector.reason != self._reason:
             self._reason = self.corrector.reason
             self.report(f"{self._reason}, {1e3 * self.corrector.progress:.1f} mm of the path")

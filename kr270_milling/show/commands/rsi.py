@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import signal
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 from kr270_milling.live.nodes.play_arguments import bounded
@@ -32,12 +34,12 @@ COMMANDS = {
 
 def run_rsi(args) -> Answer:
     from kr270_milling.live.graph.plan import fresh_directory
-    from kr270_milling.live.rsi.corrector import Corrector, Limits, read_corrections
+    from kr270_milling.live.rsi.corrector import CorrectionLimits, Corrector, read_corrections
     from kr270_milling.live.rsi.recording import RsiRecording
     from kr270_milling.live.rsi.session import RsiSession, open_socket
 
     table = read_corrections(_table(args.file))
-    limits = Limits(
+    limits = CorrectionLimits(
         1e-3 * args.max_mm, math.radians(args.max_deg), 1e-3 * args.rate_mm_per_s, args.ramp_s, 1e-3 * args.reach_mm
     )
     corrector = Corrector(table, limits, 1e-3 * args.cycle_ms)
@@ -52,10 +54,9 @@ def run_rsi(args) -> Answer:
 
         report(f"waiting for the robot on {args.host}:{connection.getsockname()[1]}, UDP")
         session = RsiSession(connection, corrector, args.cycle_ms, report, recording.add, args.progress == "rist")
-        try:
-            session.run()
-        except KeyboardInterrupt:
-            report("interrupted")
+        with suppress(ValueError):  # only the main thread may
+            signal.signal(signal.SIGINT, lambda *_: session.stop.set())  # between two answers
+        session.run()
     counts = session.counts
     done = corrector.progress / corrector.length
     result = {

@@ -13,7 +13,7 @@ import pytest
 from rsi_controller import Controller, telegram
 
 from kr270_milling.base.errors import InputError, MessageError
-from kr270_milling.live.rsi.corrector import Corrector, CorrectionTable, Limits, read_corrections
+from kr270_milling.live.rsi.corrector import CorrectionLimits, CorrectionTable, Corrector, read_corrections
 from kr270_milling.live.rsi.session import RsiSession, open_socket
 from kr270_milling.live.rsi.telegram import read_telegram, write_answer
 from kr270_milling.recordings.bag.reader import Recording
@@ -44,8 +44,8 @@ def corrections(corrector: Corrector, points) -> np.ndarray:
 
 def test_at_constant_feed_the_correction_is_that_of_the_table_within_1_um():
     table = line()
-    applied = corrections(Corrector(table, Limits(), CYCLE), table.position)
-    ramped = table.time > Limits.ramp + CYCLE
+    applied = corrections(Corrector(table, CorrectionLimits(), CYCLE), table.position)
+    ramped = table.time > CorrectionLimits.ramp + CYCLE
     np.testing.assert_allclose(applied[ramped], table.correction[ramped], atol=1e-9)
     assert np.abs(applied[0]).max() < 1e-6  # it starts from nothing
 
@@ -54,7 +54,7 @@ def test_at_constant_feed_the_correction_is_that_of_the_table_within_1_um():
 def test_the_override_does_not_shift_the_correction(override):
     table = line()
     x = np.arange(0.0, 0.05, override * FEED * CYCLE)
-    applied = corrections(Corrector(table, Limits(), CYCLE), np.stack([x, 0 * x, 0 * x], -1))
+    applied = corrections(Corrector(table, CorrectionLimits(), CYCLE), np.stack([x, 0 * x, 0 * x], -1))
     wanted = 1e-4 * np.sin(60 * x)
     late = x > 0.02
     assert np.abs(applied[late, 1] - wanted[late]).max() < 1e-6
@@ -63,7 +63,7 @@ def test_the_override_does_not_shift_the_correction(override):
 def test_a_stop_keeps_the_correction_and_the_path_continues_from_there():
     table = line()
     x = np.concatenate([np.linspace(0, 0.02, 200), np.full(500, 0.02), np.linspace(0.02, 0.04, 200)])
-    applied = corrections(Corrector(table, Limits(), CYCLE), np.stack([x, 0 * x, 0 * x], -1))
+    applied = corrections(Corrector(table, CorrectionLimits(), CYCLE), np.stack([x, 0 * x, 0 * x], -1))
     np.testing.assert_allclose(applied[250:700, 1], 1e-4 * np.sin(1.2), atol=1e-8)
     np.testing.assert_allclose(applied[-1, 1], 1e-4 * np.sin(2.4), atol=1e-6)
 
@@ -77,7 +77,7 @@ def test_a_path_that_crosses_itself_and_one_that_returns_keep_their_order():
     for points in (eight, np.stack([back, 0 * back, 0 * back], -1)):
         way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
         table = table_of(points, np.stack([0 * way, 2e-4 * way / way[-1], 0 * way], -1))
-        applied = corrections(Corrector(table, Limits(), CYCLE), points)
+        applied = corrections(Corrector(table, CorrectionLimits(), CYCLE), points)
         assert np.abs(applied[100:, 1] - table.correction[100:, 1]).max() < 1e-6
 
 
@@ -85,8 +85,8 @@ def test_the_result_does_not_depend_on_the_frame():
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     table = line()
     turned = table_of(table.position @ turn.T + 0.7, table.correction[:, :3] @ turn.T)
-    one = corrections(Corrector(table, Limits(), CYCLE), table.position)
-    other = corrections(Corrector(turned, Limits(), CYCLE), turned.position)
+    one = corrections(Corrector(table, CorrectionLimits(), CYCLE), table.position)
+    other = corrections(Corrector(turned, CorrectionLimits(), CYCLE), turned.position)
     np.testing.assert_allclose(other[:, :3], one[:, :3] @ turn.T, atol=1e-9)
 
 
@@ -95,7 +95,7 @@ def test_the_result_does_not_depend_on_the_frame():
 
 def test_size_and_rate_are_limited_whatever_the_table_and_the_robot_do():
     rng = np.random.default_rng(5)
-    limits = Limits(size=2e-4, angle=1e-3, rate=5e-3)
+    limits = CorrectionLimits(size=2e-4, angle=1e-3, rate=5e-3)
     table = line()
     wild = CorrectionTable(table.time, table.position, rng.normal(0.0, 1e-2, (len(table.time), 6)))
     corrector = Corrector(wild, limits, CYCLE)
@@ -110,7 +110,7 @@ def test_size_and_rate_are_limited_whatever_the_table_and_the_robot_do():
 
 def test_away_from_the_path_the_correction_ramps_to_zero_and_back():
     table = line()
-    corrector = Corrector(table, Limits(), CYCLE)
+    corrector = Corrector(table, CorrectionLimits(), CYCLE)
     corrections(corrector, table.position[:100])
     lifted = corrections(corrector, np.repeat(table.position[100:101] + [0, 0, 5e-3], 60, axis=0))
     assert np.all(lifted[-1] == 0.0) and corrector.reason == "5.0 mm from the path"
@@ -121,7 +121,7 @@ def test_away_from_the_path_the_correction_ramps_to_zero_and_back():
 
 def test_after_missed_cycles_the_correction_starts_from_zero():
     table = line()
-    corrector = Corrector(table, Limits(), CYCLE)
+    corrector = Corrector(table, CorrectionLimits(), CYCLE)
     corrections(corrector, table.position[:100])
     corrector.step(table.position[105], 6)
     assert corrector.share == 0.0 and corrector.reason == "5 cycles without a telegram"
@@ -172,7 +172,7 @@ def running():
     """A session over the line, its controller, and its sentences."""
     table, sentences = line(), []
     connection = open_socket("127.0.0.1", 0)
-    session = RsiSession(connection, Corrector(table, Limits(), CYCLE), 4, sentences.append)
+    session = RsiSession(connection, Corrector(table, CorrectionLimits(), CYCLE), 4, sentences.append)
     thread = threading.Thread(target=session.run)
     thread.start()
     controller = Controller(connection.getsockname()[1])
