@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.recordings.bag.bagmeta import read_qos
+from kr270_milling.recordings.bag.chunks import BEGIN, END, MessagePlace
 from kr270_milling.recordings.bag.play_options import MOST, PlayOptions
-from kr270_milling.recordings.bag.reader import BEGIN, END, MessagePlace, RawMessage, RecordedTopic, Recording
+from kr270_milling.recordings.bag.reader import RawMessage, RecordedTopic, Recording
 from kr270_milling.recordings.bag.stamps import SHARED, Passes
 
 __all__ = ["PassSpan", "PlayClock", "is_latched", "opening", "pass_spans", "passage", "span"]

@@ -63,13 +63,15 @@ def test_equal_log_times_keep_the_order_of_the_file(tmp_path):
     assert [data for _, _, data in read(path)[0]] == [data for _, data in messages]
 
 
-def test_overlapping_chunks_are_merged_within_the_memory_for_chunks(tmp_path, monkeypatch):
+def test_overlapping_chunks_are_merged_up_to_a_limit_of_their_memory(tmp_path, monkeypatch):
     times = np.arange(2000).reshape(20, 100).T.ravel()  # every chunk reaches over all times
     path = write_mcap(tmp_path / "a.mcap", poses(times), chunk_size=10_000)
-    monkeypatch.setattr("kr270_milling.recordings.bag.chunks.CACHE", 50_000)
     with Recording(path) as recording:
         assert [m.log_time for m in recording.messages()] == list(range(2000))
-        assert recording.read_chunk.used <= 50_000 + 50_000
+        monkeypatch.setattr("kr270_milling.recordings.bag.chunks.MOST_OPEN", 50_000)
+        with pytest.raises(RecordingError, match="overlap in time"):
+            list(recording.messages())
+        assert sum(1 for _ in recording.messages(as_written=True)) == 2000
 
 
 def test_topics_and_times_can_be_chosen(whole, tmp_path):
@@ -329,7 +331,7 @@ def test_foxglove_reads_a_cut_off_file_and_the_recovered_one(bag, tmp_path):
     whole = (directory / "pass_1.mcap").read_bytes()
     with Recording(directory) as recording:
         last = recording.chunks[-1]
-    (tmp_path / "cut.mcap").write_bytes(whole[: last.offset + last.size // 2])
+    (tmp_path / "cut.mcap").write_bytes(whole[: (last.offset + last.end) // 2])
     result = recover(tmp_path / "cut.mcap")
     assert 0 < result.messages < len(written)
     expected = hashed(written[: result.messages])
