@@ -33,7 +33,11 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.recover import recover
 from kr270_milling.recordings.bag.verify import findings
 
-before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+def peak():  # [kB]; ru_maxrss would begin with the peak of the process that started this one
+    return int(open("/proc/self/status").read().partition("VmHWM:")[2].split()[0])
+
+before = peak()
 for file in sys.argv[1:]:
     try:
         with Recording(file) as recording:
@@ -41,8 +45,7 @@ for file in sys.argv[1:]:
         recover(file)
     except RecordingError as error:
         print(error)
-peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-print(peak - before, peak)
+print(peak() - before, peak())
 """
 
 
