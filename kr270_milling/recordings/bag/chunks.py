@@ -1,4 +1,4 @@
-"""Chunks of a file, unpacked, and their messages in the order of the file or in the order of their log times.
+"""Chunks of a file, unpacked, and their messages in the order of the file.
 
 mcap's ``Chunk`` and ``breakup_chunk`` copy every byte of a chunk three times. Here a chunk is unpacked out of the file,
 and each message is copied when its turn comes.
@@ -6,13 +6,12 @@ and each message is copied when its turn comes.
 
 from __future__ import annotations
 
-import heapq
 import io
 import struct
 import zlib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import IO, NamedTuple, cast
 
 import lz4.frame
@@ -21,12 +20,8 @@ from mcap.opcode import Opcode
 
 from kr270_milling.recordings.bag.records import HEAD, LIMIT, Damage, RecordPlace, Section, read_bytes
 
-__all__ = ["BEGIN", "END", "Chunk", "ChunkContent", "MessagePlace", "RawMessage", "chunk_at", "in_file_order",
-           "in_time_order", "open_chunk"]  # fmt: skip
+__all__ = ["Chunk", "ChunkContent", "RawMessage", "chunk_at", "open_chunk"]
 
-MessagePlace = tuple[int, int]  # offset of the chunk in the file, offset of the message in the unpacked chunk
-BEGIN, END = (0, 0), (2**64, 0)  # before the first message, after the last message
-MOST_OPEN = 400 * 1024 * 1024  # [bytes] of unpacked chunks whose times overlap
 CHUNK_HEAD = struct.Struct("<BQQQQII")  # and first time, last time, size, checksum, length of the compression's name
 MESSAGE = struct.Struct("<BQHIQQ")  # opcode and length; channel, sequence, log time, publish time
 
@@ -40,7 +35,6 @@ class RawMessage(NamedTuple):
     data: bytes
     channel: int = 0
     sequence: int = 0
-    place: MessagePlace = BEGIN
 
 
 class Chunk(NamedTuple):
@@ -145,49 +139,10 @@ class ChunkContent:
         """The unpacked bytes as a stream, without a copy."""
         return io.BytesIO(self.data)
 
-    def message(self, at: int, topic: str) -> RawMessage:
-        """Copy the message at an offset in the unpacked bytes."""
-        _, length, channel, sequence, log_time, publish_time = MESSAGE.unpack_from(self.data, at)
-        data = self.data[at + MESSAGE.size : at + HEAD.size + length]
-        return RawMessage(topic, log_time, publish_time, data, channel, sequence, (self.offset, at))
-
     def messages(self, topics: Mapping[int, str]) -> Iterator[RawMessage]:
         """The messages on some channels, in the order of the file; topics: channel -> topic."""
         for at, channel in zip(self.offsets, self.channels, strict=True):
             if channel in topics:
-                yield self.message(at, topics[channel])
-
-
-Opened = Callable[[Chunk], ChunkContent]
-
-
-def in_file_order(chunks: list[Chunk], opened: Opened, topics: Mapping[int, str]) -> Iterator[RawMessage]:
-    """Yield the messages of some chunks; opened: unpacks a chunk. Raises Damage."""
-    for chunk in chunks:
-        yield from opened(chunk).messages(topics)
-
-
-def in_time_order(chunks: list[Chunk], opened: Opened, topics: Mapping[int, str]) -> Iterator[RawMessage]:
-    """Yield the same messages by log time, equal times as in the file.
-
-    A chunk stays in memory until all its messages are read. Raises Damage.
-    """
-    waiting: list[tuple[int, int, int, int, ChunkContent]] = []  # log time, chunk, offset, channel
-
-    def before(time: int) -> Iterator[RawMessage]:
-        while waiting and waiting[0][0] < time:
-            _, _, at, channel, content = heapq.heappop(waiting)
-            yield content.message(at, topics[channel])
-
-    overlapping: list[Chunk] = []
-    for chunk in sorted(chunks, key=lambda chunk: chunk.first_time):
-        yield from before(chunk.first_time)
-        overlapping = [one for one in overlapping if one.last_time >= chunk.first_time] + [chunk]
-        if sum(one.unpacked for one in overlapping) > MOST_OPEN:
-            raise Damage(f"more than {MOST_OPEN} bytes of chunks overlap in time", chunk.offset)
-        content = opened(chunk)
-        for at, channel, time in zip(content.offsets, content.channels, content.times, strict=True):
-            if channel in topics:
-                heapq.heappush(waiting, (time, chunk.offset, at, channel, content))
-        del content
-    yield from before(2**64)
+                _, length, _, sequence, log_time, publish_time = MESSAGE.unpack_from(self.data, at)
+                data = self.data[at + MESSAGE.size : at + HEAD.size + length]
+                yield RawMessage(topics[channel], log_time, publish_time, data, channel, sequence)

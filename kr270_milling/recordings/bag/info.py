@@ -16,7 +16,7 @@ __all__ = ["info", "info_text"]
 def info(recording: Recording, progress: Callable[[int, int], None] | None = None) -> dict:
     """Return duration, counts, rates, sizes, gaps, metadata and attachments of a recording; read all its messages."""
     topics = {name: _TopicCount(about) for name, about in recording.topics().items()}
-    for number, message in enumerate(recording.messages(as_written=True)):
+    for number, message in enumerate(recording.messages()):
         topics[message.topic].add(message)
         if progress and number % 10_000 == 0:
             progress(number, recording.count)

@@ -16,15 +16,10 @@ from mcap.records import AttachmentIndex, Channel, ChunkIndex, Schema, Statistic
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.chunks import (
-    BEGIN,
-    END,
     Chunk,
     ChunkContent,
-    MessagePlace,
     RawMessage,
     chunk_at,
-    in_file_order,
-    in_time_order,
     open_chunk,
 )
 from kr270_milling.recordings.bag.decode import RecordedTopic, make_decoder
@@ -267,25 +262,12 @@ class Recording:
         """The messages of a chunk. Raises Damage."""
         return open_chunk(self.stream, chunk)
 
-    def messages(
-        self, topics: Collection[str] | None = None, start: int | None = None, end: int | None = None, *,
-        as_written: bool = False, within: tuple[MessagePlace, MessagePlace] = (BEGIN, END),
-    ) -> Iterator[RawMessage]:  # fmt: skip
-        """All messages, or those of some topics with ``start`` <= log time < ``end`` [ns].
-
-        The order is that of the log times. A file that is cut off is read in its own order, and any file
-        ``as_written``, which keeps its passes apart. within: place of the first message, and the place after the last.
-        """
-        low, high = start or 0, 2**64 if end is None else end
-        first, after = within
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """All messages, or those of some topics, in the order in which they were written."""
         names = {n: c.topic for n, c in self.channels.items() if topics is None or c.topic in topics}
-        chunks = [c for c in self.chunks if c.last_time >= low and c.first_time < high
-                  and first[0] <= c.offset <= after[0]]  # fmt: skip
-        ordered = in_file_order if self.cut_off or as_written else in_time_order
         with self._damage_as_error():
-            for message in ordered(chunks, self._defined, names):
-                if low <= message.log_time < high and first <= message.place < after:
-                    yield message
+            for chunk in self.chunks:
+                yield from self._defined(chunk).messages(names)  # no name keeps a chunk while the next one is unpacked
 
     def _defined(self, chunk: Chunk) -> ChunkContent:
         """The messages of a chunk, all on known channels. Raises Damage."""
@@ -295,10 +277,10 @@ class Recording:
                 raise Damage(f"a message belongs to channel {channel}, which is not defined", chunk.offset)
         return content
 
-    def decoded(self, topics: Collection[str] | None = None, **limits) -> Iterator[tuple[RawMessage, Any]]:
+    def decoded(self, topics: Collection[str] | None = None) -> Iterator[tuple[RawMessage, Any]]:
         """Messages with their fields as attributes: slow, but for any type of the "ros2msg" kind."""
         decoders = {}
-        for message in self.messages(topics, **limits):
+        for message in self.messages(topics):
             if message.topic not in decoders:
                 decoders[message.topic] = self.decoder(message.topic)
             yield message, decoders[message.topic](message.data)

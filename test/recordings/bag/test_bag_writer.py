@@ -308,9 +308,7 @@ def opened(directory, *topics: str) -> BagWriter:
 
 
 def log_times(directory) -> list[tuple[str, int]]:
-    """In the order of the file."""
     with Recording(directory) as recording:
-        recording.cut_off = True
         return [(m.topic, m.log_time) for m in recording.messages()]
 
 
