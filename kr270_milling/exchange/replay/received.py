@@ -93,7 +93,7 @@ class EarlierRecordings:
             cell = attached_cell(recording)
             plant = attached_plant(recording, cell)
             collector = PassCollector(cell, self._end_ns)
-            for message in recording.messages(set(names), as_written=True):
+            for message in recording.messages(set(names)):
                 with contextlib.suppress(MillingError):  # refused by the live node as well
                     collector.sample(INPUTS[names[message.topic]](message.data))
             collector.finish()

@@ -153,7 +153,7 @@ class Robots:
         """
         firsts: dict[str, bytes] = {}
         references = {t: ns for t, (ns, name) in self._names.items() if name == "reference_trajectory"}
-        for message in self.recording.messages(set(references), as_written=True):
+        for message in self.recording.messages(set(references)):
             with contextlib.suppress(MillingError):
                 trajectory_from_bytes(message.data)
                 firsts.setdefault(references[message.topic], message.data)
@@ -162,7 +162,7 @@ class Robots:
     def feed(self, progress=None, feed: Callable[[Robot, str, bytes], None] = Robot.feed) -> None:
         """Feed all messages in the order of the file; ``feed`` takes the messages of a robot."""
         count = self.recording.count
-        for done, message in enumerate(self.recording.messages(as_written=True), 1):
+        for done, message in enumerate(self.recording.messages(), 1):
             if progress and (done % 1000 == 0 or done == count):
                 progress(done, count)
             if message.topic in self._names:

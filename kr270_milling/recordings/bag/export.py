@@ -166,7 +166,7 @@ def _series_rows(recording: Recording, topic: str, kind: str) -> Iterator[Row]:
 
 def _trajectory_rows(recording: Recording, topic: str) -> Iterator[Row]:
     """Yield one row for each point; with several bodies the columns have the name of the body."""
-    for number, message in enumerate(recording.messages([topic], as_written=True)):
+    for number, message in enumerate(recording.messages([topic])):
         try:
             trajectory = read_trajectory(message.data)
         except ValueError as error:
@@ -183,7 +183,7 @@ def _trajectory_rows(recording: Recording, topic: str) -> Iterator[Row]:
 
 def _any_rows(recording: Recording, topic: str, cells_of: Callable[[object], dict]) -> Iterator[Row]:
     """Yield the rows of any other type."""
-    for message, decoded in recording.decoded([topic], as_written=True):
+    for message, decoded in recording.decoded([topic]):
         try:
             cells = {"log_time_ns": message.log_time, **cells_of(decoded)}
         except ValueError as error:

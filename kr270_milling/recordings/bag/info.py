@@ -16,13 +16,10 @@ __all__ = ["info", "info_text"]
 def info(recording: Recording, progress: Callable[[int, int], None] | None = None) -> dict:
     """Return duration, counts, rates, sizes, gaps, metadata and attachments of a recording; read all its messages."""
     topics = {name: _TopicCount(about) for name, about in recording.topics().items()}
-    number = 0
-    for message in recording.messages(as_written=True):
+    for number, message in enumerate(recording.messages()):
         topics[message.topic].add(message)
         if progress and number % 10_000 == 0:
             progress(number, recording.count)
-        number += 1  # noqa: SIM113 - enumerate keeps the previous message in memory
-        del message
     first, last = recording.first_log_time, recording.last_log_time
     return dict(
         file=str(recording.path),

@@ -11,12 +11,9 @@ from typing import IO, cast
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
-from kr270_milling.base.errors import InputError, RecordingError
-from kr270_milling.base.files import write_files
+from kr270_milling.base.errors import RecordingError
 
 __all__ = ["Output", "plain_name"]
-
-NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 
 
 def plain_name(path, name: str) -> str:
@@ -27,10 +24,10 @@ def plain_name(path, name: str) -> str:
 
 
 class Output:
-    """``directory/name.mcap`` for mcap's Writer, and small files in the same directory.
+    """``directory/name.mcap`` for mcap's Writer.
 
     There is no buffer here: a written chunk is in the kernel and survives a SIGKILL. The first error of the file system
-    ends the file after its last whole record, and every later call raises the same RecordingError.
+    ends the file, which stays readable up to its last whole chunk; every later call raises the same RecordingError.
     waiting: messages that are not in the file yet; an error loses them too.
     """
 
@@ -39,12 +36,11 @@ class Output:
         self.error: RecordingError | None = None
         self.count = self.saved = 0  #: messages given to mcap's Writer, and messages in the file
         self._waiting = waiting
-        self._position = 0  # end of the last completed write; each write has one or more whole records
-        self._file: int | None = self._create()
+        self._file = self._create()
         # the checksum of the data section also covers the bytes outside of the chunks
         self.mcap = Writer(cast(IO[bytes], self), chunk_size, CompressionType.ZSTD, enable_data_crcs=True)
 
-    def _create(self) -> int:
+    def _create(self) -> IO[bytes]:
         folder = self.path.parent
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -52,7 +48,7 @@ class Output:
                 raise RecordingError(folder, "is a symbolic link; a recording is not written through links")
             if os.path.lexists(folder / "metadata.yaml"):
                 raise RecordingError(folder, "has a recording already, which is not overwritten")
-            return os.open(self.path, NEW, 0o666)
+            return cast(IO[bytes], open(self.path, "xb", buffering=0))
         except FileExistsError as error:
             raise RecordingError(error.filename, "exists already and is not overwritten") from None
         except OSError as error:
@@ -60,44 +56,38 @@ class Output:
 
     @property
     def is_open(self) -> bool:
-        return self._file is not None
+        return not self._file.closed
+
+    def check(self) -> None:
+        """Raise RecordingError after an error or after the end."""
+        if not self.is_open:
+            raise self.error or RecordingError(self.path, "the recording is closed")
 
     # the stream of mcap's Writer
 
     def write(self, data) -> int:
-        file, view, done = self.check(), memoryview(data), 0
+        self.check()
+        view, done = memoryview(data), 0
         try:
             while done < len(view):
-                done += os.write(file, view[done:])
+                done += self._file.write(view[done:])
         except OSError as error:
             lost = self.count - self.saved + len(self._waiting)
-            self.error = RecordingError(
-                self.path,
-                f"writing ended with an error ({error.strerror or error}); {self.saved} messages in {self._position} "
-                f"bytes are safe, the last {lost} are lost",
-            )
-            with suppress(OSError):
-                os.ftruncate(file, self._position)
-            self._close()
+            reason = f"writing ended with an error ({error.strerror or error}); {self.saved} messages are safe, "
+            self.error = RecordingError(self.path, f"{reason}the last {lost} are lost")
+            self.close()
             raise self.error from error
-        self._position += done
         if view and view[0] == Opcode.CHUNK:
             self.saved = self.count
         return done
 
     def tell(self) -> int:
-        return self._position
+        return self._file.tell()
 
     def flush(self) -> None:
         """Do nothing: there is no buffer."""
 
     # for the writer of the recording
-
-    def check(self) -> int:
-        """Return the file descriptor. Raises RecordingError after an error or after the end."""
-        if self._file is None:
-            raise self.error or RecordingError(self.path, "the recording is closed")
-        return self._file
 
     def add_message(self, channel: int, log_time: int, data, publish_time: int, sequence: int) -> None:
         self.check()
@@ -109,18 +99,6 @@ class Output:
         if self.is_open and self.saved < self.count:
             self.mcap.flush()
 
-    def _close(self) -> None:
-        file, self._file = self._file, None
-        if file is not None:
-            with suppress(OSError):
-                os.close(file)
-
-    def finish(self, name: str, data: bytes) -> None:
-        """End the file, and write a small file ``name`` in the same directory, which replaces a file of that name."""
-        self.mcap.finish()
-        self._close()
-        neighbour = self.path.with_name(name)
-        try:
-            write_files({neighbour: (data,)})
-        except InputError as error:
-            raise RecordingError(neighbour, error.reason) from error
+    def close(self) -> None:
+        with suppress(OSError):
+            self._file.close()

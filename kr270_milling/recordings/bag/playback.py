@@ -1,58 +1,32 @@
-"""Messages of a playback and their times: the passes one after the other, and the clock. No ROS.
-
-A recorder may run while the nodes restart. Then time returns to 0, and each time is a separate pass.
-"""
+"""Messages of a playback and their times: the passes one after the other, and the clock. No ROS."""
 
 from __future__ import annotations
 
-import functools
-import itertools
 from collections.abc import Iterator
-from typing import NamedTuple
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.recordings.bag.bagmeta import read_qos
 from kr270_milling.recordings.bag.play_options import MOST, PlayOptions
-from kr270_milling.recordings.bag.reader import BEGIN, END, MessagePlace, RawMessage, RecordedTopic, Recording
+from kr270_milling.recordings.bag.reader import RawMessage, RecordedTopic, Recording
 from kr270_milling.recordings.bag.stamps import SHARED, Passes
 
-__all__ = ["PassSpan", "PlayClock", "is_latched", "opening", "pass_spans", "passage", "span"]
+__all__ = ["PlayClock", "is_latched", "opening", "passage", "span", "timeline"]
 
 
-class PassSpan(NamedTuple):
-    """The messages of one pass in a recording."""
+def timeline(recording: Recording) -> Iterator[RawMessage]:
+    """Yield the messages in the order of the file, with the log times [ns] at which they are played.
 
-    within: tuple[MessagePlace, MessagePlace]  #: place of the first message, and the place after the last
-    first: int  #: [ns], smallest and largest log time
-    last: int
-    shift: int  #: [ns], added to its log times so that they follow those of the pass before
-
-
-@functools.lru_cache(maxsize=8)
-def pass_spans(recording: Recording) -> tuple[PassSpan, ...]:
-    """The passes in the order of the file: a pass begins with the first topic whose time returns to 0.
-
-    A recording without messages, or on a clock that does not begin at 0, is one span. Raises RecordingError.
+    These times never decrease. A pass begins with the first topic whose time returns to 0; its times follow those of
+    the pass before. Raises RecordingError.
     """
-    whole = PassSpan((BEGIN, END), recording.first_log_time or 0, recording.last_log_time or 0, 0)
-    if whole.first > 0 or not recording.count:
-        return (whole,)
     counters = {name: Passes() for name, about in recording.topics().items() if about.type not in SHARED}
-    bounds: list[tuple[MessagePlace, int, int]] = []  # place of the first message, smallest and largest log time
-    begin, first, last = BEGIN, 2**63, 0
-    for message in recording.messages(as_written=True):
-        counter, time = counters.get(message.topic), message.log_time
-        if counter and counter.begins(time) and counter.number > len(bounds):
-            bounds.append((begin, first, last))
-            begin, first, last = message.place, time, time
-        first, last = min(first, time), max(last, time)
-    bounds.append((begin, first, last))
-    spans, shift = [], 0
-    ends = [*(place for place, _, _ in bounds[1:]), END]
-    for (begin, first, last), end in zip(bounds, ends, strict=True):
-        spans.append(PassSpan((begin, end), first, last, shift))
-        shift += last + 1
-    return tuple(spans)
+    latest, shift, passes = 0, 0, 0
+    for message in recording.messages():
+        counter = counters.get(message.topic)
+        if counter and counter.begins(message.log_time) and counter.number > passes:
+            passes, shift = counter.number, latest + 1
+        latest = max(latest, message.log_time + shift)
+        yield message._replace(log_time=latest)
 
 
 class PlayClock:
@@ -88,13 +62,16 @@ def _ns(option: str, seconds: float) -> int:
 
 
 def span(recording: Recording, options: PlayOptions) -> tuple[int, int]:
-    """First time of a playback and the time after its last [ns]; passes follow each other. Raises InputError."""
-    spans = pass_spans(recording)
-    start = spans[0].first + _ns("--start-offset", options.start_offset)
-    end = spans[-1].last + spans[-1].shift + 1
+    """First time of a playback and the time after its last [ns]. Raises InputError, RecordingError."""
+    first = next((message.log_time for message in timeline(recording)), 0)
+    start = first + _ns("--start-offset", options.start_offset)
+    last = recording.last_log_time or 0
+    if recording.first_log_time == 0:  # there may be several passes
+        for message in timeline(recording):
+            last = message.log_time
     if options.playback_duration is not None:
-        end = min(end, start + _ns("--playback-duration", options.playback_duration) + 1)
-    return start, end
+        last = min(last, start + _ns("--playback-duration", options.playback_duration))
+    return start, last + 1
 
 
 def _latched(recording: Recording, topics: set[str]) -> set[str]:
@@ -102,28 +79,23 @@ def _latched(recording: Recording, topics: set[str]) -> set[str]:
 
 
 def opening(recording: Recording, start: int, topics: set[str]) -> list[RawMessage]:
-    """The last message before ``start`` on each latched topic: what a late subscriber receives at that time."""
+    """The last message up to ``start`` on each latched topic: what a late subscriber receives at that time."""
     latched = _latched(recording, topics)
     last: dict[str, RawMessage] = {}
-    for one in pass_spans(recording) if latched else ():
-        if one.first + one.shift < start:
-            for message in recording.messages(latched, end=start - one.shift, within=one.within):
-                last[message.topic] = message
+    for message in timeline(recording) if latched else ():
+        if message.log_time > start:
+            break
+        if message.topic in latched:
+            last[message.topic] = message
     return list(last.values())
 
 
 def passage(recording: Recording, start: int, end: int, topics: set[str]) -> Iterator[RawMessage]:
-    """The messages of a playback, pass after pass, with log times that increase from pass to pass.
-
-    Of several messages at the first moment, those on latched topics come first.
-    """
+    """The messages of a playback from ``start`` on, after those of ``opening``, up to ``end``."""
     latched = _latched(recording, topics)
-    for one in pass_spans(recording):
-        begin, after = max(start - one.shift, one.first), end - one.shift
-        if begin >= after:
-            continue
-        at_first = recording.messages(latched, start=begin, end=begin + 1, within=one.within) if latched else ()
-        rest = (m for m in recording.messages(topics, start=begin, end=after, within=one.within)
-                if m.log_time > begin or m.topic not in latched)  # fmt: skip
-        for message in itertools.chain(at_first, rest):
-            yield message._replace(log_time=message.log_time + one.shift)
+    for message in timeline(recording):
+        time = message.log_time
+        if time >= end:
+            return
+        if message.topic in topics and (time > start or (time == start and message.topic not in latched)):
+            yield message

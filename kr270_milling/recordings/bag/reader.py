@@ -1,6 +1,6 @@
 """An open recording: its topics, attachments and metadata, and its messages one by one.
 
-Reading needs memory for one unpacked chunk and 100 MB more, whatever the size of the file.
+Reading needs memory for one unpacked chunk and about 100 MB more, whatever the size of the file.
 """
 
 from __future__ import annotations
@@ -12,34 +12,35 @@ from collections.abc import Callable, Collection, Iterator
 from typing import Any, NamedTuple
 
 from mcap.opcode import Opcode
-from mcap.records import Channel as McapChannel
-from mcap.records import ChunkIndex, Schema, Statistics
+from mcap.records import AttachmentIndex, Channel, ChunkIndex, Schema, Statistics
 
 from kr270_milling.base.errors import RecordingError
-from kr270_milling.recordings.bag.chunks import ChunkReader, RawMessage
+from kr270_milling.recordings.bag.chunks import (
+    Chunk,
+    ChunkContent,
+    RawMessage,
+    chunk_at,
+    open_chunk,
+)
 from kr270_milling.recordings.bag.decode import RecordedTopic, make_decoder
 from kr270_milling.recordings.bag.records import (
     HEAD,
     MAGIC,
-    ChunkPlace,
+    NO_RECORD,
+    PRIVATE,
     Damage,
     RecordPlace,
     attachment_at,
     checksum,
-    chunk_at,
     mcap_file,
     open_to_read,
-    place_at,
-    read_bytes,
+    parsed,
     record_at,
     walk,
 )
 
-__all__ = ["BEGIN", "END", "INDEXES", "Attachment", "MessagePlace", "RawMessage", "RecordedTopic", "Recording",
-           "chunk_of"]  # fmt: skip
+__all__ = ["Attachment", "RawMessage", "RecordedTopic", "Recording"]
 
-MessagePlace = tuple[int, int]  # of a message: offset of its chunk, offset in the unpacked chunk
-BEGIN, END = (0, 0), (2**64, 0)  # before the first message, after the last message
 FOOTER = HEAD.pack(Opcode.FOOTER, 20)
 FOOTER_SIZE = len(FOOTER) + 20 + len(MAGIC)
 RUN = 1024 * 1024  # [bytes] of messages outside of chunks that are read together
@@ -52,32 +53,39 @@ class Attachment(NamedTuple):
     name: str
     media_type: str
     size: int
-    offset: int
-    end: int
+    place: RecordPlace
 
 
 class Recording:
     """An open recording. Raises RecordingError for a file that is not MCAP or is damaged.
 
     ``cut_off``: its writer did not finish the file; the file is read up to its last whole chunk.
-    progress: called with (bytes read, bytes in all) while a file without a complete summary is scanned.
+    progress: called with (bytes read, bytes in all). on_damage: receives each damage and the bytes that are skipped
+    (None: the summary); reading continues after them. By default the first damage raises RecordingError.
     """
 
-    def __init__(self, path, progress: Callable[[int, int], None] | None = None):
+    def __init__(
+        self, path, progress: Callable[[int, int], None] | None = None,
+        on_damage: Callable[[Damage, RecordPlace | None], None] | None = None,
+    ):  # fmt: skip
         self.path = mcap_file(path)
         self.stream = open_to_read(self.path)
         self.size = os.fstat(self.stream.fileno()).st_size
-        self.cut_off = True
         self.profile: str | None = None  #: None: the file has no header
         self.library = ""
         self.counts: Counter[int] = Counter()  #: channel -> messages
         self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, McapChannel] = {}
-        self.chunks: list[ChunkPlace] = []
+        self.channels: dict[int, Channel] = {}
+        self.chunks: list[Chunk] = []
         self.attachments: list[Attachment] = []
-        self.read_chunk = ChunkReader(self.stream, self.channels)
+        self.statistics: Statistics | None = None  #: of the summary, if the summary defines every channel
+        self.ended = False  #: the end of the data section was reached
+        self._known: list[int] = []  # offsets of chunks and attachments by the summary
         self._metadata: dict[str, dict[str, str]] = {}
+        self._on_damage = on_damage
         try:
+            self.footer = self._find_footer()
+            self.cut_off = self.footer is None
             with self._damage_as_error():
                 self._open(progress)
         except RecordingError:
@@ -93,105 +101,82 @@ class Recording:
             hint = "; recover may save the rest" if damage.offset else ""
             raise RecordingError(self.path, damage.reason + hint, damage.offset) from damage
 
-    def _open(self, progress) -> None:
-        begin = self.stream.read(len(MAGIC))
-        if begin != MAGIC:
-            part = begin and MAGIC.startswith(begin)
-            raise Damage("the file ends in its first bytes" if part else "this is not an MCAP file", 0)
-        header = place_at(self.stream, len(MAGIC), self.size)
-        if header is None:
-            raise Damage("the file ends before its header", len(MAGIC))
-        footer = self.footer()
-        self.cut_off = footer is None
-        if footer is not None and self._read_summary(footer):
-            self._take(header)
-            return
-        if self._scan(self.size, progress) is None and footer is not None:
-            raise Damage("a record claims more bytes than the file has", self.chunks[-1].end if self.chunks else 8)
+    @contextlib.contextmanager
+    def _reporting(self, place: RecordPlace | None) -> Iterator[None]:
+        """Give a damage to ``on_damage``, with the offset of the record and not of a definition in its chunk."""
+        try:
+            yield
+        except Damage as damage:
+            damage.offset = place.offset if place else damage.offset
+            if not self._on_damage:
+                raise
+            self._on_damage(damage, place)
 
-    def footer(self) -> RecordPlace | None:
-        """The last record; None if the file does not end as a finished file ends."""
+    def _find_footer(self) -> RecordPlace | None:
+        """Return the last record; None if the file does not end as a finished file ends."""
         at = self.size - FOOTER_SIZE
-        end = read_bytes(self.stream, at, FOOTER_SIZE) if at >= len(MAGIC) else b""
-        whole = end.startswith(FOOTER) and end.endswith(MAGIC)
+        self.stream.seek(max(at, 0))
+        end = self.stream.read(FOOTER_SIZE)
+        whole = at >= len(MAGIC) and end.startswith(FOOTER) and end.endswith(MAGIC)
         return RecordPlace(Opcode.FOOTER, at, self.size - len(MAGIC)) if whole else None
 
-    def _read_summary(self, footer: RecordPlace) -> bool:
-        """Read the summary at the end of a finished file. Return whether it lists everything in the file."""
-        record = record_at(self.stream, footer)
-        start = record.summary_start
-        if not start:
-            return False
-        if not len(MAGIC) <= start <= footer.offset:
-            raise Damage("the footer points to an impossible place", footer.offset)
-        if record.summary_crc not in (0, checksum(self.stream, start, footer.end - 4)):
-            raise Damage("the summary at the end does not fit its checksum", start)
-        statistics: list[Statistics] = []
-        indexes: Counter[int] = Counter()
-
-        def visit(place: RecordPlace) -> None:
-            if place.opcode == Opcode.STATISTICS:
-                statistics.append(record_at(self.stream, place))
-            elif place.opcode in INDEXES:
-                indexes[place.opcode] += 1
-                self._take_index(place)
-            else:
+    def _open(self, progress) -> None:
+        self.stream.seek(0)
+        begin = self.stream.read(len(MAGIC))
+        if begin != MAGIC and not self._on_damage:
+            part = begin and MAGIC.startswith(begin)
+            raise Damage("the file ends in its first bytes" if part else "this is not an MCAP file", 0)
+        with self._reporting(None):
+            self._read_summary()
+        for place in walk(self.stream, len(MAGIC), self.footer.offset if self.footer else self.size, self._known):
+            self.ended = place.opcode == Opcode.DATA_END
+            with self._reporting(place):
                 self._take(place)
-
-        walk(self.stream, start, footer.offset, visit)
-        if not statistics:
-            return False
-        counted = statistics[-1]
-        self.counts.update(counted.channel_message_counts)
-        counts = (counted.chunk_count, counted.attachment_count, counted.metadata_count)
-        complete = counts == tuple(indexes[opcode] for opcode in INDEXES)
-        return complete and set(self.counts) <= set(self.channels) and (not counted.message_count or bool(self.chunks))
-
-    def _take_index(self, place: RecordPlace) -> None:
-        """Take what the summary says of a chunk, an attachment or metadata."""
-        index = record_at(self.stream, place)
-        if place.opcode == Opcode.CHUNK_INDEX:
-            self._add_chunk(chunk_of(index))
-        elif place.opcode == Opcode.ATTACHMENT_INDEX:
-            end = index.offset + index.length
-            self.attachments.append(Attachment(index.name, index.media_type, index.data_size, index.offset, end))
-        else:
-            metadata = place_at(self.stream, index.offset, self.size)
-            if metadata is None or metadata.opcode != Opcode.METADATA:
-                raise Damage("the index of metadata points to another record", place.offset)
-            self._take(metadata)
-
-    def _scan(
-        self,
-        end: int,
-        progress: Callable[[int, int], None] | None = None,
-        resume: Callable[[Damage, RecordPlace | None], int] | None = None,
-    ) -> RecordPlace | None:
-        """Read all records of the data section instead of the summary; return the end of the data section.
-
-        The definitions of an incomplete summary stay.
-        """
-        self.chunks.clear()
-        self.attachments.clear()
-        self._metadata.clear()
-        self.counts.clear()
-
-        def visit(place: RecordPlace) -> None:
-            self._take(place)
             if progress:
                 progress(place.end, self.size)
+        if self.profile is None and not self._on_damage:
+            raise Damage("the file ends before its header", len(MAGIC))
+        stated = self.statistics
+        if stated and stated.chunk_count not in (0, len(self.chunks)) and not self._on_damage:
+            raise Damage(f"has {len(self.chunks)} chunks, but its summary counts {stated.chunk_count}", len(MAGIC))
 
-        return walk(self.stream, len(MAGIC), end, visit, resume)
+    def _read_summary(self) -> None:
+        """Read the definitions and the counts at the end of a finished file."""
+        if self.footer is None:
+            return
+        footer = record_at(self.stream, self.footer)
+        start = footer.summary_start
+        if not start:
+            return
+        if not len(MAGIC) <= start <= self.footer.offset:
+            raise Damage("the footer points to an impossible place", self.footer.offset)
+        if footer.summary_crc not in (0, checksum(self.stream, start, self.footer.end - 4)):
+            raise Damage("the summary at the end does not fit its checksum", start)
+        for record in parsed(self.stream, start, self.size):
+            if isinstance(record, Statistics):
+                self.statistics = record
+            elif isinstance(record, (Schema, Channel)):
+                self._define(record)
+            elif isinstance(record, ChunkIndex):
+                self._known.append(record.chunk_start_offset)
+            elif isinstance(record, AttachmentIndex):
+                self._known.append(record.offset)
+        self._known.sort()
+        if self.statistics and set(self.statistics.channel_message_counts) <= set(self.channels):
+            self.counts.update(self.statistics.channel_message_counts)
+        else:
+            self.statistics = None
 
     def _take(self, place: RecordPlace) -> None:
-        """Take one record of the data section, or a definition. Raises Damage."""
+        """Take one record of the data section. Raises Damage."""
         if place.opcode == Opcode.CHUNK:
-            chunk, _ = chunk_at(self.stream, place)
-            content = self.read_chunk(chunk)
-            self._add_chunk(chunk)
-            for definition in content.definitions:
-                self._define(record_at(content.stream(), definition))
-            self.counts.update(content.counts)
+            chunk = chunk_at(self.stream, place)
+            if not self.statistics:
+                content = self.open_chunk(chunk)
+                for definition in content.definitions:
+                    self._define(record_at(content.stream(), definition))
+                self.counts.update(content.counts)
+            self.chunks.append(chunk)
         elif place.opcode == Opcode.MESSAGE:
             self._take_message(place)
         elif place.opcode == Opcode.HEADER:
@@ -201,30 +186,32 @@ class Recording:
             self._define(record_at(self.stream, place))
         elif place.opcode == Opcode.ATTACHMENT:
             record = attachment_at(self.stream, place)
-            about = Attachment(record.name, record.media_type, len(record.data), place.offset, place.end)
-            self.attachments.append(about)
+            self.attachments.append(Attachment(record.name, record.media_type, len(record.data), place))
+        elif place.opcode > Opcode.DATA_END and place.opcode < PRIVATE:
+            raise Damage("a record has an unknown opcode", place.offset)
+        elif place.opcode == NO_RECORD and not self.cut_off:
+            raise Damage("these bytes are not a whole record", place.offset)
 
     def _take_message(self, place: RecordPlace) -> None:
         """Take a message outside of chunks; consecutive messages are read together."""
         message = record_at(self.stream, place)
-        self.counts[message.channel_id] += 1
-        first = last = message.log_time
-        offset, before = place.offset, self.chunks[-1] if self.chunks else None
-        if before and before.opcode == place.opcode and before.end == offset and place.end - before.offset <= RUN:
-            offset, first, last = before.offset, min(before.first_time, first), max(before.last_time, last)
+        last = self.chunks[-1] if self.chunks else None
+        chunked = self.statistics.chunk_count if self.statistics else last and last.packed_at != last.offset
+        if message.channel_id not in self.channels or chunked:
+            raise Damage("a message is outside of the chunks", place.offset)
+        if not self.statistics:
+            self.counts[message.channel_id] += 1
+        offset, first, latest = place.offset, message.log_time, message.log_time
+        if last and last.end == offset and place.end - last.offset <= RUN:
+            offset, first, latest = last.offset, min(last.first_time, first), max(last.last_time, latest)
             self.chunks.pop()
-        self._add_chunk(ChunkPlace(place.opcode, offset, place.end, first, last, place.end - offset))
-
-    def _add_chunk(self, chunk: ChunkPlace) -> None:
-        if self.chunks and self.chunks[-1].opcode != chunk.opcode:  # no writer mixes both; an opcode is damaged
-            raise Damage("the file has messages in chunks and outside of chunks", chunk.offset)
-        self.chunks.append(chunk)
+        self.chunks.append(Chunk(offset, place.end, first, latest, place.end - offset, "", offset))
 
     def _define(self, record) -> None:
         """Take a schema, a channel or metadata; a later definition replaces an earlier one."""
         if isinstance(record, Schema):
             self.schemas[record.id] = record
-        elif isinstance(record, McapChannel):
+        elif isinstance(record, Channel):
             self.channels[record.id] = record
         else:
             self._metadata[record.name] = record.metadata
@@ -256,7 +243,7 @@ class Recording:
         """Topic name -> type, count and definition, in the order of appearance. Channels of one topic are one topic."""
         return self._topics
 
-    def schema_of(self, channel: McapChannel) -> Schema:
+    def schema_of(self, channel: Channel) -> Schema:
         return self.schemas.get(channel.schema_id, NO_SCHEMA)
 
     def metadata(self) -> dict[str, dict[str, str]]:
@@ -268,38 +255,32 @@ class Recording:
         for about in self.attachments:
             if about.name == name:
                 with self._damage_as_error():
-                    return self.read_attachment(about).data
+                    return attachment_at(self.stream, about.place).data
         raise RecordingError(self.path, f"has no attachment {name!r}")
 
-    def read_attachment(self, about: Attachment):
-        """The record of an attachment. Raises Damage."""
-        return attachment_at(self.stream, RecordPlace(Opcode.ATTACHMENT, about.offset, about.end))
+    def open_chunk(self, chunk: Chunk) -> ChunkContent:
+        """The messages of a chunk. Raises Damage."""
+        return open_chunk(self.stream, chunk)
 
-    def messages(
-        self, topics: Collection[str] | None = None, start: int | None = None, end: int | None = None, *,
-        as_written: bool = False, within: tuple[MessagePlace, MessagePlace] = (BEGIN, END),
-    ) -> Iterator[RawMessage]:  # fmt: skip
-        """All messages, or those of some topics with ``start`` <= log time < ``end`` [ns].
-
-        The order is that of the log times. A file that is cut off is read in its own order, and any file
-        ``as_written``, which keeps its passes apart. within: place of the first message, and the place after the last.
-        """
-        low, high = start or 0, 2**64 if end is None else end
-        first, after = within
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[RawMessage]:
+        """All messages, or those of some topics, in the order in which they were written."""
         names = {n: c.topic for n, c in self.channels.items() if topics is None or c.topic in topics}
-        chunks = [c for c in self.chunks if c.last_time >= low and c.first_time < high
-                  and first[0] <= c.offset <= after[0]]  # fmt: skip
-        ordered = self.read_chunk.in_file_order if self.cut_off or as_written else self.read_chunk.in_time_order
         with self._damage_as_error():
-            for message in ordered(chunks, names):
-                if low <= message.log_time < high and first <= message.place < after:
-                    yield message
-                del message  # before the next message is copied
+            for chunk in self.chunks:
+                yield from self._defined(chunk).messages(names)  # no name keeps a chunk while the next one is unpacked
 
-    def decoded(self, topics: Collection[str] | None = None, **limits) -> Iterator[tuple[RawMessage, Any]]:
+    def _defined(self, chunk: Chunk) -> ChunkContent:
+        """The messages of a chunk, all on known channels. Raises Damage."""
+        content = self.open_chunk(chunk)
+        for channel in content.counts:
+            if channel not in self.channels:
+                raise Damage(f"a message belongs to channel {channel}, which is not defined", chunk.offset)
+        return content
+
+    def decoded(self, topics: Collection[str] | None = None) -> Iterator[tuple[RawMessage, Any]]:
         """Messages with their fields as attributes: slow, but for any type of the "ros2msg" kind."""
         decoders = {}
-        for message in self.messages(topics, **limits):
+        for message in self.messages(topics):
             if message.topic not in decoders:
                 decoders[message.topic] = self.decoder(message.topic)
             yield message, decoders[message.topic](message.data)
@@ -316,15 +297,3 @@ class Recording:
 
     def __exit__(self, *_) -> None:
         self.close()
-
-
-def chunk_of(index: ChunkIndex) -> ChunkPlace:
-    """The chunk that an index in the summary describes."""
-    begin, end = index.chunk_start_offset, index.chunk_start_offset + index.chunk_length
-    first, last = index.message_start_time, index.message_end_time
-    return ChunkPlace(
-        Opcode.CHUNK, begin, end, first, last, index.uncompressed_size, index.compression, index.compressed_size
-    )
-
-
-INDEXES = {Opcode.CHUNK_INDEX: "chunks", Opcode.ATTACHMENT_INDEX: "attachments", Opcode.METADATA_INDEX: "metadata"}

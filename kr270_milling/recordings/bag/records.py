@@ -1,4 +1,4 @@
-"""Records of an MCAP file [MCAP], parsed by mcap's StreamReader, and the one walk over them.
+"""The one walk over the records of an MCAP file [MCAP]; mcap's StreamReader parses each record.
 
 A record is an opcode (one byte), a length (eight bytes) and its content. No function here reads a content before the
 length is compared with the end of the file and with the limit.
@@ -6,30 +6,29 @@ length is compared with the end of the file and with the limit.
 
 from __future__ import annotations
 
+import bisect
 import os
 import stat
 import struct
 import zlib
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any, NamedTuple, cast
 
-import lz4.frame
-import zstandard
-from mcap.exceptions import EndOfFile, McapError
+from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import StreamReader
 
 from kr270_milling.base.errors import RecordingError
 
-__all__ = ["HEAD", "MAGIC", "ChunkPlace", "Damage", "RecordPlace", "attachment_at", "checksum", "chunk_at",
-           "mcap_file", "open_to_read", "place_at", "read_bytes", "record_at", "unpack", "walk"]  # fmt: skip
+__all__ = ["HEAD", "LIMIT", "MAGIC", "NO_RECORD", "Damage", "RecordPlace", "Section", "attachment_at", "checksum",
+           "mcap_file", "open_to_read", "parsed", "read_bytes", "record_at", "walk"]  # fmt: skip
 
 MB = 1024 * 1024
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # opcode and length of a record
-CHUNK_HEAD = struct.Struct("<BQQQQII")  # and first time, last time, size, checksum, length of the compression's name
 LIMIT = 256 * MB  # of a record, and of an unpacked chunk
+NO_RECORD = 0  # an opcode that does not exist: zeros follow the last record after a power failure
 PRIVATE = 0x80  # opcodes from here on belong to applications
 
 
@@ -50,24 +49,7 @@ class RecordPlace(NamedTuple):
     end: int
 
 
-class ChunkPlace(NamedTuple):
-    """A chunk, or a run of messages outside of chunks, as its record or its index describes it."""
-
-    opcode: int  #: CHUNK or MESSAGE
-    offset: int
-    end: int
-    first_time: int  #: [ns], smallest and largest log time
-    last_time: int
-    unpacked: int  #: [bytes]
-    compression: str = ""
-    packed: int = 0  #: [bytes]
-
-    @property
-    def size(self) -> int:
-        return self.end - self.offset
-
-
-class _Bounded:
+class Section:
     """The bytes between two offsets as a stream: a damaged length cannot read beyond the end."""
 
     def __init__(self, stream: IO[bytes], begin: int, end: int):
@@ -76,18 +58,18 @@ class _Bounded:
         stream.seek(begin)
 
     def read(self, size: int = -1) -> bytes:
-        """Read up to ``size`` bytes, as decompressors expect."""
         data = self._stream.read(self._left if size < 0 else min(size, self._left))
         self._left -= len(data)
         return data
 
 
-class _Whole(_Bounded):
+class _WholeFields(Section):
     def read(self, size: int = -1) -> bytes:
         """Read exactly ``size`` bytes, as mcap expects."""
-        if size > self._left:
-            raise EndOfFile
-        return super().read(size)
+        data = super().read(size)
+        if len(data) < size:
+            raise McapError("a record ends in the middle of a field")
+        return data
 
 
 def mcap_file(path) -> Path:
@@ -110,7 +92,7 @@ def open_to_read(path: Path) -> IO[bytes]:
     if not stat.S_ISREG(os.fstat(file).st_mode):
         os.close(file)
         raise RecordingError(path, "is not a file")
-    return os.fdopen(file, "rb", buffering=65536)
+    return os.fdopen(file, "rb")
 
 
 def read_bytes(stream: IO[bytes], begin: int, size: int) -> bytes:
@@ -130,113 +112,49 @@ def checksum(stream: IO[bytes], begin: int, end: int) -> int:
     return crc
 
 
-def place_at(stream: IO[bytes], offset: int, end: int) -> RecordPlace | None:
-    """The record that begins at an offset; None if the record does not end before ``end``.
+def walk(stream: IO[bytes], begin: int, end: int, known: Sequence[int] = ()) -> Iterator[RecordPlace]:
+    """Yield the place of each record between two offsets, up to the end of the data section.
 
-    Opcode 0 does not exist: zeros follow the last record after a power failure. Raises Damage above the limit.
-    """
-    if offset + HEAD.size > end:
-        return None
-    opcode, length = HEAD.unpack(read_bytes(stream, offset, HEAD.size))
-    if opcode == 0 or offset + HEAD.size + length > end:
-        return None
-    if length > LIMIT:
-        raise Damage(f"a record claims {length} bytes, more than the limit of {LIMIT}", offset)
-    return RecordPlace(opcode, offset, offset + HEAD.size + length)
-
-
-def walk(
-    stream: IO[bytes],
-    begin: int,
-    end: int,
-    visit: Callable[[RecordPlace], object],
-    resume: Callable[[Damage, RecordPlace | None], int] | None = None,
-) -> RecordPlace | None:
-    """Visit each whole record between two offsets; return the end of the data section, or None without one.
-
-    resume: called with a Damage and the record, if its length is readable; returns the offset where the walk
-    continues. Without ``resume`` the walk raises Damage, and ends before a record that is not whole.
+    known: offsets of some records, ascending. A length that leads beyond the next of them is damaged. Bytes that are no
+    whole record of at most 256 MB have the opcode NO_RECORD; they end at the next known offset, or at ``end``.
     """
     while begin < end:
-        place = None
-        try:
-            place = place_at(stream, begin, end)
-            if place is None and resume:
-                raise Damage("no whole record", begin)
-            if place is None or place.opcode == Opcode.DATA_END:
-                return place
-            visit(place)
-            begin = place.end
-        except Damage as damage:
-            damage.offset = begin  # of the record, not of a definition in its unpacked content
-            if not resume:
-                raise
-            begin = resume(damage, place)
-    return None
+        following = bisect.bisect_right(known, begin)
+        after = known[following] if following < len(known) else end
+        whole = begin + HEAD.size <= after
+        opcode, length = HEAD.unpack(read_bytes(stream, begin, HEAD.size)) if whole else (NO_RECORD, 0)
+        place = RecordPlace(opcode, begin, begin + HEAD.size + length)
+        if opcode == NO_RECORD or length > LIMIT or place.end > after:
+            place = RecordPlace(NO_RECORD, begin, after)
+        yield place
+        if opcode == Opcode.DATA_END and place.opcode == opcode:
+            return
+        begin = place.end
+
+
+def parsed(stream: IO[bytes], begin: int, end: int) -> Iterator[Any]:
+    """Parse the records between two offsets by mcap, up to a footer. Raises Damage."""
+    section = cast(IO[bytes], _WholeFields(stream, begin, end))
+    try:
+        yield from StreamReader(section, skip_magic=True, emit_chunks=True, record_size_limit=LIMIT).records
+    except (McapError, struct.error, UnicodeDecodeError):
+        raise Damage("a record cannot be parsed", begin) from None
 
 
 def record_at(stream: IO[bytes], place: RecordPlace) -> Any:
-    """Parse one record with mcap; None for an opcode of an application. Raises Damage."""
-    whole = cast(IO[bytes], _Whole(stream, place.offset, place.end))
-    try:
-        return next(StreamReader(whole, skip_magic=True, emit_chunks=True, record_size_limit=LIMIT).records)
-    except EndOfFile:
-        if place.opcode >= PRIVATE:  # mcap skips the record
-            return None
-        raise Damage("a record ends in the middle of a field", place.offset) from None
-    except (McapError, struct.error, UnicodeDecodeError, StopIteration):
-        raise Damage("a record cannot be parsed", place.offset) from None
+    """Parse one record; return None for a record of an application. Raises Damage."""
+    if place.opcode >= PRIVATE:
+        return None
+    record = next(parsed(stream, place.offset, place.end), None)
+    if record is None:
+        raise Damage("a record has an unknown opcode", place.offset)
+    return record
 
 
 def attachment_at(stream: IO[bytes], place: RecordPlace) -> Any:
     """Parse an attachment and compare its checksum, which mcap does not do. Raises Damage."""
-    if place.opcode != Opcode.ATTACHMENT:
-        raise Damage("the index of attachments points to another record", place.offset)
     record = record_at(stream, place)
     crc = int.from_bytes(read_bytes(stream, place.end - 4, 4), "little")
     if crc and checksum(stream, place.offset + HEAD.size, place.end - 4) != crc:
         raise Damage(f"the attachment {record.name} does not fit its checksum", place.offset)
     return record
-
-
-def chunk_at(stream: IO[bytes], place: RecordPlace) -> tuple[ChunkPlace, int]:
-    """Describe a chunk without its content; also return its checksum. Raises Damage.
-
-    mcap would copy the content: packed and unpacked, a chunk of 200 MB would take 400 to 600 MB.
-    """
-    if place.opcode != Opcode.CHUNK:
-        raise Damage("the index of chunks points to another record", place.offset)
-    head = _Whole(stream, place.offset, place.end)
-    try:
-        _, _, first, last, unpacked, crc, length = CHUNK_HEAD.unpack(head.read(CHUNK_HEAD.size))
-        compression = head.read(length).decode()
-        packed = int.from_bytes(head.read(8), "little")
-    except (EndOfFile, UnicodeDecodeError):
-        raise Damage("a chunk ends in the middle of a field", place.offset) from None
-    if CHUNK_HEAD.size + length + 8 + packed != place.end - place.offset:
-        raise Damage("a chunk has lengths that do not agree", place.offset)
-    return ChunkPlace(*place, first, last, unpacked, compression, packed), crc
-
-
-def unpack(stream: IO[bytes], chunk: ChunkPlace, crc: int) -> bytes:
-    """Unpack a chunk out of the file, without a second copy in memory. Raises Damage."""
-    if chunk.unpacked > LIMIT:
-        reason = f"a chunk claims {chunk.unpacked} unpacked bytes, more than the limit of {LIMIT}"
-        raise Damage(reason, chunk.offset)
-    packed = cast(IO[bytes], _Bounded(stream, chunk.end - chunk.packed, chunk.end))
-    try:
-        if chunk.compression == "zstd":
-            data = zstandard.ZstdDecompressor().stream_reader(packed).read(chunk.unpacked + 1)
-        elif chunk.compression == "lz4":
-            data = lz4.frame.open(packed).read(chunk.unpacked + 1)
-        elif chunk.compression == "":
-            data = packed.read(chunk.packed)
-        else:
-            raise Damage(f"a chunk has the unknown compression {chunk.compression[:16]!r}", chunk.offset)
-    except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError) as error:
-        raise Damage("a chunk cannot be unpacked", chunk.offset) from error
-    if len(data) != chunk.unpacked:
-        raise Damage(f"a chunk does not unpack to the {chunk.unpacked} bytes that it announces", chunk.offset)
-    if crc and zlib.crc32(data) != crc:
-        raise Damage("a chunk does not fit its checksum", chunk.offset)
-    return data

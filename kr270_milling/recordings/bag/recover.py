@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import bisect
-import contextlib
 import os
 import shutil
 from collections import Counter
@@ -11,18 +9,14 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from mcap.opcode import Opcode
-
 from kr270_milling.base.errors import RecordingError
+from kr270_milling.recordings.bag.chunks import Chunk
 from kr270_milling.recordings.bag.reader import Recording
-from kr270_milling.recordings.bag.records import ChunkPlace, Damage, RecordPlace, mcap_file
+from kr270_milling.recordings.bag.records import Damage, RecordPlace, mcap_file
 from kr270_milling.recordings.bag.verify import findings
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
 __all__ = ["Recovered", "recover"]
-
-KNOWN = frozenset(range(0x01, 0x10))  # opcodes of the format
-PRIVATE = 0x80  # opcodes from here on belong to applications
 
 
 @dataclass
@@ -62,9 +56,12 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
         raise RecordingError(target, "exists already and is not overwritten")
     part = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        with contextlib.closing(Salvage(file)) as salvage, BagWriter(part, target.name) as writer:
-            _copy(salvage, writer, progress)
-            lost_messages = salvage.lost_messages(writer.count)
+        losses = Losses()
+        with Recording(file, on_damage=losses.add) as salvage, BagWriter(part, target.name) as writer:
+            if salvage.profile is None and not (salvage.chunks or salvage.attachments or salvage.metadata()):
+                raise RecordingError(file, "nothing in it can be recovered")
+            _copy(salvage, losses, writer, progress)
+            lost_messages = _lost_messages(salvage, losses, writer.count)
         with Recording(part) as copy:
             result = _describe(copy)
         os.rename(part, target)
@@ -73,8 +70,8 @@ def recover(source, target=None, progress: Callable[[int, int], None] | None = N
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return replace(
-        result, source=str(file), directory=str(target), whole=whole is not None and not salvage.dropped,
-        lost_bytes=salvage.lost_bytes, lost_messages=lost_messages, dropped=salvage.dropped, damage=damage,
+        result, source=str(file), directory=str(target), whole=whole is not None and not losses.dropped,
+        lost_bytes=losses.bytes, lost_messages=lost_messages, dropped=losses.dropped, damage=damage,
     )  # fmt: skip
 
 
@@ -103,69 +100,34 @@ def _describe(recording: Recording) -> Recovered:
     )
 
 
-class Salvage(Recording):
-    """The readable content of a file that may be damaged anywhere; ``dropped``: a sentence for each lost place.
+class Losses:
+    """The damage of a file that is recovered, while ``source`` reads it."""
 
-    After a damaged record reading continues at the next record that an undamaged summary lists. Without a summary it
-    continues where the length of the damaged record ends.
-    """
+    def __init__(self):
+        self.dropped: list[str] = []  #: a sentence for each lost place
+        self.bytes = 0
+        self.in_summary = False
 
-    def _open(self, progress) -> None:
-        self.dropped: list[str] = []
-        self.lost_bytes = 0
-        self._total: int | None = None  # messages by the summary
-        self._indexed: list[int] = []  # offsets of chunks and attachments by the summary
-        footer = self.footer()
-        self.cut_off = footer is None
-        try:
-            if footer is not None and self._read_summary(footer):
-                self._total = self.count
-                self._indexed = sorted(
-                    [*(chunk.offset for chunk in self.chunks), *(about.offset for about in self.attachments)]
-                )
-        except Damage as damage:
+    def add(self, damage: Damage, place: RecordPlace | Chunk | None) -> None:
+        """Take a damage of a record or of a chunk; None: of the summary, which costs no message."""
+        if place is None:
+            self.in_summary = True
             self.dropped.append(f"the summary: {damage.reason}")
-        in_summary = len(self.dropped)  # this damage costs no message
-        ended = self._scan(footer.offset if footer else self.size, resume=self._resume) is not None
-        if self._total is None and ended and len(self.dropped) == in_summary:
-            self._total = self.count
-        if self.profile is None and not (self.chunks or self.attachments or self._metadata):
-            raise Damage("nothing in it can be recovered", 0)
-
-    def _resume(self, damage: Damage, place: RecordPlace | None) -> int:
-        """Offset of the record after a damaged one, or the end."""
-        position = bisect.bisect_right(self._indexed, damage.offset)
-        if position < len(self._indexed):
-            after = min(self._indexed[position], self.size)
-        else:
-            after = place.end if place and place.opcode in KNOWN else self.size
-        self.drop(damage.offset, after, damage.reason)
-        return after
-
-    def _take_index(self, place: RecordPlace) -> None:
-        if place.opcode != Opcode.METADATA_INDEX:  # metadata may be damaged; the walk reads them
-            super()._take_index(place)
-
-    def _take(self, place: RecordPlace) -> None:
-        if place.opcode not in KNOWN and place.opcode < PRIVATE:
-            raise Damage("a record has an unknown opcode", place.offset)
-        if place.opcode == Opcode.MESSAGE and self.chunks and self.chunks[-1].opcode == Opcode.CHUNK:
-            raise Damage("a message is outside of the chunks", place.offset)
-        super()._take(place)
-
-    def drop(self, begin: int, end: int, reason: str) -> None:
-        self.lost_bytes += end - begin
-        self.dropped.append(f"{end - begin} bytes at byte {begin}: {reason}")
-
-    def lost_messages(self, written: int) -> int | None:
-        """Number of lost messages, if the file states how many it had."""
-        return None if self._total is None else max(self._total - written, 0)
+            return
+        self.bytes += place.end - place.offset
+        self.dropped.append(f"{place.end - place.offset} bytes at byte {place.offset}: {damage.reason}")
 
 
-def _copy(source: Salvage, writer: BagWriter, progress: Callable[[int, int], None] | None) -> None:
+def _lost_messages(source: Recording, losses: Losses, written: int) -> int | None:
+    """Return the number of lost messages; None if the source does not state how many messages it had."""
+    whole = source.ended and len(losses.dropped) == losses.in_summary
+    return max(source.count - written, 0) if source.statistics or whole else None
+
+
+def _copy(source: Recording, losses: Losses, writer: BagWriter, progress: Callable[[int, int], None] | None) -> None:
     """Write everything that can be read."""
     for about in source.attachments:
-        writer.add_attachment(about.name, source.read_attachment(about).data)
+        writer.add_attachment(about.name, source.attachment(about.name))
     for name, values in source.metadata().items():
         if name != "rosbag2":  # the writer adds a new one
             writer.add_metadata(name, values)
@@ -174,31 +136,30 @@ def _copy(source: Salvage, writer: BagWriter, progress: Callable[[int, int], Non
         schema = source.schema_of(channel)
         parsed = (schema.name, schema.encoding, schema.data)
         numbers[number] = writer.add_channel(channel.topic, parsed, channel.message_encoding, channel.metadata)
-    lost: Counter[str] = Counter()  # reason -> messages
+    refused: Counter[str] = Counter()  # reason -> messages
     for chunk in source.chunks:
-        _copy_chunk(source, writer, chunk, numbers, lost)
+        try:
+            refused += _copy_chunk(source, chunk, writer, numbers)
+        except Damage as damage:
+            losses.add(damage, chunk)
         if progress:
             progress(chunk.end, source.size)
-    source.dropped += [f"{count} messages {reason}" for reason, count in lost.items()]
-    writer.add_metadata("recovered", {"source": source.path.name, "dropped": "\n".join(source.dropped) or "nothing"})
+    losses.dropped += [f"{count} messages {reason}" for reason, count in refused.items()]
+    writer.add_metadata("recovered", {"source": source.path.name, "dropped": "\n".join(losses.dropped) or "nothing"})
 
 
-def _copy_chunk(
-    source: Salvage, writer: BagWriter, chunk: ChunkPlace, numbers: dict[int, int], lost: Counter[str]
-) -> None:
-    """Write the messages of a chunk; numbers: channel in the source -> channel in the copy."""
-    try:
-        content = source.read_chunk(chunk)
-    except Damage as damage:
-        source.drop(chunk.offset, chunk.end, damage.reason)
-        return
+def _copy_chunk(source: Recording, chunk: Chunk, writer: BagWriter, numbers: dict[int, int]) -> Counter[str]:
+    """Write the messages of a chunk; return reason -> messages that are not written. Raises Damage."""
+    content = source.open_chunk(chunk)
     topics = {number: channel.topic for number, channel in source.channels.items()}
-    for number in set(content.counts) - set(topics):
-        lost[f"of channel {number}, whose definition is lost"] += content.counts[number]
+    refused: Counter[str] = Counter()
+    for number, count in content.counts.items():
+        if number not in topics:
+            refused[f"of channel {number}, whose definition is lost"] += count
     for message in content.messages(topics):
         number = numbers[message.channel]
         try:
             writer.write_raw(number, message.data, message.publish_time, message.log_time, message.sequence)
-        except MessageRefused as refused:
-            lost[f"that {refused.reason}"] += 1
-        del message  # before the next message is copied
+        except MessageRefused as error:
+            refused[f"that {error.reason}"] += 1
+    return refused

@@ -49,7 +49,7 @@ def several(
     """
     batches = {topic: _Batch(recording, topic) for topic in topics}
     receivers = {**{topic: batch.add for topic, batch in batches.items()}, **others}
-    for message in recording.messages(set(receivers), as_written=True):
+    for message in recording.messages(set(receivers)):
         receivers[message.topic](message.data)
     return [batches[topic].series() for topic in topics]
 
@@ -92,7 +92,7 @@ def stamped(recording: Recording, topic: str) -> Iterator[tuple[int, int, str, l
     Raises RecordingError for a message of another type.
     """
     width = _width(recording, topic)
-    for message in recording.messages([topic], as_written=True):
+    for message in recording.messages([topic]):
         with _as_recording_error(recording, topic):
             fields = unpack_stamped(message.data, width, alone=True)
         yield message.log_time, *fields

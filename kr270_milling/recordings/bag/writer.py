@@ -9,7 +9,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from kr270_milling.base.errors import RecordingError
+from kr270_milling.base.errors import InputError, RecordingError
+from kr270_milling.base.files import write_files
 from kr270_milling.base.version import __version__
 from kr270_milling.recordings.bag import bagmeta
 from kr270_milling.recordings.bag.output import Output
@@ -225,8 +226,14 @@ class BagWriter:
         self.flush()
         self.add_metadata("kr270_milling.counts", {k: json.dumps(v) for k, v in self.report().items()})
         self.add_metadata("rosbag2", {"serialized_metadata": bagmeta.yaml_text(about)})
+        self.output.mcap.finish()
+        self.output.close()
+        neighbour = self.path.with_name("metadata.yaml")
         text = bagmeta.yaml_text({"rosbag2_bagfile_information": about})
-        self.output.finish("metadata.yaml", text.encode())
+        try:
+            write_files({neighbour: (text.encode(),)})
+        except InputError as error:
+            raise RecordingError(neighbour, error.reason) from error
 
     def __enter__(self) -> BagWriter:
         return self

@@ -208,7 +208,7 @@ def test_a_flipped_bit_in_the_first_chunk_is_one_sentence(tmp_path, job):
     with Recording(file) as recording:
         chunk = recording.chunks[0]
     data = bytearray(file.read_bytes())
-    data[chunk.offset + chunk.size // 2] ^= 1
+    data[(chunk.offset + chunk.end) // 2] ^= 1
     file.write_bytes(data)
     with pytest.raises(RecordingError, match="a chunk .*; recover may save the rest"):
         job(file)

@@ -255,7 +255,7 @@ def damaged(directory, begin: int):
     with Recording(bag) as recording:
         chunk, path = recording.chunks[3], recording.path
     data = bytearray(path.read_bytes())
-    data[chunk.offset + chunk.size // 2] ^= 1
+    data[(chunk.offset + chunk.end) // 2] ^= 1
     path.write_bytes(data)
     return bag
 

@@ -67,7 +67,7 @@ def test_a_flipped_bit_in_any_record_is_told_and_mended(whole, tmp_path, name, c
             assert not result.whole and result.damage
             with Recording(result.directory) as recording:
                 assert findings(recording) == []
-                messages = [(m.topic, m.log_time, m.data) for m in recording.messages(as_written=True)]
+                messages = [(m.topic, m.log_time, m.data) for m in recording.messages()]
             lost = name == "attachment" or not result.dropped
             assert messages == written if lost else set(messages) <= set(written)
 
@@ -151,7 +151,7 @@ def source(tmp_path_factory):
     directory = tmp_path_factory.mktemp("source") / "a"
     written = record(directory, 60, attachments={"cell.yaml": "a: 1\n"}, metadata={"seed": 1}, chunk_size=20_000)
     with Recording(directory) as recording:
-        chunks = [(chunk, len(recording.read_chunk(chunk))) for chunk in recording.chunks]
+        chunks = [(chunk, len(recording.open_chunk(chunk))) for chunk in recording.chunks]
     return Whole(((directory / "a.mcap").read_bytes(), written, chunks))
 
 
@@ -208,7 +208,7 @@ def test_a_cut_file_keeps_every_whole_chunk(source, tmp_path_factory, place):
     file.write_bytes(data[:place])
     result = recover(file)
     assert content_of(result.directory) == written[: result.messages]
-    assert result.messages == sum(count for chunk, count in chunks if chunk.offset + chunk.size <= place)
+    assert result.messages == sum(count for chunk, count in chunks if chunk.end <= place)
 
 
 def test_a_file_that_lacks_only_its_end_loses_nothing(source, tmp_path):
@@ -236,7 +236,7 @@ def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place
     assert lost == written[begin : begin + len(lost)]  # one piece
     assert len(lost) == count
     assert (result.lost_messages, result.messages) == (len(lost), len(written) - len(lost))
-    assert not result.whole and len(result.dropped) >= 1 and result.lost_bytes >= chunk.size
+    assert not result.whole and len(result.dropped) >= 1 and result.lost_bytes >= chunk.end - chunk.offset
 
 
 def test_without_the_summary_a_lost_definition_is_told(source, tmp_path):

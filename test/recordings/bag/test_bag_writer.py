@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 import signal
@@ -209,46 +208,43 @@ def test_a_killed_writer_loses_less_than_a_second_and_the_rest_is_read_exported_
         assert findings(whole) == []
 
 
-def test_a_chunk_that_fits_only_in_part_is_taken_back(tmp_path, monkeypatch):
-    room = [30_000]
-    write = os.write
-
-    def limited(file, data):
-        if not room[0]:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        done = write(file, data[: room[0]])
-        room[0] -= done
-        return done
-
-    with BagWriter(tmp_path / "a", chunk_size=4000) as writer:
-        writer.add_topic("/p", POSE)
-        rng = np.random.default_rng(6)  # numbers that cannot be packed
-        monkeypatch.setattr("kr270_milling.recordings.bag.output.os.write", limited)
-        with pytest.raises(RecordingError, match="No space left on device") as error:
-            for step in range(10_000):
-                writer.write("/p", raw(pose(step, rng.normal(size=7))), 0)
-        with pytest.raises(RecordingError) as again:
-            writer.add_metadata("more", {})
-    assert again.value is error.value
-    assert f"{writer.output.saved} messages" in str(error.value) and 0 < writer.output.saved < writer.count
-    assert not (tmp_path / "a" / "metadata.yaml").exists()
-    with Recording(tmp_path / "a") as recording:
-        assert recording.cut_off and recording.count == writer.output.saved
-
-
-def test_the_disk_is_full_from_the_first_byte(tmp_path):
-    code = """
+FULL = """
 import resource, sys
+import numpy as np
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.recordings.bag.writer import BagWriter
-resource.setrlimit(resource.RLIMIT_FSIZE, (4, 4))
+from recording_samples import POSE, pose, raw
+limit = int(sys.argv[2])
+resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+rng, errors = np.random.default_rng(6), []  # numbers that cannot be packed
 try:
-    BagWriter(sys.argv[1])
+    writer = BagWriter(sys.argv[1], chunk_size=4000)
+    writer.add_topic("/p", POSE)
+    for step in range(10_000):
+        writer.write("/p", raw(pose(step, rng.normal(size=7))), 0)
 except RecordingError as error:
-    print(error)
+    errors.append(error)
+if limit > 1000:
+    try:
+        writer.add_metadata("more", {})
+    except RecordingError as error:
+        assert error is errors[0]
+    writer.close()
+    print(writer.output.saved, writer.count)
+print(errors[0])
 """
-    output, _ = child(code, tmp_path / "a").communicate(timeout=60)
-    assert "File too large" in output and output.count("\n") == 1
+
+
+@pytest.mark.parametrize("limit", [4, 30_000])
+def test_a_full_disk_ends_the_file_after_its_last_whole_chunk(tmp_path, limit):
+    output, _ = child(FULL, tmp_path / "a", limit).communicate(timeout=60)
+    *counts, sentence = output.splitlines()
+    assert "File too large" in sentence and not (tmp_path / "a" / "metadata.yaml").exists()
+    for line in counts:
+        saved, count = map(int, line.split())
+        assert 0 < saved < count and f"{saved} messages are safe, the last {count - saved} are lost" in sentence
+        with Recording(tmp_path / "a") as recording:
+            assert recording.cut_off and recording.count == saved
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "/etc/passwd", "../x", "a\0b", "x" * 300])
@@ -312,9 +308,7 @@ def opened(directory, *topics: str) -> BagWriter:
 
 
 def log_times(directory) -> list[tuple[str, int]]:
-    """In the order of the file."""
     with Recording(directory) as recording:
-        recording.cut_off = True
         return [(m.topic, m.log_time) for m in recording.messages()]
 
 
