@@ -73,11 +73,8 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     with progress("compiling") as report:
         _compile(cell)
         report.say("starting the nodes")
-        graph = Graph(cell, directory, namespace, composed=composed, plant=cuts)
-        try:
-            ran = run_plan(graph.start(), methods, passes, report.say)
-        finally:
-            graph.stop()
+        with Graph(cell, directory, namespace, composed, cuts) as graph:
+            ran = run_plan(graph, methods, passes, report.say)
     return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
 
 
