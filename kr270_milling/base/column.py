@@ -1,20 +1,23 @@
-"""Columns of a result: key, factor, title, unit and digits beside the field of its record.
+"""Columns of a result: key, factor, title, unit and digits beside the field or the property of its record.
 
-Terminal tables, JSON, CSV files and the report take their columns from the fields::
+Terminal tables, JSON, CSV files and the report take their columns from there::
 
     @dataclass(frozen=True)
     class Scores:
         max_deviation: float = column("max_deviation_mm", 1e3, "largest deviation", "um", 1e6, 2, short="max")
 
 The key of JSON is ``max_deviation_mm``, the heading is ``largest deviation [µm]`` in the report and ``max [um]`` in the
-terminal.
+terminal. ``computed`` does the same for a property.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
-__all__ = ["Column", "as_dict", "column", "columns"]
+__all__ = ["Column", "TextTable", "as_dict", "column", "columns", "columns_of", "computed", "fixed", "table_of", "yes"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,28 +32,93 @@ class Column:
     scale: float  #: SI -> unit of the tables
     digits: int  #: decimals in tables
     short: str  #: heading in the terminal; "": the field is not shown there
+    infinite: str  #: text of an infinite value
 
     def heading(self, short: bool = False) -> str:
         """Return the title, or the short one, with the unit."""
         return (self.short if short else self.title) + (f" [{self.unit}]" if self.unit else "")
 
+    def text(self, written: float) -> str:
+        """Return a value of JSON as text, in the unit of the tables."""
+        return self.infinite if written == math.inf else fixed(written / self.factor * self.scale, self.digits)
 
-def column(
+
+class TextTable(NamedTuple):
+    """A table for terminal and report: the first column is a text, the others are right-aligned."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""  #: below the table of the report
+
+
+def _about(
     key: str, factor: float = 1.0, title: str = "", unit: str = "", scale: float | None = None, digits: int = 1,
-    short: str = "", default: object = dataclasses.MISSING,
-):  # fmt: skip
-    """Return a dataclass field with its column; scale: default the factor of the key; default: of the field."""
-    about = dict(key=key, factor=factor, title=title, unit=unit, digits=digits, short=short)
-    metadata = {"column": about | {"scale": factor if scale is None else scale}}
-    return dataclasses.field(default=default, metadata=metadata)
+    short: str = "", infinite: str = "inf",
+) -> dict:  # fmt: skip
+    """Return the column but for its name; scale: default the factor of the key."""
+    about = dict(key=key, factor=factor, title=title, unit=unit, digits=digits, short=short, infinite=infinite)
+    return about | {"scale": factor if scale is None else scale}
+
+
+def column(*about, default: object = dataclasses.MISSING, **more):
+    """Return a dataclass field with its column; about, more: of the ``Column``, without its name."""
+    return dataclasses.field(default=default, metadata={"column": _about(*about, **more)})
+
+
+class _Computed(property):
+    about: dict
+
+
+def computed(*about, **more) -> Callable[[Callable], Any]:
+    """Return a decorator that makes a property with its column; about, more: as of ``column``."""
+
+    def decorate(function: Callable) -> property:
+        made = _Computed(function)
+        made.about = _about(*about, **more)
+        return made
+
+    return decorate
 
 
 def columns(record) -> tuple[Column, ...]:
-    """Return the columns of a record or of its class, in the order of the fields."""
-    fields = dataclasses.fields(record)
-    return tuple(Column(field.name, **field.metadata["column"]) for field in fields if "column" in field.metadata)
+    """Return the columns of a record or of its class: the fields in their order, then the properties."""
+    fields = {f.name: f.metadata["column"] for f in dataclasses.fields(record) if "column" in f.metadata}
+    kind = record if isinstance(record, type) else type(record)
+    properties = {name: value.about for name, value in vars(kind).items() if isinstance(value, _Computed)}
+    return tuple(Column(name, **about) for name, about in (fields | properties).items())
 
 
 def as_dict(record) -> dict[str, float]:
     """Return key -> value in the unit of the key, for JSON and CSV."""
     return {c.key: getattr(record, c.name) * c.factor for c in columns(record) if c.key}
+
+
+def columns_of(record, unit: str = "") -> tuple[tuple, ...]:
+    """Return columns for ``table_of`` from the columns of a record class that have a short heading.
+
+    unit: a unit that the title of the table states, so the headings do not.
+    """
+    shown = [c for c in columns(record) if c.short]
+    return tuple((c.short if c.unit == unit else c.heading(short=True), c.key, c.text) for c in shown)
+
+
+def table_of(title: str, columns: Sequence[tuple], rows: Iterable[Mapping], note: str = "") -> TextTable:
+    """Return a table of records; columns: heading, key, and decimals of the number or a function value -> text."""
+    texts = [[_cell(row[key], style) for _, key, style in columns] for row in rows]
+    return TextTable(title, [heading for heading, *_ in columns], texts, note)
+
+
+def _cell(value, style: int | Callable[[Any], str]) -> str:
+    if callable(style):
+        return style(value)
+    return value if isinstance(value, str) else fixed(value, style)
+
+
+def fixed(value: float, digits: int = 2) -> str:
+    """Return a number with so many decimals; "-" for NaN."""
+    return "-" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def yes(value: bool) -> str:
+    return "yes" if value else "no"

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.column import as_dict, column
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import rotation_from_abc
 from kr270_milling.cell.cell import Cell
@@ -37,11 +38,13 @@ class FeatureLimit:
     """The engagement of one feature that comes nearest to its limit, or goes farthest beyond."""
 
     name: str
-    depth: float  #: of the cut [m]
     limit: Lobe
-    entry: float  #: angle of a tooth [rad], from the feed in the sense of rotation
-    exit: float  #: [rad]
     time: float  #: of the place [s]
+    #: of the cut [m]
+    depth: float = column("depth_mm", 1e3, unit="mm", digits=3, short="depth")
+    #: angle of a tooth [rad], from the feed in the sense of rotation
+    entry: float = column("entry_deg", 180.0 / math.pi, unit="deg", digits=0, short="from")
+    exit: float = column("exit_deg", 180.0 / math.pi, unit="deg", digits=0, short="to")  #: [rad]
 
     @property
     def word(self) -> str:
@@ -60,9 +63,8 @@ class FeatureLimit:
 
     def as_dict(self) -> dict:
         """For JSON."""
-        angles = {"entry_deg": math.degrees(self.entry), "exit_deg": math.degrees(self.exit)}
-        return {"feature": self.name, "depth_mm": 1e3 * self.depth, **angles, **self.limit.as_dict(), "word": self.word,
-                "stable": self.depth <= self.limit.depth_limit}  # fmt: skip
+        stable = self.depth <= self.limit.depth_limit
+        return {"feature": self.name, **as_dict(self), **as_dict(self.limit), "word": self.word, "stable": stable}
 
 
 @dataclass(frozen=True)
@@ -211,7 +213,7 @@ def _feature_limit(
     entry, leave = _angles(arcs, worst)
     lobe = Lobe(cell.tool.spindle_speed, *limit)
     name = arcs.features[int(arcs.feature[worst])]
-    return FeatureLimit(name, float(arcs.depth[worst]), lobe, entry, leave, float(arcs.time[worst]))
+    return FeatureLimit(name, lobe, float(arcs.time[worst]), float(arcs.depth[worst]), entry, leave)
 
 
 def _angles(arcs: Arcs, place: int) -> tuple[float, float]:

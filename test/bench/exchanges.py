@@ -20,8 +20,8 @@ from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
 from kr270_milling.live.graph.graph import Graph
 from kr270_milling.live.graph.processes import RunError
-from kr270_milling.live.graph.watchdog import RECORDER
 from kr270_milling.live.ros.environment import child_environment
+from kr270_milling.recordings.messages.topics import RECORDER
 
 __all__ = ["bench_exchanges"]
 

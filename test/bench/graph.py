@@ -27,11 +27,6 @@ def bench_ros(passes: int = 3) -> dict:
     require_ros()
     with tempfile.TemporaryDirectory() as directory:
         found = _passes(Path(directory, "graph"), passes)
-        staggered = Path(directory, "staggered")
-        staggered.mkdir()
-        with Graph(_paper(), staggered, stagger=0.5) as graph:
-            # the last of the three nodes starts one second after the first; the pauses do not count
-            found["graph_up_staggered_s"] = graph.up_s - 3 * 0.5
         found |= _recorder_small(Path(directory, "small")) | _recorder_large(Path(directory, "large"))
     writer = bench_writer()
     found["plain_writer_small_per_s"] = writer["plain_small_per_s"]

@@ -6,16 +6,21 @@ Exit code 1 if a row fails, 2 with a sentence for an argument that cannot be use
 from __future__ import annotations
 
 import argparse
+import contextlib
+import os
 import sys
+import tempfile
 import time
+from pathlib import Path
 
-from faults.directory import output_directory
-from faults.domain import choose_domain
+from ros_domain import COUNT, is_used
+
 from faults.faults import FAULTS
 from faults.rows import COLUMNS, expected_seconds, run_faults
 from faults.soak import COLUMNS as SOAK_COLUMNS
 from faults.soak import run_soak
 from kr270_milling.base.errors import InputError, MillingError
+from kr270_milling.live.graph.plan import fresh_directory
 from kr270_milling.live.ros.environment import require_ros
 from kr270_milling.show.commands.console import print_json
 from kr270_milling.show.commands.progress import progress
@@ -25,9 +30,13 @@ def main(arguments: list[str] | None = None) -> int:
     args = _parser().parse_args(arguments)
     try:
         require_ros()
-        print(choose_domain(), file=sys.stderr)
-        with output_directory(args.out) as directory:
-            return (_soak if args.soak else _faults)(args, directory)
+        if not os.environ.get("ROS_DOMAIN_ID"):  # a domain without open ports
+            os.environ["ROS_DOMAIN_ID"] = str(next((n for n in range(COUNT, 0, -1) if not is_used(n)), 0))
+        print(f"ROS domain {os.environ['ROS_DOMAIN_ID']}", file=sys.stderr)
+        kept = contextlib.nullcontext(fresh_directory(args.out)) if args.out else tempfile.TemporaryDirectory()
+        with kept as directory:
+            Path(directory, "cell.yaml").touch()  # the next run finds that this directory is taken
+            return (_soak if args.soak else _faults)(args, Path(directory))
     except MillingError as error:
         print(f"faults: {error}", file=sys.stderr)
         return 2

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 from faults.disturbed import Disturbed
-from kr270_milling.live.graph.graph import CELL
-from kr270_milling.live.graph.watchdog import COMPENSATOR, CUT, RECORDER, ROBOT
+from kr270_milling.live.graph.graph import CELL, PLANNER
 from kr270_milling.recordings.bag.records import mcap_file
+from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER, ROBOT
 
 __all__ = ["ENDS", "FAULTS", "GOES_ON", "Fault"]
 
@@ -63,14 +63,6 @@ def _stop(process: str):
     return strike
 
 
-def _restart(process: str):
-    def strike(graph: Disturbed) -> Script:
-        graph.restart(process)
-        yield 0.0
-
-    return strike
-
-
 def _fill_disk(graph: Disturbed) -> Script:
     """Limit the recorder's file to its present size plus 20 kB."""
     size = os.path.getsize(mcap_file(graph.recording)) + 20_000
@@ -91,9 +83,8 @@ CLOSED = "the run ends with a sentence; the recording is closed"
 WAITED = "a warning; the others wait; same result"
 CUT_OFF = "the run ends with a sentence; the file is cut off, at most the last second is missing"
 QUEUED = "a warning; the publishers' histories keep the messages; missing messages are counted"
-RESTARTED = "the run ends with a sentence; the new recorder does not overwrite the recording"
 FULL = "the recorder stops at the last whole chunk and reports the error; the run ends"
-ROBOT_AND_CUT = "+".join(CELL)
+ROBOT_AND_CUT, PLANNERS = "+".join(CELL), "+".join(PLANNER)
 
 #: one process a node; ``composed``: two nodes in each process, as ``run`` starts them
 FAULTS = (
@@ -102,8 +93,8 @@ FAULTS = (
     Fault(f"{COMPENSATOR}, SIGKILL", COMPENSATOR, _kill(COMPENSATOR), ENDS, CLOSED),
     Fault(f"{RECORDER}, SIGKILL", RECORDER, _kill(RECORDER), ENDS, CUT_OFF),
     Fault(f"{RECORDER}, SIGSTOP 2 s", RECORDER, _stop(RECORDER), GOES_ON, QUEUED),
-    Fault(f"{RECORDER}, restart", RECORDER, _restart(RECORDER), ENDS, RESTARTED),
     Fault("composed: robot and cut, SIGKILL", ROBOT_AND_CUT, _kill(ROBOT_AND_CUT), ENDS, CLOSED, composed=True),
+    Fault("composed: compensator and recorder, SIGKILL", PLANNERS, _kill(PLANNERS), ENDS, CUT_OFF, composed=True),
     Fault("composed: robot and cut, SIGSTOP 2 s", ROBOT_AND_CUT, _stop(ROBOT_AND_CUT), GOES_ON, WAITED, composed=True),
     Fault("composed: disk full", RECORDER, _fill_disk, ENDS, FULL, composed=True),
     Fault("composed: late subscriber", "", _late_subscriber, GOES_ON, "same result", named=False, composed=True),

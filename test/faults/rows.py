@@ -164,9 +164,9 @@ class _Trials:
         graph, self._graph = self._graph, None
         if graph is None:
             return
-        pids = [child.pid for child in graph.all_children()]
-        graph.close()
+        pids = [child.pid for child in graph.children.values()]
+        graph.stop()
         if self.trials:
             last = self.trials[-1]
-            last.orphans = sum(map(is_alive, pids))
+            last.orphans = sum(map(is_alive, set(pids)))
             last.problems += [f"{last.orphans} processes are left"] if last.orphans else []

@@ -11,15 +11,15 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from faults.footprint import Footprint, footprint, slope
+import numpy as np
+
 from faults.rows import fault_cell
 from kr270_milling.live.graph.graph import Graph
 from kr270_milling.live.graph.processes import RunError
-from kr270_milling.live.graph.watchdog import Hooks
 from kr270_milling.live.ros.environment import child_environment
 from kr270_milling.recordings.bag.reader import Recording
 
-__all__ = ["COLUMNS", "Growth", "run_soak"]
+__all__ = ["COLUMNS", "Footprint", "Growth", "footprint", "run_soak"]
 
 COLUMNS = ("process", "samples", "memory [MB]", "growth [MB]", "slope", "shared [MB]", "threads", "file handles")
 SETTLED = 0.5  # share of the run after which everything has been allocated once; queues keep their longest length
@@ -28,6 +28,31 @@ TOPICS = ("tool_pose", "wrench", "deflection")  # of an exchange
 RATE = 2000  # [1/s] exchanges, as with the default period in real time
 LOOK = 0.5  # [s] between two looks at the recorder
 PATIENCE = 120.0  # [s] for a process to start or to end, on a busy machine too
+
+
+@dataclass(frozen=True)
+class Footprint:
+    """Of one process at one time."""
+
+    memory_mb: float  #: resident and its own
+    shared_mb: float  #: resident pages of shared memory: at most the segments of the middleware, which all nodes share
+    threads: int
+    files: int  #: open handles
+
+
+def footprint(pid: int) -> Footprint:
+    """Raises OSError where there is no such process."""
+    lines = Path(f"/proc/{pid}/status").read_text(encoding="utf-8").splitlines()
+    values = dict(line.split(":", 1) for line in lines if ":" in line)
+    resident, shared = (float(values[key].split()[0]) / 1024 for key in ("VmRSS", "RssShmem"))
+    return Footprint(resident - shared, shared, int(values["Threads"]), len(os.listdir(f"/proc/{pid}/fd")))
+
+
+def slope(times, values) -> float:
+    """Of the straight line with the least squares [unit of the values per unit of the times]."""
+    times, values = np.asarray(times, float), np.asarray(values, float)
+    around = times - times.mean()
+    return float(around @ (values - values.mean()) / max(around @ around, 1e-300))
 
 
 @dataclass
@@ -98,29 +123,18 @@ def run_soak(passes: int, seconds: float, out: Path, progress: Callable[[int, in
     return rows
 
 
-class _Watched(Hooks):
-    """Looks at the processes of a graph at the end of every pass."""
-
-    def __init__(self, cell, out: Path):
-        self.graph = Graph(cell, out, hooks=self, composed=True)
-        self.rows: dict[str, Growth] = {}
-
-    def pass_recorded(self) -> None:
-        pids = {child.name: child.pid for child in self.graph.children.values()}
-        for name, pid in {**pids, "runner": os.getpid()}.items():
-            row = self.rows.setdefault(name, Growth(name, "pass"))
-            row.look(len(row.samples) + 1, pid)
-
-
 def _passes(count: int, out: Path, progress: Callable[[float], None]) -> list[Growth]:
-    watched = _Watched(fault_cell(), out)
-    with watched.graph as graph:
+    with Graph(fault_cell(), out, composed=True) as graph:
+        pids = {child.name: child.pid for child in graph.children.values()} | {"runner": os.getpid()}
+        rows = {name: Growth(name, "pass") for name in pids}
         for number in range(1, count + 1):
             recording = graph.run_pass(f"pass_{number}").recording
+            for name, pid in pids.items():
+                rows[name].look(number, pid)
             for file in recording.glob("*"):
                 file.unlink()
             progress(number)
-    return list(watched.rows.values())
+    return list(rows.values())
 
 
 def _long_recording(seconds: float, out: Path, progress: Callable[[float], None]) -> Growth:

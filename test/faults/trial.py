@@ -40,7 +40,7 @@ class Trial:
 
 
 def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: PassResult, again: bool) -> Trial:
-    """One pass with the fault in it; again: recompute the recording. The graph is closed if the fault ends it."""
+    """One pass with the fault in it; again: recompute the recording. The graph is stopped if the fault ends it."""
     trial = Trial(fault.name, after)
     graph.disturb(fault.strike(graph), after)
     try:
@@ -49,7 +49,7 @@ def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: Pa
     except MillingError as error:
         graph.messages.append(Message(time.monotonic(), str(error)))
         trial.reaction = ENDS
-        graph.close()
+        graph.stop()
     finally:
         graph.end_beside()
     if graph.struck_at is None:

@@ -1,1 +1,1 @@
-"""The graph of nodes: processes, choreography of passes, watchdog."""
+"""The graph of nodes: processes, choreography of passes, checks."""

@@ -7,6 +7,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from kr270_milling.base.column import as_dict, column, computed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.exchange.replay.recorded import pass_from_recording
@@ -22,20 +23,26 @@ class RunRow:
 
     run: RunValues
     scored: ScoredPass
-    messages_lost: int
+    messages_lost: int = column("messages_lost", digits=0, short="lost")
     learning: tuple[RunRow, ...] = ()  #: every pass of a method that repeats; the row itself is the best of them
+
+    @computed("duration_s")
+    def duration(self) -> float:
+        """Time of the pass [s]."""
+        return float(self.scored.result.time[-1])
+
+    @computed("wall_s", unit="s", digits=2, short="wall")
+    def wall(self) -> float:
+        """Time of the wall clock [s]."""
+        return self.run.wall_s
+
+    @computed("real_time_factor", digits=2, short="x real time")
+    def real_time_factor(self) -> float:
+        return self.duration / self.wall
 
     def row(self) -> dict:
         """Return the row with the keys that the command prints."""
-        duration = float(self.scored.result.time[-1])
-        row = {
-            **self.scored.row(),
-            "recording": str(self.run.recording),
-            "duration_s": duration,
-            "wall_s": self.run.wall_s,
-            "real_time_factor": duration / self.run.wall_s,
-            "messages_lost": self.messages_lost,
-        }
+        row = {**self.scored.row(), "recording": str(self.run.recording), **as_dict(self)}
         return {**row, "learning": [ran.row() for ran in self.learning]} if self.learning else row
 
 

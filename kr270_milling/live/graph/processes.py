@@ -19,7 +19,8 @@ from kr270_milling.base.record import tree_of
 from kr270_milling.cell.cell import Cell
 from kr270_milling.live.ros.environment import child_environment
 
-__all__ = ["Child", "RunError", "cell_text", "recording_parameters", "ros_arguments", "stop", "write_cell_file"]
+__all__ = ["AlreadyRunning", "Child", "RunError", "cell_text", "recording_parameters", "ros_arguments", "stop",
+           "write_cell_file"]  # fmt: skip
 
 GRACE = 3.0  # [s] for a node to close its files and to leave the graph, before it is killed
 TOGETHER = "milling_cell"  # the program that holds several nodes
@@ -31,6 +32,17 @@ class RunError(MillingError):
     def __init__(self, node: str, reason: str):
         self.node, self.reason = node, reason
         super().__init__(f"{node}: {reason}")
+
+
+class AlreadyRunning(MillingError):
+    """Another graph has the same node names; node is one of them."""
+
+    def __init__(self, node: str):
+        self.node = node
+        super().__init__(
+            f"a node {node} already runs in this ROS domain: stop that graph first, or choose another --namespace or "
+            "ROS_DOMAIN_ID"
+        )
 
 
 @contextlib.contextmanager

@@ -9,14 +9,14 @@ import time
 
 from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from kr270_milling.base.errors import RecordingError, one_line
 from kr270_milling.base.process import end_process
 from kr270_milling.live.nodes.play_arguments import PLAY, play_options
-from kr270_milling.live.ros.names import NameRefused, message_class, plain_topic
+from kr270_milling.live.ros.names import NameRefused, message_class
 from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode, guarded, stamp_from_ns
 from kr270_milling.live.ros.spin import own_arguments, run_node
 from kr270_milling.recordings.bag.bagmeta import read_qos
@@ -31,7 +31,6 @@ AT_ONCE = 500  # messages in one check at most, so that signals and services are
 DEPTH = 1000  # messages that may wait for a slow reader
 #: topics of the whole graph, which a namespace of the player does not move
 GLOBAL = ("/clock", "/diagnostics", "/rosout", "/parameter_events", "/tf", "/tf_static")
-FOREVER = 9_000_000_000  # [s]; rosbag2 writes a larger value for "no limit"
 
 
 class Player(ReportingNode):
@@ -77,9 +76,9 @@ class Player(ReportingNode):
         try:
             if about.encoding != "cdr":
                 raise NameRefused(f"its encoding is {about.encoding}")
-            kind, name = message_class(about.type), plain_topic(topic)
-            return self.create_publisher(kind, name if name in GLOBAL else name.lstrip("/"), qos_of(about))
-        except (NameRefused, NameValidationException, ImportError) as error:
+            name = topic if topic in GLOBAL else topic.lstrip("/")
+            return self.create_publisher(message_class(about.type), name, qos_of(about))
+        except (NameRefused, NameValidationException, ValueError, ImportError) as error:
             self.get_logger().warning(one_line(f"{topic} is not played: {error}"))
             return None
 
@@ -171,27 +170,11 @@ def qos_of(about) -> QoSProfile:
     latched = is_latched(about)
     reliable = all(p.get("reliability") in ("reliable", "system_default", 1, 0) for p in profiles)
     depths = [p["depth"] for p in profiles if isinstance(p.get("depth"), int) and 0 < p["depth"] <= DEPTH]
-    qos = QoSProfile(
+    return QoSProfile(
         depth=max(depths, default=1 if latched else DEPTH),
-        history=HistoryPolicy.KEEP_LAST,
         reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
-        liveliness=LivelinessPolicy.AUTOMATIC,
     )
-    if len(profiles) == 1:
-        for key in ("deadline", "lifespan", "liveliness_lease_duration"):
-            limit = _duration(profiles[0].get(key))
-            if limit is not None:
-                setattr(qos, key, limit)
-    return qos
-
-
-def _duration(value) -> Duration | None:
-    if not isinstance(value, dict) or not all(isinstance(value.get(k), int) for k in ("sec", "nsec")):
-        return None
-    seconds, rest = value["sec"], value["nsec"]
-    limited = 0 <= seconds < FOREVER and 0 <= rest < 10**9 and (seconds or rest)
-    return Duration(seconds=seconds, nanoseconds=rest) if limited else None
 
 
 def run_player(options: PlayOptions, ros_args: list[str] | None = None, progress=None) -> tuple[int, int]:

@@ -21,7 +21,6 @@ from kr270_milling.recordings.messages.topics import RECORDER
 __all__ = ["Recorder"]
 
 DISCOVERY_PERIOD = 0.1  # [s] between two checks for new topics and of the chunk's age
-SETTLE = 20  # polls at most for messages that arrive while a recording ends
 
 
 class Recorder(ReportingNode):
@@ -90,18 +89,11 @@ class Recorder(ReportingNode):
         return SetParametersResult(successful=True)
 
     def _end(self) -> str | None:
-        """Close the open recording with the messages that have arrived; return a sentence if that failed."""
-        session = self.session
-        if session is None:
-            return None
-        for _ in range(SETTLE):
-            if session.settled():
-                break
-        self.session = None
-        self.send([("recording", Text(""))])
-        session.release()
-        self.report(OK, "waiting for a directory")
-        return session.close()
+        """End the open recording; return a sentence if that failed."""
+        if self.session is not None:
+            self.send([("recording", Text(""))])
+            self.report(OK, "waiting for a directory")
+        return self.close()
 
     def _discover(self) -> None:
         if self.session is not None:
@@ -114,13 +106,10 @@ class Recorder(ReportingNode):
     def watch(self) -> dict:
         return {} if self.session is None else self.session.watch()
 
-    def settled(self) -> bool:
-        """After a signal: return whether no message arrived since the last poll."""
-        return self.session is None or self.session.settled()
-
     def close(self) -> str | None:
-        """Close the file; return a sentence if that failed."""
-        return None if self.session is None else self.session.close()
+        """Close the file with the messages that have arrived; return a sentence if that failed."""
+        session, self.session = self.session, None
+        return None if session is None else session.close()
 
 
 def _split(value) -> list[str]:

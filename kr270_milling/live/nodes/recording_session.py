@@ -25,6 +25,7 @@ DERIVED_QOS = QoSProfile(  # latched, so that late subscribers of a player recei
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 ONLY_BY_NAME = ("/rosout", "/parameter_events")
+SETTLE, PAUSE = 20, 0.05  # polls at most, and [s] between them, for messages that arrive while a recording ends
 
 
 class RecordingSession:
@@ -44,7 +45,6 @@ class RecordingSession:
         # the recorder does not record its own topics: a player would repeat the name of the recording
         self._subscriptions: dict[str, Subscription | None] = {o.topic_name: None for o in node.outlets.values()}
         self._stopped = False
-        self._before = -1
         self._refused = 0  # messages
         self._waiting: list[PolledMessage] = []  # arrived during the last poll
         self._published: set[str] = set()  # topics with a publisher
@@ -150,16 +150,23 @@ class RecordingSession:
             "refused": self._refused,
         }
 
-    def settled(self) -> bool:
-        """Poll, and return whether no message arrived since the last call."""
-        self.poll()
-        before, self._before = self._before, self.writer.count
-        return before == self.writer.count and not self._waiting
-
     def close(self) -> str | None:
+        """Write the messages that have arrived, unsubscribe, close the file; return a sentence if that failed."""
+        count = -1
+        for _ in range(SETTLE):
+            self.poll()
+            if count == self.writer.count and not self._waiting:
+                break
+            count = self.writer.count
+            time.sleep(PAUSE)
+        for subscription in filter(None, self._subscriptions.values()):
+            self._node.destroy_subscription(subscription)
+        for publisher in filter(None, self._live.values()):
+            self._node.destroy_publisher(publisher)
+        return None if self._stopped else self._close_file()
+
+    def _close_file(self) -> str | None:
         """Close the file and log the missing messages; return a sentence if that failed."""
-        if self._stopped:
-            return None
         try:
             self.writer.close()
         except RecordingError as error:
@@ -173,13 +180,6 @@ class RecordingSession:
                 logger.warning(f"{topic}: {entry['refused']} messages were refused and are not recorded")
         logger.info(f"{self.writer.count} messages in {self.writer.path}")
         return None
-
-    def release(self) -> None:
-        """Unsubscribe from the topics; the node continues without this file."""
-        for subscription in filter(None, self._subscriptions.values()):
-            self._node.destroy_subscription(subscription)
-        for publisher in filter(None, self._live.values()):
-            self._node.destroy_publisher(publisher)
 
 
 def _matching(publishers) -> QoSProfile:

@@ -13,14 +13,13 @@ from rclpy.validate_namespace import validate_namespace
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.live.ros.rclpy_private import RCLError
 
-__all__ = ["NameRefused", "full_namespace", "message_class", "plain_topic", "resolved_topic"]
+__all__ = ["NameRefused", "full_namespace", "message_class", "resolved_topic"]
 
 TYPE = re.compile(r"([A-Za-z][A-Za-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9_]*)")
-TOPIC = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
 
 
 class NameRefused(MillingError):
-    """A topic or a message type that cannot be used here."""
+    """A message type that cannot be used here."""
 
 
 def message_class(type_name: str) -> type:
@@ -40,13 +39,6 @@ def message_class(type_name: str) -> type:
     if kind is None or not hasattr(kind, "SLOT_TYPES"):
         raise NameRefused(f"the message package {package} has no {name}")
     return kind
-
-
-def plain_topic(topic: str) -> str:
-    """Return a topic name from a file; it must not contain substitutions. Raises NameRefused."""
-    if TOPIC.fullmatch(topic) is None or len(topic) > 200:
-        raise NameRefused("this is not the name of a topic")
-    return topic
 
 
 def resolved_topic(node, name: str, where: str) -> str:

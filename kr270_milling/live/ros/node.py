@@ -74,9 +74,9 @@ class Silence:
         self._checked = now
         return now - self._last
 
-    def is_due(self, silent: float) -> bool:
-        """Return True once for each silence [s] that exceeds ``SILENT``."""
-        before, self._reported = self._reported, self._reported or silent > SILENT
+    def is_due(self, silent: float, limit: float = SILENT) -> bool:
+        """Return True once for each silence [s] that exceeds the limit [s]."""
+        before, self._reported = self._reported, self._reported or silent > limit
         return self._reported and not before
 
 
@@ -93,19 +93,16 @@ class Ending:
         if self.lap is not None:
             self.lap.set_result(None)
 
-    def settled(self) -> bool:
-        """After a signal: return whether every message that arrived is processed."""
-        return True
-
     def close(self) -> str | None:
         """Close files before the process ends; return a sentence if that failed."""
         return None
 
 
-class Reporting(Ending, Node):
-    """Mixin: one diagnostic status of the node, published five times a second and at every change."""
+class ReportingNode(Ending, Node):
+    """A node with one diagnostic status, which is published five times a second and at every change."""
 
-    def start_reporting(self) -> None:
+    def __init__(self, name: str, **kwargs):
+        super().__init__(name, **kwargs)
         self.refused = 0  #: messages and requests that could not be used
         self.sent: dict[str, int] = {}  #: stamp of the last message of each output [ns]
         self.outlets: dict[str, Publisher] = {}  #: by the names of their topics
@@ -198,15 +195,7 @@ class Reporting(Ending, Node):
         self._report_publisher.publish(array)
 
 
-class ReportingNode(Reporting, Node):
-    """A plain node with diagnostics."""
-
-    def __init__(self, name: str, **kwargs):
-        Node.__init__(self, name, **kwargs)
-        self.start_reporting()
-
-
-class ManagedNode(Reporting, RobustLifecycleNode):
+class ManagedNode(ReportingNode, RobustLifecycleNode):
     """A lifecycle node that reports why a transition failed.
 
     A child implements ``configure``, ``activate``, ``deactivate`` and ``cleanup``; with the parameter ``autostart``
@@ -214,8 +203,7 @@ class ManagedNode(Reporting, RobustLifecycleNode):
     """
 
     def __init__(self, name: str, **kwargs):
-        RobustLifecycleNode.__init__(self, name, **kwargs)
-        self.start_reporting()
+        super().__init__(name, **kwargs)
         self.active = False
         about = "configure and activate without a request; for a node that is started by hand"
         self._autostart = self.declared("autostart", False, about)

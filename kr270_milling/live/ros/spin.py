@@ -126,11 +126,6 @@ def _spin(nodes: list, executor, signals: list[int]) -> int:
         executor.spin_until_future_complete(lap, timeout_sec=LAP)
         if parent and os.getppid() != parent:
             break
-    for _ in range(20):  # take the messages that arrived before the signal
-        settled = [node.settled() for node in nodes]  # without short-circuit: each node polls
-        if all(settled):
-            break
-        executor.spin_once(timeout_sec=0.05)
     code = 0
     for node in nodes:
         closing_failure = node.close()

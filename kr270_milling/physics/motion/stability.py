@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
+from kr270_milling.base.column import column
 from kr270_milling.physics.cutting.laws import Cutting
 from kr270_milling.physics.cutting.tool import Tool
 from kr270_milling.physics.motion.monodromy import Modes, directional_matrices, multipliers
@@ -25,17 +26,12 @@ PRECISION = 1e-4  #: share of the limit depth
 class Lobe:
     """Limit depth at one spindle speed."""
 
-    spindle_speed: float  #: [rad/s]
-    depth_limit: float  #: [m]; infinite where no depth below 100 mm chatters
-    chatter_frequency: float  #: [rad/s]; NaN where the limit is infinite
-
-    def as_dict(self) -> dict:
-        """For JSON."""
-        return {
-            "spindle_speed_rpm": self.spindle_speed * 30.0 / math.pi,
-            "depth_limit_mm": 1e3 * self.depth_limit,
-            "chatter_hz": self.chatter_frequency / (2.0 * math.pi),
-        }
+    #: [rad/s]
+    spindle_speed: float = column("spindle_speed_rpm", 30.0 / math.pi, unit="rpm", digits=0, short="spindle speed")
+    #: [m]; infinite where no depth below 100 mm chatters
+    depth_limit: float = column("depth_limit_mm", 1e3, unit="mm", digits=3, short="limit depth", infinite="above 100")
+    #: [rad/s]; NaN where the limit is infinite
+    chatter_frequency: float = column("chatter_hz", 0.5 / math.pi, unit="Hz", short="chatter")
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import sys
 
+from kr270_milling.base.column import TextTable, columns_of, fixed, table_of
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.live.nodes.play_arguments import bounded
@@ -16,15 +17,11 @@ from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, Group, com
 from kr270_milling.show.commands.console import (
     Answer,
     Colored,
-    TextTable,
     cell_of,
-    columns_of,
     command_line,
-    fixed,
     joints_text,
     now,
     plant_of,
-    table_of,
 )
 from kr270_milling.show.commands.progress import progress
 
@@ -170,13 +167,13 @@ def _write(draft, final, cell, done, args, source) -> dict:
 def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
     """Report with the error maps, and the predicted part."""
     from kr270_milling.decide.part import write_part
-    from kr270_milling.show.report import decision_block, write_report
+    from kr270_milling.show.report import write_report
 
     revised = done.revised
     title = f"{cell.programmed.file_name}: before and after compensation ({revised.name})"
     report = write_report(
         draft, cell, (done.original, revised), title=title, source=str(source), command=command_line(args), date=date,
-        parts=done.parts, decision=decision_block(done.decision, done.checked),
+        parts=done.parts, decision=done.decision, checked=done.checked,
         tables=[_joints_table(cell, revised), _time_law_table(cell, done)],
     )  # fmt: skip
     stl = draft / f"part_{revised.name}.stl"
@@ -189,7 +186,6 @@ def _joints_table(cell, revised):
     import numpy as np
 
     from kr270_milling.cell.jobs import joint_ranges
-    from kr270_milling.show.report import ReportTable
 
     columns = [
         *joint_ranges(cell, revised.reference).values(),
@@ -197,21 +193,20 @@ def _joints_table(cell, revised):
     ]
     rows = [(f"A{k}", *(fixed(value) for value in row)) for k, row in enumerate(np.transpose(columns), 1)]
     head = ("axis", "start", "end", "least", "largest", "lower limit", "upper limit")
-    return ReportTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
+    return TextTable("Commanded joints [deg]", head, tuple(rows), f"of the pass '{revised.name}', signs as KUKA's")
 
 
 def _time_law_table(cell, done):
     """Largest deviation of the plan, of the written program, and of its points with a lower acceleration."""
     from kr270_milling.decide.programs.files import time_law
     from kr270_milling.decide.programs.written import SOFTER, softer_pass
-    from kr270_milling.show.report import ReportTable
 
     with progress(f"{SOFTER:g} times the acceleration") as report:
         softer = softer_pass(cell, done.revised.reference, progress=report)
     rows = [("plan", done.planned), ("written program", done.revised)]
     rows += [(f"written program, {SOFTER:g} times the acceleration", softer)] if softer else []
     texts = tuple((name, f"{1e6 * ran.scores.max_deviation:.2f}") for name, ran in rows)
-    return ReportTable("Plan and program: largest deviation [um]", ("pass", "max"), texts, time_law(cell))
+    return TextTable("Plan and program: largest deviation [um]", ("pass", "max"), texts, time_law(cell))
 
 
 def _shown(cell, done, values: dict, args):

@@ -3,33 +3,24 @@
 from __future__ import annotations
 
 import datetime
-import functools
 import json
 import math
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from kr270_milling.base.column import Column, columns
+from kr270_milling.base.column import TextTable, fixed
 from kr270_milling.base.parameter_file import find_file
 
 __all__ = [
-    "Answer", "Colored", "TextTable", "cell_of", "columns_of", "command_line", "fixed", "joints_text", "now",
-    "output_directory", "plant_of", "print_json", "print_table", "shown_path", "table_of", "yes",
+    "Answer", "Colored", "cell_of", "command_line", "joints_text", "now", "output_directory", "plant_of", "print_json",
+    "print_table", "shown_path",
 ]  # fmt: skip
 
 WIDEST = 1000  # characters of a table
-
-
-class TextTable(NamedTuple):
-    """As ``print_table`` takes it."""
-
-    title: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[str]]
 
 
 class Colored(NamedTuple):
@@ -59,7 +50,7 @@ class Answer:
             print_json(self.result)
         for part in () if as_json else self.shown:
             if isinstance(part, TextTable):
-                print_table(*part)
+                print_table(part)
             elif isinstance(part, Colored):
                 part.print()
             else:
@@ -85,44 +76,6 @@ def plant_of(args, cell):
         imperfections = imperfections.replace(pose_noise=1e-6 * args.noise_um)
     perfect = not (imperfections.pose_noise or imperfections.repeatability or imperfections.backlash.any())
     return None if perfect and not args.plant else Plant(cell, cuts, imperfections)
-
-
-def table_of(title: str, columns: Sequence[tuple], rows: Iterable[Mapping]) -> TextTable:
-    """A table of records; columns: heading, key, and decimals of the number or a function value -> text."""
-    texts = [[_text(row[key], style) for _, key, style in columns] for row in rows]
-    return TextTable(title, [heading for heading, *_ in columns], texts)
-
-
-def columns_of(record, unit: str = "") -> tuple[tuple, ...]:
-    """Columns for ``table_of`` from the fields of a record class that have a short heading.
-
-    unit: a unit that the title of the table states, so the headings do not.
-    """
-    return tuple(
-        (c.short if c.unit == unit else c.heading(short=True), c.key, functools.partial(_shown, c))
-        for c in columns(record)
-        if c.short
-    )
-
-
-def _shown(column: Column, written: float) -> str:
-    """A value of JSON as text, in the unit of the tables."""
-    return fixed(written / column.factor * column.scale, column.digits)
-
-
-def _text(value, style: int | Callable[[Any], str]) -> str:
-    if callable(style):
-        return style(value)
-    return value if isinstance(value, str) else fixed(value, style)
-
-
-def fixed(value: float, digits: int = 2) -> str:
-    """Return a number with so many decimals; "-" for NaN."""
-    return "-" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
-
-
-def yes(value: bool) -> str:
-    return "yes" if value else "no"
 
 
 def joints_text(joints: dict) -> str:
@@ -180,7 +133,7 @@ def shown_path(path: object) -> str:
     return str(place.relative_to(here)) if place.is_relative_to(here) else str(place)
 
 
-def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+def print_table(shown: TextTable) -> None:
     """Print a table, first column left, the others right.
 
     A table that is too wide for the terminal has no borders. It is never wrapped or cut off.
@@ -191,10 +144,10 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    table = RichTable(title=Text(title), title_justify="left")
-    for i, name in enumerate(columns):
+    table = RichTable(title=Text(shown.title), title_justify="left")
+    for i, name in enumerate(shown.columns):
         table.add_column(Text(name), justify="left" if i == 0 else "right", no_wrap=True)
-    for row in rows:
+    for row in shown.rows:
         table.add_row(*map(Text, row))
     console = Console(soft_wrap=True)
     wide = console.width if sys.stdout.isatty() else WIDEST

@@ -10,10 +10,11 @@ import importlib.util
 import sys
 from pathlib import Path
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.show.commands.command import PLANT, command, option
-from kr270_milling.show.commands.console import Answer, TextTable, command_line, now, plant_of
+from kr270_milling.show.commands.console import Answer, command_line, now, plant_of
 from kr270_milling.show.commands.progress import progress
 from kr270_milling.show.commands.run import run_passes, summary
 
@@ -72,11 +73,11 @@ def _plain(cell, methods, plant, suffix: str = "") -> list:
 
 def _write(directory, cell, passes, second, source, args):
     """Report and series; returns the path of the report."""
-    from kr270_milling.show.report import ReportTable, write_report
+    from kr270_milling.show.report import write_report
     from kr270_milling.show.report.series import write_series
 
     rows = tuple((name, static, largest) for name, static, _, largest, *_ in map(_row, second))
-    table = ReportTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
+    table = TextTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
     with progress("report"):
         report = write_report(
             directory, cell, passes, title="The milling pass of Klimchik et al. (2012)", source=str(source),

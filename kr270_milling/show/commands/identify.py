@@ -16,7 +16,7 @@ from kr270_milling.show.commands.command import (
     command,
     option,
 )
-from kr270_milling.show.commands.console import Answer, TextTable, cell_of
+from kr270_milling.show.commands.console import Answer, cell_of
 from kr270_milling.show.commands.progress import progress
 
 SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
@@ -109,7 +109,7 @@ def _answer(args, outcome) -> Answer:
     """Print an outcome; with --out also write its files."""
     files = [str(path) for path in outcome.write(args.out)] if args.out else []
     result = outcome.result | ({"files": files} if args.out else {})
-    return Answer(result, [*(TextTable(*table) for table in outcome.tables), *outcome.sentences, *files])
+    return Answer(result, [*outcome.tables, *outcome.sentences, *files])
 
 
 def identify_compliance(args) -> Answer:
@@ -168,8 +168,7 @@ def _plan(args, arm, mount, pose) -> Answer:
                  "measure the reflector without the load, then with it; dx, dy, dz: difference, base axes"]  # fmt: skip
         with staged(args.out) as (draft, final):
             result["files"] = [str(final(path)) for path in write_plan(draft, plan, notes)]
-    tables = (TextTable(*table) for table in plan_tables(plan, designs))
-    return Answer(result, [*tables, *result["blind_spots"], *result.get("files", ())])
+    return Answer(result, [*plan_tables(plan, designs), *result["blind_spots"], *result.get("files", ())])
 
 
 def identify_forces(args) -> Answer:

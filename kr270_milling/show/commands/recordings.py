@@ -8,10 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from kr270_milling.base.column import columns_of, table_of, yes
 from kr270_milling.base.errors import InputError, one_line
 from kr270_milling.base.units import seconds
 from kr270_milling.show.commands.command import RECORDING, command, option
-from kr270_milling.show.commands.console import Answer, columns_of, command_line, now, output_directory, table_of, yes
+from kr270_milling.show.commands.console import Answer, command_line, now, output_directory
 from kr270_milling.show.commands.progress import progress
 
 if TYPE_CHECKING:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from kr270_milling.base.column import table_of
 from kr270_milling.base.errors import one_line
 from kr270_milling.live.nodes.play_arguments import PLAY, play_options
 from kr270_milling.live.ros.environment import require_ros
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.show.commands.command import Group, command, option
-from kr270_milling.show.commands.console import Answer, output_directory, table_of
+from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
 COUNTS = ("compared", "differing", "missing", "repeated", "given", "not_compared")

@@ -7,12 +7,13 @@ import sys
 import time
 from pathlib import Path
 
+from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.live.nodes.play_arguments import bounded
 from kr270_milling.live.ros.environment import require_ros
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.show.commands.command import CELL, PLANT, command, option
-from kr270_milling.show.commands.console import Answer, cell_of, columns_of, plant_of, shown_path, table_of
+from kr270_milling.show.commands.console import Answer, cell_of, plant_of, shown_path
 from kr270_milling.show.commands.progress import progress
 
 LAST_LOOK = 1.0  #: [s] for an open page to receive the last events
@@ -42,15 +43,18 @@ COMMANDS = {
 
 def run_graph(args) -> Answer:
     require_ros()
+    from kr270_milling.live.graph.plan import RunRow
+    from kr270_milling.physics.motion.scores import Scores
+
     cell = cell_of(args)
     methods = list(dict.fromkeys(args.method or [cell.compensation.planned_method]))  # each once, in the order given
     options = args.passes, args.namespace, not args.processes, plant_of(args, cell)
     ran = run_passes(cell, methods, args.out, *options)
     up = f"graph up in {ran['graph_up_s']:.2f} s; cell, logs and recordings in {shown_path(ran['out'])}"
     result = summary(ran)
-    return Answer(
-        result, [table_of("Path deviation, four nodes and a recorder", _columns(), result["passes"]), cell.cut_text, up]
-    )
+    columns = (("pass", "name", 2), *columns_of(Scores), *columns_of(RunRow), ("recording", "recording", shown_path))
+    table = table_of("Path deviation, four nodes and a recorder", columns, result["passes"])
+    return Answer(result, [table, cell.cut_text, up])
 
 
 def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:
@@ -73,11 +77,8 @@ def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: b
     with progress("compiling") as report:
         _compile(cell)
         report.say("starting the nodes")
-        graph = Graph(cell, directory, namespace, composed=composed, plant=cuts)
-        try:
-            ran = run_plan(graph.start(), methods, passes, report.say)
-        finally:
-            graph.stop()
+        with Graph(cell, directory, namespace, composed, cuts) as graph:
+            ran = run_plan(graph, methods, passes, report.say)
     return {"graph_up_s": graph.up_s, "out": directory, "passes": ran}
 
 
@@ -121,12 +122,3 @@ def run_watch(args) -> int:
         server.shutdown()
         server.server_close()
     return code
-
-
-def _columns() -> tuple:
-    """Columns of the passes."""
-    from kr270_milling.physics.motion.scores import Scores
-
-    return (("pass", "name", 2), *columns_of(Scores),
-            ("wall [s]", "wall_s", 2), ("x real time", "real_time_factor", 2), ("lost", "messages_lost", 0),
-            ("recording", "recording", shown_path))  # fmt: skip

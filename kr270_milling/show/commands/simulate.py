@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
+from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
 from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, REFERENCE, command, option
-from kr270_milling.show.commands.console import Answer, cell_of, columns_of, joints_text, plant_of, table_of
+from kr270_milling.show.commands.console import Answer, cell_of, joints_text, plant_of
 from kr270_milling.show.commands.progress import progress
 
 FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say

@@ -4,30 +4,21 @@ from __future__ import annotations
 
 import math
 
+from kr270_milling.base.column import as_dict, columns_of, table_of, yes
 from kr270_milling.base.files import staged
 from kr270_milling.live.nodes.play_arguments import grid
 from kr270_milling.show.commands.command import CELL, command, option
-from kr270_milling.show.commands.console import Answer, cell_of, table_of, yes
+from kr270_milling.show.commands.console import Answer, cell_of
 from kr270_milling.show.commands.progress import progress
 
 LOBE_SPEEDS = 60
 SHOWN = 24  #: rows of the printed table
 
 
-def _depth(value: float) -> str:
-    return "above 100" if value == float("inf") else f"{value:.3f}"
-
-
 def _rigid(cell) -> str:
     """What a limit without ``tool.modes`` leaves out."""
     return "" if cell.tool.modes.frequency.size else ", with tool and spindle taken as rigid (no tool.modes)"
 
-
-LOBES = (("spindle speed [rpm]", "spindle_speed_rpm", 0), ("limit depth [mm]", "depth_limit_mm", _depth),
-         ("chatter [Hz]", "chatter_hz", 1))  # fmt: skip
-ALONG = (("feature", "feature", 1), ("from [deg]", "entry_deg", 0), ("to [deg]", "exit_deg", 0),
-         ("depth [mm]", "depth_mm", 3), ("limit [mm]", "depth_limit_mm", _depth),
-         ("chatter [Hz]", "chatter_hz", 1), ("stable", "stable", yes))  # fmt: skip
 
 COMMANDS = {
     "stability": command(
@@ -50,7 +41,8 @@ COMMANDS = {
 def run_stability(args) -> Answer:
     import numpy as np
 
-    from kr270_milling.decide.stability import feature_limits
+    from kr270_milling.decide.stability import FeatureLimit, feature_limits
+    from kr270_milling.physics.motion.stability import Lobe
     from kr270_milling.studies.maps.lobes import lobes
 
     cell = cell_of(args)
@@ -58,19 +50,19 @@ def run_stability(args) -> Answer:
     if args.along:
         rows = [one.as_dict() for one in feature_limits(cell, not args.no_arm)]
         title = f"Limit depth along the path at {cell.tool.spindle_speed * 30.0 / math.pi:.0f} rpm{_rigid(cell)}"
-        return Answer(about | {"features": rows}, [table_of(title, ALONG, rows)])
+        columns = ("feature", "feature", 1), *columns_of(FeatureLimit), *columns_of(Lobe)[1:], ("stable", "stable", yes)
+        return Answer(about | {"features": rows}, [table_of(title, columns, rows)])
     nominal = cell.tool.spindle_speed * 30.0 / math.pi
     low, high, count = args.speeds or (0.5 * nominal, 1.5 * nominal, LOBE_SPEEDS)
     with progress("stability") as report:
         results = lobes(cell, (np.linspace(low, high, count) * np.pi / 30.0).tolist(), not args.no_arm, progress=report)
-    rows = [lobe.as_dict() for lobe in results]
-    best = max(rows, key=lambda r: r["depth_limit_mm"])
-    summary = (
-        f"deepest stable cut: {_depth(best['depth_limit_mm'])} mm at {best['spindle_speed_rpm']:.0f} rpm{_rigid(cell)}"
-    )
+    rows = list(map(as_dict, results))
+    (_, speed, speed_text), (_, depth, depth_text), _ = shown = columns_of(Lobe)
+    best = max(rows, key=lambda row: row[depth])
+    summary = f"deepest stable cut: {depth_text(best[depth])} mm at {speed_text(best[speed])} rpm{_rigid(cell)}"
     files = _write(args, cell, rows, summary) if args.out else []
     about |= {"radial_immersion": cell.path.radial_immersion, "mode": cell.path.mode, "lobes": rows, "files": files}
-    return Answer(about, [table_of("Stability lobes", LOBES, rows[:: max(1, -(-len(rows) // SHOWN))]), summary, *files])
+    return Answer(about, [table_of("Stability lobes", shown, rows[:: max(1, -(-len(rows) // SHOWN))]), summary, *files])
 
 
 def _write(args, cell, rows: list[dict], summary: str) -> list[str]:

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.live.nodes.play_arguments import bounded, grid
 from kr270_milling.show.commands.command import CELL, Group, command, option
-from kr270_milling.show.commands.console import Answer, output_directory, table_of
+from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
 MOST = 10_000_000
 BEST = 5  #: placements that are written as cells
-COLUMNS = tuple(
-    (key, key, "{:.4g}".format)
-    for key in ("x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", "error_max_um", "compensated_max_um")
-)
 TURNS = (-180.0, 180.0, 73)  #: [deg] along a path, where --tool-turn does not say otherwise
 TURNED_RECORDING, TURNED_TABLE, TURNED_CELL = "along", "along.csv", "along.yaml"
 
@@ -73,7 +70,7 @@ def run_map(args) -> Answer:
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.show.report.placements import write_map
     from kr270_milling.studies.maps.engine import Study, content, run_chunks
-    from kr270_milling.studies.maps.placements import Placements, Summary, path_places, write_cells
+    from kr270_milling.studies.maps.placements import PlacementRow, Placements, Summary, path_places, write_cells
 
     if args.along is not None:
         return _along(args)
@@ -110,7 +107,7 @@ def run_map(args) -> Answer:
         "out": args.out,
     }
     return Answer(result, [
-        table_of("Best placements: largest static error across the feed [um]", COLUMNS, result["best"]),
+        table_of("Best placements: largest static error across the feed", columns_of(PlacementRow), result["best"]),
         f"{result['rows']} rows, {result['feasible']} feasible: {result['out']}",
         *(row["cell"] for row in result["best"]),
         result["picture"],

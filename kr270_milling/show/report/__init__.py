@@ -7,24 +7,26 @@ from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
 from kr270_milling.base.record import flatten
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
+from kr270_milling.decide.check import Checked
+from kr270_milling.decide.decision import Decision
 from kr270_milling.decide.part import PartAssessment, assess_all
 from kr270_milling.decide.tolerance import judge
 from kr270_milling.show.report import tables as texts
 from kr270_milling.show.report.assumptions import assumptions
-from kr270_milling.show.report.decision_block import DecisionBlock, asked, decision_block, finding_rows, judged, tiles
+from kr270_milling.show.report.decision_block import asked, finding_rows, judged, tiles
 from kr270_milling.show.report.linked import linked, part_surface
 from kr270_milling.show.report.page import page
 from kr270_milling.show.report.robot_model import robot_model
 from kr270_milling.show.report.series import write_series
 from kr270_milling.show.report.straight_cut import charts_of
-from kr270_milling.show.report.tables import ReportTable
 
-__all__ = ["DecisionBlock", "ReportTable", "decision_block", "write_report", "write_series"]
+__all__ = ["write_report", "write_series"]
 
 
 def write_report(
@@ -38,15 +40,16 @@ def write_report(
     date: str,
     paper: bool = False,
     parts: Sequence[PartAssessment] = (),
-    decision: DecisionBlock | None = None,
-    tables: Sequence[ReportTable] = (),
+    decision: Decision | None = None,
+    checked: Checked | None = None,
+    tables: Sequence[TextTable] = (),
     program: str | None = None,
 ) -> Path:
     """Write ``report.html`` into the directory, which is made if need be; returns its path.
 
     passes: the original one first; source: the cell file; command: how this was called; date: as it shall be printed;
     paper: set the paper's own results and figure numbers beside ours; parts: the assessments of the passes, if they
-    are known already; decision: what was decided, for the first screen (default: what follows from the passes);
+    are known already; decision, checked: for the first screen (default: what follows from the passes);
     tables: further ones, after the scores; program: text of the tool path file, where a recording carries it.
     The file appears whole or not at all. Raises InputError where it cannot be written.
     """
@@ -54,15 +57,15 @@ def write_report(
         raise InputError(title, "a report needs at least one pass")
     programmed = cell.programmed
     parts = parts or assess_all(cell, passes)
-    decision = decision or judged(cell, passes, parts)
-    names = [p.name for p in passes]
-    sizes = (
-        [part.whole.max_normal for part in parts]
-        if not programmed.straight
-        else [p.scores.max_deviation for p in passes]
-    )
-    best = int(np.argmin(sizes))
     judgements = [judge(cell, ran, part) for ran, part in zip(passes, parts, strict=True)]
+    method = decision.method_text if decision else ""
+    if decision is None:
+        decision, checked = judged(cell, passes, judgements)
+    names = [p.name for p in passes]
+    if programmed.straight:
+        best = int(np.argmin([p.scores.max_deviation for p in passes]))
+    else:
+        best = int(np.argmin([part.whole.max_normal for part in parts]))
     pictures, robot, charts = (
         linked(cell, passes, parts, program),
         robot_model(cell, passes[best]),
@@ -95,8 +98,8 @@ def write_report(
         paper_source=texts.PAPER,
         names=names,
         asked=asked(cell, passes),
-        tiles=tiles(decision, names, [one.error for one in judgements], judgements[0].quantity),
-        findings=finding_rows(decision),
+        tiles=tiles(names, judgements, decision, checked, method),
+        findings=finding_rows(checked),
         scores=texts.line_scores(passes, paper) if programmed.straight else texts.part_scores(parts),
         features=None if programmed.straight else texts.feature_table(parts),
         more=[texts.typographic(t) for t in tables if t.rows],

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.show.report.study_page import figure_of, write_page
-from kr270_milling.studies.maps.placements import MAPPED, Summary
+from kr270_milling.studies.maps.placements import MAPPED, PlacementRow, Summary
 
 __all__ = ["write_map"]
 
@@ -13,7 +14,6 @@ NOTE = (
     "each field shows the z, the turns and the branch with the least error there; the stars are the best placements, "
     "and a field is empty if the path there is out of reach or beyond the joint limits"
 )
-COLUMNS = ("x_mm", "y_mm", "z_mm", "turn_deg", "tool_turn_deg", "branch", *MAPPED)
 
 
 def write_map(folder, summary: Summary) -> Path:
@@ -26,5 +26,5 @@ def write_map(folder, summary: Summary) -> Path:
         figure.add_heatmap(x=summary.x, y=summary.y, z=values, colorscale="Viridis", colorbar={"thickness": 12})
         figure.add_scatter(x=best[0], y=best[1], mode="markers", name="best placements", marker=star, showlegend=False)
         figures.append(figure)
-    rows = [[f"{row[name]:.4g}" for name in COLUMNS] for row in summary.best]
-    return write_page(Path(folder) / "map.html", "Where to clamp the part", [NOTE], [("Best", COLUMNS, rows)], figures)
+    best_rows = table_of("Best", columns_of(PlacementRow), summary.best)
+    return write_page(Path(folder) / "map.html", "Where to clamp the part", [NOTE], [best_rows], figures)

@@ -41,13 +41,13 @@ def points(title: str, x: str, y: str, series: dict, lines: tuple[str, ...] = ()
 
 
 def write_page(path: Path, title: str, sentences, tables, figures) -> Path:
-    """Write one HTML file that needs no network; tables: title, columns, rows of each."""
+    """Write one HTML file that needs no network; tables: of type TextTable."""
     text = page_text(
         HERE / "study.html",
         [],
         title=title,
         sentences=[_typographic(text[:1].upper() + text[1:]) for text in sentences],
-        tables=[(heading, [*map(_typographic, columns)], rows) for heading, columns, rows in tables],
+        tables=[table._replace(columns=[*map(_typographic, table.columns)]) for table in tables],
         plots=[_plot(figure) for figure in figures],
     )
     path.write_text(text, encoding="utf-8")

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.column import Column, columns
+from kr270_milling.base.column import Column, TextTable, columns
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, mean_force
 from kr270_milling.decide.exchange_share import exchange_share
 from kr270_milling.decide.part import FeatureRow, PartAssessment
 from kr270_milling.physics.motion.scores import Scores
 
-__all__ = ["PAPER", "TABLE_2", "ReportTable", "details", "feature_table", "fixed_text", "input_rows", "line_scores",
+__all__ = ["PAPER", "TABLE_2", "details", "feature_table", "fixed_text", "input_rows", "line_scores",
            "micro", "part_scores", "shown", "typographic", "warning"]  # fmt: skip
 
 UM = 1e6
@@ -30,16 +29,6 @@ TABLE_2 = {
     "original": Scores(58.1e-6, 63.2e-6, 6.70, np.nan, np.nan),
     "linear": Scores(0.14e-6, 4.70e-6, 6.70, np.nan, np.nan),
 }
-
-
-@dataclass(frozen=True)
-class ReportTable:
-    """A table on the page; the first column is text, the others are texts that are set right-aligned."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    note: str = ""
 
 
 def fixed_text(value: float, digits: int) -> str:
@@ -64,10 +53,10 @@ def shown(value, key: str = "") -> str:
     return (f"{value:.10g}" if isinstance(value, float) else str(value)).replace("-", "−")
 
 
-def typographic(table: ReportTable) -> ReportTable:
+def typographic(table: TextTable) -> TextTable:
     """A table of others with the page's minus sign and micro sign, and no "-0.00"."""
     rows = tuple(tuple(map(_typographic, row)) for row in table.rows)
-    return ReportTable(micro(table.title), tuple(map(micro, table.columns)), rows, micro(table.note))
+    return TextTable(micro(table.title), tuple(map(micro, table.columns)), rows, micro(table.note))
 
 
 def _typographic(text: str) -> str:
@@ -76,7 +65,7 @@ def _typographic(text: str) -> str:
     return micro(re.sub(r"(?<![\w-])-(?=\d)", "−", text))
 
 
-def line_scores(passes: Sequence[ScoredPass], paper: bool) -> ReportTable:
+def line_scores(passes: Sequence[ScoredPass], paper: bool) -> TextTable:
     """Accuracy before and after of a straight cut; with ``paper`` the numbers of Table 2 beside ours."""
     heads, rows = ["pass"], [[one.name] for one in passes]
     for column in _titled(Scores):
@@ -93,20 +82,20 @@ def line_scores(passes: Sequence[ScoredPass], paper: bool) -> ReportTable:
         "lowest lateral mode of the model; ringing: undamped frequency and damping ratio of the pass."
     )
     title = "Before and after" + (" (Table 2)" if paper else "")
-    return ReportTable(title, tuple(heads), tuple(map(tuple, rows)), note)
+    return TextTable(title, tuple(heads), tuple(map(tuple, rows)), note)
 
 
-def part_scores(parts: Sequence[PartAssessment]) -> ReportTable:
+def part_scores(parts: Sequence[PartAssessment]) -> TextTable:
     """The whole part, one row a pass."""
     note = (
         "Deviation: actual tool centre minus target, horizontal and across the path, while the tool cuts. Wall and "
         "floor: what remains on the finished part, against the part that a rigid arm would leave."
     )
     rows = tuple((part.name, *_values(part.whole)) for part in parts)
-    return ReportTable("Before and after, whole part", ("pass", *map(_heading, _titled(FeatureRow))), rows, note)
+    return TextTable("Before and after, whole part", ("pass", *map(_heading, _titled(FeatureRow))), rows, note)
 
 
-def feature_table(parts: Sequence[PartAssessment]) -> ReportTable:
+def feature_table(parts: Sequence[PartAssessment]) -> TextTable:
     """For each feature one row a pass."""
     known = [{row.name: row for row in (*part.rows, part.whole)} for part in parts]
     rows = tuple(
@@ -115,7 +104,7 @@ def feature_table(parts: Sequence[PartAssessment]) -> ReportTable:
         for part, of in zip(parts, known, strict=True)
         if name in of
     )
-    return ReportTable("Feature by feature", ("feature", "pass", *map(_heading, _titled(FeatureRow))), rows)
+    return TextTable("Feature by feature", ("feature", "pass", *map(_heading, _titled(FeatureRow))), rows)
 
 
 def _values(row: FeatureRow) -> list[str]:
@@ -145,7 +134,7 @@ def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:
     return [(name, [shown(value) for value in values.tolist()]) for name, values in rows]
 
 
-def details(passes: Sequence[ScoredPass]) -> ReportTable:
+def details(passes: Sequence[ScoredPass]) -> TextTable:
     """Forces and exchange of every pass."""
     rows = []
     for one in passes:
@@ -165,7 +154,7 @@ def details(passes: Sequence[ScoredPass]) -> ReportTable:
         "way there, and the arm corrects its pose with that wrench. The correction is what the chip geometry was wrong "
         "by."
     )
-    return ReportTable("Forces and exchange", columns, tuple(rows), note)
+    return TextTable("Forces and exchange", columns, tuple(rows), note)
 
 
 def warning(cell: Cell, passes: Sequence[ScoredPass]) -> str:

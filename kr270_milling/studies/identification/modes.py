@@ -25,6 +25,7 @@ import numpy as np
 from scipy import signal
 from scipy.optimize import nnls
 
+from kr270_milling.base.column import column, computed
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.physics.robot import compliance, equilibrium, rotate_matrix
@@ -50,15 +51,17 @@ class Mode:
 
     pole: complex  #: s_k [1/s]
     residues: np.ndarray  #: R_k of each channel, complex (channels,)
-    share: float  #: of the energy of all modes
-    decrement: float  #: damping ratio by the logarithmic decrement; NaN where another mode is too near
+    #: of the energy of all modes
+    share: float = column("share_of_energy", unit="%", scale=100.0, digits=0, short="energy")
+    #: damping ratio by the logarithmic decrement; NaN where another mode is too near
+    decrement: float = column("damping_ratio_log_decrement", unit="%", scale=100.0, digits=2, short="by decrement")
 
-    @property
+    @computed("frequency_hz", unit="Hz", digits=3, short="frequency")
     def frequency(self) -> float:
         """Undamped [Hz]."""
         return float(np.abs(self.pole) / (2 * np.pi))
 
-    @property
+    @computed("damping_ratio", unit="%", scale=100.0, digits=2, short="damping")
     def damping_ratio(self) -> float:
         return float(-self.pole.real / np.abs(self.pole))
 

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.base.column import column, columns
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_abc, rotation_from_quaternion
 from kr270_milling.base.parameter_file import merge, override, shipped_directories, write_include
 from kr270_milling.cell.cell import Cell
@@ -30,8 +31,8 @@ from kr270_milling.studies.maps.engine import StudyRows
 from kr270_milling.studies.maps.postures import along_path, postures, whole_turns
 
 __all__ = [
-    "MAPPED", "PathPlaces", "Placements", "Summary", "about_z", "places_at", "path_places", "moved_cell", "place_of",
-    "write_placement", "write_cells",
+    "MAPPED", "PathPlaces", "PlacementRow", "Placements", "Summary", "about_z", "places_at", "path_places",
+    "moved_cell", "place_of", "write_placement", "write_cells",
 ]  # fmt: skip
 
 SINGULAR = 1e-6  #: measure of a posture below which no Jacobian is inverted
@@ -39,10 +40,27 @@ PLACES = 24  #: along the path at which the error of each placement is looked at
 BLOCK = 1000  #: placements at a time, some 20 MB of postures
 REST = 12  #: over the whole path, approach and all, for reach and limits
 MARGIN = np.radians(0.5)  #: to the joint limits, for what is between the places
-PLACE = {"x_mm": 1e3, "y_mm": 1e3, "z_mm": 1e3, "turn_deg": 180.0 / np.pi, "tool_turn_deg": 180.0 / np.pi}
-#: measures that ``Summary`` maps over x and y, with the titles of their pictures
-MAPPED = {"error_max_um": "error before compensation [um]", "compensated_max_um": "after it, one sigma [um]",
-          "lowest_mode_hz": "lowest mode [Hz]", "singularity": "distance to a singularity"}  # fmt: skip
+DEGREES = 180.0 / math.pi
+
+
+@dataclass(frozen=True)
+class PlacementRow:
+    """The shown columns of one row of a map; ``Summary`` maps the columns with a title over x and y."""
+
+    x: float = column("x_mm", 1e3, unit="mm", short="x")
+    y: float = column("y_mm", 1e3, unit="mm", short="y")
+    z: float = column("z_mm", 1e3, unit="mm", short="z")
+    turn: float = column("turn_deg", DEGREES, unit="deg", short="turn")
+    tool_turn: float = column("tool_turn_deg", DEGREES, unit="deg", short="tool turn")
+    branch: int = column("branch", digits=0, short="branch")
+    error: float = column("error_max_um", 1e6, "error before compensation", "um", digits=2, short="error")
+    compensated: float = column("compensated_max_um", 1e6, "after it, one sigma", "um", digits=2, short="compensated")
+    lowest_mode: float = column("lowest_mode_hz", 1.0, "lowest mode", "Hz", digits=2, short="lowest mode")
+    singularity: float = column("singularity", 1.0, "distance to a singularity", digits=4, short="singularity")
+
+
+PLACE = {c.key: c.factor for c in columns(PlacementRow)[:5]}
+MAPPED = {c.key: c.heading() for c in columns(PlacementRow) if c.title}
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.show.commands import progress as module
 from kr270_milling.show.commands.console import print_table, shown_path
 from kr270_milling.show.commands.progress import Progress, progress
@@ -81,9 +82,8 @@ def test_on_a_terminal_there_is_a_bar_that_vanishes(monkeypatch):
 def test_no_name_and_no_number_of_a_table_is_squeezed(monkeypatch, width):
     monkeypatch.setattr(sys, "stdout", Terminal())
     monkeypatch.setenv("COLUMNS", width)
-    print_table(
-        "Deviation", ["pass", "largest deviation [um]", "recording"], [["a_long_name_of_a_pass", "12.34", "x" * 60]]
-    )
+    names = ["pass", "largest deviation [um]", "recording"]
+    print_table(TextTable("Deviation", names, [["a_long_name_of_a_pass", "12.34", "x" * 60]]))
     shown = sys.stdout.getvalue()
     assert all(word in shown for word in ("a_long_name_of_a_pass", "12.34", "x" * 60, "largest deviation [um]"))
     assert ("│" in shown) == (width == "200") and "…" not in shown

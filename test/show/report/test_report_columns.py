@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pytest
 
-from kr270_milling.base.column import as_dict, column, columns
+from kr270_milling.base.column import as_dict, column, columns, columns_of, computed, table_of
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import commanded_joints, simulate
@@ -17,7 +17,6 @@ from kr270_milling.physics.motion.scores import Scores
 from kr270_milling.physics.robot import forward
 from kr270_milling.physics.robot.urdf import urdf
 from kr270_milling.physics.robot.urdf_links import links_of
-from kr270_milling.show.commands.console import columns_of, table_of
 from kr270_milling.show.report.robot_model import robot_model
 from kr270_milling.show.report.tables import line_scores, micro
 
@@ -26,15 +25,22 @@ from kr270_milling.show.report.tables import line_scores, micro
 class Row:
     name: str
     deviation: float = column("deviation_mm", 1e3, "largest deviation", "um", 1e6, 2, short="max")
+    limit: float = column("limit_mm", 1e3, unit="mm", short="limit", infinite="above 100")
     hidden: float = column("", 1.0)
+
+    @computed("share", short="share", digits=1)
+    def share(self) -> float:
+        return self.deviation / self.limit
 
 
 def test_a_field_is_a_key_of_json_and_a_column_of_the_terminal():
-    row = Row("wall", 25e-6, 1.0)
-    assert as_dict(row) == {"deviation_mm": pytest.approx(0.025)}
-    assert [c.heading() for c in columns(Row)] == ["largest deviation [um]", ""]
-    table = table_of("Title", (("name", "name", 0), *columns_of(Row)), [{"name": "wall", **as_dict(row)}])
-    assert table.columns == ["name", "max [um]"] and table.rows == [["wall", "25.00"]]
+    row, endless = Row("wall", 25e-6, 50e-6, 1.0), Row("floor", np.nan, np.inf, 1.0)
+    assert as_dict(row) == pytest.approx({"deviation_mm": 0.025, "limit_mm": 0.05, "share": 0.5})
+    assert [c.heading() for c in columns(Row)] == ["largest deviation [um]", " [mm]", "", ""]
+    rows = [{"name": one.name, **as_dict(one)} for one in (row, endless)]
+    table = table_of("Title", (("name", "name", 0), *columns_of(Row)), rows)
+    assert table.columns == ["name", "max [um]", "limit [mm]", "share"]
+    assert table.rows == [["wall", "25.00", "0.1", "0.5"], ["floor", "-", "above 100", "-"]]
     assert columns_of(Row, unit="um")[0][0] == "max"
 
 

@@ -5,20 +5,21 @@ from __future__ import annotations
 import json
 import re
 from html.parser import HTMLParser
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cuttings import SET_ALUMINIUM
 from milled_part import POCKET, RIGID, small_cell
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.record import find_file, flatten
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
 from kr270_milling.decide.findings import Finding, Place
-from kr270_milling.show.report import ReportTable, write_report
+from kr270_milling.show.report import write_report
 from kr270_milling.show.report.assumptions import assumptions, model_frequencies
-from kr270_milling.show.report.decision_block import DecisionBlock, ToleranceAnswer
 from kr270_milling.show.report.page.page import plotly_script
 from kr270_milling.show.report.tables import fixed_text
 
@@ -131,14 +132,21 @@ def test_the_whole_configuration_is_listed(written, cell):
         assert key in page.texts
 
 
+def shown_decision(level: str, sentence: str, method: str, verdict: str) -> SimpleNamespace:
+    return SimpleNamespace(
+        level=level, sentence=sentence, method_text=method, notes=(sentence,), verdict=SimpleNamespace(text=verdict)
+    )
+
+
 def test_texts_from_files_are_escaped(tmp_path, cell, passes):
     bad = "<script>alert(1)</script>\"'&"
     hostile_cell = cell.replace(arm=cell.arm.replace(name=bad))
     first = passes[0]
     hostile = [ScoredPass(bad, first.reference, first.result, first.scores), passes[1]]
     row = Finding("stop", bad, Place(3, 1, bad), 1.0, 1.0, bad, bad, bad)
-    decision = DecisionBlock(ToleranceAnswer(False, bad), None, "no", bad, bad, (bad,), bad, bad, (row,))
-    words = dict(title=bad, source=bad, command=bad, date=bad, decision=decision)
+    checked = SimpleNamespace(findings=(row,), stability=SimpleNamespace(text=bad), rapid_text=bad)
+    decision = shown_decision("no", bad, bad, bad)
+    words = dict(title=bad, source=bad, command=bad, date=bad, decision=decision, checked=checked)
     text = text_of(write_report(tmp_path, hostile_cell, hostile, paper=True, **words))
     page = Page(text)
     assert sum(tag == "script" for tag, _ in page.tags) == 3 and not page.open
@@ -150,18 +158,25 @@ def test_the_decision_leads_the_page(tmp_path, cell, passes):
     finding = Finding(
         "warning", "correction per tick", Place(12, 7, "ring"), 31.0, 30.0, "um", "Feed slower.", "it is 31 um", 3
     )
-    decision = DecisionBlock(
-        as_programmed=ToleranceAnswer(False, "40 µm, 30 allowed"), compensated=ToleranceAnswer(True, "2 µm"),
-        level="caution", sentence="few robots", method="method: spline, as set", verdict="helps (1 to 3 um)",
-        stability="stable", findings=(finding,),
-    )  # fmt: skip
-    table = ReportTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00")))
-    text = text_of(write_report(tmp_path, cell, passes, decision=decision, tables=[table], **WORDS))
+    checked = SimpleNamespace(findings=(finding,), stability=SimpleNamespace(text="stability: stable"), rapid_text="")
+    decision = shown_decision("caution", "few robots", "method: spline, as set", "helps (1 to 3 um)")
+    table = TextTable("Another table", ("pass", "value"), (("original", "-1.5"), ("other-2", "-0.00")))
+    text = text_of(
+        write_report(
+            tmp_path,
+            cell.replace(part=cell.part.replace(tolerance=30e-6)),
+            passes,
+            decision=decision,
+            checked=checked,
+            tables=[table],
+            **WORDS,
+        )
+    )
     page = Page(text)
-    order = ["caution", "few robots", "fails", "40 µm, 30 allowed", "passes", "spline", "helps", "1 to 3 µm", "stable"]
+    order = ["caution", "few robots", "fails", "30 µm allowed", "passes", "spline", "helps", "1 to 3 µm", "stable"]
     order += ["Another table", "warning", "Feed slower.", "ring, line 7, XP12"]
     assert '<div class="tile caution">' in text
-    places = [page.texts.index(word) for word in order]
+    places = [next(k for k, text in enumerate(page.texts) if word in text) for word in order]
     assert places == sorted(places)
     assert "\u22121.5" in page.texts and "0.00" in page.texts and "other-2" in page.texts
     assert 'data-point="12"' in text and "it is 31 µm" in text and "3 places" in text

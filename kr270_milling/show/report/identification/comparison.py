@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import points
 from kr270_milling.studies.identification.comparison import ComparedChannel, Comparison, LinearFit
@@ -32,7 +33,7 @@ def comparison_outcome(comparison: Comparison, recording: str, cell: str) -> Out
         "advice": sentences,
     }
     title = f"Measured against simulated: {recording} and {cell}"
-    table = ("Measured against simulated", COLUMNS, [_row(channel) for channel in comparison.channels])
+    table = TextTable("Measured against simulated", COLUMNS, [_row(channel) for channel in comparison.channels])
     return Outcome("compare", title, result, [table], [*lags, *sentences], lambda: _figures(comparison))
 
 

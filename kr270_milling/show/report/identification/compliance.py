@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.base.record import specs
 from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.show.report.identification.outcome import Outcome
@@ -39,7 +40,7 @@ def compliance_outcome(fit: Fit, pose: Measurements | None, source: str) -> Outc
         texts = [f"{unit * number:.4g}" if np.isfinite(number) else "-" for number in numbers]
         rows.append([name, *texts, "yes" if free else "no"])
     return Outcome(
-        "compliance", title, _as_dict(fit, pose), [(title, COLUMNS, rows)], [residual, *sentences(fit, pose)],
+        "compliance", title, _as_dict(fit, pose), [TextTable(title, COLUMNS, rows)], [residual, *sentences(fit, pose)],
         lambda: _figures(fit), _sections(fit), "name this file in `includes` after the file of the arm",
     )  # fmt: skip
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.physics.cutting import LAWS
 from kr270_milling.physics.cutting.materials import Material
 from kr270_milling.show.report.identification.outcome import Outcome
@@ -51,17 +52,16 @@ def material_outcome(rows: list[Material], name: str | None, row: Material | Non
     texts = [[m.name, m.cutter, *("-" if np.isnan(v) else f"{v:g}" for v in m.values / SCALE)] for m in rows]
     sources = [f"{m.name}, {m.cutter}, {m.lubrication} [source: {m.source}]" for m in rows] if name else []
     stem = (name or "").lower().replace(".", "_")
-    table = (MATERIALS, columns, texts)
+    table = TextTable(MATERIALS, columns, texts)
     return Outcome(stem, MATERIALS, {"materials": entries}, [table], sources, sections=sections)
 
 
-def _table(fit: LawFit) -> tuple[str, list[str], list[list[str]]]:
-    """Title, columns, rows."""
+def _table(fit: LawFit) -> TextTable:
     values = fit.as_dict()
     rows = [[key, *("-" if np.isnan(v) else f"{v:.{d}g}" for v, d in ((values[key], 5), (width, 3)))]
             for key, width in values["ci95"].items()]  # fmt: skip
     title = f"{fit.law.replace('_', '-').capitalize()} law, residual {fit.residual_rms:.3g} N RMS"
-    return title, ["coefficient", "value", "95 % +-"], rows
+    return TextTable(title, ["coefficient", "value", "95 % +-"], rows)
 
 
 def _sentences(edge: LawFit, *others: LawFit) -> list[str]:

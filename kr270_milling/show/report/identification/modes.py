@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kr270_milling.base.column import as_dict, columns_of, table_of
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import points
 from kr270_milling.studies.identification.modes import Mode
@@ -11,7 +12,6 @@ from kr270_milling.studies.identification.signals import Signals
 
 __all__ = ["mode_outcome"]
 
-COLUMNS = ("mode", "[Hz]", "damping [%]", "by decrement", "energy [%]", "shape x y z rx ry rz")
 MOST_HZ = 200.0  #: end of the spectrum in the figure
 MOST_POINTS = 4000  #: of a signal in the figure
 
@@ -20,17 +20,7 @@ def mode_outcome(modes: list[Mode], signals: Signals, shapes: np.ndarray | None,
     """Return the result of ``identify damping``; shapes: mass-normalised shapes, (n, 6); None: not scaled."""
     duration = len(signals.values) * signals.step
     axes = [signals.along_axes(mode.shape).tolist() for mode in modes]
-    entries = [
-        {
-            "frequency_hz": mode.frequency,
-            "damping_ratio": mode.damping_ratio,
-            "damping_ratio_log_decrement": mode.decrement,
-            "confirmed": mode.confirmed,
-            "shape": shape,
-            "share_of_energy": mode.share,
-        }
-        for mode, shape in zip(modes, axes, strict=True)
-    ]
+    entries = [{**as_dict(m), "confirmed": m.confirmed, "shape": shape} for m, shape in zip(modes, axes, strict=True)]
     if shapes is not None:
         entries = [e | {"mass_normalised_shape": s} for e, s in zip(entries, shapes.tolist(), strict=True)]
     result = {
@@ -46,16 +36,15 @@ def mode_outcome(modes: list[Mode], signals: Signals, shapes: np.ndarray | None,
         )
     if shapes is None:
         sentences.append("the shapes are not scaled: use a hammer (--hammer) or the compliance of a cell (--cell)")
-    rows = [
-        [
-            str(i), f"{mode.frequency:.3f}", f"{100 * mode.damping_ratio:.2f}", f"{100 * mode.decrement:.2f}",
-            f"{100 * mode.share:.0f}", " ".join(f"{v:.2f}" for v in shape),
-        ]
-        for i, (mode, shape) in enumerate(zip(modes, axes, strict=True), 1)
-    ]  # fmt: skip
+    shown = ("mode", "mode", 0), *columns_of(Mode), ("shape x y z rx ry rz", "shape", _shape)
+    table = table_of(title, shown, [{"mode": i, **entry} for i, entry in enumerate(entries, 1)])
     use = "name this file in `includes`, or copy the keys that you need"
-    tables, sections = [(title, COLUMNS, rows)], _sections(modes, shapes)
-    return Outcome("modes", title, result, tables, sentences, lambda: _figures(signals), sections, use)
+    sections = _sections(modes, shapes)
+    return Outcome("modes", title, result, [table], sentences, lambda: _figures(signals), sections, use)
+
+
+def _shape(values: list[float]) -> str:
+    return " ".join(f"{v:.2f}" for v in values)
 
 
 def _sections(modes: list[Mode], shapes: np.ndarray | None) -> dict:

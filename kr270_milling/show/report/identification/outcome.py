@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import write_include
 from kr270_milling.base.version import __version__
@@ -21,7 +22,7 @@ class Outcome:
     name: str  #: stem of its files
     title: str
     result: dict  #: for JSON
-    tables: Sequence[tuple[str, Sequence[str], Sequence[Sequence[str]]]]  #: title, columns, rows
+    tables: Sequence[TextTable]
     sentences: Sequence[str]
     figures: Callable[[], list] | None = None  #: makes the figures of the page; None: no page
     sections: dict | None = None  #: of the parameter file; None: no parameter file

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.decide.programs.krl import EXTERNAL, HEAD
 from kr270_milling.studies.identification.measurements import write_measurements
 from kr270_milling.studies.identification.plan import Candidates, Design
@@ -30,15 +31,15 @@ def plan_as_dict(plan: Candidates, designs: Mapping[str, Design], chosen: Design
     }  # fmt: skip
 
 
-def plan_tables(plan: Candidates, designs: Mapping[str, Design]) -> list[tuple[str, list[str], list[list[str]]]]:
-    """Return title, columns and rows of the comparison of the designs and of the tests."""
+def plan_tables(plan: Candidates, designs: Mapping[str, Design]) -> list[TextTable]:
+    """Return the comparison of the designs and of the tests."""
     rows = [[name, f"{1e6 * d.pose_error:.3f}", f"{100 * d.relative.max():.1f}", f"{100 * d.determinant:.2f}"]
             for name, d in designs.items()]  # fmt: skip
     title = f"{len(plan.tests)} load tests: standard deviation of the displacement by 100 N at the cell's posture"
     tests = [[load_text(plan, i), " ".join(f"{a:7.2f}" for a in np.degrees(q))] for i, q in enumerate(plan.tests.q)]
     return [
-        (title, ["choice", "error there [um]", "worst compliance [%]", "mean [%]"], rows),
-        ("The tests, in the order of the program", ["load", "A1 to A6 [deg]"], tests),
+        TextTable(title, ["choice", "error there [um]", "worst compliance [%]", "mean [%]"], rows),
+        TextTable("The tests, in the order of the program", ["load", "A1 to A6 [deg]"], tests),
     ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -9,17 +10,24 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
 
-from kr270_milling.cell.jobs import compensated, simulate
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from kr270_milling.cell.jobs import compensated, compensator, record_of, simulate
 from kr270_milling.cli import main
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
+from kr270_milling.live.graph import plan
+from kr270_milling.live.graph.driver import Driver
+from kr270_milling.live.graph.graph import RunValues
 from kr270_milling.live.graph.plan import fresh_directory
+from kr270_milling.live.ros import topics
 from kr270_milling.recordings.bag.reader import Recording
 
 SHORT = ["path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]"]
@@ -139,28 +147,12 @@ def test_recordings_are_never_overwritten(tmp_path):
         (directory / "cell.yaml").write_text("")
 
 
-def test_killed_node_is_named_and_no_process_remains(runner, tmp_path):
-    """The process of the recorder and the compensator; test_faults kills robot and cut."""
-    process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
-    pids = in_mid_pass(tmp_path / "o")
-    os.kill(pids["recorder"], signal.SIGKILL)
-    code, _, errors = finished(process)
-    last = errors.splitlines()[-1]  # on a busy machine earlier lines may report silent nodes
-    together = {name for name, pid in pids.items() if pid == pids["recorder"]}
-    assert code == 2 and "SIGKILL" in last and any(name in last for name in together)
-    assert not nodes_of(tmp_path)
-    with Recording(tmp_path / "o" / "original") as recording:
-        assert recording.cut_off
-        assert recording.topics()["/wrench"].count > 0
-
-
-def test_run_without_any_report_ends_with_a_sentence_and_no_process_remains(runner, tmp_path):
-    """The middleware of the runner's process may be blocked, and leaving the graph would block too."""
+def test_stopped_nodes_end_the_run_with_a_sentence_and_no_process_remains(runner, tmp_path):
     process = runner(tmp_path / "o", "--passes", "1", sets=LONG)
     for pid in set(in_mid_pass(tmp_path / "o").values()):
         os.kill(pid, signal.SIGSTOP)
     code, _, errors = finished(process)
-    assert code == 2 and "no node has reported" in errors
+    assert code == 2 and "has not reported for 4 s" in errors
     assert not nodes_of(tmp_path)
 
 
@@ -270,3 +262,94 @@ def test_graphs_in_two_namespaces_give_the_plain_loop_at_once_also_with_one_proc
             assert f"/{name}/clock" in recording.topics() and "/clock" not in recording.topics()
         assert recompute(file).verdict == "identical"
     assert {f"{node}.log" for node in NODES[:3]} <= {file.name for file in (tmp_path / "right" / "log").iterdir()}
+
+
+# --- which passes a run makes, with a graph whose passes are simulated at once ---
+
+
+class PlainGraph:
+    """What ``run_plan`` needs of a graph."""
+
+    driver = SimpleNamespace(namespace="/")
+
+    def __init__(self, cell):
+        self.cell = cell
+        self.compensator = compensator(cell, cell.target())
+        self.ran: dict[str, object] = {}
+
+    @property
+    def repeats(self) -> bool:
+        return self.compensator.repeats
+
+    def choose(self, method: str) -> None:
+        self.compensator.choose(method)
+
+    def run_pass(self, name: str) -> RunValues:
+        self.ran[name] = simulate(self.cell, self.compensator.reference, name)
+        self.compensator.revise(record_of(self.cell, self.ran[name].result))
+        state = self.compensator
+        return RunValues(Path(name), 1.0, tuple(state.errors), state.finished)
+
+
+@pytest.fixture
+def run(monkeypatch, short_cell):
+    """Runs a plan for a cell with other parameters of the compensation; returns the graph and the rows."""
+
+    def run(methods, passes=None, **parameters):
+        cell = short_cell.replace(compensation=short_cell.compensation.replace(**parameters))
+        graph = PlainGraph(cell)
+
+        def recorded(recording, name, namespace):
+            return SimpleNamespace(scored=graph.ran[str(recording)], lost_to_end=0)
+
+        monkeypatch.setattr(plan, "pass_from_recording", recorded)
+        return graph, plan.run_plan(graph, methods, passes)
+
+    return run
+
+
+def test_each_method_that_does_not_repeat_makes_one_pass(run):
+    _, rows = run(["linear", "spline"])
+    assert [row.scored.name for row in rows] == ["original", "linear", "spline"]
+    assert not any(row.learning for row in rows)
+
+
+def test_the_number_of_passes_may_be_given(run):
+    _, rows = run(["linear"], 3)
+    assert [row.scored.name for row in rows] == ["original", "linear", "linear_2"]
+    assert [row.scored.name for row in run(["learned"], 1)[1]] == ["original"]
+
+
+@pytest.mark.parametrize("method, repeat", [("learned", False), ("spline", True)])
+def test_a_method_that_repeats_continues_until_the_compensator_is_finished_as_off_line(run, method, repeat):
+    """The compensator is asked; the method's name decides nothing."""
+    graph, (original, best) = run([method], repeat=repeat, max_passes=4)
+    assert graph.compensator.finished and 2 <= len(best.learning) <= 4
+    assert list(graph.ran) == ["original", *(f"{method}_{n + 1}" for n in range(len(best.learning)))]
+    off_line = compensated(graph.cell, original.scored, method)
+    assert best.scored.name == method and best.scored.scores == off_line.scores
+
+
+def test_the_original_pass_is_the_best_where_no_revision_helps(run):
+    graph, (original, best) = run(["spline"], repeat=True, max_correction=1e-9)
+    assert len(best.learning) >= 1 and best.scored.scores.max_deviation <= original.scored.scores.max_deviation
+
+
+# --- what the runner takes from the reports of the nodes ---
+
+
+def report(pid: int, message: str, level: bytes = b"\0") -> DiagnosticArray:
+    values = [KeyValue(key="pid", value=str(pid))]
+    status = DiagnosticStatus(name="/recorder", level=level, message=message, values=values)
+    return DiagnosticArray(status=[status])
+
+
+def test_reports_of_another_process_under_our_name_are_ignored(ros_environment, world):
+    sent = world.partner().create_publisher(*topics.DIAGNOSTICS)
+    with contextlib.closing(Driver("", lambda: None)) as driver:
+        driver.expect("recorder", 1)
+        driver.until(sent.get_subscription_count, "matching", 60.0)
+        sent.publish(report(1, "recording"))
+        sent.publish(report(2, "the directory is there already", b"\2"))
+        driver.until(lambda: driver.foreign, "the other report", 60.0)
+        assert driver.statuses["recorder"].message == "recording" and driver.error is None

@@ -1,29 +1,32 @@
+"""What all nodes share: reports, transitions, parameters, the environment of their processes."""
+
 from __future__ import annotations
 
-import signal
+import os
 import subprocess
 import sys
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
-import rclpy
-from rclpy.context import Context
-from rclpy.node import Node
-from ros_domain import running
-from sample_messages import wrench_msg
-
-from kr270_milling.base.errors import ConfigError
-from kr270_milling.base.process import exit_code
-from kr270_milling.base.record import Record, parameter
-from kr270_milling.live.ros.parameters import declare
+import yaml
 
 pytest.importorskip("rclpy")
 
-from kr270_milling.base.errors import InputError
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+
+from kr270_milling.base.errors import ConfigError, InputError
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.record import Record, parameter, specs
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.live.graph.processes import cell_text, write_cell_file
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
 from kr270_milling.live.ros import topics
+from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only
 from kr270_milling.live.ros.node import ManagedNode, ReportingNode, guarded
+from kr270_milling.live.ros.parameters import declare
 
 ERROR = 2
 
@@ -79,26 +82,6 @@ def test_names_can_be_remapped(world, short_cell, tmp_path):
     world.until(lambda: partner.count_subscribers("/elsewhere/pose") == 1)
     assert partner.count_subscribers("/tool_pose") == 0
     world.until(lambda: "knife" in partner.get_node_names())
-
-
-def test_two_test_runs_have_different_domains_and_exchange_no_messages(world, domain, ros_environment):
-    publisher = world.partner().create_publisher(*topics.WRENCH)
-    code = (
-        "import sys; sys.path.insert(0, 'test'); import conftest, ros_domain\n"
-        "turn = ros_domain.own_domain(); number = turn.__enter__()\n"
-        "from kr270_milling.live.ros import topics\n"
-        "world = conftest.World(number); node = world.partner()\n"
-        "messages = world.listen(node, topics.WRENCH); world.step(1.5)\n"
-        "print(number, len(messages), node.count_publishers('wrench'))\n"
-        "world.close()\n"
-    )
-    command = [sys.executable, "-c", code]
-    with running(command, ros_environment, stdout=subprocess.PIPE, text=True) as other:
-        while other.poll() is None:
-            publisher.publish(wrench_msg(0, [0.0] * 6))
-            world.step(0.02)
-        number, messages, publishers = map(int, other.stdout.read().split())
-    assert number != domain and messages == publishers == 0
 
 
 def test_autostart_is_described_and_cannot_be_set_later_and_a_status_names_its_hardware(world, short_cell, tmp_path):
@@ -158,57 +141,72 @@ def test_a_node_refuses_a_fraction_for_a_count_and_a_number_out_of_range(tmp_pat
             declared(tmp_path, f"    {text}\n    angles_deg: [1.0, 2.0]\n")
 
 
-# --- The end of a node process: exit codes and signals ---
+# --- the environment of node processes: discovery on this host only ---
 
 
-NODE = """
-import ctypes, sys
-from kr270_milling.live.ros.node import ReportingNode
-from kr270_milling.live.ros.spin import run_node
-class Blocked(ReportingNode):
-    def __init__(self, **kwargs):
-        super().__init__("blocked", **kwargs)
-        print("up", flush=True)
-    def destroy_node(self):
-        print("leaving", flush=True)
-        ctypes.PyDLL(None).sleep(100)
-run_node(Blocked)
-"""
+SHIPPED = str(find_file("fastdds.xml").resolve())
+HOST = {RANGE: "LOCALHOST"}
 
 
-def test_second_signal_ends_a_node_whose_middleware_blocks_while_it_leaves(ros_environment):
-    with running([sys.executable, "-c", NODE], ros_environment, stdout=subprocess.PIPE) as process:
-        assert process.stdout.readline() == b"up\n"
-        process.send_signal(signal.SIGINT)
-        assert process.stdout.readline() == b"leaving\n"
-        process.send_signal(signal.SIGINT)
-        assert process.wait(20) == -signal.SIGINT
+@pytest.mark.parametrize(("given", "added"), [
+    ({}, {PROFILES[0]: SHIPPED, RANGE: "SYSTEM_DEFAULT"}), (HOST, {PROFILES[0]: SHIPPED, **HOST}),
+    ({PROFILES[0]: "/my.xml"}, HOST), ({PROFILES[1]: "/my.xml"}, HOST),
+    ({"RMW_IMPLEMENTATION": "rmw_cyclonedds_cpp"}, HOST), ({RANGE: "SUBNET"}, {}),
+])  # fmt: skip
+def test_discovery_stays_on_this_host_unless_the_user_opens_it(given, added):
+    """With the shipped profile, where the user has no profile and no other middleware."""
+    assert this_host_only(given) == added
 
 
-def test_error_has_the_exit_code_of_the_command_line():
-    assert exit_code(None) == 0 and exit_code(KeyboardInterrupt()) == 130 and exit_code(ValueError()) == 2
-    assert exit_code(SystemExit(143)) == 143 and exit_code(SystemExit()) == 0 and exit_code(SystemExit("no")) == 1
+def test_child_finds_its_own_libraries_and_knows_its_parent(monkeypatch):
+    monkeypatch.setenv(GUARD, "1")
+    environment = child_environment()
+    assert GUARD not in environment
+    assert environment[PARENT] == str(os.getpid())
 
 
-FAILS = """
-from kr270_milling.live.ros.node import ReportingNode, guarded
-from kr270_milling.live.ros.spin import run_node
-class Failing(ReportingNode):
-    calls = 0
-    def __init__(self, **kwargs):
-        super().__init__("failing", **kwargs)
-        self.create_timer(0.0005, self.stumble)
-    @guarded
-    def stumble(self):
-        self.calls += 1
-        print(self.calls, flush=True)
-        if self.calls == 100:
-            raise ZeroDivisionError("a mistake")
-run_node(Failing)
-"""
+def test_missing_ros_is_one_sentence_with_the_command_that_installs_it(tmp_path):
+    hide = "import importlib.util as u; find = u.find_spec; u.find_spec = lambda n: None if n == 'rclpy' else find(n);"
+    code = hide + "from kr270_milling.cli import main; raise SystemExit(main(['run', 'paper.yaml']))"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 2
+    assert "kr270_milling[ros]" in ran.stderr and ran.stderr.count("\n") == 1
 
 
-def test_node_that_fails_ends_before_its_next_callback(ros_environment):
-    ran = subprocess.run([sys.executable, "-c", FAILS], env=ros_environment, capture_output=True, text=True, timeout=30)
-    assert ran.returncode == 1 and ran.stdout.split()[-1] == "100"
-    assert ran.stderr.splitlines()[-1] == "failing: ZeroDivisionError in stumble: a mistake"
+# --- The cell file of a run: the numbers of the cell, bit for bit ---
+
+
+def values(record: Record) -> list:
+    rows = [(spec.key, getattr(record, spec.name)) for spec in specs(type(record))]
+    return [pair for key, value in rows for pair in (values(value) if isinstance(value, Record) else [(key, value)])]
+
+
+SETS = [(), ("tool.diameter_mm=12.7", "path.feed_rate_m_per_min=3.3", "mount.abc_deg=[0.1,89.9,0.7]")]
+
+
+@pytest.mark.parametrize("assignments", SETS)
+def test_cell_file_gives_the_same_numbers_bit_for_bit(tmp_path, assignments):
+    cell = read_cell(find_file("paper.yaml"), assignments)
+    write_cell_file(cell, tmp_path / "cell.yaml")
+    again = read_cell(tmp_path / "cell.yaml")
+    for (key, before), (_, after) in zip(values(cell), values(again), strict=True):
+        missing = isinstance(before, float) and np.isnan(before)  # a coefficient of the law that is not in use
+        assert np.array_equal(before, after, equal_nan=missing), key
+
+
+def test_cell_file_needs_no_other_file_and_has_no_empty_list():
+    tree = yaml.safe_load(cell_text(read_cell(find_file("paper.yaml"))))["/**"]["ros__parameters"]
+    assert "includes" not in tree
+
+    def leaves(value):
+        return [v for child in value.values() for v in leaves(child)] if isinstance(value, dict) else [value]
+
+    assert [] not in leaves(tree)
+
+
+def test_tool_path_file_is_named_absolutely(tmp_path, monkeypatch):
+    (tmp_path / "part.nc").write_text(find_file("test_piece.nc").read_text())
+    (tmp_path / "cell.yaml").write_text(find_file("test_piece.yaml").read_text().replace("test_piece.nc", "part.nc"))
+    monkeypatch.chdir(tmp_path)
+    text = cell_text(read_cell("cell.yaml"))
+    assert str(tmp_path / "part.nc") in text

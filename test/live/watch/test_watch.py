@@ -1,10 +1,12 @@
-"""The live view without ROS: events from messages, and the page in a browser while events arrive."""
+"""The live view: events from messages, the page in a browser while events arrive, and the command beside a graph."""
 
 from __future__ import annotations
 
 import contextlib
 import http.client
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pass_recording as made
@@ -12,8 +14,10 @@ import pytest
 from browser import Visit
 
 from kr270_milling.base.errors import InputError
+from kr270_milling.cli import main
 from kr270_milling.live.watch.feed import PERIOD_NS, LiveEvents
 from kr270_milling.live.watch.server import Events, serve
+from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import from_bytes, serialise
 from kr270_milling.show.report.watch_page import watch_page
 
@@ -129,3 +133,41 @@ def test_the_page_grows_while_events_come_and_reports_the_end_of_the_graph(serve
         assert visit.settled_overhang() <= 0.5 and visit.complaints == []
         assert {url.rsplit("/", 1)[1] for url in visit.requests if not url.startswith("data:")} == {"", "events"}
         visit.close()
+
+
+# --- the command with a running graph: nothing is published, both end together ---
+
+
+@pytest.fixture
+def watching(ros_environment):
+    """The command as a process, and its address."""
+    pytest.importorskip("rclpy", reason="needs ROS 2")
+    words = [sys.executable, "-m", "kr270_milling.cli", "watch", "--port", "0", "--json"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process, json.loads(process.stdout.readline())["url"]
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_the_page_shows_the_pass_that_runs_and_closes_with_the_graph(watching, browser, tmp_path, capsys):
+    process, url = watching
+    visit = Visit(browser, url)
+    sets = ["--set", "path.length_mm=15.0", "--set", "stock.grid_step_um=40.0"]
+    assert main(["run", "paper.yaml", "--passes", "1", "--out", str(tmp_path), *sets]) == 0, capsys.readouterr().err
+    visit.page.wait_for_function("KR.watch.ended")
+    samples = visit.ask("() => KR.watch.samples")
+    last = visit.ask("() => KR.watch.passes[0].t.at(-1)")
+    nodes = visit.ask("() => [...document.querySelectorAll('#nodes b')].map((b) => b.textContent)")
+    assert visit.complaints == []
+    visit.close()
+    duration = 15e-3 / (4.0 / 60.0)
+    assert samples >= 2 and 0.0 < last <= duration + 1e-9  # by best effort: the number of lost samples may vary
+    assert {"/compliant_robot", "/cutting_process", "/trajectory_compensator"} <= set(nodes)
+    assert process.wait(timeout=60) == 0
+    with Recording(tmp_path / "original") as recording:
+        topics = recording.topics()
+        assert {"/tf", "/tf_static", "/markers", "/robot_description"} <= set(topics)
+        assert topics["/tf"].count >= 5 and topics["/tf_static"].count >= 1
+        assert topics["/markers"].type == "visualization_msgs/msg/MarkerArray"

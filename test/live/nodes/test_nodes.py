@@ -1,0 +1,537 @@
+"""The nodes in one context, stepped by hand: their passes, reports and services.
+
+The protocols (test/exchange) prove which samples are refused; these tests prove what only a node does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sample_messages import pose_msg, wrench_msg
+
+pytest.importorskip("rclpy")
+
+import ros_messages as messages
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.parameter import Parameter
+from ros_messages import from_msg
+from std_srvs.srv import Trigger
+
+from kr270_milling.cell.jobs import compensator, record_of, simulate
+from kr270_milling.live.nodes.compliant_robot import CompliantRobot
+from kr270_milling.live.nodes.cutting_process import CuttingProcess
+from kr270_milling.live.nodes.trajectory_compensator import TrajectoryCompensator
+from kr270_milling.live.ros import topics
+from kr270_milling.physics.robot.errors import ReachError
+
+OK, WARN, ERROR = 0, 1, 2
+ROBOT, CUT, COMPENSATOR = "/compliant_robot", "/cutting_process", "/trajectory_compensator"
+UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+class Loop:
+    """Robot, cut and compensator in one namespace, and an ear on what they say."""
+
+    def __init__(self, world, cell, directory, namespace="/"):
+        self.world, self.cell = world, cell
+        ns = ["-r", f"__ns:={namespace}"]
+        self.compensator = world.add(TrajectoryCompensator, *ns, cell=cell, directory=directory)
+        self.cut = world.add(CuttingProcess, *ns, cell=cell, directory=directory)
+        self.robot = world.add(CompliantRobot, *ns, cell=cell, directory=directory)
+        self.ear = world.partner("ear", namespace)
+        self.series: dict[str, dict] = {"tool_pose": {}, "wrench": {}, "deflection": {}}
+        world.listen(self.ear, topics.TOOL_POSE, lambda m: self.keep("tool_pose", m, "position"))
+        world.listen(self.ear, topics.WRENCH, lambda m: self.keep("wrench", m, "wrench"))
+        world.listen(self.ear, topics.DEFLECTION, lambda m: self.keep("deflection", m, "twist"))
+        self.references = world.listen(self.ear, topics.REFERENCE_TRAJECTORY)
+        self.reports = world.diagnostics(self.ear)
+        self.name = namespace.rstrip("/") + "/"
+
+    def keep(self, topic, msg, field) -> None:
+        sample = from_msg(msg)
+        self.series[topic][sample.stamp] = getattr(sample, field)
+
+    def start(self) -> None:
+        self.cut.trigger_configure()
+        self.robot.trigger_configure()
+        expected = {"tool_pose": 3, "wrench": 3, "deflection": 1, "reference_trajectory": 3}
+        self.world.until(
+            lambda: (
+                all(self.ear.count_subscribers(t) == n for t, n in expected.items())
+                and self.robot.outlets["tool_pose"].get_subscription_count() == 3
+                and self.cut.outlets["wrench"].get_subscription_count() == 3
+                and self.references
+                and self.robot.protocol.reference is not None
+                and self.cut.protocol.end_ns > 0
+            )
+        )
+        self.cut.trigger_activate()
+        self.robot.trigger_activate()
+
+    def stop(self) -> None:
+        for node in (self.robot, self.cut):
+            node.trigger_deactivate()
+            node.trigger_cleanup()
+
+    def revised(self, count: int):
+        self.world.until(lambda: len(self.references) > count, 20)
+        return from_msg(self.references[count])
+
+    def matches(self, result) -> None:
+        expectations = {"tool_pose": result.tool, "wrench": result.wrench, "deflection": result.deflection}
+        for topic, expected in expectations.items():
+            self.world.until(lambda t=topic: len(self.series[t]) == result.time_ns.size)
+            assert sorted(self.series[topic]) == result.time_ns.tolist()
+            got = np.array([self.series[topic][stamp] for stamp in result.time_ns.tolist()])
+            assert np.array_equal(got, expected), topic  # bit for bit, more than the 1e-12 that is asked for
+
+
+def test_graph_in_one_process_gives_the_plain_loop_bit_for_bit(world, short_cell, tmp_path):
+    """With two iterations; the graph of processes has one (test_graph)."""
+    cell = short_cell.replace(exchange=short_cell.exchange.replace(iterations=2))
+    loop = Loop(world, cell, tmp_path)
+    loop.start()
+    plain = simulate(cell)
+    revised = loop.revised(1)
+    loop.matches(plain.result)
+    expected = compensator(cell, cell.target()).revise(record_of(cell, plain.result))
+    assert np.array_equal(revised.position, expected.position)
+    assert not any(level == ERROR for _, level, _ in loop.reports.all)
+
+
+@pytest.mark.parametrize("method", ["spline", "learned"])
+def test_every_method_revises_on_line_as_it_does_off_line(world, short_cell, tmp_path, method):
+    loop = Loop(world, short_cell, tmp_path)
+    loop.start()
+    loop.revised(1)
+    loop.stop()
+    choice = [Parameter("compensation.method", value=method)]
+    assert loop.compensator.set_parameters(choice)[0].successful
+    reference = loop.revised(2)
+    first = simulate(short_cell)
+    off_line = compensator(short_cell, short_cell.target(), method)
+    expected = off_line.revise(record_of(short_cell, first.result))
+    assert np.array_equal(reference.position, expected.position)
+    assert (reference.velocity is None) == (expected.velocity is None)
+    loop.series = {topic: {} for topic in loop.series}
+    loop.start()
+    second = simulate(short_cell, expected)
+    next_reference = loop.revised(3)
+    loop.matches(second.result)
+    assert np.array_equal(next_reference.position, off_line.revise(record_of(short_cell, second.result)).position)
+
+
+def test_robot_restarted_in_mid_pass_is_reported_by_the_cut_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
+    loop = Loop(world, short_cell, tmp_path)
+    loop.start()
+    world.until(lambda: len(loop.series["wrench"]) > 20)
+    world.remove(loop.robot)
+    loop.reports.until("/cutting_process", "the robot is gone in mid-pass", ERROR, deadline=3)
+    loop.reports.until("/trajectory_compensator", "/tool_pose has no publisher", ERROR, deadline=3)
+    loop.robot = world.add(CompliantRobot, cell=short_cell, directory=tmp_path)
+    loop.robot.trigger_configure()
+    loop.robot.trigger_activate()
+    loop.reports.until("/cutting_process", "a new pass needs a fresh workpiece", ERROR)
+    loop.stop()
+    loop.series = {topic: {} for topic in loop.series}
+    loop.start()
+    loop.revised(1)
+    loop.matches(simulate(short_cell).result)
+
+
+def test_cut_restarted_in_mid_pass_is_reported_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
+    loop = Loop(world, short_cell, tmp_path)
+    loop.start()
+    world.until(lambda: len(loop.series["wrench"]) > 20)
+    world.remove(loop.cut)
+    loop.cut = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
+    loop.cut.trigger_configure()
+    loop.cut.trigger_activate()
+    loop.reports.until("/compliant_robot", "the cutting process is gone", ERROR, deadline=20.0)
+    loop.stop()
+    loop.series = {topic: {} for topic in loop.series}
+    loop.start()
+    loop.revised(1)
+    loop.matches(simulate(short_cell).result)
+
+
+# --- the robot with a partner that answers as the test says ---
+
+
+class Partner:
+    """A cut and a compensator in one: publishes the target and answers poses as the test says."""
+
+    def __init__(self, world, cell, node=None):
+        self.node = node or world.partner()
+        self.world, self.cell, self.poses = world, cell, []
+        self.answering = True
+        self.wrench = self.node.create_publisher(*topics.WRENCH)
+        self.reference = self.node.create_publisher(*topics.REFERENCE_TRAJECTORY)
+        world.listen(self.node, topics.TOOL_POSE, self.on_pose)
+        self.deflections = world.listen(self.node, topics.DEFLECTION)
+        self.reports = world.diagnostics(self.node)
+        self.reference.publish(messages.to_msg(cell.target()))
+
+    def on_pose(self, msg) -> None:
+        self.poses.append(messages.ns_from_stamp(msg.header.stamp))
+        if self.answering:
+            self.answer(self.poses[-1])
+
+    def answer(self, stamp: int, value: float = 1.0, frame: str = "workpiece") -> None:
+        msg = wrench_msg(stamp, np.array([0.0, value, 0.0, 0.0, 0.0, 0.0]))
+        msg.header.frame_id = frame
+        self.wrench.publish(msg)
+
+
+@pytest.fixture
+def robot(world, short_cell, tmp_path):
+    node = world.add(CompliantRobot, cell=short_cell, directory=tmp_path)
+    assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+    return node
+
+
+def test_robot_waits_for_a_cut_that_comes_late(world, robot, short_cell):
+    robot.trigger_activate()
+    world.step(0.3)
+    partner = Partner(world, short_cell)
+    partner.reports.until(ROBOT, "pass complete")
+    steps = short_cell.clock.steps(short_cell.target().duration_ns)
+    assert partner.poses == short_cell.clock.stamp(np.arange(steps + 1)).tolist()
+    assert len(partner.deflections) == steps + 1
+
+
+def test_robot_asks_again_before_the_start_for_as_long_as_it_takes(world, robot, short_cell):
+    partner = Partner(world, short_cell)
+    partner.answering = False
+    robot.trigger_activate()
+    world.until(lambda: len(partner.poses) >= 6, 10)  # longer than a pass under way would be waited for
+    assert set(partner.poses) == {0}
+    assert not partner.reports.reported(ROBOT, "", ERROR)
+    partner.answering = True
+    partner.reports.until(ROBOT, "pass complete")
+
+
+def test_robot_reports_within_3_s_that_its_cut_is_silent(world, robot, short_cell):
+    partner = Partner(world, short_cell)
+    robot.trigger_activate()
+    world.until(lambda: len(partner.poses) > 10)
+    partner.answering = False
+    partner.reports.until(ROBOT, "no wrench from the cutting process: repeating the tool pose", WARN, deadline=1.5)
+    partner.reports.until(ROBOT, "no wrench for 4 s; the cutting process is gone", ERROR, deadline=4.5)
+    partner.answering = True
+    count = len(partner.deflections)
+    partner.answer(partner.poses[-1])
+    world.step(0.3)
+    assert len(partner.deflections) == count  # the pass is given up, a late answer does not revive it
+
+
+def test_impossible_transition_is_refused_and_the_node_lives_on(world, robot, short_cell):
+    from lifecycle_msgs.srv import ChangeState
+
+    partner = Partner(world, short_cell)
+    client = partner.node.create_client(ChangeState, f"{ROBOT}/change_state")
+    world.until(client.service_is_ready)
+    for transition, possible in ((3, True), (3, False), (1, False), (4, True), (4, False), (2, True), (1, True)):
+        request = ChangeState.Request()
+        request.transition.id = transition
+        future = client.call_async(request)
+        world.until(future.done)
+        assert future.result().success is possible
+    robot.trigger_activate()
+    partner.reports.until(ROBOT, "pass complete")
+
+
+def test_pace_holds_the_pass_back_to_the_wall_clock(world, short_cell, tmp_path):
+    robot = world.add(CompliantRobot, "-p", "pace:=0.1", cell=short_cell, directory=tmp_path)
+    robot.trigger_configure()
+    partner = Partner(world, short_cell)
+    robot.trigger_activate()
+    partner.reports.until(ROBOT, "pass complete")
+    world.until(lambda: "wall_s" in partner.reports.last[ROBOT])
+    duration = short_cell.target().duration_ns * 1e-9
+    assert 10 * duration <= float(partner.reports.last[ROBOT]["wall_s"]) + 0.02
+
+
+# --- the cut with a rigid robot ---
+
+
+class RigidRobot:
+    """A rigid robot: asks for the wrench along the target, pose by pose."""
+
+    def __init__(self, world, cell, node=None):
+        self.node = node or world.partner()
+        self.world, self.cell = world, cell
+        self.pose = self.node.create_publisher(*topics.TOOL_POSE)
+        self.reference = self.node.create_publisher(*topics.REFERENCE_TRAJECTORY)
+        self.wrenches = world.listen(self.node, topics.WRENCH)
+        self.reports = world.diagnostics(self.node)
+        target = cell.target()
+        self.stamps = cell.clock.stamp(np.arange(cell.clock.steps(target.duration_ns) + 1)).tolist()
+        self.course, self.turn = target.sample(self.stamps), target.sample_orientation(self.stamps)
+        self.reference.publish(messages.to_msg(target))
+
+    def ready(self) -> None:
+        self.world.until(lambda: self.pose.get_subscription_count() and self.node.count_publishers("wrench"))
+
+    def ask(self, step: int, shift: float = 0.0, frame: str = "workpiece") -> None:
+        msg = pose_msg(self.stamps[step], self.course[step] + [0.0, shift, 0.0], self.turn[step])
+        msg.header.frame_id = frame
+        self.pose.publish(msg)
+
+    def exchange(self, step: int, shift: float = 0.0):
+        """The answer to one pose: stamp and wrench."""
+        count = len(self.wrenches)
+        self.ask(step, shift)
+        self.world.until(lambda: len(self.wrenches) > count)
+        answer = from_msg(self.wrenches[-1])
+        return answer.stamp, answer.wrench
+
+
+@pytest.fixture
+def cut(world, short_cell, tmp_path):
+    node = world.add(CuttingProcess, cell=short_cell, directory=tmp_path)
+    node.trigger_configure()
+    node.trigger_activate()
+    return node
+
+
+@pytest.fixture
+def rigid(world, short_cell, cut):
+    made = RigidRobot(world, short_cell)
+    made.ready()
+    return made
+
+
+def test_cut_reports_within_3_s_that_a_running_robot_is_silent(world, rigid):
+    """As one that was killed: its publisher is known for as long as its lease."""
+    watcher = world.diagnostics(world.partner("watcher"))
+    for step in range(5):
+        rigid.exchange(step)
+    watcher.until(CUT, "no tool_pose for 2.6 s in mid-pass", WARN, deadline=3.0)
+    assert rigid.exchange(5)[0] == rigid.stamps[5]
+    watcher.until(CUT, "cutting again", OK)
+
+
+def test_robot_that_leaves_after_the_pass_is_no_fault(world, rigid):
+    watcher = world.diagnostics(world.partner("watcher"))
+    for step in range(len(rigid.stamps)):
+        rigid.exchange(step)
+    world.remove(rigid.node)
+    world.step(0.5)
+    assert not watcher.reported(CUT, "", ERROR)
+
+
+def test_map_of_the_part_comes_fresh_on_request_and_at_the_end(world, rigid, cut):
+    """Also for a pass by hand whose cut stays active."""
+    maps = world.listen(rigid.node, topics.WORKPIECE)
+    world.until(lambda: maps)  # latched, of the fresh part
+    assert set(maps[0].data) == {100}
+    for step in range(len(rigid.stamps) - 1):
+        rigid.exchange(step)
+    cut.trigger_deactivate()  # in mid-pass
+    world.until(lambda: len(maps) == 2)
+    cut.trigger_activate()
+    rigid.exchange(len(rigid.stamps) - 1)
+    world.until(lambda: len(maps) == 3)
+    cut.trigger_deactivate()  # the map is known already
+    client = rigid.node.create_client(Trigger, "cutting_process/publish_workpiece")
+    world.until(client.service_is_ready)
+    future = client.call_async(Trigger.Request())
+    world.until(lambda: future.done() and len(maps) == 4)
+    assert future.result().success and min(maps[2].data) < 100
+    assert maps[3].data == maps[2].data and maps[2].header.frame_id == "workpiece"
+    cells = (100 - np.array(maps[2].data)) / 100 * maps[2].info.resolution ** 2
+    depth = cut.cell.stock.max[2] - cut.cell.stock.min[2]
+    # the map rounds a cell's share to a percent of the stock's height: half a percent of each touched cell
+    touched = np.count_nonzero(cells) * maps[2].info.resolution ** 2
+    assert abs(cells.sum() * depth - cut.protocol.removed_volume) <= 0.005 * touched * depth + 1e-15
+
+
+def test_second_robot_in_mid_pass_is_reported_by_the_cut(world, rigid):
+    for step in range(3):
+        rigid.exchange(step)
+    world.step(0.3)
+    assert not rigid.reports.reported(CUT, "a second robot")
+    world.partner("second").create_publisher(*topics.TOOL_POSE)
+    rigid.reports.until(CUT, "a second robot publishes in mid-pass", ERROR, deadline=3.0)
+
+
+# --- the compensator with a machine that publishes passes ---
+
+
+class Cell:
+    """A machine that publishes poses and wrenches of passes; it may be a real machine."""
+
+    def __init__(self, world):
+        self.world, self.node = world, world.partner()
+        self.pose = self.node.create_publisher(*topics.TOOL_POSE)
+        self.wrench = self.node.create_publisher(*topics.WRENCH)
+        self.references = world.listen(self.node, topics.REFERENCE_TRAJECTORY)
+        self.joints = world.listen(self.node, topics.JOINT_TRAJECTORY)
+        self.reports = world.diagnostics(self.node)
+        world.until(lambda: self.pose.get_subscription_count() and self.wrench.get_subscription_count())
+        world.until(lambda: self.references)
+
+    def play(self, result, rows, wrench: bool = True) -> None:
+        for i in rows:
+            stamp = int(result.time_ns[i])
+            self.pose.publish(pose_msg(stamp, result.tool[i], UPRIGHT))
+            if wrench:
+                self.wrench.publish(wrench_msg(stamp, result.wrench[i]))
+            self.world.executor.spin_once(timeout_sec=0.0)
+
+    def reference(self, index: int):
+        self.world.until(lambda: len(self.references) > index)
+        return from_msg(self.references[index])
+
+
+@pytest.fixture(scope="module")
+def ran(short_cell):
+    return simulate(short_cell).result
+
+
+@pytest.fixture
+def node(world, short_cell, tmp_path):
+    return world.add(TrajectoryCompensator, cell=short_cell, directory=tmp_path)
+
+
+@pytest.fixture
+def machine(world, node):
+    return Cell(world)
+
+
+def test_first_reference_is_the_target_itself_with_its_joint_positions(machine, short_cell):
+    target = short_cell.target()
+    reference = machine.reference(0)
+    assert np.array_equal(reference.position, target.position)
+    machine.world.until(lambda: machine.joints)
+    positions = [point.positions.tolist() for point in machine.joints[0].points]
+    assert np.allclose(positions, short_cell.joints(target), rtol=0, atol=1e-12)
+
+
+def test_target_and_reference_are_latched_as_paths_for_viewers(world, machine, ran, short_cell):
+    machine.play(ran, range(ran.time_ns.size))
+    reference = machine.reference(1)
+    latecomer = world.partner("viewer")
+    for topic, run in ((topics.TARGET_PATH, short_cell.target()), (topics.REFERENCE_PATH, reference)):
+        paths = world.listen(latecomer, topic)
+        world.until(lambda paths=paths: paths)
+        (path,) = paths
+        stamps = [messages.ns_from_stamp(pose.header.stamp) for pose in path.poses]
+        places = [[pose.pose.position.x, pose.pose.position.y, pose.pose.position.z] for pose in path.poses]
+        assert stamps[0] == 0 and stamps[-1] == run.duration_ns and set(run.time_ns.tolist()) <= set(stamps)
+        assert np.array_equal(places, run.sample(stamps))
+        assert path.header.frame_id == path.poses[-1].header.frame_id == "workpiece"
+
+
+def test_measured_pass_without_wrench_is_revised_from_its_poses(machine, ran, short_cell):
+    machine.play(ran, range(ran.time_ns.size), wrench=False)
+    expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
+    assert np.array_equal(machine.reference(1).position, expected.position)
+
+
+def test_missing_poses_in_mid_pass_are_reported_and_may_resume(machine, ran, world):
+    watcher = world.diagnostics(world.partner("watcher"))
+    machine.play(ran, range(20))
+    watcher.until(COMPENSATOR, "no tool_pose for 2.6 s in mid-pass", WARN, deadline=3.2)
+    machine.play(ran, range(20, 25))
+    watcher.until(COMPENSATOR, "the pass continues", OK)
+
+
+def test_target_of_the_user_replaces_that_of_the_cell(machine, short_cell, world):
+    publisher = machine.node.create_publisher(*topics.TARGET_TRAJECTORY)
+    longer = short_cell.replace(path=short_cell.path.replace(length=6e-3)).target()
+    publisher.publish(messages.to_msg(longer))
+    assert machine.reference(1).duration_ns == longer.duration_ns
+
+
+def raised(short_cell):
+    """A target that no arm of this size can reach."""
+    target = short_cell.target()
+    return messages.to_msg(target.with_position(target.position + [0.0, 0.0, 9.0]))
+
+
+def reset(machine):
+    client = machine.node.create_client(Trigger, "trajectory_compensator/reset")
+    machine.world.until(client.service_is_ready)
+    future = client.call_async(Trigger.Request())
+    machine.world.until(future.done)
+    return future.result()
+
+
+def test_refused_target_leaves_the_one_before_in_its_place(machine, node, ran, short_cell):
+    machine.node.create_publisher(*topics.TARGET_TRAJECTORY).publish(raised(short_cell))
+    machine.reports.until(COMPENSATOR, "reach", ERROR)
+    machine.play(ran, range(ran.time_ns.size), wrench=False)
+    expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
+    assert np.array_equal(machine.reference(1).position, expected.position)
+    assert reset(machine).success
+    assert node.failure is None
+
+
+def test_first_target_that_is_refused_leaves_the_node_waiting_for_another(world, short_cell, tmp_path):
+    node = world.add(TrajectoryCompensator, "-p", "use_cell_path:=false", cell=short_cell, directory=tmp_path)
+    partner = world.partner()
+    reports, references = world.diagnostics(partner), world.listen(partner, topics.REFERENCE_TRAJECTORY)
+    publisher = partner.create_publisher(*topics.TARGET_TRAJECTORY)
+    publisher.publish(raised(short_cell))
+    reports.until(COMPENSATOR, "reach", ERROR)
+    world.step(0.3)
+    assert node.failure is None and not references
+    publisher.publish(messages.to_msg(short_cell.target()))
+    world.until(lambda: references)
+
+
+def out_of_reach(monkeypatch) -> None:
+    """As when a correction leads to the border of the reach."""
+
+    def refuse(cell, reference):
+        raise ReachError(3.0, (0.5, 2.5))
+
+    monkeypatch.setattr("kr270_milling.exchange.compensator.commanded_joints", refuse)
+
+
+def test_reset_and_method_that_are_refused_are_answered_with_the_sentence(machine, node, monkeypatch):
+    out_of_reach(monkeypatch)
+    answer = reset(machine)
+    assert not answer.success and "would be 3.0000 m" in answer.message
+    refused = node.set_parameters([Parameter("compensation.method", value="spline")])[0]
+    assert not refused.successful and "would be 3.0000 m" in refused.reason
+    assert node.protocol.compensator.method == "linear" == node.get_parameter("compensation.method").value
+    monkeypatch.undo()
+    assert reset(machine).success
+
+
+def test_pass_whose_revision_is_refused_is_reported_once_and_the_next_pass_counts(machine, node, ran, short_cell):
+    with pytest.MonkeyPatch.context() as patch:
+        out_of_reach(patch)
+        machine.play(ran, range(ran.time_ns.size))
+        machine.reports.until(COMPENSATOR, "would be 3.0000 m", ERROR)
+        machine.world.step(0.7)
+    assert node.refused == 1 and node.protocol.compensator.errors == ()
+    machine.play(ran, range(ran.time_ns.size))
+    expected = compensator(short_cell, short_cell.target()).revise(record_of(short_cell, ran))
+    assert np.array_equal(machine.reference(1).position, expected.position)
+
+
+def test_method_can_be_changed_but_only_to_one_that_exists(machine, node):
+    refused = node.set_parameters([Parameter("compensation.method", value="magic")])[0]
+    assert not refused.successful and "linear" in refused.reason
+    assert node.set_parameters([Parameter("compensation.method", value="spline")])[0].successful
+    machine.world.until(lambda: machine.reports.last.get(COMPENSATOR, {}).get("method") == "spline")
+
+
+def test_every_other_parameter_is_read_only_and_described_with_its_range(node):
+    refused = node.set_parameters([Parameter("tool.diameter_mm", value=10.0)])[0]
+    assert not refused.successful and "read-only" in refused.reason
+    described = node.describe_parameter("tool.diameter_mm")
+    assert described.read_only and "mm" in described.description
+    assert described.floating_point_range[0].to_value > 20.0
+    assert node.describe_parameter("tool.teeth").integer_range
+
+
+def test_pass_whose_start_was_missed_is_reported_and_not_used(machine, ran):
+    machine.play(ran, range(10, ran.time_ns.size))
+    machine.reports.until(COMPENSATOR, "did not receive its start", ERROR, deadline=3.0)
+    machine.world.step(0.7)
+    assert len(machine.references) == 1
