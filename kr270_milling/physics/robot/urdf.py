@@ -97,7 +97,7 @@ def _inertial(link, mass: float, centre: np.ndarray, inertia: np.ndarray) -> Non
     ET.SubElement(inertial, "mass", value=f"{mass:.15g}")
     full = inertia + POINT_INERTIA * np.eye(3)
     moments = {f"i{'xyz'[i]}{'xyz'[k]}": f"{full[i, k] + 0.0:.15g}" for i in range(3) for k in range(i, 3)}
-    ET.SubElement(inertial, "inertia", **moments)
+    ET.SubElement(inertial, "inertia", moments)
 
 
 def _joint(root, name: str, kind: str, parent: str, child: str, xyz: np.ndarray, rpy: np.ndarray):
