@@ -26,7 +26,7 @@ def wall_outcome(compared: WallComparison, name: str, cell: str) -> Outcome:
          "high_um": high, "inside": bool(inside)}
         for place, error, predicted, low, high, inside in columns
     ]  # fmt: skip
-    sentences = advice(compared)
+    sentences = wall_advice(compared)
     result = {
         "places": places, "plants": compared.plants, "inside": int(compared.inside.sum()), "gain": line.gain,
         "gain_ci95": 1.96 * line.gain_sigma, "offset_um": 1e6 * line.offset, "residual_rms_um": 1e6 * line.residual,
@@ -42,7 +42,7 @@ def wall_outcome(compared: WallComparison, name: str, cell: str) -> Outcome:
     return Outcome("compare_wall", title, result, [table], sentences, lambda: _figures(compared))
 
 
-def advice(compared: WallComparison) -> list[str]:
+def wall_advice(compared: WallComparison) -> list[str]:
     """Return what the differences mean, and what to identify again."""
     line, count = compared.line, len(compared.predicted)
     inside = int(compared.inside.sum())
