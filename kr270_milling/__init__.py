@@ -1,4 +1,4 @@
-"""Predict and compensate the compliance errors of robotic milling [Klimchik2012].
+"""Predict and compensate the compliance errors of robotic milling [Klimchik2014].
 
 >>> from kr270_milling import compensate, read_cell
 >>> compensate(read_cell("paper.yaml"), "linear").original

@@ -31,7 +31,7 @@ class Entry(NamedTuple):
 
 
 COMMANDS = {
-    "demo": Entry("demo", "run the paper's case: original pass and three compensations, table and report"),
+    "demo": Entry("demo", "run the paper's case: original pass and compensations, tables and report"),
     "init": Entry("cells", "print a first cell file for a program"),
     "keys": Entry("cells", "list the keys of a cell file with unit, range, default and meaning"),
     "run": Entry("run", "run the passes of a cell as ROS 2 nodes, each recorded to MCAP"),

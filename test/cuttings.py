@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from kr270_milling.physics.cutting import AL7075_T6, KLIMCHIK2012, Cutting
+from kr270_milling.physics.cutting import AL7075_T6, KLIMCHIK2014, Cutting
 
-PAPER_LAW = Cutting(fractional=KLIMCHIK2012)
+PAPER_LAW = Cutting(fractional=KLIMCHIK2014)
 ALUMINIUM = Cutting(law="linear_edge", linear_edge=AL7075_T6)
 LAWS = {"fractional": PAPER_LAW, "linear_edge": ALUMINIUM}
 #: the same for a command line, on a cell that has the other law

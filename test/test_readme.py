@@ -23,7 +23,8 @@ PAGES = [
     for name in (
         "README.md", "CONTRIBUTING.md", "config/README.md", "kr270_milling/live/nodes/README.md",
         "kr270_milling/recordings/bag/README.md", "kr270_milling/path/README.md", "kr270_milling/guide/tutorial.md",
-        "kr270_milling/guide/numbers.md",
+        "kr270_milling/guide/numbers.md", "kr270_milling/guide/measured.md",
+        "kr270_milling/guide/call_for_data.md",
         "kr270_milling/guide/design.md", "kr270_milling/guide/extending.md", "test/faults/README.md",
         "kr270_milling/studies/maps/README.md",
     )

@@ -15,7 +15,7 @@ from kr270_milling.physics.cutting.materials import materials
 
 __all__ = ["input_violations"]
 
-#: [rad/(N m)], joint compliances of heavy arms lie at 0.1 to 10 urad/(N m) (Table 1 of [Klimchik2012]: 0.15 to 2.13)
+#: [rad/(N m)], joint compliances of heavy arms lie at 0.1 to 10 urad/(N m) (Table 1 of [Klimchik2014]: 0.15 to 2.13)
 COMPLIANCE = 1e-8, 1e-4
 #: [kg], links of arms that carry a milling spindle (Table 1: 18 to 337)
 LINK_MASS = 1.0, 2e3

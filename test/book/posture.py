@@ -10,7 +10,7 @@ from kr270_milling.base.record import find_file
 from kr270_milling.physics.robot import Mount
 from kr270_milling.physics.robot.analysis import read_arm
 
-PAPER = np.radians([90.0, -50.0, 120.0, 180.0, 25.0, 180.0])  # [Klimchik2012], Table 1
+PAPER = np.radians([90.0, -50.0, 120.0, 180.0, 25.0, 180.0])  # [Klimchik2014], Table 1
 SPINDLE = Mount(xyz=np.array([0.3, 0.0, 0.1]), mass=60.0, mass_centre=np.array([0.1, 0.03, 0.02]))
 
 

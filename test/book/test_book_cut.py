@@ -41,7 +41,7 @@ def test_one_tooth():
     return 133.3, PAPER_LAW.force_per_depth(FEED)[0] * DEPTH, 0.05
 
 
-@check("radial over tangential force", "k_r of [Klimchik2012], section 6")
+@check("radial over tangential force", "k_r of [Klimchik2014], section 6")
 def test_radial():
     tangential, found = PAPER_LAW.force_per_depth(40e-6)
     return 0.3, found / tangential, 1e-12

@@ -1,4 +1,4 @@
-"""Checks against what [Klimchik2012] prints: Table 2 and the frequencies of section 6."""
+"""Checks against what [Klimchik2014] prints: Table 2 and the frequencies of section 6."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensated, mean_force, simulate
 from kr270_milling.show.report.tables import TABLE_2
 
-TABLE = "[Klimchik2012], Table 2"
+TABLE = "[Klimchik2014], Table 2"
 ORIGINAL, LINEAR = TABLE_2["original"], TABLE_2["linear"]
 
 

@@ -1,8 +1,8 @@
-"""The cut: tool, force laws, workpiece grid, sweep of the teeth [Klimchik2012, section 4]."""
+"""The cut: tool, force laws, workpiece grid, sweep of the teeth [Klimchik2014, section 4]."""
 
 from kr270_milling.physics.cutting.cut import Cut, CutModel, EngagementCut, SweepError, UndoError
 from kr270_milling.physics.cutting.force_law import ForceLaw
-from kr270_milling.physics.cutting.fractional import KLIMCHIK2012, FractionalLaw, fractional
+from kr270_milling.physics.cutting.fractional import KLIMCHIK2014, FractionalLaw, fractional
 from kr270_milling.physics.cutting.grid import GridError, Stock
 from kr270_milling.physics.cutting.laws import LAWS, Cutting
 from kr270_milling.physics.cutting.linear_edge import AL7075_T6, LinearEdgeLaw, linear_edge
@@ -11,7 +11,7 @@ from kr270_milling.physics.cutting.sweep import NO_FORCES, sweep, undo
 from kr270_milling.physics.cutting.tool import Tool
 
 __all__ = [
-    "AL7075_T6", "KLIMCHIK2012", "LAWS", "NO_FORCES", "Cut", "CutModel", "Cutting", "EngagementCut", "ForceLaw",
+    "AL7075_T6", "KLIMCHIK2014", "LAWS", "NO_FORCES", "Cut", "CutModel", "Cutting", "EngagementCut", "ForceLaw",
     "FractionalLaw", "GridError", "LinearEdgeLaw", "Params", "State", "Stock", "SweepError", "Tool", "UndoError",
     "fractional", "linear_edge", "make_params", "make_state", "sweep", "undo",
 ]  # fmt: skip

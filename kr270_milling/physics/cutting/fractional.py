@@ -1,4 +1,4 @@
-"""The fractional force law (26)-(28) [Klimchik2012]."""
+"""The fractional force law (26)-(28) [Klimchik2014]."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numba import njit
 from kr270_milling.base.record import parameter
 from kr270_milling.physics.cutting.force_law import ChartLine, ForceLaw
 
-__all__ = ["KLIMCHIK2012", "FractionalLaw", "fractional"]
+__all__ = ["KLIMCHIK2014", "FractionalLaw", "fractional"]
 
 #: The paper's k_0 is read as the slope for one millimetre of depth: F_t = k_0 h_s psi(h / h_s) a_p / (1 mm).
 READING_DEPTH = 1e-3  # [m]
@@ -19,7 +19,7 @@ READING_DEPTH = 1e-3  # [m]
 
 @njit(cache=True, error_model="numpy")
 def fractional(h, k_0, h_s, r):
-    """F_t / a_p = k_0 h_s (u + r u^2) / (1 + u) / (1 mm), u = h / h_s   (26), (27) [Klimchik2012], [N/m].
+    """F_t / a_p = k_0 h_s (u + r u^2) / (1 + u) / (1 mm), u = h / h_s   (26), (27) [Klimchik2014], [N/m].
 
     h: chip thickness, number or array [m]; k_0 [N/m for 1 mm of depth]; h_s [m]; r = k_inf / k_0.
     """
@@ -48,7 +48,7 @@ class FractionalLaw(ForceLaw):
     force = staticmethod(_force)
     scattered = ("stiffness", "specific_chip_thickness", "radial_ratio")  # the ratio of the slopes is the law's shape
     axial_names = ("axial_ratio",)
-    start = (5e6, 18e-6, 0.1, 0.3)  # [Klimchik2012]
+    start = (5e6, 18e-6, 0.1, 0.3)  # [Klimchik2014]
     searched = ((1e3, 1e9), (1e-7, 1e-2), (0.0, 1.0), (0.0, 10.0))
     least_feeds = 3
     symbol = "x-thin-open"
@@ -77,4 +77,4 @@ class FractionalLaw(ForceLaw):
         )]  # fmt: skip
 
 
-KLIMCHIK2012 = FractionalLaw(5e6, 18e-6, 0.1, 0.3)  #: [Klimchik2012], section 6
+KLIMCHIK2014 = FractionalLaw(5e6, 18e-6, 0.1, 0.3)  #: [Klimchik2014], section 6

@@ -35,7 +35,7 @@ def load(s, p, i, step, h, height):
 def _add(s, p, i, step, when, f_t, f_r, f_a, share, z):
     """Add a share of the forces at z [m] above the tip, where tooth i was in the middle of ``step``.
 
-    F_x = sum(-F_r cos(phi) + F_t sin(phi)), F_y = sum(F_r sin(phi) + F_t cos(phi))   (29) [Klimchik2012], clockwise
+    F_x = sum(-F_r cos(phi) + F_t sin(phi)), F_y = sum(F_r sin(phi) + F_t cos(phi))   (29) [Klimchik2014], clockwise
     with the tooth at (cos(phi), -sin(phi)); M = r x F with r = (R c, R d, z), torque = F_t R.
     """
     c, d = p.middles[i, step % p.steps, 0], p.middles[i, step % p.steps, 1]

@@ -133,7 +133,7 @@ def modes(compliance: np.ndarray, mass: np.ndarray) -> ModalModel:
 def discretise(model: ModalModel, damping_ratio: float, period: float) -> tuple[np.ndarray, ...]:
     """A (2r, 2r), B (2r, 6), P (6, 2r), Q (6, 6) over ``period`` [s] for a constant wrench.
 
-    Exact for M delta'' + C delta' + K delta = F   (1) [Klimchik2012].
+    Exact for M delta'' + C delta' + K delta = F   (1) [Klimchik2014].
     """
     w, r = model.frequency, model.frequency.size
     a11, a12, a21, a22 = _free(w, model.ratios(damping_ratio), period)

@@ -1,4 +1,4 @@
-"""Elastostatics of [Klimchik2012]: the loaded equilibrium (7)-(10) and its Cartesian stiffness (11)-(17).
+"""Elastostatics of [Klimchik2014]: the loaded equilibrium (7)-(10) and its Cartesian stiffness (11)-(17).
 
 One virtual spring per joint: the links are at q + theta when the motors are at q. Base_link axes, tool point.
 """

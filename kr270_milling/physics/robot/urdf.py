@@ -1,7 +1,8 @@
-"""URDF of the arm for viewers: links with simple solids, joint limits, flange, tool0 and, if wanted, the workpiece.
+"""URDF of the arm: links with inertias and simple solids, joint limits, flange, tool0 and, if wanted, the workpiece.
 
-The solids of arm, spindle and tool are boxes and cylinders, sized by the link lengths. They are for the eye only: own
-primitives by the look of a heavy arm, no maker's meshes. Collision is not their job.
+The inertias are those of the mass model ``rigid``: thin tubes, and spindle and tool on the flange. The solids of arm,
+spindle and tool are boxes and cylinders, sized by the link lengths. They are for the eye only: own primitives by the
+look of a heavy arm, no maker's meshes. Collision is not their job.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from kr270_milling.base.frames import Pose, abc_from_rotation
 from kr270_milling.physics.robot.arm import AXES, Arm, Mount
+from kr270_milling.physics.robot.mass import own_inertia
 
 __all__ = ["COLOURS", "urdf"]
 
@@ -27,6 +29,7 @@ KR270_REACH = 2.35  #: [m], a2 + d4 of the KR 270-2, by whose look the widths ar
 STICK_OUT = 0.04  #: [m] of the tool from its holder
 HOLDER = 0.06  #: [m] of the holder from the spindle nose
 HOUSING = 0.36  #: [m] of the spindle
+POINT_INERTIA = 1e-10  #: [kg m^2] about every axis: simulators refuse a body without inertia, as a point mass is
 ORIGIN = NO_TURN = np.zeros(3)
 
 
@@ -51,14 +54,17 @@ def urdf(arm: Arm, mount: Mount, tool_radius: float = 0.01, workpiece: Pose | No
     solids, ends = _arm_solids(arm), arm.link_vectors
     _link(root, "base_link", solids[0])
     for j in range(6):
-        _inertial(_link(root, f"link_{j + 1}", solids[j + 1]), ends[j], float(arm.link_mass[j]))
+        link = _link(root, f"link_{j + 1}", solids[j + 1])
+        _inertial(link, arm.link_mass[j], arm.link_mass_centre[j] * ends[j], own_inertia(arm, j))
     for j in range(6):
         parent, offset = (f"link_{j}", ends[j - 1]) if j else ("base_link", ORIGIN)
         joint = _joint(root, f"joint_a{j + 1}", "revolute", parent, f"link_{j + 1}", offset, NO_TURN)
         ET.SubElement(joint, "axis", xyz=_text(AXES[j]))
         low, high, speed = arm.joint_lower[j], arm.joint_upper[j], arm.joint_speed_limit[j]
         ET.SubElement(joint, "limit", lower=f"{low:.9g}", upper=f"{high:.9g}", velocity=f"{speed:.9g}", effort="0")
-    _fixed(root, "flange", "link_6", Pose(ends[5], np.eye(3)), _adapter(mount))
+    flange = _fixed(root, "flange", "link_6", Pose(ends[5], np.eye(3)), _adapter(mount))
+    if mount.mass > 0.0:
+        _inertial(flange, mount.mass, mount.mass_centre, np.diag(mount.inertia))
     _fixed(root, "tool0", "flange", mount.pose, _spindle(mount, tool_radius))
     if workpiece is not None:
         _fixed(root, "workpiece", "base_link", workpiece, [])
@@ -84,13 +90,14 @@ def _link(root, name: str, solids: list[Solid]):
     return link
 
 
-def _inertial(link, end: np.ndarray, mass: float) -> None:
-    """A rod from the link's origin to its end, as a viewer needs some number."""
+def _inertial(link, mass: float, centre: np.ndarray, inertia: np.ndarray) -> None:
+    """Mass [kg], its centre (3,) [m] and inertia (3, 3) [kg m^2] about the centre, frame of the link, as ``rigid``."""
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=_text(end / 2), rpy="0 0 0")
-    ET.SubElement(inertial, "mass", value=f"{mass:.9g}")
-    moment = f"{mass * max(float(np.linalg.norm(end)), 0.1) ** 2 / 12:.9g}"
-    ET.SubElement(inertial, "inertia", ixx=moment, iyy=moment, izz=moment, ixy="0", ixz="0", iyz="0")
+    ET.SubElement(inertial, "origin", xyz=" ".join(f"{v + 0.0:.15g}" for v in centre.tolist()), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=f"{mass:.15g}")
+    full = inertia + POINT_INERTIA * np.eye(3)
+    moments = {f"i{'xyz'[i]}{'xyz'[k]}": f"{full[i, k] + 0.0:.15g}" for i in range(3) for k in range(i, 3)}
+    ET.SubElement(inertial, "inertia", moments)
 
 
 def _joint(root, name: str, kind: str, parent: str, child: str, xyz: np.ndarray, rpy: np.ndarray):
@@ -101,10 +108,11 @@ def _joint(root, name: str, kind: str, parent: str, child: str, xyz: np.ndarray,
     return joint
 
 
-def _fixed(root, name: str, parent: str, place: Pose, solids: list[Solid]) -> None:
+def _fixed(root, name: str, parent: str, place: Pose, solids: list[Solid]):
     """A link fixed in its parent; URDF's roll, pitch, yaw are KUKA's C, B, A."""
-    _link(root, name, solids)
+    link = _link(root, name, solids)
     _joint(root, f"{parent}_{name}", "fixed", parent, name, place.position, abc_from_rotation(place.rotation)[::-1])
+    return link
 
 
 def _cylinder(start, end, radius: float, colour: str) -> Solid:

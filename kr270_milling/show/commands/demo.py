@@ -18,7 +18,7 @@ from kr270_milling.show.commands.console import Answer, command_line, now, plant
 from kr270_milling.show.commands.progress import progress
 from kr270_milling.show.commands.run import run_passes, summary
 
-METHODS = ("linear", "spline", "learned")
+METHODS = ("linear", "spline", "mirror", "learned")
 INERTIA_METHODS = (*METHODS, "inverse")
 AS_PRINTED = "Path deviation [um], eq. (1) as printed, Table 2"
 WITH_INERTIA = "Path deviation [um], with the inertia of the moving arm"
@@ -80,7 +80,7 @@ def _write(directory, cell, passes, second, source, args):
     table = TextTable(WITH_INERTIA, ("pass", "static", "max"), rows, NEEDS)
     with progress("report"):
         report = write_report(
-            directory, cell, passes, title="The milling pass of Klimchik et al. (2012)", source=str(source),
+            directory, cell, passes, title="The milling pass of Klimchik et al. (2014)", source=str(source),
             command=command_line(args), date=now(), paper=True, tables=(table,),
         )  # fmt: skip
         write_series(directory, cell, passes)

@@ -93,13 +93,14 @@ COMMANDS = {
     ),
     "compare": command(
         "identify.run_compare", "compare out/original config/paper.yaml",
-        option("recording RECORDING", "of a force sensor, a tracker, or both"),
+        option("recording RECORDING", "of a force sensor, a tracker, or both; or WALL.csv: measured error of a wall"),
         *CELL,
         option("--reference FILE.csv", "the pass ran along this, as written by compensate"),
         option("--force-topic", "WrenchStamped", default="wrench"),
         option("--pose-topic", "PoseStamped in workpiece axes", default="tool_pose"),
         option("--sensor-abc A,B,C", "force sensor in the workpiece [deg]", SENSOR_ABC),
         SENSOR_ON,
+        option("--plants N", "of the band of a wall, drawn from uncertainty", bounded(2, 1000, int), 16),
         option("--out DIR", "write a report"),
     ),
 }  # fmt: skip
@@ -251,8 +252,10 @@ def run_compare(args) -> Answer:
     from kr270_milling.studies.identification import comparison
 
     cell = cell_of(args)
-    measured = _measured(args)
     reference = read_csv(Path(args.reference))[0] if args.reference else None
+    if Path(args.recording).suffix.lower() == ".csv":
+        return _compare_wall(args, cell, reference)
+    measured = _measured(args)
     with progress("milling") as report:
         ran = simulate(cell, reference, progress=report).result
     force, tool = (comparison.VectorSeries(ran.time, values) for values in (ran.wrench[:, :3], ran.actual))
@@ -261,6 +264,17 @@ def run_compare(args) -> Answer:
         measured, comparison.ComparedSeries(force, tool), ran.target, feed, 2 * np.pi / cell.tool.spindle_speed
     )
     return _answer(args, comparison_outcome(compared, Path(args.recording).name, Path(args.cell).name))
+
+
+def _compare_wall(args, cell, reference) -> Answer:
+    """Compare a measured wall with the wall that model and plants predict."""
+    from kr270_milling.show.report.identification.wall import wall_outcome
+    from kr270_milling.studies.identification.wall import compare_wall, read_wall
+
+    measured = read_wall(find_file(args.recording))
+    with progress("plants") as report:
+        compared = compare_wall(cell, measured, reference, args.plants, progress=report)
+    return _answer(args, wall_outcome(compared, Path(args.recording).name, Path(args.cell).name))
 
 
 def _measured(args):

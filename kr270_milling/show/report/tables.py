@@ -21,7 +21,7 @@ __all__ = ["PAPER", "TABLE_2", "details", "feature_table", "fixed_text", "input_
 UM = 1e6
 #: source of the columns `paper`
 PAPER = (
-    "Klimchik, Bondarenko, Pashkevich, Briot, Furet: Compliance error compensation in robotic-based milling (2012), "
+    "Klimchik, Bondarenko, Pashkevich, Briot, Furet: Compliance error compensation in robotic-based milling (2014), "
     "Table 2"
 )
 #: name of a pass -> its scores in Table 2; NaN: not in the table

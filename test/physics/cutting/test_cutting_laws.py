@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build, find_file, flatten
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.physics.cutting import AL7075_T6, KLIMCHIK2012, Cutting, fractional, linear_edge
+from kr270_milling.physics.cutting import AL7075_T6, KLIMCHIK2014, Cutting, fractional, linear_edge
 
 thickness = st.floats(0.0, 1e-3)
 
@@ -108,7 +108,7 @@ def test_the_axial_force_has_coefficients_of_its_own():
     steel = Cutting("linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6, axial_edge=1e3))
     assert steel.axial and not ALUMINIUM.axial and not PAPER_LAW.axial
     assert steel.axial_per_depth(1e-4) == pytest.approx(220e6 * 1e-4 + 1e3) and steel.axial_per_depth(0.0) == 0.0
-    bent = Cutting(fractional=KLIMCHIK2012.replace(axial_ratio=0.4))
+    bent = Cutting(fractional=KLIMCHIK2014.replace(axial_ratio=0.4))
     assert bent.axial_per_depth(1e-4) == pytest.approx(0.4 * bent.force_per_depth(1e-4)[0])
 
 

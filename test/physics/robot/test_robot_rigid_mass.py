@@ -22,6 +22,7 @@ from kr270_milling.physics.robot import (
 )
 from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.mass import own_inertia, spatial_inertia
+from kr270_milling.physics.robot.urdf import urdf
 
 ARM = read_arm(find_file("kr270_2.yaml"))[0].replace(link_mass_centre=np.array([0.4, 0.3, 0.6, 0.45, 0.5, 0.7]))
 MOUNT = Mount(
@@ -38,6 +39,17 @@ def test_the_joint_space_mass_is_that_of_pinocchio():
     for q, found in zip(POSTURES, ours, strict=True):
         upper = np.triu(pin.crba(model, data, q))
         np.testing.assert_allclose(found, upper + np.triu(upper, 1).T, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("mount", [MOUNT, BARE])
+def test_the_urdf_has_the_same_joint_space_mass(mount):
+    """pinocchio reads the text and computes the mass that the joints carry, by ``mass_model: rigid`` within 1e-9."""
+    model = pin.buildModelFromXML(urdf(ARM, mount))
+    data = model.createData()
+    assert pin.computeTotalMass(model) == pytest.approx(ARM.link_mass.sum() + mount.mass, rel=1e-12)
+    for q, ours in zip(POSTURES, rigid_joint_mass(ARM, mount, POSTURES), strict=True):
+        upper = np.triu(pin.crba(model, data, q))
+        np.testing.assert_allclose(upper + np.triu(upper, 1).T, ours, rtol=1e-9, atol=1e-9)
 
 
 def test_the_cartesian_mass_holds_the_same_energy():

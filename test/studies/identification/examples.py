@@ -14,12 +14,12 @@ from kr270_milling.studies.identification.measurements import write_measurements
 from kr270_milling.studies.identification.plan import Bench, Planner, candidates, read_test_pose, sorted_tests
 
 CONFIG = Path(__file__).resolve().parents[3] / "config"
-#: of the arm that the example is measured on, as factors on Table 1 of [Klimchik2012]
+#: of the arm that the example is measured on, as factors on Table 1 of [Klimchik2014]
 FACTORS = np.array([1.18, 0.92, 1.10, 0.85, 1.12, 1.25])
 NOTES = [
     "EXAMPLE, NOT MEASURED: 18 load tests planned for config/test_piece.yaml by `identify compliance --plan 18`,",
     "displacements by the model of an arm whose compliances are 1.18, 0.92, 1.10, 0.85, 1.12, 1.25 times those of",
-    "Table 1 (Klimchik et al. 2012), with normal noise of 20 um on each coordinate. No raw data of a KR 270 were found",
+    "Table 1 (Klimchik et al. 2014), with normal noise of 20 um on each coordinate. No raw data of a KR 270 were found",
     "in public; replace this table by your own.",
 ]
 
