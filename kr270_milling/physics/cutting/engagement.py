@@ -58,6 +58,7 @@ class EngagementParams(NamedTuple):
     teeth: int
     sense: float
     micro_step: float  # [rad]
+    lag: float  # [rad], from the way of the axis over material to the tooth that cuts it, mean
     spacing: float  # of nodes
     origin_x: float  # of node 0
     origin_y: float
@@ -92,6 +93,8 @@ class EngagementState(NamedTuple):
     saved_ints: np.ndarray  # as they were before the last step
     saved_floats: np.ndarray
     saved_last: np.ndarray
+    load: np.ndarray  # (7,): wrench and torque that act in the last step [N, N m]
+    saved_load: np.ndarray
     log_place: np.ndarray  # int64: nodes that the last step lowered
     log_level: np.ndarray  # uint16: their levels before
     spans: np.ndarray  # int32, (4, columns): first and last node of each column, of the footprint and of the former one
@@ -119,6 +122,7 @@ def make_engagement_params(tool: Tool, cutting: Cutting, stock: Stock, micro_ste
         teeth=tool.teeth,
         sense=tool.sense,
         micro_step=micro_step,
+        lag=math.pi / tool.teeth,
         spacing=stock.grid_step,
         origin_x=float(stock.min[0]) + 0.5 * stock.grid_step,
         origin_y=float(stock.min[1]) + 0.5 * stock.grid_step,
@@ -158,6 +162,8 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
         saved_ints=ints.copy(),
         saved_floats=np.zeros(FLOATS),
         saved_last=np.full(3, math.nan),
+        load=np.zeros(7),
+        saved_load=np.zeros(7),
         log_place=np.empty(8 * footprint, np.int64),
         log_level=np.empty(8 * footprint, np.uint16),
         spans=np.zeros((4, 2 * params.reach + 3), np.int32),
@@ -179,6 +185,8 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         s.saved_floats[j] = s.floats[j]
     for j in range(3):
         s.saved_last[j] = s.last[j]
+    for j in range(7):
+        s.saved_load[j] = s.load[j]
     s.ints[LOGGED] = 0
     if not (s.last[0] == pose_from[0] and s.last[1] == pose_from[1] and s.last[2] == pose_from[2]):
         s.ints[
@@ -203,7 +211,12 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         wrench[5] = -p.sense * torque
     for j in range(3):
         s.last[j] = pose_to[j]
-    return torque
+    fresh = n * p.micro_step / (n * p.micro_step + p.lag)
+    for j in range(6):
+        s.load[j] += fresh * (wrench[j] - s.load[j])
+        wrench[j] = s.load[j]
+    s.load[6] += fresh * (torque - s.load[6])
+    return s.load[6]
 
 
 @compiled
@@ -390,6 +403,8 @@ def undo_engagement(s):
         s.floats[j] = s.saved_floats[j]
     for j in range(3):
         s.last[j] = s.saved_last[j]
+    for j in range(7):
+        s.load[j] = s.saved_load[j]
     s.ints[TILES] = tiles  # an untouched tile equals none
     s.ints[LOGGED] = 0
     return True
