@@ -47,7 +47,7 @@ FRONT = BINS // 2  # bins that can cut: those ahead of the tool axis
 END_NODES = 0.4  # nodes across the feed in the outermost bins
 FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # of the radius: a longer move is divided
-NODE = 1 << 40  # one node in a sum of nodes and levels
+RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 FLOOR_LEVEL = 5  # place in ints: the whole footprint is cut at least to this level (-1: not known)
 
 
@@ -85,7 +85,8 @@ class EngagementParams(NamedTuple):
 class EngagementState(NamedTuple):
     """The height map and the last step. Names and layout of the map are those of ``state.State``."""
 
-    pool: np.ndarray  # uint16, (tiles * TILE * TILE,)
+    pool: np.ndarray  # uint16, (tiles * TILE * TILE,): mean of the cell of a node
+    rest: np.ndarray  # uint16, likewise: level of that part of the cell which the tool has not covered
     table: np.ndarray  # int32, tile -> place in the pool or -1
     ints: np.ndarray  # int64, (INTS,)
     floats: np.ndarray  # (FLOATS,)
@@ -97,9 +98,10 @@ class EngagementState(NamedTuple):
     saved_load: np.ndarray
     log_place: np.ndarray  # int64: nodes that the last step lowered
     log_level: np.ndarray  # uint16: their levels before
+    log_rest: np.ndarray  # uint16
     spans: np.ndarray  # int32, (4, columns): first and last node of each column, of the footprint and of the former one
-    ahead: np.ndarray  # int64, (FRONT,): removed ahead in the present step, by bin: nodes << 40 | levels
-    sunk: np.ndarray  # int64, (BINS,): the same, below the former footprint
+    ahead: np.ndarray  # (FRONT, 2): removed ahead in the present step, by bin: levels, and these times their thickness
+    sunk: np.ndarray  # (BINS, 2): removed below the former footprint: levels and nodes
 
 
 def make_engagement_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -> EngagementParams:
@@ -155,6 +157,7 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
     ints[FLOOR_LEVEL] = -1
     return EngagementState(
         pool=np.zeros(min(tiles[0] * tiles[1], MAX_TILES) * TILE**2, np.uint16),
+        rest=np.zeros(min(tiles[0] * tiles[1], MAX_TILES) * TILE**2, np.uint16),
         table=np.full(tiles, -1, np.int32),
         ints=ints,
         floats=np.zeros(FLOATS),
@@ -166,9 +169,10 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
         saved_load=np.zeros(7),
         log_place=np.empty(8 * footprint, np.int64),
         log_level=np.empty(8 * footprint, np.uint16),
+        log_rest=np.empty(8 * footprint, np.uint16),
         spans=np.zeros((4, 2 * params.reach + 3), np.int32),
-        ahead=np.zeros(FRONT, np.int64),
-        sunk=np.zeros(BINS, np.int64),
+        ahead=np.zeros((FRONT, 2)),
+        sunk=np.zeros((BINS, 2)),
     )
 
 
@@ -230,9 +234,9 @@ def _part(s, p, x0, y0, x1, y1, z, passes, wrench):
         return 0.0
     whole = level > s.ints[FLOOR_LEVEL] + p.tolerance
     for k in range(FRONT):
-        s.ahead[k] = 0
+        s.ahead[k, 0] = s.ahead[k, 1] = 0.0
     for k in range(BINS):
-        s.sunk[k] = 0
+        s.sunk[k, 0] = s.sunk[k, 1] = 0.0
     dx, dy = x1 - x0, y1 - y0
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
@@ -264,26 +268,34 @@ def _clear(s, p, x0, y0, x1, y1, level, whole, first, ahead_x, ahead_y):
     side_x, side_y = -ahead_y * across, ahead_x * across  # sin(phi) in parts of the table, a node
     zero = (0.5 * SINES + 0.5 + BEYOND) * FINE - 0.5 * ((u0 + u1) * side_x + (v0 + v1) * side_y)
     about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
-    frame = (side_x, np.int64(side_y), zero, about_i, about_j)
+    frame = (side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r2)
     r = p.radius * scale
-    start = max(int(math.ceil(u1 - r)), 0)
-    count = min(int(math.floor(u1 + r)), p.nx - 1) + 1 - start
-    _spans(s.spans[0], s.spans[1], start, count, u1, v1, r2)
-    _spans(s.spans[2], s.spans[3], start, count, u0, v0, r2)
+    outer, inner = r + RIM, r - RIM
+    start = max(int(math.ceil(u1 - outer)), 0)
+    count = min(int(math.floor(u1 + outer)), p.nx - 1) + 1 - start
+    _spans(s.spans[0], s.spans[1], start, count, u1, v1, outer * outer)
+    _spans(s.spans[2], s.spans[3], start, count, u0, v0, inner * inner)
+    middle_u, middle_v = 0.5 * (u0 + u1), 0.5 * (v0 + v1)
     for n in range(count):
         low, high = max(s.spans[0, n], 0), min(s.spans[1, n], p.ny - 1)
         was_low, was_high = s.spans[2, n], s.spans[3, n]
         if low > high:
             continue
+        along = (start + n - middle_u) * ahead_x
         if was_high < low or was_low > high:
-            _column(s, p, start + n, low, high, level, first, frame)
+            if whole or along + max((low - middle_v) * ahead_y, (high - middle_v) * ahead_y) > 0.0:
+                _column(s, p, start + n, low, high, level, first, frame)
             continue
         if was_low > low:
-            _column(s, p, start + n, low, was_low - 1, level, first, frame)
+            front = along + max((low - middle_v) * ahead_y, (was_low - 1 - middle_v) * ahead_y) > 0.0
+            if front or whole:
+                _column(s, p, start + n, low, was_low - 1, level, first or not front, frame)
         if whole:
             _column(s, p, start + n, max(low, was_low), min(high, was_high), level, True, frame)
         if was_high < high:
-            _column(s, p, start + n, was_high + 1, high, level, first, frame)
+            front = along + max((was_high + 1 - middle_v) * ahead_y, (high - middle_v) * ahead_y) > 0.0
+            if front or whole:
+                _column(s, p, start + n, was_high + 1, high, level, first or not front, frame)
 
 
 @inlined
@@ -300,8 +312,10 @@ def _spans(low, high, start, count, u, v, square):
 @inlined
 def _column(s, p, i, low, high, level, sinking, frame):
     """Lower the nodes (i, low..high) to ``level`` and add what they lose to their bins."""
-    pool, log_place, log_level = s.pool, s.log_place, s.log_level
-    side_x, side_y, zero, about_i, about_j = frame
+    pool, rests, log_place, log_level, log_rest = s.pool, s.rest, s.log_place, s.log_level, s.log_rest
+    side_x, side_y, zero, about_i, about_j, u, v, r2 = frame
+    du = i - u
+    inside, beside = r2 - du * du, abs(du)
     across = np.int64(zero + i * side_x)
     j, logged, new, total = np.int64(low), s.ints[LOGGED], 0, 0
     ahead, sunk, shift = s.ahead, s.sunk, p.shift[i & 63]
@@ -323,18 +337,33 @@ def _column(s, p, i, low, high, level, sinking, frame):
             place = np.uint64(base + j)
             before = np.int64(pool[place])
             if before < level:
-                pool[place] = level
-                if room:
-                    log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, before
-                    logged += 1
-                lost = level - before
-                total += lost
-                new += before == 0
-                if sinking:
-                    sunk[np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])] += NODE + lost
-                else:
-                    sine = np.uint64((across + j * side_y + shift[np.uint64(j & 63)]) >> 20)
-                    ahead[np.uint64(p.front[sine])] += NODE + lost
+                dv = j - v
+                rest = np.int64(rests[place])
+                cover = 2.0 * (inside - dv * dv) + 2.0 * (beside + abs(dv))  # 4 (|du| + |dv|) times the covered share
+                full = 4.0 * (beside + abs(dv))
+                after = level
+                if cover < full:
+                    after = rest + np.int64(cover * (level - rest) / full + 0.5)
+                if after > before:
+                    if room:
+                        log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, before
+                        log_rest[np.uint64(logged)] = rest
+                        logged += 1
+                    pool[place] = after
+                    if cover >= full:
+                        rests[place] = level
+                    lost = after - before
+                    total += lost
+                    new += before == 0
+                    if sinking:
+                        k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])
+                        sunk[k, 0] += lost
+                        sunk[k, 1] += 1.0
+                    else:
+                        sine = np.uint64((across + j * side_y + shift[np.uint64(j & 63)]) >> 20)
+                        k = np.uint64(p.front[sine])
+                        ahead[k, 0] += lost
+                        ahead[k, 1] += lost * (level - rest)
             j += 1
     s.ints[LOGGED] = logged
     s.ints[NODES_CUT] += new
@@ -349,8 +378,8 @@ def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
     share = p.teeth / (2.0 * math.pi)
     local_x = local_y = force_z = moment_x = moment_y = torque = 0.0
     for k in range(FRONT):
-        if s.ahead[k]:
-            area, volume = float(s.ahead[k] >> 40), float(s.ahead[k] & (NODE - 1))
+        volume = s.ahead[k, 0]
+        if volume > 0.0:
             expected = p.radius * m * p.cosines[k]
             h = m * p.cosines[k] / p.widths[k] / passes
             height = share * p.widths[k] * volume * cell * p.level_step / expected  # a_k f_k N dphi / (2 pi)
@@ -359,14 +388,14 @@ def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
             x = (-f_r * c + p.sense * f_t * d) * height
             y = (-f_r * d - p.sense * f_t * c) * height
             z = -f_a * height
-            middle = 0.5 * volume / area * p.level_step  # height above the tip
+            middle = 0.5 * s.ahead[k, 1] / volume * p.level_step  # height above the tip
             local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
             moment_x += p.radius * d * z - middle * y
             moment_y += middle * x - p.radius * c * z
             torque += f_t * height * p.radius
     for k in range(BINS):
-        if s.sunk[k]:  # each tooth takes a layer of all radii: width A / (R dphi), thickness a_k / passes
-            area, volume = float(s.sunk[k] >> 40), float(s.sunk[k] & (NODE - 1))
+        volume, area = s.sunk[k, 0], s.sunk[k, 1]
+        if volume > 0.0:  # each tooth takes a layer of all radii: width A / (R dphi), thickness a_k / passes
             h = area * cell / (p.radius * dphi)
             height = share * dphi * volume / area * p.level_step / passes
             f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
@@ -396,6 +425,7 @@ def undo_engagement(s):
         return False
     for k in range(logged - 1, -1, -1):
         s.pool[s.log_place[k]] = s.log_level[k]
+        s.rest[s.log_place[k]] = s.log_rest[k]
     tiles = s.ints[TILES]
     for j in range(s.ints.size):
         s.ints[j] = s.saved_ints[j]
