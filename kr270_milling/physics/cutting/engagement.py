@@ -43,7 +43,6 @@ BINS = 72  #: K, of a whole turn
 SINES = 4096  # entries of the table ``front`` from one side of the tool to the other
 BEYOND = SINES // 4  # further entries at both ends: a crescent and the shift of a node reach beyond the sides
 FINE = 1 << 20  # parts of an entry in which the compiled loop counts
-FRONT = BINS // 2  # bins that can cut: those ahead of the tool axis
 END_NODES = 0.4  # nodes across the feed in the outermost bins
 FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # of the radius: a longer move is divided
@@ -58,7 +57,8 @@ class EngagementParams(NamedTuple):
     teeth: int
     sense: float
     micro_step: float  # [rad]
-    lag: float  # [rad], from the way of the axis over material to the tooth that cuts it, mean
+    lag: float  # [rad]: half a pitch, after which on average a tooth cuts what the footprint covers
+    twist: float  # [rad/m], further lag of the edge by height above the tip
     spacing: float  # of nodes
     origin_x: float  # of node 0
     origin_y: float
@@ -67,7 +67,6 @@ class EngagementParams(NamedTuple):
     top: float
     thickness: float
     level_step: float
-    tolerance: int  # levels that the tool may sink before its whole footprint is cut again
     law: int  # address of the compiled force law, see ``force_law.call_law``
     coefficients: np.ndarray  # of the law [SI], (p,)
     end_factor: float  # axial force of end cutting over that of the law
@@ -76,10 +75,10 @@ class EngagementParams(NamedTuple):
     around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): bin of a whole turn by the place beside the axis [nodes]
     reach: int  # nodes
     shift: np.ndarray  # int64, (64, 64): of a node within its cell across the feed [entries / FINE], by its last bits
-    widths: np.ndarray  # (FRONT,): of the front bins [rad]
-    cosines: np.ndarray  # (FRONT,): C_k
-    directions: np.ndarray  # (FRONT, 2): cos and sin of the middle of each front bin
-    turns: np.ndarray  # (BINS, 2): cos and sin of the middle of each bin of a whole turn
+    widths: np.ndarray  # (ahead,): of the front bins [rad]
+    cosines: np.ndarray  # (ahead,): C_k
+    directions: np.ndarray  # (ahead, 2): cos and sin of the middle of each front bin
+    turns: np.ndarray  # (bins, 2): cos and sin of the middle of each bin of a whole turn
 
 
 class EngagementState(NamedTuple):
@@ -100,31 +99,38 @@ class EngagementState(NamedTuple):
     log_level: np.ndarray  # uint16: their levels before
     log_rest: np.ndarray  # uint16
     spans: np.ndarray  # int32, (4, columns): first and last node of each column, of the footprint and of the former one
-    ahead: np.ndarray  # (FRONT, 2): removed ahead in the present step, by bin: levels, and these times their thickness
-    sunk: np.ndarray  # (BINS, 2): removed below the former footprint: levels and nodes
+    ahead: np.ndarray  # (ahead, 2): removed ahead in the present step, by bin: levels, and these times their thickness
+    sunk: np.ndarray  # (bins, 2): removed below the former footprint: levels and nodes
 
 
-def make_engagement_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -> EngagementParams:
-    """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle."""
+def make_engagement_params(
+    tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS
+) -> EngagementParams:
+    """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle.
+
+    bins: K, of a whole turn.
+    """
+    ahead = bins // 2
     nx, ny = stock.nodes
     radius = float(tool.radii.max())
     reach = int((1.0 + 0.5 * LONGEST) * radius / stock.grid_step) + 3
     offset = np.arange(-reach, reach + 1)
     angle = np.arctan2(offset[None, :], offset[:, None])  # [x, y]
     # every row of nodes along the feed meets each bin: the outermost bins are at least a node wide across the feed
-    last = max(2.0 * np.pi / BINS, math.acos(max(0.0, 1.0 - END_NODES * stock.grid_step / radius)))
-    inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, FRONT - 1)
+    last = max(2.0 * np.pi / bins, math.acos(max(0.0, 1.0 - END_NODES * stock.grid_step / radius)))
+    inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, ahead - 1)
     edges = np.concatenate([[-0.5 * np.pi], inner, [0.5 * np.pi]])
     middles = 0.5 * (edges[1:] + edges[:-1])
     sines = np.arange(-BEYOND, SINES + BEYOND) * (2.0 / SINES) - 1.0
     node = 0.5 * SINES * stock.grid_step / radius * FINE
-    whole = (np.arange(BINS) + 0.5) * 2.0 * np.pi / BINS - np.pi
+    whole = (np.arange(bins) + 0.5) * 2.0 * np.pi / bins - np.pi
     return EngagementParams(
         radius=radius,
         teeth=tool.teeth,
         sense=tool.sense,
         micro_step=micro_step,
         lag=math.pi / tool.teeth,
+        twist=math.tan(tool.helix) / radius,
         spacing=stock.grid_step,
         origin_x=float(stock.min[0]) + 0.5 * stock.grid_step,
         origin_y=float(stock.min[1]) + 0.5 * stock.grid_step,
@@ -133,13 +139,12 @@ def make_engagement_params(tool: Tool, cutting: Cutting, stock: Stock, micro_ste
         top=float(stock.max[2]),
         thickness=stock.thickness,
         level_step=stock.level_step,
-        tolerance=int(stock.floor_tolerance / stock.level_step),
         law=cutting.active.address(),
         coefficients=cutting.coefficients,
         end_factor=cutting.end_ratio,
         moments=cutting.moments,
-        front=np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, FRONT - 1).astype(np.int16),
-        around=np.clip(np.floor((angle / (2 * np.pi) + 0.5) * BINS), 0, BINS - 1).astype(np.int16),
+        front=np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, ahead - 1).astype(np.int16),
+        around=np.clip(np.floor((angle / (2 * np.pi) + 0.5) * bins), 0, bins - 1).astype(np.int16),
         reach=reach,
         shift=np.rint(np.random.default_rng(0).uniform(-0.5, 0.5, (64, 64)) * node).astype(np.int64),
         widths=np.diff(edges),
@@ -171,8 +176,8 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
         log_level=np.empty(8 * footprint, np.uint16),
         log_rest=np.empty(8 * footprint, np.uint16),
         spans=np.zeros((4, 2 * params.reach + 3), np.int32),
-        ahead=np.zeros((FRONT, 2)),
-        sunk=np.zeros((BINS, 2)),
+        ahead=np.zeros((params.widths.size, 2)),
+        sunk=np.zeros((len(params.turns), 2)),
     )
 
 
@@ -201,13 +206,15 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     dx, dy, dz = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], pose_to[2] - pose_from[2]
     parts = 1 + int(math.sqrt(dx * dx + dy * dy) / (LONGEST * p.radius))
     passes = n * p.micro_step * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
-    torque = 0.0
+    torque = height = 0.0
     for k in range(parts):
         a, b = k / parts, (k + 1.0) / parts
-        torque += _part(
-            s, p, pose_from[0] + a * dx, pose_from[1] + a * dy, pose_from[0] + b * dx, pose_from[1] + b * dy,
-            pose_from[2] + b * dz, passes, wrench,
+        part = _part(
+            s, p, pose_from[0] + a * dx, pose_from[1] + a * dy, pose_from[2] + a * dz, pose_from[0] + b * dx,
+            pose_from[1] + b * dy, pose_from[2] + b * dz, passes, wrench,
         )  # fmt: skip
+        torque += part[0]
+        height += part[1]
     for j in range(5):
         wrench[j] /= parts
     torque /= parts
@@ -215,7 +222,8 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         wrench[5] = -p.sense * torque
     for j in range(3):
         s.last[j] = pose_to[j]
-    fresh = n * p.micro_step / (n * p.micro_step + p.lag)
+    turn = n * p.micro_step
+    fresh = turn / (turn + p.lag + p.twist * height / parts)
     for j in range(6):
         s.load[j] += fresh * (wrench[j] - s.load[j])
         wrench[j] = s.load[j]
@@ -224,28 +232,37 @@ def engage(s, p, pose_from, pose_to, n, wrench):
 
 
 @compiled
-def _part(s, p, x0, y0, x1, y1, z, passes, wrench):
-    """One straight move of at most a quarter of the radius, at the height of its end; returns the torque."""
-    depth = min(p.top - z, p.thickness)
-    level = max(1, int(depth / p.level_step + 0.5)) if depth > 1e-3 * p.level_step else 0
-    outside = _outside(p, x1, y1)
-    if level == 0 or outside:
-        s.ints[FLOOR_LEVEL] = 0 if level == 0 else level
-        return 0.0
-    whole = level > s.ints[FLOOR_LEVEL] + p.tolerance
-    for k in range(FRONT):
+def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
+    """One straight move of at most a quarter of the radius: first down, then level; returns torque and height.
+
+    A tool that sinks is as low as at the end, a tool that rises as high as in the middle of the move.
+    """
+    level = _level(p, min(z1, 0.5 * (z0 + z1)))
+    if level == 0 or _outside(p, x1, y1):
+        s.ints[FLOOR_LEVEL] = level
+        return 0.0, 0.0
+    for k in range(s.ahead.shape[0]):
         s.ahead[k, 0] = s.ahead[k, 1] = 0.0
-    for k in range(BINS):
+    for k in range(s.sunk.shape[0]):
         s.sunk[k, 0] = s.sunk[k, 1] = 0.0
     dx, dy = x1 - x0, y1 - y0
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
-    first = s.ints[FLOOR_LEVEL] < 0  # what the footprint removes where the tool appears is no chip of a move
-    _clear(s, p, x0, y0, x1, y1, level, whole, first, ahead_x, ahead_y)
-    s.ints[FLOOR_LEVEL] = level if whole else min(level, s.ints[FLOOR_LEVEL])
+    if level > s.ints[FLOOR_LEVEL]:
+        _clear(s, p, x0, y0, x0, y0, level, True, ahead_x, ahead_y)
+    if m > 0.0:
+        _clear(s, p, x0, y0, x1, y1, level, False, ahead_x, ahead_y)
+    s.ints[FLOOR_LEVEL] = level
     if passes <= 0.0:
-        return 0.0
+        return 0.0, 0.0
     return _load(s, p, m, ahead_x, ahead_y, passes, wrench)
+
+
+@inlined
+def _level(p, z):
+    """Level of the map at a height of the tip; 0: above the stock."""
+    depth = min(p.top - z, p.thickness)
+    return max(1, int(depth / p.level_step + 0.5)) if depth > 1e-3 * p.level_step else 0
 
 
 @inlined
@@ -258,44 +275,32 @@ def _outside(p, x, y):
 
 
 @inlined
-def _clear(s, p, x0, y0, x1, y1, level, whole, first, ahead_x, ahead_y):
-    """Lower the footprint at (x1, y1) to ``level``; whole: also where the footprint at (x0, y0) was already cut."""
+def _clear(s, p, x0, y0, x1, y1, level, sinking, ahead_x, ahead_y):
+    """Lower the footprint at (x1, y1) to ``level``: all of a sinking tool, else what is ahead of (x0, y0)."""
     scale = 1.0 / p.spacing
     u0, v0 = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale
     u1, v1 = (x1 - p.origin_x) * scale, (y1 - p.origin_y) * scale
-    r2 = (p.radius * scale) ** 2
-    across = 0.5 * SINES * FINE / math.sqrt(r2)
-    side_x, side_y = -ahead_y * across, ahead_x * across  # sin(phi) in parts of the table, a node
-    zero = (0.5 * SINES + 0.5 + BEYOND) * FINE - 0.5 * ((u0 + u1) * side_x + (v0 + v1) * side_y)
-    about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
-    frame = (side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r2)
     r = p.radius * scale
-    outer, inner = r + RIM, r - RIM
-    start = max(int(math.ceil(u1 - outer)), 0)
-    count = min(int(math.floor(u1 + outer)), p.nx - 1) + 1 - start
-    _spans(s.spans[0], s.spans[1], start, count, u1, v1, outer * outer)
-    _spans(s.spans[2], s.spans[3], start, count, u0, v0, inner * inner)
+    across = 0.5 * SINES * FINE / r
+    side_x, side_y = -ahead_y * across, ahead_x * across  # sin(phi) in parts of the table, a node
     middle_u, middle_v = 0.5 * (u0 + u1), 0.5 * (v0 + v1)
+    zero = (0.5 * SINES + 0.5 + BEYOND) * FINE - (middle_u * side_x + middle_v * side_y)
+    about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
+    frame = (side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r * r)
+    start = max(int(math.ceil(u1 - r - RIM)), 0)
+    count = min(int(math.floor(u1 + r + RIM)), p.nx - 1) + 1 - start
+    _spans(s.spans[0], s.spans[1], start, count, u1, v1, (r + RIM) ** 2)
+    _spans(s.spans[2], s.spans[3], start, count, u0, v0, -1.0 if sinking else (r - RIM) ** 2)
     for n in range(count):
         low, high = max(s.spans[0, n], 0), min(s.spans[1, n], p.ny - 1)
-        was_low, was_high = s.spans[2, n], s.spans[3, n]
-        if low > high:
-            continue
-        along = (start + n - middle_u) * ahead_x
-        if was_high < low or was_low > high:
-            if whole or along + max((low - middle_v) * ahead_y, (high - middle_v) * ahead_y) > 0.0:
-                _column(s, p, start + n, low, high, level, first, frame)
-            continue
-        if was_low > low:
-            front = along + max((low - middle_v) * ahead_y, (was_low - 1 - middle_v) * ahead_y) > 0.0
-            if front or whole:
-                _column(s, p, start + n, low, was_low - 1, level, first or not front, frame)
-        if whole:
-            _column(s, p, start + n, max(low, was_low), min(high, was_high), level, True, frame)
-        if was_high < high:
-            front = along + max((was_high + 1 - middle_v) * ahead_y, (high - middle_v) * ahead_y) > 0.0
-            if front or whole:
-                _column(s, p, start + n, was_high + 1, high, level, first or not front, frame)
+        before, behind = min(s.spans[2, n] - 1, high), max(s.spans[3, n] + 1, low)  # ends beside the former footprint
+        along = middle_v * ahead_y - (start + n - middle_u) * ahead_x  # nodes ahead have j ahead_y above this
+        if behind <= low or before >= high:  # the column misses the former footprint
+            before, behind = high, high + 1
+        if low <= before and (sinking or max(low * ahead_y, before * ahead_y) > along):
+            _column(s, p, start + n, low, before, level, sinking, frame)
+        if behind <= high and (sinking or max(behind * ahead_y, high * ahead_y) > along):
+            _column(s, p, start + n, behind, high, level, sinking, frame)
 
 
 @inlined
@@ -372,17 +377,15 @@ def _column(s, p, i, low, high, level, sinking, frame):
 
 @inlined
 def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
-    """Add the mean wrench of the removed bins; returns the mean torque."""
-    cell = p.spacing * p.spacing
-    dphi = 2.0 * math.pi / BINS
+    """Add the mean wrench of the removed bins; returns the mean torque and the mean height above the tip."""
+    cell = p.spacing * p.spacing * p.level_step
     share = p.teeth / (2.0 * math.pi)
-    local_x = local_y = force_z = moment_x = moment_y = torque = 0.0
-    for k in range(FRONT):
+    local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = 0.0
+    for k in range(s.ahead.shape[0]):
         volume = s.ahead[k, 0]
         if volume > 0.0:
-            expected = p.radius * m * p.cosines[k]
             h = m * p.cosines[k] / p.widths[k] / passes
-            height = share * p.widths[k] * volume * cell * p.level_step / expected  # a_k f_k N dphi / (2 pi)
+            height = share * p.widths[k] * volume * cell / (p.radius * m * p.cosines[k])  # a_k f_k N dphi / (2 pi)
             f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
             c, d = p.directions[k, 0], p.directions[k, 1]
             x = (-f_r * c + p.sense * f_t * d) * height
@@ -393,11 +396,13 @@ def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
             moment_x += p.radius * d * z - middle * y
             moment_y += middle * x - p.radius * c * z
             torque += f_t * height * p.radius
-    for k in range(BINS):
-        volume, area = s.sunk[k, 0], s.sunk[k, 1]
+            total, raised = total + volume, raised + volume * middle
+    dphi = 2.0 * math.pi / s.sunk.shape[0]
+    for k in range(s.sunk.shape[0]):
+        volume, nodes = s.sunk[k, 0], s.sunk[k, 1]
         if volume > 0.0:  # each tooth takes a layer of all radii: width A / (R dphi), thickness a_k / passes
-            h = area * cell / (p.radius * dphi)
-            height = share * dphi * volume / area * p.level_step / passes
+            h = nodes * p.spacing * p.spacing / (p.radius * dphi)
+            height = share * dphi * volume / nodes * p.level_step / passes
             f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
             c, d = p.turns[k, 0], p.turns[k, 1]
             z = -f_a * height * p.end_factor
@@ -408,13 +413,14 @@ def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
                 wrench[3] += p.radius * d * z
                 wrench[4] -= p.radius * c * z
             torque += f_t * height * p.radius
+            total += volume
     wrench[0] += ahead_x * local_x - ahead_y * local_y
     wrench[1] += ahead_y * local_x + ahead_x * local_y
     wrench[2] += force_z
     if p.moments:
         wrench[3] += ahead_x * moment_x - ahead_y * moment_y
         wrench[4] += ahead_y * moment_x + ahead_x * moment_y
-    return torque
+    return torque, raised / total if total > 0.0 else 0.0
 
 
 @compiled
