@@ -9,6 +9,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError
 from kr270_milling.physics.cutting.cut_step import cut_along, cut_step, cut_undo
 from kr270_milling.physics.cutting.engagement import (
+    BINS,
     EngagementParams,
     EngagementState,
     make_engagement_params,
@@ -193,13 +194,14 @@ class Cut(CutModel):
 class EngagementCut(CutModel):
     """The mean force of the engagement, for steps of some milliseconds: ``engagement`` has the equations.
 
-    stock: with the coarse grid of this model; micro_step [rad]: the unit in which a step counts spindle angle.
+    stock: with the coarse grid of this model; micro_step [rad]: the unit in which a step counts spindle angle; bins: of
+    the angle about the tool.
     """
 
     params: EngagementParams
     state: EngagementState
 
-    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float):
+    def __init__(self, tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS):
         super().__init__(tool, cutting, stock)
-        self.params = make_engagement_params(tool, cutting, stock, micro_step)
+        self.params = make_engagement_params(tool, cutting, stock, micro_step, bins)
         self.state = make_engagement_state(self.params, stock)

@@ -43,11 +43,10 @@ BINS = 72  #: K, of a whole turn
 SINES = 4096  # entries of the table ``front`` from one side of the tool to the other
 BEYOND = SINES // 4  # further entries at both ends: a crescent and the shift of a node reach beyond the sides
 FINE = 1 << 20  # parts of an entry in which the compiled loop counts
-FRONT = BINS // 2  # bins that can cut: those ahead of the tool axis
 END_NODES = 0.4  # nodes across the feed in the outermost bins
 FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # of the radius: a longer move is divided
-NODE = 1 << 40  # one node in a sum of nodes and levels
+RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
 FLOOR_LEVEL = 5  # place in ints: the whole footprint is cut at least to this level (-1: not known)
 
 
@@ -58,6 +57,8 @@ class EngagementParams(NamedTuple):
     teeth: int
     sense: float
     micro_step: float  # [rad]
+    lag: float  # [rad]: half a pitch, after which on average a tooth cuts what the footprint covers
+    twist: float  # [rad/m], further lag of the edge by height above the tip
     spacing: float  # of nodes
     origin_x: float  # of node 0
     origin_y: float
@@ -66,7 +67,6 @@ class EngagementParams(NamedTuple):
     top: float
     thickness: float
     level_step: float
-    tolerance: int  # levels that the tool may sink before its whole footprint is cut again
     law: int  # address of the compiled force law, see ``force_law.call_law``
     coefficients: np.ndarray  # of the law [SI], (p,)
     end_factor: float  # axial force of end cutting over that of the law
@@ -75,16 +75,17 @@ class EngagementParams(NamedTuple):
     around: np.ndarray  # int16, (2 reach + 1, 2 reach + 1): bin of a whole turn by the place beside the axis [nodes]
     reach: int  # nodes
     shift: np.ndarray  # int64, (64, 64): of a node within its cell across the feed [entries / FINE], by its last bits
-    widths: np.ndarray  # (FRONT,): of the front bins [rad]
-    cosines: np.ndarray  # (FRONT,): C_k
-    directions: np.ndarray  # (FRONT, 2): cos and sin of the middle of each front bin
-    turns: np.ndarray  # (BINS, 2): cos and sin of the middle of each bin of a whole turn
+    widths: np.ndarray  # (ahead,): of the front bins [rad]
+    cosines: np.ndarray  # (ahead,): C_k
+    directions: np.ndarray  # (ahead, 2): cos and sin of the middle of each front bin
+    turns: np.ndarray  # (bins, 2): cos and sin of the middle of each bin of a whole turn
 
 
 class EngagementState(NamedTuple):
     """The height map and the last step. Names and layout of the map are those of ``state.State``."""
 
-    pool: np.ndarray  # uint16, (tiles * TILE * TILE,)
+    pool: np.ndarray  # uint16, (tiles * TILE * TILE,): mean of the cell of a node
+    rest: np.ndarray  # uint16, likewise: level of that part of the cell which the tool has not covered
     table: np.ndarray  # int32, tile -> place in the pool or -1
     ints: np.ndarray  # int64, (INTS,)
     floats: np.ndarray  # (FLOATS,)
@@ -92,33 +93,44 @@ class EngagementState(NamedTuple):
     saved_ints: np.ndarray  # as they were before the last step
     saved_floats: np.ndarray
     saved_last: np.ndarray
+    load: np.ndarray  # (7,): wrench and torque that act in the last step [N, N m]
+    saved_load: np.ndarray
     log_place: np.ndarray  # int64: nodes that the last step lowered
     log_level: np.ndarray  # uint16: their levels before
+    log_rest: np.ndarray  # uint16
     spans: np.ndarray  # int32, (4, columns): first and last node of each column, of the footprint and of the former one
-    ahead: np.ndarray  # int64, (FRONT,): removed ahead in the present step, by bin: nodes << 40 | levels
-    sunk: np.ndarray  # int64, (BINS,): the same, below the former footprint
+    ahead: np.ndarray  # (ahead, 2): removed ahead in the present step, by bin: levels, and these times their thickness
+    sunk: np.ndarray  # (bins, 2): removed below the former footprint: levels and nodes
 
 
-def make_engagement_params(tool: Tool, cutting: Cutting, stock: Stock, micro_step: float) -> EngagementParams:
-    """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle."""
+def make_engagement_params(
+    tool: Tool, cutting: Cutting, stock: Stock, micro_step: float, bins: int = BINS
+) -> EngagementParams:
+    """stock: with the coarse step of this model; micro_step [rad]: the unit in which a step counts spindle angle.
+
+    bins: K, of a whole turn.
+    """
+    ahead = bins // 2
     nx, ny = stock.nodes
     radius = float(tool.radii.max())
     reach = int((1.0 + 0.5 * LONGEST) * radius / stock.grid_step) + 3
     offset = np.arange(-reach, reach + 1)
     angle = np.arctan2(offset[None, :], offset[:, None])  # [x, y]
     # every row of nodes along the feed meets each bin: the outermost bins are at least a node wide across the feed
-    last = max(2.0 * np.pi / BINS, math.acos(max(0.0, 1.0 - END_NODES * stock.grid_step / radius)))
-    inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, FRONT - 1)
+    last = max(2.0 * np.pi / bins, math.acos(max(0.0, 1.0 - END_NODES * stock.grid_step / radius)))
+    inner = np.linspace(last - 0.5 * np.pi, 0.5 * np.pi - last, ahead - 1)
     edges = np.concatenate([[-0.5 * np.pi], inner, [0.5 * np.pi]])
     middles = 0.5 * (edges[1:] + edges[:-1])
     sines = np.arange(-BEYOND, SINES + BEYOND) * (2.0 / SINES) - 1.0
     node = 0.5 * SINES * stock.grid_step / radius * FINE
-    whole = (np.arange(BINS) + 0.5) * 2.0 * np.pi / BINS - np.pi
+    whole = (np.arange(bins) + 0.5) * 2.0 * np.pi / bins - np.pi
     return EngagementParams(
         radius=radius,
         teeth=tool.teeth,
         sense=tool.sense,
         micro_step=micro_step,
+        lag=math.pi / tool.teeth,
+        twist=math.tan(tool.helix) / radius,
         spacing=stock.grid_step,
         origin_x=float(stock.min[0]) + 0.5 * stock.grid_step,
         origin_y=float(stock.min[1]) + 0.5 * stock.grid_step,
@@ -127,13 +139,12 @@ def make_engagement_params(tool: Tool, cutting: Cutting, stock: Stock, micro_ste
         top=float(stock.max[2]),
         thickness=stock.thickness,
         level_step=stock.level_step,
-        tolerance=int(stock.floor_tolerance / stock.level_step),
         law=cutting.active.address(),
         coefficients=cutting.coefficients,
         end_factor=cutting.end_ratio,
         moments=cutting.moments,
-        front=np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, FRONT - 1).astype(np.int16),
-        around=np.clip(np.floor((angle / (2 * np.pi) + 0.5) * BINS), 0, BINS - 1).astype(np.int16),
+        front=np.clip(np.searchsorted(np.sin(edges), sines) - 1, 0, ahead - 1).astype(np.int16),
+        around=np.clip(np.floor((angle / (2 * np.pi) + 0.5) * bins), 0, bins - 1).astype(np.int16),
         reach=reach,
         shift=np.rint(np.random.default_rng(0).uniform(-0.5, 0.5, (64, 64)) * node).astype(np.int64),
         widths=np.diff(edges),
@@ -151,6 +162,7 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
     ints[FLOOR_LEVEL] = -1
     return EngagementState(
         pool=np.zeros(min(tiles[0] * tiles[1], MAX_TILES) * TILE**2, np.uint16),
+        rest=np.zeros(min(tiles[0] * tiles[1], MAX_TILES) * TILE**2, np.uint16),
         table=np.full(tiles, -1, np.int32),
         ints=ints,
         floats=np.zeros(FLOATS),
@@ -158,11 +170,14 @@ def make_engagement_state(params: EngagementParams, stock: Stock) -> EngagementS
         saved_ints=ints.copy(),
         saved_floats=np.zeros(FLOATS),
         saved_last=np.full(3, math.nan),
+        load=np.zeros(7),
+        saved_load=np.zeros(7),
         log_place=np.empty(8 * footprint, np.int64),
         log_level=np.empty(8 * footprint, np.uint16),
+        log_rest=np.empty(8 * footprint, np.uint16),
         spans=np.zeros((4, 2 * params.reach + 3), np.int32),
-        ahead=np.zeros(FRONT, np.int64),
-        sunk=np.zeros(BINS, np.int64),
+        ahead=np.zeros((params.widths.size, 2)),
+        sunk=np.zeros((len(params.turns), 2)),
     )
 
 
@@ -179,6 +194,8 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         s.saved_floats[j] = s.floats[j]
     for j in range(3):
         s.saved_last[j] = s.last[j]
+    for j in range(7):
+        s.saved_load[j] = s.load[j]
     s.ints[LOGGED] = 0
     if not (s.last[0] == pose_from[0] and s.last[1] == pose_from[1] and s.last[2] == pose_from[2]):
         s.ints[
@@ -189,13 +206,15 @@ def engage(s, p, pose_from, pose_to, n, wrench):
     dx, dy, dz = pose_to[0] - pose_from[0], pose_to[1] - pose_from[1], pose_to[2] - pose_from[2]
     parts = 1 + int(math.sqrt(dx * dx + dy * dy) / (LONGEST * p.radius))
     passes = n * p.micro_step * p.teeth / (2.0 * math.pi) / parts  # of teeth, in a part
-    torque = 0.0
+    torque = height = 0.0
     for k in range(parts):
         a, b = k / parts, (k + 1.0) / parts
-        torque += _part(
-            s, p, pose_from[0] + a * dx, pose_from[1] + a * dy, pose_from[0] + b * dx, pose_from[1] + b * dy,
-            pose_from[2] + b * dz, passes, wrench,
+        part = _part(
+            s, p, pose_from[0] + a * dx, pose_from[1] + a * dy, pose_from[2] + a * dz, pose_from[0] + b * dx,
+            pose_from[1] + b * dy, pose_from[2] + b * dz, passes, wrench,
         )  # fmt: skip
+        torque += part[0]
+        height += part[1]
     for j in range(5):
         wrench[j] /= parts
     torque /= parts
@@ -203,32 +222,47 @@ def engage(s, p, pose_from, pose_to, n, wrench):
         wrench[5] = -p.sense * torque
     for j in range(3):
         s.last[j] = pose_to[j]
-    return torque
+    turn = n * p.micro_step
+    fresh = turn / (turn + p.lag + p.twist * height / parts)
+    for j in range(6):
+        s.load[j] += fresh * (wrench[j] - s.load[j])
+        wrench[j] = s.load[j]
+    s.load[6] += fresh * (torque - s.load[6])
+    return s.load[6]
 
 
 @compiled
-def _part(s, p, x0, y0, x1, y1, z, passes, wrench):
-    """One straight move of at most a quarter of the radius, at the height of its end; returns the torque."""
-    depth = min(p.top - z, p.thickness)
-    level = max(1, int(depth / p.level_step + 0.5)) if depth > 1e-3 * p.level_step else 0
-    outside = _outside(p, x1, y1)
-    if level == 0 or outside:
-        s.ints[FLOOR_LEVEL] = 0 if level == 0 else level
-        return 0.0
-    whole = level > s.ints[FLOOR_LEVEL] + p.tolerance
-    for k in range(FRONT):
-        s.ahead[k] = 0
-    for k in range(BINS):
-        s.sunk[k] = 0
+def _part(s, p, x0, y0, z0, x1, y1, z1, passes, wrench):
+    """One straight move of at most a quarter of the radius: first down, then level; returns torque and height.
+
+    A tool that sinks is as low as at the end, a tool that rises as high as in the middle of the move.
+    """
+    level = _level(p, min(z1, 0.5 * (z0 + z1)))
+    if level == 0 or _outside(p, x1, y1):
+        s.ints[FLOOR_LEVEL] = level
+        return 0.0, 0.0
+    for k in range(s.ahead.shape[0]):
+        s.ahead[k, 0] = s.ahead[k, 1] = 0.0
+    for k in range(s.sunk.shape[0]):
+        s.sunk[k, 0] = s.sunk[k, 1] = 0.0
     dx, dy = x1 - x0, y1 - y0
     m = math.sqrt(dx * dx + dy * dy)
     ahead_x, ahead_y = (dx / m, dy / m) if m > 0.0 else (1.0, 0.0)
-    first = s.ints[FLOOR_LEVEL] < 0  # what the footprint removes where the tool appears is no chip of a move
-    _clear(s, p, x0, y0, x1, y1, level, whole, first, ahead_x, ahead_y)
-    s.ints[FLOOR_LEVEL] = level if whole else min(level, s.ints[FLOOR_LEVEL])
+    if level > s.ints[FLOOR_LEVEL]:
+        _clear(s, p, x0, y0, x0, y0, level, True, ahead_x, ahead_y)
+    if m > 0.0:
+        _clear(s, p, x0, y0, x1, y1, level, False, ahead_x, ahead_y)
+    s.ints[FLOOR_LEVEL] = level
     if passes <= 0.0:
-        return 0.0
+        return 0.0, 0.0
     return _load(s, p, m, ahead_x, ahead_y, passes, wrench)
+
+
+@inlined
+def _level(p, z):
+    """Level of the map at a height of the tip; 0: above the stock."""
+    depth = min(p.top - z, p.thickness)
+    return max(1, int(depth / p.level_step + 0.5)) if depth > 1e-3 * p.level_step else 0
 
 
 @inlined
@@ -241,36 +275,32 @@ def _outside(p, x, y):
 
 
 @inlined
-def _clear(s, p, x0, y0, x1, y1, level, whole, first, ahead_x, ahead_y):
-    """Lower the footprint at (x1, y1) to ``level``; whole: also where the footprint at (x0, y0) was already cut."""
+def _clear(s, p, x0, y0, x1, y1, level, sinking, ahead_x, ahead_y):
+    """Lower the footprint at (x1, y1) to ``level``: all of a sinking tool, else what is ahead of (x0, y0)."""
     scale = 1.0 / p.spacing
     u0, v0 = (x0 - p.origin_x) * scale, (y0 - p.origin_y) * scale
     u1, v1 = (x1 - p.origin_x) * scale, (y1 - p.origin_y) * scale
-    r2 = (p.radius * scale) ** 2
-    across = 0.5 * SINES * FINE / math.sqrt(r2)
-    side_x, side_y = -ahead_y * across, ahead_x * across  # sin(phi) in parts of the table, a node
-    zero = (0.5 * SINES + 0.5 + BEYOND) * FINE - 0.5 * ((u0 + u1) * side_x + (v0 + v1) * side_y)
-    about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
-    frame = (side_x, np.int64(side_y), zero, about_i, about_j)
     r = p.radius * scale
-    start = max(int(math.ceil(u1 - r)), 0)
-    count = min(int(math.floor(u1 + r)), p.nx - 1) + 1 - start
-    _spans(s.spans[0], s.spans[1], start, count, u1, v1, r2)
-    _spans(s.spans[2], s.spans[3], start, count, u0, v0, r2)
+    across = 0.5 * SINES * FINE / r
+    side_x, side_y = -ahead_y * across, ahead_x * across  # sin(phi) in parts of the table, a node
+    middle_u, middle_v = 0.5 * (u0 + u1), 0.5 * (v0 + v1)
+    zero = (0.5 * SINES + 0.5 + BEYOND) * FINE - (middle_u * side_x + middle_v * side_y)
+    about_i, about_j = int(math.floor(u1 + 0.5)) - p.reach, int(math.floor(v1 + 0.5)) - p.reach
+    frame = (side_x, np.int64(side_y), zero, about_i, about_j, u1, v1, r * r)
+    start = max(int(math.ceil(u1 - r - RIM)), 0)
+    count = min(int(math.floor(u1 + r + RIM)), p.nx - 1) + 1 - start
+    _spans(s.spans[0], s.spans[1], start, count, u1, v1, (r + RIM) ** 2)
+    _spans(s.spans[2], s.spans[3], start, count, u0, v0, -1.0 if sinking else (r - RIM) ** 2)
     for n in range(count):
         low, high = max(s.spans[0, n], 0), min(s.spans[1, n], p.ny - 1)
-        was_low, was_high = s.spans[2, n], s.spans[3, n]
-        if low > high:
-            continue
-        if was_high < low or was_low > high:
-            _column(s, p, start + n, low, high, level, first, frame)
-            continue
-        if was_low > low:
-            _column(s, p, start + n, low, was_low - 1, level, first, frame)
-        if whole:
-            _column(s, p, start + n, max(low, was_low), min(high, was_high), level, True, frame)
-        if was_high < high:
-            _column(s, p, start + n, was_high + 1, high, level, first, frame)
+        before, behind = min(s.spans[2, n] - 1, high), max(s.spans[3, n] + 1, low)  # ends beside the former footprint
+        along = middle_v * ahead_y - (start + n - middle_u) * ahead_x  # nodes ahead have j ahead_y above this
+        if behind <= low or before >= high:  # the column misses the former footprint
+            before, behind = high, high + 1
+        if low <= before and (sinking or max(low * ahead_y, before * ahead_y) > along):
+            _column(s, p, start + n, low, before, level, sinking, frame)
+        if behind <= high and (sinking or max(behind * ahead_y, high * ahead_y) > along):
+            _column(s, p, start + n, behind, high, level, sinking, frame)
 
 
 @inlined
@@ -287,8 +317,10 @@ def _spans(low, high, start, count, u, v, square):
 @inlined
 def _column(s, p, i, low, high, level, sinking, frame):
     """Lower the nodes (i, low..high) to ``level`` and add what they lose to their bins."""
-    pool, log_place, log_level = s.pool, s.log_place, s.log_level
-    side_x, side_y, zero, about_i, about_j = frame
+    pool, rests, log_place, log_level, log_rest = s.pool, s.rest, s.log_place, s.log_level, s.log_rest
+    side_x, side_y, zero, about_i, about_j, u, v, r2 = frame
+    du = i - u
+    inside, beside = r2 - du * du, abs(du)
     across = np.int64(zero + i * side_x)
     j, logged, new, total = np.int64(low), s.ints[LOGGED], 0, 0
     ahead, sunk, shift = s.ahead, s.sunk, p.shift[i & 63]
@@ -310,18 +342,33 @@ def _column(s, p, i, low, high, level, sinking, frame):
             place = np.uint64(base + j)
             before = np.int64(pool[place])
             if before < level:
-                pool[place] = level
-                if room:
-                    log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, before
-                    logged += 1
-                lost = level - before
-                total += lost
-                new += before == 0
-                if sinking:
-                    sunk[np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])] += NODE + lost
-                else:
-                    sine = np.uint64((across + j * side_y + shift[np.uint64(j & 63)]) >> 20)
-                    ahead[np.uint64(p.front[sine])] += NODE + lost
+                dv = j - v
+                rest = np.int64(rests[place])
+                cover = 2.0 * (inside - dv * dv) + 2.0 * (beside + abs(dv))  # 4 (|du| + |dv|) times the covered share
+                full = 4.0 * (beside + abs(dv))
+                after = level
+                if cover < full:
+                    after = rest + np.int64(cover * (level - rest) / full + 0.5)
+                if after > before:
+                    if room:
+                        log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, before
+                        log_rest[np.uint64(logged)] = rest
+                        logged += 1
+                    pool[place] = after
+                    if cover >= full:
+                        rests[place] = level
+                    lost = after - before
+                    total += lost
+                    new += before == 0
+                    if sinking:
+                        k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])
+                        sunk[k, 0] += lost
+                        sunk[k, 1] += 1.0
+                    else:
+                        sine = np.uint64((across + j * side_y + shift[np.uint64(j & 63)]) >> 20)
+                        k = np.uint64(p.front[sine])
+                        ahead[k, 0] += lost
+                        ahead[k, 1] += lost * (level - rest)
             j += 1
     s.ints[LOGGED] = logged
     s.ints[NODES_CUT] += new
@@ -330,32 +377,32 @@ def _column(s, p, i, low, high, level, sinking, frame):
 
 @inlined
 def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
-    """Add the mean wrench of the removed bins; returns the mean torque."""
-    cell = p.spacing * p.spacing
-    dphi = 2.0 * math.pi / BINS
+    """Add the mean wrench of the removed bins; returns the mean torque and the mean height above the tip."""
+    cell = p.spacing * p.spacing * p.level_step
     share = p.teeth / (2.0 * math.pi)
-    local_x = local_y = force_z = moment_x = moment_y = torque = 0.0
-    for k in range(FRONT):
-        if s.ahead[k]:
-            area, volume = float(s.ahead[k] >> 40), float(s.ahead[k] & (NODE - 1))
-            expected = p.radius * m * p.cosines[k]
+    local_x = local_y = force_z = moment_x = moment_y = torque = total = raised = 0.0
+    for k in range(s.ahead.shape[0]):
+        volume = s.ahead[k, 0]
+        if volume > 0.0:
             h = m * p.cosines[k] / p.widths[k] / passes
-            height = share * p.widths[k] * volume * cell * p.level_step / expected  # a_k f_k N dphi / (2 pi)
+            height = share * p.widths[k] * volume * cell / (p.radius * m * p.cosines[k])  # a_k f_k N dphi / (2 pi)
             f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
             c, d = p.directions[k, 0], p.directions[k, 1]
             x = (-f_r * c + p.sense * f_t * d) * height
             y = (-f_r * d - p.sense * f_t * c) * height
             z = -f_a * height
-            middle = 0.5 * volume / area * p.level_step  # height above the tip
+            middle = 0.5 * s.ahead[k, 1] / volume * p.level_step  # height above the tip
             local_x, local_y, force_z = local_x + x, local_y + y, force_z + z
             moment_x += p.radius * d * z - middle * y
             moment_y += middle * x - p.radius * c * z
             torque += f_t * height * p.radius
-    for k in range(BINS):
-        if s.sunk[k]:  # each tooth takes a layer of all radii: width A / (R dphi), thickness a_k / passes
-            area, volume = float(s.sunk[k] >> 40), float(s.sunk[k] & (NODE - 1))
-            h = area * cell / (p.radius * dphi)
-            height = share * dphi * volume / area * p.level_step / passes
+            total, raised = total + volume, raised + volume * middle
+    dphi = 2.0 * math.pi / s.sunk.shape[0]
+    for k in range(s.sunk.shape[0]):
+        volume, nodes = s.sunk[k, 0], s.sunk[k, 1]
+        if volume > 0.0:  # each tooth takes a layer of all radii: width A / (R dphi), thickness a_k / passes
+            h = nodes * p.spacing * p.spacing / (p.radius * dphi)
+            height = share * dphi * volume / nodes * p.level_step / passes
             f_t, f_r, f_a = call_law(p.law, h, p.coefficients)
             c, d = p.turns[k, 0], p.turns[k, 1]
             z = -f_a * height * p.end_factor
@@ -366,13 +413,14 @@ def _load(s, p, m, ahead_x, ahead_y, passes, wrench):
                 wrench[3] += p.radius * d * z
                 wrench[4] -= p.radius * c * z
             torque += f_t * height * p.radius
+            total += volume
     wrench[0] += ahead_x * local_x - ahead_y * local_y
     wrench[1] += ahead_y * local_x + ahead_x * local_y
     wrench[2] += force_z
     if p.moments:
         wrench[3] += ahead_x * moment_x - ahead_y * moment_y
         wrench[4] += ahead_y * moment_x + ahead_x * moment_y
-    return torque
+    return torque, raised / total if total > 0.0 else 0.0
 
 
 @compiled
@@ -383,6 +431,7 @@ def undo_engagement(s):
         return False
     for k in range(logged - 1, -1, -1):
         s.pool[s.log_place[k]] = s.log_level[k]
+        s.rest[s.log_place[k]] = s.log_rest[k]
     tiles = s.ints[TILES]
     for j in range(s.ints.size):
         s.ints[j] = s.saved_ints[j]
@@ -390,6 +439,8 @@ def undo_engagement(s):
         s.floats[j] = s.saved_floats[j]
     for j in range(3):
         s.last[j] = s.saved_last[j]
+    for j in range(7):
+        s.load[j] = s.saved_load[j]
     s.ints[TILES] = tiles  # an untouched tile equals none
     s.ints[LOGGED] = 0
     return True

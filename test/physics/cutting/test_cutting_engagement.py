@@ -128,20 +128,20 @@ def test_the_removed_volume_is_that_of_the_geometry_and_none_is_lost_between_ste
 
 def test_the_thrust_of_a_plunge_is_that_of_the_law_on_all_teeth():
     """Each tooth takes a layer of dz / passes over the radius: h = A / (R dphi) = R / 2 on average, a = dz / passes."""
-    cut = EngagementCut(tool(), AXIAL, block(-2.0, 2.0), MICRO_STEP)
     n = round(SPEED * 4e-3 / MICRO_STEP)
-    middle = np.array([20e-3, 0.0, 0.0])
-    sink = np.array([0.0, 0.0, -0.05e-3])
-    cut.sweep(middle, middle + sink, 0, n)
-    wrench = cut.sweep(middle + sink, middle + 2 * sink, n, n)
-    layer = 0.05e-3 / (n * MICRO_STEP * TEETH / (2 * math.pi))
+    depth = 0.05e-3 * np.arange(20)
+    path = np.column_stack([np.full(20, 20e-3), np.zeros(20), -depth])
+    cut, twice = (
+        EngagementCut(tool(), cutting, block(-2.0, 2.0), MICRO_STEP)
+        for cutting in (AXIAL, AXIAL.replace(end_ratio=2.0))
+    )
+    wrench, torque, _ = cut.along(path, n * np.arange(20))
+    layer = depth[1] / (n * MICRO_STEP * TEETH / (2 * math.pi))
     axial = AXIAL.active.per_depth(RADIUS / 2)[2]
-    assert wrench[2] == pytest.approx(-TEETH * axial * layer, rel=0.02)
-    assert np.abs(wrench[:2]).max() < 0.02 * abs(wrench[2])
-    assert cut.torque > 0.0
-    twice = EngagementCut(tool(), AXIAL.replace(end_ratio=2.0), block(-2.0, 2.0), MICRO_STEP)
-    twice.sweep(middle, middle + sink, 0, n)
-    assert twice.sweep(middle + sink, middle + 2 * sink, n, n)[2] == pytest.approx(2 * wrench[2], rel=1e-12)
+    assert wrench[-1, 2] == pytest.approx(-TEETH * axial * layer, rel=0.02)
+    assert np.abs(wrench[-1, :2]).max() < 0.02 * abs(wrench[-1, 2])
+    assert torque[-1] > 0.0
+    assert twice.along(path, n * np.arange(20))[0][-1, 2] == pytest.approx(2 * wrench[-1, 2], rel=1e-12)
 
 
 def test_the_end_ratio_leaves_a_level_cut_unchanged():
