@@ -5,6 +5,9 @@ of the arm. The sum of (d0 + H c)^T W (d0 + H c) and of the smoothness is made l
 (dynamic programming, [Bryson1975]): what is left to pay from a knot on is x^T P x / 2 + p^T x of the state x there. So
 nothing of a slowly decaying response is cut off, and the cost is linear in the length of the path.
 
+The matrices of a segment take 12 kB. They are made for a block of segments at a time, so that a long program needs no
+more memory for them than a short one.
+
 The numbers of one segment are y = [u, u', c, v, a, j]: relative modal coordinates of the arm and their rates, and the
 cubic of the correction, 2 r + 12 of them; the state x at a knot is y without j. Where the correction is smooth j is
 free; where the target stops the correction has no slope; straight lines have a free v.
@@ -16,6 +19,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
+from numba import njit
 
 from kr270_milling.physics.compensation.response import ArmResponse, Segments
 
@@ -24,6 +28,7 @@ __all__ = ["LiftedCorrection", "KnotConditions", "Lifted", "outputs", "transitio
 CONTROLS = 6  #: most free numbers of a segment: a and j after a stop
 ROUNDS = 40  #: most reweightings
 CLOSE = 1.02  #: the largest deviation is within 2 % of the least possible one: it is good enough
+BLOCK = 4096  #: segments whose matrices are made at once
 TINY = 1e-12  #: of the trace: keeps what no sample sees from making a matrix singular
 
 
@@ -34,6 +39,10 @@ class KnotConditions:
     smooth: bool  #: C2 between stops; else straight lines
     resting: np.ndarray  #: (m + 1,) bool: the target stops at this knot
     fixed: np.ndarray  #: (m,) bool: the target rests along the whole segment, and so does the correction
+
+    def cut(self, part: slice) -> KnotConditions:
+        """Those of the segments of ``part``."""
+        return KnotConditions(self.smooth, self.resting[part.start : part.stop + 1], self.fixed[part])
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,11 +64,19 @@ class Lifted:
 
     def __init__(self, arm: ArmResponse, segments: Segments, conditions: KnotConditions):
         self.order, self.smooth = arm.order, conditions.smooth
+        self._arm, self._segments, self._conditions = arm, segments, conditions
         self._unit = units(arm, segments)
-        state = 2 * arm.order + 9
-        self._output = outputs(arm, segments) * self._unit
-        self._next = transitions(arm, segments) * self._unit / self._unit[:state, None]
-        self._given, self._free, self._first = choices(arm, segments, conditions, self._unit)
+        self._made: tuple[int, tuple[np.ndarray, ...]] | None = None
+
+    def _matrices(self, first: int) -> tuple[np.ndarray, ...]:
+        """Outputs, transitions, given and free numbers of the block of segments from ``first`` on."""
+        if self._made is None or self._made[0] != first:
+            part = slice(first, min(first + BLOCK, len(self._segments)))
+            arm, segments, conditions = (x.cut(part) for x in (self._arm, self._segments, self._conditions))
+            step = transitions(arm, segments) * self._unit / self._unit[: 2 * self.order + 9, None]
+            chosen = choices(arm, segments, conditions, self._unit, first == 0)
+            self._made = first, (outputs(arm, segments) * self._unit, step, *chosen)
+        return self._made[1]
 
     def least_squares(self, deviation: np.ndarray, weight: np.ndarray, smoothness: float) -> LiftedCorrection:
         """The best correction of deviations d0 [m], (m, parts, 3), under weights W (m, parts, 3, 3).
@@ -67,45 +84,37 @@ class Lifted:
         smoothness: weight of the change of the correction's third (of straight lines: second) difference over a
         segment of the usual length.
         """
-        weighted = np.swapaxes(self._output, -1, -2) @ weight
-        cost = np.sum(weighted @ self._output, axis=1)
-        slope = np.sum(weighted @ deviation[..., None], axis=1)[..., 0]
-        policy, push, later, linear = self._backward(cost, slope, smoothness)
-        chosen = self._first.T @ later @ self._first
-        chosen += np.diag(np.where(np.diag(chosen) > 0.0, TINY * np.trace(chosen), 1.0))
-        state = -self._first @ np.linalg.solve(chosen, self._first.T @ linear)
-        local = np.zeros(slope.shape)
-        for k in range(len(local)):
-            local[k] = self._given[k] @ state + self._free[k] @ (policy[k] @ state + push[k])
-            state = self._next[k] @ local[k]
-        left = deviation + (self._output @ local[:, None, :, None])[..., 0]
-        cubic = (local * self._unit)[:, 2 * self.order :].reshape(-1, 4, 3)
-        return LiftedCorrection(cubic, left)
-
-    def _backward(self, cost: np.ndarray, slope: np.ndarray, smoothness: float):
-        """The best free numbers of each segment, policy x + push, and P, p at the first knot."""
-        m, size, r = self._given.shape[0], self._given.shape[2], self.order
+        m, size, r = len(self._segments), 2 * self.order + 9, self.order
         later, linear = np.zeros((size, size)), np.zeros(size)
         policy, push = np.zeros((m, CONTROLS, size)), np.zeros((m, CONTROLS))
-        if self.smooth:  # weight of j
-            cost[:, 2 * r + 9 :, 2 * r + 9 :] += smoothness * np.eye(3)
-        difference = np.zeros((3, size + CONTROLS))  # of straight lines: what is free minus v of the state
-        difference[:, 2 * r + 3 : 2 * r + 6], difference[:, size : size + 3] = -np.eye(3), np.eye(3)
-        bend = smoothness * difference.T @ difference
-        for k in range(m - 1, -1, -1):
-            both = np.hstack([self._given[k], self._free[k]])
-            total = both.T @ (cost[k] + self._next[k].T @ later @ self._next[k]) @ both
-            gradient = both.T @ (slope[k] + self._next[k].T @ linear)
-            if not self.smooth and self._free[k].any():
-                total += bend
-            block = total[size:, size:]
-            idle = np.diag(np.where(np.diag(block) > 0.0, TINY * np.trace(block), 1.0))
-            answer = -np.linalg.solve(block + idle, np.column_stack([total[size:, :size], gradient[size:]]))
-            policy[k], push[k] = answer[:, :size], answer[:, size]
-            later = total[:size, :size] + total[:size, size:] @ policy[k]
-            later = 0.5 * (later + later.T)
-            linear = gradient[:size] + total[:size, size:] @ push[k]
-        return policy, push, later, linear
+        bend = np.zeros((size + CONTROLS, size + CONTROLS))
+        if not self.smooth:
+            difference = np.zeros((3, size + CONTROLS))  # what is free minus v of the state
+            difference[:, 2 * r + 3 : 2 * r + 6], difference[:, size : size + 3] = -np.eye(3), np.eye(3)
+            bend = smoothness * difference.T @ difference
+        blocks = range(0, m, BLOCK)
+        for first in reversed(blocks):
+            part = slice(first, first + BLOCK)
+            output, step, given, free = self._matrices(first)
+            weighted = np.swapaxes(output, -1, -2) @ weight[part]
+            cost = np.sum(weighted @ output, axis=1)
+            slope = np.sum(weighted @ deviation[part, ..., None], axis=1)[..., 0]
+            if self.smooth:  # weight of j
+                cost[:, 2 * r + 9 :, 2 * r + 9 :] += smoothness * np.eye(3)
+            _backward(cost, slope, step, given, free, bend, later, linear, policy[part], push[part])
+        start = first_state(self._arm, self._conditions, self._unit)
+        chosen = start.T @ later @ start
+        chosen += np.diag(np.where(np.diag(chosen) > 0.0, TINY * np.trace(chosen), 1.0))
+        state = -start @ np.linalg.solve(chosen, start.T @ linear)
+        cubic, left = np.zeros((m, 4, 3)), np.array(deviation)
+        for first in blocks:
+            part = slice(first, first + BLOCK)
+            output, step, given, free = self._matrices(first)
+            local = np.zeros((len(step), 2 * r + 12))
+            _forward(step, given, free, policy[part], push[part], state, local)
+            left[part] += (output @ local[:, None, :, None])[..., 0]
+            cubic[part] = (local * self._unit)[:, 2 * r :].reshape(-1, 4, 3)
+        return LiftedCorrection(cubic, left)
 
     def min_max(self, deviation, weight, smoothness: float, scored: np.ndarray) -> LiftedCorrection:
         """As ``least_squares``, but with the least largest deviation in the parts ``scored`` (m, parts).
@@ -126,6 +135,42 @@ class Lifted:
             now = now * size / size.max()
             share[scored] = np.maximum(now / now.mean(), 1e-4)
         return cast(LiftedCorrection, best)  # of one round at least
+
+
+@njit(cache=True, error_model="numpy")
+def _backward(cost, slope, step, given, free, bend, later, linear, policy, push):
+    """Fill the best free numbers of each segment, policy x + push; P and p of the last knot become those of the first.
+
+    bend: cost of the change of slope of straight lines, (x + CONTROLS, x + CONTROLS); 0: none.
+    """
+    size, count = later.shape[0], policy.shape[1]
+    both, block = np.zeros((step.shape[2], size + count)), np.zeros((count, count))
+    right = np.zeros((count, size + 1))
+    for k in range(len(step) - 1, -1, -1):
+        both[:, :size], both[:, size:] = given[k], free[k]
+        total = both.T @ ((cost[k] + step[k].T @ (later @ step[k])) @ both)
+        gradient = both.T @ (slope[k] + step[k].T @ linear)
+        if np.any(free[k]):
+            total += bend
+        block[:] = total[size:, size:]
+        trace = np.trace(block)
+        for i in range(count):
+            block[i, i] += TINY * trace if block[i, i] > 0.0 else 1.0
+        right[:, :size], right[:, size] = total[size:, :size], gradient[size:]
+        answer = -np.linalg.solve(block, right)
+        policy[k], push[k] = answer[:, :size], answer[:, size]
+        coupling = np.ascontiguousarray(total[:size, size:])
+        to_go = total[:size, :size] + coupling @ np.ascontiguousarray(policy[k])
+        later[:] = 0.5 * (to_go + to_go.T)
+        linear[:] = gradient[:size] + coupling @ push[k]
+
+
+@njit(cache=True, error_model="numpy")
+def _forward(step, given, free, policy, push, state, local):
+    """Fill y of each segment, from the state at its first knot, which becomes that of the last knot."""
+    for k in range(len(step)):
+        local[k] = given[k] @ state + free[k] @ (policy[k] @ state + push[k])
+        state[:] = step[k] @ local[k]
 
 
 def units(arm: ArmResponse, segments: Segments) -> np.ndarray:
@@ -165,47 +210,56 @@ def transitions(arm: ArmResponse, segments: Segments) -> np.ndarray:
     return matrix
 
 
-def choices(arm: ArmResponse, segments: Segments, conditions: KnotConditions, unit: np.ndarray):
+def choices(
+    arm: ArmResponse, segments: Segments, conditions: KnotConditions, unit: np.ndarray, first: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
     """y of a segment, in units, from the state x that arrives and from what is free there: (m, y, x), (m, y, CONTROLS).
 
-    The third one gives x at the first knot from c, v, a of the correction there, (x, 9).
+    first: the segments are those from the first knot of the path on.
     """
     m, r = len(segments), arm.order
     given, free = np.zeros((m, 2 * r + 12, 2 * r + 9)), np.zeros((m, 2 * r + 12, CONTROLS))
     given[:, : 2 * r + 3, : 2 * r + 3] = np.eye(2 * r + 3)
-    jump = -arm.inward * (unit[2 * r + 3] / unit[r : 2 * r, None]) if arm.moves else np.zeros((m, r, 3))
     if conditions.smooth:
-        _smooth(given, free, segments, conditions, r)
+        _smooth(given, free, segments.duration * unit[2 * r + 3], conditions, r)
     else:
-        _straight(given, free, conditions, jump, r)
-    start = np.zeros((2 * r + 9, 9))  # x at the first knot from c, v, a: before it the correction did not move
+        _straight(given, free, conditions, _jump(arm, unit), r, first)
+    return given, free
+
+
+def first_state(arm: ArmResponse, conditions: KnotConditions, unit: np.ndarray) -> np.ndarray:
+    """x at the first knot from c, v, a of the correction there, (x, 9): before it the correction did not move."""
+    r = arm.order
+    start = np.zeros((2 * r + 9, 9))
     start[2 * r :] = np.eye(9)
-    start[r : 2 * r, 3:6] = jump[0]
+    start[r : 2 * r, 3:6] = _jump(arm, unit)[0]
     if conditions.resting[0]:
         start[:, 3:] = 0.0
-    return given, free, start
+    return start
 
 
-def _smooth(given, free, segments: Segments, conditions: KnotConditions, r: int) -> None:
+def _jump(arm: ArmResponse, unit: np.ndarray) -> np.ndarray:
+    """u' by a change of the slope of the correction, (m, r, 3)."""
+    r = arm.order
+    return -arm.inward * (unit[2 * r + 3] / unit[r : 2 * r, None]) if arm.moves else np.zeros(arm.inward.shape)
+
+
+def _smooth(given, free, time, conditions: KnotConditions, r: int) -> None:
     v, a, j = (slice(2 * r + 3 * i, 2 * r + 3 * i + 3) for i in (1, 2, 3))
-    time = segments.duration / np.median(segments.duration)
-    for k in np.flatnonzero(~conditions.fixed).tolist():
-        if conditions.resting[k]:
-            free[k, a, 3:] = np.eye(3)  # a free bend after a stop
-        else:
-            given[k, v, v] = given[k, a, a] = np.eye(3)
-        if conditions.resting[k + 1]:  # v + a t + j t^2 / 2 = 0
-            given[k, j] = -2.0 / time[k] ** 2 * (given[k, v] + time[k] * given[k, a])
-            free[k, j] = -2.0 / time[k] * free[k, a]
-        else:
-            free[k, j, :3] = np.eye(3)
+    moving, rests, stops = ~conditions.fixed, conditions.resting[:-1], conditions.resting[1:]
+    given[moving & ~rests, v, v] = given[moving & ~rests, a, a] = np.eye(3)
+    free[moving & rests, a, 3:] = np.eye(3)  # a free bend after a stop
+    k, time = moving & stops, time[moving & stops, None, None]  # v + a t + j t^2 / 2 = 0
+    given[k, j] = -2.0 / time**2 * (given[k, v] + time * given[k, a])
+    free[k, j] = -2.0 / time * free[k, a]
+    free[moving & ~stops, j, :3] = np.eye(3)
 
 
-def _straight(given, free, conditions: KnotConditions, jump: np.ndarray, r: int) -> None:
+def _straight(given, free, conditions: KnotConditions, jump: np.ndarray, r: int, first: bool) -> None:
     v, rate = slice(2 * r + 3, 2 * r + 6), slice(r, 2 * r)
-    given[0, v, v] = np.eye(3)
-    for k in range(1, len(conditions.fixed)):
-        given[k, rate, v] = -jump[k]  # at a corner u' jumps by -dv
-        if not conditions.fixed[k]:
-            free[k, v, :3] = np.eye(3)
-            free[k, rate, :3] = jump[k]
+    corner = np.arange(len(given)) >= int(first)
+    given[~corner, v, v] = np.eye(3)
+    given[corner, rate, v] = -jump[corner]  # at a corner u' jumps by -dv
+    k = corner & ~conditions.fixed
+    free[k, v, :3] = np.eye(3)
+    free[k, rate, :3] = jump[k]

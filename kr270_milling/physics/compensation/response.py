@@ -42,6 +42,10 @@ class Segments:
     def __len__(self) -> int:
         return self.time_ns.size - 1
 
+    def cut(self, part: slice) -> Segments:
+        """The segments of ``part``."""
+        return Segments(self.time_ns[part.start : part.stop + 1], self.parts)
+
     @property
     def duration(self) -> np.ndarray:
         """[s], (m,)"""
@@ -134,6 +138,11 @@ class ArmResponse:
     @property
     def order(self) -> int:
         return self.frequency.shape[1]
+
+    def cut(self, part: slice | np.ndarray) -> ArmResponse:
+        """The modes on the segments of ``part``."""
+        names = ("frequency", "damping", "inward", "outward", "push", "carry")
+        return dataclasses.replace(self, **{name: getattr(self, name)[part] for name in names})
 
     def scaled(self, frequency, damping, gain: float = 1.0, softness: float = 1.0) -> ArmResponse:
         """Factors on frequencies (r,), damping ratios (r,), gain and static compliance; the shapes stay.

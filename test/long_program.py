@@ -1,0 +1,58 @@
+"""A long program as CAM systems write one: rows of short blocks over a wavy surface, with retracts and features.
+
+``python long_program.py MINUTES FILE`` writes one. 420 minutes: 66,000 points and 146 m of path.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import Cell, read_cell
+
+FEED = 348.0  #: [mm/min]
+ROW = 300.0  #: [mm], length of a row
+POINTS = 136  #: of a row
+STEPOVER = 1.0  #: [mm]
+ROWS = 20  #: of a feature
+SAFE = 5.0  #: [mm]
+
+
+def program(minutes: float) -> str:
+    """G-code of that duration; a row of 300 mm takes 52 s."""
+    rows = minutes * FEED / (ROW + STEPOVER)
+    count = math.ceil(rows)
+    lines = ["%", "O0001 (long part)", "G21 G90 G17", "S4000 M3"]
+    for row in range(count):
+        y = (row - 0.5 * (count - 1)) * STEPOVER
+        points = POINTS if row < count - 1 else max(2, round(POINTS * (rows - row)))
+        x = [ROW * (k / (POINTS - 1) - 0.5) * (-1) ** row for k in range(points)]
+        depth = [-1.5 + 0.8 * math.sin(0.03 * one) * math.cos(0.02 * y) for one in x]
+        if row % ROWS == 0:
+            lines += [f"G0 Z{SAFE}", f"(surface {row // ROWS + 1})", f"G0 X{x[0]:.3f} Y{y:.3f}", "G0 Z0.5",
+                      f"G1 Z{depth[0]:.3f} F{0.3 * FEED:g}"]  # fmt: skip
+        lines += [f"G1 X{a:.3f} Y{y:.3f} Z{z:.3f} F{FEED:g}" for a, z in zip(x, depth, strict=True)]
+    return "\n".join([*lines, f"G0 Z{SAFE}", "M5", "M30", "%", ""])
+
+
+def long_cell(directory, minutes: float, *more: str) -> Cell:
+    """The cell of the shipped test piece with a long program, a plate and a cutter of 10 mm; more: ``key=value``."""
+    path = Path(directory, f"long_{minutes:g}.nc")
+    path.write_text(program(minutes))
+    return read_cell(find_file("test_piece.yaml"), assignments(path, minutes) + list(more))
+
+
+def assignments(path, minutes: float) -> list[str]:
+    half = 0.5 * minutes * FEED / ROW * STEPOVER + 10.0
+    return [
+        f"path.file={path}", "tool.diameter_mm=10", "tool.teeth=2", "tool.spindle_speed_rpm=4000", f"stock.min_mm=[-160,{-half:.0f},-25]",
+        f"stock.max_mm=[160,{half:.0f},0]",
+    ]  # fmt: skip
+
+
+if __name__ == "__main__":
+    minutes = float(sys.argv[1])
+    Path(sys.argv[2]).write_text(program(minutes))
+    print(" ".join(f"--set {one}" for one in assignments(sys.argv[2], minutes)))
