@@ -72,7 +72,7 @@ class Lifted:
         """Outputs, transitions, given and free numbers of the block of segments from ``first`` on."""
         if self._made is None or self._made[0] != first:
             part = slice(first, min(first + BLOCK, len(self._segments)))
-            arm, segments, conditions = (x.cut(part) for x in (self._arm, self._segments, self._conditions))
+            arm, segments, conditions = self._arm.cut(part), self._segments.cut(part), self._conditions.cut(part)
             step = transitions(arm, segments) * self._unit / self._unit[: 2 * self.order + 9, None]
             chosen = choices(arm, segments, conditions, self._unit, first == 0)
             self._made = first, (outputs(arm, segments) * self._unit, step, *chosen)

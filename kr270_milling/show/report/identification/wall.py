@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import points
 from kr270_milling.studies.identification.wall import WallComparison
@@ -38,7 +39,7 @@ def wall_outcome(compared: WallComparison, name: str, cell: str) -> Outcome:
         for p in places[:MOST_PLACES]
     ]  # fmt: skip
     title = f"Measured against predicted wall: {name} and {cell}"
-    table = ("Error of the wall, positive: material is left standing", COLUMNS, rows)
+    table = TextTable("Error of the wall, positive: material is left standing", COLUMNS, rows)
     return Outcome("compare_wall", title, result, [table], sentences, lambda: _figures(compared))
 
 
