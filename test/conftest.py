@@ -25,7 +25,13 @@ SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]", "
 
 
 def pytest_addoption(parser):
-    parser.addoption("--book", action="store_true", help="print the table of the verification book (test/book)")
+    parser.addoption("--book", action="store_true", help="run the checks of the verification book, print its table")
+
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "book: a row of the verification book (test/book)")
+    if config.getoption("--book"):
+        config.option.markexpr = "book"
 
 
 def pytest_terminal_summary(terminalreporter, config):

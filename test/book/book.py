@@ -1,6 +1,6 @@
 """The verification book: a check is a test that also is a row of the table in ``test/book/README.md``.
 
-Print the table with ``python -m pytest test/book --book``.
+A check is in the file of its subject. ``python -m pytest --book`` runs the checks alone and prints the table.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import pytest
 __all__ = ["COLUMNS", "NAMES", "ROWS", "Row", "check", "markdown"]
 
 COLUMNS = ("check", "expected", "got", "tolerance", "verdict", "source of the expected value")
-NAMES: list[str] = []  #: of every check that has been imported
+NAMES: dict[str, str] = {}  #: of every check that has been imported: the file
 ROWS: list[Row] = []  #: of every check that has run in this process
 
 
@@ -52,9 +52,14 @@ def check(name: str, source: str, unit: str = "", at_most: bool = False, cases: 
     cases: names and values as for ``pytest.mark.parametrize``; ``name`` is then a format of them.
     """
     arguments, values = cases[0].split(), list(cases[1])
-    NAMES.extend([name.format(**dict(zip(arguments, row, strict=True))) for row in values] or [name])
+    names = [name.format(**dict(zip(arguments, row, strict=True))) for row in values] or [name]
 
     def decorate(function):
+        file = function.__code__.co_filename
+        if any(NAMES.setdefault(one, file) != file for one in names):
+            raise ValueError(f"{names} are checks of two files")
+
+        @pytest.mark.book
         @functools.wraps(function)
         def test(**given):
             row = Row(name.format(**given), *map(float, function(**given)), unit, at_most, source)

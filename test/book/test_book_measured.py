@@ -12,9 +12,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+from arm_oracle import PAPER
 from book import check
 from cuttings import PAPER_LAW
-from posture import PAPER
 
 from kr270_milling import read_cell
 from kr270_milling.api import simulate

@@ -1,4 +1,4 @@
-"""The cell of the paper: its models, its checks between records, and the figures that it must reproduce."""
+"""The cell: its models, its checks between records, the paths and the effort that it refuses."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ import sys
 
 import numpy as np
 import pytest
+from small_part import GCODE, small_part
 
-from kr270_milling.base.errors import InputError
-from kr270_milling.base.record import ConfigError, find_file
+from kr270_milling.base.errors import ConfigError, InputError, MillingError, ParameterError
+from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import commanded_joints
+from kr270_milling.cell.jobs import commanded_joints, simulate
+from kr270_milling.cell.path import MOST_VISITS, check_effort, check_postures, sinking
 from kr270_milling.physics.robot import Mount, equilibrium, pose
 
 FILE = find_file("paper.yaml")
@@ -257,3 +259,125 @@ def test_a_cell_without_a_recording_does_not_load_the_reader_of_recordings():
         "import sys, kr270_milling.cell.jobs; sys.exit(any(m == 'mcap' or m.startswith('mcap.') for m in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# --- effort ---
+
+
+CELL = read_cell(FILE)
+HEAD = "G21 G90 S8000 M3\n"
+
+
+@pytest.mark.parametrize(
+    ("assignments", "key"),
+    [
+        (["tool.spindle_speed_rpm=200000", "tool.teeth=99", "exchange.micro_step_deg=.01"], "exchange.micro_step_deg"),
+        (["exchange.iterations=20", "tool.teeth=16", "path.feed_rate_m_per_min=0.002"], "exchange.micro_step_deg"),
+        (["stock.min_mm=[-1e5,-1e5,-10]", "stock.max_mm=[1e5,1e5,0]"], "stock.grid_step_um"),
+        (["path.feed_rate_m_per_min=1e-7"], "path.feed_rate_m_per_min"),
+    ],
+)  # fmt: skip
+def test_a_pass_of_days_is_refused_when_the_cell_is_read(assignments, key):
+    with pytest.raises(ConfigError) as caught:
+        read_cell(FILE, assignments)
+    assert caught.value.key == key and "larger" in str(caught.value) or "faster" in str(caught.value)
+
+
+def test_a_posture_every_nanometre_is_refused():
+    slow = ["dynamics.follow_pose=true", "dynamics.posture_spacing_mm=1e-9", "path.feed_rate_m_per_min=0.05"]
+    cell = read_cell(FILE, slow)
+    with pytest.raises(ParameterError, match="posture_spacing_mm"):
+        cell.arm_model(cell.target())
+    check_postures(100_000, 1e-3)
+
+
+def test_a_path_file_is_reckoned_too(tmp_path):
+    slow = HEAD + "G0 X-14 Y0 Z2\nG0 Z-1\nG1 X28 F0.005\n"
+    with pytest.raises(MillingError, match="exchange periods"):
+        small_part(tmp_path, slow, "timing.controller_step_ms=1000.0").target()
+    fine = ["exchange.micro_step_deg=0.01", "tool.teeth=50", "exchange.iterations=20", "cutting.detail=teeth"]
+    with pytest.raises(ParameterError, match=r"micro_step_deg.*larger"):
+        small_part(tmp_path, slow.replace("F0.005", "F4"), *fine).target()
+
+
+def test_a_ramp_of_a_large_tool_on_a_fine_grid_is_refused_and_a_plain_one_is_not(tmp_path):
+    ramp = HEAD + "G0 X2 Y0 Z0\n" + "".join(f"G1 X{20 + 10 * (-1) ** k} Z{-k / 100} F100\n" for k in range(1, 60))
+    small_part(tmp_path, ramp).target()
+    with pytest.raises(ParameterError, match=r"grid_step_um.*sinking"):
+        small_part(tmp_path, ramp, "tool.diameter_mm=80.0", "stock.grid_step_um=0.5", "cutting.detail=teeth").target()
+
+
+def test_what_a_footprint_swept_as_a_whole_costs():
+    """By hand: each turn 4 teeth sweep pi (10 mm / 1 um)^2 nodes, so that 7958 turns, 59.7 s, are the most."""
+    stock = CELL.stock.replace(grid_step=1e-6)
+    most = MOST_VISITS / (4 * np.pi * 1e8) * 60 / 8000
+    assert most == pytest.approx(59.68, abs=0.01)
+    deep = 1.0  # [m], far more than the tolerance of the floor thins out
+    check_effort(CELL.exchange, CELL.tool, stock, 100.0, (0.999 * most, deep))
+    with pytest.raises(ParameterError):
+        check_effort(CELL.exchange, CELL.tool, stock, 100.0, (1.001 * most, deep))
+    check_effort(CELL.exchange, CELL.tool, stock, 100.0, (1.001 * most, 1e-3))
+
+
+def test_only_the_way_down_below_the_top_counts_as_sinking():
+    seconds, depth = sinking(np.arange(6.0), np.array([5.0, 1.0, -1.0, -1.0, 2.0, -3.0]), 0.0)
+    assert (seconds, depth) == (2.0, 4.0)
+    assert sinking(np.arange(3.0), np.array([1.0, 2.0, 0.5]), 0.0) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("stiffness", ["1e30", "5e12"])
+def test_an_arm_that_would_fly_off_gives_no_numbers(stiffness):
+    short = ["path.length_mm=14", "stock.grid_step_um=50", f"cutting.fractional.stiffness_n_per_m={stiffness}"]
+    with pytest.raises(MillingError, match="would push the tool"):
+        simulate(read_cell(FILE, short))
+
+
+# --- Tool paths that a cell refuses because their spindle, their tool axis or their moves cannot be meant ---
+
+
+SLOT = "x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n" + "".join(
+    f"{x},0,-0.5,{{a}},{{b}},{{c}},3000\n" for x in range(-14, 20, 2)
+)
+
+
+def table(directory, a=0.0, b=0.0, c=180.0):
+    """The cell with a slot as a table; A, B, C [deg] turn tool0."""
+    path = directory / "slot.csv"
+    path.write_text(SLOT.format(a=a, b=b, c=c))
+    return read_cell(find_file("paper.yaml"), [f"path.file={path}", "stock.max_mm=[40,14,0]"])
+
+
+def test_a_cut_while_the_spindle_is_off_is_refused_with_its_line(tmp_path):
+    cell = small_part(tmp_path, GCODE.replace("G1 Y10\n", "M5\nG1 Y10\n"))
+    with pytest.raises(InputError, match="while the spindle is off") as caught:
+        cell.target()
+    assert caught.value.line == 8
+
+
+def test_a_tool_that_turns_the_other_way_than_the_program_is_refused(tmp_path):
+    cell = small_part(tmp_path, GCODE, "tool.rotation=counterclockwise")
+    with pytest.raises(InputError, match="turns clockwise .* counterclockwise"):
+        cell.target()
+
+
+def test_a_program_without_a_spindle_leaves_it_to_the_cell(tmp_path):
+    silent = GCODE.replace(" S8000 M3", "").replace("M5\n", "")
+    assert len(small_part(tmp_path, silent, "tool.rotation=counterclockwise").target()) > 10
+
+
+def test_a_program_of_rapid_moves_alone_is_refused(tmp_path):
+    cell = small_part(tmp_path, "G21 G90\nG0 X-14 Y0 Z-0.5\nG0 X20\nM30\n")
+    with pytest.raises(InputError, match="no cutting move"):
+        cell.target()
+
+
+@pytest.mark.parametrize(("turned", "tilt"), [(dict(c=210.0), 30), (dict(b=2.0), 2), (dict(c=0.0), 180)])
+def test_a_tilted_tool_is_refused_with_its_tilt(tmp_path, turned, tilt):
+    with pytest.raises(InputError, match=f"tilted by {tilt} deg") as caught:
+        table(tmp_path, **turned).target()
+    assert caught.value.line in (2, 3)
+
+
+def test_a_tool_within_a_degree_and_turned_about_its_axis_is_taken(tmp_path):
+    target = table(tmp_path, a=30.0, c=180.9).target()
+    assert np.ptp(target.position[:, 0]) == pytest.approx(32e-3)

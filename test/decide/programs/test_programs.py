@@ -1,23 +1,266 @@
-"""The programs of a cell, read back by a reader written here and run on an arm chain written here."""
+"""Robot programs, offset tables and joint tables, read back by a reader and an arm chain of the tests."""
 
 from __future__ import annotations
 
+import csv
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from krl_robot import Robot
+from krl_robot import NUMBER, Robot
 from scipy.spatial.transform import Rotation
-from small_part import small_part
+from small_part import GCODE, small_part
+from splines import spline
 
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import commanded_joints
-from kr270_milling.decide.programs.files import write_programs
-from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.cell.jobs import commanded_joints, compensated, simulate
+from kr270_milling.cell.sections import Program
+from kr270_milling.decide.compensation import compensate
+from kr270_milling.decide.programs.files import (
+    JOINT_NAMES,
+    offsets,
+    time_law,
+    write_joint_table,
+    write_programs,
+    write_rsi_table,
+)
+from kr270_milling.decide.programs.krl import Approach, Heading, Setup, trajectory_hash, write_krl
+from kr270_milling.decide.programs.krl_reader import read_krl
+from kr270_milling.decide.programs.written import softer_pass, written_pass, written_trajectory
+from kr270_milling.path.cam.gcode.reader import read_gcode
+from kr270_milling.path.controller_motion import block_ends, controller_motion
+from kr270_milling.path.timing import Timing, time_path
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
 from kr270_milling.path.trajectory_csv import read_csv
+
+
+def setup(*runs: Trajectory) -> Setup:
+    mount = Pose.from_abc([0.0, 0.0, 0.25], np.radians([0.0, 90.0, 0.0]))
+    base = Pose.from_abc([1.0, -1.6, 0.3], np.radians([30.0, 1.0, -2.0]))
+    approaches = tuple(Approach(np.array([*run.position[0, :2], 0.05]), 2, 35) for run in runs)
+    return Setup(mount, base, approaches, 0.05, 12.0, (0.0, 0.01, 0.1))
+
+
+def swaying(count: int, seed: int = 3) -> tuple[Trajectory, Trajectory]:
+    """A line of ``count`` knots with turning tool, and a correction of some 0.1 mm and 0.1 deg."""
+    random = np.random.default_rng(seed)
+    time_ns = np.arange(count) * 50_000_000
+    position = np.stack([np.arange(count) * 1e-3, 0.01 * np.sin(np.arange(count) / 9), 0 * time_ns], axis=1)
+    turn = Rotation.from_euler(
+        "ZYX", np.stack([np.arange(count) / 20, 0.3 * np.sin(np.arange(count)), np.pi + 0 * time_ns], 1)
+    )
+    small = Rotation.from_rotvec(random.normal(0, 1e-3, (count, 3)))
+    original = Trajectory(time_ns, position, turn.as_quat())
+    return original, Trajectory(time_ns, position + random.normal(0, 1e-4, (count, 3)), (small * turn).as_quat())
+
+
+def write(directory, program: Program, original, revised, **more) -> list[Path]:
+    return write_krl(
+        directory, program, setup(original, revised), original, revised, Heading("1.2.3", "2025-06-01", **more)
+    )
+
+
+def assert_recovered(robot: Robot, run: Trajectory) -> None:
+    """To 1 um and 0.001 deg at each point."""
+    k = robot.numbers - 1
+    assert np.abs(robot.column("XYZ") * 1e-3 - run.position[k]).max() < 1e-6
+    turned = Rotation.from_euler("ZYX", robot.column("ABC"), degrees=True)
+    assert np.degrees((turned.inv() * Rotation.from_quat(run.quaternion[k])).magnitude()).max() < 1e-3
+
+
+@pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
+@pytest.mark.parametrize("limit", [1400, 120])
+def test_both_programs_are_parsed_back_across_all_their_modules(tmp_path, motion, limit):
+    pair = swaying(500)
+    files = write(tmp_path, Program(name="PART", motion=motion, line_limit=limit), *pair)
+    assert sorted(files) == sorted(tmp_path.iterdir()) and (len(files) == 4) == (limit == 1400)
+    robots = [Robot(tmp_path, main) for main in ("PART_ORG", "PART_CMP")]
+    for robot, run in zip(robots, pair, strict=True):
+        assert robot.numbers.tolist() == list(range(1, 501))
+        assert_recovered(robot, run)
+        if motion == "LIN":
+            speed = np.linalg.norm(np.diff(run.position, axis=0), axis=1) / np.diff(run.time)
+            written = [speed for _, _, speed in robot.points[1:]]
+            np.testing.assert_allclose(written, speed, atol=0.5e-3 + 1e-9)  # rounded to 1 mm/s
+    assert robots[0].rests == robots[1].rests
+
+
+def test_a_tool_that_lies_level_is_recovered_although_its_angles_are_singular(tmp_path):
+    original, _ = swaying(40)
+    lean = np.concatenate([np.linspace(-1e-3, 1e-3, 39), [0.0]])
+    level = Rotation.from_euler("ZYX", np.stack([np.full(40, 0.4), np.pi / 2 + lean, np.full(40, -0.7)], 1))
+    run = Trajectory(original.time_ns, original.position, level.as_quat())
+    write(tmp_path, Program(), run, run)
+    assert_recovered(Robot(tmp_path, "MILLING_CMP"), run)
+
+
+def test_speeds_are_rounded_to_a_millimetre_a_second_and_never_zero(tmp_path):
+    for feed in (4 / 60, 1e-5):
+        line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 20 * feed * 0.05, feed, 0.05)
+        for motion in ("LIN", "SPLINE"):
+            write(tmp_path, Program(motion=motion, point_spacing=1e-9), line, line)
+            text = (tmp_path / "MILLING_ORG.src").read_text()
+            assert f"$VEL.CP={max(feed, 1e-3):.3f}\n" in text + "\n" and "-0.0000" not in text
+
+
+def test_the_speed_of_a_spline_segment_is_that_along_its_curve(tmp_path):
+    angle = np.linspace(0, np.pi, 41)
+    circle = 0.05 * np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    time_ns = np.arange(41) * 50_000_000
+    tangent = 0.05 * np.pi / 2 * np.stack([-np.sin(angle), np.cos(angle), 0 * angle], axis=1)
+    write(tmp_path, Program(), *2 * [Trajectory(time_ns, circle, [1.0, 0, 0, 0], tangent)])
+    speeds = [speed for _, _, speed in Robot(tmp_path, "MILLING_ORG").points[1:]]
+    np.testing.assert_allclose(speeds, 0.05 * np.pi / 2, atol=0.5e-3)  # rounded to 1 mm/s
+
+
+def milled(tmp_path, text: str) -> Trajectory:
+    (tmp_path / "part.nc").write_text(text)
+    return time_path(read_gcode(tmp_path / "part.nc"), Timing()).trajectory
+
+
+@pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
+def test_the_robot_stops_in_the_corners_and_nowhere_else(tmp_path, motion):
+    run = milled(tmp_path, "G0 X0 Y0 Z0\nG1 X20 F4000\nG1 Y20\nG1 X0.3\nX0.3 Y20.004\nM30\n")
+    (tmp_path / "out").mkdir()
+    write(tmp_path / "out", Program(motion=motion), run, run)
+    robot = Robot(tmp_path / "out", "MILLING_ORG")
+    rests = run.position[np.array(robot.rests) - 1] * 1e3
+    np.testing.assert_allclose(rests[:2], [[20, 0, 0], [20, 20, 0]], atol=1e-6)
+    np.testing.assert_allclose(rests[-1], [0.3, 20.004, 0], atol=1e-6)
+    assert len(rests) <= 4 and np.linalg.norm(np.diff(robot.column("XYZ"), axis=0), axis=1).min() > 1e-3
+
+
+def test_points_closer_than_the_spacing_are_left_out_of_both_and_their_time_is_kept(tmp_path):
+    run = milled(tmp_path, "G0 X0 Y0 Z0\nG1 X20 F4000\nM30\n")
+    (tmp_path / "out").mkdir()
+    program = Program(motion="LIN", point_spacing=1e-3)
+    write(tmp_path / "out", program, run, run.with_position(run.position + [0, 1e-4, 0], run.velocity))
+    robots = [Robot(tmp_path / "out", f"MILLING_{kind}") for kind in ("ORG", "CMP")]
+    assert np.linalg.norm(np.diff(robots[0].column("XYZ"), axis=0), axis=1).min() > 1 - 1e-6
+    assert 2 < len(robots[0].numbers) < len(run) and robots[0].numbers.tolist() == robots[1].numbers.tolist()
+    assert robots[0].time[-1] == pytest.approx(run.time[-1], rel=0.02)  # speeds are rounded to 1 mm/s
+
+
+@pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
+def test_no_module_exceeds_the_line_limit(tmp_path, motion):
+    files = write(tmp_path, Program(motion=motion, line_limit=100), *swaying(1000))
+    assert max(len(path.read_text().splitlines()) for path in files) <= 100
+
+
+def test_more_modules_than_a_main_module_can_call_are_refused(tmp_path):
+    with pytest.raises(TrajectoryError, match="raise program.line_limit"):
+        write(tmp_path, Program(motion="LIN", line_limit=100), *swaying(4000))
+    assert not list(tmp_path.rglob("*.src"))
+
+
+def test_modules_end_at_a_stop_where_one_is_near(tmp_path):
+    run = milled(tmp_path, "G0 X0 Y0 Z0\n" + "G1 X30 F4000\nX0\n" * 20 + "M30\n")
+    (tmp_path / "out").mkdir()
+    files = write(tmp_path / "out", Program(motion="LIN", line_limit=120), run, run)
+    stops = np.flatnonzero(np.linalg.norm(run.velocity, axis=1) == 0) + 1
+    assert len(files) > 8 and set(Robot(tmp_path / "out", "MILLING_ORG").rests) <= set(stops)
+
+
+def test_names_are_krl_names(tmp_path):
+    files = write(tmp_path, Program(name="A234567890123456", line_limit=100), *swaying(200))
+    assert max(len(path.stem) for path in files) <= 24
+    for name in ("", "1PART", "part", "PART-1", "A2345678901234567", "../X", "PART\n"):
+        with pytest.raises(ParameterError):
+            Program(name=name)
+
+
+def test_the_head_tells_what_the_program_is_and_where_it_comes_from(tmp_path):
+    pair = swaying(20)
+    write(tmp_path, Program(), *pair, source_hash="abc")
+    for kind, run, word in (("ORG", pair[0], "original"), ("CMP", pair[1], "compensated")):
+        for suffix in ("src", "dat"):
+            text = (tmp_path / f"MILLING_{kind}.{suffix}").read_text()
+            for piece in (trajectory_hash(run), "abc", "2025-06-01", "1.2.3", word, "SIMULATION RESULT", "T1"):
+                assert piece in text
+        text = (tmp_path / f"MILLING_{kind}.src").read_text()
+        assert "$TOOL={X 0.0000,Y 0.0000,Z 250.0000,A 0.00000,B 90.00000,C 0.00000}" in text
+        assert "$BASE={X 1000.0000,Y -1600.0000,Z 300.0000,A 30.00000,B 1.00000,C -2.00000}" in text
+        assert "$LOAD={M 12.000,CM {X 0.000,Y 10.000,Z 100.000," in text
+        assert ",S 2,T 35," in (tmp_path / f"MILLING_{kind}.dat").read_text()
+
+
+def test_the_same_input_gives_the_same_files_and_any_change_another_hash(tmp_path):
+    pair = swaying(20)
+    first = {path: path.read_bytes() for path in write(tmp_path, Program(), *pair)}
+    assert first == {path: path.read_bytes() for path in write(tmp_path, Program(), *pair)}
+    moved = pair[0].with_position(pair[0].position + [1e-12, 0, 0])
+    assert trajectory_hash(moved) != trajectory_hash(pair[0])
+
+
+def test_a_text_that_would_break_the_head_is_refused(tmp_path):
+    for text in ("1.0\nEND", "\u00e4", "x" * 101):
+        with pytest.raises(TrajectoryError):
+            write(tmp_path, Program(), *swaying(20), source_hash=text)
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_written_when_the_directory_is_not_there_or_the_pair_does_not_fit(tmp_path):
+    with pytest.raises(InputError):
+        write(tmp_path / "none", Program(), *swaying(20))
+    with pytest.raises(TrajectoryError):
+        write(tmp_path, Program(), swaying(20)[0], swaying(21)[1])
+    assert not list(tmp_path.iterdir())
+
+
+# --- What a program does before and behind the path: home, safe height, spindle, coolant, tool and base ---
+
+
+#: a cell's own commands, run up, home declared, tool and base of the controller's tables
+OWN = Program(
+    spindle_on=("$OUT[1]=TRUE",), spindle_off=("$OUT[1]=FALSE",), coolant_on=("$OUT[2]=TRUE",),
+    coolant_off=("$OUT[2]=FALSE",), spindle_run_up=4.0, home_angles=np.radians([0, -90, 90, 0, 0, 0]), set_load=True,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
+@pytest.mark.parametrize("limit", [1400, 130])
+def test_the_program_starts_and_ends_at_home_with_the_spindle_on_in_between(tmp_path, motion, limit):
+    write(tmp_path, OWN.replace(motion=motion, line_limit=limit), *swaying(200))
+    steps = [line for line in Robot(tmp_path, "MILLING_CMP").steps if not line.startswith((";", "&"))]
+    moves = [line for line in steps if line.startswith(("PTP", "LIN", "SPL "))]
+    assert moves[:3] == ["PTP XHOME", "PTP XAPPROACH", "LIN XP1"] and moves[-2:] == ["LIN XRETRACT", "PTP XHOME"]
+    order = [steps.index(line) for line in ("PTP XHOME", "$OUT[1]=TRUE", "WAIT SEC 4.0", "$OUT[2]=TRUE",
+                                            "PTP XAPPROACH", "LIN XP1", "LIN XRETRACT", "$OUT[1]=FALSE")]  # fmt: skip
+    assert order == sorted(order) and steps.index("$OUT[2]=FALSE") > steps.index("LIN XRETRACT")
+    assert "$LOAD={M 12.000" in (tmp_path / "MILLING_CMP.src").read_text()
+
+
+def test_approach_and_retract_are_at_the_safe_height_above_first_and_last_point(tmp_path):
+    pair = swaying(20)
+    write(tmp_path, OWN, *pair)
+    text = (tmp_path / "MILLING_CMP.dat").read_text()
+    for name, k in (("XAPPROACH", 0), ("XRETRACT", -1)):
+        place = re.search(rf"{name}={{X ({NUMBER}),Y ({NUMBER}),Z ({NUMBER})", text).groups()
+        expected = [*pair[1].position[k, :2] * 1e3, 50.0]
+        assert [float(v) for v in place] == pytest.approx(expected, abs=1e-4)
+    assert "DECL E6AXIS XHOME={A1 0.0000,A2 -90.0000,A3 90.0000,A4 0.0000,A5 0.0000,A6 0.0000," in text
+
+
+def test_tool_and_base_of_the_controllers_tables(tmp_path):
+    write(tmp_path, Program(tool_number=3, base_number=12), *swaying(20))
+    text = (tmp_path / "MILLING_ORG.src").read_text()
+    assert "$TOOL=TOOL_DATA[3]\n" in text and "; TOOL_DATA[3] must be {X 0.0000,Y 0.0000,Z 250.0000" in text
+    assert "$BASE=BASE_DATA[12]\n" in text
+
+
+@pytest.mark.parametrize("wrong", [dict(spindle_on=("A\nB",)), dict(home="x"), dict(home_angles=[1.0]),
+                                   dict(coolant_off=("\u00e4",))])  # fmt: skip
+def test_what_no_controller_reads_is_refused(wrong):
+    with pytest.raises(ParameterError):
+        Program(**wrong)
+
+
+# --- The programs of a cell, read back by a reader written here and run on an arm chain written here ---
+
 
 DATE = "2030-01-01T00:00:00+00:00"
 
@@ -162,3 +405,173 @@ def test_a_method_that_is_no_file_name_is_refused(cell, tmp_path, method):
     with pytest.raises(InputError, match="method"):
         write_programs(tmp_path / "out", cell, cell.target(), cell.target(), method=method, date=DATE)
     assert not (tmp_path / "out").exists()
+
+
+# --- RSI offset tables and joint tables ---
+
+
+LINE = Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], 0.08, 4 / 60, 0.05)
+BENT = spline(LINE.time_ns, LINE.position + np.sin(LINE.time)[:, None] * [0, 1e-4, -2e-5], ends="not-a-knot")
+
+
+def rows(path) -> list[dict[str, float]]:
+    with open(path, newline="") as stream:
+        return [{k: float(v) for k, v in row.items()} for row in csv.DictReader(stream)]
+
+
+@pytest.mark.parametrize("tick_ms", [4, 12])
+def test_the_table_holds_the_difference_of_both_paths_at_every_tick(tmp_path, tick_ms):
+    write_rsi_table(tmp_path / "rsi.csv", LINE, BENT, tick_ms * 10**6)
+    table = rows(tmp_path / "rsi.csv")
+    assert len(table) == 1200 // tick_ms + 1 and table[-1]["time_s"] == 1.2
+    time = np.array([row["time_s"] for row in table])
+    lateral = np.array([[row["dX_mm"], row["dY_mm"], row["dZ_mm"]] for row in table])
+    np.testing.assert_allclose(lateral[:, 1], 0.1 * np.sin(time), atol=2e-6)  # spline error and the last digit
+    np.testing.assert_allclose(lateral[:, 2], -0.02 * np.sin(time), atol=2e-6)
+    assert np.abs(lateral[:, 0]).max() < 1e-6 and all(row["dA_deg"] == row["dB_deg"] == 0 for row in table)
+
+
+def test_small_turns_come_out_as_angles_about_the_axes_of_the_frame():
+    turn = Rotation.from_rotvec([1e-4, -2e-4, 3e-4])
+    turned = Trajectory(LINE.time_ns, LINE.position, (turn * Rotation.from_quat(TOOL_DOWN)).as_quat())
+    _, shift, abc = offsets(LINE, turned, 4_000_000)
+    np.testing.assert_allclose(abc, np.tile([3e-4, -2e-4, 1e-4], (301, 1)), atol=1e-7)  # A, B, C about z, y, x
+    assert not shift.any()
+
+
+def test_the_last_tick_covers_the_end_of_a_path_that_is_no_multiple_of_it():
+    line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.0801, 4 / 60, 0.05)
+    assert offsets(line, line, 12_000_000)[0][-1] >= line.duration_ns
+
+
+def test_other_ticks_and_paths_of_unlike_duration_are_refused(tmp_path):
+    longer = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.09, 4 / 60, 0.05)
+    for arguments in ((LINE, BENT, 5_000_000), (LINE, longer, 4_000_000)):
+        with pytest.raises(TrajectoryError):
+            write_rsi_table(tmp_path / "rsi.csv", *arguments)
+    assert not list(tmp_path.iterdir())
+
+
+def test_joint_positions_are_written_in_degrees(tmp_path):
+    joints = np.random.default_rng(2).uniform(-3, 3, (25, 6))
+    write_joint_table(tmp_path / "joints.csv", LINE, joints)
+    table = rows(tmp_path / "joints.csv")
+    assert [row["time_s"] for row in table] == [t / 1e9 for t in LINE.time_ns.tolist()]
+    for column, name in enumerate(JOINT_NAMES):
+        assert [row[f"{name}_deg"] for row in table] == np.degrees(joints[:, column]).tolist()
+
+
+def test_joints_that_do_not_fit_the_knots_are_refused(tmp_path):
+    for joints in (np.zeros((24, 6)), np.full((25, 6), np.nan)):
+        with pytest.raises(TrajectoryError):
+            write_joint_table(tmp_path / "joints.csv", LINE, joints)
+
+
+# --- The figures of a program are those of its written points, joined as the controller joins them ---
+
+
+UM = 1e-6
+SHARE = 0.02  #: of the planned deviation
+ROUNDING = 0.12 * UM  #: points are written to 0.1 um, which an arm with a damping of 0.04 amplifies
+SMOOTH = "spline", "learned", "inverse"
+
+
+@pytest.fixture(scope="module", params=[0.04, 0.182])
+def paper(request):
+    assignments = ["dynamics.reference_inertia=true", f"dynamics.damping_ratio={request.param}"]
+    cell = read_cell(find_file("paper.yaml"), assignments)
+    return cell, simulate(cell)
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory):
+    cell = small_part(tmp_path_factory.mktemp("part"), GCODE, "dynamics.reference_inertia=true")
+    return cell, simulate(cell)
+
+
+@pytest.mark.parametrize("method", ["linear", *SMOOTH])
+def test_the_written_program_leaves_what_the_plan_leaves(paper, method):
+    cell, original = paper
+    planned = compensated(cell, original, method)
+    written = written_pass(cell, planned)
+    plan, left = planned.scores.max_deviation, written.scores.max_deviation
+    assert left == pytest.approx(plan, rel=SHARE, abs=ROUNDING)
+    assert method not in ("learned", "inverse") or left < 0.5 * UM
+
+
+@pytest.mark.parametrize("method", SMOOTH)
+def test_the_slopes_of_a_smooth_reference_follow_from_its_points(part, method):
+    cell, original = part
+    run, target = compensated(cell, original, method).reference, cell.target()
+    np.testing.assert_array_equal(run.velocity, controller_motion(run, target).velocity)
+    assert not run.velocity[block_ends(target)].any() and target.standing[1:-1].any()
+
+
+@pytest.mark.parametrize("method", ["linear", *SMOOTH])
+def test_a_program_with_stops_leaves_what_the_plan_leaves(part, method):
+    cell, original = part
+    planned = compensated(cell, original, method)
+    left = written_pass(cell, planned).scores.max_deviation
+    assert left == pytest.approx(planned.scores.max_deviation, rel=SHARE, abs=ROUNDING)
+
+
+def test_a_program_in_straight_lines_of_a_smooth_plan_is_a_finding(part):
+    cell, _ = part
+    done = compensate(cell, "inverse", motions=("LIN",))
+    (finding,) = [f for f in done.checked.findings if f.what == "written program"]
+    assert finding.severity == "warning"
+    assert finding.value == pytest.approx(1e6 * done.revised.scores.max_deviation)
+    assert finding.value > 1.2 * finding.limit == pytest.approx(1.2e6 * done.planned.scores.max_deviation)
+    assert not [f for f in compensate(cell, "inverse").checked.findings if f.what == "written program"]
+
+
+@pytest.mark.parametrize(("motion", "limit"), [("SPLINE", 1400), ("SPLINE", 120), ("LIN", 1400)])
+def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_path, motion, limit):
+    cell, original = part
+    cell = cell.replace(program=cell.program.replace(line_limit=limit))
+    run = compensated(cell, original, "spline").reference
+    files = write_programs(tmp_path, cell, cell.target(), run, method="spline", date="2030-01-01", motions=[motion])
+    folder = files[f"krl_{motion.lower()}"][0].parent
+    main = f"{cell.program.name}_CMP"
+    found, robot = read_krl(folder, main), Robot(folder, main)
+    assert found.spline == (motion == "SPLINE") and found.number.tolist() == robot.numbers.tolist()
+    assert [1, *robot.rests] == found.number[found.stops].tolist()
+    assert found.pose.position == pytest.approx(robot.column("XYZ") * 1e-3, abs=1e-12)
+    assert (len(files[f"krl_{motion.lower()}"]) > 4) == (limit == 120)
+    assert any(time_law(cell)[:40] in line for line in robot.steps)
+
+
+def test_a_point_without_a_frame_is_refused(part, tmp_path):
+    cell, _ = part
+    target = cell.target()
+    files = write_programs(tmp_path, cell, target, target, method="spline", date="2030-01-01", motions=["SPLINE"])
+    data = files["krl_spline"][0].parent / f"{cell.program.name}_CMP.dat"
+    data.write_text(data.read_text().replace("DECL FRAME XP7=", "DECL FRAME XP7777="))
+    with pytest.raises(InputError, match="XP7 has no frame"):
+        read_krl(data.parent, f"{cell.program.name}_CMP")
+
+
+def test_a_module_that_ends_between_two_stops_stops_the_robot_there(paper):
+    cell, _ = paper
+    program = cell.program.replace(line_limit=100)
+    cell = cell.replace(program=program, timing=cell.timing.replace(controller_step=0.012))
+    run = controller_motion(cell.target(), cell.target())
+    written = written_trajectory(cell, run, "SPLINE")
+    assert not run.standing.any() and written.standing[1:-1].any()
+    assert not written_trajectory(cell.replace(program=program.replace(line_limit=1400)), run, "SPLINE").standing.any()
+
+
+def test_a_controller_with_less_acceleration_reaches_the_same_points_later(part):
+    cell, original = part
+    run = compensated(cell, original, "inverse").reference
+    same, softer = softer_pass(cell, run, 1.0), softer_pass(cell, run)
+    assert same.reference.position == pytest.approx(run.position, abs=1e-12)
+    np.testing.assert_allclose(same.reference.time_ns, run.time_ns, atol=1000)  # the ends of the ramps are interpolated
+    assert softer.reference.duration_ns > run.duration_ns
+    assert softer.scores.max_deviation > same.scores.max_deviation
+
+
+def test_a_straight_cut_has_a_constant_feed_and_no_second_time_law(paper):
+    cell, original = paper
+    assert softer_pass(cell, original.reference) is None
+    assert "constant feed of 4 m/min" in time_law(cell) and "run-in" in time_law(cell)

@@ -1,0 +1,398 @@
+"""Results of each feature along a tool path, the finished workpiece, and the shipped test piece."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from milled_part import CONFIG, HEAD, POCKET, RADIUS, RIGID, SLOT, small_cell
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import compensated, simulate
+from kr270_milling.cli import main
+from kr270_milling.decide.part import assess, assess_all, heights_at, machined
+from kr270_milling.decide.part.course import course, deviations
+from kr270_milling.physics.cutting import GridError
+from kr270_milling.physics.motion.arm_model import modal_models
+from kr270_milling.physics.motion.dynamics import discretise
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory):
+    return small_cell(tmp_path_factory.mktemp("assessment"), POCKET)
+
+
+@pytest.fixture(scope="module")
+def ran(cell):
+    return simulate(cell)
+
+
+@pytest.fixture(scope="module")
+def part(cell, ran):
+    return assess(cell, ran)
+
+
+def test_each_feature_that_cuts_has_a_row_and_the_whole_part_is_the_worst_of_them(part):
+    assert [row.name for row in part.rows] == ["side", "ring"]
+    for key in ("max_normal", "max_vertical", "max_wall", "max_floor", "max_force", "max_torque", "max_power"):
+        values = [getattr(row, key) for row in part.rows]
+        assert getattr(part.whole, key) == max(values) > 0
+    assert part.whole.cut_length == pytest.approx(sum(row.cut_length for row in part.rows))
+    for row in part.rows:
+        assert row.mean_normal < row.quantile_normal < row.max_normal
+
+
+def test_a_wall_is_off_by_what_the_tool_deviated_when_it_made_it(part):
+    walls = part.surface.walls
+    for row in part.rows:
+        assert row.max_wall < 1.05 * row.max_normal + 1e-6
+    # the tool deviates by tens of micrometres, and a wall far from entry and exit shows it
+    assert np.quantile(np.abs(walls.error), 0.9) > 5e-6
+
+
+def test_nothing_is_cut_in_the_air(cell, ran, part):
+    result, stock = ran.result, cell.stock
+    above = np.minimum(result.tool[:-1, 2], result.tool[1:, 2]) > stock.max[2]
+    beside = np.abs(result.tool[1:, 0]) > stock.max[0] + RADIUS + 1e-3
+    air = np.append(False, above | beside)
+    assert air.sum() > 100 and not part.cutting[air].any()
+    assert np.all(part.force[air] == 0) and np.all(part.power[air] == 0)
+    assert part.whole.cut_length < 0.8 * part.path.distance[-1]
+
+
+def test_a_feature_in_the_air_has_no_row(tmp_path):
+    air = SLOT.replace("M5", "(air)\nG0 X-28 Y0 Z2\nG1 X28\nM5")
+    cell = small_cell(tmp_path, air)
+    assert [row.name for row in assess(cell, simulate(cell)).rows] == ["slot"]
+
+
+def test_power_is_torque_times_spindle_speed_and_chips_sum_up_to_the_removed_volume(cell, ran, part):
+    np.testing.assert_allclose(part.power, part.torque * cell.tool.spindle_speed, rtol=1e-12)
+    assert ran.result.volume.sum() == pytest.approx(ran.result.removed_volume, rel=1e-9)
+
+
+def test_mean_torque_of_a_rigid_slot_is_that_of_the_linear_edge_law(tmp_path):
+    cell = small_cell(tmp_path, SLOT, RIGID, "stock.grid_step_um=20.0", "exchange.micro_step_deg=1.0")
+    found = assess(cell, simulate(cell))
+    full = np.abs(found.path.distance - 30e-3 - 2e-3) < 8e-3  # plunge of 3 mm, then x from -28 to 28: in the middle
+    full = full[: full.size]
+    law, depth, feed = cell.cutting.linear_edge, 1e-3, 0.25e-3
+    # each of the teeth cuts over half a turn with h = f_z sin: mean of F_t is (2 K_tc f_z + pi K_te) a / (2 pi)
+    per_tooth = (2 * law.tangential_cutting * feed + np.pi * law.tangential_edge) * depth / (2 * np.pi)
+    turns = int(full.sum() // 20) * 20  # periods of 18 deg
+    mean = found.torque[np.flatnonzero(full)[:turns]].mean()
+    assert mean == pytest.approx(cell.tool.teeth * per_tooth * RADIUS, rel=0.015)
+
+
+def test_a_rigid_arm_has_no_deviation_in_any_row(tmp_path):
+    cell = small_cell(tmp_path, POCKET, RIGID)
+    for row in assess(cell, simulate(cell)).table():
+        assert all(value < 1e-5 for key, value in row.items() if key.endswith("_um"))  # 1e-5 um
+
+
+def test_several_passes_share_the_ideal_part(cell, ran, part):
+    first, second = assess_all(cell, [ran, ran])
+    assert first.table() == second.table() == part.table()
+
+
+def test_the_table_is_plain_and_its_keys_end_in_units(part):
+    text = json.dumps(part.as_dict())
+    assert "numpy" not in text
+    assert [row["feature"] for row in part.table()] == ["side", "ring", "whole part"]
+    for key in part.table()[0]:
+        assert key == "feature" or key.rsplit("_", 1)[1] in ("mm", "um", "n", "m", "w")
+
+
+def test_the_papers_straight_cut_can_be_assessed_as_a_part():
+    cell = read_cell(CONFIG / "paper.yaml", ["stock.grid_step_um=40.0"])
+    ran = simulate(cell)
+    part = assess(cell, ran)
+    assert [row.name for row in part.rows] == ["straight cut"]
+    last = part.deviation[-(len(part.deviation) // 4) :, 1]
+    assert last.mean() == pytest.approx(ran.scores.static_deviation, rel=1e-9)
+    walls = part.surface.walls
+    settled = walls.position[:, 0] > 50e-3
+    assert settled.sum() > 100  # both walls are off by the static deviation, to opposite sides of the material
+    np.testing.assert_allclose(np.abs(walls.error[settled]), np.abs(last.mean()), atol=5e-6)
+    assert set(np.sign(walls.error[settled])) == {-1.0, 1.0}
+
+
+def test_a_spindle_speed_that_is_not_the_cells_is_refused_with_both(tmp_path):
+    cell = small_cell(tmp_path, SLOT.replace("S6000", "S5000"))
+    with pytest.raises(InputError, match=r"line 5: .*S5000.*6000"):
+        cell.target()
+
+
+def test_a_path_that_misses_the_stock_is_refused(tmp_path):
+    for start, move in (("X-28 Y25 Z-1", "X28"), ("X-28 Y0 Z0.5", "X28")):
+        cell = small_cell(tmp_path, HEAD + f"G0 {start}\nG1 {move} F3000\n")
+        with pytest.raises(InputError, match="never reaches the stock"):
+            cell.target()
+
+
+def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_gives(cell, ran, part):
+    """The pass cut with the predicted tool centre, here within 2 um of the corrected one: nodes at the very edge of a
+    tooth's way may fall to another tooth."""
+    assert np.array_equal(machined(cell, ran.result.tool).map_heights()[2], ran.result.heights)
+    again = assess(cell, dataclasses.replace(ran, result=dataclasses.replace(ran.result, heights=None)))
+    differ = np.abs(part.surface.floors.error - again.surface.floors.error)
+    assert np.nanquantile(differ, 0.999) <= part.surface.floor_resolution
+    assert part.whole.max_floor == pytest.approx(again.whole.max_floor, abs=ran.result.correction.max())
+
+
+# --- Directions, distances and features along a pass ---
+
+
+@pytest.fixture(scope="module")
+def cell_of_course(tmp_path_factory):
+    return small_cell(tmp_path_factory.mktemp("course"), POCKET)
+
+
+@pytest.fixture(scope="module")
+def stamps(cell_of_course):
+    return np.arange(0, cell_of_course.target().duration_ns, 500_000)
+
+
+def test_the_tangent_is_the_direction_of_the_motion_wherever_the_tool_moves(cell_of_course, stamps):
+    path, target = course(cell_of_course, stamps), cell_of_course.target()
+    velocity = target.sample_velocity(stamps)
+    speed = np.linalg.norm(velocity, axis=1)
+    moving = speed > 5e-3
+    assert moving.sum() > 500
+    along = np.sum(velocity[moving] / speed[moving, None] * path.tangent[moving], axis=1)
+    assert np.quantile(along, 0.01) > 0.999  # the controller's knots round arcs a little
+    np.testing.assert_allclose(np.linalg.norm(path.tangent, axis=1), 1.0, atol=1e-12)
+
+
+def test_the_tangent_is_there_while_the_tool_rests(cell_of_course):
+    end = cell_of_course.target().duration_ns
+    resting = course(cell_of_course, np.array([0, end, end + 10**9]))
+    np.testing.assert_allclose(np.linalg.norm(resting.tangent, axis=1), 1.0, atol=1e-12)
+
+
+def test_a_move_along_the_spindle_keeps_the_side_of_the_last_horizontal_move(cell_of_course, stamps):
+    path = course(cell_of_course, stamps)
+    upright = np.abs(path.tangent[:, 2]) > 0.999
+    assert upright.any()
+    changes = np.flatnonzero(np.abs(np.diff(path.heading)) > 1e-9) + 1
+    assert not upright[changes].any()
+
+
+def test_distance_only_grows_and_ends_at_the_length_of_the_path(cell_of_course, stamps):
+    distance = course(cell_of_course, np.append(stamps, cell_of_course.target().duration_ns)).distance
+    assert np.all(np.diff(distance) >= -1e-12)
+    assert distance[-1] == pytest.approx(cell_of_course.timed_path.toolpath.length, abs=1e-12)
+
+
+def test_the_parts_of_a_deviation_on_a_horizontal_path_make_up_its_length(cell_of_course, stamps):
+    path = course(cell_of_course, stamps)
+    error = np.random.default_rng(1).normal(size=(stamps.size, 3))
+    parts = deviations(path, error)
+    level = np.abs(path.tangent[:, 2]) < 1e-12
+    np.testing.assert_allclose(np.linalg.norm(parts[level], axis=1), np.linalg.norm(error[level], axis=1), rtol=1e-12)
+
+
+def test_normal_deviation_is_positive_to_the_left_of_the_path(tmp_path):
+    cell = small_cell(tmp_path, HEAD + "G0 X-28 Y0 Z-1\nG1 X20 F3000\nG1 X20 Y28\nG0 Z2\n")
+    stamps = np.linspace(0, cell.target().duration_ns, 200).astype(np.int64)
+    path = course(cell, stamps)
+    shifted = deviations(path, np.tile([-1.0, 2.0, 3.0], (stamps.size, 1)))
+    flat = np.abs(path.tangent[:, 2]) < 0.5
+    along_x, along_y = flat & (path.tangent[:, 0] > 0.9), flat & (path.tangent[:, 1] > 0.9)
+    np.testing.assert_allclose(shifted[along_x], np.tile([-1, 2, 3], (along_x.sum(), 1)), atol=1e-12)
+    np.testing.assert_allclose(shifted[along_y], np.tile([2, 1, 3], (along_y.sum(), 1)), atol=1e-12)
+
+
+def test_a_straight_cut_without_a_file_is_one_feature_along_x():
+    cell = read_cell(CONFIG / "paper.yaml")
+    path = course(cell, np.array([0, 10**9, 2 * 10**9]))
+    assert path.features == ("straight cut",)
+    np.testing.assert_allclose(path.tangent, np.tile([1.0, 0, 0], (3, 1)), atol=1e-12)
+    assert path.distance[1] == pytest.approx(4.0 / 60)  # 4 m/min for 1 s
+
+
+def test_features_are_those_of_the_programme(cell_of_course, stamps):
+    path = course(cell_of_course, stamps)
+    assert path.features == ("unnamed", "side", "ring")
+    assert set(np.unique(path.feature)) <= {0, 1, 2} and {1, 2} <= set(np.unique(path.feature))
+
+
+# --- The finished workpiece of a pass, swept once more ---
+
+
+@pytest.fixture(scope="module")
+def cell_of_machined(tmp_path_factory):
+    return small_cell(tmp_path_factory.mktemp("machined"), POCKET)
+
+
+def test_sweeping_the_positions_of_a_pass_again_removes_the_same_material(cell_of_machined):
+    result = simulate(cell_of_machined).result
+    again = machined(cell_of_machined, result.tool)
+    assert again.removed_volume == pytest.approx(result.removed_volume, rel=1e-12)
+    assert again.removed_volume == pytest.approx(result.volume.sum(), rel=1e-9)
+
+
+def test_heights_at_points_are_those_of_the_map(cell_of_machined):
+    cut = machined(cell_of_machined, simulate(cell_of_machined).result.tool)
+    x, y, z = cut.heights(thinning=7)
+    points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
+    np.testing.assert_array_equal(heights_at(cut, points).reshape(z.shape), z)
+    assert len(np.unique(z)) > 3
+
+
+def test_a_stock_without_room_for_its_tiles_is_an_error(cell_of_machined, monkeypatch):
+    monkeypatch.setattr("kr270_milling.physics.cutting.state.MAX_TILES", 2)
+    with pytest.raises(GridError):
+        machined(
+            cell_of_machined,
+            cell_of_machined.target().sample(np.arange(0, cell_of_machined.target().duration_ns, 500_000)),
+        )
+
+
+# --- The shipped cell of the test piece ---
+
+
+COARSE = ("stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0")
+
+
+@pytest.fixture(scope="module")
+def cell_of_test_piece():
+    return read_cell(CONFIG / "test_piece.yaml", COARSE)
+
+
+def with_features(path, *names: str):
+    """The programme of the test piece with some of its features only."""
+    keep, copied = True, []
+    for line in (CONFIG / "test_piece.nc").read_text().splitlines():
+        if line.startswith("("):
+            keep = line.strip("()") in names
+        if keep or line.startswith(("N540", "N550")):
+            copied.append(line.replace("M3", "M3 F4000"))
+    path.write_text("\n".join(copied) + "\n")
+    return path
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory):
+    """The square and the inclined side only."""
+    return with_features(tmp_path_factory.mktemp("short") / "short.nc", "square", "inclined_side")
+
+
+def test_the_posture_is_as_its_comment_says(cell_of_test_piece):
+    joints = np.degrees(cell_of_test_piece.joints(cell_of_test_piece.target()))
+    lower, upper = np.degrees(cell_of_test_piece.arm.joint_lower), np.degrees(cell_of_test_piece.arm.joint_upper)
+    assert min((joints - lower).min(), (upper - joints).min()) > 16
+    assert joints[:, 4].max() < -50
+    model = cell_of_test_piece.modal_model
+    soft = model.output @ model.shape @ np.diag(model.frequency**-2.0) @ model.shape.T @ model.force + model.feedthrough
+    assert 0.45e-6 < soft[0, 0] < soft[1, 1] < 0.85e-6
+
+
+def test_the_programme_asks_for_the_spindle_speed_and_the_feed_of_the_cell(cell_of_test_piece):
+    assert cell_of_test_piece.feed_rate * 60 == pytest.approx(4.0)  # F4000
+    per_tooth = (
+        cell_of_test_piece.feed_rate * 2 * np.pi / cell_of_test_piece.tool.spindle_speed / cell_of_test_piece.tool.teeth
+    )
+    assert per_tooth == pytest.approx(0.125e-3)
+
+
+def test_the_square_is_left_too_large_by_tens_of_micrometres(short):
+    cell = read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={short}"])
+    part = assess(cell, simulate(cell))
+    square, inclined = part.rows
+    assert (square.name, inclined.name) == ("square", "inclined_side")
+    # half immersion, 1.2 mm deep: a mean force of some 90 N at 0.5 to 0.8 um/N; climb milling pushes the tool away
+    assert 30e-6 < square.mean_wall < 80e-6 and inclined.mean_wall < square.mean_wall
+    made = part.surface.walls.error[part.surface.walls.feature == part.path.features.index("square")]
+    assert np.quantile(made, 0.02) > 0
+    assert square.cut_length == pytest.approx(385e-3, rel=0.05)  # four sides of 100 mm less what the entry leaves
+
+
+def test_simulate_prints_each_feature_and_writes_the_part(short, tmp_path, capsys):
+    words = ["simulate", str(CONFIG / "test_piece.yaml"), "--set", f"path.file={short}"]
+    for setting in COARSE:
+        words += ["--set", setting]
+    assert main([*words, "--json", "--out", str(tmp_path)]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [row["feature"] for row in found["features"]] == ["square", "inclined_side"]
+    assert found["whole_part"]["max_wall_error_um"] == max(row["max_wall_error_um"] for row in found["features"])
+    stl = tmp_path / "part.stl"
+    assert str(stl) in found["files"] and stl.stat().st_size > 1_000_000
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert "inclined_side" in text and "whole part" in text and "nan" not in text
+
+
+def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_corner(tmp_path):
+    """Sharp corners, helix, axial force and inertia of the arm. A fifth was asked for; a coarser cut is simulated."""
+    path = with_features(tmp_path / "diamond.nc", "diamond")
+    cell = read_cell(CONFIG / "test_piece.yaml", [*COARSE, f"path.file={path}"])
+    assert cell.tool.helix > 0.0 and cell.cutting.axial and cell.dynamics.reference_inertia
+    original = simulate(cell)
+    before, after = assess_all(cell, (original, compensated(cell, original, "inverse")))
+    assert before.whole.max_wall > 50e-6 and before.whole.max_floor > 50e-6
+    assert after.whole.max_wall < before.whole.max_wall / 20 and after.whole.max_floor < before.whole.max_floor / 20
+    assert after.whole.max_normal < before.whole.max_normal / 20  # while it cuts, also where the wall goes later
+
+
+# --- Stiffness and mass that follow the posture ---
+
+
+#: 200 mm away from the arm and 100 mm across, through the stock
+FAR = HEAD + "(far)\nG0 X-100 Y-50 Z-1\nG1 X100 Y50 F3000\n"
+
+
+def static(transition, held, output, feedthrough) -> np.ndarray:
+    """Deflection under a wrench that stays, (6, 6)."""
+    return output @ np.linalg.solve(np.eye(len(transition)) - transition, held) + feedthrough
+
+
+def lowest(transition) -> float:
+    """Angle of the slowest mode in one period [rad]."""
+    return float(np.abs(np.angle(np.linalg.eigvals(transition))).min())
+
+
+def interpolation_error(folder, spacing_mm: float) -> tuple[float, float]:
+    """Largest relative error of translational compliance and of the lowest frequency, over exchanges along FAR."""
+    cell = small_cell(folder, FAR, "dynamics.follow_pose=true", f"dynamics.posture_spacing_mm={spacing_mm}")
+    target = cell.target()
+    model = cell.arm_model(target)
+    steps = np.arange(0, cell.clock.steps(target.duration_ns), 37)  # exchanges; 37 meets every place between postures
+    stamps = cell.clock.stamp(steps)
+    joints = cell.joints_at(target.sample(stamps), target.sample_orientation(stamps))
+    exact = modal_models(cell.arm, cell.mount, cell.dynamics, cell.workpiece.pose, joints)
+    worst = np.zeros(2)
+    for step, mode in zip(steps, exact, strict=True):
+        k, part = divmod(step / model.steps_per_knot, 1.0)
+        arrays = [a[int(k)] + part * (a[int(k) + 1] - a[int(k)]) for a in model.arrays[:4]]
+        fresh = discretise(mode, cell.dynamics.damping_ratio, cell.clock.period)
+        soft, right = static(*arrays)[:3, :3], static(*fresh)[:3, :3]
+        wrong = [np.abs(soft - right).max() / np.abs(right).max(), abs(lowest(arrays[0]) / lowest(fresh[0]) - 1)]
+        worst = np.maximum(worst, wrong)
+    return worst[0], worst[1]
+
+
+def test_postures_5_mm_apart_give_stiffness_and_frequency_to_1e_3(tmp_path):
+    # the shipped spacing: far below the few per cent to which joint compliances are known
+    compliance, frequency = interpolation_error(tmp_path, 5.0)
+    assert compliance < 1e-3 and frequency < 1e-3
+
+
+def test_the_error_falls_with_the_square_of_the_spacing(tmp_path):
+    coarse, fine = interpolation_error(tmp_path, 40.0), interpolation_error(tmp_path, 20.0)
+    for a, b in zip(coarse, fine, strict=True):
+        assert a / b == pytest.approx(4.0, rel=0.4)
+
+
+def test_the_stiffness_of_the_start_alone_is_wrong_by_more_than_a_tenth_at_the_end(tmp_path):
+    cell = small_cell(tmp_path, FAR)
+    target = cell.target()
+    ends = cell.joints_at(target.position[[0, -1]], target.quaternion[[0, -1]])
+    first, last = (
+        static(*discretise(m, 0.04, 5e-4))[:3, :3]
+        for m in modal_models(cell.arm, cell.mount, cell.dynamics, cell.workpiece.pose, ends)
+    )
+    assert np.abs(first - last).max() > 0.1 * np.abs(last).max()

@@ -1,0 +1,383 @@
+"""APT/CL files, tables of points and the table of readers: what is read, and no input that breaks a reader."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from budget import budget
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.frames import rotation_from_abc, rotation_from_quaternion
+from kr270_milling.path.cam.apt.reader import read_apt
+from kr270_milling.path.cam.arcs import ArcError, arc_points, centre_from_radius
+from kr270_milling.path.cam.readers import READERS, read_path_file, read_points, read_toolpath
+from kr270_milling.path.toolpath import REACH, Toolpath
+from kr270_milling.path.trajectory_csv import read_csv
+
+VALID = {
+    ".nc": b"G21 G90 (a)\nG0 X0 Y0 Z0\nG1 X1 F100\nG2 X5 Y4 I4 J0\nG3 X0 Y0 R6\nG91 G20 G1 X-.5\nM30\n",
+    ".apt": b"UNITS/MM\nGOTO/0,0,0\nFEDRAT/100,MMPM\nRAPID\nGOTO/1,2,3,0,0,1\nGOTO/1,$\n5,3\n$$ a\nFINI\n",
+    ".csv": b"x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n0,0,0,0,0,180,1\n1,0,1,0,0,180,60\n",
+}
+WORDS = [b"G0", b"G1", b"G2", b"G3", b"G20", b"G91", b"X1", b"Y-2", b"Z.5", b"I1", b"J-1", b"R5", b"R-1e9", b"F100",
+         b"F0", b"S1", b"M3", b"M30", b"\n", b" ", b"(a)", b"(", b";", b"%", b"GOTO/", b"0,0,0", b",1", b"FEDRAT/5",
+         b"RAPID", b"$", b"$$ b", b"UNITS/INCHES", b"FINI", b"SPINDL/", b"nan", b"-inf", b"1e999", b"9" * 400,
+         b"x_mm,y_mm,z_mm,feed_mm_per_min", b"\xff", b"\0", "\u0663".encode(), "\u2028".encode(), b"\r"]  # fmt: skip
+quick = settings(deadline=10_000, max_examples=budget(300), suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+def check(path: Path, data: bytes) -> None:
+    """The file is refused in one sentence, or is a path that a machine could run."""
+    path.write_bytes(data)
+    try:
+        toolpath = read_toolpath(path)
+    except InputError as error:
+        assert str(error).isprintable() and len(str(error)) < 2000 + len(str(path))
+        assert error.line is not None and 1 <= error.line <= data.count(b"\n") + data.count(b"\r") + 1
+        return
+    assert isinstance(toolpath, Toolpath) and np.abs(toolpath.position).max() <= REACH
+    assert toolpath.length > 0 and np.all(toolpath.rapid[1:] | (toolpath.feed[1:] > 0))
+    assert np.all(np.diff(toolpath.line) >= 0)
+
+
+def test_the_whole_examples_are_read_under_every_name_of_their_kind(tmp_path):
+    kinds = {READERS[suffix]: data for suffix, data in VALID.items()}
+    for suffix, reader in READERS.items():
+        if reader.recorded:
+            continue
+        (tmp_path / f"part{suffix.upper()}").write_bytes(kinds[reader])
+        assert len(read_toolpath(tmp_path / f"part{suffix.upper()}")) >= 2
+
+
+@pytest.mark.parametrize("suffix", VALID)
+@quick
+@given(data=st.binary(max_size=300))
+def test_bytes_at_random_are_refused_or_read(tmp_path, suffix, data):
+    check(tmp_path / f"x{suffix}", data)
+
+
+@pytest.mark.parametrize("suffix", VALID)
+@quick
+@given(words=st.lists(st.sampled_from(WORDS), max_size=40))
+def test_words_in_any_order_are_refused_or_read(tmp_path, suffix, words):
+    check(tmp_path / f"x{suffix}", b"".join(words))
+
+
+@pytest.mark.parametrize("suffix", VALID)
+@quick
+@given(data=st.data())
+def test_a_file_with_a_spoilt_byte_or_a_missing_end_is_refused_or_read(tmp_path, suffix, data):
+    whole = VALID[suffix]
+    at = data.draw(st.integers(0, len(whole) - 1))
+    check(tmp_path / f"x{suffix}", whole[:at] + data.draw(st.binary(max_size=2)) + whole[at + 1 :])
+    check(tmp_path / f"y{suffix}", whole[:at])
+
+
+@pytest.mark.parametrize("suffix", VALID)
+def test_a_file_cut_off_within_a_line_is_never_taken_for_whole(tmp_path, suffix):
+    whole = VALID[suffix].rstrip(b"\n")
+    ending = whole.rindex(b"\n")  # the last line of G-code and APT only says that the program ends
+    for at in range(1, ending if suffix != ".csv" else len(whole)):
+        if whole[at - 1 : at] == b"\n":
+            continue
+        (tmp_path / f"x{suffix}").write_bytes(whole[:at])
+        with pytest.raises(InputError):
+            read_toolpath(tmp_path / f"x{suffix}")
+
+
+@quick
+@given(data=st.binary(max_size=200))
+def test_a_trajectory_file_of_random_bytes_is_refused(tmp_path, data):
+    (tmp_path / "x.csv").write_bytes(data)
+    with pytest.raises(InputError):
+        read_csv(tmp_path / "x.csv")
+
+
+@pytest.mark.parametrize("suffix", VALID)
+@pytest.mark.parametrize("line", [b"(" * 50_000, b"X1" * 25_000, b"9" * 250_000, b" " * 250_000 + b"x", b"$\n" * 9999])
+def test_long_lines_take_no_time(tmp_path, suffix, line):
+    began = time.process_time()
+    check(tmp_path / f"x{suffix}", line + b"\n")
+    assert time.process_time() - began < 5  # a reader that backtracks would take hours
+
+
+def test_another_kind_of_file_is_refused_by_its_name(tmp_path):
+    with pytest.raises(InputError, match=r"\.nc"):
+        read_toolpath(tmp_path / "part.step")
+
+
+def test_a_tool_of_a_file_without_tools_and_a_recording_as_a_program_are_refused(tmp_path):
+    with pytest.raises(InputError, match="a CSV of points has no tools, so T1 cannot be chosen"):
+        read_path_file(tmp_path / "points.csv", tool="T1")
+    with pytest.raises(InputError, match="a recording has no tools"):
+        read_path_file(tmp_path / "run.mcap", tool="T1")
+    with pytest.raises(InputError, match="is a recording, not a program"):
+        read_toolpath(tmp_path / "run.mcap")
+
+
+# --- APT/CL files ---
+
+
+HEAD = "PARTNO TEST PIECE\nUNITS/MM\nSPINDL/8000,RPM,CLW\n"
+
+
+@pytest.fixture
+def apt(tmp_path):
+    def read(text: str):
+        (tmp_path / "part.apt").write_text(text)
+        return read_apt(tmp_path / "part.apt")
+
+    return read
+
+
+def test_points_feeds_and_rapids_are_read(apt):
+    path = apt(HEAD + "FROM/0,0,50\nRAPID\nGOTO/0,0,5\nFEDRAT/600,MMPM\nGOTO/ 0, 0, -1\n$$ done\nGOTO/10,0,-1\nFINI\n")
+    np.testing.assert_allclose(path.position * 1e3, [[0, 0, 50], [0, 0, 5], [0, 0, -1], [10, 0, -1]])
+    assert path.rapid.tolist() == [True, True, False, False] and path.line.tolist() == [4, 6, 8, 10]
+    np.testing.assert_allclose(path.feed[2:], 0.01)
+    np.testing.assert_allclose(path.spindle_speed, 8000 * 2 * np.pi / 60)
+
+
+def test_rapid_holds_for_one_move(apt):
+    path = apt(HEAD + "GOTO/0,0,0\nFEDRAT/600\nRAPID\nGOTO/1,0,0\nGOTO/2,0,0\nFINI\n")
+    assert path.rapid.tolist() == [True, True, False]
+
+
+def test_inches_are_inches(apt):
+    path = apt("UNITS/INCHES\nGOTO/0,0,0\nFEDRAT/60\nGOTO/1,0,0\nFEDRAT/60,MMPM\nGOTO/2,0,0\nFINI\n")
+    np.testing.assert_allclose(path.position[:, 0], [0, 0.0254, 0.0508])
+    np.testing.assert_allclose(path.feed[1:], [0.0254, 0.001])
+
+
+def test_the_tool_axis_points_from_the_tip_to_the_spindle(apt):
+    path = apt(HEAD + "FEDRAT/600\nGOTO/0,0,0,0,0,1\nGOTO/1,0,0,0.6,0,0.8\nGOTO/2,0,0,0,-0.28,0.96\nFINI\n")
+    rotation = rotation_from_quaternion(path.quaternion)
+    np.testing.assert_allclose(rotation[0], np.diag([1.0, -1.0, -1.0]), atol=1e-15)
+    np.testing.assert_allclose(-rotation[:, :, 2], [[0, 0, 1], [0.6, 0, 0.8], [0, -0.28, 0.96]], atol=1e-12)
+
+
+def test_a_statement_may_go_on_in_the_next_line(apt):
+    path = apt(HEAD + "FEDRAT/600\nGOTO/0,0,0\nGOTO/1,2,$\n3\nFINI\n")
+    np.testing.assert_allclose(path.position[1] * 1e3, [1, 2, 3])
+    assert path.line[1] == 6
+
+
+def test_one_word_comments_name_features(apt):
+    path = apt(HEAD + "FEDRAT/600\nGOTO/0,0,0\n$$ circle\nGOTO/1,0,0\nPPRINT/diamond\nGOTO/2,0,0\n$$ two words\nFINI\n")
+    assert [path.features[i] for i in path.feature] == ["", "circle", "diamond"]
+
+
+def test_a_circle_leads_to_its_goto_and_turns_to_the_right_about_its_axis(apt):
+    left = apt(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,1,5\nGOTO/0,5,0\nFINI\n")
+    right = apt(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,-1,5\nGOTO/0,5,0\nEND\nrubbish\n")
+    assert left.length == pytest.approx(0.005 * np.pi / 2) and right.length == pytest.approx(0.005 * np.pi * 3 / 2)
+    assert set(left.curvature[1:]) == {200.0} and set(right.curvature[1:]) == {-200.0}
+    np.testing.assert_allclose(left.position[-1] * 1e3, [0, 5, 0], atol=1e-12)
+
+
+def test_the_axis_of_a_circle_of_nx_turns_the_other_way(apt):
+    """NX writes eleven numbers and means k = 1 clockwise: a path along -x, a quarter up to +y, and on without a corner.
+
+    The sense is that of the documentation of NX ("assuming a clockwise direction") and of tool paths that NX wrote.
+    """
+    path = apt(
+        "TOOL PATH/TRIM,TOOL,MILL\nFEDRAT/MMPM,600\nGOTO/8,-2,0\nGOTO/0,-2,0\n"
+        "CIRCLE/0,0,0,0,0,1,2,0.06,0.5,10,0\nGOTO/-2,0,0\nGOTO/-2,6,0\nEND-OF-PATH\n"
+    )
+    assert path.length == pytest.approx(8e-3 + 2e-3 * np.pi / 2 + 6e-3) and path.curvature.min() == -500.0
+    ends = path.tangent(np.arange(1, len(path)), path.plane_length[1:])
+    starts = path.tangent(np.arange(1, len(path)), np.zeros(len(path) - 1))
+    np.testing.assert_allclose(starts[1:], ends[:-1], atol=1e-9)
+
+
+def test_circles_of_creo_are_orbits_points_of_the_arc_and_continued_with_a_remark(apt):
+    """PTC Creo help, "CL output for circular interpolation": right-hand rule, helices, lists of points."""
+    helix = apt(
+        "UNITS/INCHES\nFEDRAT / 8.0, IPM\nGOTO / 1.2, 0.0, -0.6\nCIRCLE / 1.0, 0.0, -0.6, $ $$ 1ST ORBIT\n"
+        "0.0, 0.0, 1.0, 0.2\nGOTO / 1.2, 0.0, -0.5\nFINI\n"
+    )
+    turn = 25.4e-3 * np.hypot(0.4 * np.pi, 0.1)
+    assert helix.length == pytest.approx(turn, rel=1e-5) and (helix.curvature[1:] > 0).all()
+    listed = apt(HEAD + "FEDRAT/600\nGOTO/5,0,0\nCIRCLE/0,0,0,0,0,1,5\nGOTO/4,3,0, $\n3,4,0, $\n0,5,0\nFINI\n")
+    assert listed.length == pytest.approx(5e-3 * np.pi / 2)
+
+
+def test_a_feed_per_revolution_goes_with_the_spindle_and_cclw_turns_it_the_other_way(apt):
+    path = apt("SPINDL/RPM,6000,CCLW\nGOTO/0,0,0\nFEDRAT/0.2,MMPR\nGOTO/1,0,0\nGODLTA/0,2,0\nFINI\n")
+    np.testing.assert_allclose(path.feed[1:], 0.02)
+    assert path.program.spindle_speeds == pytest.approx((-200 * np.pi,))
+    np.testing.assert_allclose(path.position[-1] * 1e3, [1, 2, 0])
+
+
+def test_tools_and_what_moves_nothing_are_noted(apt):
+    path = apt(
+        "PARTNO BRACKET\nMULTAX/OFF\nMSYS/0,0,0,1,0,0,0,1,0\nLOADTL/3\nCUTTER/12,0\nCOOLNT/ON\nFEDRAT/600\nGOTO/0,0,5\n"
+        "GOTO/0,0,0\nCOOLNT/OFF\nGOHOME\nRAPID\nGOTO/9,9,5\nFINI\n"
+    )
+    program = path.program
+    assert program.title == "BRACKET" and program.tool == "T3"
+    assert program.current.diameter == pytest.approx(0.012)
+    assert {r.word: r.count for r in program.read_over}["COOLNT"] == 2
+    np.testing.assert_allclose(path.position[2:] * 1e3, [[0, 0, 5], [9, 9, 5]])  # up first
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "word"),
+    [
+        ("GOTO/0,0,0\nFEDRAT/600\nCIRCLE/0,0,5\n", 3, "CIRCLE"),
+        ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5,0.1,0.5,9,0,TIMES,2\n", 3, "several turns"),
+        ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,1,0,0,5\nGOTO/-5,0,0\n", 3, "not z; let the CAM output GOTO"),
+        ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5\nGOTO/-4,0,0\n", 4, "does not close"),
+        ("GOTO/5,0,0\nFEDRAT/600\nGOTO/6,0,0\nCIRCLE/0,0,0,0,0,1,6\nFINI\n", 5, "without the GOTO"),
+        ("GOTO/5,0,0\nCYCLE/DRILL,5\n", 2, "CYCLE: let the CAM output drilling as GOTO"),
+        ("GOTO/5,0,0\nCUTCOM/LEFT\n", 2, "CUTCOM: let the CAM output the path of the tool's centre"),
+        ("GOTO/0,0,0\nFEDRAT/0.1,MMPR\nGOTO/1,0,0\n", 3, "without a feed"),
+        ("SPINDL/800,SFM\n", 1, "SFM"),
+        ("LOADTL/1\nFEDRAT/9\nGOTO/0,0,0\nGOTO/1,0,0\nLOADTL/2\nGOTO/2,0,0\n", 5, "2 tools: T1 from line 1, T2"),
+        ("GOTO/0,0,0\nMSYS/0,0,0,1,0,0,0,1,0\n", 2, "MSYS"),
+        ("GOTO/0,0,0\nGOTO/1,0,0\n", 2, "without a feed"),
+        ("GOTO/0,0,0\nFEDRAT/0\nGOTO/1,0,0\n", 3, "zero feed"),
+        ("GOTO/0,0,0\nFEDRAT/-5\n", 2, "-5"),
+        ("GOTO/0,0,0\nFEDRAT/0.1,MMPM,IPM\n", 2, "FEDRAT"),
+        ("GOTO/0,0,nan\n", 1, "NAN"),
+        ("GOTO/0,0,inf\n", 1, "INF"),
+        ("GOTO/0,0\n", 1, "not 2 numbers"),
+        ("GOTO/0,0,0,0,0,2\n", 1, "length 2"),
+        ("GOTO/0,0,0,0,0,-1\n", 1, "below"),
+        ("GOTO/1e9,0,0\n", 1, "wrong unit"),
+        ("UNITS/FURLONGS\n", 1, "FURLONGS"),
+        ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,0,0", 3, "cut off"),
+        ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,$\n", 3, "continued"),
+        ("GOTO/0,0,0\nFEDRAT/600\nFINI\n", 1, "never moves"),
+        ("GOTO/0,0,0\n{}\n", 2, "no APT statement"),
+        ("GOTO/0,0,0,0,0,1\nFEDRAT/600\nGOTO/0,0,0,0.6,0,0.8\n", 3, "turns without moving"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_with_line_and_word(apt, text, line, word):
+    with pytest.raises(InputError, match=word) as caught:
+        apt(text)
+    assert caught.value.line == line and "\n" not in str(caught.value)
+
+
+# --- Tool paths from CSV ---
+
+
+HEADER = "x_mm,y_mm,z_mm,feed_mm_per_min\n"
+
+
+@pytest.fixture
+def points(tmp_path):
+    def read(text: str):
+        (tmp_path / "part.csv").write_text(text)
+        return read_points(tmp_path / "part.csv")
+
+    return read
+
+
+def test_points_and_feeds_are_read_in_their_units(points):
+    path = points(HEADER + "0,0,0,600\n\n1,2,3,1200\n")
+    np.testing.assert_allclose(path.position, [[0, 0, 0], [0.001, 0.002, 0.003]])
+    np.testing.assert_allclose(path.feed, [0.01, 0.02])
+    assert path.line.tolist() == [2, 4] and path.rapid.tolist() == [True, False]
+    other = points("feed_m_per_min, z_m, y_m, x_m\n0.6,0,0,0\n1.2,0.003,0.002,0.001\n")
+    np.testing.assert_allclose(other.position, path.position)
+    np.testing.assert_allclose(other.feed, path.feed)
+
+
+def test_kuka_angles_turn_the_tool(points):
+    path = points("x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n0,0,0,0,0,180,60\n1,0,0,10,20,150,60\n")
+    expected = rotation_from_abc(np.radians([[0, 0, 180], [10, 20, 150]]))
+    np.testing.assert_allclose(rotation_from_quaternion(path.quaternion), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "word"),
+    [
+        ("x,y,z,feed\n0,0,0,1\n", 1, "x_mm"),
+        ("0,0,0,600\n1,0,0,600\n", 1, "not a known column"),
+        ("x_mm;y_mm;z_mm;feed_mm_per_min\n0;0;0;1\n", 1, "not a known column"),
+        ("x_mm,y_mm,z_mm\n0,0,0\n", 1, "header must be"),
+        ("x_mm,x_mm,y_mm,z_mm,feed_mm_per_min\n", 1, "x_mm"),
+        (HEADER + "0,0,0,600\n1,0,0\n", 3, "3 values"),
+        (HEADER + "0,0,0,600\n1,0,nan,600\n", 3, "z_mm is not finite"),
+        (HEADER + "0,0,0,600\n1,0,1_0,600\n", 3, "1_0"),
+        (HEADER + "0,0,0,600\n1,0,0,0\n", 3, "zero feed"),
+        (HEADER + "0,0,0,600\n1,0,0,-1\n", 3, "out of range"),
+        (HEADER + "0,0,0,600\n1e9,0,0,600\n", 3, "wrong unit"),
+        (HEADER + "0,0,0,600\n1,0,0,600", 3, "cut off"),
+        (HEADER + "1,0,0,600\n1,0,0,600\n", 2, "never moves"),
+        (HEADER, 1, "no row"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_with_line_and_word_points(points, text, line, word):
+    with pytest.raises(InputError, match=word) as caught:
+        points(text)
+    assert caught.value.line == line
+
+
+# --- Arcs to chords ---
+
+
+finite = st.floats(-0.2, 0.2)
+
+
+@given(finite, finite, st.floats(1e-4, 0.2), st.floats(0, 6.28), st.floats(0.01, 6.27), st.booleans())
+def test_chords_lie_within_the_tolerance_of_the_arc_and_end_on_it(x, y, radius, first, sweep, clockwise):
+    sign = -1 if clockwise else 1
+    start, end = ((x + radius * math.cos(a), y + radius * math.sin(a), 0.0) for a in (first, first + sign * sweep))
+    points, curvature = arc_points(start, end, (x, y), clockwise, 1e-9, 2e-6)
+    corners = np.vstack([start, points]) - [x, y, 0]
+    middles = (corners[1:] + corners[:-1]) / 2
+    assert np.abs(np.hypot(*corners[:, :2].T) - radius).max() < 1e-12
+    assert (radius - np.hypot(*middles[:, :2].T)).max() <= 2e-6 + 1e-15  # of a chord the middle lies furthest inside
+    half = np.hypot(*np.diff(corners[:, :2], axis=0).T) / 2
+    length = np.sum(2 * radius * np.arcsin(np.minimum(half / radius, 1)))
+    assert length == pytest.approx(radius * sweep, rel=1e-6, abs=1e-9)
+    assert curvature == pytest.approx(sign / radius) and tuple(points[-1]) == end
+
+
+@given(finite, finite, finite, finite, st.floats(0.6, 3), st.booleans(), st.booleans())
+def test_the_centre_found_from_a_radius_is_as_far_from_both_ends_and_gives_the_right_one_of_the_arcs(
+    x0, y0, x1, y1, factor, clockwise, longer
+):
+    chord = math.hypot(x1 - x0, y1 - y0)
+    if chord < 1e-3:
+        return
+    radius = factor * chord * (-1 if longer else 1)
+    centre = centre_from_radius((x0, y0), (x1, y1), radius, clockwise, 1e-9)
+    assert math.dist(centre, (x0, y0)) == pytest.approx(abs(radius)) == math.dist(centre, (x1, y1))
+    points, _ = arc_points((x0, y0, 0.0), (x1, y1, 0.0), centre, clockwise, 1e-9, 1e-6)
+    path = np.vstack([(x0, y0, 0.0), points])
+    length = np.hypot(*np.diff(path[:, :2], axis=0).T).sum()
+    minor = 2 * abs(radius) * math.asin(chord / 2 / abs(radius))
+    assert length == pytest.approx(2 * math.pi * abs(radius) - minor if longer else minor, rel=2e-2)
+
+
+def test_equal_start_and_end_mean_a_full_circle_in_either_sense():
+    for clockwise in (True, False):
+        points, _ = arc_points((1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0), clockwise, 1e-9, 1e-6)
+        turn = np.unwrap(np.arctan2(points[:, 1], points[:, 0]))
+        assert turn[-1] - turn[0] == pytest.approx((-1 if clockwise else 1) * 2 * math.pi * (1 - 1 / len(points)))
+
+
+def test_a_helix_climbs_evenly():
+    points, _ = arc_points((1.0, 0.0, 0.0), (-1.0, 0.0, -0.1), (0.0, 0.0), False, 1e-9, 1e-5)
+    np.testing.assert_allclose(points[:, 2], -0.1 * np.arange(1, len(points) + 1) / len(points))
+
+
+@pytest.mark.parametrize("end", [(1.0, 0.1, 0.0), (0.9, 0.0, 0.0)])
+def test_an_arc_whose_ends_differ_in_radius_does_not_close(end):
+    with pytest.raises(ArcError, match="does not close"):
+        arc_points((1.0, 0.0, 0.0), end, (0.0, 0.0), False, 1e-5, 1e-6)
+
+
+def test_an_arc_longer_than_its_diameter_does_not_close():
+    with pytest.raises(ArcError, match="does not close"):
+        centre_from_radius((0.0, 0.0), (0.1, 0.0), 0.0499, True, 10e-6)
+    centre_from_radius((0.0, 0.0), (0.1, 0.0), 0.049995, True, 10e-6)

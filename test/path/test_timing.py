@@ -1,0 +1,574 @@
+"""From tool path to trajectory: records, ramps, limits of path and joints, and the shipped test piece."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_part import path_error
+
+from kr270_milling.base.errors import InputError, ParameterError
+from kr270_milling.path.cam.gcode.reader import read_gcode
+from kr270_milling.path.cam.readers import read_toolpath
+from kr270_milling.path.timing import (
+    Ramps,
+    Timing,
+    joint_rates,
+    limit_by_joints,
+    peak_speeds,
+    ramp_time,
+    reachable,
+    time_path,
+    vertex_speeds,
+)
+from kr270_milling.path.toolpath import PathBuilder, Toolpath, ToolpathError
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
+
+
+def corner() -> PathBuilder:
+    """10 mm along x, then a quarter circle of 10 mm radius to the left in one chord."""
+    builder = PathBuilder("here")
+    builder.move((0.0, 0.0, 0.0), 0.0, True, 1)
+    builder.move((0.01, 0.0, 0.0), 0.02, False, 2)
+    builder.move((0.02, 0.01, 0.0), 0.02, False, 3, 100.0)
+    return builder
+
+
+def test_lengths_follow_the_arcs_and_not_their_chords():
+    path = corner().build()
+    np.testing.assert_allclose(path.block_length, [0, 0.01, 0.01 * np.pi / 2])
+
+
+def test_points_on_the_path_lie_on_the_arc_with_its_tangent():
+    path = corner().build()
+    position, tangent, _ = path.on_path(np.array([0.0, 0.005, 0.01, 0.01 + 0.01 * np.pi / 6, path.length]))
+    angle = np.pi / 6
+    on_arc = [0.01 + 0.01 * np.sin(angle), 0.01 - 0.01 * np.cos(angle), 0]
+    np.testing.assert_allclose(position[1:], [[0.005, 0, 0], [0.01, 0, 0], on_arc, [0.02, 0.01, 0]], atol=1e-17)
+    np.testing.assert_allclose(tangent[2:], [[1, 0, 0], [np.cos(angle), np.sin(angle), 0], [0, 1, 0]], atol=1e-15)
+
+
+def test_the_tangent_of_a_helix_climbs():
+    builder = corner()
+    builder.move((0.01, 0.02, 0.01), 0.02, False, 4, 100.0)
+    _, tangent, _ = builder.build().on_path(np.array([0.01 + 0.01 * np.pi / 2 + 1e-9]))
+    np.testing.assert_allclose(tangent[0, 2], 1 / np.hypot(1, np.pi / 2), rtol=1e-6)
+
+
+def test_blocks_are_found_by_their_distance():
+    path = corner().build()
+    assert path.block_at([-1.0, 0.0, 0.0099, 0.0101, 9.0]).tolist() == [1, 1, 1, 2, 2]
+
+
+def test_moves_to_where_the_tool_is_are_left_out():
+    builder = corner()
+    builder.move((0.02, 0.01, 0.0), 0.5, False, 9)
+    assert len(builder.build()) == 3
+
+
+def test_a_turn_on_the_spot_is_refused():
+    builder = corner()
+    builder.quaternion = (0.0, 1.0, 0.0, 0.0)
+    with pytest.raises(InputError, match="line 7"):
+        builder.move((0.02, 0.01, 0.0), 0.5, False, 7)
+
+
+@pytest.mark.parametrize(
+    ("change", "index"),
+    [
+        ({"feed": np.array([0.0, 0.1, 0.0])}, 2),
+        ({"feed": np.array([0.0, 0.1, np.nan])}, 2),
+        ({"curvature": np.array([0.0, np.inf, 0.0])}, 1),
+        ({"line": np.zeros(2)}, None),
+        ({"position": np.zeros((1, 3))}, None),
+    ],
+)
+def test_a_path_that_cannot_be_run_is_refused_with_its_block(change, index):
+    names = ("position", "feed", "rapid", "line", "feature", "features", "curvature", "spindle_speed", "quaternion")
+    path = corner().build()
+    with pytest.raises(ToolpathError) as caught:
+        Toolpath(**{name: getattr(path, name) for name in names} | change)
+    assert caught.value.index == index
+
+
+# --- S-shaped ramps ---
+
+
+A, J = 2.0, 20.0
+speeds, lengths = st.floats(0, 1), st.floats(1e-6, 1)
+
+
+def way(first, last):
+    """Distance of a ramp: mean speed times duration."""
+    return (first + last) / 2 * ramp_time(last - first, A, J)
+
+
+def test_a_small_change_of_speed_takes_two_ramps_of_acceleration():
+    assert ramp_time(0.05, A, J) == pytest.approx(2 * np.sqrt(0.05 / J))
+
+
+def test_a_large_change_of_speed_holds_the_acceleration():
+    assert ramp_time(-1.0, A, J) == pytest.approx(1.0 / A + A / J)
+
+
+def test_both_kinds_of_ramp_agree_where_the_acceleration_just_reaches_its_limit():
+    assert ramp_time(A**2 / J * (1 + 1e-12), A, J) == pytest.approx(float(ramp_time(A**2 / J, A, J)))
+
+
+@given(speeds, lengths)
+def test_the_reachable_speed_uses_up_the_whole_length(speed, length):
+    reached = reachable(speed, length, A, J)
+    assert way(speed, max(speed, reached * (1 - 1e-12))) <= length <= way(speed, reached * (1 + 1e-12) + 1e-15)
+
+
+@given(st.lists(st.tuples(lengths, speeds), min_size=1, max_size=20))
+def test_speeds_at_the_vertices_are_below_their_caps_and_within_reach_of_each_other(segments):
+    length = np.array([s[0] for s in segments])
+    cap = np.array([0.0, *(s[1] for s in segments[:-1]), 0.0])
+    speed = vertex_speeds(cap, length, A, J)
+    assert np.all(speed <= cap) and np.all(speed >= 0)
+    assert np.all(way(speed[:-1], speed[1:]) <= length + 1e-9)  # an ulp of speed
+    raised = cap - speed > 1e-6  # none of them could be higher
+    for i in np.flatnonzero(raised):
+        higher = speed.copy()
+        higher[i] += 1e-6
+        assert np.any(way(higher[:-1], higher[1:]) > length * (1 - 1e-6))
+
+
+def test_the_peak_of_a_short_run_from_rest_to_rest_has_a_closed_form():
+    length = np.array([1e-5, 1e-4, 1e-3])
+    peak = peak_speeds(np.zeros(3), np.zeros(3), np.ones(3), length, A, J)
+    np.testing.assert_allclose(peak, (length / 2) ** (2 / 3) * J ** (1 / 3), rtol=1e-12)  # length = 2 v sqrt(v / j)
+
+
+def test_the_peak_is_the_cap_where_there_is_room():
+    assert peak_speeds(np.zeros(1), np.zeros(1), np.array([0.1]), np.array([1.0]), A, J) == 0.1
+
+
+def chain() -> Ramps:
+    first, last = np.array([0.0, 0.5, 0.5, 0.45, 0.0]), np.array([0.5, 0.5, 0.45, 0.0, 0.0])
+    duration = ramp_time(last - first, A, J) + np.array([0, 0.3, 0, 0.2, 0.1])  # the fourth is stretched
+    return Ramps.make(duration, first, last, A, J)
+
+
+def test_distance_speed_and_acceleration_are_derivatives_of_each_other():
+    ramps = chain()
+    time, step = np.linspace(0, ramps.start[-1], 40001, retstep=True)
+    distance, speed, acceleration = ramps.sample(time)
+    assert np.abs(np.gradient(distance, step) - speed)[1:-1].max() < step * A
+    assert np.abs(np.gradient(speed, step) - acceleration)[1:-1].max() < step * J
+
+
+def test_acceleration_and_jerk_reach_their_limits_and_never_exceed_them():
+    ramps = chain()
+    time, step = np.linspace(0, ramps.start[-1], 40001, retstep=True)
+    acceleration = ramps.sample(time)[2]
+    assert np.abs(acceleration).max() == pytest.approx(A, rel=1e-9)
+    assert np.abs(np.diff(acceleration)).max() / step == pytest.approx(J, rel=1e-6)
+
+
+def test_a_chain_covers_the_mean_speed_times_the_duration_of_each_ramp():
+    ramps = chain()
+    total = np.sum((ramps.first + ramps.last) / 2 * ramps.duration)
+    assert ramps.sample(np.array([ramps.start[-1] + 9.0]))[0] == pytest.approx(total)
+
+
+# --- From tool path to trajectory ---
+
+
+STEP, FEED = 0.05, 4 / 60
+FINE = Timing(controller_step=0.001)
+START = "G0 X0 Y0 Z0\nF4000\n"
+
+
+@pytest.fixture
+def read(tmp_path):
+    def read(text: str):
+        (tmp_path / "part.nc").write_text(START + text)
+        return read_gcode(tmp_path / "part.nc")
+
+    return read
+
+
+def fine(timed) -> np.ndarray:
+    return np.arange(0, timed.trajectory.duration_ns, 500_000)
+
+
+def whole_steps(duration: float, step: float = STEP) -> int:
+    """[ns], rounded up"""
+    return int(np.ceil(duration / step)) * round(step * 1e9)
+
+
+def test_a_long_line_takes_length_by_feed_and_one_ramp(read):
+    run = time_path(read("G1 X500\n"), Timing()).trajectory
+    ramp = 2 * np.sqrt(FEED / 20)  # both ramps cover half of their distance at the feed
+    assert run.duration_ns == whole_steps(0.5 / FEED + ramp)
+    middle = np.arange(10**9, run.duration_ns - 10**9, 10**7)
+    np.testing.assert_allclose(run.feed(middle), FEED, rtol=1e-9)
+
+
+def test_a_fast_line_holds_the_acceleration(read):
+    run = time_path(read("G1 X2000 F60000\n"), Timing()).trajectory
+    assert run.duration_ns == whole_steps(2.0 / 1.0 + 1.0 / 2.0 + 2.0 / 20)  # L / v + v / a + a / j
+
+
+def test_a_short_line_never_reaches_its_feed(read):
+    timed = time_path(read("G1 X1\n"), FINE)
+    peak = (0.001 / 2) ** (2 / 3) * 20 ** (1 / 3)  # L = 2 v sqrt(v / j)
+    assert timed.trajectory.duration_ns == whole_steps(4 * np.sqrt(peak / 20), 0.001)
+    assert timed.trajectory.feed(fine(timed)).max() == pytest.approx(peak, rel=0.01)
+
+
+def test_acceleration_and_jerk_along_the_path_stay_within_their_limits(read):
+    path = read("G1 X80 F12000\nG3 X80 Y40 R20 F3000\nG1 X40 F9000\nG0 X0\nG1 Y0 F500\nX0.01\nX3 F60000\n")
+    timed = time_path(path, FINE)
+    for order, limit in ((2, 2.0), (3, 20.0)):
+        difference = np.diff(timed.distance, order) / 0.001**order  # a mean of the derivative, so within its bounds
+        assert limit * 0.5 < np.abs(difference).max() <= limit * (1 + 1e-5)
+
+
+coordinate = st.floats(-0.05, 0.05).map(lambda v: round(v, 6))
+blocks = st.tuples(st.tuples(coordinate, coordinate, coordinate), st.floats(1e-3, 0.5), st.booleans(), st.booleans())
+
+
+@given(st.lists(blocks, min_size=2, max_size=12), st.sampled_from([0.0, 1e-5, 1e-3]))
+def test_any_path_is_run_forward_within_all_limits(moves, tolerance):
+    builder = PathBuilder("here")
+    builder.move((0.0, 0.0, 0.0), 0.0, True, 1)
+    builder.move((1e-3, 0.0, 0.0), 0.1, False, 2)
+    last = np.array([1e-3, 0.0])
+    for point, feed, rapid, bent in moves:
+        chord = np.linalg.norm(point[:2] - last)
+        builder.move(point, feed, rapid, 3, 1.5 / chord if bent and chord > 1e-6 else 0.0)
+        last = np.array(point[:2])
+    path = builder.build()
+    timed = time_path(path, Timing(controller_step=0.01, corner_tolerance=tolerance))
+    assert np.all(np.diff(timed.distance) >= -1e-15)
+    for order, limit in ((2, 2.0), (3, 20.0)):
+        assert np.abs(np.diff(timed.distance, order)).max() <= limit * 0.01**order + 1e-9
+    speed = np.linalg.norm(timed.trajectory.velocity, axis=1)
+    assert np.all(speed <= np.where(path.rapid, 0.2, path.feed)[timed.block] * (1 + 1e-9) + 1e-12)
+    np.testing.assert_allclose(timed.trajectory.position[-1], path.position[-1], atol=1e-15)
+
+
+def test_all_knots_lie_on_controller_steps_and_on_the_path(read):
+    path = read("G1 X40\nG2 X60 Y-20 I0 J-20\nG1 Y-50\nX0 Y0\n")
+    timed = time_path(path, Timing())
+    assert np.all(np.diff(timed.trajectory.time_ns) == 50_000_000)
+    np.testing.assert_allclose(timed.trajectory.position, path.on_path(timed.distance)[0], atol=1e-15)
+    np.testing.assert_array_equal(timed.trajectory.position[[0, -1]], path.position[[0, -1]])
+    assert timed.distance[-1] == pytest.approx(path.length, rel=1e-14) and np.all(np.diff(timed.distance) >= 0)
+
+
+def test_the_tool_stops_exactly_in_a_sharp_corner(read):
+    run = time_path(read("G1 X33.3\nY-21.7\nX0 Z1\n"), Timing()).trajectory
+    stops = np.flatnonzero(np.linalg.norm(run.velocity, axis=1) == 0)
+    corners = np.array([[0, 0, 0], [0.0333, 0, 0], [0.0333, -0.0217, 0], [0, -0.0217, 0.001]])
+    np.testing.assert_allclose(run.position[stops], corners, atol=1e-12)
+
+
+def test_the_feed_is_kept_between_two_stops_although_the_stops_lie_on_steps(read):
+    timed = time_path(read("G1 X33.3\nY-21.7\n"), Timing())
+    assert timed.trajectory.feed(fine(timed)).max() == pytest.approx(FEED, rel=0.01)
+
+
+def test_a_tangential_arc_is_entered_and_left_at_the_feed(read):
+    timed = time_path(read("G1 X50\nG3 X50 Y60 R30\nG1 X0\n"), Timing())
+    inside = slice(int(0.5 / STEP), -int(0.5 / STEP))
+    np.testing.assert_allclose(np.linalg.norm(timed.trajectory.velocity, axis=1)[inside], FEED, rtol=1e-9)
+
+
+def test_a_narrow_arc_is_run_no_faster_than_the_centripetal_acceleration_allows(read):
+    timed = time_path(read("G1 X20\nG3 X20 Y2 R1\nG1 X0\n"), FINE)
+    on_arc = timed.toolpath.curvature[timed.block] != 0
+    assert np.linalg.norm(timed.trajectory.velocity[on_arc], axis=1).max() == pytest.approx(np.sqrt(2.0 * 0.001))
+
+
+def test_between_the_knots_a_circle_is_met_with_the_fourth_order_of_the_step(read):
+    path = read("G1 X0.001\nG2 I0 J-37\n")  # full circle
+    errors = []
+    for step in (0.1, 0.05, 0.025):
+        timed = time_path(path, Timing(controller_step=step))
+        time = np.arange(10**9, timed.trajectory.duration_ns - 10**9, 10**6)
+        errors.append(path_error(timed, time).max())
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.all(np.abs(orders - 4) < 0.2), errors
+    steady = (FEED * 0.05) ** 4 / (384 * 0.037**3)  # error of a Hermite cubic on a circle
+    assert errors[1] == pytest.approx(steady, rel=0.1)
+
+
+def test_where_the_curvature_jumps_the_error_is_of_second_order(read):
+    path = read("G1 X50\nG3 X50 Y40 R20\nG1 X0\n")
+    errors = [time_path(path, Timing(controller_step=s)) for s in (0.016, 0.008, 0.004)]
+    largest = [path_error(timed, fine(timed)).max() for timed in errors]
+    assert 2 < np.log2(largest[0] / largest[2]) < 6 and largest[2] < 0.2e-6
+
+
+def polygon(count: int) -> str:
+    angle = 2 * np.pi * np.arange(count + 1) / count
+    return "".join(f"G1 X{37 * np.sin(a):.6f} Y{37 - 37 * np.cos(a):.6f}\n" for a in angle)
+
+
+def test_a_polygon_of_short_chords_is_run_through_within_the_corner_tolerance(read):
+    timed = time_path(read(polygon(360)), Timing(corner_tolerance=20e-6))
+    speed = np.linalg.norm(timed.trajectory.velocity, axis=1)
+    assert speed[20:-20].min() > 0.9 * FEED
+    assert path_error(timed, fine(timed)).max() < 20e-6
+
+
+def test_a_coarse_polygon_slows_down_for_the_tolerance_and_stops_without_one(read):
+    path = read(polygon(60))
+    slow = time_path(path, Timing(corner_tolerance=20e-6))
+    assert path_error(slow, fine(slow)).max() < 20e-6
+    stopping = time_path(path, Timing(corner_tolerance=0.0))
+    assert np.sum(np.linalg.norm(stopping.trajectory.velocity, axis=1) == 0) == 61
+    assert stopping.trajectory.duration_ns > slow.trajectory.duration_ns
+
+
+def test_a_lower_feed_is_reached_before_its_block_begins(read):
+    timed = time_path(read("G1 X50 F4000\nX100 F1000\nX150 F4000\n"), FINE)
+    slow = timed.block == 2
+    assert np.linalg.norm(timed.trajectory.velocity, axis=1)[slow].max() <= 1 / 60 * (1 + 1e-9)
+
+
+def test_a_line_given_in_pieces_is_run_as_one(read):
+    whole = time_path(read("G1 X60\n"), Timing()).trajectory
+    pieces = time_path(read("G1 X0.003\nX1\nX17\nX59.999\nX60\n"), Timing()).trajectory
+    np.testing.assert_allclose(pieces.position, whole.position, atol=1e-12)
+
+
+def test_the_way_back_takes_as_long_as_the_way_there(read):
+    there = time_path(read("G1 X50\nG3 X50 Y60 R30\nG1 X20\nX0 Y40\n"), Timing()).trajectory
+    back = time_path(read("G0 X0 Y40\nG1 X20 Y60\nX50\nG2 X50 Y0 R30\nG1 X0\n"), Timing(rapid_feed=FEED)).trajectory
+    first = time_path(read("G0 X0 Y40\n"), Timing(rapid_feed=FEED)).trajectory
+    assert back.duration_ns - first.duration_ns == there.duration_ns
+
+
+def test_rapid_moves_run_at_their_own_speed(read):
+    timed = time_path(read("G0 X400\nG1 X800\n"), Timing(rapid_feed=0.3))
+    assert timed.trajectory.feed(fine(timed)).max() == pytest.approx(0.3, rel=1e-2)
+
+
+def test_each_time_belongs_to_the_feature_of_its_block(read):
+    timed = time_path(read("(one)\nG1 X50\n(two)\nY50\n"), Timing())
+    half = timed.trajectory.duration_ns // 2
+    assert timed.toolpath.features == ("", "one", "two")
+    assert timed.toolpath.feature[timed.block_at(np.array([0, half - 10**8, half + 10**8]))].tolist() == [1, 1, 2]
+
+
+def test_the_tool_turns_evenly_along_a_block():
+    builder = PathBuilder("here")
+    builder.move((0.0, 0.0, 0.0), 0.0, True, 1)
+    builder.quaternion = (np.cos(0.1), 0.0, np.sin(0.1), 0.0)
+    builder.move((0.1, 0.0, 0.0), 0.05, False, 2)
+    timed = time_path(builder.build(), Timing())
+    angle = np.arctan2(timed.trajectory.quaternion[:, 2], timed.trajectory.quaternion[:, 0])
+    np.testing.assert_allclose(angle, 0.1 * timed.distance / 0.1, atol=1e-12)
+
+
+def test_a_path_that_would_take_for_ever_is_refused(read):
+    with pytest.raises(ToolpathError, match="feed"):
+        time_path(read("G1 X5000 F0.001\n"), FINE)
+
+
+@pytest.mark.parametrize("name", ["controller_step", "acceleration", "jerk", "rapid_feed", "corner_tolerance"])
+def test_limits_out_of_range_are_refused(name):
+    for value in (-1.0, float("nan"), 1e9):
+        with pytest.raises(ParameterError):
+            Timing(**{name: value})
+
+
+# --- Slowing down for the joints ---
+
+
+SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 8.0)
+
+
+def motion(joints: np.ndarray, velocity=None) -> Trajectory:
+    """Any tool path with as many knots, 50 ms apart; the joints need not belong to it."""
+    count = len(joints)
+    line = np.linspace(0, 1, count)[:, None] * [1.0, 0.0, 0.0]
+    return Trajectory(np.arange(count) * 50_000_000, line, TOOL_DOWN, velocity)
+
+
+def within_limits(run: Trajectory, joints) -> bool:
+    speed, acceleration = joint_rates(run.time, joints, at_rest=False)
+    return bool(
+        np.all(np.abs(speed) <= SPEED * (1 + 1e-9)) and np.all(np.abs(acceleration) <= ACCELERATION * (1 + 1e-6))
+    )
+
+
+def test_rates_of_a_parabola_are_exact():
+    time = np.array([0.0, 0.1, 0.3, 0.35])
+    speed, acceleration = joint_rates(time, np.tile((2 * time**2 + time)[:, None], 6), at_rest=False)
+    np.testing.assert_allclose(speed[:, 0], 2 * (time[1:] + time[:-1]) + 1)
+    np.testing.assert_allclose(acceleration[1:-1], 4.0)
+
+
+def test_a_start_from_rest_counts_as_acceleration():
+    time = np.array([0.0, 0.1, 0.2])
+    _, acceleration = joint_rates(time, np.tile(1.5 * time[:, None] ** 2, 6), at_rest=True)
+    np.testing.assert_allclose(acceleration[:2], 3.0)
+
+
+def test_a_trajectory_within_its_limits_stays_as_it_is():
+    joints = np.tile(np.linspace(0, 0.5, 21)[:, None], 6)
+    run = motion(joints)
+    assert limit_by_joints(run, joints, SPEED, ACCELERATION) is run
+
+
+def test_an_even_motion_too_fast_by_a_factor_takes_longer_by_that_factor():
+    joints = np.zeros((21, 6))
+    joints[:, 3] = np.linspace(0, 3.0, 21)  # 3 rad/s
+    run = limit_by_joints(motion(joints), joints, SPEED, ACCELERATION)
+    assert run.duration_ns == pytest.approx(3 * 10**9, rel=1e-6)
+
+
+def test_only_the_steps_about_a_violation_grow():
+    joints = np.zeros((81, 6))
+    joints[:, 0] = 0.2 * np.tanh(np.linspace(-20, 20, 81) * 2)
+    run = limit_by_joints(motion(joints), joints, SPEED, ACCELERATION)
+    step = np.diff(run.time_ns)
+    assert within_limits(run, joints) and step.max() > 60_000_000
+    assert np.all(step[:25] == 50_000_000) and np.all(step[-25:] == 50_000_000)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rough_motions_end_up_within_all_limits_and_no_step_gets_shorter(seed):
+    joints = np.cumsum(np.random.default_rng(seed).normal(0, 0.05, (200, 6)), axis=0)
+    run = limit_by_joints(motion(joints), joints, SPEED, ACCELERATION)
+    assert within_limits(run, joints)
+    assert np.all(np.diff(run.time_ns) >= 50_000_000)
+    np.testing.assert_array_equal(run.position, motion(joints).position)
+
+
+def test_half_the_limits_never_make_it_faster():
+    joints = np.cumsum(np.random.default_rng(9).normal(0, 0.05, (50, 6)), axis=0)
+    durations = [limit_by_joints(motion(joints), joints, SPEED / n, ACCELERATION / n**2).duration_ns for n in (1, 2, 4)]
+    assert durations[0] <= durations[1] <= durations[2]
+
+
+def test_knot_velocities_slow_down_with_the_clock():
+    joints = np.zeros((21, 6))
+    joints[:, 3] = np.linspace(0, 3.0, 21)
+    velocity = np.tile([1.0, 0, 0], (21, 1))
+    run = limit_by_joints(motion(joints, velocity), joints, SPEED, ACCELERATION)
+    np.testing.assert_allclose(run.velocity[:, 0], 1 / 3, rtol=1e-6)
+
+
+def test_joints_that_do_not_fit_or_limits_of_nothing_are_refused():
+    joints = np.zeros((21, 6))
+    for arguments in ((joints[:20], SPEED), (np.full((21, 6), np.nan), SPEED), (joints, 0 * SPEED)):
+        with pytest.raises(TrajectoryError):
+            limit_by_joints(motion(joints), *arguments, ACCELERATION)
+
+
+# --- The shipped test piece has the dimensions that its comments claim ---
+
+
+FILE = Path(__file__).parents[2] / "config" / "test_piece.nc"
+CUTTER = 10.0  # mm, radius
+STOCK = 50.0  # mm, half of its side
+
+
+@pytest.fixture(scope="module")
+def piece():
+    return read_toolpath(FILE)
+
+
+def cuts(piece, feature: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Starts and ends [mm], (m, 3), and curvatures [1/mm] of the cutting blocks of a feature."""
+    k = np.flatnonzero((piece.feature == piece.features.index(feature)) & ~piece.rapid)
+    return piece.position[k - 1] * 1e3, piece.position[k] * 1e3, piece.curvature[k] * 1e-3
+
+
+def lines(piece, feature: str) -> list[tuple[np.ndarray, float]]:
+    """Outward normal, (2,), and distance from the origin of the wall [mm] that each straight cut leaves."""
+    start, end, curvature = cuts(piece, feature)
+    walls = []
+    for a, b in zip(start[curvature == 0, :2], end[curvature == 0, :2], strict=True):
+        along = (b - a) / np.linalg.norm(b - a)
+        left = np.array([-along[1], along[0]])  # the part is on the right of a tool that runs clockwise
+        walls.append((left, left @ a - CUTTER))
+    return walls
+
+
+def test_the_square_is_80_mm_wide_and_its_sides_are_parallel_to_the_axes(piece):
+    walls = lines(piece, "square")
+    assert {tuple(np.round(n).astype(int)) for n, _ in walls} == {(1, 0), (-1, 0), (0, 1), (0, -1)}
+    for normal, distance in walls:
+        assert np.abs(normal).max() == pytest.approx(1, abs=1e-12) and distance == pytest.approx(40, abs=1e-9)
+    assert set(cuts(piece, "square")[1][:, 2]) == {-1.2}
+
+
+def test_the_corners_of_the_square_are_rolled_round_with_the_radius_of_the_cutter(piece):
+    start, _, curvature = cuts(piece, "square")
+    corners = start[curvature != 0, :2]
+    np.testing.assert_allclose(np.linalg.norm(np.abs(corners) - 40, axis=1), CUTTER, atol=1e-9)
+    np.testing.assert_allclose(curvature[curvature != 0], -1 / CUTTER)
+
+
+def test_the_circle_has_a_diameter_of_54_mm_and_is_closed(piece):
+    start, end, curvature = cuts(piece, "circle")
+    arc = curvature != 0
+    np.testing.assert_allclose(2 * (np.linalg.norm(start[arc, :2], axis=1) - CUTTER), 54, atol=1e-9)
+    np.testing.assert_allclose(start[arc][0], end[arc][-1], atol=1e-12)
+    assert set(end[:, 2]) == {-0.4}
+    for normal, distance in lines(piece, "circle"):  # lead in and out along the tangent
+        assert distance == pytest.approx(27, abs=1e-9) and abs(normal[0]) == 1
+
+
+def test_the_diamond_is_the_square_over_the_middles_of_the_sides(piece):
+    walls = lines(piece, "diamond")
+    assert len(walls) == 4
+    for normal, distance in walls:
+        np.testing.assert_allclose(np.abs(normal), np.sqrt(0.5), atol=1e-5)
+        assert distance == pytest.approx(40 / np.sqrt(2), abs=1e-4)  # four digits in the file
+    assert set(cuts(piece, "diamond")[1][:, 2]) == {-0.8}
+
+
+def test_the_inclined_side_leans_by_3_degrees_from_the_corner_of_the_square(piece):
+    ((normal, distance),) = lines(piece, "inclined_side")
+    assert np.degrees(np.arctan2(-normal[0], -normal[1])) == pytest.approx(3, abs=1e-4)
+    assert normal @ [-40, -40] == pytest.approx(distance, abs=1e-4)
+    assert set(cuts(piece, "inclined_side")[1][:, 2]) == {-1.6}
+
+
+def test_every_feature_is_cut_clockwise_so_that_the_clockwise_spindle_mills_down(piece):
+    assert np.all(piece.curvature <= 0) and len(piece.features) == 6
+    np.testing.assert_allclose(piece.spindle_speed, 8000 * 2 * np.pi / 60)
+    np.testing.assert_allclose(piece.feed[~piece.rapid], 4 / 60)
+
+
+def test_rapid_moves_and_the_starts_of_cuts_keep_clear_of_the_material(piece):
+    """Below the top of the stock the tool only plunges where all is air or was cut at a deeper level."""
+    xyz = piece.position * 1e3
+    down = np.flatnonzero(piece.rapid[1:] & (xyz[1:, 2] < 0)) + 1
+    assert len(down) == 5
+    cleared = {"clearing": 40.0, "circle": STOCK, "diamond": STOCK, "inclined_side": STOCK, "square": STOCK}
+    for k in down:
+        assert np.array_equal(xyz[k, :2], xyz[k - 1, :2])  # straight down
+        half = cleared[piece.features[piece.feature[k]]]
+        assert np.abs(xyz[k, :2]).max() >= half + CUTTER
+    level = piece.rapid[1:] & (xyz[1:, 2] == xyz[:-1, 2])
+    assert np.all(xyz[1:][level, 2] >= 5)
+
+
+def test_nothing_but_the_part_and_the_base_is_left_standing(piece):
+    """Everything outside of the diamond, within the square, is swept at the level of the diamond or below."""
+    grid = np.stack(np.meshgrid(np.linspace(-40, 40, 161), np.linspace(-40, 40, 161)), -1).reshape(-1, 2)
+    outside = grid[np.abs(grid).sum(axis=1) > 40.01]
+    swept = np.zeros(len(outside), bool)
+    timed = time_path(piece, Timing(controller_step=0.01))
+    deep = timed.trajectory.position[:, 2] <= -0.8e-3
+    for centre in timed.trajectory.position[deep, :2] * 1e3:
+        swept |= np.linalg.norm(outside - centre, axis=1) <= CUTTER + 0.02
+    assert swept.all()
+
+
+def test_the_path_is_short_enough_to_be_simulated_at_leisure(piece):
+    assert piece.length < 2.5
+    assert time_path(piece, Timing()).trajectory.duration_ns < 40e9

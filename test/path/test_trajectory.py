@@ -1,0 +1,246 @@
+"""The sampled trajectory: its interpolation, its file, and where a tool stands still."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
+from splines import spline
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.decide.path_limits import corner_blending
+from kr270_milling.decide.programs.krl import Program
+from kr270_milling.decide.programs.krl_motion import point_numbers
+from kr270_milling.path.trajectory import AT_REST, TOOL_DOWN, Trajectory, TrajectoryError
+from kr270_milling.path.trajectory_csv import read_csv, write_csv
+from kr270_milling.physics.compensation.revision import corrected, resting_segments
+
+TIME = np.array([0, 50_000_000, 100_000_000, 170_000_000, 250_000_000])
+PATH = np.array([[0.0, 0.0, 0.0], [3.0, 1.0, 0.0], [6.0, -1.0, 1.0], [9.0, 0.0, 4.0], [10.0, 2.0, 4.0]]) * 1e-3
+FINE = np.linspace(0, TIME[-1], 777).astype(np.int64)
+
+
+def test_without_velocities_the_tool_runs_straight_from_knot_to_knot():
+    expected = [np.interp(FINE, TIME, PATH[:, i]) for i in range(3)]
+    np.testing.assert_allclose(Trajectory(TIME, PATH, TOOL_DOWN).sample(FINE), np.transpose(expected), atol=1e-17)
+
+
+def test_any_cubic_is_run_exactly_when_its_knot_velocities_are_given():
+    t, fine = TIME * 1e-9, FINE * 1e-9
+    cubic = np.polynomial.Polynomial([0.01, 0.2, -3.0, 40.0])
+    run = Trajectory(TIME, np.c_[cubic(t), t, 0 * t], TOOL_DOWN, np.c_[cubic.deriv()(t), 1 + 0 * t, 0 * t])
+    np.testing.assert_allclose(run.sample(FINE)[:, 0], cubic(fine), rtol=1e-14)
+    np.testing.assert_allclose(run.sample_velocity(FINE)[:, 0], cubic.deriv()(fine), rtol=1e-12)
+
+
+@pytest.mark.parametrize("ends", ["natural", "not-a-knot", "clamped"])
+def test_a_spline_is_run_as_scipy_evaluates_it(ends):
+    oracle = CubicSpline(TIME * 1e-9, PATH, bc_type=ends)
+    run = spline(TIME, PATH, ends=ends)
+    np.testing.assert_allclose(run.sample(FINE), oracle(FINE * 1e-9), atol=1e-16)
+    np.testing.assert_allclose(run.feed(FINE), np.linalg.norm(oracle(FINE * 1e-9, 1), axis=1), rtol=1e-10, atol=1e-15)
+
+
+def test_a_spline_takes_end_velocities():
+    run = spline(TIME, PATH, ends=([0.1, 0.0, 0.0], [0.0, 0.2, 0.0]))
+    np.testing.assert_allclose(run.velocity[[0, -1]], [[0.1, 0.0, 0.0], [0.0, 0.2, 0.0]], atol=1e-15)
+
+
+def test_a_spline_has_no_jump_in_acceleration():
+    run = spline(TIME, PATH)
+    step = 10_000
+    inner = TIME[1:-1]
+    slope = [(run.sample_velocity(inner + d) - run.sample_velocity(inner + d - step)) / step for d in (0, step)]
+    np.testing.assert_allclose(slope[0], slope[1], rtol=0, atol=2e-3 * np.abs(slope).max())
+
+
+def test_orientation_follows_scipys_slerp_and_takes_the_short_way():
+    turns = Rotation.from_euler("ZYX", np.random.default_rng(1).uniform(-1, 1, (5, 3)))
+    quaternion = turns.as_quat() * np.array([1, -1, 1, 1, -1])[:, None]  # q and -q are one rotation
+    run = Trajectory(TIME, PATH, quaternion)
+    sampled = Rotation.from_quat(run.sample_orientation(FINE))
+    assert (sampled.inv() * Slerp(TIME, turns)(FINE)).magnitude().max() < 1e-7
+
+
+def test_a_constant_orientation_stays_the_same_to_the_last_bit():
+    assert np.all(Trajectory(TIME, PATH, TOOL_DOWN).sample_orientation(FINE) == TOOL_DOWN)
+
+
+def test_the_tool_rests_before_the_first_and_after_the_last_knot():
+    run = spline(TIME, PATH)
+    outside = np.array([-5, TIME[-1] + 1])
+    np.testing.assert_array_equal(run.sample(outside), PATH[[0, -1]])
+    assert np.all(run.feed(outside) == 0)
+
+
+def test_the_papers_line_has_its_knots_at_the_controller_step_and_ends_exactly():
+    line = Trajectory.straight_line([0.0, 0.01, 0.0], [2.0, 0.0, 0.0], 0.080, 4 / 60, 0.05)
+    assert len(line) == 25 and line.duration_ns == 1_200_000_000
+    np.testing.assert_array_equal(line.position[-1], [0.08, 0.01, 0.0])
+    np.testing.assert_allclose(line.feed(FINE), 4 / 60, rtol=1e-12)
+
+
+def test_a_line_that_is_no_multiple_of_the_step_keeps_its_feed_to_the_end():
+    line = Trajectory.straight_line(np.zeros(3), [0.0, 1.0, 0.0], 0.081, 4 / 60, 0.05)
+    assert line.duration_ns == 1_215_000_000 and np.all(np.diff(line.time_ns)[:-1] == 50_000_000)
+    np.testing.assert_allclose(line.feed(line.time_ns), 4 / 60, rtol=1e-9)
+
+
+def test_samples_take_the_shape_of_the_times():
+    run = Trajectory(TIME, PATH, TOOL_DOWN)
+    assert run.sample(7).shape == (3,) and run.sample(np.zeros((2, 5), int)).shape == (2, 5, 3)
+    assert run.sample_orientation(np.zeros((2, 5), int)).shape == (2, 5, 4) and run.feed(7).shape == ()
+
+
+def test_a_new_path_keeps_times_orientations_and_frame():
+    run = Trajectory(TIME, PATH, TOOL_DOWN, frame="base_link").with_position(2 * PATH, PATH)
+    assert run.frame == "base_link" and run.velocity is not None and run.time_ns[-1] == TIME[-1]
+
+
+@pytest.mark.parametrize(
+    ("change", "index"),
+    [
+        ({"time_ns": TIME + 1}, 0),
+        ({"time_ns": np.array([0, 1, 1, 2, 3])}, 2),
+        ({"time_ns": TIME * 1.0}, None),
+        ({"time_ns": TIME[:1], "position": PATH[:1]}, None),
+        ({"position": np.vstack([PATH[:3], np.full((2, 3), np.nan)])}, 3),
+        ({"position": PATH[:4]}, None),
+        ({"quaternion": np.diag([1.0, 1.0, 1.0, 0.0, 1.0])[:, :4]}, 3),
+        ({"velocity": np.full((5, 3), np.inf)}, 0),
+    ],
+)
+def test_a_trajectory_that_no_tool_can_follow_is_refused_with_its_knot(change, index):
+    with pytest.raises(TrajectoryError) as caught:
+        Trajectory(**({"time_ns": TIME, "position": PATH, "quaternion": TOOL_DOWN} | change))
+    assert caught.value.index == index
+
+
+def test_a_record_cannot_be_changed_afterwards():
+    run = Trajectory(TIME, PATH, TOOL_DOWN)
+    with pytest.raises(ValueError):
+        run.position[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("value", [0.0, -1.0, np.nan])
+def test_a_line_without_length_feed_or_step_is_refused(value):
+    for arguments in ([value, 1.0, 1.0], [1.0, value, 1.0], [1.0, 1.0, value]):
+        with pytest.raises(TrajectoryError):
+            Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], *arguments)
+
+
+# --- Trajectories as CSV ---
+
+
+RANDOM = np.random.default_rng(5)
+QUATERNION = RANDOM.normal(size=(7, 4))
+RUN = spline(
+    np.cumsum([0, 50_000_000, 4_000_000, 1, 12_000_000, 333_333_333, 9_999_999_999]), RANDOM.normal(size=(7, 3)),
+    QUATERNION / np.linalg.norm(QUATERNION, axis=1, keepdims=True),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("run", [RUN, RUN.with_position(RUN.position)], ids=["with velocity", "without"])
+@pytest.mark.parametrize("joints", [None, RANDOM.uniform(-3, 3, (7, 6))], ids=["without joints", "with joints"])
+def test_a_trajectory_comes_back_from_its_file(tmp_path, run, joints):
+    write_csv(tmp_path / "t.csv", run, joints)
+    back, angles = read_csv(tmp_path / "t.csv")
+    for name in ("time_ns", "position", "velocity"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(run, name))
+    np.testing.assert_allclose(back.quaternion, run.quaternion, rtol=0, atol=1e-15)
+    assert (angles is None) == (joints is None) and (joints is None or np.abs(angles - joints).max() < 1e-15)
+
+
+def test_the_file_has_one_header_that_a_csv_reader_understands(tmp_path):
+    write_csv(tmp_path / "t.csv", RUN, np.zeros((7, 6)))
+    with open(tmp_path / "t.csv", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert (
+        len(rows) == 7
+        and float(rows[2]["time_s"]) == 0.054
+        and float(rows[2]["x_mm"]) == pytest.approx(1e3 * RUN.position[2, 0], rel=1e-15)
+    )
+    assert {"qx", "qw", "a1_deg", "a6_deg"} <= set(rows[0])
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (lambda text: text.replace("time_s", "t"), 1),
+        (lambda text: text.rstrip("\n"), 8),
+        (lambda text: text.replace("0.054000000,", "0.054000000,nan,", 1), 4),
+        (lambda text: text.replace("0.054000000,", "0.001000000,"), 4),
+        (lambda text: text.replace("0.054000000,", "zero,"), 4),
+        (lambda text: text.replace("0.000000000,", "1e300,"), 2),
+    ],
+)
+def test_a_spoilt_file_is_refused_with_its_line(tmp_path, change, line):
+    write_csv(tmp_path / "t.csv", RUN)
+    (tmp_path / "t.csv").write_text(change((tmp_path / "t.csv").read_text()))
+    with pytest.raises(InputError) as caught:
+        read_csv(tmp_path / "t.csv")
+    assert caught.value.line == line
+
+
+# --- Where a tool stands still ---
+
+
+STOP = 5  #: knot of the corner
+
+
+def corner(rest_speed: float = 0.0) -> Trajectory:
+    """Along x, a stop of one segment in the corner, along y; the speed at rest as rounding may leave it."""
+    time = np.arange(12) * 12_000_000
+    x = np.concatenate([np.arange(6), np.full(6, 5.0)]) * 0.5e-3
+    y = np.concatenate([np.zeros(7), np.arange(1, 6)]) * 0.5e-3
+    velocity = np.zeros((12, 3))
+    velocity[1:5, 0], velocity[7:11, 1] = 0.04, 0.04
+    velocity[[0, 5, 6, 11], 2] = rest_speed
+    return Trajectory(time, np.stack([x, y, 0.0 * x], axis=1), TOOL_DOWN, velocity)
+
+
+def sharp(rest_speed: float) -> Trajectory:
+    """The same corner without the rest: one knot of it, and no segment without length."""
+    run = corner(rest_speed)
+    kept = np.delete(np.arange(12), 6)
+    return Trajectory(np.arange(11) * 12_000_000, run.position[kept], TOOL_DOWN, run.velocity[kept])
+
+
+def moved(run: Trajectory) -> Trajectory:
+    """Corrected by 50 um, less than the 88 um by which a blended corner of these legs would be rounded off."""
+    return run.with_position(run.position + [0.0, 0.0, 50e-6], run.velocity)
+
+
+@pytest.mark.parametrize("speed", [0.0, 1e-12, 3e-9, 0.9 * AT_REST])
+def test_a_stop_is_one_for_correction_program_and_check_whatever_rounding_left_of_its_speed(speed):
+    """A reference that came back from a file or a message whose stop is no exact zero any more."""
+    run = corner(speed)
+    assert np.flatnonzero(run.standing).tolist() == [0, 5, 6, 11]
+    assert np.flatnonzero(resting_segments(run)).tolist() == [5]
+    shift = np.outer(np.linspace(0.0, 50e-6, 12), [0.0, 1.0, 0.0])
+    revised, _ = corrected(run, shift, True)
+    assert np.ptp(revised.position[5:7], axis=0).max() == 0.0  # the correction is held
+    points = point_numbers(Program(point_spacing=0.6e-3), run, revised)
+    assert STOP in points or STOP + 1 in points  # though it is nearer to the point before than others may be
+    assert corner_blending(sharp(speed), moved(sharp(speed)), 1e-3) == []  # the robot stops: nothing is rounded off
+
+
+def test_what_creeps_does_not_stand():
+    run = corner(2 * AT_REST)
+    assert not run.standing.any() and not resting_segments(run).any()
+    rounded = corner_blending(sharp(2 * AT_REST), moved(sharp(2 * AT_REST)), 1e-3)
+    assert [violation.point for violation in rounded] == [STOP + 1]
+
+
+def test_a_reference_that_came_back_from_a_file_stands_where_it_stood(tmp_path):
+    run = corner(1e-12)
+    write_csv(tmp_path / "run.csv", run)
+    assert np.array_equal(read_csv(tmp_path / "run.csv")[0].standing, run.standing)
+
+
+def test_straight_lines_through_the_knots_never_stand():
+    run = corner()
+    assert not run.with_position(run.position).standing.any()

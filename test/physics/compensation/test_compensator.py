@@ -1,0 +1,501 @@
+"""The compensator between the passes, and learning of an arm that is not the model's."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from book import check
+from small_part import small_part
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell import jobs
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import compensated, deviated_cut, record_of, simulate
+from kr270_milling.cell.plant import Plant
+from kr270_milling.cli import main
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.compensator import Compensator, noise_floor, remaining_error
+from kr270_milling.physics.compensation.method import Correction
+from kr270_milling.physics.compensation.methods import METHODS
+from kr270_milling.physics.compensation.models import CellModels
+from kr270_milling.physics.compensation.revision import KnotsError, PassRecord, RevisionError, sampled_correction
+from kr270_milling.physics.compensation.settings import CompensationSettings
+
+KNOTS = np.arange(0, 1_200_000_001, 50_000_000)
+TARGET = Trajectory(KNOTS, np.outer(KNOTS * 1e-9, [0.0667, 0.0, 0.0]), (1.0, 0.0, 0.0, 0.0))
+STAMPS = np.arange(0, TARGET.duration_ns + 1, 500_000)
+LIMITS = {"max_change_per_tick": 10e-3}
+
+
+def sway(t, amplitude=50e-6):
+    return amplitude * np.outer(np.sin(7.0 * t) ** 2 + 0.2 * np.sin(45.0 * t), [0.1, 1.0, 0.2])
+
+
+def pass_along(reference, share=0.0, noise=0.0, wrench=None):
+    """An arm whose displacement takes on ``share`` of the correction: the next pass is not the last one."""
+    correction = reference.sample(STAMPS) - TARGET.sample(STAMPS)
+    random = np.random.default_rng(len(STAMPS)).normal(0, noise, (STAMPS.size, 3))
+    moved = sway(STAMPS * 1e-9) + share * correction + random
+    return PassRecord(STAMPS, reference.sample(STAMPS) + moved, 150_000_000, wrench)
+
+
+def compensator(method, **changes):
+    return Compensator(CompensationSettings(method, **{**LIMITS, **changes}), TARGET)
+
+
+def same(first, second):
+    return np.array_equal(first.position, second.position)
+
+
+# --- remaining error ---
+
+
+def test_the_remaining_error_is_across_the_feed_and_counts_where_it_is_scored():
+    position = TARGET.sample(STAMPS)
+    position += [5e-3, 0.0, 0.0]  # along the feed: no error
+    position[100] += [0.0, 9e-3, 0.0]  # before it is scored
+    position[1000] += [0.0, 30e-6, 40e-6]
+    assert remaining_error(TARGET, PassRecord(STAMPS, position, 150_000_000)) == pytest.approx(50e-6, rel=1e-9)
+    assert remaining_error(TARGET, PassRecord(STAMPS, position, 0)) == pytest.approx(9e-3, rel=1e-9)
+
+
+def test_a_pass_that_ends_before_it_is_scored_is_scored_at_its_end():
+    short = PassRecord(STAMPS[:100], TARGET.sample(STAMPS[:100]) + [0.0, 7e-6, 0.0], 10**12)
+    assert remaining_error(TARGET, short) == pytest.approx(7e-6, rel=1e-9)
+
+
+def test_a_tool_in_the_air_is_not_scored_where_the_wrench_is_known():
+    position, wrench = TARGET.sample(STAMPS), np.ones((STAMPS.size, 6))
+    position[2000] += [0.0, 1e-3, 0.0]
+    wrench[1900:2100] = 0.0
+    assert remaining_error(TARGET, PassRecord(STAMPS, position, 0, wrench)) < 1e-15
+
+
+# --- the states ---
+
+
+def test_before_any_pass_the_reference_is_the_target():
+    found = compensator("learned")
+    assert found.reference is TARGET and found.errors == () and not found.finished and found.first is None
+
+
+@pytest.mark.parametrize("knots", [2, 7, KNOTS.size])
+@pytest.mark.parametrize("method", ["inverse", "learned"])
+def test_nothing_is_learned_from_a_reference_with_other_knots(method, knots):
+    time = np.linspace(0, KNOTS[-1] - 100_000_000, knots).astype(np.int64)
+    found, other = compensator(method), Trajectory(time, TARGET.sample(time), (1.0, 0.0, 0.0, 0.0))
+    found.resume(other)
+    with pytest.raises(KnotsError, match=f"{knots} knots in 1.1 s.* the times of the target's .25 in 1.2 s"):
+        found.revise(pass_along(other))
+
+
+@pytest.mark.parametrize("method", ["linear", "spline"])
+def test_a_method_that_does_not_repeat_revises_after_every_pass(method):
+    found = compensator(method)
+    first = found.revise(pass_along(TARGET, 0.3))
+    second = found.revise(pass_along(first, 0.3))
+    assert not same(first, second) and found.reference is second and not found.finished
+    assert found.errors[1] < found.errors[0]
+
+
+@pytest.mark.parametrize("method", ["linear", "spline", "learned"])
+def test_repeating_ends_at_a_reference_no_worse_than_any_that_was_run(method):
+    found = compensator(method, repeat=True)
+    tried = []
+
+    def run(reference):
+        tried.append((remaining_error(TARGET, pass_along(reference, 0.3)), reference))
+        return pass_along(reference, 0.3)
+
+    kept = found.improve(pass_along(TARGET, 0.3), run)
+    assert found.finished and len(tried) >= 2 and kept is found.reference
+    assert kept is min(tried, key=lambda t: t[0])[1]
+    assert remaining_error(TARGET, pass_along(kept, 0.3)) == min(found.errors)
+
+
+def test_learning_keeps_the_target_where_every_revision_harms():
+    """An arm that gives way three times as much to a correction."""
+    found = compensator("learned")
+    assert found.improve(pass_along(TARGET, -3.0), lambda r: pass_along(r, -3.0)) is TARGET
+    assert found.finished and found.errors[1] > found.errors[0]
+
+
+@pytest.mark.parametrize(("share", "passes"), [(-0.995, 2), (-0.98, 4)])
+def test_learning_stops_at_a_pass_that_brings_less_than_a_percent(share, passes):
+    """An arm that takes all but 1 + share of each correction back."""
+    found = compensator("learned", max_passes=3)
+    found.improve(pass_along(TARGET, share), lambda r: pass_along(r, share))
+    assert found.finished and len(found.errors) == passes
+
+
+def test_learning_stops_where_noise_is_all_that_is_left():
+    found = compensator("learned", max_passes=50)
+    found.improve(pass_along(TARGET, noise=1e-6), lambda r: pass_along(r, noise=1e-6))
+    assert found.finished and len(found.errors) < 10
+
+
+@pytest.mark.parametrize("most", [1, 3])
+def test_no_more_passes_are_taken_than_allowed(most):
+    runs = []
+
+    def run(reference):
+        runs.append(reference)
+        return pass_along(reference, 0.6)  # converges slowly
+
+    found = compensator("learned", max_passes=most)
+    found.improve(pass_along(TARGET, 0.6), run)
+    assert found.finished and len(runs) == most
+
+
+def test_after_the_end_a_further_pass_changes_nothing():
+    found = compensator("learned")
+    kept = found.improve(pass_along(TARGET, 0.3), lambda r: pass_along(r, 0.3))
+    assert found.revise(pass_along(kept, -5.0)) is kept and found.finished
+
+
+def test_reset_goes_back_to_the_target_and_forgets_the_passes():
+    found = compensator("learned")
+    found.improve(pass_along(TARGET), pass_along)
+    found.reset()
+    assert found.reference is TARGET and found.errors == () and not found.finished and found.limited == ()
+
+
+def test_another_method_goes_on_from_the_pass_along_the_target():
+    found = compensator("learned")
+    found.improve(pass_along(TARGET, 0.2), lambda r: pass_along(r, 0.2))
+    for method in ("linear", "spline"):
+        alone = compensator(method)
+        alone.revise(pass_along(TARGET, 0.2))
+        assert same(found.choose(method), alone.reference) and found.method == method and not found.finished
+
+
+def test_another_method_before_any_pass_leaves_the_target():
+    assert compensator("linear").choose("spline") is TARGET
+
+
+def test_the_method_given_wins_over_that_of_the_parameters():
+    assert Compensator(CompensationSettings("linear"), TARGET, "spline").method == "spline"
+
+
+def test_what_the_limit_took_away_is_known_until_the_next_revision():
+    found = compensator("linear", max_correction=20e-6)
+    found.revise(pass_along(TARGET))
+    size = np.linalg.norm(sway(TARGET.time), axis=1).max()
+    assert found.cut_off == pytest.approx(size - 20e-6, rel=1e-6)
+    assert np.linalg.norm(found.reference.position - TARGET.position, axis=1).max() <= 20e-6 * (1 + 1e-9)
+    found.reset()
+    assert found.cut_off == 0.0
+
+
+# --- a method from outside ---
+
+
+class Halved:
+    """Half of the sampled displacement."""
+
+    name, needs_arm, repeats, smooth = "halved", False, True, False
+
+    def revise(self, task):
+        return Correction(0.5 * sampled_correction(task.target, task.reference, task.ran), self.smooth)
+
+
+def test_a_method_object_runs_through_the_compensator_and_a_cell_without_being_in_the_table():
+    by = Compensator(CompensationSettings("linear", **LIMITS), TARGET, Halved())
+    assert by.method == "halved" and by.repeats
+    by.revise(pass_along(TARGET))
+    full = compensator("linear")
+    full.revise(pass_along(TARGET))
+    np.testing.assert_allclose(
+        by.reference.position - TARGET.position, 0.5 * (full.reference.position - TARGET.position), atol=1e-16
+    )
+    cell = read_cell(find_file("paper.yaml"), ["path.length_mm=30", "stock.grid_step_um=40"])
+    original = simulate(cell)
+    ran = compensated(cell, original, Halved())
+    assert ran.name == "halved" and ran.scores.max_deviation < 0.55 * original.scores.max_deviation
+
+
+# --- mirror ---
+
+
+def test_mirror_hands_the_mean_wrench_at_the_knots_over_and_takes_the_modified_points():
+    asked = []
+
+    def mirror(target, wrench):
+        asked.append((target, wrench))
+        return target.with_position(target.position + [0.0, -30e-6, 10e-6])
+
+    found = Compensator(CompensationSettings("mirror", **LIMITS), TARGET, models=CellModels(mirror))
+    wrench = np.outer(STAMPS * 1e-9, np.arange(6.0))
+    found.revise(pass_along(TARGET, wrench=wrench))
+    assert asked[0][0] is TARGET
+    np.testing.assert_allclose(asked[0][1][1:-1, 1], TARGET.time[1:-1], atol=3e-4)  # half a sample off centre
+    np.testing.assert_allclose(
+        found.reference.position - TARGET.position, [[0, -30e-6, 10e-6]] * len(TARGET), atol=1e-15
+    )
+
+
+def test_mirror_without_a_model_of_the_arm_is_refused():
+    with pytest.raises(RevisionError, match="the method mirror needs the model of the arm"):
+        compensator("mirror").revise(pass_along(TARGET, wrench=np.ones((STAMPS.size, 6))))
+
+
+def test_mirror_without_a_wrench_is_refused():
+    found = Compensator(CompensationSettings("mirror"), TARGET, models=CellModels(lambda t, w: t))
+    with pytest.raises(RevisionError, match="needs the wrench"):
+        found.revise(pass_along(TARGET))
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"method": "magic"}, {"relaxation": 0.0}, {"relaxation": 1.1}, {"max_passes": 0}, {"criterion": "best"},
+              {"max_correction": 0.0}, {"max_correction": np.nan}],
+)  # fmt: skip
+def test_parameters_that_make_no_sense_are_refused(wrong):
+    with pytest.raises(ParameterError):
+        CompensationSettings(**({"method": "linear"} | wrong))
+
+
+# --- the arm itself ---
+
+
+def test_the_mirror_of_the_papers_case_takes_the_static_part_away():
+    cell = read_cell(find_file("paper.yaml"))
+    original = simulate(cell)
+    mirrored = compensated(cell, original, "mirror")
+    assert abs(mirrored.scores.static_deviation) < 0.08 * original.scores.static_deviation
+
+
+# --- Learning of an arm that is not the model's ---
+
+
+UM = 1e-6
+COARSE = ("stock.grid_step_um=40", "exchange.micro_step_deg=3", "dynamics.reference_inertia=true")
+FREQUENCY, DAMPING, SOFT = 1.15, 0.5, 1.1
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return read_cell(find_file("paper.yaml"), [*COARSE, "dynamics.damping_ratio=0.04", "compensation.max_passes=4"])
+
+
+def plant_of(cell, **imperfections) -> Plant:
+    """An arm that is softer, lighter and less damped than the model's: omega^2 is stiffness / mass."""
+    mass = cell.arm.link_mass / (FREQUENCY**2 * SOFT)
+    arm = cell.arm.replace(link_mass=mass, joint_compliance=SOFT * cell.arm.joint_compliance)
+    dynamics = cell.dynamics.replace(damping_ratio=DAMPING * cell.dynamics.damping_ratio)
+    how = cell.imperfections.replace(**imperfections)
+    return Plant(cell, cell.replace(arm=arm, dynamics=dynamics), how)
+
+
+@pytest.fixture(scope="module")
+def learned(cell):
+    """Plant, original pass, compensator, learned pass."""
+    plant = plant_of(cell)
+    original = simulate(cell, plant=plant)
+    by = jobs.compensator(cell, cell.target(), "learned")
+    return plant, original, by, compensated(cell, original, "learned", by=by, plant=plant)
+
+
+def test_frequency_damping_and_compliance_of_the_plant_are_identified(cell, learned):
+    plant, _, by, _ = learned
+    true = plant.cell.modal_model.frequency / (2 * np.pi)
+    found = by.identified
+    assert 1 in found.mode
+    for mode, frequency, damping in zip(found.mode, found.frequency_hz, found.damping_ratio, strict=True):
+        assert frequency == pytest.approx(true[mode - 1], rel=0.01)
+        assert damping == pytest.approx(plant.cell.dynamics.damping_ratio, rel=0.15)
+    assert found.compliance_factor == pytest.approx(SOFT, rel=0.02) and found.gain == pytest.approx(1.0, abs=0.01)
+
+
+def test_learning_leaves_less_than_a_hundredth_though_the_model_is_wrong(learned):
+    _, original, by, ran = learned
+    assert by.finished and len(by.errors) <= 5
+    assert original.scores.max_deviation > 70 * UM and ran.scores.max_deviation < 0.01 * original.scores.max_deviation
+
+
+def test_the_kept_reference_is_the_best_that_was_measured(cell, learned):
+    _, _, by, ran = learned
+    assert remaining_error(cell.target(), record_of(cell, ran)) == min(by.errors)
+
+
+@pytest.mark.parametrize("method", ["linear", "spline"])
+def test_the_papers_methods_make_the_part_worse_where_the_arm_lies_between(cell, method):
+    """Issue: 79 um become 97 (linear) and 131 (spline) at the damping of measured robots."""
+    original = simulate(cell)
+    assert compensated(cell, original, method).scores.max_deviation > 1.1 * original.scores.max_deviation
+
+
+@check(
+    "pass with reference inertia, zeta 0.04, linear / none",
+    "97 um / 79 um; here the sampled displacement is a mean over a revolution",
+)
+def test_linear_excites_the_arm():
+    """The paper's method makes the part worse."""
+    cell = read_cell(find_file("paper.yaml"), ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04"))
+    original = simulate(cell)
+    linear = compensated(cell, original, "linear")
+    return 97.0 / 79.2, linear.scores.max_deviation / original.scores.max_deviation, 0.1
+
+
+def test_one_pass_of_inverse_is_enough_where_the_arm_is_the_models(cell):
+    original = simulate(cell)
+    assert compensated(cell, original, "inverse").scores.max_deviation < 2 * UM
+
+
+SHALLOW = """\
+G21 G90 S8000 M3
+G0 X-14 Y0 Z5
+(slot)
+G0 Z-0.4
+G1 X30 F4000
+G0 Z5
+M30
+"""
+
+
+def test_the_cut_answers_a_tool_that_sinks(tmp_path):
+    """The rapid move down leaves the arm swinging: where the tool sinks it cuts with its whole end, F_z and F_y change.
+
+    On the path it does not sink; the wrench there is that of a rigid arm.
+    """
+    cell = small_part(
+        tmp_path, SHALLOW, "cutting.fractional.axial_ratio=0.4", "dynamics.reference_inertia=true",
+        "dynamics.damping_ratio=0.04", "dynamics.mass_model=rigid",
+    )  # fmt: skip
+    original, by = simulate(cell), jobs.compensator(cell, cell.target(), "inverse")
+    by.revise(record_of(cell, original))
+    model = by.learner.model.frequency[0] / (2 * np.pi)
+    assert by.identified.frequency_hz == pytest.approx(model[np.array(by.identified.mode) - 1], rel=0.01)
+    assert by.identified.damping_ratio == pytest.approx([0.04] * len(by.identified.mode), rel=0.1)
+    (evidence,), scored = by.learner.passes, by.learner.scored
+    rigid = deviated_cut(cell, cell.target(), np.zeros(1, np.int64), np.zeros((1, 3)))
+    exact = by.learner.segments.mean(rigid.time_ns - 125_000, rigid.wrench)[scored]  # each is of the period before
+
+    def off(wrench):
+        return np.sqrt(np.mean((wrench[scored] - exact)[:, :3] ** 2, axis=0))
+
+    assert np.all(off(evidence.wrench) > 0.7) and np.all(off(evidence.on_path) < 0.15)  # [N]
+    before, after = (
+        np.abs((ran.result.actual - ran.result.target)[ran.result.volume > 0.0]).max(axis=0)
+        for ran in (original, simulate(cell, by.reference))
+    )
+    assert before.min() > 30 * UM and after.max() < 1 * UM
+
+
+def test_straight_lines_between_the_knots_do_nearly_as_well(cell):
+    lines = cell.replace(compensation=cell.compensation.replace(interpolation="linear"))
+    ran = compensated(lines, simulate(lines), "learned")
+    assert ran.reference.velocity is None and ran.scores.max_deviation < 1 * UM
+
+
+def test_without_a_measured_wrench_that_of_the_model_is_taken(cell):
+    plant = plant_of(cell)
+    original = simulate(cell, plant=plant)
+    blind = dataclasses.replace(record_of(cell, original), wrench=None)
+    reference = jobs.compensator(cell, cell.target(), "inverse").revise(blind)
+    ran = simulate(cell, reference, plant=plant)
+    assert ran.scores.max_deviation < 0.1 * original.scores.max_deviation
+
+
+@pytest.mark.parametrize(("noise", "left"), [(5 * UM, 3 * UM), (20 * UM, 6 * UM)])
+def test_noise_of_the_measured_pose_is_averaged_and_not_milled(cell, noise, left):
+    plant = plant_of(cell, pose_noise=noise, seed=5)
+    original = simulate(cell, plant=plant)
+    assert original.record.noise == noise
+    assert np.std(original.record.position - original.result.tool) == pytest.approx(noise, rel=0.03)
+    ran = compensated(cell, original, "learned", plant=plant)
+    assert ran.scores.max_deviation < left
+
+
+def test_learning_ends_where_a_pass_brings_less_than_the_noise(cell):
+    plant = plant_of(cell, pose_noise=20 * UM)
+    original = simulate(cell, plant=plant)
+    by = jobs.compensator(cell, cell.target(), "learned")
+    compensated(cell, original, "learned", by=by, plant=plant)
+    floor = noise_floor(cell.target(), record_of(cell, original))
+    assert floor == pytest.approx(20 * UM * np.sqrt(25 / 2401), rel=1e-6)
+    best = np.minimum.accumulate(by.errors)
+    gains = best[:-1] - by.errors[1:]
+    assert by.finished and (np.all(gains[-2:] < floor) or len(by.errors) == 5)  # twice in a row, or all passes are done
+    assert not any(np.all(gains[k : k + 2] < floor) for k in range(len(gains) - 2))
+
+
+def test_no_reference_is_returned_that_is_worse_than_none(cell):
+    """An arm that throws every correction back at the part, as no model of an arm would."""
+    target = cell.target()
+    first = record_of(cell, simulate(cell))
+    by = jobs.compensator(cell, target, "learned")
+
+    def thrown(reference):
+        shift = reference.sample(first.time_ns) - target.sample(first.time_ns)
+        return dataclasses.replace(first, position=first.position - 5.0 * shift)
+
+    assert by.improve(first, thrown) is target
+    assert "no pass better than the one without compensation" in by.note and by.errors[1] > by.errors[0]
+
+
+def test_a_learner_that_was_copied_does_not_change(cell, learned):
+    """The node tries a revision on a copy of its compensator."""
+    import copy
+
+    _, original, _, _ = learned
+    by = jobs.compensator(cell, cell.target(), "learned")
+    twin = copy.copy(by)
+    twin.revise(record_of(cell, original))
+    assert by.learner is None and by.errors == () and len(twin.learner.passes) == 1
+
+
+# --- The page of the folder ---
+
+
+TEXT = (Path(__file__).resolve().parents[3] / "kr270_milling/physics/compensation/README.md").read_text(
+    encoding="utf-8"
+)
+COMMANDS = [
+    line.split()[1:] for block in re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL) for line in block.splitlines()
+]
+QUICK = ["--set", "path.length_mm=30", "--set", "stock.grid_step_um=40", "--set", "exchange.micro_step_deg=3"]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "plant.yaml").write_text(re.search(r"```yaml\n(.*?)```", TEXT, re.DOTALL)[1], encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
+
+
+@pytest.mark.parametrize("words", COMMANDS)
+def test_the_commands_of_the_page_run_and_help(words, folder, capsys):
+    assert main([*words, *QUICK, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    original, kept = found["passes"]
+    assert original["name"] == "original" and kept["name"] == found["method"]
+    assert {"static_deviation_mm", "max_deviation_mm"} <= set(kept)
+    assert kept["max_deviation_mm"] < 0.1 * original["max_deviation_mm"]
+    assert found["identified"]["modes"][0]["frequency_hz"] == pytest.approx(
+        6.69 * (1.1 if "--plant" in words else 1), rel=0.03
+    )
+
+
+def test_every_method_stands_on_the_page():
+    assert all(f"`{name}`" in TEXT for name in METHODS)
+
+
+def test_a_method_that_makes_the_part_worse_says_so_beside_the_decision(tmp_path, capsys):
+    sets = ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04", "stock.grid_step_um=40")
+    words = [part for pair in sets for part in ("--set", pair)]
+    main(["compensate", "paper.yaml", "--method", "spline", "--no-verdict", "--out", str(tmp_path / "out"), *words])
+    lines = capsys.readouterr().out.splitlines()[:8]
+    assert any(line.startswith("spline makes the part worse than no compensation (12") for line in lines)
+
+
+def test_noise_that_is_no_number_is_refused(capsys):
+    for text in ("nan", "-1", "much"):
+        with pytest.raises(SystemExit, match="2"):
+            main(["simulate", "paper.yaml", "--noise-um", text])
+        assert "--noise-um" in capsys.readouterr().err

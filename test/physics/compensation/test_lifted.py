@@ -1,0 +1,282 @@
+"""The lifted model: response of the arm to a correction, and the correction by dynamic programming."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+from book import check
+from scipy.interpolate import CubicSpline
+from scipy.signal import lsim
+from splines import spline
+
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import arm_response, simulate
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.compensation.lifted import KnotConditions, Lifted
+from kr270_milling.physics.compensation.limiting import Limited
+from kr270_milling.physics.compensation.response import ArmResponse, Segments, cubic_coefficients
+
+OMEGA, ZETA = 42.0, 0.04
+KNOTS = np.cumsum([0, 50, 50, 30, 70, 50, 50, 20, 80, 50, 50, 50, 50]) * 1_000_000  # unevenly spaced
+SEGMENTS = Segments(KNOTS, 16)
+
+
+def one_mode(frequency=OMEGA, damping=ZETA) -> ArmResponse:
+    """A mass of 1 kg on a spring across the feed, y; the other axes are rigid."""
+    m, axis = len(SEGMENTS), np.array([0.0, 1.0, 0.0])
+    tile = np.ones((m, 1, 1))
+    return ArmResponse(
+        frequency=np.full((m, 1), frequency),
+        damping=np.full((m, 1), damping),
+        inward=tile * axis[None, None, :],
+        outward=tile * axis[None, :, None],
+        push=tile * np.concatenate([axis, np.zeros(3)])[None, None, :],
+        carry=tile.copy(),
+    )
+
+
+# --- The response of the arm to a correction and to a wrench, against scipy's simulation of the transfer functions ---
+
+
+def correction(smooth: bool) -> Trajectory:
+    values = np.random.default_rng(2).normal(0.0, 50e-6, (KNOTS.size, 3))
+    return spline(KNOTS, values) if smooth else Trajectory(KNOTS, values, (0.0, 0.0, 0.0, 1.0))
+
+
+def fine(step_ns: int = 50_000) -> np.ndarray:
+    return np.arange(0, KNOTS[-1] + 1, step_ns)
+
+
+@check(
+    "lifted model: tool along a correction of 50 um, {kind}, zeta {damping}",
+    "scipy.signal.lsim of (2 z w s + w^2) / (s^2 + 2 z w s + w^2)", "m",
+    cases=("kind damping", [(kind, zeta) for kind in ("spline", "lines") for zeta in (0.04, 0.182)]),
+)  # fmt: skip
+def test_lifted_response(kind, damping):
+    run, time = correction(kind == "spline"), fine()
+    shift = run.sample(time)[:, 1]
+    top, bottom = [2 * damping * OMEGA, OMEGA**2], [1.0, 2 * damping * OMEGA, OMEGA**2]
+    expected = lsim((top, bottom), shift - shift[0], time * 1e-9)[1] + shift[0]
+    found = one_mode(damping=damping).follow(SEGMENTS, cubic_coefficients(KNOTS, run.position, run.velocity))
+    assert found[..., 0] == pytest.approx(run.sample(SEGMENTS.middle_ns)[..., 0], abs=1e-18)  # rigid there
+    middle = np.interp(SEGMENTS.middle_ns.ravel(), time, expected)
+    return 0.0, np.abs(found[..., 1].ravel() - middle).max(), 1e-9  # 50 us steps of lsim: 2e-5 of 50 um
+
+
+def test_a_steady_correction_moves_the_tool_by_itself():
+    cubic = np.zeros((len(SEGMENTS), 4, 3))
+    cubic[:, 0] = [1e-5, -2e-5, 3e-5]
+    assert one_mode().follow(SEGMENTS, cubic) == pytest.approx(np.broadcast_to(cubic[0, 0], (12, 16, 3)), abs=1e-18)
+
+
+def test_a_corner_of_the_correction_rings_with_the_change_of_speed_over_omega():
+    """facts: a change of speed dv rings with dv / omega; undamped, 0.4 mm/s at 6.7 Hz gives 9.5 um."""
+    omega, change = 2 * np.pi * 6.7, 0.4e-3
+    time = np.arange(13) * 50_000_000
+    segments = Segments(time, 16)
+    cubic = np.zeros((12, 4, 3))
+    cubic[6:, 1, 1] = change
+    cubic[6:, 0, 1] = change * 0.05 * np.arange(6)
+    arm = ArmResponse(*(a if i > 1 else np.full((12, 1), (omega, 1e-6)[i]) for i, a in enumerate(
+        (0, 0, one_mode().inward, one_mode().outward, one_mode().push, one_mode().carry))))  # fmt: skip
+    swing = arm.swing(segments, cubic, np.zeros(3))[..., 1]
+    assert np.abs(swing[:6]).max() < 1e-18 and np.abs(swing).max() == pytest.approx(change / omega, rel=0.01)
+    assert change / omega == pytest.approx(9.5e-6, rel=0.01)
+
+
+def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last_by_its_compliance():
+    force = 80.0
+    wrench = np.zeros((len(SEGMENTS), 16, 6))
+    wrench[4:, :, 1] = force
+    time = fine()
+    step = np.where(time >= KNOTS[4], force, 0.0)
+    expected = lsim(([1.0], [1.0, 2 * ZETA * OMEGA, OMEGA**2]), step, time * 1e-9)[1]
+    found = one_mode().deflect(SEGMENTS, wrench)[..., 1].ravel()
+    middle = np.interp(SEGMENTS.middle_ns.ravel(), time, expected)
+    assert found == pytest.approx(middle, abs=1e-3 * force / OMEGA**2)  # a cubic over parts of up to 5 ms
+    stiff = one_mode(damping=0.9).scaled(2.0, 1.0, softness=1.5).deflect(SEGMENTS, wrench)[-1, -1, 1]
+    assert stiff == pytest.approx(1.5 * force / OMEGA**2, rel=1e-3)  # softness alone changes it, not the frequency
+
+
+def test_two_postures_hand_the_displacement_over_whatever_their_modes_are_called():
+    """A posture whose mode has the other sign is the same arm."""
+    arm, run = one_mode(), correction(True)
+    cubic = cubic_coefficients(KNOTS, run.position, run.velocity)
+    sign = np.where(np.arange(12) % 3 == 0, -1.0, 1.0)[:, None, None]
+    turned = ArmResponse(
+        arm.frequency, arm.damping, sign * arm.inward, sign * arm.outward, sign * arm.push,
+        np.concatenate([sign[1:] * sign[:-1], [[[1.0]]]]),
+    )  # fmt: skip
+    assert turned.follow(SEGMENTS, cubic) == pytest.approx(arm.follow(SEGMENTS, cubic), abs=1e-16)
+
+
+MEASURED = (
+    "dynamics.modes=[{frequency_hz: 7.1, damping_ratio: 0.037, shape: [0.0, 0.05, 0.0, 0.0, 0.0, 0.0]}, "
+    "{frequency_hz: 10.3, damping_ratio: 0.022, shape: [0.02, 0.01, 0.03, 0.0, 0.0, 0.0]}]"
+)
+
+
+@pytest.mark.parametrize("sets", [("dynamics.mass_model=lumped",), ("dynamics.mass_model=rigid",), (MEASURED,)])
+def test_the_lifted_model_of_a_cell_is_the_arm_that_its_pass_runs(sets):
+    """In the air the pass knows nothing but the inertia of the arm: correction and path against the lifted model."""
+    short = ("path.length_mm=12", "stock.min_mm=[50,-1,-1]", "stock.max_mm=[51,1,0]", "timing.controller_step_ms=20")
+    cell = read_cell(find_file("paper.yaml"), [*sets, *short, "dynamics.reference_inertia=true"])
+    target = cell.target()
+    shift = np.random.default_rng(1).normal(0.0, 50e-6, (len(target), 3))
+    smooth = spline(target.time_ns, target.position + shift, target.quaternion)
+    ran = simulate(cell, smooth).result
+    assert not ran.wrench.any()
+    segments = Segments.of(target.time_ns)
+    straight = cubic_coefficients(target.time_ns, target.position, target.velocity)
+    cubic = cubic_coefficients(target.time_ns, smooth.position, smooth.velocity) - straight
+    found = arm_response(cell, target).follow(segments, cubic)
+    deviation = np.stack([np.interp(segments.middle_ns, ran.time_ns, d) for d in (ran.actual - ran.target).T], axis=-1)
+    assert found == pytest.approx(deviation, abs=2e-3 * np.abs(deviation).max())  # linear between samples of 0.5 ms
+
+
+def test_eq_1_as_printed_moves_the_tool_with_the_reference():
+    cell = read_cell(find_file("paper.yaml"), ["path.length_mm=12"])
+    arm = arm_response(cell, cell.target())
+    run = correction(True)
+    segments = Segments.of(cell.target().time_ns)
+    cubic = cubic_coefficients(KNOTS, run.position, run.velocity)[: len(segments)]
+    assert arm.follow(segments, cubic) == pytest.approx(segments.powers @ cubic, abs=1e-18)
+
+
+# --- The correction by dynamic programming, against the dense least squares of the same lifted model ---
+
+
+EIGHTH = Segments(KNOTS, 8)
+M = len(EIGHTH)
+SMOOTH = 1e-3
+
+
+def course(smooth=True, resting=(), held=()) -> KnotConditions:
+    still, rest = np.zeros(M + 1, bool), np.zeros(M, bool)
+    still[list(resting)], rest[list(held)] = True, True
+    return KnotConditions(smooth, still, rest)
+
+
+def deviation(seed=0) -> np.ndarray:
+    t = EIGHTH.middle_ns * 1e-9
+    waves = np.stack([np.sin(20 * t + i) + 0.3 * np.cos(55 * t * (i + 1)) for i in range(3)], axis=-1)
+    return 1e-5 * waves + 1e-6 * np.random.default_rng(seed).standard_normal(waves.shape)
+
+
+def weights() -> np.ndarray:
+    size = np.where(EIGHTH.middle_ns < 150_000_000, 0.05**2, 1.0)
+    return size[..., None, None] * np.diag([0.1, 1.0, 0.5])
+
+
+def dense(arm, numbers_to_cubic, count, smooth):
+    """The same least squares with every column of H simulated by itself; y only."""
+    weight = weights()[..., 1, 1].ravel()
+    typical = np.median(EIGHTH.duration)
+    columns, rough = [], []
+    for number in np.eye(count):
+        cubic = np.zeros((M, 4, 3))
+        cubic[:, :, 1] = numbers_to_cubic(number)
+        columns.append(arm.follow(EIGHTH, cubic)[..., 1].ravel())
+        rough.append(cubic[:, 3, 1] * typical**3 if smooth else np.diff(cubic[:, 1, 1]) * typical)
+    h, r, d = np.array(columns).T, np.array(rough).T, deviation()[..., 1].ravel()
+    rows = np.vstack([h * np.sqrt(weight)[:, None], np.sqrt(SMOOTH) * r])
+    right = np.concatenate([-d * np.sqrt(weight), np.zeros(len(r))])
+    best = np.linalg.lstsq(rows, right, rcond=None)[0]
+    return numbers_to_cubic(best)
+
+
+def spline_numbers(number):
+    """m + 3 numbers of a C2 cubic spline: the values at the knots and the slopes at both ends."""
+    spline = CubicSpline(KNOTS * 1e-9, number[:-2], bc_type=((1, number[-2]), (1, number[-1])))
+    return cubic_coefficients(KNOTS, number[:-2, None], spline(KNOTS * 1e-9, 1)[:, None])[..., 0]
+
+
+def line_numbers(number):
+    return cubic_coefficients(KNOTS, number[:, None], None)[..., 0]
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_dynamic_programming_finds_the_dense_least_squares(smooth):
+    arm = one_mode()
+    found = Lifted(arm, EIGHTH, course(smooth)).least_squares(deviation(), weights(), SMOOTH)
+    expected = dense(arm, *((spline_numbers, M + 3) if smooth else (line_numbers, M + 1)), smooth)
+    scale = np.abs(expected).max(axis=0)[: 4 if smooth else 2]
+    difference = np.abs(found.cubic[:, :, 1] - expected)[:, : scale.size]
+    assert np.all(difference.max(axis=0) < 1e-5 * scale)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_what_is_left_is_what_the_response_to_the_correction_leaves(smooth):
+    arm = one_mode()
+    found = Lifted(arm, EIGHTH, course(smooth)).least_squares(deviation(), weights(), SMOOTH)
+    assert found.left == pytest.approx(deviation() + arm.follow(EIGHTH, found.cubic), abs=1e-15)
+
+
+@check("lifted model: deviation left of one that knots can make", "least squares reach 0, however slowly the arm rings",
+       "m")  # fmt: skip
+def test_lifted_inverse():
+    """d0 = -H c for a c of its own kind; without noise and smoothness nothing is left."""
+    arm = one_mode(damping=0.005)
+    cubic = np.zeros((M, 4, 3))
+    cubic[:, :, 1] = spline_numbers(np.random.default_rng(1).normal(0, 1e-5, M + 3) * ([1] * (M + 1) + [10, 10]))
+    found = Lifted(arm, EIGHTH, course()).least_squares(-arm.follow(EIGHTH, cubic), weights(), 1e-14)
+    assert np.abs(cubic[:, 0, 1]).max() > 1e-5
+    return 0.0, np.abs(found.left[..., 1]).max(), 1e-9
+
+
+def test_the_correction_is_c2_between_stops_rests_in_them_and_is_held_while_the_path_rests():
+    found = Lifted(one_mode(), EIGHTH, course(True, (0, 5, 8, 9), (8,))).least_squares(deviation(), weights(), SMOOTH)
+    t = EIGHTH.duration[:, None]
+    c, v, a, j = np.swapaxes(found.cubic, 0, 1)
+    ends = c + v * t + a * t**2 / 2 + j * t**3 / 6, v + a * t + j * t**2 / 2, a + j * t
+    for end, start, size in zip(ends, (c, v, a), (1e-5, 1e-3, 1e-1), strict=True):
+        jump = np.abs(end[:-1] - start[1:]).max(axis=1)
+        assert np.delete(jump, [4, 7, 8]).max() < 1e-8 * size
+        assert size == 1e-1 or jump.max() < 1e-8 * size
+    for knot in (5, 8, 9):
+        assert np.abs(v[knot]).max() < 1e-12 and np.abs(ends[1][knot - 1]).max() < 1e-12
+    assert not found.cubic[8, 1:].any() and np.abs(v[0]).max() == 0.0
+    assert np.abs(ends[2][4] - a[5]).max() > 1e-3  # a bend of its own after a stop
+
+
+def test_min_max_lowers_the_largest_deviation_and_its_peaks_are_alike():
+    scored = EIGHTH.middle_ns >= 150_000_000
+    lifted = Lifted(one_mode(), EIGHTH, course())
+    plain, even = (
+        np.abs(found.left[..., 1][scored])
+        for found in (
+            lifted.least_squares(deviation(), weights(), 1e-9),
+            lifted.min_max(deviation(), weights(), 1e-9, scored),
+        )
+    )
+    assert even.max() < 0.9 * plain.max() and even.std() / even.max() < plain.std() / plain.max() + 0.1
+
+
+def test_a_long_path_costs_in_proportion_to_its_length():
+    """Ten times the knots take about ten times as long; a dense lifted model would take a thousand times."""
+
+    def cost(count: int) -> float:
+        segments = Segments(np.arange(count + 1) * 12_000_000, 4)
+        base = one_mode(damping=0.01)
+        arm = ArmResponse(*(np.tile(getattr(base, name)[:1], (count,) + (1,) * (getattr(base, name).ndim - 1))
+                            for name in ("frequency", "damping", "inward", "outward", "push", "carry")))  # fmt: skip
+        still = KnotConditions(True, np.zeros(count + 1, bool), np.zeros(count, bool))
+        d0 = 1e-5 * np.sin(segments.middle_ns * 3e-8)[..., None] * np.ones(3)
+        weight = np.broadcast_to(np.eye(3), (count, 4, 3, 3))
+        begun = time.process_time()
+        left = Lifted(arm, segments, still).least_squares(d0, weight, 1e-6).left
+        assert np.abs(left).max() < 1e-6
+        return time.process_time() - begun
+
+    cost(50)
+    assert cost(3000) < 40 * cost(300)
+
+
+def test_a_limited_correction_is_in_reach_at_a_lower_feed():
+    """Size goes with the square of the feed, its change in a tick with the cube."""
+    size = Limited("size", 1, 2, 1, 0.0, wanted=400e-6, missing=300e-6)
+    change = Limited("change", 1, 2, 1, 0.0, wanted=80e-6, missing=70e-6)
+    assert size.feed_share == pytest.approx(0.5) and change.feed_share == pytest.approx(0.5)

@@ -1,0 +1,498 @@
+"""Revision of the reference at the controller step and along a tool path."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from book import check
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+from small_part import GCODE, assignments, small_part
+
+from kr270_milling.base.frames import Pose, rotation_from_quaternion
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import compensated, compensator, mirrored, record_of, simulate
+from kr270_milling.decide.path_limits import correction_per_tick, correction_size
+from kr270_milling.path.controller_motion import spline_slopes
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
+from kr270_milling.physics.compensation.compensator import Compensator, remaining_error
+from kr270_milling.physics.compensation.limiting import UNBOUNDED, Bounds
+from kr270_milling.physics.compensation.mirror import loaded_pose
+from kr270_milling.physics.compensation.revision import (
+    PassRecord,
+    RevisionError,
+    chord_error,
+    corrected,
+    sampled_correction,
+)
+from kr270_milling.physics.compensation.settings import CompensationSettings
+
+SAMPLE_NS = 500_000
+ENGAGED_NS = 150_000_000
+
+
+def line(step_ns=50_000_000, duration_ns=1_200_000_000):
+    """A straight cut with knots at the controller step."""
+    knots = np.arange(0, duration_ns + 1, step_ns)
+    return Trajectory(knots, np.outer(knots * 1e-9, [0.0667, 0.0, 0.0]), (1.0, 0.0, 0.0, 0.0))
+
+
+def ran(reference, displacement, scored_from_ns=0):
+    """The pass of an arm that gives way by displacement(t) (n, 3) whatever the reference does."""
+    stamps = np.arange(0, reference.duration_ns + 1, SAMPLE_NS)
+    return PassRecord(stamps, reference.sample(stamps) + displacement(stamps * 1e-9), scored_from_ns)
+
+
+def sampled(smooth, target, reference, record, bounds=UNBOUNDED):
+    """The reference after a pass along ``reference`` by the sampled displacement, and where it was limited."""
+    return corrected(target, sampled_correction(target, reference, record), smooth, bounds)
+
+
+def revised(method, target, first, criterion="min_max", max_correction=50e-3, max_change=50e-3):
+    """The reference after the first pass, and where it was limited."""
+    limits = {"max_correction": max_correction, "max_change_per_tick": max_change}
+    by = Compensator(CompensationSettings(method, criterion=criterion, **limits), target)
+    return by.revise(first), by.limited
+
+
+def left(target, reference, displacement, scored_from_ns=0):
+    """Largest error [m] across the feed from scored_from on when the reference is run."""
+    record = ran(reference, displacement)
+    error = record.position - target.sample(record.time_ns)
+    return np.abs(error[record.time_ns >= scored_from_ns, 1]).max()
+
+
+def knot_spline(target, ends):
+    """A random C2 cubic spline on the target's knots as a displacement of some 50 um, in all three axes."""
+    values = np.random.default_rng(4).normal(0, 50e-6, (len(target), 3))
+    return CubicSpline(target.time, values, bc_type=ends)
+
+
+def ringing(t, frequency=6.69, damping=0.18):
+    """What the paper's arm does when it is loaded in 0.15 s."""
+    w = 2 * np.pi * frequency
+    load = np.clip(t / 0.15, 0, 1)
+    y = 58e-6 * load - 12e-6 * np.exp(-damping * w * t) * np.sin(w * t) * (t > 0)
+    return np.column_stack([-0.2 * y, y, 0.1 * y])
+
+
+# --- exact cases ---
+
+
+def test_linear_takes_away_what_is_linear_between_the_knots():
+    target = line()
+    values = np.random.default_rng(1).normal(0, 50e-6, (len(target), 3))
+
+    def displacement(t):
+        return np.column_stack([np.interp(t, target.time, v) for v in values.T])
+
+    reference, cut_off = sampled(False, target, target, ran(target, displacement))
+    assert left(target, reference, displacement) < 1e-16 and cut_off == () and reference.velocity is None
+
+
+def test_spline_takes_away_a_spline_that_starts_and_ends_without_slope():
+    target = line()
+    displacement = knot_spline(target, "clamped")
+    reference, _ = sampled(True, target, target, ran(target, displacement))
+    assert left(target, reference, displacement) < 1e-16
+
+
+@pytest.mark.parametrize("criterion", ["min_max", "least_squares"])
+def test_learned_takes_away_a_spline_that_starts_and_ends_without_slope(criterion):
+    target = line()
+    displacement = knot_spline(target, "clamped")
+    reference, _ = revised("learned", target, ran(target, displacement), criterion)
+    assert left(target, reference, displacement) < 1e-3 * 50e-6  # it sees the means of parts of 3.1 ms, not each sample
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_second_pass_leads_to_the_same_reference(smooth):
+    """The displacement is taken against the reference that was run, so it does not add up."""
+    target = line()
+    first, _ = sampled(smooth, target, target, ran(target, ringing))
+    second, _ = sampled(smooth, target, first, ran(first, ringing))
+    np.testing.assert_allclose(second.position, first.position, atol=1e-16)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_pass_without_error_is_left_as_it_is(smooth):
+    target = line()
+    reference, _ = sampled(smooth, target, target, ran(target, lambda t: np.zeros((t.size, 3))))
+    stamps = np.arange(0, target.duration_ns, 333_333)
+    np.testing.assert_allclose(reference.sample(stamps), target.sample(stamps), atol=1e-16)
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_times_orientation_and_frame_stay(smooth):
+    target = line()
+    reference, _ = sampled(smooth, target, target, ran(target, ringing))
+    np.testing.assert_array_equal(reference.time_ns, target.time_ns)
+    np.testing.assert_array_equal(reference.quaternion, target.quaternion)
+    assert reference.frame == target.frame
+
+
+def test_a_spline_revision_has_no_jump_in_acceleration():
+    target = line()
+    reference, _ = sampled(True, target, target, ran(target, ringing))
+    again = CubicSpline(reference.time, reference.position - target.position, bc_type="clamped")
+    expected = again(reference.time, 1) + target.sample_velocity(target.time_ns)
+    np.testing.assert_allclose(reference.velocity, expected, atol=1e-12)
+
+
+# --- orders of convergence ---
+
+
+@check(
+    "order of the interpolation, {method}", "interpolation theory: 2 for straight lines, 4 for a cubic C2 spline; "
+    "learned gains at the ends too", cases=("method expected low high", [
+        ("linear", 2.0, 1.65, 2.35), ("spline", 4.0, 3.65, 4.35), ("learned", 4.0, 3.65, 5.2)]),
+)  # fmt: skip
+def test_interpolation_order(method, expected, low, high):
+    """The error left of a smooth displacement without slope at the ends, as the motion of the program needs it."""
+
+    def displacement(t):
+        waves = np.cos(np.pi * t / 1.2) - 0.5 * np.cos(2 * np.pi * t / 1.2) + 0.3 * np.cos(5 * np.pi * t / 1.2)
+        return 50e-6 * np.outer(waves, [1.0, 1.0, 1.0])
+
+    finest = 50_000_000 if method == "learned" else 25_000_000  # of means, so some nanometres stay at any step
+    steps, errors = finest * np.array([4, 2, 1]), []
+    for step in steps:
+        target = line(int(step))
+        reference, _ = revised(method, target, ran(target, displacement), "least_squares")
+        errors.append(left(target, reference, displacement))
+    found = np.polyfit(np.log(steps), np.log(errors), 1)[0]
+    assert low < found < high
+    return expected, found, high - expected
+
+
+@pytest.mark.parametrize("frequency", [3.0, 6.69, 9.0])
+@pytest.mark.parametrize("damping", [0.03, 0.18])
+def test_learned_is_better_than_spline_in_what_it_minimises(frequency, damping):
+    """The weighted sum of squares: 1 where it is scored, 0.05 before."""
+    target = line()
+
+    def displacement(t):
+        return ringing(t, frequency, damping)
+
+    first = ran(target, displacement, ENGAGED_NS)
+    weight = np.where(first.time_ns >= ENGAGED_NS, 1.0, 0.05**2)
+    scores = {}
+    for method in ("linear", "spline", "learned"):
+        record = ran(revised(method, target, first, "least_squares")[0], displacement)
+        scores[method] = np.sum(weight * (record.position - target.sample(record.time_ns))[:, 1] ** 2)
+    assert scores["learned"] <= min(scores["spline"], scores["linear"])
+
+
+# --- limits and errors ---
+
+
+def test_knots_without_samples_stay_bounded():
+    """A pass that was heard of only up to its middle."""
+    target = line()
+    half = ran(target, ringing)
+    half = PassRecord(half.time_ns[:1200], half.position[:1200])
+    for criterion in ("min_max", "least_squares"):
+        reference, _ = revised("learned", target, half, criterion)
+        assert np.abs(reference.position - target.position).max() < 1e-3
+
+
+@pytest.mark.parametrize("method", ["linear", "spline", "learned"])
+def test_a_correction_beyond_the_largest_is_shortened_and_it_says_by_how_much(method):
+    target = line()
+    free, nothing = revised(method, target, ran(target, ringing))
+    most = 20e-6
+    limited, cut_off = revised(method, target, ran(target, ringing), max_correction=most)
+    wanted, given = (np.linalg.norm(r.position - target.position, axis=1) for r in (free, limited))
+    (found,) = cut_off
+    assert nothing == () and found.kind == "size"
+    assert found.wanted == pytest.approx(wanted[found.worst - 1], rel=1e-9)
+    assert found.missing == pytest.approx((wanted - given).max(), rel=1e-9)
+    over = np.flatnonzero(wanted > most * (1 + 1e-9)) + 1
+    assert found.first <= over[0] and over[-1] <= found.last
+    if method == "linear":
+        np.testing.assert_allclose(given, np.minimum(wanted, most), atol=1e-16)
+    ticks = np.arange(0, target.duration_ns, 12_000_000)  # a spline overshoots its knots
+    size = np.linalg.norm(limited.sample(ticks) - target.sample(ticks), axis=1)
+    assert 0.98 * most < size.max() <= most * (1 + 1e-8)
+    cosine = np.sum((free.position - target.position) * (limited.position - target.position), axis=1)
+    np.testing.assert_allclose(cosine, wanted * given, atol=1e-18)  # the direction stays
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_pass_that_shows_nothing_is_refused(smooth):
+    target = line()
+    for stamps, position in (([0], [[0.0, 0, 0]]), ([], np.zeros((0, 3))), ([0, 1], [[0.0, 0, 0], [np.nan, 0, 0]])):
+        with pytest.raises(RevisionError):
+            sampled(smooth, target, target, PassRecord(np.array(stamps, np.int64), np.array(position)))
+
+
+def test_the_mean_wrench_belongs_to_the_nearest_knot():
+    record = PassRecord(
+        np.array([0, 4, 6, 10, 14, 30]), np.zeros((6, 3)), 0, np.outer([1.0, 2, 3, 4, 5, 6], np.ones(6))
+    )
+    found = record.mean_wrench(np.array([0, 10, 20, 30]))
+    np.testing.assert_allclose(found[:, 0], [1.5, 4.0, 0.0, 6.0])
+
+
+def test_without_a_wrench_there_is_no_mean():
+    with pytest.raises(RevisionError, match="needs the wrench"):
+        PassRecord(np.array([0, 1]), np.zeros((2, 3))).mean_wrench(np.array([0, 1]))
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+def test_a_limited_change_holds_in_every_tick_and_is_told(smooth):
+    target, most, tick = line(), 6e-6, 12e-3
+    _, nothing = sampled(smooth, target, target, ran(target, ringing), Bounds(max_change=1e-3, tick=tick))
+    limited, found = sampled(smooth, target, target, ran(target, ringing), Bounds(max_change=most, tick=tick))
+    stamps = np.arange(0, target.duration_ns, round(tick * 1e9) // 12)
+    correction = limited.sample(stamps) - target.sample(stamps)
+    assert nothing == () and np.linalg.norm(correction[12:] - correction[:-12], axis=1).max() < 1.05 * most
+    assert {f.kind for f in found} == {"change"} and all(f.missing > 0 for f in found)
+
+
+def test_the_sampled_displacement_is_free_of_what_repeats_every_revolution():
+    target = Trajectory.straight_line([0, 0, 0], [1, 0, 0], 0.05, 0.05, 0.05)
+    time_ns, revolution = np.arange(0, 10**9, 500_000), 7_500_000
+    slow = 50e-6 + 20e-6 * time_ns * 1e-9  # [m]
+    ripple = 15e-6 * np.sin(2 * np.pi * 4 * time_ns / revolution)  # four teeth, 15 samples a revolution
+    moved = np.column_stack([np.zeros(time_ns.size), slow + ripple, np.zeros(time_ns.size)])
+    record = PassRecord(time_ns, target.sample(time_ns) + moved, revolution_ns=revolution)
+    inner = target.time_ns[(target.time_ns > revolution) & (target.time_ns < 10**9 - revolution)]
+    found = record.sampled_displacement(target, inner)[:, 1]
+    assert np.abs(found - (50e-6 + 20e-6 * inner * 1e-9)).max() < 1e-8  # the ripple alone is 15e-6
+
+
+def test_the_slopes_are_scipys_and_a_stop_is_the_only_knot_where_the_spline_is_not_c2():
+    values, t = np.random.default_rng(3).normal(0, 1, (25, 3)), 0.05 * np.arange(25)
+    ends = np.isin(np.arange(25), [0, 24])
+    expected = CubicSpline(t, values, bc_type="clamped")(t, 1)
+    np.testing.assert_allclose(spline_slopes(t, values, ends), expected, rtol=0.0, atol=1e-12)
+    rates, h = spline_slopes(t, values, ends | (np.arange(25) == 9)), 0.05
+    move = np.diff(values, axis=0)
+    left = (-6 * move + 2 * h * rates[:-1] + 4 * h * rates[1:]) / h**2  # second derivative at each segment's end
+    right = (6 * move - 4 * h * rates[:-1] - 2 * h * rates[1:]) / h**2  # and at its start
+    same = np.isclose(left[:-1], right[1:], rtol=1e-8, atol=1e-6).all(axis=1)
+    assert np.flatnonzero(~same).tolist() == [8]  # the knot that rests
+    assert not rates[[0, 9, 24]].any()
+
+
+# --- Compensation along a tool path ---
+
+
+METHODS = ("linear", "spline", "learned", "mirror")
+SMOOTH = ("spline", "learned", "mirror")
+
+
+@pytest.fixture(scope="module")
+def cell(tmp_path_factory):
+    return small_part(tmp_path_factory.mktemp("part"))
+
+
+@pytest.fixture(scope="module")
+def passes(cell):
+    """The original pass, and for each method its compensator and the pass along its reference."""
+    original = simulate(cell)
+    found = {"original": (None, original)}
+    for method in METHODS:
+        by = compensator(cell, cell.target(), method)
+        found[method] = by, compensated(cell, original, method, by=by)
+    return found
+
+
+def error(cell, ran) -> float:
+    return remaining_error(cell.target(), record_of(cell, ran.result))
+
+
+def stops(cell) -> np.ndarray:
+    return np.flatnonzero(~cell.target().velocity.any(axis=1))
+
+
+@pytest.mark.parametrize(("method", "left"), [("linear", 0.25), ("spline", 0.1), ("learned", 0.1), ("mirror", 0.5)])
+def test_every_method_takes_the_error_of_the_whole_path_away(cell, passes, method, left):
+    assert error(cell, passes[method][1]) < left * error(cell, passes["original"][1])
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_the_correction_has_three_components(cell, passes, method):
+    reference = passes[method][1].reference
+    size = np.abs(reference.position - cell.target().position).max(axis=0)
+    pushed = np.abs(passes["original"][1].result.deflection[:, :3]).max(axis=0)
+    assert size == pytest.approx(pushed, rel=0.5) and pushed.min() > 3e-6
+
+
+@pytest.mark.parametrize("method", SMOOTH)
+def test_the_path_keeps_its_velocity_in_every_knot(cell, passes, method):
+    """C1: the slopes to both sides of a knot are its velocity."""
+    run = passes[method][1].reference
+    inner, h = run.time_ns[1:-1], 1000  # [ns]
+    before = (run.sample(inner) - run.sample(inner - h)) / (h * 1e-9)
+    after = (run.sample(inner + h) - run.sample(inner)) / (h * 1e-9)
+    assert before == pytest.approx(run.velocity[1:-1], abs=2e-5) and after == pytest.approx(before, abs=4e-5)
+
+
+@pytest.mark.parametrize("method", SMOOTH)
+def test_the_reference_is_c2_between_stops_and_rests_in_them(cell, passes, method):
+    run = passes[method][1].reference
+    assert len(stops(cell)) == 5 and np.array_equal(run.velocity[stops(cell)], np.zeros((5, 3)))
+    shift, rate = run.position, run.velocity
+    h = np.diff(run.time)[:, None]
+    move = 3 * np.diff(shift, axis=0) / h
+    starts = 2 * (move - 2 * rate[:-1] - rate[1:]) / h  # second derivative at both ends of a Hermite segment
+    ends = 2 * (rate[:-1] + 2 * rate[1:] - move) / h
+    jump = np.abs(ends[:-1] - starts[1:])
+    between = np.setdiff1d(np.arange(1, len(run) - 1), stops(cell))
+    assert jump[between - 1].max() < 1e-9 * np.abs(starts).max()
+    assert jump[stops(cell)[1:-1] - 1].max() > 1e-3 * np.abs(starts).max()
+
+
+def test_a_rest_is_held_at_one_correction():
+    time_ns = np.arange(12) * 50_000_000
+    x = np.concatenate([np.linspace(0, 10e-3, 5), np.full(3, 10e-3), np.linspace(10e-3, 20e-3, 5)[1:]])  # (12,)
+    position, velocity = np.zeros((12, 3)), np.zeros((12, 3))
+    position[:, 0], velocity[[1, 2, 3, 8, 9, 10], 0] = x, 0.05
+    target = Trajectory(time_ns, position, TOOL_DOWN, velocity)
+    wanted = np.outer(np.linspace(0, 110e-6, 12), [0.0, 1.0, 0.0])
+    run, limited = corrected(target, wanted, True)
+    rest = slice(4, 8)  # four knots at x = 10 mm
+    assert limited == () and np.ptp(run.position[rest], axis=0).max() == 0 and not run.velocity[rest].any()
+    assert run.position[4, 1] == pytest.approx(wanted[rest, 1].mean())
+    within = run.sample(np.linspace(time_ns[4], time_ns[7], 50).astype(np.int64))
+    assert np.ptp(within, axis=0).max() < 1e-18
+    assert run.position[[3, 8], 1] == pytest.approx(wanted[[3, 8], 1])
+
+
+def test_linear_runs_the_chords_and_its_chord_error_is_the_sagitta(cell, passes):
+    run = passes["linear"][1].reference
+    assert run.velocity is None
+    chord = 4 / 60 * 12e-3  # at 4 m/min in 12 ms; the arc has a radius of 8 mm
+    assert chord_error(cell.target()) == pytest.approx(chord**2 / (8 * 8e-3), rel=0.02)
+    straight = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.012)
+    assert chord_error(straight) < 1e-15
+
+
+def test_the_mirror_turns_the_tool_against_the_turning_of_the_arm(cell):
+    """A wrench with moments: what (30) makes of the modified poses is the target again, its orientation as well."""
+    k = np.arange(0, len(cell.target()), 20)
+    target = cell.target()
+    some = Trajectory(target.time_ns[k] - target.time_ns[k[0]], target.position[k], target.quaternion[k])
+    wrench = np.tile([80.0, -150.0, 60.0, 20.0, -30.0, 40.0], (len(some), 1))
+    by = compensator(cell, some, "mirror")
+    points = mirrored(cell, some, wrench)
+    modified, _ = corrected(some, points.position - some.position, False, quaternion=points.quaternion)
+    assert by.method == "mirror"
+    turn, part = np.kron(np.eye(2), cell.workpiece.pose.rotation), cell.workpiece.pose
+    loaded = loaded_pose(cell.arm, cell.mount, cell.joints(modified), wrench @ turn.T, True)
+    wanted = part @ Pose(some.position, rotation_from_quaternion(some.quaternion))
+    assert np.abs(loaded.position - wanted.position).max() < 2e-9
+    left = Rotation.from_matrix(loaded.rotation @ np.swapaxes(wanted.rotation, 1, 2)).magnitude()
+    bare = loaded_pose(cell.arm, cell.mount, cell.joints(some), wrench @ turn.T, True)
+    turned = Rotation.from_matrix(bare.rotation @ np.swapaxes(wanted.rotation, 1, 2)).magnitude()
+    assert turned.min() > 1e-5 and left.max() < 1e-7
+
+
+def test_a_shortened_correction_turns_the_tool_by_the_same_share():
+    line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.25)
+    whole = (Rotation.from_rotvec([0, 2e-3, 0]) * Rotation.from_quat(TOOL_DOWN)).as_quat()
+    shift = np.tile([0.0, 4e-4, 0.0], (len(line), 1))
+    run, limited = corrected(line, shift, False, Bounds(1e-4), quaternion=np.tile(whole, (len(line), 1)))
+    turned = Rotation.from_quat(run.quaternion) * Rotation.from_quat(TOOL_DOWN).inv()
+    assert turned.as_rotvec() == pytest.approx(np.tile([0, 0.5e-3, 0], (len(line), 1)), abs=1e-9)
+    (found,) = limited
+    assert (found.kind, found.first, found.last) == ("size", 1, len(line))
+    assert found.wanted == pytest.approx(4e-4) and found.missing == pytest.approx(3e-4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_limits_hold_along_the_path_and_what_they_took_is_told(cell, passes, method):
+    most, change = 40e-6, 4e-6
+    own = cell.replace(compensation=cell.compensation.replace(max_correction=most, max_change_per_tick=change))
+    by = compensator(own, cell.target(), method)
+    by.revise(record_of(cell, passes["original"][1].result))
+    target = cell.target()
+    assert correction_size(target, by.reference, own.compensation.tick_ns, most * 1.0001) == []
+    assert correction_per_tick(target, by.reference, own.compensation.tick_ns, change * 1.0001) == []
+    free = compensator(cell, target, method)
+    free.revise(record_of(cell, passes["original"][1].result))
+    missing = np.linalg.norm(free.reference.position - by.reference.position, axis=1)
+    assert {found.kind for found in by.limited} == {"size", "change"} and free.limited == ()
+    told = np.zeros(len(target), bool)
+    for found in by.limited:
+        assert found.first <= found.worst <= found.last and found.missing <= found.wanted + most
+        assert found.time == target.time[found.worst - 1] and f"at point {found.worst} (" in found.sentence
+        told[found.first - 1 : found.last] = True
+    assert not np.any((missing > 1e-8) & ~told)
+
+
+def test_a_step_is_taken_half_before_and_half_after_so_that_it_does_not_lag():
+    line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 0.05, 0.05, 0.012)
+    step = np.outer(np.where(np.arange(len(line)) < 40, 0.0, 80e-6), [0.0, 1.0, 0.0])
+    run, (found,) = corrected(line, step, False, Bounds(max_change=10e-6, tick=12e-3))
+    y = run.position[:, 1]
+    assert np.diff(y).max() == pytest.approx(10e-6) and np.all(np.diff(y) >= 0)
+    assert y[:40] + y[79:39:-1] == pytest.approx(np.full(40, 80e-6)) and y[31] == 0 and y[33] > 0
+    assert found.kind == "change" and found.first <= 40 <= found.last
+
+
+def test_repeating_goes_on_while_it_helps_and_keeps_the_best(cell, passes):
+    own = cell.replace(compensation=cell.compensation.replace(repeat=True, max_passes=6))
+    by = compensator(own, cell.target(), "mirror")
+    ran = compensated(own, passes["original"][1], "mirror", by=by)
+    assert by.finished and len(by.errors) > 2 and error(cell, ran) == pytest.approx(min(by.errors))
+    assert error(cell, ran) <= error(cell, passes["mirror"][1])
+
+
+def test_learning_keeps_still_in_the_air(cell, passes):
+    """The spline must not swing out where nothing is scored: beside the part it would cut."""
+    run, ran = passes["learned"][1].reference, passes["original"][1].result
+    largest = np.linalg.norm(ran.deflection[:, :3], axis=1).max()
+    assert np.linalg.norm(run.position - cell.target().position, axis=1).max() < 1.5 * largest
+
+
+def test_a_corner_out_of_reach_says_at_which_feed_it_is_in_reach(tmp_path, capsys):
+    """The arm's own inertia asks for the correction at a corner, the load for that of a straight cut."""
+    from kr270_milling.cli import main
+
+    sets = assignments(tmp_path, GCODE, "compensation.method=inverse", "dynamics.reference_inertia=true")
+    words = [part for pair in (*sets, "compensation.max_correction_mm=0.03") for part in ("--set", pair)]
+    main(["compensate", "paper.yaml", "--no-verdict", "--out", str(tmp_path / "out"), *words])
+    text = capsys.readouterr().out
+    assert "is too large at points" in text and "% of the programmed feed there" in text
+
+
+def test_a_corner_is_in_reach_at_the_feed_that_is_said(tmp_path):
+    """All of the path slower by that share f: its acceleration goes with f^2, its jerk with f^3."""
+    most, timing = 30e-6, small_part(tmp_path).timing
+
+    def out_of_reach(share):
+        """Limited for the arm's own inertia, which asks for most of the correction."""
+        slower = (
+            f"timing.acceleration_m_per_s2={timing.acceleration * share**2}",
+            f"timing.jerk_m_per_s3={timing.jerk * share**3}",
+            f"timing.rapid_feed_m_per_min={60.0 * timing.rapid_feed * share}",
+        )
+        text = GCODE.replace("F4000", f"F{4000.0 * share:.3f}")
+        cell = small_part(tmp_path, text, *slower, "dynamics.reference_inertia=true")
+        own = cell.replace(compensation=cell.compensation.replace(max_correction=most))
+        by = compensator(own, own.target(), "inverse")
+        by.revise(record_of(own, simulate(own)))
+        return [p for p in by.limited if p.kind == "size" and by.learner.inertia(p.time) > 0.5 * p.wanted]
+
+    before = out_of_reach(1.0)
+    after = out_of_reach(min(p.feed_share for p in before))
+    assert max(p.wanted for p in before) > 15 * most
+    assert all(p.wanted < 1.2 * most for p in after)  # what the load asks for does not become less
+
+
+@check(
+    "order in the controller step of the pass compensated by lines", "2: interpolation; the teeth's ripple taken off"
+)
+def test_controller_order():
+    """What a spline at the shortest step leaves is the vibration at tooth passing, which no reference can follow."""
+    steps, errors = np.array([50.0, 25.0, 12.5]), []
+    for step in steps:
+        cell = read_cell(find_file("paper.yaml"), (f"timing.controller_step_ms={step}",))
+        original = simulate(cell)
+        errors.append(compensated(cell, original, "linear").scores.max_deviation)
+    ripple = compensated(cell, original, "spline").scores.max_deviation
+    return 2.0, np.polyfit(np.log(steps), np.log(np.array(errors) - ripple), 1)[0], 0.4

@@ -1,0 +1,443 @@
+"""The sweep: cutter, stock, filling of polygons, vector instructions, and a brute-force oracle on small grids."""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+import pytest
+from budget import budget
+from cuttings import PAPER_LAW
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+from llvmlite import binding, ir
+from numba import njit
+
+from kr270_milling.base.errors import ConfigError, ParameterError
+from kr270_milling.base.record import build
+from kr270_milling.physics.cutting import Cut, Stock, Tool, lanes, make_params, make_state
+from kr270_milling.physics.cutting.fill import clear_quad
+from kr270_milling.physics.cutting.grid import TILE, levels_in_window, tile_count
+from kr270_milling.physics.cutting.lanes import LANES, NODE, build_lanes, lower_lanes, lower_one_by_one
+
+PAPER = {"diameter_mm": 20.0, "teeth": 4, "spindle_speed_rpm": 8000.0}
+STOCK = Stock(min=np.zeros(3), max=np.array([10e-3, 5e-3, 2e-3]))
+
+
+def test_paper_cutter_has_four_teeth_a_quarter_turn_apart():
+    tool = build(Tool, PAPER)
+    assert tool.angles == pytest.approx(np.radians([0, 90, 180, 270]))
+    assert tool.radii == pytest.approx(np.full(4, 10e-3))
+    assert tool.spindle_speed == pytest.approx(837.758, abs=1e-3)
+
+
+def test_pitch_angles_add_up_in_the_sense_of_rotation():
+    tool = build(Tool, {**PAPER, "teeth": 3, "pitch_deg": [100.0, 110.0, 150.0], "start_angle_deg": 10.0})
+    assert tool.angles == pytest.approx(np.radians([10, 110, 220]))
+
+
+def test_clockwise_teeth_stand_at_cos_phi_minus_sin_phi():
+    for rotation, sense in (("clockwise", -1), ("counterclockwise", 1)):
+        params = make_params(build(Tool, {**PAPER, "rotation": rotation}), PAPER_LAW, STOCK, np.radians(1.0))
+        assert params.directions[0, 30] == pytest.approx([np.cos(np.pi / 6), sense * 0.5])
+        assert params.directions[1, 0] == pytest.approx([0.0, sense], abs=0)
+        assert np.array_equal(params.directions[:, 0], params.directions[:, -1])
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"pitch_deg": [90.0, 90.0, 90.0]},
+        {"pitch_deg": [90.0, 90.0, 90.0, 91.0]},
+        {"pitch_deg": [90.0, 90.0, 180.0, 0.0]},
+        {"runout_um": [1.0]},
+        {"diameter_mm": 1.0, "runout_um": [0.0, 0.0, 0.0, -600.0]},
+        {"teeth": 0},
+        {"rotation": "left"},
+        {"diameter_mm": float("nan")},
+    ],
+)
+def test_impossible_cutters_are_refused(change):
+    with pytest.raises(ConfigError):
+        build(Tool, {**PAPER, **change})
+
+
+@pytest.mark.parametrize("degrees", [0.0, -1.0, 0.7, 16.0, float("nan")])
+def test_a_micro_step_must_divide_a_revolution(degrees):
+    with pytest.raises(ParameterError, match="micro_step"):
+        make_params(build(Tool, PAPER), PAPER_LAW, STOCK, np.radians(degrees))
+    assert make_params(build(Tool, PAPER), PAPER_LAW, STOCK, np.radians(0.75)).steps == 480
+
+
+# --- The stock's record, its levels and its tiles ---
+
+
+BOX = {"min_mm": [0.0, -12.0, -10.0], "max_mm": [100.0, 12.0, 0.0]}
+
+
+def test_stock_counts_its_nodes_and_tiles():
+    stock = build(Stock, {**BOX, "grid_step_um": 10.0})
+    assert stock.nodes == (10000, 2400)
+    assert tile_count(stock) == (40, 10)
+    assert stock.level_step * 65535 == pytest.approx(10e-3)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"max_mm": [100.0, -12.0, 0.0]},
+        {"max_mm": [100.0, 12.0, -10.0]},
+        {"max_mm": [100.0, 12.0]},
+        {"max_mm": [float("inf"), 12.0, 0.0]},
+        {"grid_step_um": 0.0},
+    ],
+)
+def test_impossible_stocks_are_refused(change):
+    with pytest.raises(ConfigError):
+        build(Stock, {**BOX, **change})
+
+
+def test_windows_are_put_together_from_tiles_wherever_they_lie_in_the_pool():
+    rng = np.random.default_rng(1)
+    whole = rng.integers(0, 65535, (3 * TILE, 2 * TILE)).astype(np.uint16)
+    table = np.array([[4, 0], [-1, 2], [1, 3]], np.int32)
+    whole[TILE : 2 * TILE, :TILE] = 0
+    pool = np.zeros(5 * TILE**2, np.uint16)
+    for (tx, ty), slot in np.ndenumerate(table):
+        if slot >= 0:
+            tile = whole[tx * TILE : (tx + 1) * TILE, ty * TILE : (ty + 1) * TILE]
+            pool[slot * TILE**2 : (slot + 1) * TILE**2] = tile.ravel()
+    ix, iy = np.arange(200, 700, 3), np.arange(100, 300, 7)
+    assert np.array_equal(levels_in_window(pool, table, ix, iy), whole[np.ix_(ix, iy)])
+
+
+# --- The innermost step of the sweep ---
+
+
+def lowered(lower, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Pool and log after 16 nodes from number 5 were lowered to level 300; the log from number 2 on."""
+    pool = np.random.default_rng(count).integers(0, 600, 40).astype(np.uint16)
+    log = np.zeros(40, np.uint16)
+    lower(pool, np.uint64(5), log, np.uint64(2), np.uint16(count), np.uint16(300))
+    return pool, log
+
+
+@njit
+def by_vectors(pool, start, log, place, count, level):
+    lower_lanes(pool, start, log, place, count, level)
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, LANES])
+def test_plain_loop_and_vector_instructions_lower_the_same_nodes(count):
+    expected, _ = lowered(lambda *_: None, count)
+    before = expected[5 : 5 + count].copy()
+    expected[5 : 5 + count] = np.maximum(before, 300)
+    for lower in (lower_one_by_one, by_vectors):
+        pool, log = lowered(lower, count)
+        assert np.array_equal(pool, expected) and np.array_equal(log[2 : 2 + count], before)
+
+
+def test_an_llvmlite_that_cannot_build_the_instructions_gets_the_plain_loop():
+    def build(builder, *values):  # as before 0.44
+        builder.load(values[0], no_such_argument=NODE)
+
+    assert lanes.lowering(build) is lower_one_by_one
+    assert lanes.lowering(build_lanes) is not lower_one_by_one
+
+
+def test_the_instructions_are_valid_with_opaque_pointers(monkeypatch):
+    """As in an llvmlite without typed pointers: every pointer type of the module is ``ptr``."""
+    monkeypatch.setattr(ir.Type, "as_pointer", lambda self, addrspace=0: ir.PointerType())
+    pointer, wide = ir.PointerType(), ir.IntType(64)
+    module = ir.Module()
+    function = ir.Function(module, ir.FunctionType(ir.VoidType(), [pointer, wide, pointer, wide, NODE, NODE]), "lower")
+    builder = ir.IRBuilder(function.append_basic_block())
+    build_lanes(builder, *function.args)
+    builder.ret_void()
+    assert "i16*" not in str(module)
+    binding.initialize_native_target()
+    binding.initialize_native_asmprinter()
+    machine = binding.Target.from_default_triple().create_target_machine()
+    engine = binding.create_mcjit_compiler(binding.parse_assembly(str(module)), machine)
+    engine.finalize_object()
+    kinds = (ctypes.c_void_p, ctypes.c_uint64, ctypes.c_void_p, ctypes.c_uint64, ctypes.c_uint16, ctypes.c_uint16)
+    call = ctypes.CFUNCTYPE(None, *kinds)(engine.get_function_address("lower"))
+    pool, log = lowered(lambda p, s, g, d, n, v: call(p.ctypes.data, int(s), g.ctypes.data, int(d), int(n), int(v)), 9)
+    expected, logged = lowered(by_vectors, 9)
+    assert np.array_equal(pool, expected) and np.array_equal(log, logged)
+
+
+# --- Clearing of polygons, against a point-in-polygon test by crossing numbers ---
+
+
+SIZE = 30
+STOCK_FILL = Stock(min=np.zeros(3), max=np.array([3e-3, 3e-3, 1e-3]), grid_step=1e-4)
+PARAMS = make_params(Tool(diameter=1e-3, teeth=1, spindle_speed=1.0), PAPER_LAW, STOCK_FILL, np.radians(10.0))
+corner = st.floats(-10.0, 40.0)
+
+
+def cleared(xs, ys):
+    state = make_state(PARAMS, STOCK_FILL, 4096)
+    clear_quad(state, xs, ys, SIZE, SIZE, 7)
+    return state.pool[: 256 * SIZE].reshape(SIZE, 256)[:, :SIZE] == 7
+
+
+def inside(xs, ys):
+    """Even number of sides to the right of a node: outside. And the distance of the node to the nearest side."""
+    x, y = np.meshgrid(np.arange(SIZE), np.arange(SIZE), indexing="ij")
+    odd, near = np.zeros((SIZE, SIZE), bool), np.full((SIZE, SIZE), np.inf)
+    for a, b, c, d in zip(xs, ys, np.roll(xs, -1), np.roll(ys, -1), strict=True):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            odd ^= ((b > y) != (d > y)) & (x < a + (y - b) / (d - b) * (c - a))
+            at = np.clip(np.nan_to_num(((x - a) * (c - a) + (y - b) * (d - b)) / ((c - a) ** 2 + (d - b) ** 2)), 0, 1)
+        near = np.minimum(near, np.hypot(x - a - at * (c - a), y - b - at * (d - b)))
+    return odd, near
+
+
+@settings(max_examples=budget(200), deadline=None)
+@example((0.0, 0.0, 0.0, 2.2e-309), (0.0, 0.0, 0.0, 1.0))
+@given(st.tuples(*[corner] * 4), st.tuples(*[corner] * 4))
+def test_a_quadrilateral_is_cleared_inside_and_nowhere_else(xs, ys):
+    odd, near = inside(xs, ys)
+    sure = near > 1e-6
+    assert np.array_equal(cleared(xs, ys)[sure], odd[sure])
+
+
+def test_a_bow_tie_is_cleared_in_both_halves():
+    found = cleared((2.5, 2.5, 22.5, 22.5), (2.5, 20.5, 2.5, 20.5))
+    assert found[4, 5:19].all() and found[21, 5:19].all()
+    assert not found[12, :9].any() and not found[12, 15:].any()
+    assert found.sum() == pytest.approx(2 * 18 * 10 / 2, rel=0.1)
+
+
+# --- The compiled sweep against a brute-force oracle on small grids, and what a sweep must conserve ---
+
+
+STEP = 1e-4  # [m] grid step of the small grids here
+NODES = 40
+
+
+def small_cut(radius=12.0, teeth=4, degrees=10.0, shift=0, **kwargs):
+    """A square of NODES nodes a side with its corner at 0; ``shift`` more nodes to the left and below."""
+    tool = Tool(diameter=2 * radius * STEP, teeth=teeth, spindle_speed=100.0, **kwargs)
+    low = np.array([-shift * STEP, -shift * STEP, -1e-3])
+    stock = Stock(min=low, max=np.array([NODES * STEP, NODES * STEP, 0.0]), grid_step=STEP, floor_tolerance=0.0)
+    return Cut(tool, PAPER_LAW, stock, np.radians(degrees))
+
+
+def levels(cut):
+    x, y, z = cut.heights([0.0, 0.0], [NODES * STEP, NODES * STEP])
+    assert z.shape == (NODES, NODES)
+    return np.rint(-z / cut.stock.level_step).astype(int)
+
+
+class Oracle:
+    """Every node against every tooth line: when does the line pass over it, and how far out on the line?
+
+    ``must``, ``may``: the levels that a correct sweep reaches at least and at most; they differ within ``margin``
+    nodes of the borders only: a line must have gone from beyond the margin on one side to beyond it on the other.
+    """
+
+    def __init__(self, cut, margin=0.08):
+        self.cut, self.margin = cut, margin
+        self.must, self.may = np.zeros((2, NODES, NODES), np.int64)
+        teeth = cut.tool.teeth
+        self.side = np.zeros((teeth, NODES, NODES), np.int64)  # of the node when it was last clear of the line
+        self.level = np.zeros((teeth, NODES, NODES), np.int64)  # then
+        self.within = np.zeros((teeth, NODES, NODES), np.bool_)  # was it inside the tooth's length since?
+        self.near = np.zeros((teeth, NODES, NODES), np.bool_)  # was it anywhere near that since?
+
+    def sweep(self, start, end, first, n):
+        samples = 9 + int(8 * np.hypot(*(end - start)[:2]) / STEP / n)
+        for k in range(n):
+            parts = (k + np.linspace(0.0, 1.0, samples)) / n
+            level = int(round((-(start[2] + (k + 0.5) / n * (end[2] - start[2]))) / self.cut.stock.level_step))
+            centres = start[:2] + parts[:, None] * (end - start)[:2]
+            turns = (first + parts * n) * self.cut.params.micro_step
+            for i, radius in enumerate(self.cut.tool.radii):
+                state = self.must, self.may, self.side[i], self.level[i], self.within[i], self.near[i]
+                angles = self.cut.tool.angles[i] + turns
+                lines = np.stack([np.cos(angles), self.cut.tool.sense * np.sin(angles)], 1)
+                pass_over(centres / STEP, lines, radius / STEP, self.margin, level, *state)
+
+
+@njit
+def pass_over(centres, lines, radius, margin, level, must, may, side, last, within, near):
+    """Move one tooth through some positions (k, 2) and directions (k, 2); lengths in nodes."""
+    for k in range(len(centres)):
+        for row in range(NODES):
+            for column in range(NODES):
+                at = row, column
+                x, y = row + 0.5 - centres[k, 0], column + 0.5 - centres[k, 1]
+                along, beside = x * lines[k, 0] + y * lines[k, 1], x * lines[k, 1] - y * lines[k, 0]
+                inside = margin < along < radius - margin
+                outside = along < -margin or along > radius + margin
+                clear, now = abs(beside) > margin, 1 if beside > 0 else -1
+                crossed = clear and now == -side[at]
+                if crossed and inside and within[at]:
+                    must[at] = max(must[at], min(last[at], level))
+                if (crossed and (not outside or near[at])) or not (outside or clear):
+                    may[at] = max(may[at], level, last[at] if crossed else 0)
+                within[at] = inside and (clear or within[at])
+                near[at] = not outside or (not clear and near[at])
+                last[at] = level if clear else min(last[at], level)
+                if clear:
+                    side[at] = now
+
+
+@st.composite
+def passes(draw):
+    """A cutter, and legs (end, micro-steps) of its way: slow ones, fast ones and jumps, at two depths."""
+    teeth = draw(st.integers(1, 5))
+    spread = draw(st.lists(st.floats(0.6, 1.4), min_size=teeth, max_size=teeth))
+    tool = dict(
+        teeth=teeth,
+        radius=draw(st.floats(6.0, 14.0)),
+        degrees=draw(st.sampled_from([15.0, 10.0, 6.0])),
+        rotation=draw(st.sampled_from(["clockwise", "counterclockwise"])),
+        start_angle=draw(st.floats(0.0, 3.0)),
+        pitch=np.array(spread) / sum(spread) * 2 * np.pi,
+        runout=STEP * np.array(draw(st.lists(st.floats(-0.7, 0.7), min_size=teeth, max_size=teeth))),
+    )
+    seed, count = draw(st.integers(0, 2**32 - 1)), draw(st.integers(1, 6))
+    rng = np.random.default_rng(seed)
+    here = np.array([*(STEP * rng.uniform(-5, NODES + 5, 2)), -4e-4])
+    legs = [here]
+    for _ in range(count):
+        n = int(rng.integers(1, 40))
+        speed = STEP * 10 ** rng.uniform(-2.5, 0.5)  # [m] a micro-step
+        turn = rng.uniform(0, 2 * np.pi)
+        z = -rng.choice([4e-4, 7e-4]) if rng.random() < 0.4 else here[2]
+        here = np.array([here[0] + n * speed * np.cos(turn), here[1] + n * speed * np.sin(turn), z])
+        legs.append((here, n))
+    return tool, legs
+
+
+@settings(max_examples=budget(60), deadline=None)
+@given(passes())
+def test_every_node_has_the_level_that_brute_force_gives_it(case):
+    tool, (here, *legs) = case
+    cut = small_cut(**tool)
+    oracle, first = Oracle(cut), 0
+    for end, n in legs:
+        cut.sweep(here, end, first, n)
+        oracle.sweep(here, end, first, n)
+        here, first = end, first + n
+        # one level of slack: the oracle rounds the level at mid-step by itself
+        assert np.all(levels(cut) >= oracle.must - 1), "a node that a tooth passed over is left standing"
+        assert np.all(levels(cut) <= oracle.may + 1), "a node that no tooth reached is gone"
+
+
+def test_a_node_beside_the_axis_is_not_left_standing_when_the_centre_passes_it():
+    """Seen from the centre it turns by half a turn, away from the teeth, while the whole sectors are swept."""
+    cut = small_cut(radius=10.0, teeth=5, degrees=6.0, pitch=np.radians([90.0, 67.5, 67.5, 67.5, 67.5]))
+    start, end = np.array([1.138e-3, 1.824e-3, -4e-4]), np.array([1.259e-3, 1.782e-3, -4e-4])
+    oracle = Oracle(cut)
+    cut.sweep(start, end, 0, 30)
+    oracle.sweep(start, end, 0, 30)
+    assert np.all(levels(cut) >= oracle.must)
+
+
+def test_the_oracle_leaves_little_undecided():
+    cut = small_cut()
+    oracle = Oracle(cut)
+    oracle.sweep(np.array([2e-3, 2e-3, -5e-4]), np.array([2.2e-3, 2e-3, -5e-4]), 0, 36)
+    assert np.mean(oracle.must != oracle.may) < 0.02
+    assert np.mean(oracle.must > 0) > 0.2
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.003, 0.02, 0.06, 0.3, 3.0])
+def test_nothing_is_left_standing_behind_a_tool_that_turned_once(speed):
+    """Speeds [nodes per micro-step] in the rim band, at its limits, and far beyond."""
+    cut = small_cut(radius=9.0, degrees=5.0)
+    start = np.array([12.3 * STEP, 20.1 * STEP, -5e-4])
+    cut.sweep(start, start, 0, 72)
+    last = start.copy()
+    for k in range(60):
+        end = start + [min(12.0, speed * 6 * (k + 1)) * STEP, 0.0, 0.0]
+        cut.sweep(last, end, 72 + 6 * k, 6)
+        last = end
+    cut.sweep(last, last, 72 + 360, 72)
+    middle = (np.arange(NODES) + 0.5) * STEP
+    x, y = np.meshgrid(middle, middle, indexing="ij")
+    for centre in (start, last):
+        inside = np.hypot(x - centre[0], y - centre[1]) < 8.99 * STEP
+        assert np.all(levels(cut)[inside] > 0)
+
+
+def test_a_jump_clears_all_that_the_tooth_line_passes_over():
+    """One tooth pointing along +y jumps along +x, hardly turning: the strip under it goes."""
+    cut = small_cut(radius=10.0, teeth=1, degrees=0.1, start_angle=np.pi / 2, rotation="counterclockwise")
+    cut.sweep([5.2 * STEP, 12.2 * STEP, -5e-4], [30.2 * STEP, 12.2 * STEP, -5e-4], 0, 1)
+    found = levels(cut) > 0
+    assert found[5:29, 12:21].all()
+    assert found.sum() <= 26 * 11
+
+
+def test_each_node_counts_once_whatever_teeth_touch_it():
+    cut = small_cut(radius=9.0)
+    ends = STEP * np.array([[-12.0, 20.0], [10.0, 18.0], [30.0, 25.0], [20.0, 5.0]])
+    for k, (a, b) in enumerate(zip(ends, ends[1:], strict=False)):
+        cut.sweep([*a, -5e-4], [*b, -5e-4], 2000 * k, 2000)
+    assert cut.removed_area == pytest.approx(np.count_nonzero(levels(cut)) * STEP**2, rel=1e-12)
+    assert cut.removed_volume == pytest.approx(cut.removed_area * 5e-4, rel=1e-12)
+
+
+def test_two_levels_remove_the_volume_between_them():
+    cut = small_cut(radius=9.0)
+    way = [2e-3, 2e-3], [2.4e-3, 2e-3]
+    for k, z in enumerate((-2e-4, -5e-4)):
+        cut.sweep([*way[0], z], [*way[1], z], 1000 * k, 1000)
+    nodes = np.count_nonzero(levels(cut))
+    assert cut.removed_volume == pytest.approx(nodes * STEP**2 * 5e-4, rel=1e-4)
+    assert cut.removed_area == pytest.approx(nodes * STEP**2, rel=1e-12)  # not again when it is cut deeper
+
+
+def test_a_plunge_lowers_the_whole_footprint():
+    cut = small_cut(radius=9.0, degrees=5.0)
+    here = np.array([2.013e-3, 2.007e-3, 0.0])
+    cut.sweep(here, here + [0.0, 0.0, -3e-4], 0, 720)
+    cut.sweep(here + [0.0, 0.0, -3e-4], here + [0.0, 0.0, -3e-4], 720, 72)
+    middle = (np.arange(NODES) + 0.5) * STEP
+    x, y = np.meshgrid(middle, middle, indexing="ij")
+    inside = np.hypot(x - here[0], y - here[1]) < 8.99 * STEP
+    floor = levels(cut)[inside] * cut.stock.level_step
+    assert floor == pytest.approx(3e-4, abs=cut.stock.level_step)
+
+
+def test_the_floor_is_within_its_tolerance_of_the_tool():
+    tool = Tool(diameter=18 * STEP, teeth=2, spindle_speed=100.0)
+    stock = Stock(min=np.array([0, 0, -1e-3]), max=np.array([4e-3, 4e-3, 0]), grid_step=STEP, floor_tolerance=5e-6)
+    cut = Cut(tool, PAPER_LAW, stock, np.radians(5.0))
+    here = np.array([2e-3, 2e-3, -1e-4])
+    cut.sweep(here, here, 0, 200)
+    cut.sweep(here, here - [0, 0, 3e-5], 200, 2000)
+    deepest = -cut.heights()[2].min()
+    floor = -cut.heights([1.7e-3, 1.7e-3], [2.3e-3, 2.3e-3])[2]
+    assert np.all(floor >= deepest - 6e-6)
+    assert np.all(floor > 1.2e-4)
+
+
+def test_result_does_not_depend_on_where_tile_borders_fall():
+    """The same way in a stock that reaches further to the left, so that the tiles' borders cross the cut elsewhere."""
+    found = []
+    for shift in (0, 240, 251):
+        cut = small_cut(radius=9.3, shift=shift)
+        # the added material is cleared first where the tool touches it later, so that the forces compare
+        forces = np.zeros((3000, 3))
+        cut.sweep([1.613e-3, 1.721e-3, -5e-4], [2.717e-3, 2.519e-3, -5e-4], 0, 3000, forces)
+        found.append((levels(cut), forces))
+    for other_levels, other_forces in found[1:]:
+        assert np.array_equal(other_levels, found[0][0])
+        assert other_forces == pytest.approx(found[0][1], rel=1e-9, abs=1e-12)
+    assert np.abs(found[0][1]).max() > 1.0
+
+
+def test_one_call_and_many_calls_do_the_same():
+    a, b = small_cut(radius=9.0), small_cut(radius=9.0)
+    start, end = np.array([-1e-3, 2e-3, -5e-4]), np.array([1e-3, 2e-3, -5e-4])
+    mean = a.sweep(start, end, 0, 1200)
+    parts = start + np.arange(101)[:, None] / 100 * (end - start)
+    means = [b.sweep(parts[k], parts[k + 1], 12 * k, 12) for k in range(100)]
+    assert np.count_nonzero(levels(a) != levels(b)) <= 2  # positions differ in the last digits
+    assert np.mean(means, 0) == pytest.approx(mean, rel=0.01)

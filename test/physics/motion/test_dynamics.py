@@ -1,0 +1,423 @@
+"""Eq. (1) in discrete time, the modes of the arm, and measured modes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from book import check
+from scipy.linalg import expm
+
+from kr270_milling.base.errors import ConfigError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.live.graph.processes import cell_text
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
+from kr270_milling.physics.motion.arm_model import Dynamics, MeasuredModes, arm_model, measured_model, modal_models
+from kr270_milling.physics.motion.dynamics import DynamicsError, advance, condense, discretise, modes
+from kr270_milling.physics.motion.exchange import Clock
+from kr270_milling.physics.motion.milling_pass import CompliantArm
+from kr270_milling.physics.robot import cartesian_mass, compliance, equilibrium, mode_frequencies
+
+RANDOM = np.random.default_rng(5)
+ZETA = 0.18
+STILL = np.zeros((0, 2))  # a reference that does not move
+
+
+def spd(scale):
+    """A symmetric positive definite matrix with coupling, (6, 6); scale: of its rows and columns, (6,)."""
+    root = RANDOM.uniform(-1, 1, (6, 6)) + 2 * np.eye(6)
+    return np.diag(scale) @ root @ root.T @ np.diag(scale)
+
+
+COMPLIANCE = spd([4e-4] * 3 + [4e-4] * 3)  # about 1e-6 m/N
+MASS = spd([12.0] * 3 + [5.0] * 3)
+TRANSLATIONS = np.diag([790.4] * 3 + [0.0] * 3)
+WRENCH = np.array([100.0, -50.0, 30.0, 4.0, -7.0, 5.0])
+
+
+STIFFNESS, OMEGA = 1.4e6, np.sqrt(1.4e6 / 790.4)  # [N/m], [rad/s]: the paper's arm across the feed
+
+
+def one_degree():
+    """Only y moves."""
+    return modes(np.diag([1e-9, 1 / STIFFNESS] + [1e-9] * 4), np.diag([0, 790.4, 0, 0, 0, 0.0]))
+
+
+def run(model, zeta, period, steps, state, wrench):
+    """States (steps + 1, 2r) and deflections (steps + 1, 6) with the wrench held; the compiled step itself."""
+    arrays = arm_model([model], zeta, period).arrays
+    states, deflections = np.zeros((steps + 1, state.size)), np.zeros((steps + 1, 6))
+    states[0] = state
+    for n in range(steps):
+        advance(n, states[n], wrench, STILL, arrays, states[n + 1], deflections[n + 1])
+    return states, deflections
+
+
+def damping_matrix(model, zeta):
+    """C of (1) for one ratio in every mode: M phi diag(2 zeta omega) phi^T M."""
+    to_mass = model.mass @ model.shape
+    return to_mass @ np.diag(2 * zeta * model.frequency) @ to_mass.T
+
+
+def stiffness_matrix(model):
+    to_mass = model.mass @ model.shape
+    return to_mass @ np.diag(model.frequency**2) @ to_mass.T
+
+
+# --- closed forms ---
+
+
+@check("free vibration of one degree of freedom over 0.5 s", "closed form, relative to the start")
+def test_free_vibration():
+    states, deflections = run(one_degree(), ZETA, 1e-3, 500, np.array([1e-4, 2e-3]), np.zeros(6))
+    np.testing.assert_array_equal(deflections[1:, 1], states[1:, 0])
+    t, damped = np.arange(501) * 1e-3, OMEGA * np.sqrt(1 - ZETA**2)
+    sine = (2e-3 + ZETA * OMEGA * 1e-4) / damped
+    expected = np.exp(-ZETA * OMEGA * t) * (1e-4 * np.cos(damped * t) + sine * np.sin(damped * t))
+    return 0.0, np.abs(states[:, 0] - expected).max() / 1e-4, 1e-11
+
+
+@check(
+    "step of 81 N on one degree of freedom, zeta {zeta}", "closed form, relative to F / k",
+    cases=("zeta", [(0.0,), (0.05,), (0.18,), (0.99,)]),
+)  # fmt: skip
+def test_step_response(zeta):
+    _, deflections = run(one_degree(), zeta, 5e-4, 1500, np.zeros(2), np.array([0, 81.0, 0, 0, 0, 0]))
+    t, damped = np.arange(1501) * 5e-4, OMEGA * np.sqrt(1 - zeta**2)
+    rest = np.exp(-zeta * OMEGA * t) * (np.cos(damped * t) + zeta * OMEGA / damped * np.sin(damped * t))
+    return 0.0, np.abs(deflections[:, 1] * STIFFNESS / 81.0 - (1 - rest)).max(), 1e-11
+
+
+@check(
+    "one period of (1), {inertia} inertias, H = {period} s", "matrix exponential of (1) with the held wrench, relative",
+    cases=("inertia period", [(name, h) for name in ("six", "three") for h in (1e-5, 5e-4, 0.3)]),
+)  # fmt: skip
+def test_exponential(inertia, period):
+    model = modes(COMPLIANCE, {"six": MASS, "three": TRANSLATIONS}[inertia])
+    r, inverse = model.frequency.size, np.linalg.inv(model.mass)
+    system = np.zeros((2 * r + 6, 2 * r + 6))  # the held wrench as further states
+    system[:r, r : 2 * r] = np.eye(r)
+    system[r : 2 * r, :r] = -inverse @ stiffness_matrix(model)
+    system[r : 2 * r, r : 2 * r] = -inverse @ damping_matrix(model, ZETA)
+    system[r : 2 * r, 2 * r :] = inverse @ model.force
+    exact = expm(system * period)
+    transition, held, _, _ = discretise(model, ZETA, period)
+    scale = np.repeat([1.0, model.frequency[-1]], r)[:, None]  # velocities are larger by omega
+    forced = exact[: 2 * r, 2 * r :] / scale
+    np.testing.assert_allclose(held / scale, forced, rtol=1e-7, atol=1e-12 * np.abs(held).max())
+    return 0.0, np.abs((transition - exact[: 2 * r, : 2 * r]) / scale * scale.T).max(), 1e-11
+
+
+def test_the_modes_diagonalise_mass_and_stiffness():
+    model = modes(COMPLIANCE, MASS)
+    np.testing.assert_allclose(model.shape.T @ MASS @ model.shape, np.eye(6), atol=1e-10)
+    stiffness = np.linalg.inv(COMPLIANCE)
+    np.testing.assert_allclose(
+        model.shape.T @ stiffness @ model.shape, np.diag(model.frequency**2), atol=1e-9 * model.frequency[-1] ** 2
+    )
+
+
+@pytest.mark.parametrize("parts", [2, 7, 40])
+def test_a_held_force_may_be_stepped_over_in_any_number_of_steps(parts):
+    model, state = modes(COMPLIANCE, MASS), RANDOM.normal(size=12) * 1e-4
+    whole, _ = run(model, ZETA, 0.02, 1, state, WRENCH)
+    states, _ = run(model, ZETA, 0.02 / parts, parts, state, WRENCH)
+    np.testing.assert_allclose(states[-1], whole[-1], rtol=1e-10, atol=1e-13)
+
+
+@check(
+    "long held wrench, {inertia} inertias: deflection of all six components",
+    "compliance times wrench (condensed, not sliced)", cases=("inertia", [("six",), ("three",)]),
+)  # fmt: skip
+def test_static_limit(inertia):
+    model = modes(COMPLIANCE, {"six": MASS, "three": TRANSLATIONS}[inertia])
+    _, deflections = run(model, ZETA, 0.05, 400, np.zeros(2 * model.frequency.size), WRENCH)
+    return 0.0, np.abs(deflections[-1] / (COMPLIANCE @ WRENCH) - 1).max(), 1e-10
+
+
+# --- condensation ---
+
+
+def test_condensing_keeps_the_compliance_where_slicing_the_stiffness_would_not():
+    _, stiffness, *_ = condense(COMPLIANCE, TRANSLATIONS)
+    np.testing.assert_allclose(np.linalg.inv(stiffness), COMPLIANCE[:3, :3], rtol=1e-12)
+    assert np.all(np.linalg.eigvalsh(np.linalg.inv(COMPLIANCE)[:3, :3] - stiffness) > 0)
+
+
+def test_the_condensed_arm_is_the_limit_of_one_with_vanishing_rotary_inertia():
+    """The matrix exponential of all six components; the difference falls in proportion to the inertia."""
+    condensed = modes(COMPLIANCE, TRANSLATIONS)
+    period, steps = 0.01, 12
+    states, deflections = run(condensed, ZETA, period, steps, np.zeros(6), WRENCH)
+    differences = []
+    for inertia in (1e-2, 1e-3, 1e-4):
+        full = modes(COMPLIANCE, TRANSLATIONS + np.diag([0.0] * 3 + [inertia] * 3))
+        inverse, k, c = np.linalg.inv(full.mass), stiffness_matrix(full), damping_matrix(full, ZETA)
+        system = np.block([[np.zeros((6, 6)), np.eye(6)], [-inverse @ k, -inverse @ c]])
+        constant = np.concatenate([np.zeros(6), inverse @ WRENCH])
+        whole = np.block([[system, constant[:, None]], [np.zeros((1, 13))]])
+        found = expm(whole * period * steps)[:6, 12]
+        differences.append(np.abs(found - deflections[-1]).max() / np.abs(deflections[-1]).max())
+    assert differences[-1] < 1e-4
+    order = np.polyfit(np.log([1e-2, 1e-3, 1e-4]), np.log(differences), 1)[0]
+    assert order == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_moment_turns_massless_rotations_at_once():
+    model = modes(COMPLIANCE, TRANSLATIONS)
+    _, deflections = run(model, ZETA, 1e-9, 1, np.zeros(6), np.array([0, 0, 0, 0, 0, 10.0]))
+    stuck = COMPLIANCE[3:, 3:] - COMPLIANCE[3:, :3] @ np.linalg.solve(COMPLIANCE[:3, :3], COMPLIANCE[:3, 3:])
+    np.testing.assert_allclose(deflections[1, 3:], 10 * stuck[:, 2], rtol=1e-6)  # the translations still stand
+    np.testing.assert_allclose(deflections[1, :3], 0.0, atol=1e-15)
+
+
+# --- energy ---
+
+
+def energies(model, states):
+    """Kinetic and potential energy [J], (n,)."""
+    r = model.frequency.size
+    x, v = states[:, :r], states[:, r:]
+    kinetic = 0.5 * np.einsum("ni,ij,nj->n", v, model.mass, v)
+    return kinetic, 0.5 * np.einsum("ni,ij,nj->n", x, stiffness_matrix(model), x)
+
+
+@check("energy of an undamped vibration after 100,000 periods / at the start", "conservation of energy")
+def test_energy():
+    model = modes(COMPLIANCE, MASS)
+    states, _ = run(model, 0.0, 5e-4, 100_000, RANDOM.normal(size=12) * 1e-4, np.zeros(6))
+    total = sum(energies(model, states))
+    assert energies(model, states)[0].min() < 0.9 * total[0]  # it does swing between the two kinds
+    return 1.0, (total / total[0])[np.argmax(np.abs(total / total[0] - 1.0))], 1e-9
+
+
+@pytest.mark.parametrize("zeta", [0.01, 0.18, 0.9])
+def test_damped_free_vibration_never_gains_energy(zeta):
+    model = modes(COMPLIANCE, TRANSLATIONS)
+    states, _ = run(model, zeta, 5e-4, 2000, RANDOM.normal(size=6) * 1e-4, np.zeros(6))
+    total = sum(energies(model, states))
+    assert np.all(np.diff(total) <= 1e-14 * total[0]) and total[-1] < 0.95 * total[0]
+
+
+def test_the_work_of_a_held_force_is_what_is_stored_and_what_is_dissipated():
+    model, zeta, fine = modes(COMPLIANCE, TRANSLATIONS), 0.1, 1e-5
+    states, _ = run(model, zeta, fine, 4000, np.zeros(6), WRENCH)
+    work = (states[-1, :3] - states[0, :3]) @ (model.force @ WRENCH)
+    power = np.einsum("ni,ij,nj->n", states[:, 3:], damping_matrix(model, zeta), states[:, 3:])
+    dissipated = fine / 3 * (power[0] + 4 * power[1:-1:2].sum() + 2 * power[2:-1:2].sum() + power[-1])  # Simpson
+    stored = sum(energies(model, states))[-1]
+    assert dissipated > 0.05 * work
+    assert work == pytest.approx(stored + dissipated, rel=1e-8)
+
+
+# --- several postures ---
+
+
+def test_between_two_postures_the_matrices_are_interpolated_and_after_the_last_they_stay():
+    models = [modes(COMPLIANCE * s, TRANSLATIONS) for s in (1.0, 1.3, 0.8)]
+    arm = arm_model(models, ZETA, 5e-4, 4.0)
+    state, out, deflection = RANDOM.normal(size=6) * 1e-4, np.zeros(6), np.zeros(6)
+    for step in range(14):
+        place = min(step / 4.0, 2.0)
+        k = min(int(place), 1)
+        mixed = [(1 - place + k) * m[k] + (place - k) * m[k + 1] for m in arm.arrays[:4]]
+        advance(step, state, WRENCH, STILL, arm.arrays, out, deflection)
+        np.testing.assert_allclose(out, mixed[0] @ state + mixed[1] @ WRENCH, rtol=1e-12, atol=1e-18)
+        np.testing.assert_allclose(deflection, mixed[2] @ out + mixed[3] @ WRENCH, rtol=1e-12, atol=1e-18)
+
+
+def test_several_equal_postures_are_one():
+    model, state = modes(COMPLIANCE, MASS), RANDOM.normal(size=12) * 1e-4
+    results = []
+    for arm in (arm_model([model], ZETA, 5e-4), arm_model([model] * 5, ZETA, 5e-4, 3.0)):
+        out, deflection = np.zeros(12), np.zeros(6)
+        advance(7, state, WRENCH, STILL, arm.arrays, out, deflection)
+        results.append(np.concatenate([out, deflection]))
+    np.testing.assert_array_equal(*results)
+
+
+@pytest.mark.parametrize(
+    ("softness", "mass"),
+    [
+        (COMPLIANCE, np.zeros((6, 6))),
+        (COMPLIANCE, np.diag([1.0, 1.0, -1.0, 0.0, 0.0, 0.0])),
+        (COMPLIANCE, np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]) + np.eye(6, k=2) + np.eye(6, k=-2)),
+        (-COMPLIANCE, TRANSLATIONS),
+        (np.diag([1e-6, -1e-6, 1e-6, 1e-6, 1e-6, 1e-6]), MASS),
+        (COMPLIANCE, np.full((6, 6), np.nan)),
+        (np.zeros((6, 6)), TRANSLATIONS),
+        (np.diag([1e-6, 0.0, 1e-6, 1e-6, 1e-6, 1e-6]), TRANSLATIONS),
+        (np.full((6, 6), np.nan), TRANSLATIONS),
+    ],
+)
+def test_a_mass_or_compliance_that_no_arm_has_is_refused(softness, mass):
+    with pytest.raises(DynamicsError):
+        modes(softness, mass)
+
+
+# --- Modes of the arm in workpiece axes, from its elastostatics and mass ---
+
+
+PAPER = read_cell(find_file("paper.yaml"))
+
+
+def flexibility(model):
+    """Static deflection (6, 6) per wrench that the model stands for."""
+    springs = model.shape @ np.diag(model.frequency**-2.0) @ model.shape.T
+    return model.output @ springs @ model.force + model.feedthrough
+
+
+@pytest.mark.parametrize("mass_model", ["lumped", "consistent"])
+@pytest.mark.parametrize("gravity", [True, False])
+def test_the_frequencies_are_those_of_the_arm_in_any_axes(mass_model, gravity):
+    joints = PAPER.joints(PAPER.target())[:1]
+    dynamics = Dynamics(mass_model, ZETA, gravity)
+    (model,) = modal_models(PAPER.arm, PAPER.mount, dynamics, PAPER.workpiece.pose, joints)
+    loaded = equilibrium(PAPER.arm, PAPER.mount, joints, None, gravity)
+    mass = cartesian_mass(PAPER.arm, PAPER.mount, joints, mass_model)
+    expected = mode_frequencies(compliance(loaded, PAPER.arm), mass)[0]
+    np.testing.assert_allclose(model.frequency / (2 * np.pi), expected, rtol=1e-7)
+
+
+def test_the_lumped_arm_is_condensed_and_the_consistent_one_is_not():
+    joints = PAPER.joints(PAPER.target())[:1]
+    for name, inertial in (("lumped", [0, 1, 2]), ("consistent", [0, 1, 2, 3, 4, 5])):
+        (model,) = modal_models(PAPER.arm, PAPER.mount, Dynamics(name, ZETA), PAPER.workpiece.pose, joints)
+        assert model.inertial.tolist() == inertial
+
+
+@pytest.mark.parametrize("mass_model", ["lumped", "consistent"])
+def test_the_static_limit_is_the_compliance_of_the_loaded_arm_in_workpiece_axes(mass_model):
+    joints = PAPER.joints(PAPER.target())[:1]
+    (model,) = modal_models(PAPER.arm, PAPER.mount, Dynamics(mass_model, ZETA), PAPER.workpiece.pose, joints)
+    turn = np.kron(np.eye(2), PAPER.workpiece.pose.rotation)
+    expected = turn.T @ compliance(equilibrium(PAPER.arm, PAPER.mount, joints), PAPER.arm)[0] @ turn
+    np.testing.assert_allclose(flexibility(model), expected, rtol=1e-8, atol=1e-14)
+
+
+def test_across_the_feed_the_papers_arm_gives_way_by_0_717_um_per_newton():
+    """facts.md; with the stiffness matrix sliced to translations it would be 0.37."""
+    assert flexibility(PAPER.modal_model)[1, 1] == pytest.approx(0.7168e-6, rel=2e-3)
+    sliced = np.linalg.inv(np.linalg.inv(flexibility(PAPER.modal_model))[:3, :3])
+    assert sliced[1, 1] < 0.55 * 0.7168e-6
+
+
+def test_a_path_of_postures_gives_one_set_of_matrices_each():
+    joints = PAPER.joints(PAPER.target())[::8]
+    models = modal_models(PAPER.arm, PAPER.mount, PAPER.dynamics, PAPER.workpiece.pose, joints)
+    stacked = arm_model(models, ZETA, 5e-4, 10.0)
+    assert stacked.transition.shape == (4, 6, 6) and stacked.order == 6
+    for k, model in enumerate(models):
+        alone = arm_model([model], ZETA, 5e-4)
+        np.testing.assert_array_equal(stacked.transition[k], alone.transition[0])
+        np.testing.assert_array_equal(stacked.feedthrough[k], alone.feedthrough[0])
+
+
+# --- Measured modes against the arm whose modes they are, closed forms, and what a file may say of them ---
+
+
+SHORT = "path.length_mm=14.4"
+GROUPS = """/**:
+  ros__parameters:
+    includes: ["paper.yaml"]
+    path: {length_mm: 14.4}
+    dynamics:
+      modes:
+        - {frequency_hz: 7.07, damping_ratio: 0.037, shape: [0.01, 0.05, 0.0, 0.0, 0.0, 0.02]}
+        - {frequency_hz: 10.3, damping_ratio: 0.022, shape: [0.04, -0.01, 0.02, 0.0, 0.01, 0.0]}
+"""
+
+
+def as_measured(model, damping_ratio: float) -> MeasuredModes:
+    """The modes of a model as an experiment without errors gives them."""
+    shapes = (model.output @ model.shape).T
+    ratios = np.full(model.frequency.size, damping_ratio)
+    return MeasuredModes(model.frequency / (2 * np.pi), ratios, shapes.ravel())
+
+
+def test_the_modes_of_an_arm_in_the_place_of_the_arm_give_the_same_pass():
+    cell = read_cell(find_file("paper.yaml"), (SHORT, "dynamics.mass_model=rigid", "dynamics.reference_inertia=true"))
+    target = cell.target()
+    bent = target.with_position(target.position + np.outer(np.arange(len(target)) % 2 * 2e-5, [1.0, 1.0, 0.5]))
+    same = cell.replace(dynamics=cell.dynamics.replace(modes=as_measured(cell.modal_model, 0.182)))
+    exact, found = (simulate(c, bent).result for c in (cell, same))
+    np.testing.assert_allclose(found.deflection, exact.deflection, atol=1e-9 * np.abs(exact.deflection).max())
+    assert found.volume.sum() > 0.0
+
+
+def test_one_mode_gives_way_by_the_square_of_its_shape_over_that_of_its_frequency():
+    shape = np.array([0.01, 0.05, 0.02, 0.3, 0.0, 0.1])
+    model = measured_model(MeasuredModes(np.array([7.0]), np.array([0.5]), shape))
+    arm = CompliantArm(arm_model([model], 0.182, 0.01))
+    wrench = np.array([100.0, -50.0, 30.0, 4.0, -7.0, 5.0])
+    for _ in range(400):
+        deflection = arm.correct(wrench)
+    np.testing.assert_allclose(deflection, shape * (shape @ wrench) / (14 * np.pi) ** 2, rtol=1e-9)
+
+
+def test_each_mode_rings_down_with_its_own_ratio():
+    model = measured_model(MeasuredModes(np.array([5.0, 20.0]), np.array([0.1, 0.02]), np.eye(6)[:2].ravel()))
+    arm = CompliantArm(arm_model([model], 0.5, 1e-3))
+    arm.state[:2] = 1e-3
+    for _ in range(200):
+        deflection = arm.correct(np.zeros(6))
+    for k, (f, zeta) in enumerate(((5.0, 0.1), (20.0, 0.02))):
+        w = 2 * np.pi * f
+        damped = w * np.sqrt(1 - zeta**2)
+        turned = np.cos(damped * 0.2) + zeta * w / damped * np.sin(damped * 0.2)
+        assert deflection[k] == pytest.approx(1e-3 * np.exp(-zeta * w * 0.2) * turned, rel=1e-9)
+
+
+def test_a_quick_jump_of_the_reference_leaves_the_tool_where_modes_move_it_and_takes_it_along_where_none_does():
+    shapes = np.array([[0.05, 0.01, 0.0, 0.0, 0.05, 0.02], [-0.01, 0.04, 0.0, 0.02, 0.0, 0.0]])
+    model = measured_model(MeasuredModes(np.array([7.0, 9.0]), np.array([0.03, 0.03]), shapes.ravel()))
+    period = 1e-6
+    jump = Trajectory(np.array([0, 1000, 100_000]), np.array([[0, 0, 0], [1e-3, 2e-3, 3e-3], [1e-3, 2e-3, 3e-3]]),
+                      TOOL_DOWN)  # fmt: skip
+    pushed = arm_model([model], 0.1, period, 1.0, True, np.zeros(6))
+    arm = CompliantArm(pushed, pushed.push(jump, Clock(period, 1).stamp(np.arange(3))))
+    arm.correct(np.zeros(6))
+    tool = np.array([1e-3, 2e-3, 3e-3]) + arm.correct(np.zeros(6))[:3]
+    np.testing.assert_allclose(tool, [0.0, 0.0, 3e-3], atol=2e-6)
+
+
+def test_a_list_of_groups_is_read_and_handed_to_a_node_as_a_group_of_lists(tmp_path):
+    (tmp_path / "cell.yaml").write_text(GROUPS)
+    cell = read_cell(tmp_path / "cell.yaml")
+    np.testing.assert_allclose(cell.dynamics.modes.frequency, [7.07, 10.3])
+    np.testing.assert_allclose(cell.dynamics.modes.shape[6:8], [0.04, -0.01])
+    (tmp_path / "node.yaml").write_text(cell_text(cell))
+    again = read_cell(tmp_path / "node.yaml").dynamics.modes
+    np.testing.assert_array_equal(again.shape, cell.dynamics.modes.shape)
+    assert simulate(cell).result.wrench.any()
+
+
+@pytest.mark.parametrize(
+    "old, new, said",
+    [
+        ("0.0, 0.0, 0.02]", "0.0, 0.02]", "the same keys in every group"),
+        ("frequency_hz: 10.3, ", "", "the same keys in every group"),
+        ("frequency_hz: 10.3", "frequency_hz: 0.0", "above 0"),
+        ("[0.04, -0.01, 0.02, 0.0, 0.01, 0.0]", "[0.02, 0.1, 0.0, 0.0, 0.0, 0.04]", "none is a combination"),
+        ("[0.04,", "[.nan,", "finite"),
+        ("dynamics:", "dynamics:\n      follow_pose: true", "one posture"),
+    ],
+)
+def test_modes_that_cannot_be_are_refused_with_the_key(tmp_path, old, new, said):
+    assert old in GROUPS
+    (tmp_path / "cell.yaml").write_text(GROUPS.replace(old, new))
+    with pytest.raises(ConfigError, match=said):
+        read_cell(tmp_path / "cell.yaml")
+
+
+def test_lists_that_do_not_fit_each_other_are_refused():
+    for key, value in (("damping_ratio", "[0.1, 0.2]"), ("shape", "[1.0, 2.0]")):
+        texts = {
+            "frequency_hz": "[7.0]",
+            "damping_ratio": "[0.1]",
+            "shape": "[0.0, 1.0, 0.0, 0.0, 0.0, 0.0]",
+            key: value,
+        }
+        with pytest.raises(ConfigError, match="for 1 modes"):
+            read_cell(find_file("paper.yaml"), [f"dynamics.modes.{k}={v}" for k, v in texts.items()])

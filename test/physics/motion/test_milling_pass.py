@@ -1,0 +1,390 @@
+"""The compiled pass, the exchange period, and the scores of a pass."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from book import check
+from budget import budget
+from cuttings import profile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import mean_force, simulate
+from kr270_milling.exchange.cut import CutProtocol
+from kr270_milling.exchange.robot import RobotProtocol
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.cutting import Cut, GridError, UndoError
+from kr270_milling.physics.motion.arm_model import arm_model
+from kr270_milling.physics.motion.exchange import Clock, Exchange
+from kr270_milling.physics.motion.milling_pass import CompliantArm, run_pass
+from kr270_milling.physics.motion.scores import path_deviation, ringing_frequency, score
+
+MICRO_STEP = 1 / 48  # [ms], 1 deg at 8000 rpm
+SHORT = ("path.length_mm=14.4",)  # 4 controller steps and more than full engagement
+
+
+def run(*assignments):
+    cell = read_cell(find_file("paper.yaml"), assignments)
+    return cell, simulate(cell).result
+
+
+@functools.cache
+def with_period(micro_steps, *assignments):
+    return run(f"exchange.period_ms={int(micro_steps) * MICRO_STEP!r}", *assignments)[1]
+
+
+def difference(result, reference, every):
+    """Largest difference of the deflection at common instants, as a share of the largest deflection."""
+    at_reference = reference.deflection[::every, :3][: len(result.deflection)]
+    gap = result.deflection[: len(at_reference), :3] - at_reference
+    return np.abs(gap).max() / np.abs(reference.deflection[:, :3]).max()
+
+
+@pytest.fixture(scope="module")
+def paper():
+    return run()
+
+
+@pytest.fixture(scope="module")
+def short():
+    return run(*SHORT)
+
+
+# --- the exchange period ---
+
+
+@check("H = 0.5 ms against an exchange at every micro-step", "self-consistent: the finer pass, share of its deflection",
+       at_most=True)  # fmt: skip
+def test_default_period():
+    """The bound is the customer's; 0.007 % is what comes out."""
+    return 0.0, difference(with_period(24), with_period(1), 24), 0.002
+
+
+@check("order of convergence in the exchange period H", "2: force held at its mean over H")
+def test_period_order():
+    """Periods of 6 to 48 micro-steps, above the grid's own grain."""
+    periods = np.array([6, 12, 24, 48])
+    errors = [difference(with_period(m, *SHORT), with_period(1, *SHORT), m) for m in periods]
+    assert errors[0] < 1e-5
+    return 2.0, np.polyfit(np.log(periods), np.log(errors), 1)[0], 0.6
+
+
+@check("order of the correction of the predicted pose in H", "2: dF H^2 / 2 M, with 790 kg, 0.5 ms and some ten newton "
+       "10 nm [derived]")  # fmt: skip
+def test_correction():
+    periods = np.array([6, 12, 24])
+    corrections = [with_period(m, *SHORT).correction.max() for m in periods]
+    assert 1e-9 < corrections[-1] < 2e-8
+    return 2.0, np.polyfit(np.log(periods), np.log(corrections), 1)[0], 0.25
+
+
+@pytest.mark.parametrize("period", [12, 24])
+def test_a_second_iteration_brings_the_prediction_to_the_correction(period):
+    """A contraction: each further iteration divides what is left by a hundred and more."""
+    left = [with_period(period, *SHORT, f"exchange.iterations={i}").correction.max() for i in (1, 2, 3)]
+    assert left[1] < 0.01 * left[0] and left[2] < 0.01 * left[1]
+
+
+def test_at_one_micro_step_the_prediction_needs_no_iteration():
+    once, twice = with_period(1, *SHORT), with_period(1, *SHORT, "exchange.iterations=2")
+    np.testing.assert_allclose(twice.deflection, once.deflection, atol=1e-12)
+
+
+@check("two sides of the exchange against the compiled pass", "self-consistent: bit for bit", "m, N")
+def test_sides():
+    cell, compiled = run(*SHORT)
+    robot, cut, worst = RobotProtocol(cell, 1), CutProtocol(cell), 0.0
+    robot.reference = cell.target()
+    cut.configure()
+    ((_, pose),) = robot.start()
+    for n in range(robot.steps + 1):
+        ((_, answer),) = cut.pose(pose)
+        outputs = dict(robot.wrench(answer))
+        gaps = (
+            pose.position - compiled.tool[n],
+            answer.wrench - compiled.wrench[n],
+            outputs["deflection"].twist - compiled.deflection[n],
+        )
+        worst = max(worst, *(np.abs(gap).max() for gap in gaps))
+        pose = outputs.get("tool_pose")
+    return 0.0, worst, 0.0
+
+
+# --- what a pass says ---
+
+
+def test_a_pass_is_the_same_bit_for_bit_every_time(short):
+    again = run(*SHORT)[1]
+    for name in ("tool", "deflection", "wrench", "correction", "reference"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(short[1], name))
+
+
+def test_stamps_are_counted_and_the_pass_covers_the_path(paper):
+    cell, result = paper
+    np.testing.assert_array_equal(result.time_ns, np.arange(2401) * 500_000)
+    assert result.micro_steps == 57_600  # 1.2 s at 8000 rpm and 1 deg
+    np.testing.assert_array_equal(result.target[-1], cell.target().position[-1])
+    np.testing.assert_array_equal(result.reference, result.target)
+
+
+def test_the_actual_tool_is_the_reference_plus_the_deflection_and_near_the_predicted_one(paper):
+    result = paper[1]
+    np.testing.assert_array_equal(result.actual, result.reference + result.deflection[:, :3])
+    np.testing.assert_allclose(
+        np.linalg.norm(result.actual - result.tool, axis=1), result.correction, rtol=1e-6, atol=1e-16
+    )
+
+
+def test_the_mean_force_is_that_of_a_rigid_slot_in_closed_form(paper):
+    """facts.md: -44.39 and 147.98 N per mm of depth; the vibration of the arm hardly changes the mean."""
+    depth = paper[0].path.depth_of_cut * 1e3
+    np.testing.assert_allclose(mean_force(paper[1]), [-44.39 * depth, 147.98 * depth, 0.0], rtol=5e-3, atol=1e-12)
+
+
+def test_the_slot_has_the_width_of_the_tool_and_ends_in_a_half_disc(paper):
+    cell, _ = paper
+    cut, target = cell.cut(), cell.target()
+    result = run_pass(cell.arm_model(target), cut, cell.clock, target, target)
+    x, low, high = profile(cut)
+    width = high - low + cell.stock.grid_step
+    np.testing.assert_allclose(width[x < 0.065], 0.020, atol=1.1 * cell.stock.grid_step)
+    area = width.sum() * cell.stock.grid_step
+    assert area == pytest.approx(0.070 * 0.020 + np.pi * 0.010**2 / 2, rel=2e-3)  # the front stands where no tooth was
+    assert area <= result.removed_area < 1.005 * area  # the tool sinks by a micrometre, some nodes are cut again
+    assert result.removed_volume == pytest.approx(area * cell.path.depth_of_cut, rel=4e-3)
+
+
+def test_in_the_air_nothing_moves():
+    cell, result = run("path.start_mm=[-70, 0]", "path.length_mm=40")
+    assert not result.wrench.any() and not result.deflection.any() and result.removed_area == 0.0
+    np.testing.assert_array_equal(result.tool, result.reference)
+
+
+def test_the_deflection_of_a_pass_answers_its_wrench_by_eq_1(short):
+    """The series alone, through the arm's half of the exchange, give the same deflection."""
+    cell, result = short
+    arm = CompliantArm(cell.arm_model(cell.target()))
+    for wrench, deflection in zip(result.wrench[1:], result.deflection[1:], strict=True):
+        np.testing.assert_array_equal(arm.correct(wrench), deflection)
+
+
+def test_a_shifted_reference_shifts_what_the_tool_does(short):
+    """Fully engaged, far from the border, the cut does not know where it is across the feed."""
+    cell, result = short
+    target = cell.target()
+    shift = np.array([0.0, 50e-6, 0.0])  # whole nodes of the grid
+    moved = run_pass(
+        cell.arm_model(target), cell.cut(), cell.clock, target, target.with_position(target.position + shift)
+    )
+    np.testing.assert_allclose(moved.deflection, result.deflection, atol=1e-9)
+    np.testing.assert_allclose(moved.reference - result.reference, np.tile(shift, (len(moved.time), 1)), atol=1e-15)
+
+
+def test_progress_is_told_in_order_up_to_the_end():
+    cell = read_cell(find_file("paper.yaml"), SHORT)
+    heard = []
+    simulate(cell, progress=lambda done, total: heard.append((done, total)))
+    assert heard == [(200, 432), (400, 432), (432, 432)]
+
+
+def test_a_model_of_equal_postures_along_the_path_gives_the_same_pass(short):
+    cell, result = short
+    target = cell.target()
+    several = arm_model([cell.modal_model] * 9, cell.dynamics.damping_ratio, cell.clock.period, 54.0)
+    again = run_pass(several, cell.cut(), cell.clock, target, target)
+    np.testing.assert_array_equal(again.deflection, result.deflection)
+
+
+def test_a_stiffness_that_follows_the_pose_changes_a_line_of_80_mm_by_little_but_by_something(paper):
+    result = run("dynamics.follow_pose=true")[1]
+    gap = np.abs(result.deflection - paper[1].deflection)[:, :3].max() / np.abs(paper[1].deflection[:, :3]).max()
+    assert 1e-5 < gap < 0.1
+
+
+def test_a_finer_spacing_of_postures_changes_nothing_to_speak_of():
+    passes = [run("dynamics.follow_pose=true", f"dynamics.posture_spacing_mm={s}")[1] for s in (20, 5, 1)]
+    coarse, default = (np.abs(p.deflection - passes[2].deflection)[:, :3].max() for p in passes[:2])
+    assert default < 1e-3 * np.abs(passes[2].deflection).max()
+    assert default < coarse
+
+
+# --- errors ---
+
+
+def test_a_grid_without_a_tile_left_is_told(monkeypatch):
+    monkeypatch.setattr("kr270_milling.physics.cutting.state.MAX_TILES", 3)
+    with pytest.raises(GridError, match="3 tiles"):
+        run(*SHORT)
+
+
+def test_a_period_that_cannot_be_taken_back_is_told_when_it_is_iterated():
+    cell = read_cell(find_file("paper.yaml"), SHORT)
+    cut = Cut(cell.tool, cell.cutting, cell.stock, cell.exchange.micro_step, log_size=64)
+    with pytest.raises(UndoError):
+        run_pass(cell.arm_model(cell.target()), cut, cell.clock, cell.target(), cell.target(), 2)
+
+
+def test_a_path_of_one_period_is_a_pass():
+    cell = read_cell(find_file("paper.yaml"))
+    line = Trajectory(np.array([0, 1]), np.zeros((2, 3)), (1.0, 0.0, 0.0, 0.0))
+    result = run_pass(cell.arm_model(line), cell.cut(), Clock(5e-4, 24), line, line)
+    assert len(result.time) == 2 and result.micro_steps == 24
+
+
+# --- The exchange period ---
+
+
+SPEED = 8000 * 2 * np.pi / 60
+
+
+@pytest.mark.parametrize(("period_ms", "micro_steps"), [(0.5, 24), (1 / 48, 1), (0.25, 12), (7.5, 360), (0.125, 6)])
+def test_a_period_of_whole_micro_steps_makes_a_clock(period_ms, micro_steps):
+    assert Exchange(period_ms * 1e-3).clock(SPEED).micro_steps == micro_steps
+
+
+@pytest.mark.parametrize(
+    ("period_ms", "near"), [(0.51, "0.5, 0.520833333"), (0.01, "0.0208333333"), (1e-9, "0.0208333")]
+)
+def test_another_period_is_refused_with_the_nearest_ones(period_ms, near):
+    with pytest.raises(ParameterError) as caught:
+        Exchange(period_ms * 1e-3).clock(SPEED)
+    assert near in str(caught.value) and caught.value.key == "exchange.period_ms"
+
+
+def test_a_period_that_the_sentence_proposes_is_taken():
+    for n in (1, 7, 24, 25):
+        unit = 1 / 48 * n
+        assert Exchange(float(f"{unit:.9g}") * 1e-3).clock(SPEED).micro_steps == n
+
+
+@given(st.integers(1, 480), st.integers(0, 10**7))
+def test_every_step_has_one_stamp_and_every_stamp_its_step(micro_steps, step):
+    clock = Clock(micro_steps / 48 * 1e-3, micro_steps)
+    stamp = int(clock.stamp(step))
+    assert stamp == pytest.approx(step * micro_steps / 48 * 1e6, abs=0.51)
+    assert clock.step(stamp) == step
+    assert clock.step(stamp + 1) == clock.step(stamp - 1) == -1
+
+
+def test_stamps_do_not_drift():
+    """1 / 48 ms is no whole number of nanoseconds; after an hour the stamp is still the nearest one."""
+    clock = Clock(1e-3 / 48, 1)
+    hour = 48_000 * 3600
+    assert int(clock.stamp(hour)) == 3600 * 10**9
+    assert clock.stamp(np.arange(4)).tolist() == [0, 20833, 41667, 62500]
+
+
+@pytest.mark.parametrize(("duration_ns", "steps"), [(0, 0), (1, 1), (500_000, 1), (500_001, 2), (1_200_000_000, 2400)])
+def test_the_periods_cover_the_duration(duration_ns, steps):
+    assert Clock(5e-4, 24).steps(duration_ns) == steps
+
+
+def test_a_duration_of_rounded_stamps_takes_no_further_period():
+    clock = Clock(1e-3 / 48, 1)
+    for n in (1, 2, 3, 1000, 57_600):
+        assert clock.steps(int(clock.stamp(n))) == n
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"period": 0.0}, {"period": np.nan}, {"period": 0.021}, {"micro_step": 0.0}, {"iterations": 0},
+              {"micro_step": np.radians(16.0)}, {"iterations": 21}, {"warn_correction": 0.0}],
+)  # fmt: skip
+def test_an_exchange_that_cannot_be_is_refused(wrong):
+    with pytest.raises(ParameterError):
+        Exchange(**wrong)
+
+
+# --- Scores of Table 2 and the ringing found in a pass ---
+
+
+TIME = np.arange(0, 1.05, 5e-4)
+X, Y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
+
+
+def ringing(frequency, damping, amplitude=5e-6, phase=0.3, mean=60e-6):
+    """Free vibration of the undamped frequency [Hz] about a mean."""
+    w = 2 * np.pi * frequency
+    return mean + amplitude * np.exp(-damping * w * TIME) * np.cos(w * np.sqrt(1 - damping**2) * TIME + phase)
+
+
+def along(direction, count=5):
+    return np.tile(direction, (count, 1))
+
+
+def test_the_deviation_is_positive_to_the_left_of_the_feed():
+    zero = np.zeros((5, 3))
+    np.testing.assert_array_equal(path_deviation(along(Y * 1e-6), zero, along(X)), 1e-6)
+    np.testing.assert_array_equal(path_deviation(along(Y * 1e-6), zero, along(-X)), -1e-6)
+    np.testing.assert_array_equal(path_deviation(along(X * 1e-6), zero, along(Y)), -1e-6)
+
+
+def test_the_deviation_knows_neither_the_feed_direction_nor_the_height_nor_the_speed():
+    offset = along([3.0, 4.0, 5.0])
+    expected = (-3.0 + 4.0) / np.sqrt(2)
+    for speed in (1e-3, 1.0, 70.0):
+        np.testing.assert_allclose(path_deviation(offset, 0 * offset, along(speed * (X + Y))), expected, rtol=1e-15)
+
+
+def test_a_tool_that_rests_has_no_deviation():
+    assert not path_deviation(along(Y), along(0 * Y), along(0 * X)).any()
+
+
+def test_the_static_deviation_is_the_mean_over_the_last_quarter():
+    """Samples 9, 10 and 11 of 12."""
+    y = np.array([100.0, 90, 80, 70, 60, 50, 40, 30, 20, 4, 3, 2]) * 1e-6
+    found = score(np.arange(12.0), np.outer(y, Y), np.zeros((12, 3)), along(X, 12), 0.0, 6.7, y)
+    assert found.static_deviation == pytest.approx(3e-6, rel=1e-12) and found.low_frequency == 6.7
+
+
+def test_the_largest_deviation_counts_from_full_engagement_on_and_on_both_sides():
+    y = np.array([9.0, 9, -5, 1, 4, 1, 1, 1]) * 1e-6
+    for engaged, largest in ((0.0, 9e-6), (1.0, 9e-6), (1.5, 5e-6), (2.0, 5e-6), (2.5, 4e-6), (99.0, 1e-6)):
+        found = score(np.arange(8.0), np.outer(y, Y), np.zeros((8, 3)), along(X, 8), engaged, 6.7, y)
+        assert found.max_deviation == pytest.approx(largest, rel=1e-12)
+
+
+def test_a_deviation_along_the_feed_is_none():
+    run = np.outer(np.arange(8.0), X)
+    found = score(np.arange(8.0), run + 5e-6 * X, run, along(X, 8), 0.0, 6.7, np.zeros(8))
+    assert found.max_deviation == found.static_deviation == 0.0 and np.isnan(found.ringing_frequency)
+
+
+@settings(max_examples=budget(60), deadline=None)
+@given(st.floats(3.0, 40.0), st.floats(0.01, 0.3), st.floats(0.0, 6.28), st.floats(-1e-4, 1e-4))
+def test_the_ringing_of_a_damped_vibration_is_found(frequency, damping, phase, mean):
+    found = ringing_frequency(TIME, ringing(frequency, damping, 5e-6, phase, mean))
+    assert found == (pytest.approx(frequency, rel=2e-3), pytest.approx(damping, abs=2e-3))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_of_a_tenth_and_the_hum_of_the_teeth_hardly_move_it(seed):
+    noise = np.random.default_rng(seed).normal(0.0, 0.5e-6, TIME.size)
+    hum = 0.5e-6 * np.sin(2 * np.pi * 533.3 * TIME)
+    frequency, damping = ringing_frequency(TIME, ringing(6.69, 0.18) + noise + hum)
+    assert frequency == pytest.approx(6.69, rel=0.03) and damping == pytest.approx(0.18, abs=0.03)
+
+
+def test_the_start_of_the_clock_does_not_matter():
+    shifted = ringing_frequency(TIME + 12.5, ringing(6.69, 0.05))
+    np.testing.assert_allclose(shifted, ringing_frequency(TIME, ringing(6.69, 0.05)), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "displacement", [np.zeros(TIME.size), np.full(TIME.size, 3e-3), ringing(6.7, 0.1, amplitude=5e-10), np.ones(15)],
+)  # fmt: skip
+def test_where_nothing_rings_no_frequency_is_made_up(displacement):
+    assert np.isnan(ringing_frequency(TIME[: displacement.size], displacement)).all()
+
+
+def test_a_path_without_one_feed_direction_has_no_static_deviation_and_does_not_ring():
+    course = np.column_stack([np.cos(TIME), np.sin(TIME), 0 * TIME])
+    feed = np.column_stack([-np.sin(TIME), np.cos(TIME), 0 * TIME])
+    found = score(TIME, course * 1.001, course, feed, 0.0, 6.7, course[:, 1], straight=False)
+    assert np.isnan([found.static_deviation, found.ringing_frequency, found.ringing_damping]).all()
+    assert found.max_deviation == pytest.approx(1e-3, rel=1e-9)  # the circle is 1 mm too large all the way

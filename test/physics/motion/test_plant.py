@@ -1,0 +1,238 @@
+"""Imperfect plants: noise, repeatability and backlash."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from kr270_milling.base.errors import ConfigError
+from kr270_milling.base.record import find_file
+from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import ScoredPass, simulate
+from kr270_milling.cell.plant import Plant, imperfect_arm, joint_gaps
+from kr270_milling.decide.compensation import compensate
+from kr270_milling.decide.findings import gathered
+from kr270_milling.decide.load_reversals import backlash_statement, load_reversals
+from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.motion.backlash import Gaps, flanks, tool_jumps
+from kr270_milling.physics.motion.imperfections import Imperfections
+from kr270_milling.physics.motion.milling_pass import CompliantArm, follow
+from kr270_milling.physics.robot import jacobian, pose
+from kr270_milling.physics.robot.mass import rigid_joint_mass
+
+UM = 1e-6
+SHORT = ("path.length_mm=12", "stock.grid_step_um=80", "exchange.micro_step_deg=3")
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return read_cell(find_file("paper.yaml"), SHORT)
+
+
+def test_repeatability_is_that_of_a_data_sheet():
+    """ISO 9283: mean distance from the barycentre of many passes + 3 standard deviations of that distance."""
+    how = Imperfections(repeatability=60 * UM)
+    shifts = np.array([how.shift(n) for n in range(4000)])
+    distance = np.linalg.norm(shifts - shifts.mean(axis=0), axis=1)
+    assert distance.mean() + 3 * distance.std() == pytest.approx(60 * UM, rel=0.03)
+
+
+def test_noise_and_repeatability_of_a_pass_come_from_seed_and_number():
+    how, zero = Imperfections(5 * UM, 60 * UM, seed=3), np.zeros((1000, 3))
+    assert np.array_equal(how.measured(zero, 2), how.measured(zero, 2)) and np.array_equal(how.shift(2), how.shift(2))
+    assert not np.any(how.measured(zero, 2) == how.measured(zero, 3)) and not np.any(how.shift(2) == how.shift(3))
+    other = how.replace(seed=4)
+    assert not np.any(other.shift(2) == how.shift(2))
+    assert how.measured(zero, 2).std() == pytest.approx(5 * UM, rel=0.05)
+    assert abs(np.corrcoef(how.measured(zero, 1)[:, 0], how.measured(zero, 2)[:, 0])[0, 1]) < 0.15
+
+
+def test_a_plant_without_imperfections_is_its_cell(cell):
+    plain, plant = simulate(cell), simulate(cell, plant=Plant(cell, cell))
+    assert np.array_equal(plain.result.actual, plant.result.actual) and plain.scores == plant.scores
+    assert np.array_equal(plant.record.position, plant.result.tool) and plant.record.noise == 0.0
+
+
+def test_the_tracker_is_noisy_and_the_part_is_not(cell):
+    clean = simulate(cell)
+    noisy = simulate(cell, plant=Plant(cell, cell, Imperfections(pose_noise=20 * UM)))
+    assert np.array_equal(noisy.result.actual, clean.result.actual) and noisy.scores == clean.scores
+    assert np.std(noisy.record.position - noisy.result.tool) == pytest.approx(20 * UM, rel=0.1)
+
+
+def test_a_pass_that_lies_beside_the_commanded_one_is_cut_there(cell):
+    plant = Plant(cell, cell, Imperfections(repeatability=60 * UM))
+    shift = plant.cell.imperfections.shift(0)
+    ran = simulate(cell, plant=plant).result
+    plain = simulate(cell).result
+    assert ran.actual - plain.actual == pytest.approx(np.broadcast_to(shift, ran.actual.shape), abs=0.05 * 60 * UM)
+    assert np.array_equal(ran.target, plain.target)
+
+
+def test_the_path_is_the_models_and_the_arm_is_the_plants(cell):
+    other = cell.replace(path=cell.path.replace(length=0.03), dynamics=cell.dynamics.replace(damping_ratio=0.04))
+    plant = Plant(cell, other)
+    assert plant.cell.path is cell.path and plant.cell.dynamics.damping_ratio == 0.04
+    assert simulate(cell, plant=plant).result.time_ns[-1] == simulate(cell).result.time_ns[-1]
+
+
+# --- Backlash ---
+
+
+LEVER, WIDTH, FRICTION = 1.5, 1e-4, 100.0  # [m], [rad], [N m]
+
+
+@pytest.fixture(scope="module")
+def ran(cell):
+    return simulate(cell)
+
+
+def one_axis(friction: float = FRICTION) -> Gaps:
+    """Joint 1 moves the tool along y at a lever; no other load than the cut, no mean over a revolution."""
+    turns = np.zeros((1, 6, 6))
+    turns[0, 1, 0] = LEVER
+    only = np.eye(6)[0]
+    return Gaps(np.zeros((1, 6)), turns, friction * only, WIDTH * only, 1.0, 1.0)
+
+
+def lateral(*forces: float, periods: int = 5) -> np.ndarray:
+    """Wrenches of a pass: each force [N] along y for some periods, after the row of the start."""
+    wrenches = np.zeros((len(forces) * periods + 1, 6))
+    wrenches[1:, 1] = np.repeat(forces, periods)
+    return wrenches
+
+
+def with_wrench(ran: ScoredPass, wrench: np.ndarray) -> ScoredPass:
+    return dataclasses.replace(ran, result=dataclasses.replace(ran.result, wrench=wrench))
+
+
+def test_a_load_that_changes_its_sign_moves_the_tool_by_backlash_times_lever(cell):
+    plain = cell.arm_model(cell.target())
+    wrenches = lateral(100.0, -100.0, 100.0)  # 150 N m about the axis
+    still = np.zeros((0, plain.order))
+    moved = follow(dataclasses.replace(plain, gaps=one_axis()), still, wrenches) - follow(plain, still, wrenches)
+    expected = np.zeros((16, 6))
+    expected[6:11, 1] = -WIDTH * LEVER
+    assert moved == pytest.approx(expected, abs=1e-15)
+    assert tool_jumps(one_axis(), wrenches) == [(6, 0, WIDTH * LEVER), (11, 0, WIDTH * LEVER)]
+
+
+def test_a_load_within_the_friction_torque_leaves_the_joint_on_its_flank():
+    assert tool_jumps(one_axis(), lateral(100.0, -66.0, 0.0, 100.0)) == []  # 99 N m against 100 N m
+    assert len(tool_jumps(one_axis(), lateral(100.0, -67.0, 0.0, 66.0))) == 1
+    assert len(tool_jumps(one_axis(0.0), lateral(100.0, -1.0, 0.0, 1.0))) == 2
+    assert flanks(one_axis(), lateral(50.0, 100.0, -50.0))[:, 0].tolist() == [0.0] * 6 + [1.0] * 10
+
+
+def test_single_teeth_do_not_change_a_flank(cell):
+    """At 533 Hz the torque changes its sign, its mean over a revolution does not."""
+    share = joint_gaps(cell, cell.target(), cell.arm.backlash).share
+    revolution = 2 * np.pi / cell.tool.spindle_speed
+    assert share == pytest.approx(1 - np.exp(-cell.exchange.period / revolution))
+    gaps = dataclasses.replace(one_axis(0.0), share=share)
+    teeth = 100.0 + 300.0 * np.sin(2 * np.pi * 533.3 * cell.exchange.period * np.arange(400))
+    settled = np.concatenate([np.full(100, 100.0), teeth])
+    assert teeth.min() < -150.0 and tool_jumps(gaps, lateral(*settled, periods=1)) == []
+
+
+def test_an_axis_that_reverses_under_a_constant_load_changes_no_flank(cell):
+    """Out and back across the arm: axes 1 and 2 reverse, while the weight and a steady cut hold them to one side."""
+    wave = 0.02 * (1.0 - np.cos(np.linspace(0.0, 2.0 * np.pi, 201)))
+    start = cell.target().position[0]
+    there_and_back = Trajectory(
+        np.arange(201) * 50_000_000, start + np.outer(wave, [0.0, 1.0, 0.3]), cell.target().quaternion[0]
+    )
+    turns = np.diff(np.sign(np.diff(cell.joints(there_and_back), axis=0)), axis=0)
+    assert np.abs(turns[:, [0, 1]]).max(axis=0).tolist() == [2.0, 2.0]
+    gaps = joint_gaps(cell, there_and_back, cell.arm.backlash)
+    periods = cell.clock.steps(there_and_back.duration_ns)
+    assert tool_jumps(gaps, lateral(*[120.0] * periods, periods=1)) == []
+
+
+def test_the_load_on_a_joint_is_weight_less_inertia_of_the_path(cell):
+    """At the turning points of a motion about axis 1 alone the inertia torque is -M_11 q1''."""
+    joints = np.tile(cell.start_joints, (41, 1))
+    swing, speed = np.radians(1.5), 2 * np.pi / 2.0  # [rad], [rad/s]
+    time = np.arange(41) * 0.05
+    joints[:, 0] += swing * np.cos(speed * time)
+    tool = cell.workpiece.pose.inverse() @ pose(cell.arm, cell.mount, joints)
+    run = Trajectory(np.arange(41) * 50_000_000, tool.position, tool.quaternion)
+    gaps = joint_gaps(cell, run, cell.arm.backlash)
+    inertia = rigid_joint_mass(cell.arm, cell.mount, joints[20])[0, 0]
+    assert gaps.torque[20, 0] == pytest.approx(-inertia * swing * speed**2, rel=0.01)
+    assert len(tool_jumps(gaps, np.zeros((cell.clock.steps(run.duration_ns) + 1, 6)))) >= 1
+
+
+def test_the_check_names_the_place_where_the_load_reverses(cell, ran):
+    wrench = np.zeros_like(ran.result.wrench)
+    half = len(wrench) // 2
+    wrench[1:half, 1], wrench[half:, 1] = 100.0, -100.0
+    (one,) = load_reversals(cell, cell.target(), with_wrench(ran, wrench))
+    lever = np.linalg.norm(jacobian(cell.arm, cell.mount, cell.start_joints)[:3, 0])
+    assert one.value == pytest.approx(cell.arm.backlash[0] * lever, rel=0.01) and one.severity == "note"
+    assert abs(cell.target().time_ns[one.point - 1] - ran.result.time_ns[half]) <= 60_000_000
+    assert "if axis 1 has 6.2 arcsec of backlash (assumed)" in one.sentence
+    stiff = cell.replace(arm=cell.arm.replace(friction_torque=np.full(6, 1e4)))
+    assert load_reversals(stiff, stiff.target(), with_wrench(ran, wrench)) == []
+    known = cell.replace(arm=cell.arm.replace(backlash=2 * cell.arm.backlash))
+    (twice,) = load_reversals(known, known.target(), with_wrench(ran, wrench))
+    assert twice.value == pytest.approx(2 * one.value) and "12.4 arcsec of backlash (arm.back" in twice.sentence
+
+
+def test_the_plant_moves_by_the_number_of_the_check(cell, ran):
+    wrench = np.zeros_like(ran.result.wrench)
+    half = len(wrench) // 2
+    wrench[1:half, 1], wrench[half:, 1] = 100.0, -100.0
+    (one,) = load_reversals(cell, cell.target(), with_wrench(ran, wrench))
+    plant = cell.replace(imperfections=Imperfections(backlash=cell.arm.backlash))
+    plain = cell.arm_model(cell.target())
+    arm = imperfect_arm(plant, cell.target(), plain)
+    still = np.zeros((0, plain.order))
+    moved = follow(arm, still, wrench) - follow(plain, still, wrench)
+    first = int(np.argmax(moved.any(axis=1)))
+    assert np.linalg.norm(moved[first, :3]) == pytest.approx(one.value, rel=1e-9) and half <= first < half + 30
+    assert moved[first:].any(axis=1).all()
+    robot = CompliantArm(arm)
+    assert np.array_equal([robot.correct(w) for w in wrench[1:]], follow(arm, still, wrench)[1:])
+
+
+def test_a_plant_whose_loads_do_not_reverse_runs_as_if_it_had_no_backlash(cell, ran):
+    """The paper's straight cut loads every joint to one side."""
+    assert load_reversals(cell, cell.target(), ran) == []
+    cuts = simulate(cell, plant=Plant(cell, cell, Imperfections(backlash=cell.arm.backlash)))
+    assert np.array_equal(cuts.result.actual, ran.result.actual)
+
+
+def test_the_test_pieces_axes_without_weight_change_their_flanks_where_the_arm_brakes():
+    """The inertia of the path alone: axis 1 has no weight to hold it; the weight holds axis 2, which never changes."""
+    cell = read_cell(find_file("test_piece.yaml"))
+    gaps = joint_gaps(cell, cell.target(), cell.arm.backlash)
+    jumps = tool_jumps(gaps, np.zeros((cell.clock.steps(cell.target().duration_ns) + 1, 6)))
+    axes = {joint + 1 for _, joint, _ in jumps}
+    assert 1 in axes and 2 not in axes
+    assert max(size for *_, size in jumps) == pytest.approx(46e-6, rel=0.05)  # 6.2 arcsec at 1.5 m
+
+
+def test_the_decision_names_the_backlash(cell, ran):
+    wrench = np.zeros_like(ran.result.wrench)
+    half = len(wrench) // 2
+    wrench[1:half, 1], wrench[half:, 1] = 100.0, -100.0
+    places = gathered(cell, cell.target(), load_reversals(cell, cell.target(), with_wrench(ran, wrench)))
+    assert backlash_statement(cell, places, True) == "backlash: in the verdict only, 0 to 12.4 arcsec"
+    assert "not included, up to 49.2 um" in backlash_statement(cell, places, False)
+    decision = compensate(cell, "linear").decision
+    assert decision.backlash == "backlash: not included, no load reverses"
+    assert decision.backlash in decision.headline and decision.backlash in decision.lines()
+    assert decision.as_dict()["backlash"] == decision.backlash
+
+
+def test_keys_of_earlier_versions_are_refused_with_their_new_name():
+    for old, new in (
+        ("limits.backlash_deg", "arm.backlash_arcsec"),
+        ("imperfections.backlash_deg", "imperfections.backlash_arcsec"),
+        ("uncertainty.backlash_deg", "uncertainty.backlash is a multiple"),
+    ):
+        with pytest.raises(ConfigError, match=new):
+            read_cell(find_file("paper.yaml"), [f"{old}=[0.01, 0.01, 0.01, 0.01, 0.01, 0.01]"])

@@ -1,0 +1,213 @@
+"""Mass matrices (18)-(25) of beams and of rigid links, and natural frequencies."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_oracle import ARM, PAPER, SPINDLE, TURNED, pinocchio_arm, postures
+from book import check
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.physics.robot import (
+    BARE,
+    Mount,
+    beam_mass,
+    cartesian_mass,
+    compliance,
+    equilibrium,
+    forward,
+    jacobian,
+    joint_mass,
+    mode_frequencies,
+    rigid_joint_mass,
+    stiffness,
+)
+from kr270_milling.physics.robot.errors import SingularityError
+from kr270_milling.physics.robot.mass import assembled_mass, own_inertia, spatial_inertia
+from kr270_milling.physics.robot.urdf import urdf
+
+MASS, LENGTH, RHO_I = 7.0, 1.7, (0.9, 0.4, 0.6)  # [kg], [m], [kg m]
+BEAM = beam_mass(MASS, LENGTH, *RHO_I)
+UNEVEN = ARM.replace(link_mass_centre=np.array([0.4, 0.3, 0.6, 0.45, 0.5, 0.7]))
+POSTURES = postures()
+
+
+def rigid(x: float) -> np.ndarray:
+    """Motion (6, 6) of a point at (x, 0, 0) from that of the origin, right-handed: v + omega x r."""
+    move = np.eye(6)
+    move[:3, 3:] = [[0, 0, 0], [0, 0, x], [0, -x, 0]]
+    return move
+
+
+# --- beams ---
+
+
+@check("beam mass matrix (23)", "Gauss quadrature of the kinetic energy (18)-(22)")
+def test_beam():
+    """4 Gauss points are exact to x^7."""
+    np.testing.assert_array_equal(BEAM, BEAM.T)
+    assert np.linalg.eigvalsh(BEAM)[0] > 0
+    points, weights = np.polynomial.legendre.leggauss(4)
+    integral, inertia = np.zeros((12, 12)), np.diag([MASS / LENGTH] * 3 + list(RHO_I))
+    for s, weight in zip((points + 1) / 2, weights * LENGTH / 2, strict=True):
+        shape = np.diag([s, *[s**2 * (3 - s) / 2] * 2, s, *[2 * s - s**2] * 2])
+        motion = np.hstack([rigid(s * LENGTH) - shape @ rigid(LENGTH), shape])
+        integral += weight * motion.T @ inertia @ motion
+    return 0.0, np.abs(BEAM - integral).max() / MASS, 1e-13
+
+
+@check("beam, translated along axis {axis} as a rigid body", "m", "kg", cases=("axis", [(0,), (1,), (2,)]))
+def test_translated(axis):
+    motion = np.tile(np.eye(6)[axis], 2)
+    return MASS, motion @ BEAM @ motion, 1e-12
+
+
+@check("beam, turned about axis {axis} of its base", "m L^2 / 3 + rho I L [derived]", "kg m^2",
+       cases=("axis", [(1,), (2,)]))  # fmt: skip
+def test_turned(axis):
+    motion = np.concatenate([np.eye(6)[3 + axis], rigid(LENGTH)[:, 3 + axis]])
+    return MASS * LENGTH**2 / 3 + RHO_I[axis] * LENGTH, motion @ BEAM @ motion, 1e-11
+
+
+@check("assembled arm (24), translated along axis {axis} as a rigid body",
+       "sum of Table 1's link masses + 60 kg of spindle", "kg", cases=("axis", [(0,), (1,), (2,)]))  # fmt: skip
+def test_assembled(axis):
+    motion = np.tile(np.eye(6)[axis], 7)
+    return 790.4 + 60.0, motion @ assembled_mass(ARM, SPINDLE, forward(ARM, SPINDLE, PAPER)) @ motion, 1e-9
+
+
+def test_an_arm_turned_by_axis_1_has_the_rigid_inertia_of_what_rides_on_it():
+    """Link 1 bends with joint 1 in the beam's shape, so it is left out; the others are slender tubes in pinocchio."""
+    arm = ARM.replace(link_mass=ARM.link_mass * [0, 1, 1, 1, 1, 1])
+    q = np.array([0.3, -0.9, 1.4, 0.6, 0.8, -0.2])
+    model, data, _ = pinocchio_arm(arm, SPINDLE, tubes=True)
+    assert joint_mass(arm, SPINDLE, q)[0, 0] == pytest.approx(pin.crba(model, data, q)[0, 0])
+
+
+def test_a_rider_alone_is_the_joint_inertia_of_its_point_mass():
+    arm = ARM.replace(link_mass=np.zeros(6))
+    at_mass = jacobian(arm, Mount(xyz=SPINDLE.mass_centre), PAPER)[:3]
+    np.testing.assert_allclose(joint_mass(arm, SPINDLE, PAPER), 60.0 * at_mass.T @ at_mass, atol=1e-12)
+
+
+def test_the_energy_consistent_mass_is_the_sum_over_the_links_with_the_loaded_springs():
+    """(25) in the form of facts.md."""
+    solved = equilibrium(ARM, SPINDLE, PAPER, [300.0, -200.0, 100.0, 20.0, 0, 10.0])
+    springs = np.diag(ARM.joint_stiffness) - solved.hessian
+    follow = np.linalg.solve(springs, solved.jacobian.T) @ stiffness(solved, ARM)
+    whole = assembled_mass(ARM, SPINDLE, forward(ARM, SPINDLE, solved.posture))
+    phi = np.concatenate([jacobian(ARM, SPINDLE, solved.posture, j) @ follow for j in range(7)])
+    ours = cartesian_mass(ARM, SPINDLE, solved.posture, "consistent")
+    np.testing.assert_allclose(ours, phi.T @ whole @ phi, rtol=1e-9, atol=1e-7)
+    assert np.linalg.eigvalsh(ours)[0] > 0
+
+
+# --- rigid links ---
+
+
+@check("rigid links: M_theta at 100 postures, heavy spindle", "pinocchio's crba", "kg m^2")
+def test_rigid_joint_mass():
+    model, data, _ = pinocchio_arm(UNEVEN, TURNED, tubes=True)
+    ours, worst = rigid_joint_mass(UNEVEN, TURNED, POSTURES), 0.0
+    for q, found in zip(POSTURES, ours, strict=True):
+        upper = np.triu(pin.crba(model, data, q))
+        worst = max(worst, np.abs(found - upper - np.triu(upper, 1).T).max())
+    np.testing.assert_allclose(rigid_joint_mass(UNEVEN, TURNED, POSTURES[7]), ours[7], rtol=1e-13, atol=1e-12)
+    return 0.0, worst, 1e-9
+
+
+@pytest.mark.parametrize("mount", [TURNED, BARE])
+def test_the_urdf_has_the_same_joint_space_mass(mount):
+    """pinocchio reads the text and computes the mass that the joints carry, by ``mass_model: rigid`` within 1e-9."""
+    model = pin.buildModelFromXML(urdf(UNEVEN, mount))
+    data = model.createData()
+    assert pin.computeTotalMass(model) == pytest.approx(UNEVEN.link_mass.sum() + mount.mass, rel=1e-12)
+    for q, ours in zip(POSTURES, rigid_joint_mass(UNEVEN, mount, POSTURES), strict=True):
+        upper = np.triu(pin.crba(model, data, q))
+        np.testing.assert_allclose(upper + np.triu(upper, 1).T, ours, rtol=1e-9, atol=1e-9)
+
+
+def test_the_cartesian_mass_holds_the_same_energy():
+    """qdot M_theta qdot = V M_C V for V = J qdot."""
+    solved = equilibrium(UNEVEN, TURNED, PAPER)
+    speeds = np.random.default_rng(8).normal(size=(20, 6))
+    at_tool = speeds @ solved.jacobian.T
+    of_joints = np.einsum("ni,ij,nj->n", speeds, rigid_joint_mass(UNEVEN, TURNED, solved.posture), speeds)
+    of_tool = np.einsum("ni,ij,nj->n", at_tool, cartesian_mass(UNEVEN, TURNED, solved.posture, "rigid"), at_tool)
+    np.testing.assert_allclose(of_tool, of_joints, rtol=1e-9)
+
+
+def test_a_body_has_the_spatial_inertia_of_pinocchio_and_a_link_without_length_is_a_point():
+    centre, own = np.array([0.3, -0.2, 0.5]), np.diag([0.2, 0.3, 0.4])
+    np.testing.assert_allclose(spatial_inertia(7.0, centre, own), pin.Inertia(7.0, centre, own).matrix(), atol=1e-15)
+    assert not own_inertia(ARM, 4).any()
+    assert own_inertia(ARM, 3)[0, 0] == pytest.approx(54.5 * 0.12**2)
+
+
+def test_the_paper_s_beams_hold_so_much_of_the_inertia_of_rigid_links():
+    """[derived] diagonal of M_theta at the paper's posture: 0.96, 0.90, 0.99, 0.45, 1.00, 0.33."""
+    share = np.diag(joint_mass(ARM, BARE, PAPER)) / np.diag(rigid_joint_mass(ARM, BARE, PAPER))
+    np.testing.assert_allclose(share, [0.96, 0.90, 0.99, 0.45, 1.00, 0.33], atol=0.005)
+
+
+# --- natural frequencies ---
+
+
+def _modes(model: str) -> np.ndarray:
+    soft = compliance(equilibrium(ARM, BARE, PAPER, gravity=False), ARM)
+    return mode_frequencies(soft, cartesian_mass(ARM, BARE, PAPER, model))
+
+
+@check("first mode, all link masses at the tool", "sqrt(1 / (0.7168 um/N 790.4 kg)) / 2 pi [derived]", "Hz")
+def test_lumped():
+    assert len(_modes("lumped")) == 3  # rotations carry no mass and follow
+    return np.sqrt(1 / (0.7168e-6 * 790.4)) / (2 * np.pi), _modes("lumped")[0], 1e-3
+
+
+@check("first mode, energy-consistent mass", "between 11 and 14 Hz [derived]", "Hz")
+def test_consistent():
+    assert len(_modes("consistent")) == 6 and np.all(np.diff(_modes("consistent")) > 0)
+    return 12.5, _modes("consistent")[0], 1.5
+
+
+@check("rigid links: mode {number} at the paper's posture", "composite rigid bodies on the joint springs [derived]",
+       "Hz", cases=("number expected", [(1, 13.5), (2, 20.3), (3, 32.6), (4, 121.0)]))  # fmt: skip
+def test_rigid_modes(number, expected):
+    return expected, _modes("rigid")[number - 1], (0.01 if number == 4 else 0.005) * expected
+
+
+@check("energy-consistent modes (25), at the tool and at the joints", "M_theta against K_theta - H: the same arm")
+def test_both_forms():
+    solved = equilibrium(ARM, SPINDLE, PAPER)
+    mass = cartesian_mass(ARM, SPINDLE, solved.posture, "consistent")
+    at_tool = mode_frequencies(compliance(solved, ARM), mass)
+    springs = np.diag(ARM.joint_stiffness) - solved.hessian
+    at_joints = mode_frequencies(np.linalg.inv(springs), joint_mass(ARM, SPINDLE, solved.posture))
+    return 0.0, np.abs(at_tool / at_joints - 1).max(), 1e-9
+
+
+def test_tool_mass_lowers_every_mode():
+    soft = compliance(equilibrium(ARM, SPINDLE, PAPER, gravity=False), ARM)
+    light, heavy = (SPINDLE.replace(mass=m) for m in (0.0, 100.0))
+    for model in ("lumped", "consistent"):
+        slow, fast = (mode_frequencies(soft, cartesian_mass(ARM, mount, PAPER, model)) for mount in (heavy, light))
+        assert np.all(slow <= fast * (1 + 1e-9)) and slow[0] < fast[0] * 0.99
+
+
+def test_frequencies_of_two_masses_on_springs_follow_the_closed_form_and_a_massless_one_is_condensed():
+    soft = np.linalg.inv([[3.0, -1.0], [-1.0, 3.0]])  # eigenvalues of the stiffness: 2 and 4 with unit masses
+    np.testing.assert_allclose(mode_frequencies(soft, np.eye(2)), np.sqrt([2, 4]) / (2 * np.pi))
+    np.testing.assert_allclose(mode_frequencies(soft, np.diag([1.0, 0])), [np.sqrt(3 - 1 / 3) / (2 * np.pi)])
+    assert mode_frequencies(soft, np.zeros((2, 2))).size == 0
+
+
+def test_batches_are_stacks_and_an_unknown_model_or_a_singular_posture_is_refused():
+    batch = np.stack([PAPER, PAPER + 0.1])
+    both = cartesian_mass(ARM, SPINDLE, batch, "consistent")
+    np.testing.assert_allclose(both[1], cartesian_mass(ARM, SPINDLE, batch[1], "consistent"), rtol=1e-12)
+    assert cartesian_mass(ARM, SPINDLE, batch).shape == (2, 6, 6)
+    with pytest.raises(ParameterError, match="lumped, consistent"):
+        cartesian_mass(ARM, SPINDLE, PAPER, "heavy")
+    with pytest.raises(SingularityError):
+        cartesian_mass(ARM, SPINDLE, PAPER * [1, 1, 1, 1, 0, 1], "consistent")

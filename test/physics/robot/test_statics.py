@@ -1,0 +1,407 @@
+"""Torques of loads, equilibria, stiffness and compliance of loaded arms: pinocchio, differences, closed forms."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from arm_oracle import ARM, ARMS, PAPER, SPINDLE, TURNED, arm_of, pinocchio_arm, postures
+from book import check
+from scipy.spatial.transform import Rotation
+
+from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.frames import Pose
+from kr270_milling.physics.robot import (
+    BARE,
+    Mount,
+    compliance,
+    equilibrium,
+    forward,
+    jacobian,
+    link_loads,
+    pose,
+    rotate_matrix,
+    singularity_measures,
+    stiffness,
+    wrench_for_pose,
+)
+from kr270_milling.physics.robot.analysis import analyse, read_arm
+from kr270_milling.physics.robot.arm import GravityCompensator
+from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, SingularityError, UnstableLoadError
+from kr270_milling.physics.robot.loads import load_hessian, load_torque
+
+RNG = np.random.default_rng(11)
+#: weights that are not in the middle of the links
+UNEVEN = ARM.replace(link_mass_centre=np.array([0.5, 0.4, 0.7, 0.3, 0.5, 0.9]))
+POSTURES = postures()
+WRENCHES = RNG.normal(size=(100, 6)) * [900, 900, 900, 200, 200, 200]
+NEAR = PAPER + RNG.uniform(-0.3, 0.3, (50, 6))
+LOADS = RNG.normal(size=(50, 6)) * [600, 600, 600, 100, 100, 100]
+STRAIGHT = PAPER * [1, 1, 1, 1, 0, 1]  # axis 5 at 0: singular
+SOFT = ((0.7168e-6, 0.6369e-6, 0.1489e-6), (0.7099e-6, 0.7535e-6, 0.1313e-6))  # [m/N], [derived], facts
+ALONG = ("the lateral axis", "the axis in plane", "the flange axis")
+NONE = np.zeros((100, 6))
+
+
+# --- torques of loads ---
+
+
+@check("torque of the link weights at 100 postures", "pinocchio", "N m")
+def test_pinocchio_gravity():
+    model, data, _ = pinocchio_arm(UNEVEN, TURNED)
+    motors = [pin.computeGeneralizedGravity(model, data, q) for q in POSTURES]  # what holds the arm up
+    return (
+        0.0,
+        np.abs(load_torque(forward(UNEVEN, TURNED, POSTURES), NONE, link_loads(UNEVEN, TURNED)) + motors).max(),
+        1e-9,
+    )
+
+
+@check("derivative of that torque", "pinocchio", "N m/rad")
+def test_pinocchio_gravity_derivative():
+    model, data, _ = pinocchio_arm(UNEVEN, TURNED)
+    theirs = [pin.computeGeneralizedGravityDerivatives(model, data, q) for q in POSTURES]
+    return (
+        0.0,
+        np.abs(load_hessian(forward(UNEVEN, TURNED, POSTURES), NONE, link_loads(UNEVEN, TURNED)) + theirs).max(),
+        1e-9,
+    )
+
+
+def test_split_weights_keep_their_sum_switch_off_and_pull_at_the_nodes():
+    """(5), (6) written out."""
+    loads, torque = link_loads(UNEVEN, SPINDLE), np.zeros((100, 6))
+    np.testing.assert_allclose(loads.forces.sum(0), [0, 0, -9.80665 * (790.4 + 60.0)])
+    assert not link_loads(UNEVEN, SPINDLE, 0.0).forces.any()
+    for j in range(7):
+        torque += np.einsum("nij,i->nj", jacobian(UNEVEN, SPINDLE, POSTURES, j)[:, :3], loads.forces[j])
+    at_mass = Mount(xyz=SPINDLE.mass_centre)
+    torque += np.einsum("nij,i->nj", jacobian(UNEVEN, at_mass, POSTURES)[:, :3], loads.forces[7])
+    np.testing.assert_allclose(load_torque(forward(UNEVEN, SPINDLE, POSTURES), NONE, loads), torque, atol=1e-9)
+
+
+@pytest.mark.parametrize("gravity", [0.0, 9.80665])
+def test_the_hessian_is_the_difference_quotient_of_the_torque_for_forces_and_moments(gravity):
+    loads, step = link_loads(UNEVEN, TURNED, gravity), 1e-5
+    bent = load_hessian(forward(UNEVEN, TURNED, POSTURES), WRENCHES, loads)
+    for k in range(6):
+        ahead, behind = (
+            load_torque(forward(UNEVEN, TURNED, POSTURES + s * step * np.eye(6)[k]), WRENCHES, loads) for s in (1, -1)
+        )
+        np.testing.assert_allclose(bent[:, :, k], (ahead - behind) / (2 * step), atol=1e-5)  # of some 1e3 N m/rad
+    assert np.all(np.abs(bent - np.swapaxes(bent, -1, -2)).max((-1, -2)) > 1.0)  # moments have no potential
+    forces = load_hessian(forward(UNEVEN, TURNED, POSTURES), WRENCHES * [1, 1, 1, 0, 0, 0], loads)
+    np.testing.assert_allclose(forces, np.swapaxes(forces, -1, -2), atol=1e-9)
+
+
+def test_the_torque_of_a_wrench_is_the_transposed_jacobian_times_it():
+    ours = load_torque(forward(ARM, TURNED, POSTURES), WRENCHES, link_loads(ARM, TURNED, 0.0))
+    np.testing.assert_allclose(ours, np.einsum("nij,ni->nj", jacobian(ARM, TURNED, POSTURES), WRENCHES), atol=1e-9)
+
+
+# --- equilibria ---
+
+
+@check("equilibrium (7): largest torque out of balance", "0: torques of weights and 1 kN balance, 50 postures", "N m")
+def test_residual():
+    solved = equilibrium(ARM, SPINDLE, NEAR, LOADS)
+    torque = load_torque(forward(ARM, SPINDLE, solved.posture), LOADS, link_loads(ARM, SPINDLE))
+    np.testing.assert_array_equal(solved.pose.position, pose(ARM, SPINDLE, NEAR + solved.theta).position)
+    np.testing.assert_array_equal(solved.jacobian, jacobian(ARM, SPINDLE, solved.posture))
+    return 0.0, max(np.abs(ARM.joint_stiffness * solved.theta - torque).max(), solved.residual.max()), 1e-9
+
+
+@check(
+    "wrench of a loaded pose, f of (31) after f^-1 of (30), {weights}", "self-consistent: the wrench that bent the arm",
+    "N, N m", cases=("weights", [("with weights",), ("without",)]),
+)  # fmt: skip
+def test_both_ways(weights):
+    gravity = weights == "with weights"
+    there = equilibrium(ARM, SPINDLE, NEAR, LOADS, gravity)
+    back = wrench_for_pose(ARM, SPINDLE, NEAR, there.pose, gravity)
+    np.testing.assert_allclose(back.theta, there.theta, atol=1e-10)
+    assert back.residual.max() <= 1e-9 and back.iterations.max() <= 5  # quadratic: 1e-3 rad to 1e-12 in few steps
+    return 0.0, np.abs(back.wrench - LOADS).max(), 1e-4  # 1e-12 m and rad times 1e7 N m/rad, some singular
+
+
+def test_without_load_nothing_moves_and_gravity_alone_makes_the_arm_sag():
+    still = equilibrium(ARM, SPINDLE, PAPER, gravity=False)
+    assert not still.theta.any() and still.pose.position.shape == (3,)
+    assert equilibrium(ARM, SPINDLE, PAPER).pose.position[2] < still.pose.position[2]
+
+
+def test_a_batch_gives_exactly_what_single_postures_give():
+    batch = equilibrium(ARM, SPINDLE, NEAR.reshape(5, 10, 6), LOADS.reshape(5, 10, 6))
+    single = equilibrium(ARM, SPINDLE, NEAR[23], LOADS[23])
+    np.testing.assert_array_equal(batch.theta[2, 3], single.theta)
+    np.testing.assert_array_equal(batch.hessian[2, 3], single.hessian)
+    np.testing.assert_allclose(stiffness(batch, ARM)[2, 3], stiffness(single, ARM), rtol=1e-12)
+    assert equilibrium(ARM, SPINDLE, np.empty((0, 6))).theta.shape == (0, 6)
+    assert equilibrium(ARM, SPINDLE, PAPER, LOADS).theta.shape == (50, 6)
+
+
+def test_a_tool_held_where_the_unloaded_arm_has_it_takes_the_weights_only():
+    held = wrench_for_pose(ARM, SPINDLE, PAPER, pose(ARM, SPINDLE, PAPER))
+    np.testing.assert_allclose(held.theta, 0, atol=1e-12)
+    torque = load_torque(forward(ARM, SPINDLE, PAPER), np.zeros(6), link_loads(ARM, SPINDLE))
+    np.testing.assert_allclose(jacobian(ARM, SPINDLE, PAPER).T @ held.wrench, -torque, atol=1e-5)
+
+
+def _hinge():
+    """An arm with only joint 2 soft, 1e6 N m/rad, stretched along x; its critical load [N]."""
+    soft = np.array([1e-12, 1e-6, 1e-12, 1e-12, 1e-12, 1e-12])
+    return ARM.replace(a3=0.0, joint_compliance=soft), 1e6 / (1.25 + 1.1 + 0.23)
+
+
+@check(
+    "column on one hinge: H / K at {share} of its critical load", "H = F L, critical at F L = K",
+    cases=("share", [(0.5,), (0.99,)]),
+)  # fmt: skip
+def test_column(share):
+    arm, critical = _hinge()
+    solved = equilibrium(arm, BARE, np.zeros(6), [-share * critical, 0, 0, 0, 0, 0], gravity=False)
+    np.testing.assert_allclose(solved.theta, 0, atol=1e-15)
+    return share, solved.hessian[1, 1] / 1e6, 1e-9
+
+
+@check("hinge under a dead side load", "K theta = F L cos(theta)", "rad")
+def test_dead_load():
+    """Large enough for the load steps."""
+    arm, critical = _hinge()
+    theta = equilibrium(arm, BARE, np.zeros(6), [0, 0, -0.15 * critical, 0, 0, 0], gravity=False).theta[1]
+    return 0.15 * np.cos(theta), theta, 1e-8
+
+
+def test_a_column_falls_above_its_critical_load_and_a_spring_bent_beyond_belief_is_an_error():
+    arm, critical = _hinge()
+    with pytest.raises(UnstableLoadError, match="unstable") as caught:
+        equilibrium(arm, BARE, np.stack([np.zeros(6)] * 2), [[0.0] * 6, [-1.01 * critical, 0, 0, 0, 0, 0]], False)
+    assert caught.value.index == (1,) and caught.value.eigenvalue < 0
+    assert caught.value.load_factor == pytest.approx(1.0, abs=0.01)
+    with pytest.raises(DeflectionError, match="joint 2") as caught:
+        equilibrium(arm, BARE, np.zeros(6), [0, 0, -0.5 * critical, 0, 0, 0], gravity=False)
+    theta, share = caught.value.deflection, caught.value.load_factor
+    assert theta == pytest.approx(share * 0.5 * np.cos(theta)) and theta > 0.2
+
+
+def test_loads_and_poses_without_an_equilibrium_are_errors_that_say_so():
+    impossible = (UnstableLoadError, EquilibriumError, DeflectionError)
+    for load in [1e7, 1e12, 1e30]:
+        for axis in [*np.eye(6), *-np.eye(6)]:
+            with pytest.raises(impossible, match="load"):
+                equilibrium(ARM, SPINDLE, PAPER, load * axis)
+    with pytest.raises(impossible, match="load"):  # too soft for its own weight
+        equilibrium(ARM.replace(joint_compliance=np.full(6, 1e-2)), SPINDLE, PAPER * [1, 1, 1, 1, 1, 0])
+    with pytest.raises(EquilibriumError):
+        equilibrium(ARM, SPINDLE, PAPER, [np.nan, 0, 0, 0, 0, 0])
+    away = pose(ARM, SPINDLE, PAPER)
+    with pytest.raises((EquilibriumError, SingularityError)):
+        wrench_for_pose(ARM, SPINDLE, PAPER, Pose(away.position + [0, -3.0, 0], away.rotation))
+
+
+# --- stiffness and compliance ---
+
+
+def kilonewton(moments: bool) -> np.ndarray:
+    wrenches = np.random.default_rng(8).normal(size=(20, 6))
+    wrenches[:, :3] *= 1000 / np.linalg.norm(wrenches[:, :3], axis=-1, keepdims=True)
+    return wrenches * ([1] * 3 + [200.0 if moments else 0.0] * 3)
+
+
+@check(
+    "{name}: compliance along {along}", "J diag(compliances of Table 1) J^T in the flange frame [derived]", "m/N",
+    cases=("name along expected", [(n, a, v) for n, soft in zip(ARMS, SOFT, strict=True)
+                                   for a, v in zip(ALONG, soft, strict=True)]),
+)  # fmt: skip
+def test_unloaded_compliance(name, along, expected):
+    arm, axis = arm_of(name), (1, 2, 0)[ALONG.index(along)]
+    in_base = compliance(equilibrium(arm, BARE, PAPER, gravity=False), arm)
+    return expected, rotate_matrix(in_base, pose(arm, BARE, PAPER).rotation.T)[axis, axis], 0.6e-10
+
+
+@check(
+    "loaded compliance (17), weights and 1 kN, {moments} moments", "numerical differentiation of whole equilibria",
+    cases=("moments", [("with",), ("without",)]),
+)  # fmt: skip
+def test_differentiated(moments):
+    wrenches = kilonewton(moments == "with")
+    ours = compliance(equilibrium(ARM, SPINDLE, NEAR[:20], wrenches), ARM)
+    quotient = np.empty_like(ours)
+    for k in range(6):
+        step = (20.0 if k < 3 else 10.0) * np.eye(6)[k]
+        ahead, behind = (equilibrium(ARM, SPINDLE, NEAR[:20], wrenches + s * step).pose for s in (1, -1))
+        turn = Rotation.from_matrix(ahead.rotation @ np.swapaxes(behind.rotation, -1, -2)).as_rotvec()
+        quotient[:, :, k] = np.concatenate([ahead.position - behind.position, turn], -1) / (2 * step[k])
+    size = np.sqrt(np.einsum("nii,njj->nij", ours, ours))  # entries of mixed units, each beside its own diagonal
+    return 0.0, (np.abs(quotient - ours) / size).max(), 1e-6
+
+
+@check("reciprocity: K - K^T under weights and 1 kN", "Maxwell-Betti; forces have a potential")
+def test_reciprocity():
+    stiff = stiffness(equilibrium(ARM, SPINDLE, NEAR[:20], kilonewton(False)), ARM)
+    assert np.all(np.linalg.eigvalsh(stiff) > 0)
+    moments = stiffness(equilibrium(ARM, SPINDLE, NEAR[:20], kilonewton(True)), ARM)
+    assert np.abs(moments - np.swapaxes(moments, -1, -2)).max((-1, -2)).min() > 1.0
+    size = np.sqrt(np.einsum("nii,njj->nij", stiff, stiff))
+    return 0.0, (np.abs(stiff - np.swapaxes(stiff, -1, -2)) / size).max(), 1e-9
+
+
+@check("K_C C_C - 1 under weights, 1 kN and moments", "self-consistent: (17) and its inverse")
+def test_inverse_of_each_other():
+    solved = equilibrium(ARM, SPINDLE, NEAR[:20], kilonewton(True))
+    return 0.0, np.abs(stiffness(solved, ARM) @ compliance(solved, ARM) - np.eye(6)).max(), 1e-7
+
+
+def test_without_load_it_is_the_classic_formula():
+    solved = equilibrium(ARM, SPINDLE, PAPER, gravity=False)
+    j = solved.jacobian
+    np.testing.assert_allclose(compliance(solved, ARM), j @ np.diag(ARM.joint_compliance) @ j.T, rtol=1e-12, atol=1e-20)
+
+
+def test_a_push_along_the_arm_softens_it_and_a_pull_stiffens_it():
+    stretched = np.radians([0.0, -10.0, 20.0, 0.0, 25.0, 0.0])
+    push, none, pull = (
+        compliance(equilibrium(ARM, BARE, stretched, [f, 0, 0, 0, 0, 0], gravity=False), ARM)[2, 2]
+        for f in (-5000.0, 0.0, 5000.0)
+    )
+    assert push > none > pull
+
+
+def test_a_singular_posture_has_a_compliance_but_no_stiffness_and_no_wrench_for_a_pose():
+    solved = equilibrium(ARM, SPINDLE, STRAIGHT, gravity=False)
+    assert np.linalg.matrix_rank(compliance(solved, ARM), tol=1e-12) == 5
+    assert singularity_measures(ARM, STRAIGHT)[2] == 0
+    with pytest.raises(SingularityError, match="keep axis 5 away from 0"):
+        stiffness(solved, ARM)
+    with pytest.raises(SingularityError, match="wrist"):
+        wrench_for_pose(ARM, SPINDLE, STRAIGHT, pose(ARM, SPINDLE, PAPER))
+
+
+def test_a_rotated_matrix_keeps_the_energy():
+    turn = Rotation.from_rotvec([0.3, -1.0, 0.7]).as_matrix()
+    matrix, motion = RNG.normal(size=(6, 6)), RNG.normal(size=6)
+    turned = np.concatenate([turn @ motion[:3], turn @ motion[3:]])
+    assert turned @ rotate_matrix(matrix, turn) @ turned == pytest.approx(motion @ matrix @ motion)
+
+
+# --- the gravity compensator ---
+
+SPRING = GravityCompensator(stiffness=50e3, preload=6e3, base_x=-0.69, base_z=0.12, arm_length=0.18)
+ANGLES = np.radians(np.linspace(-140.0, -5.0, 4))
+
+
+def length(angle: float) -> float:
+    """From the places of both hinges."""
+    hinge = SPRING.arm_length * np.array([math.cos(angle), -math.sin(angle)])
+    return float(np.linalg.norm(hinge - [SPRING.base_x, SPRING.base_z]))
+
+
+def energy(angle: float) -> float:
+    free = length(-math.pi / 2) - SPRING.preload / SPRING.stiffness
+    return 0.5 * SPRING.stiffness * (length(angle) - free) ** 2
+
+
+@check(
+    "gravity compensator: its share of the spring of joint 2, upper arm at {degrees} deg",
+    "k a L ((s_0 / s) (a L sin^2 / s^2 - cos) + cos) of [Klimchik2013b], by the angle at axis 2 [derived]", "N m/rad",
+    cases=("degrees", [(-140,), (-95,), (-50,), (-5,)]),
+)  # fmt: skip
+def test_equivalent_spring(degrees):
+    angle = math.radians(degrees)
+    base, hinge = np.array([SPRING.base_x, SPRING.base_z]), np.array([math.cos(angle), -math.sin(angle)])
+    product = np.linalg.norm(base) * SPRING.arm_length
+    cosine = base @ hinge / np.linalg.norm(base)
+    s, free = length(angle), length(-math.pi / 2) - SPRING.preload / SPRING.stiffness
+    eta = free / s * (product * (1 - cosine**2) / s**2 - cosine) + cosine
+    return SPRING.stiffness * product * eta, -float(SPRING.moment_slope(math.cos(angle), math.sin(angle))), 1e-5
+
+
+@pytest.mark.parametrize("angle", ANGLES)
+def test_the_moment_of_the_compensator_is_the_negative_slope_of_its_energy(angle):
+    slope = (energy(angle + 1e-5) - energy(angle - 1e-5)) / 2e-5
+    assert SPRING.moment(math.cos(angle), math.sin(angle)) == pytest.approx(-slope, rel=1e-7)
+    pull = SPRING.stiffness * (length(-math.pi / 2) - SPRING.free_length)  # with the upper arm upright
+    assert pull == pytest.approx(SPRING.preload)
+
+
+def test_only_joint_2_feels_the_compensator_and_its_slope_stands_in_the_hessian():
+    sprung = ARM.replace(compensator=SPRING)
+    q = np.radians([[20.0, -70.0, 100.0, 30.0, 40.0, 50.0]])
+    none, loads = np.zeros((1, 6)), link_loads(sprung, BARE)
+    extra = load_torque(forward(sprung, BARE, q), none, loads) - load_torque(
+        forward(ARM, BARE, q), none, link_loads(ARM, BARE)
+    )
+    moment = SPRING.moment(np.cos(q[0, 1]), np.sin(q[0, 1]))
+    assert extra[0] == pytest.approx([0, moment, 0, 0, 0, 0], abs=1e-9)
+    step = 1e-6 * np.eye(6)[1:2]
+    torques = [load_torque(forward(sprung, BARE, q + s), none, loads)[0, 1] for s in (step, -step)]
+    slope = load_hessian(forward(sprung, BARE, q), none, loads)[0, 1, 1]
+    assert slope == pytest.approx((torques[0] - torques[1]) / 2e-6, rel=1e-6)
+
+
+def test_a_balanced_arm_sags_less_and_without_weights_there_is_no_compensator():
+    q = np.radians([0.0, -40.0, 90.0, 0.0, 30.0, 0.0])
+    bent = equilibrium(ARM, BARE, q).theta[1]
+    sprung = ARM.replace(compensator=SPRING.replace(preload=1e3, stiffness=1e3))
+    per_newton = sprung.compensator.moment(math.cos(q[1]), math.sin(q[1]))
+    assert bent / ARM.joint_compliance[1] * per_newton < 0.0  # it works against the weights
+    assert 0.0 < equilibrium(sprung, BARE, q).theta[1] < bent
+    assert np.all(equilibrium(sprung, BARE, q, gravity=False).theta == 0.0)
+    with pytest.raises(ParameterError, match="keeps a length"):
+        GravityCompensator(stiffness=1e3, base_x=-0.15, base_z=0.0, arm_length=0.15)
+
+
+# --- the answer of the command stiffness ---
+
+WRENCH = np.array([300.0, -150.0, 80.0, 20.0, -10.0, 5.0])
+
+
+def test_the_analysis_has_every_documented_key_and_goes_into_json():
+    found = json.loads(json.dumps(analyse(ARM, BARE, PAPER, np.zeros(6))))
+    assert list(found) == ["position_m", "quaternion_xyzw", "jacobian", "stiffness", "compliance", "deflection",
+                           "joint_deflection_rad", "mode_frequencies_hz", "condition_number", "warnings"]  # fmt: skip
+    assert found["deflection"] == [0.0] * 6 and found["warnings"] == []
+    assert found["mode_frequencies_hz"]["lumped"][0] == pytest.approx(6.69, abs=0.005)  # facts.md
+    values = np.linalg.svd(found["jacobian"], compute_uv=False)
+    assert found["condition_number"] == pytest.approx(values[0] / values[-1])
+    with pytest.raises(ParameterError, match="base, tool"):
+        analyse(ARM, SPINDLE, PAPER, WRENCH, "world")
+
+
+def test_a_posture_outside_the_limits_or_below_the_floor_says_so():
+    (limit,) = analyse(ARM, BARE, np.radians([190, -50, 120, 180, 25, 180]), np.zeros(6))["warnings"]
+    assert limit == "axis 1 at 190 deg is outside its limits, -185 to 185 deg"
+    low = analyse(ARM, BARE, np.radians([0, -10, 100, 0, 30, 0]), np.zeros(6))
+    assert any("mm below the floor" in warning for warning in low["warnings"])
+
+
+def test_both_frames_tell_the_same_story():
+    base = analyse(ARM, SPINDLE, PAPER, WRENCH, "base", gravity=True)
+    both = np.kron(np.eye(2), Rotation.from_quat(base["quaternion_xyzw"]).as_matrix().T)
+    tool = analyse(ARM, SPINDLE, PAPER, both @ WRENCH, "tool", gravity=True)
+    np.testing.assert_allclose(tool["joint_deflection_rad"], base["joint_deflection_rad"], atol=1e-14)
+    np.testing.assert_allclose(tool["deflection"], both @ base["deflection"], atol=1e-14)
+    np.testing.assert_allclose(tool["jacobian"], both @ base["jacobian"], atol=1e-12)
+    for key, unit in (("stiffness", 1e-2), ("compliance", 1e-18)):
+        np.testing.assert_allclose(tool[key], both @ base[key] @ both.T, rtol=1e-9, atol=unit)
+    modes = (found["mode_frequencies_hz"]["consistent"] for found in (tool, base))
+    np.testing.assert_allclose(*modes, rtol=1e-9)
+
+
+def test_a_small_wrench_deflects_the_tool_by_the_compliance():
+    found = analyse(ARM, SPINDLE, PAPER, 0.1 * WRENCH)
+    np.testing.assert_allclose(found["deflection"], found["compliance"] @ (0.1 * WRENCH), rtol=1e-3, atol=1e-9)
+    loaded = equilibrium(ARM, SPINDLE, PAPER, 0.1 * WRENCH, gravity=False).pose
+    np.testing.assert_allclose(np.add(found["position_m"], found["deflection"][:3]), loaded.position, atol=1e-14)
+
+
+def test_a_cell_file_gives_its_arm_and_mount(tmp_path):
+    (tmp_path / "cell.yaml").write_text(
+        "/**:\n  ros__parameters:\n    includes: [kr270_2.yaml]\n    mount:\n      mass_kg: 12.0\n"
+        "    workpiece:\n      anything: 1\n"
+    )
+    arm, mount = read_arm(tmp_path / "cell.yaml")
+    assert arm.name == "KR 270-2" and mount.mass == 12.0
