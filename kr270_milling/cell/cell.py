@@ -212,11 +212,12 @@ class Cell(Record):
 
     @property
     def cut_text(self) -> str:
-        """The model of the cut in one line."""
+        """The models of cut and tool in one line."""
+        tool = self.tool.compliance_text
         if not self.by_engagement:
-            return "cut: teeth, each tooth by itself"
+            return f"cut: teeth, each tooth by itself; {tool}"
         period, step = 1e3 * self.exchange.period, 1e3 * self.stock.grid_step
-        return f"cut: engagement, mean force over {period:.3g} ms on a map of {step:.3g} mm (cutting.detail)"
+        return f"cut: engagement, mean force over {period:.3g} ms on a map of {step:.3g} mm (cutting.detail); {tool}"
 
     def cut(self) -> CutModel:
         """Fresh workpiece."""

@@ -36,9 +36,7 @@ class Mirror:
     history: tuple[float, ...]  #: largest remaining error [m] before each iteration of (32)
 
 
-def loaded_pose(
-    arm: Arm, mount: Mount, joints, wrench, sag_compensated: bool, tool_compliance: float = 0.0
-) -> Pose:
+def loaded_pose(arm: Arm, mount: Mount, joints, wrench, sag_compensated: bool, tool_compliance: float = 0.0) -> Pose:
     """t_F = f^-1(F | t_0), (30): loaded tool pose for commanded joints (n, 6), under wrenches (n, 6), base axes.
 
     With ``sag_compensated`` the controller sees to it that the link weights alone do not move the tool; they still

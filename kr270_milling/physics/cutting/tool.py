@@ -82,7 +82,7 @@ class Tool(Record):
     stick_out: float = parameter(
         0.0, unit="mm", low=0.0, high=500.0, text="from the holder to the tip; 0: not known, the tool is rigid"
     )
-    shank_diameter: float = parameter(0.0, unit="mm", low=0.0, high=200.0, text="between holder and flutes; 0: diameter")
+    shank_diameter: float = parameter(0.0, unit="mm", low=0.0, high=200.0, text="above the flutes; 0: diameter")
     # assumed: cemented carbide; high-speed steel has 210
     modulus: float = parameter(600e9, unit="gpa", above=0.0, high=1000.0, text="Young's modulus")
     # [Kops1990]: the equivalent diameter of end mills, from their measured compliance
@@ -90,7 +90,7 @@ class Tool(Record):
         0.8, above=0.0, high=1.0, text="diameter of a round bar as stiff as the flutes, a share of the diameter"
     )
     stiffness: float = parameter(
-        0.0, unit="n_per_um", low=0.0, high=1e4, text="lateral, measured at the tip against the spindle nose; 0: not known"
+        0.0, unit="n_per_um", low=0.0, high=1e4, text="lateral, measured at the tip; 0: not known"
     )
 
     modes: ToolModes = ToolModes()
@@ -133,9 +133,9 @@ class Tool(Record):
 
     @property
     def compliance_text(self) -> str:
-        """The lateral compliance of the tool in one line."""
+        """The lateral compliance of the tool in a few words."""
         if not self.lateral_compliance:
-            return "tool taken as rigid (no tool.stick_out_mm, no tool.stiffness_n_per_um)"
+            return "tool taken as rigid"
         kind = "measured" if self.stiffness else f"beam of {1e3 * self.stick_out:.3g} mm"
         return f"tool compliance {1e6 * self.lateral_compliance:.3g} um/N lateral ({kind})"
 

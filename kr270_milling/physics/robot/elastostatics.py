@@ -91,7 +91,7 @@ def _flat(shape: tuple, values, *member: int) -> np.ndarray:
 
 
 def _newton(arm, mount, q, wrench, loads, theta):
-    """(theta, residual, steps, frames) of each of the (n, k + 6) problems; a diverged one has a large or NaN residual."""
+    """(theta, residual, steps, frames) of each of the (n, k + 6) problems; a large or NaN residual: diverged."""
     theta = theta.copy()
     residual, count = np.full(len(q), np.inf), np.zeros(len(q), int)
     todo = np.arange(len(q))

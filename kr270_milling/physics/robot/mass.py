@@ -161,9 +161,9 @@ def cartesian_mass(arm: Arm, mount: Mount, q, model: str = "lumped") -> np.ndarr
     Rigid: M_C = J^-T M_theta J^-1, M_theta of the composite-rigid-body algorithm. Consistent:
     M_C = sum Phi_j^T M_j^red Phi_j, where Phi_j = J_j K^-1 J^T K_C is the motion of node j that goes with one of the
     tool. J being square, K_C = J^-T K J^-1 leaves Phi_j = J_j J^-1 whatever the springs K are, so that the load does
-    not enter except through the posture q. Under a compliant base J has k columns more than rows: then the motion of the
-    base and the joints that goes with the tool is Phi = K^-1 J^T K_C in all models, K the springs without load, and
-    M_C = Phi^T M_theta Phi. Raises SingularityError where J has no inverse.
+    not enter except through the posture q. Under a compliant base J has k columns more than rows: base and joints
+    then move with the tool as Phi = K^-1 J^T K_C says, K the springs without load, and M_C = Phi^T M_theta Phi. Raises
+    SingularityError where J has no inverse.
     """
     if model == "lumped":
         mass = float(arm.link_mass.sum()) + mount.mass

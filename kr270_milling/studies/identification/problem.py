@@ -2,9 +2,11 @@
 
 How far a load moves a reflector follows from the loaded model (6), (7). With C = diag(c) of the joint compliances, the
 springs bend by theta = C tau(q + theta), tau the torque of wrench, link weights and compensator. Derivation by one
-compliance gives (1 - C H) dtheta/dc_j = tau_j e_j, H = dtau/dtheta. A base that tilts adds two springs to C: about x and
-y of base_link. About z it turns the arm as joint 1 does, so that no load test separates the two. The displacement by the load is that of the loaded
+compliance gives (1 - C H) dtheta/dc_j = tau_j e_j, H = dtau/dtheta. The displacement by the load is that of the loaded
 posture less that of the posture under the weights alone.
+
+A base that tilts adds two springs to C, about x and y of base_link. About z it turns the arm as joint 1 does, so that
+no load test separates the two.
 
 The singular values of the weighted derivatives state which numbers the data identify.
 """
@@ -78,8 +80,8 @@ class Problem:
     """Sought: factors x on the arm's six compliances, then on the compensator's numbers that are named, then on the
     compliances of the base about x and y.
 
-    All are 1 for the arm as its file has it; 0 for a base that is rigid there, whose factor is one on TILT. A residual is (model - measurement) / sigma, one for each finite number
-    that was measured.
+    All are 1 for the arm as its file has it; a base that is rigid there has the factor 0, on TILT. A residual is
+    (model - measurement) / sigma, one for each finite number that was measured.
     """
 
     arm: Arm

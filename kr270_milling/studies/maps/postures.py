@@ -23,8 +23,8 @@ def postures(arm: Arm, mount: Mount, place: Pose, force: np.ndarray, gravity: bo
     """Joint angles [rad], (k, 8, 6), in the order of ``robot.inverse.BRANCHES``, and the deflection of the tool.
 
     place: of tool0 on base_link, (k,); force: on the tool, base axes [N], (k, 3). The second is C F [m], (k, 8, 3),
-    with C = J diag(c) J^T of the translations, joints and base; where gravity is on, c of joint 2 has the gravity compensator's share,
-    c_2 / (1 - c_2 dM_c/dq_2). NaN where out of reach.
+    with C = J diag(c) J^T of the translations, joints and base; where gravity is on, c of joint 2 has the share of the
+    gravity compensator, c_2 / (1 - c_2 dM_c/dq_2). NaN where out of reach.
     """
     flange = place @ mount.pose.inverse()
     count = len(flange.position)

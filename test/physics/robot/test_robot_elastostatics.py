@@ -23,6 +23,8 @@ MOUNT = Mount(xyz=np.array([0.3, 0.0, 0.1]), mass=60.0, mass_centre=np.array([0.
 PAPER = np.radians([90, -50, 120, 180, 25, 180])
 RNG = np.random.default_rng(8)
 POSTURES = PAPER + RNG.uniform(-0.3, 0.3, (20, 6))
+ON_BASE = ARM.replace(base_compliance=np.array([0.08e-6, 0.12e-6, 0.03e-6]))
+BOTH = pytest.mark.parametrize("arm", [ARM, ON_BASE], ids=["rigid base", "compliant base"])
 
 
 def kilonewton(moments):
@@ -42,32 +44,35 @@ def test_the_unloaded_compliances_at_the_paper_posture_are_the_derived_ones(name
     np.testing.assert_allclose(np.diag(in_flange)[:3] * 1e6, [along, lateral, in_plane], atol=5e-5)
 
 
+@BOTH
 @pytest.mark.parametrize("moments", [False, True])
-def test_compliance_is_the_difference_quotient_of_whole_loaded_equilibria(moments):
+def test_compliance_is_the_difference_quotient_of_whole_loaded_equilibria(moments, arm):
     wrenches = kilonewton(moments)
-    ours = compliance(equilibrium(ARM, MOUNT, POSTURES, wrenches), ARM)
+    ours = compliance(equilibrium(arm, MOUNT, POSTURES, wrenches), arm)
     quotient = np.empty_like(ours)
     for k in range(6):
         step = (20.0 if k < 3 else 10.0) * np.eye(6)[k]
-        ahead, behind = (equilibrium(ARM, MOUNT, POSTURES, wrenches + s * step).pose for s in (1, -1))
+        ahead, behind = (equilibrium(arm, MOUNT, POSTURES, wrenches + s * step).pose for s in (1, -1))
         turn = Rotation.from_matrix(ahead.rotation @ np.swapaxes(behind.rotation, -1, -2)).as_rotvec()
         quotient[:, :, k] = np.concatenate([ahead.position - behind.position, turn], -1) / (2 * step[k])
     size = np.sqrt(np.einsum("nii,njj->nij", ours, ours))  # entries of mixed units, each beside its own diagonal
     assert (np.abs(quotient - ours) / size).max() < 1e-6
 
 
-def test_stiffness_is_symmetric_and_definite_for_forces_and_not_symmetric_for_moments():
-    forces = stiffness(equilibrium(ARM, MOUNT, POSTURES, kilonewton(False)), ARM)
+@BOTH
+def test_stiffness_is_symmetric_and_definite_for_forces_and_not_symmetric_for_moments(arm):
+    forces = stiffness(equilibrium(arm, MOUNT, POSTURES, kilonewton(False)), arm)
     np.testing.assert_allclose(forces, np.swapaxes(forces, -1, -2), rtol=1e-9, atol=1e-3)
     assert np.all(np.linalg.eigvalsh(forces) > 0)
-    moments = stiffness(equilibrium(ARM, MOUNT, POSTURES, kilonewton(True)), ARM)
+    moments = stiffness(equilibrium(arm, MOUNT, POSTURES, kilonewton(True)), arm)
     assert np.abs(moments - np.swapaxes(moments, -1, -2)).max((-1, -2)).min() > 1.0
 
 
-def test_stiffness_is_the_inverse_of_compliance():
-    solved = equilibrium(ARM, MOUNT, POSTURES, kilonewton(True))
-    k = stiffness(solved, ARM)
-    np.testing.assert_allclose(k @ compliance(solved, ARM), np.broadcast_to(np.eye(6), k.shape), atol=1e-7)
+@BOTH
+def test_stiffness_is_the_inverse_of_compliance(arm):
+    solved = equilibrium(arm, MOUNT, POSTURES, kilonewton(True))
+    k = stiffness(solved, arm)
+    np.testing.assert_allclose(k @ compliance(solved, arm), np.broadcast_to(np.eye(6), k.shape), atol=1e-7)
 
 
 def test_without_load_it_is_the_classic_formula():

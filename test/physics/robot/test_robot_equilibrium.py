@@ -52,10 +52,12 @@ def test_one_posture_meets_many_wrenches():
     assert equilibrium(ARM, MOUNT, PAPER, WRENCHES).theta.shape == (50, 6)
 
 
+@pytest.mark.parametrize("base", [0.0, 0.08e-6])
 @pytest.mark.parametrize("gravity", [False, True])
-def test_the_wrench_found_for_a_loaded_pose_is_the_one_that_bent_the_arm(gravity):
-    there = equilibrium(ARM, MOUNT, POSTURES, WRENCHES, gravity)
-    back = wrench_for_pose(ARM, MOUNT, POSTURES, there.pose, gravity)
+def test_the_wrench_found_for_a_loaded_pose_is_the_one_that_bent_the_arm(gravity, base):
+    arm = ARM.replace(base_compliance=np.array([base, base, 0.0]))
+    there = equilibrium(arm, MOUNT, POSTURES, WRENCHES, gravity)
+    back = wrench_for_pose(arm, MOUNT, POSTURES, there.pose, gravity)
     np.testing.assert_allclose(back.wrench, WRENCHES, atol=1e-4)  # 1e-12 m and rad times 1e7 N m/rad, some singular
     np.testing.assert_allclose(back.theta, there.theta, atol=1e-10)
     assert back.residual.max() <= 1e-9 and back.iterations.max() <= 5  # quadratic: 1e-3 rad to 1e-12 in few steps

@@ -136,7 +136,9 @@ def _sections(fit: Fit) -> dict:
         arm["compensator"] = _compensator(fit, fit.values)
     if fit.problem.base:
         base = fit.problem.arm_at(fit.factors).base_compliance
-        widths = ", ".join("-" if not np.isfinite(w) else f"{1e6 * w:.2g}" for w in fit.half_widths[fit.problem.is_base])
+        widths = ", ".join(
+            "-" if not np.isfinite(w) else f"{1e6 * w:.2g}" for w in fit.half_widths[fit.problem.is_base]
+        )
         arm["base_compliance_urad_per_n_m"] = ((1e6 * base).tolist(), f"identified about x and y, 95 % +- {widths}")
     relative = np.sqrt(np.diag(fit.covariance)[:6]) / np.abs(fit.factors[:6])
     spread = (np.clip(relative, 1e-4, 1.0).tolist(), "standard deviations from the same fit")
