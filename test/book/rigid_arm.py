@@ -18,8 +18,11 @@ def tube(mass, vector, radius):
 
 
 def rigid_arm(arm, mount):
-    """The arm in pinocchio: each link's frame at O_(j-1), KUKA's axes."""
+    """The arm in pinocchio: each link's frame at O_(j-1), KUKA's axes, after the axes of a base that tilts."""
     model, parent = pin.Model(), 0
+    for k in arm.base_axes.tolist():
+        hinge = pin.JointModelRevoluteUnaligned(np.eye(3)[k])
+        parent = model.addJoint(parent, hinge, pin.SE3.Identity(), f"base_{k}")
     axes = [(0, 0, -1), (0, 1, 0), (0, 1, 0), (-1, 0, 0), (0, 1, 0), (-1, 0, 0)]
     for j, axis in enumerate(axes):
         offset = np.zeros(3) if j == 0 else arm.link_vectors[j - 1]

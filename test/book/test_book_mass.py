@@ -19,6 +19,7 @@ from kr270_milling.physics.robot import (
     mode_frequencies,
     rigid_joint_mass,
 )
+from kr270_milling.physics.robot.loads import GRAVITY
 from kr270_milling.physics.robot.mass import assembled_mass
 
 MASS, LENGTH, RHO_I = 7.0, 1.7, (0.9, 0.4, 0.6)  # [kg], [m], [kg m]
@@ -94,6 +95,36 @@ def test_rigid_joint_mass():
         upper = np.triu(pin.crba(model, data, q))
         worst = max(worst, np.abs(rigid_joint_mass(arm_of(), spindle, q) - upper - np.triu(upper, 1).T).max())
     return 0.0, worst, 1e-9
+
+
+def _tilting():
+    return arm_of().replace(base_compliance=np.array([0.08e-6, 0.12e-6, 0.03e-6]))
+
+
+@check("base on three springs: M_theta of nine axes at 100 postures", "pinocchio's crba", "kg m^2")
+def test_base_mass():
+    model = rigid_arm(_tilting(), SPINDLE)
+    data, worst = model.createData(), 0.0
+    for q in postures():
+        chain = np.append(np.array([0.02, -0.01, 0.03]), q)
+        upper = np.triu(pin.crba(model, data, chain))
+        worst = max(worst, np.abs(rigid_joint_mass(_tilting(), SPINDLE, chain) - upper - np.triu(upper, 1).T).max())
+    return 0.0, worst, 1e-9
+
+
+@check("base on three springs: loaded equilibrium", "0: pinocchio's gravity and frame Jacobian balance it", "N m")
+def test_base_equilibrium():
+    model, wrench = rigid_arm(_tilting(), SPINDLE), np.array([600.0, -640.0, 480.0, 30.0, -20.0, 10.0])
+    solved = equilibrium(_tilting(), SPINDLE, PAPER, wrench)
+    model.gravity.linear = np.array([0.0, 0.0, -GRAVITY])
+    chain = np.append(solved.tilt, solved.posture)
+    tool = model.addFrame(pin.Frame("tool", model.njoints - 1, 0, pin.SE3(np.eye(3), arm_of().link_vectors[5]
+                          + SPINDLE.xyz), pin.FrameType.OP_FRAME))  # fmt: skip
+    data = model.createData()
+    turned = pin.computeFrameJacobian(model, data, chain, tool, pin.LOCAL_WORLD_ALIGNED)
+    torque = turned.T @ wrench - pin.computeGeneralizedGravity(model, data, chain)
+    bent = np.append(solved.tilt, solved.theta)
+    return 0.0, np.abs(_tilting().spring_stiffness * bent - torque).max(), 1e-6
 
 
 @check("rigid links: first mode at the paper's posture", "composite rigid bodies on the joint springs [derived]", "Hz")

@@ -147,8 +147,8 @@ def rigid_joint_mass(arm: Arm, mount: Mount, q) -> np.ndarray:
     count = screws.shape[-2]
     mass = np.zeros(screws.shape[:-2] + (count, count))
     composite = np.zeros(screws.shape[:-2] + (6, 6))
-    bodies: list[np.ndarray | float] = [0.0] * (count - 6)
-    for j, body in reversed(list(enumerate(bodies + _bodies(arm, mount, frames)))):
+    bodies = [np.zeros((6, 6))] * (count - 6) + _bodies(arm, mount, frames)  # nothing rides on the base alone
+    for j, body in reversed(list(enumerate(bodies))):
         composite = composite + body
         carried = np.einsum("...ij,...j->...i", composite, screws[..., j, :])
         mass[..., j, : j + 1] = mass[..., : j + 1, j] = np.einsum("...ki,...i->...k", screws[..., : j + 1, :], carried)
