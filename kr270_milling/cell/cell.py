@@ -157,7 +157,8 @@ class Cell(Record):
 
     def modes_at(self, joints: np.ndarray) -> list[ModalModel]:
         """Modes at postures (n, 6) [rad], in workpiece axes."""
-        return modal_models(self.arm, self.mount, self.dynamics, self.workpiece.pose, joints)
+        soft = self.tool.lateral_compliance
+        return modal_models(self.arm, self.mount, self.dynamics, self.workpiece.pose, joints, soft)
 
     def arm_model(self, reference: Trajectory) -> ArmModel:
         """Eq. (1) over one exchange period, at the posture where the reference starts or along all of it."""
@@ -165,7 +166,8 @@ class Cell(Record):
         models = self.modes_at(self.joints_along(reference, stamps))
         dynamics, before = self.dynamics, np.zeros(6) if reference.standing[0] else approach(self.target())
         ratio, inertia = dynamics.damping_ratio, dynamics.reference_inertia
-        return arm_model(models, ratio, self.exchange.period, between, inertia, before)
+        revolution = 2.0 * math.pi / self.tool.spindle_speed
+        return arm_model(models, ratio, self.exchange.period, between, inertia, before, revolution)
 
     def _postures(self, reference: Trajectory) -> tuple[int, np.ndarray]:
         """Exchange periods between two modelled postures, and the stamps [ns] of the postures."""
@@ -210,11 +212,12 @@ class Cell(Record):
 
     @property
     def cut_text(self) -> str:
-        """The model of the cut in one line."""
+        """The models of cut and tool in one line."""
+        tool = self.tool.compliance_text
         if not self.by_engagement:
-            return "cut: teeth, each tooth by itself"
+            return f"cut: teeth, each tooth by itself; {tool}"
         period, step = 1e3 * self.exchange.period, 1e3 * self.stock.grid_step
-        return f"cut: engagement, mean force over {period:.3g} ms on a map of {step:.3g} mm (cutting.detail)"
+        return f"cut: engagement, mean force over {period:.3g} ms on a map of {step:.3g} mm (cutting.detail); {tool}"
 
     def cut(self) -> CutModel:
         """Fresh workpiece."""

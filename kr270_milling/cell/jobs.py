@@ -135,6 +135,7 @@ def arm_response(cell: Cell, target: Trajectory) -> ArmResponse:
         inward=along([(model.shape.T @ model.mass @ model.reference)[:, :3] for model in models]),
         outward=along([(model.output @ model.shape)[:3] for model in models]),
         push=along([model.shape.T @ model.force for model in models]),
+        tool=along([model.tool for model in models]) if cell.tool.lateral_compliance else None,
         carry=np.array([_carry(models[k], models[n]) for k, n in zip(posture.tolist(), after.tolist(), strict=True)]),
         moves=cell.dynamics.reference_inertia,
     )
@@ -195,7 +196,7 @@ def joint_ranges(cell: Cell, reference: Trajectory) -> dict[str, np.ndarray]:
 def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_compensated: bool) -> Mirror:
     tool = cell.workpiece.pose @ Pose(target.position, rotation_from_quaternion(target.quaternion))
     return mirror(
-        cell.arm, cell.mount, tool, wrench_in_base, cell.posture,
+        cell.arm, cell.mount, tool, wrench_in_base, cell.posture, tool_compliance=cell.tool.lateral_compliance,
         relaxation=cell.compensation.relaxation, sag_compensated=sag_compensated,
     )  # fmt: skip
 

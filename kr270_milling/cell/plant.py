@@ -8,6 +8,7 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.physics.cutting import Tool
 from kr270_milling.physics.motion.backlash import Gaps
 from kr270_milling.physics.motion.dynamics import ArmModel
 from kr270_milling.physics.motion.imperfections import Imperfections
@@ -18,6 +19,7 @@ from kr270_milling.physics.robot.mass import rigid_joint_mass
 
 __all__ = ["Plant", "imperfect_arm", "imperfect_course", "joint_gaps", "perturbed"]
 
+STIFFEST = 1e10  #: [N/m] of a tool: a stiffer one is rigid
 MOST_KNOTS = 20_000  #: at which the load on the joints is known along a path
 
 
@@ -94,7 +96,8 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     Where the place of the part is wrong, the robot runs its program in the same place, so the stock moves under the
     path; the difference of the postures does not matter. The size of the shift is limited to 3 standard
     deviations. The imperfections are drawn evenly from none to what the uncertainties say: the backlash of all joints
-    is the same multiple of ``arm.backlash``.
+    is the same multiple of ``arm.backlash``. Wear multiplies all forces. A base and a tool that the cell takes as rigid
+    get a compliance; those of a cell that has them scatter.
     """
     assumed, law = cell.uncertainty, cell.cutting.active
 
@@ -111,11 +114,29 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     moved = bool(rng.random() < assumed.reference_inertia)
     shift = assumed.placement * np.clip(rng.standard_normal(3), -3.0, 3.0)
     noise, repeatability, backlash = rng.random(3) * (assumed.pose_noise, assumed.repeatability, assumed.backlash)
+    seed = int(rng.integers(2**31))
+    law = law.grown(1.0 + assumed.tool_wear * float(rng.random()))
+    base, tool = _softer(cell, rng, factors(np.full(4, assumed.tool_compliance)))
     return cell.replace(
-        arm=cell.arm.replace(joint_compliance=compliance, link_mass=cell.arm.link_mass / frequency**2),
+        arm=cell.arm.replace(
+            joint_compliance=compliance, link_mass=cell.arm.link_mass / frequency**2, base_compliance=base
+        ),
+        tool=tool,
         mount=cell.mount.replace(mass=cell.mount.mass / frequency**2),
         cutting=cell.cutting.replace(**{cell.cutting.law: law}),
         dynamics=cell.dynamics.replace(damping_ratio=damping, reference_inertia=moved),
-        imperfections=Imperfections(noise, repeatability, backlash * cell.arm.backlash, int(rng.integers(2**31))),
+        imperfections=Imperfections(noise, repeatability, backlash * cell.arm.backlash, seed),
         stock=cell.stock.replace(min=cell.stock.min + shift, max=cell.stock.max + shift),
     )
+
+
+def _softer(cell: Cell, rng: np.random.Generator, factors: np.ndarray) -> tuple[np.ndarray, Tool]:
+    """Compliances of the base (3,) [rad/(N m)] and the tool of a plant; factors (4,): on those that the cell has."""
+    assumed, own, tool = cell.uncertainty, cell.arm.base_compliance, cell.tool
+    drawn = assumed.base_compliance * np.append(rng.random(2), 0.0)
+    base = np.where(own > 0.0, own * factors[:3], drawn)
+    longest = tool.replace(stiffness=0.0, stick_out=min(0.5, assumed.tool_stick_out * tool.diameter))
+    share = float(rng.random())
+    soft = tool.lateral_compliance * float(factors[3]) or share * longest.lateral_compliance
+    stiffness = min(1.0 / soft, STIFFEST) if soft > 0.0 else 0.0
+    return base, tool.replace(stiffness=stiffness, stick_out=0.0)

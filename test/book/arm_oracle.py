@@ -43,8 +43,14 @@ def tube(mass: float, vector: np.ndarray, radius: float) -> np.ndarray:
 
 
 def pinocchio_arm(arm, mount: Mount, tubes: bool = False):
-    """The chain of the data sheet with its weights on the links' lines; tubes: with rotary inertia. Frame: tool0."""
+    """The chain of the data sheet with its weights on the links' lines; tubes: with rotary inertia. Frame: tool0.
+
+    The axes of a base that tilts precede the six joints.
+    """
     model, parent, at = pin.Model(), 0, np.zeros(3)
+    for k in arm.base_axes.tolist():
+        hinge = pin.JointModelRevoluteUnaligned(np.eye(3)[k])
+        parent = model.addJoint(parent, hinge, pin.SE3.Identity(), f"base_{k}")
     axes = [(0, 0, -1), (0, 1, 0), (0, 1, 0), (-1, 0, 0), (0, 1, 0), (-1, 0, 0)]
     ends = [(arm.a1, 0, arm.d1), (arm.a2, 0, 0), (0, 0, arm.a3), (arm.d4, 0, 0), (0, 0, 0), (arm.d6, 0, 0)]
     for j, (axis, end) in enumerate(zip(axes, ends, strict=True)):

@@ -36,13 +36,17 @@ class Mirror:
     history: tuple[float, ...]  #: largest remaining error [m] before each iteration of (32)
 
 
-def loaded_pose(arm: Arm, mount: Mount, joints, wrench, sag_compensated: bool) -> Pose:
+def loaded_pose(arm: Arm, mount: Mount, joints, wrench, sag_compensated: bool, tool_compliance: float = 0.0) -> Pose:
     """t_F = f^-1(F | t_0), (30): loaded tool pose for commanded joints (n, 6), under wrenches (n, 6), base axes.
 
     With ``sag_compensated`` the controller sees to it that the link weights alone do not move the tool; they still
-    load the arm.
+    load the arm. tool_compliance [m/N]: of the tool tip against the spindle, lateral, in series with the arm.
     """
     loaded = equilibrium(arm, mount, joints, wrench, gravity=True).pose
+    if tool_compliance:
+        axis, force = loaded.rotation[..., 2], np.asarray(wrench, float)[..., :3]
+        lateral = force - np.sum(force * axis, axis=-1, keepdims=True) * axis
+        loaded = Pose(loaded.position + tool_compliance * lateral, loaded.rotation)
     if not sag_compensated:
         return loaded
     sagged = equilibrium(arm, mount, joints, np.zeros_like(wrench), gravity=True).pose
@@ -58,6 +62,7 @@ def mirror(
     wrench: np.ndarray,
     seed: np.ndarray,
     *,
+    tool_compliance: float = 0.0,
     relaxation: float = 0.9,
     sag_compensated: bool = True,
     tolerance: float = 1e-9,
@@ -72,7 +77,7 @@ def mirror(
     modified, history = target, []
     for _ in range(max_iterations):
         joints = inverse_near(arm, mount, modified, seed)
-        loaded = loaded_pose(arm, mount, joints, wrench, sag_compensated)
+        loaded = loaded_pose(arm, mount, joints, wrench, sag_compensated, tool_compliance)
         shift = target.position - loaded.position
         turn = Rotation.from_matrix(target.rotation @ np.swapaxes(loaded.rotation, -1, -2))
         vector = turn.as_rotvec()

@@ -126,6 +126,7 @@ class ArmResponse:
     carry: np.ndarray  #: u at the end of a segment -> u of the next one, (m, r, r)
     moves: bool = True  #: the reference moves the motors' side of the springs; false: eq. (1) as printed
     gain: float = 1.0  #: of the response to the reference: what the process takes back or adds
+    tool: np.ndarray | None = None  #: compliance of the tool tip against the spindle [m/N], (m, 3, 3); None: rigid
     softness: float = 1.0  #: factor of the displacement under the wrench
 
     @classmethod
@@ -218,7 +219,10 @@ class ArmResponse:
         start, end = _march(*steps, np.zeros((static.size // self.order, self.order)), self.carry, parts)
         # the cubic through both ends with their slopes, in the middle
         middle = 0.5 * (start[:, 0] + end[:, 0]) + np.repeat(step, parts, axis=0) * (start[:, 1] - end[:, 1]) / 8.0
-        return self.softness * middle.reshape(static.shape) @ np.swapaxes(self.outward, 1, 2)
+        moved = middle.reshape(static.shape) @ np.swapaxes(self.outward, 1, 2)
+        if self.tool is not None:
+            moved = moved + wrench[..., :3] @ self.tool
+        return self.softness * moved
 
 
 @njit(cache=True)

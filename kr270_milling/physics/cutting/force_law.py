@@ -85,6 +85,11 @@ class ForceLaw(Record):
         """Whether the law has an axial force."""
         return any(getattr(self, name) != 0.0 for name in self.axial_names)
 
+    def grown(self, factor: float) -> ForceLaw:
+        """The law of a worn edge: every coefficient that is a force, by its unit, times the factor."""
+        forces = [spec.name for spec in specs(type(self)) if spec.unit.startswith("n_per")]
+        return self.replace(**{name: factor * getattr(self, name) for name in forces})
+
     @classmethod
     def address(cls) -> int:
         """Where the compiled ``force`` is in the memory of this process; see ``_call_law``."""

@@ -13,7 +13,7 @@ from kr270_milling.base.record import specs
 from kr270_milling.base.table import read_table
 from kr270_milling.physics.cutting.linear_edge import LinearEdgeLaw
 
-__all__ = ["NAMES", "SCALE", "Material", "find_material", "materials"]
+__all__ = ["NAMES", "SCALE", "Material", "find_material", "materials", "spread"]
 
 FILE = "materials.csv"
 #: K_tc, K_te, K_rc, K_re, K_ac, K_ae as keys of JSON, in the order and the units of LinearEdgeLaw
@@ -44,6 +44,13 @@ def materials() -> list[Material]:
         Material(name, cutter, cooling, row, f"{SOURCE}, reference [{reference}] there")
         for (name, cutter, cooling, reference), row in zip(texts, values, strict=True)
     ]
+
+
+def spread(name: str) -> float | None:
+    """Relative standard deviation of the published K_tc of an alloy of any temper; None: fewer than 3 rows."""
+    alloy = name.lower().partition("-")[0]
+    rows = [row.values[0] for row in materials() if row.name.lower().partition("-")[0] == alloy]
+    return float(np.std(np.log(rows), ddof=1)) if len(rows) >= 3 else None
 
 
 def find_material(name: str) -> list[Material]:

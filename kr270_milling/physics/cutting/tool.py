@@ -1,7 +1,8 @@
-"""The cutter: angles and radii of the teeth, sense and speed of rotation."""
+"""The cutter: angles and radii of the teeth, sense and speed of rotation, how far a lateral force bends it."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,9 +79,26 @@ class Tool(Record):
         0.0, unit="m_per_min", low=0.0, high=2e4, text="its maker's limit; 0: not known"
     )
 
+    stick_out: float = parameter(
+        0.0, unit="mm", low=0.0, high=500.0, text="from the holder to the tip; 0: not known, the tool is rigid"
+    )
+    shank_diameter: float = parameter(0.0, unit="mm", low=0.0, high=200.0, text="above the flutes; 0: diameter")
+    # assumed: cemented carbide; high-speed steel has 210
+    modulus: float = parameter(600e9, unit="gpa", above=0.0, high=1000.0, text="Young's modulus")
+    # [Kops1990]: the equivalent diameter of end mills, from their measured compliance
+    flute_section: float = parameter(
+        0.8, above=0.0, high=1.0, text="diameter of a round bar as stiff as the flutes, a share of the diameter"
+    )
+    stiffness: float = parameter(
+        0.0, unit="n_per_um", low=0.0, high=1e4, text="lateral, measured at the tip; 0: not known"
+    )
+
     modes: ToolModes = ToolModes()
 
     def check(self) -> None:
+        if self.stiffness and self.stick_out:
+            allowed = "0 where tool.stick_out_mm is given: the stiffness is measured or that of a beam"
+            raise ParameterError("stiffness_n_per_um", 1e-6 * self.stiffness, allowed)
         for name, unit in (("pitch", "deg"), ("runout", "um")):
             if getattr(self, name).size not in (0, self.teeth):
                 shown = f"empty or one number for each of the {self.teeth} teeth"
@@ -94,6 +112,32 @@ class Tool(Record):
     def radius(self) -> float:
         """Nominal radius R [m]."""
         return self.diameter / 2
+
+    @property
+    def lateral_compliance(self) -> float:
+        """Static displacement of the tip in the direction of a lateral force there [m/N]; 0: the tool is rigid.
+
+        Measured, or that of a stepped cantilever of length L whose last part l has the section of the flutes:
+
+            C = [(L^3 - l^3) / I_shank + l^3 / I_flutes] / (3 E),   I = pi d^4 / 64   [Kops1990]
+
+        An unknown length of the flutes counts as the whole stick-out.
+        """
+        if self.stiffness:
+            return 1.0 / self.stiffness
+        fluted = min(self.flute_length or self.stick_out, self.stick_out)
+        shank, flutes = (
+            math.pi * d**4 / 64.0 for d in (self.shank_diameter or self.diameter, self.flute_section * self.diameter)
+        )
+        return ((self.stick_out**3 - fluted**3) / shank + fluted**3 / flutes) / (3.0 * self.modulus)
+
+    @property
+    def compliance_text(self) -> str:
+        """The lateral compliance of the tool in a few words."""
+        if not self.lateral_compliance:
+            return "tool taken as rigid"
+        kind = "measured" if self.stiffness else f"beam of {1e3 * self.stick_out:.3g} mm"
+        return f"tool compliance {1e6 * self.lateral_compliance:.3g} um/N lateral ({kind})"
 
     @property
     def radii(self) -> np.ndarray:

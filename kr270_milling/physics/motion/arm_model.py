@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +12,7 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.frames import Pose
 from kr270_milling.base.record import Record, parameter
 from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, discretise, discretise_reference, modes
-from kr270_milling.physics.robot import Arm, Mount, cartesian_mass, compliance, equilibrium, rotate_matrix
+from kr270_milling.physics.robot import Arm, Mount, cartesian_mass, compliance, equilibrium, pose, rotate_matrix
 from kr270_milling.physics.robot.mass import MODELS
 
 __all__ = ["Dynamics", "MeasuredModes", "arm_model", "measured_model", "modal_models"]
@@ -71,11 +73,23 @@ class Dynamics(Record):
             raise ParameterError("follow_pose", True, "false where dynamics.modes are given: they are of one posture")
 
 
-def modal_models(arm: Arm, mount: Mount, dynamics: Dynamics, workpiece: Pose, joints: np.ndarray) -> list[ModalModel]:
+def modal_models(
+    arm: Arm, mount: Mount, dynamics: Dynamics, workpiece: Pose, joints: np.ndarray, tool_compliance: float = 0.0
+) -> list[ModalModel]:
     """Modes at postures (n, 6) [rad] in workpiece axes; workpiece: its pose on base_link.
 
-    Where the cell gives measured modes, these at every posture.
+    Where the cell gives measured modes, these at every posture. tool_compliance: of the tool tip [m/N] against the
+    spindle, C (1 - z z^T) with z the axis of the tool, in series with the arm.
     """
+    models = _arm_modes(arm, mount, dynamics, workpiece, joints)
+    if not tool_compliance:
+        return models
+    axes = pose(arm, mount, joints).rotation[..., 2] @ workpiece.rotation
+    lateral = tool_compliance * (np.eye(3) - axes[:, :, None] * axes[:, None, :])
+    return [dataclasses.replace(model, tool=bent) for model, bent in zip(models, lateral, strict=True)]
+
+
+def _arm_modes(arm: Arm, mount: Mount, dynamics: Dynamics, workpiece: Pose, joints: np.ndarray) -> list[ModalModel]:
     if dynamics.modes.frequency.size:
         return [measured_model(dynamics.modes)] * len(joints)
     loaded = equilibrium(arm, mount, joints, np.zeros(joints.shape), gravity=dynamics.gravity)
@@ -120,14 +134,35 @@ def arm_model(
     steps_per_knot: float = 1.0,
     reference_inertia: bool = False,
     approach: np.ndarray | None = None,
+    revolution: float = 0.0,
 ) -> ArmModel:
-    """Eq. (1) over one exchange period [s]; with several models the arm passes one every steps_per_knot periods.
+    """Eq. (1) over one exchange period H [s]; with several models the arm passes one every steps_per_knot periods.
 
-    reference_inertia: with the term -M r'' of the moving reference; approach: see ``ArmModel``.
+    reference_inertia: with the term -M r'' of the moving reference; approach: see ``ArmModel``. revolution: of the
+    spindle T [s]. A compliant tool bends statically, under the mean force of about a revolution; what it does at the
+    frequency of the teeth belongs to ``tool.modes``:
+
+        t_k = t_(k-1) + (1 - exp(-H / T)) (C_tool F_k - t_(k-1)),   deflection = delta + t
     """
     stacked = zip(*(discretise(m, damping_ratio, period) for m in models), strict=True)
     a, b, p, q = (np.ascontiguousarray(s) for s in map(np.stack, stacked))
     response = np.zeros((*a.shape[:2], 0))
     if reference_inertia:
         response = np.stack([discretise_reference(m, damping_ratio, period) for m in models])
+    if models[0].tool is not None:
+        share = -math.expm1(-period / revolution) if revolution else 1.0
+        a, b, p, response = _with_tool(a, b, p, response, np.array([m.tool for m in models]), share)
     return ArmModel(a, b, p, q, np.ascontiguousarray(response), float(steps_per_knot), approach)
+
+
+def _with_tool(a, b, p, response, tool: np.ndarray, share: float) -> tuple[np.ndarray, ...]:
+    """A, B, P, R with three more states, the displacement of the tip of the tool: compliances (n, 3, 3) [m/N]."""
+    n, order = a.shape[:2]
+    larger = np.zeros((n, order + 3, order + 3))
+    larger[:, :order, :order] = a
+    larger[:, order:, order:] = (1.0 - share) * np.eye(3)
+    bent = np.concatenate([share * tool, np.zeros((n, 3, 3))], -1)
+    moved = np.broadcast_to(np.eye(6)[:, :3], (n, 6, 3))
+    idle = np.zeros((n, 3, response.shape[-1]))
+    joined = np.concatenate([b, bent], 1), np.concatenate([p, moved], -1)
+    return larger, *joined, np.concatenate([response, idle], 1) if response.shape[-1] else np.zeros((n, order + 3, 0))

@@ -49,6 +49,7 @@ class ModalModel:
     feedthrough: np.ndarray  #: static deflection of the components without inertia, (6, 6)
     reference: np.ndarray  #: r of the six components -> of the inertial ones, (r, 6)
     damping: np.ndarray | None = None  #: ratio of each mode, (r,); None: that of ``dynamics.damping_ratio``
+    tool: np.ndarray | None = None  #: static compliance of the tool tip against the spindle [m/N], (3, 3); None: rigid
 
     def ratios(self, damping_ratio: float) -> np.ndarray:
         """Damping ratio of each mode, (r,): its own, or damping_ratio for all."""
@@ -62,7 +63,7 @@ class ArmModel:
     m (18,) is the motion of the reference over a period, see ``reference_motion``.
     """
 
-    transition: np.ndarray  #: A, (n, 2r, 2r)
+    transition: np.ndarray  #: A, (n, 2r, 2r); with a compliant tool 2r + 3 in place of 2r, everywhere
     input: np.ndarray  #: B, (n, 2r, 6)
     output: np.ndarray  #: P, (n, 6, 2r)
     feedthrough: np.ndarray  #: Q, (n, 6, 6)

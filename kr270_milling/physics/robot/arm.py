@@ -134,6 +134,10 @@ class Arm(Record):
         unit="mm", text="radius of each link seen as a thin tube, for the rotary inertia of its sections", low=0.0,
         high=2000.0, size=6,
     )  # fmt: skip
+    base_compliance: np.ndarray = parameter(
+        np.zeros(3), unit="urad_per_n_m", low=0.0, high=1e4, size=3,
+        text="of the ground under the robot: three springs that let base_link turn about its x, y, z; 0: rigid",
+    )  # fmt: skip
     backlash: np.ndarray = parameter(
         ASSUMED_BACKLASH, unit="arcsec", size=6, low=0.0, high=18000.0,
         text="backlash of each joint, between its two flanks",
@@ -156,6 +160,26 @@ class Arm(Record):
     def joint_stiffness(self) -> np.ndarray:
         """Diagonal of K_theta [N m/rad], (6,)."""
         return 1.0 / self.joint_compliance
+
+    @functools.cached_property
+    def base_axes(self) -> np.ndarray:
+        """Axes of base_link, 0 to 2, about which the ground is compliant, (k,)."""
+        return np.flatnonzero(self.base_compliance)
+
+    @functools.cached_property
+    def spring_compliance(self) -> np.ndarray:
+        """Compliances of the k springs under the base, then of the joints [rad/(N m)], (k + 6,)."""
+        return np.concatenate([self.base_compliance[self.base_axes], self.joint_compliance])
+
+    @functools.cached_property
+    def spring_stiffness(self) -> np.ndarray:
+        """Diagonal of K_theta, with the k springs under the base before the joints [N m/rad], (k + 6,)."""
+        return 1.0 / self.spring_compliance
+
+    def on_base(self, q) -> np.ndarray:
+        """Postures (..., k + 6) on an untilted base from joint positions q [rad], (..., 6)."""
+        q = np.asarray(q, float)
+        return np.concatenate([np.zeros(q.shape[:-1] + (self.base_axes.size,)), q], -1)
 
     @functools.cached_property
     def link_vectors(self) -> np.ndarray:

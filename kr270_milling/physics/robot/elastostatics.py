@@ -1,6 +1,8 @@
 """Elastostatics of [Klimchik2014]: the loaded equilibrium (7)-(10) and its Cartesian stiffness (11)-(17).
 
-One virtual spring per joint: the links are at q + theta when the motors are at q. Base_link axes, tool point.
+One virtual spring per joint: the links are at q + theta when the motors are at q. A compliant ground adds k springs in
+front of joint 1, about axes of base_link (``Arm.base_axes``): axes of the chain without a motor. Base_link axes, tool
+point.
 """
 
 from __future__ import annotations
@@ -33,11 +35,12 @@ class Equilibrium:
     """A loaded arm at rest, one or a batch."""
 
     wrench: np.ndarray  #: on the tool at the tool point, base axes [N, N m], (..., 6)
+    tilt: np.ndarray  #: of the base, about its k compliant axes [rad], (..., k)
     theta: np.ndarray  #: deflection of the joint springs [rad], (..., 6)
     posture: np.ndarray  #: q + theta [rad], (..., 6)
     pose: Pose  #: of the loaded tool0 in base_link
-    jacobian: np.ndarray  #: at the tool point in the loaded posture, (..., 6, 6)
-    hessian: np.ndarray  #: H_theta_theta [N m/rad], (..., 6, 6)
+    jacobian: np.ndarray  #: at the tool point in the loaded posture, (..., 6, k + 6): base, then joints
+    hessian: np.ndarray  #: H_theta_theta [N m/rad], (..., k + 6, k + 6)
     residual: np.ndarray  #: largest torque out of balance [N m], (...,)
     iterations: np.ndarray  #: Newton steps, (...,)
 
@@ -50,7 +53,7 @@ def equilibrium(arm: Arm, mount: Mount, q, wrench=None, gravity: bool = True) ->
     """
     wrench = np.zeros(6) if wrench is None else wrench
     shape = np.broadcast_shapes(np.shape(q), np.shape(wrench))[:-1]
-    q, wrench = _flat(shape, q, 6), _flat(shape, wrench, 6)
+    q, wrench = arm.on_base(_flat(shape, q, 6)), _flat(shape, wrench, 6)
     loads = link_loads(arm, mount, GRAVITY if gravity else 0.0)
     theta, residual, count, frames = _newton(arm, mount, q, wrench, loads, np.zeros_like(q))
     doubtful = ~(residual <= RESIDUAL) | ~(np.abs(theta).max(-1) < LARGE)
@@ -69,9 +72,12 @@ def _record(wrench, theta, q, frames: LinkFrames, bent, residual, iterations, sh
     """The solved equilibria, so far n in a row, as a batch of this shape."""
     tool = frames.tool
     jacobian = jacobian_at(frames, tool.position)
-    flat = (wrench, theta, q + theta, tool.position, tool.rotation, jacobian, bent, residual, iterations)
-    wrench, theta, posture, position, rotation, *rest = (values.reshape(shape + values.shape[1:]) for values in flat)
-    return Equilibrium(wrench, theta, posture, Pose(position, rotation), *rest)
+    tilt, posture = np.split(q + theta, [-6], axis=-1)
+    flat = (wrench, tilt, theta[:, -6:], posture, tool.position, tool.rotation, jacobian, bent, residual, iterations)
+    wrench, tilt, theta, posture, *place, jacobian, bent, residual, iterations = (
+        values.reshape(shape + values.shape[1:]) for values in flat
+    )
+    return Equilibrium(wrench, tilt, theta, posture, Pose(*place), jacobian, bent, residual, iterations)
 
 
 def _index(i: int, shape: tuple) -> tuple:
@@ -85,19 +91,19 @@ def _flat(shape: tuple, values, *member: int) -> np.ndarray:
 
 
 def _newton(arm, mount, q, wrench, loads, theta):
-    """(theta, residual, steps, frames) of each of the (n, 6) problems; a diverged one has a large or NaN residual."""
+    """(theta, residual, steps, frames) of each of the (n, k + 6) problems; a large or NaN residual: diverged."""
     theta = theta.copy()
     residual, count = np.full(len(q), np.inf), np.zeros(len(q), int)
     todo = np.arange(len(q))
     for _ in range(ITERATIONS):
         frames = forward(arm, mount, q[todo] + theta[todo])
         masses = moment_arms(frames, loads)
-        error = load_torque(frames, wrench[todo], loads, masses) - arm.joint_stiffness * theta[todo]
+        error = load_torque(frames, wrench[todo], loads, masses) - arm.spring_stiffness * theta[todo]
         residual[todo] = np.abs(error).max(-1)
         going = (residual[todo] > RESIDUAL) & (np.abs(theta[todo]).max(-1) < np.pi)
         if not going.any():
             break
-        springs = np.diag(arm.joint_stiffness) - load_hessian(frames, wrench[todo], loads, masses)
+        springs = np.diag(arm.spring_stiffness) - load_hessian(frames, wrench[todo], loads, masses)
         todo = todo[going]
         theta[todo] += _solve(springs[going], error[going])
         count[todo] += 1
@@ -118,7 +124,7 @@ def _solve(matrix, right):
 
 def _stable(arm: Arm, hessian: np.ndarray) -> np.ndarray:
     """(n,): whether every small motion is opposed, that is, K_theta - H has a positive symmetric part."""
-    springs = np.diag(arm.joint_stiffness) - hessian
+    springs = np.diag(arm.spring_stiffness) - hessian
     springs = springs + np.swapaxes(springs, -1, -2)
     try:
         np.linalg.cholesky(springs)
@@ -128,8 +134,8 @@ def _stable(arm: Arm, hessian: np.ndarray) -> np.ndarray:
 
 
 def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
-    """(theta, residual, iterations) of one posture, (6,), its load raised from nothing in adaptive steps."""
-    theta, carried, step, count = np.zeros((1, 6)), 0.0, 0.25, 0
+    """(theta, residual, iterations) of one posture, (k + 6,), its load raised from nothing in adaptive steps."""
+    theta, carried, step, count = np.zeros((1, q.size)), 0.0, 0.25, 0
     residual = np.inf
     while carried < 1.0:
         share = min(1.0, carried + step)
@@ -139,12 +145,13 @@ def _by_load_steps(arm, mount, q, wrench, loads: LinkLoads, index: tuple):
         if left[0] <= RESIDUAL and np.abs(trial - theta).max() < LARGE:
             bent = load_hessian(frames, share * wrench[None], part)
             if not _stable(arm, bent)[0]:
-                springs = np.diag(arm.joint_stiffness) - bent[0]
+                springs = np.diag(arm.spring_stiffness) - bent[0]
                 raise UnstableLoadError(share, float(np.linalg.eigvalsh((springs + springs.T) / 2)[0]), index)
             theta, residual, carried, step = trial, left[0], share, 2 * step
             if np.abs(theta).max() > TOO_LARGE:
-                joint = int(np.argmax(np.abs(theta)))
-                raise DeflectionError(joint + 1, float(theta[0, joint]), TOO_LARGE, carried, index)
+                worst = int(np.argmax(np.abs(theta)))
+                joint = max(0, worst + 7 - q.size)  # 0: the base
+                raise DeflectionError(joint, float(theta[0, worst]), TOO_LARGE, carried, index)
             continue
         residual, step = left[0], step / 2
         if step < LEAST_STEP:
@@ -159,16 +166,16 @@ def wrench_for_pose(arm: Arm, mount: Mount, q, pose: Pose, gravity: bool = True)
     (16), so that the convergence is quadratic. Raises SingularityError and EquilibriumError.
     """
     shape = np.broadcast_shapes(np.shape(q)[:-1], pose.position.shape[:-1])
-    q = _flat(shape, q, 6)
+    q = arm.on_base(_flat(shape, q, 6))
     target = Pose(_flat(shape, pose.position, 3), _flat(shape, pose.rotation, 3, 3))
     loads = link_loads(arm, mount, GRAVITY if gravity else 0.0)
-    theta, wrench = np.zeros_like(q), np.zeros_like(q)
+    theta, wrench = np.zeros_like(q), np.zeros((len(q), 6))
     for count in range(ITERATIONS + 1):
-        check_regular(arm, q + theta)
+        check_regular(arm, (q + theta)[:, -6:])
         frames = forward(arm, mount, q + theta)
         turn = Rotation.from_matrix(target.rotation @ np.swapaxes(frames.tool.rotation, -1, -2)).as_rotvec()
         missing = np.concatenate([target.position - frames.tool.position, turn], -1)
-        balance = load_torque(frames, wrench, loads) - arm.joint_stiffness * theta
+        balance = load_torque(frames, wrench, loads) - arm.spring_stiffness * theta
         residual = np.abs(balance).max(-1)
         going = ~((residual <= RESIDUAL) & (np.abs(missing).max(-1) <= MISPLACED))
         if not going.any() or count == ITERATIONS:
@@ -184,25 +191,28 @@ def wrench_for_pose(arm: Arm, mount: Mount, q, pose: Pose, gravity: bool = True)
 
 
 def _system(arm: Arm, frames, wrench, loads) -> np.ndarray:
-    """The block matrix of (16), (n, 12, 12)."""
+    """The block matrix of (16), (n, k + 12, k + 12)."""
     jacobian = jacobian_at(frames, frames.tool.position)
-    system = np.zeros(wrench.shape[:-1] + (12, 12))
+    size = 6 + jacobian.shape[-1]
+    system = np.zeros(wrench.shape[:-1] + (size, size))
     system[..., :6, 6:] = jacobian
     system[..., 6:, :6] = np.swapaxes(jacobian, -1, -2)
-    system[..., 6:, 6:] = load_hessian(frames, wrench, loads) - np.diag(arm.joint_stiffness)
+    system[..., 6:, 6:] = load_hessian(frames, wrench, loads) - np.diag(arm.spring_stiffness)
     return system
 
 
 def compliance(equilibrium: Equilibrium, arm: Arm) -> np.ndarray:
     """C_C = J (K_theta - H)^-1 J^T at the equilibrium, (..., 6, 6) in base axes; exists in singular postures too."""
     jacobian = equilibrium.jacobian
-    springs = np.diag(arm.joint_stiffness) - equilibrium.hessian
+    springs = np.diag(arm.spring_stiffness) - equilibrium.hessian
     return jacobian @ np.linalg.solve(springs, np.swapaxes(jacobian, -1, -2))  # (17), its inverse
 
 
 def stiffness(equilibrium: Equilibrium, arm: Arm) -> np.ndarray:
     """K_C at the equilibrium, (..., 6, 6) in base axes; raises SingularityError where J has no inverse."""
     check_regular(arm, equilibrium.posture)
+    if arm.base_axes.size:
+        return np.linalg.inv(compliance(equilibrium, arm))
     inverse = np.linalg.inv(equilibrium.jacobian)
-    springs = np.diag(arm.joint_stiffness) - equilibrium.hessian
+    springs = np.diag(arm.spring_stiffness) - equilibrium.hessian
     return np.swapaxes(inverse, -1, -2) @ springs @ inverse  # (17) for a square J

@@ -77,14 +77,15 @@ class UnstableLoadError(MillingError):
 
 
 class DeflectionError(MillingError):
-    """The load bends a joint further than a linear spring may be believed; joint counts from 1, both angles [rad];
-    load_factor: the share of the load that already does it."""
+    """The load bends a joint further than a linear spring may be believed; joint counts from 1, 0: the base, both
+    angles [rad]; load_factor: the share of the load that already does it."""
 
     def __init__(self, joint: int, deflection: float, limit: float, load_factor: float, index: tuple = ()):
         self.joint, self.deflection, self.limit = joint, deflection, limit
         self.load_factor, self.index = load_factor, index
+        name = f"joint {joint}" if joint else "the base"
         super().__init__(
-            f"at {load_factor:.3g} of the load joint {joint} bends by {math.degrees(deflection):.3g} deg, but its "
+            f"at {load_factor:.3g} of the load {name} bends by {math.degrees(deflection):.3g} deg, but its "
             f"linear spring is believed only up to {math.degrees(limit):.3g} deg; reduce the load or check the "
             f"compliances{_place(index)}"
         )

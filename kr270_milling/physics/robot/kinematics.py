@@ -1,6 +1,8 @@
 """Where every link is, and how it moves: forward kinematics and geometric Jacobians.
 
 All functions take postures ``q`` [rad], (..., 6), and work on whole batches. Everything is in ``base_link`` axes.
+A posture with k more numbers in front, (..., k + 6), has the turns of a compliant base (``Arm.base_axes``) before the
+joints; the axes are then those of the base before the load.
 
 Nodes: O_0 base, O_1 on axis 2, O_2 on axis 3, O_3 the foot of axis 4 (after a3), O_4 = O_5 wrist centre (link 5 has no
 length), O_6 flange. Link j spans O_(j-1) to O_j and is moved by joints 1..j; the axis of joint j goes through O_(j-1).
@@ -32,10 +34,16 @@ class LinkFrames:
 
     rotations: np.ndarray  #: orientation of the links 1..6, (..., 6, 3, 3); link 6 has the flange's
     nodes: np.ndarray  #: O_0..O_6 [m], (..., 7, 3); link j's frame has its origin in O_(j-1)
-    axes: np.ndarray  #: unit vectors of the joint axes, with KUKA's sign, (..., 6, 3)
+    axes: np.ndarray  #: unit vectors of the k axes of the base and the joint axes, with KUKA's sign, (..., k + 6, 3)
     flange: Pose
     tool: Pose
     mass_centre: np.ndarray  #: of spindle and tool [m], (..., 3)
+
+    @property
+    def origins(self) -> np.ndarray:
+        """A point on each of the axes [m], (..., k + 6, 3); those of the base meet in O_0."""
+        base = self.axes.shape[-2] - 6
+        return self.nodes[..., [0] * base + list(range(6)), :] if base else self.nodes[..., :6, :]
 
 
 @njit(cache=True, nogil=True)
@@ -62,17 +70,22 @@ def rotate_matrix(matrix: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def forward(arm: Arm, mount: Mount, q) -> LinkFrames:
-    """All frames of the chain in ``arm.py`` for postures q [rad], (..., 6)."""
+    """All frames of the chain in ``arm.py`` for postures q [rad], (..., 6) or (..., k + 6)."""
     q = np.asarray(q, float)
+    base = q.shape[-1] - 6
     cosines, sines = np.cos(q), np.sin(q)
-    rotations = np.empty(q.shape + (3, 3))
+    rotations = np.empty(q.shape[:-1] + (6, 3, 3))
     axes = np.empty(q.shape + (3,))
     nodes = np.zeros(q.shape[:-1] + (7, 3))
     turned = np.broadcast_to(np.eye(3), q.shape[:-1] + (3, 3))
+    for i in range(base):
+        k = int(arm.base_axes[i])
+        turned = _turn(turned, k, cosines[..., i], sines[..., i], np.empty(turned.shape))
+        axes[..., i, :] = turned[..., k]
     for j, (k, sign) in enumerate(TURNS):
-        turned = _turn(turned, k, cosines[..., j], sign * sines[..., j], rotations[..., j, :, :])
+        turned = _turn(turned, k, cosines[..., base + j], sign * sines[..., base + j], rotations[..., j, :, :])
         nodes[..., j + 1, :] = nodes[..., j, :] + turned @ arm.link_vectors[j]
-        np.multiply(sign, turned[..., k], out=axes[..., j, :])
+        np.multiply(sign, turned[..., k], out=axes[..., base + j, :])
     flange = Pose(nodes[..., 6, :], rotations[..., 5, :, :])
     return LinkFrames(rotations, nodes, axes, flange, flange @ mount.pose, flange.apply(mount.mass_centre))
 
@@ -104,12 +117,17 @@ def jacobian(arm: Arm, mount: Mount, q, node: int | None = None) -> np.ndarray:
 
 
 def jacobian_at(frames: LinkFrames, point: np.ndarray, joints: int = 6) -> np.ndarray:
-    """Geometric Jacobian (..., 6, 6) of a point [m], (..., 3), that rides on link number ``joints`` (0: the base)."""
-    jacobian = np.zeros(frames.axes.shape[:-2] + (6, 6))
-    axes = frames.axes[..., :joints, :]
-    arms = point[..., None, :] - frames.nodes[..., :joints, :]
-    jacobian[..., :3, :joints] = np.swapaxes(cross(axes, arms), -1, -2)
-    jacobian[..., 3:, :joints] = np.swapaxes(axes, -1, -2)
+    """Geometric Jacobian of a point [m], (..., 3), that rides on link number ``joints`` (0: the base).
+
+    (..., 6, 6), or (..., 6, k + 6) of frames with k axes of the base.
+    """
+    count = frames.axes.shape[-2]
+    jacobian = np.zeros(frames.axes.shape[:-2] + (6, count))
+    moving = count - 6 + joints
+    axes = frames.axes[..., :moving, :]
+    arms = point[..., None, :] - frames.origins[..., :moving, :]
+    jacobian[..., :3, :moving] = np.swapaxes(cross(axes, arms), -1, -2)
+    jacobian[..., 3:, :moving] = np.swapaxes(axes, -1, -2)
     return jacobian
 
 

@@ -55,21 +55,29 @@ def link_loads(arm: Arm, mount: Mount, gravity: float = GRAVITY) -> LinkLoads:
 
 
 def moment_arms(frames: LinkFrames, loads: LinkLoads) -> np.ndarray:
-    """First moment of all masses beyond joint i about O_(i-1) [kg m], (..., 6, 3): what weights need, made once."""
+    """First moment of all masses beyond joint i about O_(i-1) [kg m], (..., 6, 3): what weights need, made once.
+
+    With k axes of the base before the joints, (..., k + 6, 3): these have the moment of joint 1, about O_0 as well.
+    """
     points = np.concatenate([frames.nodes, frames.mass_centre[..., None, :]], -2)
     beyond = np.triu(np.ones((6, 8)), 1) * loads.mass  # joint i (row i-1) moves the nodes i..6 and the mount
-    return beyond @ points - beyond.sum(-1)[:, None] * frames.nodes[..., :6, :]
+    moments = beyond @ points - beyond.sum(-1)[:, None] * frames.nodes[..., :6, :]
+    base = frames.axes.shape[-2] - 6
+    return moments[..., [0] * base + list(range(6)), :] if base else moments
 
 
 def load_torque(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads, masses=None) -> np.ndarray:
-    """Right-hand side of (6): J_G^T G + J_F^T F [N m], (..., 6); masses: ``moment_arms``, where they are known."""
+    """Right-hand side of (6): J_G^T G + J_F^T F [N m], one an axis, (..., 6) or (..., k + 6).
+
+    masses: ``moment_arms``, where they are known.
+    """
     masses = moment_arms(frames, loads) if masses is None else masses
     force, moment = wrench[..., None, :3], wrench[..., None, 3:]
-    arms = frames.tool.position[..., None, :] - frames.nodes[..., :6, :]
+    arms = frames.tool.position[..., None, :] - frames.origins
     about_axis = cross(arms, force) + moment + cross(masses, loads.gravity)
     torque = np.einsum("...ij,...ij->...i", frames.axes, about_axis)
     if loads.compensator.present:
-        torque[..., 1] += loads.share * loads.compensator.moment(*_joint_2(frames))
+        torque[..., -5] += loads.share * loads.compensator.moment(*_joint_2(frames))
     return torque
 
 
@@ -83,7 +91,7 @@ def _joint_2(frames: LinkFrames):
 
 
 def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads, masses=None) -> np.ndarray:
-    """H_theta_theta of (14), (15) [N m/rad], (..., 6, 6): the derivative of ``load_torque`` by the joint angles.
+    """H_theta_theta of (14), (15) [N m/rad], (..., 6, 6): the derivative of ``load_torque`` by the angles of its axes.
 
     A point x beyond both joints has d2x / dq_i dq_k = a_min x (a_max x (x - O_max)), which is symmetric. A moment m
     adds (a_k x a_i) . m for k < i only, because joint k turns the axis i and not the other way round.
@@ -91,11 +99,11 @@ def load_hessian(frames: LinkFrames, wrench: np.ndarray, loads: LinkLoads, masse
     masses = moment_arms(frames, loads) if masses is None else masses
     axes = frames.axes
     force, moment = wrench[..., None, :3], wrench[..., None, 3:]
-    arms = frames.tool.position[..., None, :] - frames.nodes[..., :6, :]
+    arms = frames.tool.position[..., None, :] - frames.origins
     weight = cross(cross(axes, masses), loads.gravity)
     upper = np.triu(axes @ np.swapaxes(cross(cross(axes, arms), force) + weight, -1, -2))  # i <= k
     symmetric = upper + np.swapaxes(np.triu(upper, 1), -1, -2)
     bent = symmetric + np.tril(cross(axes, moment) @ np.swapaxes(axes, -1, -2), -1)
     if loads.compensator.present:
-        bent[..., 1, 1] += loads.share * loads.compensator.moment_slope(*_joint_2(frames))
+        bent[..., -5, -5] += loads.share * loads.compensator.moment_slope(*_joint_2(frames))
     return bent

@@ -82,7 +82,10 @@ def assembled_mass(arm: Arm, mount: Mount, frames: LinkFrames) -> np.ndarray:
 
 
 def joint_mass(arm: Arm, mount: Mount, q) -> np.ndarray:
-    """M_theta = sum J_j^T M_j J_j [kg m^2/rad^2], (..., 6, 6): the beams' inertia against the joint springs' motion."""
+    """M_theta = sum J_j^T M_j J_j [kg m^2/rad^2], (..., 6, 6): the beams' inertia against the joint springs' motion.
+
+    (..., k + 6, k + 6) of postures with the k turns of a compliant base.
+    """
     frames = forward(arm, mount, q)
     nodes = [jacobian_at(frames, frames.nodes[..., j, :], j) for j in range(7)]
     jacobians = np.concatenate(nodes, -2)
@@ -132,16 +135,20 @@ def _bodies(arm: Arm, mount: Mount, frames: LinkFrames) -> list[np.ndarray]:
 
 
 def rigid_joint_mass(arm: Arm, mount: Mount, q) -> np.ndarray:
-    """M_theta [kg m^2/rad^2], (..., 6, 6), of the composite-rigid-body algorithm: M_ij = S_i^T I_max(i,j) S_j.
+    """M_theta [kg m^2/rad^2], (..., n, n), of the composite-rigid-body algorithm: M_ij = S_i^T I_max(i,j) S_j.
+
+    q: (..., 6), or with the k turns of a compliant base, (..., k + 6), which carry all bodies.
 
     S_j is the velocity (v, omega) of the body point at the origin of base_link, base axes, of a body that joint j turns
     by 1 rad/s, I_j the inertia of all bodies that joint j moves: thin tubes, and spindle and tool on joint 6.
     """
     frames = forward(arm, mount, q)
-    screws = np.concatenate([cross(frames.nodes[..., :6, :], frames.axes), frames.axes], -1)  # S_j, (..., 6, 6)
-    mass = np.zeros(screws.shape)
-    composite = np.zeros(screws.shape)
-    for j, body in reversed(list(enumerate(_bodies(arm, mount, frames)))):
+    screws = np.concatenate([cross(frames.origins, frames.axes), frames.axes], -1)  # S_j, (..., n, 6)
+    count = screws.shape[-2]
+    mass = np.zeros(screws.shape[:-2] + (count, count))
+    composite = np.zeros(screws.shape[:-2] + (6, 6))
+    bodies = [np.zeros((6, 6))] * (count - 6) + _bodies(arm, mount, frames)  # nothing rides on the base alone
+    for j, body in reversed(list(enumerate(bodies))):
         composite = composite + body
         carried = np.einsum("...ij,...j->...i", composite, screws[..., j, :])
         mass[..., j, : j + 1] = mass[..., : j + 1, j] = np.einsum("...ki,...i->...k", screws[..., : j + 1, :], carried)
@@ -154,7 +161,9 @@ def cartesian_mass(arm: Arm, mount: Mount, q, model: str = "lumped") -> np.ndarr
     Rigid: M_C = J^-T M_theta J^-1, M_theta of the composite-rigid-body algorithm. Consistent:
     M_C = sum Phi_j^T M_j^red Phi_j, where Phi_j = J_j K^-1 J^T K_C is the motion of node j that goes with one of the
     tool. J being square, K_C = J^-T K J^-1 leaves Phi_j = J_j J^-1 whatever the springs K are, so that the load does
-    not enter except through the posture q. Raises SingularityError where J has no inverse.
+    not enter except through the posture q. Under a compliant base J has k columns more than rows: base and joints
+    then move with the tool as Phi = K^-1 J^T K_C says, K the springs without load, and M_C = Phi^T M_theta Phi. Raises
+    SingularityError where J has no inverse.
     """
     if model == "lumped":
         mass = float(arm.link_mass.sum()) + mount.mass
@@ -162,9 +171,15 @@ def cartesian_mass(arm: Arm, mount: Mount, q, model: str = "lumped") -> np.ndarr
     if model not in MODELS:
         raise ParameterError("model", model, "one of " + ", ".join(MODELS))
     check_regular(arm, np.asarray(q, float))
-    frames = forward(arm, mount, q)
-    inverse = np.linalg.inv(jacobian_at(frames, frames.tool.position))
     of_joints = joint_mass if model == "consistent" else rigid_joint_mass
+    q = arm.on_base(q)
+    frames = forward(arm, mount, q)
+    jacobian = jacobian_at(frames, frames.tool.position)
+    if arm.base_axes.size:
+        bent = arm.spring_compliance[:, None] * np.swapaxes(jacobian, -1, -2)  # K^-1 J^T
+        inverse = bent @ np.linalg.inv(jacobian @ bent)
+    else:
+        inverse = np.linalg.inv(jacobian)
     return np.swapaxes(inverse, -1, -2) @ of_joints(arm, mount, q) @ inverse  # (25) as J^-T M_theta J^-1
 
 

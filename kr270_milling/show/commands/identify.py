@@ -40,6 +40,7 @@ COMMANDS = {
                 option("--at A1,...,A6", "posture there [deg]", POSTURE),
                 option("--no-gravity", "leave the link weights out", bool),
                 option("--robust", "take the weight from tests that contradict the others", bool),
+                option("--base", "also fit the compliance of the base, arm.base_compliance", bool),
                 option("--compensator NAMES", "also fit these of arm.compensator, as stiffness,preload", default=""),
                 Group("plan", (
                     option("--plan N", "choose the best N load tests for the cell", bounded(1, 1000, int)),
@@ -135,7 +136,8 @@ def identify_compliance(args) -> Answer:
         raise InputError("identify compliance", "needs a table of load tests, or --plan N to make one")
     measured = read_measurements(find_file(args.measurements), arm, mount)
     compensator = tuple(name.strip() for name in args.compensator.split(",") if name.strip())
-    identified = fit_compliance(Problem(arm, mount, measured, not args.no_gravity, compensator), args.robust)
+    problem = Problem(arm, mount, measured, not args.no_gravity, compensator, args.base)
+    identified = fit_compliance(problem, args.robust)
     return _answer(args, compliance_outcome(identified, pose, Path(args.measurements).name))
 
 

@@ -24,6 +24,9 @@ __all__ = ["Fit", "TooFewError", "fit_compliance"]
 
 #: relative standard deviation of a number that the data cannot identify, as in the cell's ``uncertainty``: assumed
 PRIOR = 0.15
+#: that of the base, in units of ``problem.TILT`` where the arm file has a rigid base: assumed, as stiff as published
+#: foundations or rigid
+BASE_PRIOR = 1.0
 ROUNDS = 30
 
 
@@ -114,7 +117,7 @@ def fit_compliance(problem: Problem, robust: bool = False) -> Fit:
     while True:
         fitted = _fitted(problem, dict(exclusions), robust)
         relative = fitted.half_widths / np.maximum(np.abs(fitted.values), 1e-300)
-        relative[:6][fitted.factors[:6] <= 0.0] = np.inf
+        relative[problem.is_compliance & (fitted.factors <= 0.0)] = np.inf
         relative[~fitted.free] = 0.0
         worst = int(np.argmax(relative))
         if not relative[worst] >= 1.0:
@@ -146,17 +149,22 @@ def _fitted(problem: Problem, exclusions: dict[int, Exclusion], robust: bool) ->
         variance = robust_variance(problem.weighted(problem.predict(x)), sought)
     else:
         variance = scatter(chi2, freedom, True)
-    covariance = _with_prior(np.linalg.inv(a[:, free].T @ a[:, free]) * variance, a * np.sqrt(each)[:, None], free)
+    prior = np.where(problem.is_base, BASE_PRIOR, PRIOR)[~free]
+    weighted = a * np.sqrt(each)[:, None]
+    covariance = _with_prior(np.linalg.inv(a[:, free].T @ a[:, free]) * variance, weighted, free, prior)
     quantile = half_interval(freedom, problem.measured.sigma_known and not robust)
     return Fit(problem, x, exclusions, covariance, quantile, weights, chi2 / freedom)
 
 
-def _with_prior(inverse: np.ndarray, a: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """Covariance of all factors, (p, p): of the fitted ones, with the share that the PRIOR of the others adds."""
+def _with_prior(inverse: np.ndarray, a: np.ndarray, free: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    """Covariance of all factors, (p, p): of the fitted ones, with the share that the prior of the others adds.
+
+    prior: standard deviations of the factors that are not fitted.
+    """
     carried = -np.linalg.lstsq(a[:, free], a[:, ~free], rcond=None)[0]
     covariance = np.zeros((free.size, free.size))
-    covariance[np.ix_(free, free)] = inverse + PRIOR**2 * carried @ carried.T
-    covariance[np.ix_(free, ~free)] = PRIOR**2 * carried
-    covariance[np.ix_(~free, free)] = PRIOR**2 * carried.T
-    covariance[np.ix_(~free, ~free)] = PRIOR**2 * np.eye(int((~free).sum()))
+    covariance[np.ix_(free, free)] = inverse + carried * prior**2 @ carried.T
+    covariance[np.ix_(free, ~free)] = carried * prior**2
+    covariance[np.ix_(~free, free)] = (carried * prior**2).T
+    covariance[np.ix_(~free, ~free)] = np.diag(prior**2)
     return covariance

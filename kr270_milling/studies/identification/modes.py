@@ -200,7 +200,10 @@ def by_compliance(modes: list[Mode], signals: Signals, soft: np.ndarray) -> np.n
 
 
 def tool_compliance(cell: Cell) -> np.ndarray:
-    """Of the arm at the start of the cell's path, workpiece axes, (6, 6)."""
+    """Of the arm at the start of the cell's path, workpiece axes, (6, 6).
+
+    Without that of the tool: its spring moves no mass below the frequencies of the arm, and is no part of its modes.
+    """
     q = cell.joints(cell.target())[0]
     bent = equilibrium(cell.arm, cell.mount, q, gravity=cell.dynamics.gravity)
     return rotate_matrix(compliance(bent, cell.arm), cell.workpiece.pose.rotation.T)

@@ -5,6 +5,9 @@ springs bend by theta = C tau(q + theta), tau the torque of wrench, link weights
 compliance gives (1 - C H) dtheta/dc_j = tau_j e_j, H = dtau/dtheta. The displacement by the load is that of the loaded
 posture less that of the posture under the weights alone.
 
+A base that tilts adds two springs to C, about x and y of base_link. About z it turns the arm as joint 1 does, so that
+no load test separates the two.
+
 The singular values of the weighted derivatives state which numbers the data identify.
 """
 
@@ -31,6 +34,8 @@ from kr270_milling.studies.identification.measurements import Measurements
 __all__ = ["Cause", "Exclusion", "Problem", "SoftArmError"]
 
 COMPENSATOR = tuple(spec.name for spec in specs(GravityCompensator))
+#: where the base may tilt, and the size of the unknown: [rad/(N m)], assumed, a third of the stiffest joint's
+TILTS, TILT = ("base x", "base y"), 5e-8
 STEP = 1e-4  #: share of its scale by which a number of the compensator is changed for its derivative
 ITERATIONS = 20
 PRECISION = 1e-8  #: [rad] of the last Newton step, which leaves its square
@@ -72,10 +77,11 @@ class SoftArmError(MillingError):
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Sought: factors x on the arm's six compliances, then on the compensator's numbers that are named.
+    """Sought: factors x on the arm's six compliances, then on the compensator's numbers that are named, then on the
+    compliances of the base about x and y.
 
-    All are 1 for the arm as its file has it. A residual is (model - measurement) / sigma, one for each finite number
-    that was measured.
+    All are 1 for the arm as its file has it; a base that is rigid there has the factor 0, on TILT. A residual is
+    (model - measurement) / sigma, one for each finite number that was measured.
     """
 
     arm: Arm
@@ -83,6 +89,7 @@ class Problem:
     measured: Measurements
     gravity: bool = True
     compensator: tuple[str, ...] = ()
+    base: bool = False  #: whether the compliance of the base is sought
 
     def __post_init__(self):
         for name in self.compensator:
@@ -94,7 +101,18 @@ class Problem:
 
     @property
     def names(self) -> list[str]:
-        return [f"joint {j}" for j in range(1, 7)] + [f"compensator {name}" for name in self.compensator]
+        joints, tilts = [f"joint {j}" for j in range(1, 7)], TILTS if self.base else ()
+        return [*joints, *(f"compensator {name}" for name in self.compensator), *tilts]
+
+    @property
+    def is_compliance(self) -> np.ndarray:
+        """(p,) bool: a compliance, and no number of the compensator."""
+        return np.array([not name.startswith("compensator") for name in self.names])
+
+    @property
+    def is_base(self) -> np.ndarray:
+        """(p,) bool: a compliance of the base."""
+        return np.array([name in TILTS for name in self.names])
 
     @property
     def _spring(self) -> np.ndarray:
@@ -104,18 +122,36 @@ class Problem:
     @property
     def scale(self) -> np.ndarray:
         """Numbers at a factor of 1 [SI], (p,)."""
-        return np.concatenate([self.arm.joint_compliance, np.where(self._spring, self._spring, 1.0)])
+        tilts = np.where(self._tilts, self._tilts, TILT)
+        return np.concatenate([self.arm.joint_compliance, np.where(self._spring, self._spring, 1.0), tilts])
 
     @property
     def start(self) -> np.ndarray:
         """The factors of the arm file, (p,)."""
-        return np.concatenate([np.ones(6), self._spring != 0.0])
+        return np.concatenate([np.ones(6), self._spring != 0.0, self._tilts != 0.0])
+
+    @property
+    def _tilts(self) -> np.ndarray:
+        """Compliances of the base about x and y, of the arm file, if they are sought, (2,) or (0,)."""
+        return self.arm.base_compliance[: len(TILTS) if self.base else 0]
+
+    @functools.cached_property
+    def _sprung(self) -> Arm:
+        """The arm with springs wherever the base may turn."""
+        base = self.arm.base_compliance.copy()
+        base[: self._tilts.size] = self.scale[self.is_base]
+        return self.arm.replace(base_compliance=base)
 
     def arm_at(self, x) -> Arm:
         """The arm with these factors."""
         values = np.asarray(x) * self.scale
-        changes = dict(zip(self.compensator, values[6:].tolist(), strict=True))
-        return self.arm.replace(joint_compliance=values[:6], compensator=self.arm.compensator.replace(**changes))
+        base = np.concatenate([values[self.is_base], self.arm.base_compliance[self._tilts.size :]])
+        return self._balanced(values).replace(joint_compliance=values[:6], base_compliance=base)
+
+    def _balanced(self, values: np.ndarray) -> Arm:
+        """The arm with the compensator of these numbers [SI], (p,)."""
+        changes = dict(zip(self.compensator, values[~self.is_compliance].tolist(), strict=True))
+        return self.arm.replace(compensator=self.arm.compensator.replace(**changes)) if changes else self.arm
 
     @property
     def finite(self) -> np.ndarray:
@@ -134,12 +170,14 @@ class Problem:
         """Residuals (m,) and their derivatives by the factors, (m, p); of the compensator's by differences."""
         x = np.asarray(x, float)
         moved, by_compliance = self._linear(x)
-        columns = (by_compliance * self.scale[:6] / self.measured.sigma[..., None])[self.finite]
-        for k in range(6, len(x)):
+        columns = np.zeros((int(self.finite.sum()), len(x)))
+        of_compliance = by_compliance * self.scale[self.is_compliance] / self.measured.sigma[..., None]
+        columns[:, self.is_compliance] = of_compliance[self.finite]
+        for k in np.flatnonzero(~self.is_compliance).tolist():
             more, less = x.copy(), x.copy()
             more[k] += STEP
             less[k] -= STEP
-            columns = np.column_stack([columns, (self.residuals(more) - self.residuals(less)) / (2 * STEP)])
+            columns[:, k] = (self.residuals(more) - self.residuals(less)) / (2 * STEP)
         return self.weighted(moved)[self.finite], columns
 
     def derivatives(self, x) -> np.ndarray:
@@ -202,42 +240,47 @@ class Problem:
         return self._linear(x)[0]
 
     def _linear(self, x) -> tuple[np.ndarray, np.ndarray]:
-        """Displacements [m, rad], (n, 6), and their derivatives by the compliances, (n, 6, 6)."""
-        compliance = np.asarray(x, float)[:6] * self.scale[:6]  # on the way to the fit it need not be one of an arm
-        frames, by_joint = self._bent(self.arm_at(x) if self.compensator else self.arm, compliance)
+        """Displacements [m, rad], (n, 6), and their derivatives by the compliances that are sought, (n, 6, 6 or 8)."""
+        values = np.asarray(x, float) * self.scale  # on the way to the fit these need not be those of an arm
+        tilts, base = self._tilts.size, self._sprung.base_axes.size
+        fixed = self._sprung.spring_compliance[tilts:base]
+        compliance = np.concatenate([values[self.is_base], fixed, values[:6]])
+        frames, by_axis = self._bent(self._balanced(values), compliance)
         place = frames.flange.apply(np.tile(self.measured.reflector, (2, 1)))
         full, rest = slice(0, len(self.measured)), slice(len(self.measured), None)
         turn = frames.flange.rotation
         tilt = Rotation.from_matrix(turn[full] @ np.swapaxes(turn[rest], -1, -2)).as_rotvec()
-        slopes = jacobian_at(frames, place) @ by_joint
+        slopes = jacobian_at(frames, place) @ by_axis
+        slopes = np.concatenate([slopes[..., base:], slopes[..., :tilts]], -1)  # in the order of x
         return np.hstack([place[full] - place[rest], tilt]), slopes[full] - slopes[rest]
 
     def _bent(self, arm: Arm, c: np.ndarray) -> tuple[LinkFrames, np.ndarray]:
         """Newton's method on theta = C tau(q + theta), for the loaded postures and then those without test load.
 
-        Returns the frames of (2 n,) postures and dtheta/dc, (2 n, 6, 6).
+        c: of the base, then of the joints, (k + 6,). Returns the frames of (2 n,) postures and dtheta/dc,
+        (2 n, k + 6, k + 6).
         """
         loads = link_loads(arm, self.mount, GRAVITY if self.gravity else 0.0)
-        q = np.tile(self.measured.q, (2, 1))
+        q = self._sprung.on_base(np.tile(self.measured.q, (2, 1)))
         wrench = np.concatenate([self.measured.wrench, np.zeros_like(self.measured.wrench)])
         theta = np.zeros_like(q)
         for _ in range(ITERATIONS):
             frames = self._frames(q + theta)
             torque = load_torque(frames, wrench, loads)
-            left = np.eye(6) - c[:, None] * load_hessian(frames, wrench, loads)
+            left = np.eye(len(c)) - c[:, None] * load_hessian(frames, wrench, loads)
             step = np.linalg.solve(left, (c * torque - theta)[..., None])[..., 0]
             theta = theta + step
             far = ~(np.abs(theta).max(1) < MOST_BEND)
             if far.any():
-                raise SoftArmError(int(far.argmax()) % len(self.measured), c)
+                raise SoftArmError(int(far.argmax()) % len(self.measured), c[-6:])
             if np.abs(step).max() < PRECISION:
-                by_joint = np.linalg.solve(left, torque[:, :, None] * np.eye(6))
-                return self._frames(q + theta), by_joint
-        raise SoftArmError(int(np.abs(step).max(1).argmax()) % len(self.measured), c)
+                by_axis = np.linalg.solve(left, torque[:, :, None] * np.eye(len(c)))
+                return self._frames(q + theta), by_axis
+        raise SoftArmError(int(np.abs(step).max(1).argmax()) % len(self.measured), c[-6:])
 
     def _frames(self, q: np.ndarray) -> LinkFrames:
         """All frames of (n,) or twice (n,) postures, with the tool point where each row's load acts."""
-        frames = forward(self.arm, self.mount, q)
+        frames = forward(self._sprung, self.mount, q)
         at = np.tile(self.measured.application, (len(q) // len(self.measured), 1))
         return dataclasses.replace(frames, tool=Pose(frames.flange.apply(at), frames.tool.rotation))
 

@@ -145,6 +145,10 @@ class Placements(StudyRows):
         place = Pose(position.reshape(-1, 3), rotation.reshape(-1, 3, 3))
         q, way = postures(cell.arm, cell.mount, place, force.reshape(-1, 3), cell.dynamics.gravity)
         q, way = q.reshape(n, m, 8, 6), way.reshape(n, m, 8, 3)
+        if tip := cell.tool.lateral_compliance:
+            axis = rotation[..., 2]
+            lateral = force - np.sum(force * axis, axis=-1, keepdims=True) * axis
+            way = way + tip * lateral[:, :, None]
         size = np.linalg.norm(force, axis=-1)
         within, measures = along_path(cell.arm, q, way, feed, size, MARGIN)
         singular, soft, largest, mean = np.moveaxis(measures, -1, 0)
@@ -174,11 +178,11 @@ class Placements(StudyRows):
         if not some.any():
             return frequency
         posture = q[:, ::2][some]  # chosen or not, it is regular: the measures do not see the sign of A5
-        turned = jacobian(cell.arm, cell.mount, posture)
-        soft = np.tile(cell.arm.joint_compliance, (len(posture), 1))
+        turned = jacobian(cell.arm, cell.mount, cell.arm.on_base(posture))
+        soft = np.tile(cell.arm.spring_compliance, (len(posture), 1))
         if cell.dynamics.gravity:
             slope = cell.arm.compensator.moment_slope(np.cos(posture[:, 1]), np.sin(posture[:, 1]))
-            soft[:, 1] /= 1.0 - soft[:, 1] * slope
+            soft[:, -5] /= 1.0 - soft[:, -5] * slope
         mass = cartesian_mass(cell.arm, cell.mount, posture, cell.dynamics.mass_model)
         lowest = mode_frequencies((turned * soft[:, None]) @ np.swapaxes(turned, -1, -2), mass)[..., 0]
         frequency[:, ::2][some] = lowest

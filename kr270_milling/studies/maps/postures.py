@@ -23,8 +23,8 @@ def postures(arm: Arm, mount: Mount, place: Pose, force: np.ndarray, gravity: bo
     """Joint angles [rad], (k, 8, 6), in the order of ``robot.inverse.BRANCHES``, and the deflection of the tool.
 
     place: of tool0 on base_link, (k,); force: on the tool, base axes [N], (k, 3). The second is C F [m], (k, 8, 3),
-    with C = J diag(c) J^T of the translations; where gravity is on, c of joint 2 has the gravity compensator's share,
-    c_2 / (1 - c_2 dM_c/dq_2). NaN where out of reach.
+    with C = J diag(c) J^T of the translations, joints and base; where gravity is on, c of joint 2 has the share of the
+    gravity compensator, c_2 / (1 - c_2 dM_c/dq_2). NaN where out of reach.
     """
     flange = place @ mount.pose.inverse()
     count = len(flange.position)
@@ -33,7 +33,8 @@ def postures(arm: Arm, mount: Mount, place: Pose, force: np.ndarray, gravity: bo
         spring = tuple(map(float, (c.stiffness, c.free_length, c.base_x, c.base_z, c.arm_length)))
     middle = 0.5 * float(arm.joint_lower[3] + arm.joint_upper[3])
     q, way = np.full((count, 8, 6), np.nan), np.full((count, 8, 3), np.nan)
-    _fill(lengths_of(arm), spring, middle, _dense(arm.joint_compliance), _dense(place.position),
+    soft = np.concatenate([arm.joint_compliance, arm.base_compliance])
+    _fill(lengths_of(arm), spring, middle, _dense(soft), _dense(place.position),
           _dense(flange.position), _dense(flange.rotation), _dense(force), q, way)  # fmt: skip
     return q, way
 
@@ -63,7 +64,10 @@ def _fill(lengths, spring, middle, soft, place, position, rotation, force, q, wa
             high = a2 * np.cos(q2) + a1
             gives = way[k, both]
             gives[:] = 0.0
-            _add(gives, soft[0], 0.0, 0.0, -1.0, p[0], p[1], p[2], force[k])
+            _add(gives, soft[0] + soft[8], 0.0, 0.0, -1.0, p[0], p[1], p[2], force[k])
+            if soft[6] + soft[7] > 0.0:
+                _add(gives, soft[6], 1.0, 0.0, 0.0, p[0], p[1], p[2], force[k])
+                _add(gives, soft[7], 0.0, 1.0, 0.0, p[0], p[1], p[2], force[k])
             _add(gives, c2, s1, c1, 0.0, p[0] - a1 * c1, p[1] + a1 * s1, p[2] - d1, force[k])
             _add(gives, soft[2], s1, c1, 0.0, p[0] - high * c1, p[1] + high * s1, p[2] - d1 + a2 * np.sin(q2),
                  force[k])  # fmt: skip

@@ -36,6 +36,7 @@ from kr270_milling.physics.robot.loads import load_hessian, load_torque
 RNG = np.random.default_rng(11)
 #: weights that are not in the middle of the links
 UNEVEN = ARM.replace(link_mass_centre=np.array([0.5, 0.4, 0.7, 0.3, 0.5, 0.9]))
+ON_BASE = ARM.replace(base_compliance=np.array([0.08e-6, 0.12e-6, 0.03e-6]))
 POSTURES = postures()
 WRENCHES = RNG.normal(size=(100, 6)) * [900, 900, 900, 200, 200, 200]
 NEAR = PAPER + RNG.uniform(-0.3, 0.3, (50, 6))
@@ -115,13 +116,14 @@ def test_residual():
 
 
 @check(
-    "wrench of a loaded pose, f of (31) after f^-1 of (30), {weights}", "self-consistent: the wrench that bent the arm",
-    "N, N m", cases=("weights", [("with weights",), ("without",)]),
+    "wrench of a loaded pose, f of (31) after f^-1 of (30), {weights}, {base} base",
+    "self-consistent: the wrench that bent the arm", "N, N m",
+    cases=("weights base", [("with weights", "rigid"), ("without", "rigid"), ("with weights", "tilting")]),
 )  # fmt: skip
-def test_both_ways(weights):
-    gravity = weights == "with weights"
-    there = equilibrium(ARM, SPINDLE, NEAR, LOADS, gravity)
-    back = wrench_for_pose(ARM, SPINDLE, NEAR, there.pose, gravity)
+def test_both_ways(weights, base):
+    gravity, arm = weights == "with weights", ARM if base == "rigid" else ON_BASE
+    there = equilibrium(arm, SPINDLE, NEAR, LOADS, gravity)
+    back = wrench_for_pose(arm, SPINDLE, NEAR, there.pose, gravity)
     np.testing.assert_allclose(back.theta, there.theta, atol=1e-10)
     assert back.residual.max() <= 1e-9 and back.iterations.max() <= 5  # quadratic: 1e-3 rad to 1e-12 in few steps
     return 0.0, np.abs(back.wrench - LOADS).max(), 1e-4  # 1e-12 m and rad times 1e7 N m/rad, some singular
@@ -223,16 +225,16 @@ def test_unloaded_compliance(name, along, expected):
 
 
 @check(
-    "loaded compliance (17), weights and 1 kN, {moments} moments", "numerical differentiation of whole equilibria",
-    cases=("moments", [("with",), ("without",)]),
+    "loaded compliance (17), weights and 1 kN, {moments} moments, {base} base", "numerical differentiation of whole "
+    "equilibria", cases=("moments base", [("with", "rigid"), ("without", "rigid"), ("with", "tilting")]),
 )  # fmt: skip
-def test_differentiated(moments):
-    wrenches = kilonewton(moments == "with")
-    ours = compliance(equilibrium(ARM, SPINDLE, NEAR[:20], wrenches), ARM)
+def test_differentiated(moments, base):
+    wrenches, arm = kilonewton(moments == "with"), ARM if base == "rigid" else ON_BASE
+    ours = compliance(equilibrium(arm, SPINDLE, NEAR[:20], wrenches), arm)
     quotient = np.empty_like(ours)
     for k in range(6):
         step = (20.0 if k < 3 else 10.0) * np.eye(6)[k]
-        ahead, behind = (equilibrium(ARM, SPINDLE, NEAR[:20], wrenches + s * step).pose for s in (1, -1))
+        ahead, behind = (equilibrium(arm, SPINDLE, NEAR[:20], wrenches + s * step).pose for s in (1, -1))
         turn = Rotation.from_matrix(ahead.rotation @ np.swapaxes(behind.rotation, -1, -2)).as_rotvec()
         quotient[:, :, k] = np.concatenate([ahead.position - behind.position, turn], -1) / (2 * step[k])
     size = np.sqrt(np.einsum("nii,njj->nij", ours, ours))  # entries of mixed units, each beside its own diagonal
@@ -249,10 +251,14 @@ def test_reciprocity():
     return 0.0, (np.abs(stiff - np.swapaxes(stiff, -1, -2)) / size).max(), 1e-9
 
 
-@check("K_C C_C - 1 under weights, 1 kN and moments", "self-consistent: (17) and its inverse")
-def test_inverse_of_each_other():
-    solved = equilibrium(ARM, SPINDLE, NEAR[:20], kilonewton(True))
-    return 0.0, np.abs(stiffness(solved, ARM) @ compliance(solved, ARM) - np.eye(6)).max(), 1e-7
+@check(
+    "K_C C_C - 1 under weights, 1 kN and moments, {base} base", "self-consistent: (17) and its inverse",
+    cases=("base", [("rigid",), ("tilting",)]),
+)  # fmt: skip
+def test_inverse_of_each_other(base):
+    arm = ARM if base == "rigid" else ON_BASE
+    solved = equilibrium(arm, SPINDLE, NEAR[:20], kilonewton(True))
+    return 0.0, np.abs(stiffness(solved, arm) @ compliance(solved, arm) - np.eye(6)).max(), 1e-7
 
 
 def test_without_load_it_is_the_classic_formula():

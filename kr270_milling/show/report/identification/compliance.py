@@ -36,7 +36,7 @@ def compliance_outcome(fit: Fit, pose: Measurements | None, source: str) -> Outc
     rows = []
     columns = zip(problem.names, problem.scale, fit.values, fit.half_widths, fit.free, strict=True)
     for name, *numbers, free in columns:
-        unit = 1e6 if name.startswith("joint") else 1.0
+        unit = 1.0 if name.startswith("compensator") else 1e6
         texts = [f"{unit * number:.4g}" if np.isfinite(number) else "-" for number in numbers]
         rows.append([name, *texts, "yes" if free else "no"])
     return Outcome(
@@ -60,6 +60,8 @@ def reason(fit: Fit, number: int) -> str:
 def sentences(fit: Fit, pose: Measurements | None = None) -> list[str]:
     """Return what the numbers mean."""
     texts = [f"not identified: {reason(fit, k)}; it stays as in the arm file" for k in fit.exclusions]
+    if fit.problem.base:
+        texts.append("not identified: base z: it turns the arm as joint 1 does, whose number contains its compliance")
     if fit.free.all():
         texts.append("the data identify every number that was asked for")
     measured = fit.problem.measured.displacement[:, :3]
@@ -100,6 +102,13 @@ def _as_dict(fit: Fit, pose: Measurements | None) -> dict:
         result["residuals_mrad"] = (1e3 * fit.residuals[:, 3:]).tolist()
     if fit.problem.compensator:
         result["compensator"] = {"ci95": _compensator(fit, fit.half_widths), **_compensator(fit, fit.values)}
+    if fit.problem.base:
+        base = fit.problem.is_base
+        result["base"] = {
+            "compliance_urad_per_n_m": (1e6 * fit.values[base]).tolist(),
+            "ci95_urad_per_n_m": (1e6 * fit.half_widths[base]).tolist(),
+            "identifiable": fit.free[base].tolist(),
+        }
     if pose is not None:
         moved, error = fit.at(pose)
         result["test_pose"] = {
@@ -116,7 +125,8 @@ def _compensator(fit: Fit, numbers: np.ndarray) -> dict[str, float]:
     """Numbers (p,) [SI] of the compensator in units of the parameter file."""
     by_name = {spec.name: spec for spec in specs(GravityCompensator)}
     chosen = [by_name[name] for name in fit.problem.compensator]
-    return {spec.key: float(number / spec.scale) for spec, number in zip(chosen, numbers[6:], strict=True)}
+    numbers = numbers[~fit.problem.is_compliance]
+    return {spec.key: float(number / spec.scale) for spec, number in zip(chosen, numbers, strict=True)}
 
 
 def _sections(fit: Fit) -> dict:
@@ -125,6 +135,12 @@ def _sections(fit: Fit) -> dict:
     arm: dict = {"joint_compliance_urad_per_n_m": ((1e6 * fit.values[:6]).tolist(), f"identified, 95 % +- {widths}")}
     if fit.problem.compensator:
         arm["compensator"] = _compensator(fit, fit.values)
+    if fit.problem.base:
+        base = fit.problem.arm_at(fit.factors).base_compliance
+        widths = ", ".join(
+            "-" if not np.isfinite(w) else f"{1e6 * w:.2g}" for w in fit.half_widths[fit.problem.is_base]
+        )
+        arm["base_compliance_urad_per_n_m"] = ((1e6 * base).tolist(), f"identified about x and y, 95 % +- {widths}")
     relative = np.sqrt(np.diag(fit.covariance)[:6]) / np.abs(fit.factors[:6])
     spread = (np.clip(relative, 1e-4, 1.0).tolist(), "standard deviations from the same fit")
     return {"arm": arm, "uncertainty": {"joint_compliances": spread}}

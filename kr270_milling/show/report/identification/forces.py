@@ -6,7 +6,7 @@ import numpy as np
 
 from kr270_milling.base.column import TextTable
 from kr270_milling.physics.cutting import LAWS
-from kr270_milling.physics.cutting.materials import Material
+from kr270_milling.physics.cutting.materials import Material, spread
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import points
 from kr270_milling.studies.identification.forces import NAMES, SCALE, TOWARD_PART, LawFit, law_sections
@@ -48,6 +48,9 @@ def material_outcome(rows: list[Material], name: str | None, row: Material | Non
         for m in rows
     ]
     sections = None if row is None else law_sections("linear_edge", row.values, np.full(6, np.nan))
+    if sections is not None and (scatter := spread(name or "")):
+        reason = f"K_tc of the published rows of {name} scatters by {100 * scatter:.0f} %"
+        sections["uncertainty"] = {"force_coefficient": (round(scatter, 3), reason)}
     columns = ["material", "cutter", *(key.split("_n_")[0] for key in NAMES)]
     texts = [[m.name, m.cutter, *("-" if np.isnan(v) else f"{v:g}" for v in m.values / SCALE)] for m in rows]
     sources = [f"{m.name}, {m.cutter}, {m.lubrication} [source: {m.source}]" for m in rows] if name else []
