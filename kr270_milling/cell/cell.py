@@ -279,10 +279,18 @@ def read_cells(path, assignments=()) -> tuple[Cell, ...]:
     order = in_program_order(tuple(by_tool), next(iter(by_tool.values())).programmed.program, path)
     cells = [by_tool[name] for name in order]
     cut = [programmed_removal(cell.path.tool, cell.tool, cell.programmed.fed.toolpath) for cell in cells]
-    staged = [
-        cell.replace(stage=Stage(cell.path.tool, tuple(cut[:k]), tuple(cut[k + 1 :]))) for k, cell in enumerate(cells)
-    ]
+    stages = [Stage(order[k], k + 1, len(cells), tuple(cut[:k]), tuple(cut[k + 1 :])) for k in range(len(cells))]
+    staged = [_staged(cell, stage, path) for cell, stage in zip(cells, stages, strict=True)]
     return tuple(cell for cell in staged if chosen in ("", cell.path.tool))
+
+
+def _staged(cell: Cell, stage: Stage, path) -> Cell:
+    """The cell of one of several tools, with the name of the tool in that of the robot program."""
+    try:
+        program = cell.program.replace(name=cell.program.name + stage.suffix)
+    except ParameterError as error:
+        raise ConfigError(path, "program.name", error.value, f"{error.allowed}, with the tool") from None
+    return cell.replace(stage=stage, program=program)
 
 
 def _cell_of_tool(name: str, tree: dict, assigned: frozenset, path) -> Cell:

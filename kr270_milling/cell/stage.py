@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,8 +35,18 @@ class Stage:
     """The tool of a cell in a program with several tools."""
 
     tool: str  #: name in the program
+    number: int  #: in the order of the program, from 1
+    count: int  #: of the tools
     earlier: tuple[Removal, ...] = ()  #: in the order of the program
     later: tuple[Removal, ...] = ()
+
+    @property
+    def suffix(self) -> str:
+        """What names of files and robot programs end in: ``_T2``; ``_N2`` where the tool has no short number."""
+        return f"_{self.tool}" if re.fullmatch(r"T[0-9]{1,2}", self.tool) else f"_N{self.number}"
+
+    def __str__(self) -> str:
+        return f"tool {self.tool}, {self.number} of {self.count}"
 
 
 def programmed_removal(name: str, tool: Tool, path: Toolpath) -> Removal:

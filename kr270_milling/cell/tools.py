@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.parameter_file import merge
 from kr270_milling.path.source_program import SourceProgram
 
-__all__ = ["in_program_order", "module_name", "tool_trees"]
+__all__ = ["in_program_order", "tool_trees"]
 
 #: sections that a tool may override; its other keys are those of ``tool``
 SECTIONS = ("compensation", "cutting", "dynamics", "exchange", "limits", "mount", "part", "program", "stock", "timing")
-LONGEST_NAME = 16  #: characters of ``program.name``
 
 
 def tool_trees(tree: dict, file) -> dict[str, dict]:
@@ -26,27 +24,17 @@ def tool_trees(tree: dict, file) -> dict[str, dict]:
     chosen = path.get("tool", "")
     if chosen and chosen not in tools:
         raise ConfigError(file, "path.tool", chosen, f"one of {', '.join(tools)}")
-    return {name: _tree_of_tool(tree, name, number, file) for number, name in enumerate(tools, 1)}
+    return {name: _tree_of_tool(tree, name, file) for name in tools}
 
 
-def _tree_of_tool(tree: dict, name: str, number: int, file) -> dict:
+def _tree_of_tool(tree: dict, name: str, file) -> dict:
     entry = tree["tools"][name]
     if isinstance(entry.get("stock"), dict) and {"min_mm", "max_mm"} & set(entry["stock"]):
         raise ConfigError(file, f"tools.{name}.stock", None, "must not have min_mm, max_mm: the tools share one stock")
     sections = {key: value for key, value in entry.items() if key in SECTIONS}
     tool = {key: value for key, value in entry.items() if key not in SECTIONS}
-    named = merge(tree.get("program") or {}, sections.get("program") or {}).get("name", "MILLING")
-    named = module_name(named, name, number) if isinstance(named, str) else named
-    if isinstance(named, str) and len(named) > LONGEST_NAME:
-        most = f"shorter: with the tool, {named}, it has more than {LONGEST_NAME} characters"
-        raise ConfigError(file, "program.name", named.rpartition("_")[0], most)
-    above = {**sections, "tool": tool, "path": {"tool": name}, "program": {**sections.get("program", {}), "name": named}}
+    above = {**sections, "tool": tool, "path": {"tool": name}}
     return merge({key: value for key, value in tree.items() if key != "tools"}, above)
-
-
-def module_name(program: str, tool: str, number: int) -> str:
-    """The name of the robot program of a tool; number: of the tool, for names that are no T and a number."""
-    return f"{program}_{tool}" if re.fullmatch(r"T[0-9]{1,3}", tool) else f"{program}_N{number}"
 
 
 def in_program_order(names: Sequence[str], program: SourceProgram, file) -> list[str]:

@@ -260,9 +260,7 @@ def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) 
     return Floors(ideal.x, ideal.y, ideal.height, error, ideal.owner)
 
 
-def _owners(
-    x, y, height, path: Course, target: np.ndarray, radius: float, level: float, top: float
-) -> np.ndarray:
+def _owners(x, y, height, path: Course, target: np.ndarray, radius: float, level: float, top: float) -> np.ndarray:
     """(a, b): the feature that was last at the height of each node, -1 where none was; top [m]: of the stock."""
     owner = np.full(height.shape, -1, np.int64)
     reach = 0.25 * radius

@@ -162,9 +162,7 @@ class ProgramBuilder(PathBuilder):
                 known[tool.name] = known[tool.name].completed(tool) if tool.name in known else tool
         described = ((name, line, known.get(name, ProgramTool(name))) for name, line in names.items())
         return tuple(
-            dataclasses.replace(
-                tool, name=name, line=line, cuts=self._cuts[name], last_cut=self._last_cut.get(name, 0)
-            )
+            dataclasses.replace(tool, name=name, line=line, cuts=self._cuts[name], last_cut=self._last_cut.get(name, 0))
             for name, line, tool in described
         )
 

@@ -24,11 +24,34 @@ from kr270_milling.show.report.series import write_series
 from kr270_milling.show.report.straight_cut import charts_of
 from kr270_milling.show.report.tables import ReportTable
 
-__all__ = ["DecisionBlock", "ReportTable", "decision_block", "write_report", "write_series"]
+__all__ = [
+    "DecisionBlock",
+    "ReportTable",
+    "decision_block",
+    "report_text",
+    "write_page",
+    "write_report",
+    "write_series",
+]
 
 
-def write_report(
-    directory,
+def write_report(directory, cell: Cell, passes: Sequence[ScoredPass], **more) -> Path:
+    """Write the page of ``report_text``; more: its other parameters. Returns the path."""
+    return write_page(directory, report_text(cell, passes, **more))
+
+
+def write_page(directory, text: str) -> Path:
+    """Write ``report.html`` into the directory, which is made if need be; returns its path.
+
+    The file appears whole or not at all. Raises InputError where it cannot be written.
+    """
+    path = Path(directory) / "report.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_files({path: (text,)})
+    return path
+
+
+def report_text(
     cell: Cell,
     passes: Sequence[ScoredPass],
     *,
@@ -41,14 +64,13 @@ def write_report(
     decision: DecisionBlock | None = None,
     tables: Sequence[ReportTable] = (),
     program: str | None = None,
-) -> Path:
-    """Write ``report.html`` into the directory, which is made if need be; returns its path.
+) -> str:
+    """The report as one HTML page.
 
     passes: the original one first; source: the cell file; command: how this was called; date: as it shall be printed;
     paper: set the paper's own results and figure numbers beside ours; parts: the assessments of the passes, if they
     are known already; decision: what was decided, for the first screen (default: what follows from the passes);
     tables: further ones, after the scores; program: text of the tool path file, where a recording carries it.
-    The file appears whole or not at all. Raises InputError where it cannot be written.
     """
     if not passes:
         raise InputError(title, "a report needs at least one pass")
@@ -80,7 +102,7 @@ def write_report(
         "engaged_s": cell.full_engagement,
         "part": not programmed.straight,
     }
-    text = page.page_text(
+    return page.page_text(
         page.HERE / "report.html",
         page.SCRIPTS,
         title=title,
@@ -109,7 +131,3 @@ def write_report(
         has_source=bool(pictures.source),
         data=page.to_json(data),
     )
-    path = Path(directory) / "report.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_files({path: (text,)})
-    return path
