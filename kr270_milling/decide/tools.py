@@ -28,8 +28,8 @@ def in_turn(
 ) -> list[tuple[Cell, Done]]:
     """Do a job for the tools of a program in their order; a cell without other tools is taken as it is.
 
-    passed: the pass of a job, whose workpiece the next tool begins with; None: the arm cannot make the pass, and the
-    tool leaves its programmed part. Returns each cell, on its workpiece, and the result of its job.
+    passed: the pass of a job, whose workpiece the next tool begins with; None: the pass must not be run, and the tool
+    leaves its programmed part. Returns each cell, on its workpiece, and the result of its job.
     """
     done: list[tuple[Cell, Done]] = []
     earlier: tuple[Removal, ...] = cells[0].stage.earlier if cells[0].stage else ()

@@ -173,7 +173,8 @@ class ProgramBuilder(PathBuilder):
             return [Refusal(self.line, self.selected, reason, "")]
         if self.selected or len(cutters) < 2:
             return []
-        advice = f"choose one with path.tool (init: --tool), for example {cutters[0].name or cutters[1].name}"
+        name = cutters[0].name or cutters[1].name
+        advice = f"write a cell with tools (kr270_milling init), or choose one tool with path.tool, for example {name}"
         reason = f"the program cuts with {len(cutters)} tools: {listing}"
         return [Refusal(cutters[1].line, cutters[1].name, reason, advice)]
 

@@ -89,7 +89,7 @@ def run_compensate(args) -> Answer:
 
     source, cells = find_file(args.cell), cells_of(args)
     with staged(args.out) as (draft, final):
-        jobs = in_turn(cells, run, lambda done: done.revised)
+        jobs = in_turn(cells, run, lambda done: done.revised if done.checked.may_be_run else None)
         several = len(jobs) > 1
         decision = DecisionOnTools.of(jobs) if several else jobs[0][1].decision
         if args.json and decision.level == CAUTION:

@@ -87,7 +87,7 @@ def run_check(args) -> Answer:
 
     cells = cells_of(args)
     _refuse_reference(args, cells)
-    done = in_turn(cells, lambda cell: _checked(cell, args), lambda one: one[0].ran)
+    done = in_turn(cells, lambda cell: _checked(cell, args), lambda one: one[0].ran if one[0].may_be_run else None)
     all_checked = [checked for _, (checked, _, _) in done]
     may_be_run = all(checked.may_be_run for checked in all_checked)
     result = {"cell": args.cell, "reference": args.reference}
