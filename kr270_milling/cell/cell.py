@@ -17,7 +17,7 @@ from kr270_milling.base.record import Record, build, derived, override, paramete
 from kr270_milling.cell.path import check_postures
 from kr270_milling.cell.paths import ProgramPath, StraightCut
 from kr270_milling.cell.sections import Limits, Path, Program, Tolerances, Uncertainty, Workpiece
-from kr270_milling.cell.stage import Removal, Stage, cleared, programmed_removal
+from kr270_milling.cell.stage import Removal, Stage, cleared, removal_along
 from kr270_milling.cell.tools import in_program_order, tool_trees
 from kr270_milling.path.cam.readers import find_tool_path
 from kr270_milling.path.timing import TimedPath, Timing
@@ -228,6 +228,14 @@ class Cell(Record):
             cut.continue_from(cleared(self.stage.earlier, self.stock, not rigid))
         return cut
 
+    @property
+    def programmed_removal(self) -> Removal:
+        """What the tool removes along its programmed path; raises InputError without a program."""
+        fed = self.fed_path
+        if fed is None:
+            raise InputError("path.file", "is empty, and a straight cut is no program")
+        return removal_along(self.path.tool, self.tool, fed.toolpath)
+
     def after(self, earlier: tuple[Removal, ...]) -> Cell:
         """The cell of a tool after the passes of the earlier tools of its program."""
         return self.replace(stage=replace(self.stage, earlier=earlier)) if self.stage else self
@@ -278,7 +286,7 @@ def read_cells(path, assignments=()) -> tuple[Cell, ...]:
     by_tool = {name: _cell_of_tool(name, one, assigned, path) for name, one in tool_trees(tree, path).items()}
     order = in_program_order(tuple(by_tool), next(iter(by_tool.values())).programmed.program, path)
     cells = [by_tool[name] for name in order]
-    cut = [programmed_removal(cell.path.tool, cell.tool, cell.programmed.fed.toolpath) for cell in cells]
+    cut = [cell.programmed_removal for cell in cells]
     stages = [Stage(order[k], k + 1, len(cells), tuple(cut[:k]), tuple(cut[k + 1 :])) for k in range(len(cells))]
     staged = [_staged(cell, stage, path) for cell, stage in zip(cells, stages, strict=True)]
     return tuple(cell for cell in staged if chosen in ("", cell.path.tool))

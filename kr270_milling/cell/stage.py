@@ -6,16 +6,18 @@ import functools
 import math
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from kr270_milling.path.toolpath import Toolpath
 from kr270_milling.physics.cutting import AL7075_T6, CutModel, Cutting, EngagementCut, Stock, Tool
 
-__all__ = ["Removal", "Stage", "cleared", "programmed_removal", "swept"]
+__all__ = ["Removal", "Stage", "cleared", "removal_along", "swept"]
 
 PLACES_PER_RADIUS = 50  #: of a programmed path: between two places R / 20000 stays at the side
 FARTHEST = 1e-4  #: [m], between two places: on an arc of 1 mm the chord misses 1.3 um
+ANY_LAW: dict[str, Any] = {"law": "linear_edge", "linear_edge": AL7075_T6}  #: of no effect: the spindle stands still
 MOST_PLACES = 1_000_000
 
 
@@ -49,7 +51,7 @@ class Stage:
         return f"tool {self.tool}, {self.number} of {self.count}"
 
 
-def programmed_removal(name: str, tool: Tool, path: Toolpath) -> Removal:
+def removal_along(name: str, tool: Tool, path: Toolpath) -> Removal:
     """Return what a tool removes on its programmed path."""
     radius, length = float(tool.radii.max()), path.length
     count = 2 + min(MOST_PLACES, int(length / min(radius / PLACES_PER_RADIUS, FARTHEST)))
@@ -60,7 +62,7 @@ def programmed_removal(name: str, tool: Tool, path: Toolpath) -> Removal:
 
 @functools.lru_cache(maxsize=6)
 def cleared(removals: tuple[Removal, ...], stock: Stock, actual: bool) -> CutModel:
-    """Return ``swept``, kept for the next pass on the same stock."""
+    """Return ``swept``; the next pass on the same stock takes the same map."""
     return swept(removals, stock, actual)
 
 
@@ -80,5 +82,5 @@ def swept(removals: tuple[Removal, ...], stock: Stock, actual: bool) -> CutModel
 
 
 def _disc(radius: float, stock: Stock) -> EngagementCut:
-    law = Cutting(law="linear_edge", linear_edge=AL7075_T6)  # of no effect without a turning spindle
-    return EngagementCut(Tool(diameter=2.0 * radius, teeth=1), law, stock, math.radians(1.0))
+    tool = Tool(diameter=2.0 * radius, teeth=1)
+    return EngagementCut(tool, Cutting(**ANY_LAW), stock, math.radians(1.0))

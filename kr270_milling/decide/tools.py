@@ -12,7 +12,7 @@ import numpy as np
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.cell.stage import Removal, programmed_removal
+from kr270_milling.cell.stage import Removal
 from kr270_milling.decide.check_cut import spring_back
 from kr270_milling.decide.compensation import JudgedCompensation
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision
@@ -26,7 +26,7 @@ SAME_PLACE = 1e-9  #: [m]
 def in_turn(
     cells: Sequence[Cell], job: Callable[[Cell], Done], passed: Callable[[Done], ScoredPass | None]
 ) -> list[tuple[Cell, Done]]:
-    """Do a job for the tools of a program in their order; a cell without other tools is taken as it is.
+    """Do a job for the tools of a program in their order; a cell without other tools stays unchanged.
 
     passed: the pass of a job, whose workpiece the next tool begins with; None: the pass must not be run, and the tool
     leaves its programmed part. Returns each cell, on its workpiece, and the result of its job.
@@ -44,7 +44,7 @@ def in_turn(
 
 def _removal(cell: Cell, ran: ScoredPass | None) -> Removal:
     """What the tool of a cell removes in a pass; None: on its programmed path."""
-    programmed = programmed_removal(cell.path.tool, cell.tool, cell.programmed.fed.toolpath)
+    programmed = cell.programmed_removal
     if ran is None:
         return programmed
     way = ran.result.actual

@@ -218,14 +218,14 @@ def _part_files(draft, final, cell, done, args, source, date: str) -> tuple[str,
 
 def _write_report(draft, jobs, decision, pages):
     """One page: that of the only tool, or one with the page of each tool behind a tab."""
-    from kr270_milling.show.report import write_page
+    from kr270_milling.show.report import write_report_page
     from kr270_milling.show.report.tools_page import tools_page
 
     if len(jobs) == 1:
-        return write_page(draft, pages[0])
+        return write_report_page(draft, pages[0])
     names = [cell.stage.tool for cell, _ in jobs]
     title = f"{jobs[0][0].programmed.file_name}: {len(jobs)} tools, before and after compensation"
-    return write_page(draft, tools_page(title, decision, names, pages))
+    return write_report_page(draft, tools_page(title, decision, names, pages))
 
 
 def _joints_table(cell, revised):

@@ -96,7 +96,7 @@ def run_check(args) -> Answer:
     counts = {f"{severity}s": sum(one.count(severity) for one in all_checked) for severity in ("stop", "warning")}
     result |= {"may_be_run": may_be_run, **counts}
     shown = [line for cell, (_, _, lines) in done for line in _headed(cell, cells, lines)]
-    stopped = [cell.stage.tool for cell, (checked, _, _) in done if not checked.may_be_run]
+    stopped = [cell.path.tool for cell, (checked, _, _) in done if not checked.may_be_run]
     verdict = f"must not be run: stops of {', '.join(stopped)}" if stopped else "may be run, after a test in T1 mode"
     words = f"{len(cells)} tools, {counts['stops']} stops, {counts['warnings']} warnings: the program {verdict}"
     answer = result | _by_tool(cells, [values for _, (_, values, _) in done])

@@ -29,7 +29,7 @@ __all__ = [
     "ReportTable",
     "decision_block",
     "report_text",
-    "write_page",
+    "write_report_page",
     "write_report",
     "write_series",
 ]
@@ -37,10 +37,10 @@ __all__ = [
 
 def write_report(directory, cell: Cell, passes: Sequence[ScoredPass], **more) -> Path:
     """Write the page of ``report_text``; more: its other parameters. Returns the path."""
-    return write_page(directory, report_text(cell, passes, **more))
+    return write_report_page(directory, report_text(cell, passes, **more))
 
 
-def write_page(directory, text: str) -> Path:
+def write_report_page(directory, text: str) -> Path:
     """Write ``report.html`` into the directory, which is made if need be; returns its path.
 
     The file appears whole or not at all. Raises InputError where it cannot be written.
