@@ -85,8 +85,11 @@ class ProgramBuilder(PathBuilder):
 
     @property
     def inside_operation(self) -> bool:
-        """Whether the operation has its name, and the tool is on its way to the first cut."""
-        return self.named and self.moved
+        """Whether the operation has its name, and its tool is on the way to the first cut.
+
+        A program without tools may be written by hand, and there each comment names the moves after it.
+        """
+        return self.named and self.moved and bool(self.tool)
 
     def name_operation(self, name: str, title: bool) -> None:
         """The operation of the moves that follow; title: the name is that of the whole program."""
