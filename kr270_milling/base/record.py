@@ -24,7 +24,7 @@ from kr270_milling.base.parameter_file import find_file, merge, override, read_t
 from kr270_milling.base.units import UNITS
 
 __all__ = [
-    "Record", "Spec", "parameter", "specs", "build", "flatten", "tree_of", "read_tree", "merge", "override",
+    "Record", "Spec", "derived", "parameter", "specs", "build", "flatten", "tree_of", "read_tree", "merge", "override",
     "find_file",
 ]  # fmt: skip
 
@@ -167,6 +167,11 @@ def parameter(default=dataclasses.MISSING, **about):
     return dataclasses.field(default=default, metadata=about)
 
 
+def derived(default):
+    """A dataclass field that no parameter file sets."""
+    return dataclasses.field(default=default, metadata={"derived": True})
+
+
 _SPECS: dict[type, tuple[Spec, ...]] = {}  # cache, one entry for each record class
 
 
@@ -176,6 +181,8 @@ def specs(record: type[Record]) -> tuple[Spec, ...]:
         hints = typing.get_type_hints(record)
         made = []
         for field in dataclasses.fields(record):
+            if "derived" in field.metadata:  # no parameter
+                continue
             default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
             kind = typing.get_origin(hints[field.name]) or hints[field.name]
             made.append(Spec(field.name, kind, default, **field.metadata))

@@ -6,16 +6,19 @@ import contextlib
 import functools
 import math
 import pathlib
-from dataclasses import dataclass, field
+import re
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from kr270_milling.base.errors import ConfigError, InputError, ParameterError
 from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
-from kr270_milling.base.record import Record, build, override, parameter, read_tree
+from kr270_milling.base.record import Record, build, derived, override, parameter, read_tree
 from kr270_milling.cell.path import check_postures
 from kr270_milling.cell.paths import ProgramPath, StraightCut
 from kr270_milling.cell.sections import Limits, Path, Program, Tolerances, Uncertainty, Workpiece
+from kr270_milling.cell.stage import Removal, Stage, cleared, removal_along
+from kr270_milling.cell.tools import in_program_order, tool_trees
 from kr270_milling.path.cam.readers import find_tool_path
 from kr270_milling.path.timing import TimedPath, Timing
 from kr270_milling.path.trajectory import Trajectory
@@ -27,7 +30,7 @@ from kr270_milling.physics.motion.exchange import Clock, Exchange, Publish
 from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.robot import Arm, Mount, inverse_near, pose
 
-__all__ = ["Cell", "read_cell", "with_program"]
+__all__ = ["Cell", "read_cell", "read_cells", "with_program"]
 
 SAME_PLACE = 1e-3  #: [mm], [deg]
 MOST_LONG_POSTURES = 20_000  #: of a program that is cut by its engagement; more lie between two of them, linearly
@@ -61,6 +64,7 @@ class Cell(Record):
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
     part: Tolerances = field(default_factory=Tolerances)
     imperfections: Imperfections = field(default_factory=Imperfections)
+    stage: Stage | None = derived(None)  #: in a program with several tools; None: one tool, an uncut stock
 
     def __post_init__(self):
         super().__post_init__()
@@ -219,10 +223,25 @@ class Cell(Record):
         period, step = 1e3 * self.exchange.period, 1e3 * self.stock.grid_step
         return f"cut: engagement, mean force over {period:.3g} ms on a map of {step:.3g} mm (cutting.detail); {tool}"
 
-    def cut(self) -> CutModel:
-        """Fresh workpiece."""
+    def cut(self, rigid: bool = False) -> CutModel:
+        """Fresh workpiece; of a later tool the stock that the earlier tools leave, rigid: on their programmed paths."""
         model = EngagementCut if self.by_engagement else Cut
-        return model(self.tool, self.cutting, self.stock, self.exchange.micro_step)
+        cut = model(self.tool, self.cutting, self.stock, self.exchange.micro_step)
+        if self.stage and self.stage.earlier:
+            cut.continue_from(cleared(self.stage.earlier, self.stock, not rigid))
+        return cut
+
+    @property
+    def programmed_removal(self) -> Removal:
+        """What the tool removes along its programmed path; raises InputError without a program."""
+        fed = self.fed_path
+        if fed is None:
+            raise InputError("path.file", "is empty, and a straight cut is no program")
+        return removal_along(self.path.tool, self.tool, fed.toolpath)
+
+    def after(self, earlier: tuple[Removal, ...]) -> Cell:
+        """The cell of a tool after the passes of the earlier tools of its program."""
+        return self.replace(stage=replace(self.stage, earlier=earlier)) if self.stage else self
 
     @property
     def feed_rate(self) -> float:
@@ -243,13 +262,57 @@ class Cell(Record):
 def read_cell(path, assignments=()) -> Cell:
     """The cell of a parameter file, with ``key=value`` texts on top; raises ConfigError, InputError.
 
-    What a program says and the file does not, the spindle speed, is taken from the program.
+    What a program says and the file does not, the spindle speed, is taken from the program. A file with ``tools``
+    gives the cell of ``path.tool``.
+    """
+    cells = read_cells(path, assignments)
+    if len(cells) > 1:
+        advice = f"choose one with --set path.tool={cells[0].path.tool}"
+        raise ConfigError(path, "tools", None, f"has {len(cells)} tools, and one cell is wanted: {advice}")
+    return cells[0]
+
+
+def read_cells(path, assignments=()) -> tuple[Cell, ...]:
+    """The cells of all ``tools`` of a parameter file, in the order of the program; one cell without ``tools``.
+
+    ``path.tool`` chooses one of the tools. The earlier tools leave their programmed part until ``Cell.after`` states
+    their passes. Raises ConfigError, InputError.
     """
     below = read_tree(path)
     tree, assigned = override(below, assignments)
     name = tree.get("path", {}).get("file") if isinstance(tree.get("path"), dict) else None
     if isinstance(name, str) and name:
         tree["path"]["file"] = str(find_tool_path(name, pathlib.Path(path).parent))
+    if "tools" not in tree:
+        return (_one_cell(tree, assigned, path),)
+    chosen = tree.get("path", {}).get("tool", "") if isinstance(tree.get("path"), dict) else ""
+    by_tool = {name: _cell_of_tool(name, one, assigned, path) for name, one in tool_trees(tree, path).items()}
+    order = in_program_order(tuple(by_tool), next(iter(by_tool.values())).programmed.program, path)
+    cells = [by_tool[name] for name in order]
+    cut = [cell.programmed_removal for cell in cells]
+    stages = [Stage(order[k], k + 1, len(cells), tuple(cut[:k]), tuple(cut[k + 1 :])) for k in range(len(cells))]
+    staged = [_staged(cell, stage, path) for cell, stage in zip(cells, stages, strict=True)]
+    return tuple(cell for cell in staged if chosen in ("", cell.path.tool))
+
+
+def _staged(cell: Cell, stage: Stage, path) -> Cell:
+    """The cell of one of several tools, with the name of the tool in that of the robot program."""
+    try:
+        program = cell.program.replace(name=cell.program.name + stage.suffix)
+    except ParameterError as error:
+        raise ConfigError(path, "program.name", error.value, f"{error.allowed}, with the tool") from None
+    return cell.replace(stage=stage, program=program)
+
+
+def _cell_of_tool(name: str, tree: dict, assigned: frozenset, path) -> Cell:
+    try:
+        return _one_cell(tree, assigned, path)
+    except ConfigError as error:
+        key = re.sub(r"^tool\.", f"tools.{name}.", error.key)
+        raise ConfigError(path, key, error.value, error.allowed) from None
+
+
+def _one_cell(tree: dict, assigned: frozenset, path) -> Cell:
     tree = _placed_by_hand(tree, assigned, path)
     cell = build(Cell, tree, path)
     _check_place(cell, tree, path)

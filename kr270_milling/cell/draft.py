@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import pathlib
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +13,7 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.path.toolpath import Toolpath
 
-__all__ = ["draft_text", "stock_of", "straight_text"]
+__all__ = ["draft_text", "stock_of", "straight_text", "tools_text"]
 
 #: YAML with places for str.format
 TEMPLATE = pathlib.Path(__file__).with_name("draft.yaml").read_text(encoding="utf-8")
@@ -30,11 +32,24 @@ SPACING, POSTURES = 5.0, 2e4  #: [mm] between two modelled postures, and how man
 NODES = 2.5e7  #: of the grid, 25 MB
 FINEST, FINE, COARSEST = 5.0, 20.0, 100.0  #: [um], grid steps
 DIAMETER, TEETH, SPEED = 10.0, 4, 8000.0  #: [mm], -, [rpm], where the program does not state it
+#: keys of a tool, below ``tool`` or below its name
+TOOL = """\
+      diameter_mm: {diameter}            # {diameter_source}
+      teeth: {teeth}                     # {teeth_source}
+      rotation: {rotation}               # M3: clockwise, M4: counterclockwise
+      {speed}                            # {speed_source}"""
+#: the sections in which the tools of a program differ, in one entry of ``tools``
+DIFFERENCES = """
+      exchange: {{period_ms: {period}}}  # {steps} micro-steps at its spindle speed
+      stock: {{grid_step_um: {grid}}}    # as the common one, for its feed per tooth"""
 #: what the template holds for a slot along +x, of which no program says anything
+STRAIGHT_TOOL = {
+    "diameter": DIAMETER, "diameter_source": "yours", "teeth": TEETH, "teeth_source": "yours", "rotation": "clockwise",
+    "speed": f"spindle_speed_rpm: {SPEED}", "speed_source": "yours",
+}  # fmt: skip
 STRAIGHT = {
     "operations": "", "place": f"[{PLACE[0]}, {PLACE[1]}, {PLACE[2]}]", "offset": "of the workpiece",
-    "diameter": DIAMETER, "diameter_source": "yours", "teeth": TEETH, "teeth_source": "yours", "rotation": "clockwise",
-    "speed": f"spindle_speed_rpm: {SPEED}", "speed_source": "yours", "low": "[0.0, -20.0, -10.0]",
+    "tool": "    tool:\n" + TOOL.format(**STRAIGHT_TOOL), "low": "[0.0, -20.0, -10.0]", "program": "",
     "high": "[60.0, 20.0, 0.0]", "grid": "20.0", "period": 1e3 * PERIOD, "steps": round(PERIOD * 6.0 * SPEED),
     "spacing": SPACING,
     "path": """\
@@ -43,6 +58,8 @@ STRAIGHT = {
       length_mm: 40.0                    # yours
       feed_rate_m_per_min: 2.0           # yours""",
 }  # fmt: skip
+TOOLS = "    tools:  # keys of tool, and sections that differ; yours: mount: {xyz_mm: [...]} for its length\n"
+LONGEST_NAME = 12  #: characters of a robot program, so that the name of the tool has room
 
 
 @dataclass(frozen=True)
@@ -63,6 +80,11 @@ def stock_of(path: Toolpath, radius: float) -> Box:
 
     Its top is at zero where the path cuts below zero, else where the cutter moves sideways at the highest.
     """
+    return _beside_rapids(_box_of(path, radius), path, radius)
+
+
+def _box_of(path: Toolpath, radius: float) -> Box:
+    """The box of the cuts with cutter and allowance."""
     cuts = np.flatnonzero(~path.rapid)
     ends = np.concatenate([path.position[cuts], path.position[np.maximum(cuts - 1, 0)]])
     bottom = float(ends[:, 2].min())
@@ -75,12 +97,12 @@ def stock_of(path: Toolpath, radius: float) -> Box:
     low = np.floor((inside.min(axis=0)[:2] - margin) * 1e3 + ROUNDING) / 1e3
     high = np.ceil((inside.max(axis=0)[:2] + margin) * 1e3 - ROUNDING) / 1e3
     base = math.floor((bottom - ALLOWANCE) * 1e3 + ROUNDING) / 1e3
-    return _beside_rapids(Box(np.array([*low, base]), np.array([*high, top])), path, radius, top)
+    return Box(np.array([*low, base]), np.array([*high, top]))
 
 
-def _beside_rapids(box: Box, path: Toolpath, radius: float, top: float) -> Box:
+def _beside_rapids(box: Box, path: Toolpath, radius: float) -> Box:
     """The box cut back until no rapid move below the top meets it."""
-    down = np.flatnonzero(path.rapid & (path.position[:, 2] < top - 1e-6))
+    down = np.flatnonzero(path.rapid & (path.position[:, 2] < box.high[2] - 1e-6))
     places = np.unique(np.round(path.position[down, :2], 5), axis=0)
     cut = box
     for place in places[:1000]:
@@ -105,36 +127,94 @@ def draft_text(file: str, path: Toolpath, robot: str) -> str:
     """The YAML of a cell for a path, which ``check`` reads unchanged; raises InputError for a path without a cut."""
     if path.rapid[1:].all():
         raise InputError(file, "has no cutting move: every block is a rapid one")
-    program, tool = path.program, path.program.current
-    speed = abs(program.spindle_speeds[0]) * 30 / math.pi if program.spindle_speeds else 0.0
-    diameter = 1e3 * tool.diameter if tool and tool.diameter else 0.0
-    teeth = tool.teeth if tool else 0
-    stock = stock_of(path, (diameter or DIAMETER) / 2e3)
+    program = path.program
+    stock = stock_of(path, _diameter(path) / 2e3)
     several = sum(bool(known.cuts) for known in program.tools) > 1
-    period, steps = _period(path, speed or SPEED)
-    comment = _words(f"[source: comment on {tool.label if tool and tool.label else 'the tool'}]")
-    unsaid = "yours: the program does not say it"
-    values = {
+    values = _common(path, stock) | _exchange(path, stock) | {
         "operations": _words(f"operations: {', '.join(program.operations)}" if program.operations else ""),
+        "tool": "    tool:\n" + TOOL.format(**_tool(path)),
+        "path": f"      file: {_quoted(file)}" + (f"\n      tool: {_quoted(program.tool)}" if several else ""),
+        "spacing": _spacing([path]),
+    }  # fmt: skip
+    return _aligned(TEMPLATE.format(**STRAIGHT | values, robot=robot))
+
+
+def tools_text(file: str, paths: Sequence[Toolpath], robot: str) -> str:
+    """The YAML of a cell with ``tools``, as ``draft_text``; paths: of all tools of a program, in its order."""
+    boxes = [_box_of(path, _diameter(path) / 2e3) for path in paths]
+    whole = Box(np.min([box.low for box in boxes], axis=0), np.max([box.high for box in boxes], axis=0))
+    stock = _beside_rapids(whole, paths[0], _diameter(paths[0]) / 2e3)  # the others may go down where it has cut
+    entries = []
+    for path in paths:
+        tool, names = path.program.current, ", ".join(path.program.operations)
+        label = _words(f"{tool.label if tool else path.program.tool}{f': {names}' if names else ''}")
+        keys = (TOOL + DIFFERENCES).format(**_tool(path) | _exchange(path, stock))
+        indented = "\n".join(f"  {line}" for line in keys.splitlines())
+        entries.append(f"      {path.program.tool}:  # {label}\n{indented}")
+    name = re.sub(r"[^A-Z0-9]+", "_", pathlib.Path(file).stem.upper()).strip("_")
+    name = (name if name[:1].isalpha() else f"P_{name}")[:LONGEST_NAME].rstrip("_")
+    values = _common(paths[0], stock) | _exchange(paths[0], stock) | {
+        "operations": _words(f"{len(paths)} tools, which run in the order of the program"),
+        "tool": TOOLS + "\n".join(entries),
+        "path": f"      file: {_quoted(file)}",
+        "program": f"\n    program:\n      name: {name}  # the name of the tool is added\n",
+        "spacing": _spacing(paths),
+    }  # fmt: skip
+    return _aligned(TEMPLATE.format(**STRAIGHT | values, robot=robot))
+
+
+def _common(path: Toolpath, stock: Box) -> dict:
+    """Values of a cell that do not depend on the tool."""
+    return {
         "place": _list(_place(stock)),
-        "offset": program.work_offset or "the work offset",
-        "diameter": _number(diameter or DIAMETER),
-        "diameter_source": comment if diameter else unsaid,
+        "offset": path.program.work_offset or "the work offset",
+        "low": _list(1e3 * stock.low),
+        "high": _list(1e3 * stock.high),
+    }
+
+
+def _tool(path: Toolpath) -> dict:
+    """Values of the keys of a tool."""
+    program, tool, speed = path.program, path.program.current, _speed(path)
+    comment = _words(f"[source: comment on {tool.label if tool and tool.label else 'the tool'}]")
+    teeth, known = tool.teeth if tool else 0, bool(tool and tool.diameter)
+    unsaid = "yours: the program does not say it"
+    return {
+        "diameter": _number(_diameter(path)),
+        "diameter_source": comment if known else unsaid,
         "teeth": teeth or TEETH,
         "teeth_source": "[source: the tool's comment]" if teeth else unsaid,
         "rotation": "counterclockwise" if any(value < 0 for value in program.spindle_speeds) else "clockwise",
-        "speed_source": "yours: the program has no S",
-        "low": _list(1e3 * stock.low),
-        "high": _list(1e3 * stock.high),
-        "grid": _number(_grid(stock, path, speed or SPEED, teeth or TEETH)),
-        "path": f"      file: {_quoted(file)}" + (f"\n      tool: {_quoted(program.tool)}" if several else ""),
+        "speed": f"# spindle_speed_rpm: {_number(speed)}" if speed else STRAIGHT_TOOL["speed"],
+        "speed_source": "[source: the program's S]" if speed else "yours: the program has no S",
+    }
+
+
+def _exchange(path: Toolpath, stock: Box) -> dict:
+    """Period and grid for the cut of a tool."""
+    speed, tool = _speed(path) or SPEED, path.program.current
+    period, steps = _period(path, speed)
+    return {
         "period": f"{period:.10g}" if "." in f"{period:.10g}" else f"{period:.1f}",
         "steps": steps,
-        "spacing": _number(math.ceil(max(SPACING, 1e3 * RAPID * _duration(path) / POSTURES))),
+        "grid": _number(_grid(stock, path, speed, (tool.teeth if tool else 0) or TEETH)),
     }
-    if speed:
-        values |= {"speed": f"# spindle_speed_rpm: {_number(speed)}", "speed_source": "[source: the program's S]"}
-    return _aligned(TEMPLATE.format(**STRAIGHT | values, robot=robot))
+
+
+def _diameter(path: Toolpath) -> float:
+    """[mm], of the tool, or a usual one."""
+    tool = path.program.current
+    return 1e3 * tool.diameter if tool and tool.diameter else DIAMETER
+
+
+def _speed(path: Toolpath) -> float:
+    """[rpm], of the spindle; 0 where the program has no S."""
+    speeds = path.program.spindle_speeds
+    return abs(speeds[0]) * 30 / math.pi if speeds else 0.0
+
+
+def _spacing(paths: Sequence[Toolpath]) -> str:
+    return _number(math.ceil(max(SPACING, 1e3 * RAPID * max(map(_duration, paths)) / POSTURES)))
 
 
 def straight_text(robot: str) -> str:

@@ -271,7 +271,7 @@ class ProgramPath:
         return InputError(self.path.file, f"point {point + 1} of the path: {reason}", line)
 
 
-@functools.lru_cache(maxsize=1)
+@functools.lru_cache(maxsize=8)
 def _read_once(file: str, tool: str, topic: str, feed: float, stamp: tuple) -> Toolpath | TimedPath:
-    """The tool path of a file, read once as long as its stamp is the same."""
+    """The tool path of a file, read once for each tool as long as its stamp is the same."""
     return read_path_file(file, tool, topic, feed)

@@ -30,7 +30,9 @@ class Plant:
     """
 
     def __init__(self, model: Cell, cell: Cell, imperfections: Imperfections | None = None):
-        programmed = {name: getattr(model, name) for name in ("path", "timing", "start_joints", "compensation")}
+        programmed = {
+            name: getattr(model, name) for name in ("path", "timing", "start_joints", "compensation", "stage")
+        }
         self.cell = cell.replace(imperfections=imperfections or cell.imperfections, **programmed)
         self.target = model.target()
         self.passes = 0  #: run so far

@@ -73,6 +73,8 @@ def arcs_along(cell: Cell) -> Arcs:
     look &= np.arange(look.size) % EVERY == 0
     low, high = cell.stock.min, cell.stock.max
     surface = np.full(tuple(np.maximum(1, np.ceil((high - low)[:2] / step)).astype(int)), high[2])
+    for removal in cell.stage.earlier if cell.stage else ():
+        _lower_along(surface, low[:2] + step / 2, step, removal.programmed, removal.radius, high[2])
     count, (depth, least, most) = np.zeros(distance.size, np.int64), np.zeros((3, distance.size))
     _engage(surface, low[:2] + step / 2, step, position, heading, radius, look, (count, depth, least, most))
     some = count >= FEWEST_NODES
@@ -137,6 +139,16 @@ def _engage(surface, origin, step, position, heading, radius, look, met):
                 least[k], most[k] = min(least[k], left), max(most[k], left)
                 depth[k] = max(depth[k], surface[i, j] - z)
                 count[k] += 1
+
+
+@njit(cache=True)
+def _lower_along(surface, origin, step, tips, radius, top):
+    """Lower the surface to the tool's end at each of the places (n, 3) [m] in their order; top [m]: of the stock."""
+    for k in range(tips.shape[0]):
+        below = k + 1 < tips.shape[0] and tips[k + 1, 2] < tips[k, 2]
+        if tips[k, 2] >= top or (below and tips[k, 0] == tips[k + 1, 0] and tips[k, 1] == tips[k + 1, 1]):
+            continue
+        _lower(surface, origin, step, tips[max(k - 1, 0)], tips[k], radius, int(radius / step) + 1, k > 0)
 
 
 @njit(cache=True)

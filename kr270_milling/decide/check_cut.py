@@ -24,6 +24,7 @@ __all__ = [
     "engagement",
     "rapid_violations",
     "residue_of",
+    "spring_back",
 ]
 
 NODES_PER_RADIUS = 50  #: of the height map, along its axes
@@ -82,8 +83,13 @@ def engagement(cell: Cell, margin: float, shift: np.ndarray | None = None) -> En
     path = np.column_stack([moved[:, :2] @ turn.T, moved[:, 2]])
     margin = max(margin, LEAST_MARGIN)
     radii = radius, max(radius - margin, 0.0), CORE * radius
-    earlier = np.zeros(surface.shape), np.full(surface.shape, -1, np.int32)
-    _mill(surface, *earlier, origin, step, path, series, radii, margin, met)
+    before = np.zeros(surface.shape), np.full(surface.shape, -1, np.int32)
+    for removal in cell.stage.earlier if cell.stage else ():
+        way = removal.programmed if shift is None else removal.actual
+        way = np.column_stack([way[:, :2] @ turn.T, way[:, 2]])
+        no_series, nothing = np.zeros(len(way), np.int64), np.zeros((4, len(way)))
+        _mill(surface, *before, origin, step, way, no_series, (removal.radius, 0.0, 0.0), 0.0, nothing)
+    _mill(surface, *before, origin, step, path, series, radii, margin, met)
     return Engagement(position, time, rapid, block, series, depth, inner, core, volume)
 
 
@@ -223,7 +229,7 @@ def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violati
     return _spindle(cell, run, ran) + _tool(cell) + contact_violations(cell, run, ran)
 
 
-def _spring_back(cell: Cell, ran: ScoredPass) -> float:
+def spring_back(cell: Cell, ran: ScoredPass) -> float:
     """[m], largest deflection while the tool feeds through material: a tool that springs back when the cut ends removes
     as much from a wall."""
     result = ran.result
@@ -295,7 +301,8 @@ def rapid_violations(cell: Cell, run: Trajectory, met: Engagement, ran: ScoredPa
     result = ran.result
     error = result.actual - result.target
     shift = np.stack([np.interp(1e9 * met.time, result.time_ns, error[:, k]) for k in range(3)], axis=1)
-    margin += _spring_back(cell, ran)
+    earlier = cell.stage.earlier if cell.stage else ()
+    margin += max([spring_back(cell, ran), *(removal.spring_back for removal in earlier)])
     return _rapid_moves(cell, engagement(cell, margin, shift), _points(run, met), margin)
 
 

@@ -47,6 +47,7 @@ class ProgramTool:
     teeth: int = 0  #: 0: the program does not say
     line: int = 0  #: of its first tool change
     cuts: int = 0  #: cutting blocks that it makes
+    last_cut: int = 0  #: line of the last of them
     corner_radius: float = 0.0  #: [m], 0: sharp corners, or the program does not say
 
     @property

@@ -581,3 +581,21 @@ def test_a_block_takes_a_few_times_what_finding_its_words_takes(tmp_path):
         words = spent(lambda: [[(a, float(b)) for a, b in WORD.findall(line)] for line in lines])
         ratios.append(spent(lambda: read_gcode(tmp_path / "long.nc")) / words)
     assert min(ratios) < MOST, ratios
+
+
+@pytest.mark.parametrize("comment", ["HELICAL RAMP", "LEAD IN", "lead-out", "Ramp", "DEPTH 2", "PASS 3", "PLUNGE"])
+def test_what_happens_inside_an_operation_is_no_operation(comment):
+    assert operation_name(comment) == ("", False)
+
+
+@pytest.mark.parametrize(
+    ("change", "names"), [("T2 M6\nS6000 M3\n", ("POCKET 1", "POCKET 2")), ("S6000 M3\n", ("BOTTOM", "POCKET 2"))]
+)
+def test_a_comment_on_the_way_to_the_first_cut_is_inside_the_operation(tmp_path, change, names):
+    """In a program with tools; a program without tools may be written by hand, with a comment anywhere."""
+    program = (
+        f"G21 G90\n(POCKET 1)\n{change}G0 X0 Y0 Z5\n(BOTTOM)\nG1 Z-1 F500\nX10\nG0 Z5\n(POCKET 2)\nG0 X20\nG1 Z-1\n"
+        "X30\nG0 Z5\nM30\n"
+    )
+    (tmp_path / "part.nc").write_text(program)
+    assert read_gcode(tmp_path / "part.nc").program.operations == names

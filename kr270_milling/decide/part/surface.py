@@ -19,6 +19,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 from scipy.spatial import cKDTree
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.stage import Removal, cleared, swept
 from kr270_milling.decide.part.course import Course
 from kr270_milling.decide.part.workpiece import heights_at, machined
 from kr270_milling.physics.cutting import CutModel, Stock, Tool
@@ -111,6 +112,17 @@ def ideal_walls(cut: CutModel, hits: Marks) -> IdealWalls:
     return IdealWalls(hits, np.flatnonzero(here), outside[here] - inside)
 
 
+def _not_passed(after: CutModel, walls: IdealWalls) -> IdealWalls:
+    """The walls that no later tool passes; after: what the later tools alone leave of an uncut stock."""
+    kept = walls.marks[walls.kept]
+    stays = np.ones(len(kept), bool)
+    for side in (-2.0, 2.0):  # grid nodes into the cut, and into the wall
+        beside = heights_at(after, kept.point + side * after.stock.grid_step * kept.normal)
+        with np.errstate(invalid="ignore"):  # NaN: beside the stock
+            stays &= ~(beside <= kept.centre[:, 2] + 2.0 * after.params.level_step)
+    return IdealWalls(walls.marks, walls.kept[stays], walls.height[stays])
+
+
 def remaining_walls(ideal: IdealWalls, path: Course, error: np.ndarray, level: float) -> Walls:
     """The walls of the finished part, given actual minus target tool centres (n + 1, 3) [m]; level [m] of the grid."""
     hits = ideal.marks
@@ -188,18 +200,32 @@ class IdealPart:
     walls: IdealWalls
     level: float  #: of the height map [m]
     thinning: int
-    drilled: np.ndarray  #: floors of holes, (a, b) bool: they are not judged
+    unjudged: np.ndarray  #: floors of holes and of other tools, (a, b) bool
 
 
 def ideal_part(cell: Cell, path: Course, target: np.ndarray) -> IdealPart:
-    """The part after a rigid arm moved the tool tip through ``target`` (n + 1, 3) [m]."""
-    cut = machined(cell, target)
+    """The part after a rigid arm moved the tool tip through ``target`` (n + 1, 3) [m].
+
+    Of a program with several tools: after the rigid arm made the paths of the tools before, too. Walls and floors
+    belong to the last tool that passes there.
+    """
+    cut = machined(cell, target, rigid=True)
     level = cut.params.level_step
     x, y, height = cut.map_heights()
-    owner = _owners(x, y, height, path, target, cell.tool.radius, level)
+    owner = _owners(x, y, height, path, target, cell.tool.radius, level, float(cell.stock.max[2]))
     walls = ideal_walls(cut, marks(cell.tool, path, cell.clock.period, target))
-    drilled = _drilled(x, y, height, target[path.drilling], cell.tool.radius, 2.0 * level)
-    return IdealPart(x, y, height, owner, walls, level, cut.map_thinning, drilled)
+    if cell.stage:
+        radius = float(cell.tool.radii.max())
+        mine = swept((Removal(cell.stage.tool, radius, target, target),), cell.stock, False)
+        owner = np.where(mine.map_heights()[2] <= height + 2.0 * level, owner, -1)
+        if cell.stage.later:
+            after = cleared(cell.stage.later, cell.stock, False)
+            owner = np.where(after.map_heights()[2] <= height + 2.0 * level, -1, owner)
+            walls = _not_passed(after, walls)
+    unjudged = _drilled(x, y, height, target[path.drilling], cell.tool.radius, 2.0 * level)
+    if cell.stage:
+        unjudged |= owner < 0
+    return IdealPart(x, y, height, owner, walls, level, cut.map_thinning, unjudged)
 
 
 def surface(
@@ -226,7 +252,7 @@ def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) 
     width = 1 + 2 * int(np.ceil((largest + 2.0 * stock.grid_step) / spacing))
     rise = maximum_filter(ideal.height, width, mode="nearest") - minimum_filter(ideal.height, width, mode="nearest")
     floor = (
-        ~ideal.drilled
+        ~ideal.unjudged
         & (rise <= 2.0 * ideal.level + SLOPE * width * spacing)
         & (ideal.height < stock.max[2] - 0.5 * ideal.level)
     )
@@ -234,10 +260,10 @@ def _floors(stock: Stock, ideal: IdealPart, height: np.ndarray, largest: float) 
     return Floors(ideal.x, ideal.y, ideal.height, error, ideal.owner)
 
 
-def _owners(x, y, height, path: Course, target: np.ndarray, radius: float, level: float) -> np.ndarray:
-    """(a, b): the feature that was last at the height of each node, -1 where none was."""
+def _owners(x, y, height, path: Course, target: np.ndarray, radius: float, level: float, top: float) -> np.ndarray:
+    """(a, b): the feature that was last at the height of each node, -1 where none was; top [m]: of the stock."""
     owner = np.full(height.shape, -1, np.int64)
-    top, reach = float(height.max()), 0.25 * radius
+    reach = 0.25 * radius
     rise = np.abs(path.tangent[:, 2])
     slack = np.where(rise < 0.5, rise * reach, 0.0) + 2.0 * level  # a plunge leaves its floor at the last point
     for k in _stations(path, target, reach):

@@ -20,10 +20,11 @@ FINE = 0.25e-3  #: [m]
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
-def machined(cell: Cell, positions: np.ndarray) -> CutModel:
+def machined(cell: Cell, positions: np.ndarray, rigid: bool = False) -> CutModel:
     """A fresh workpiece after the tool tip went through positions (n + 1, 3) [m], one exchange period from each to the
-    next, workpiece frame. Positions that are the target's leave the part of a rigid arm. Raises GridError."""
-    cut = cell.cut()
+    next, workpiece frame. Positions that are the target's leave the part of a rigid arm. rigid: earlier tools of the
+    program had a rigid arm, too. Raises GridError."""
+    cut = cell.cut(rigid)
     cut.along(positions, np.arange(len(positions)) * cell.clock.micro_steps)
     return cut
 

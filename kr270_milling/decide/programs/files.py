@@ -30,8 +30,10 @@ __all__ = [
     "source_of",
     "time_law",
     "write_joint_table",
+    "write_manifest",
     "write_programs",
     "write_rsi_table",
+    "write_tool_programs",
 ]
 
 AT_ZERO = np.radians(1e-3)  #: an axis nearer to zero has no certain sign: points are written to 0.1 um
@@ -55,14 +57,41 @@ def write_programs(
     method: for the names; date: ISO text; source: sha256 of what the original was made from; decision: its lines;
     findings: lines of the check, both for every header. A program that is not released has NOT_RELEASED for its name.
     """
+    files, text = write_tool_programs(
+        directory, cell, original, revised, method=method, date=date, motions=motions, source=source,
+        decision=decision, findings=findings, released=released,
+    )  # fmt: skip
+    files["manifest"] = [write_manifest(directory, [text], decision, released)]
+    return files
+
+
+def write_manifest(directory, texts: Sequence[str], decision: Sequence[str] = (), released: bool = True) -> Path:
+    """Write the one manifest of a directory: the decision, and the text of each tool; return its path."""
+    path = Path(directory) / "MANIFEST.txt"
+    head = krl.filled("manifest.txt", released=released, decision=decision)
+    write_files({path: [head, *texts]})
+    return path
+
+
+def write_tool_programs(
+    directory, cell: Cell, original: Trajectory, revised: Trajectory, *, method: str, date: str,
+    motions: Sequence[str] | None = (), source: str = "", decision: Sequence[str] = (),
+    findings: Sequence[str] = (), released: bool = True,
+) -> tuple[dict[str, list[Path]], str]:  # fmt: skip
+    """``write_programs`` without its manifest; return the paths by kind, and the text for the manifest.
+
+    In a program with several tools the name of the tool is in every name.
+    """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
         raise InputError("method", f"{method[:40]!r} cannot be part of a file name")
     place = Path(directory)
     joints = commanded_joints(cell, original), commanded_joints(cell, revised)
     commanded = as_commanded(cell, original, joints[0]), as_commanded(cell, revised, joints[1])
-    program = cell.program if released else cell.program.replace(name=NOT_RELEASED)
+    suffix = cell.stage.suffix if cell.stage else ""
+    program = cell.program if released else cell.program.replace(name=f"{NOT_RELEASED}{suffix}")
     heading = krl.Heading(__version__, date, source, method, (time_law(cell), *decision, *findings))
-    label = f"{method}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
+    named = f"{method}{suffix}"
+    label = f"{named}_{date[:10].replace('-', '')}_{krl.trajectory_hash(commanded[1])[:8]}"
     setup, origin = _setup(cell, *commanded), source_of(cell, len(original))
     files: dict[str, list[Path]] = {}
     programs = []
@@ -76,19 +105,16 @@ def write_programs(
     tick_ns = tick_ns if tick_ns in RSI_TICKS_NS else RSI_TICKS_NS[-1]
     files["rsi"] = [place / f"rsi_offsets_{label}.csv"]
     files["joints"] = [place / f"joints_original_{label}.csv", place / f"joints_{label}.csv"]
-    files["trajectory"] = [place / f"reference_{method}.csv"]
-    files["manifest"] = [place / "MANIFEST.txt"]
+    files["trajectory"] = [place / f"reference_{named}.csv"]
     write_rsi_table(files["rsi"][0], *commanded, tick_ns)
     for path, run, q in zip(files["joints"], (original, revised), joints, strict=True):
         write_joint_table(path, run, q)
     write_csv(files["trajectory"][0], revised, joints[1])
     text = krl.filled(
-        "manifest.txt", released=released, programs=programs, name=program.name, files=files,
-        tick_ms=f"{tick_ns / 1e6:g}", decision=decision,
-        findings=findings,
+        "manifest_tool.txt", stage=cell.stage, programs=programs, name=program.name, files=files,
+        tick_ms=f"{tick_ns / 1e6:g}", findings=findings,
     )  # fmt: skip
-    write_files({files["manifest"][0]: [text]})
-    return files
+    return files, text
 
 
 def as_commanded(cell: Cell, run: Trajectory, joints) -> Trajectory:

@@ -23,6 +23,13 @@ NO_NAME = re.compile(
     r"footer)\b",
     re.I,
 )
+#: what happens inside an operation
+INSIDE = re.compile(
+    r"(?:(?:helical|helix|spiral|linear|zig-?zag|profile)\s+(?:ramp(?:ing)?|entry|exit|plunge|motion|lead)"
+    r"|ramp(?:ing)?|lead[- ]?(?:in|out)|plunge|link(?:ing)?|transition|(?:depth|level|layer|pass)\s*\d*)"
+    r"(?:\s+(?:in|out|down|move|motion|\d+))*",
+    re.I,
+)
 LONGEST_NAME = 48
 MOST_WORDS = 7
 
@@ -55,6 +62,8 @@ def operation_name(comment: str) -> tuple[str, bool]:
     if announced and re.search(r"[^\W\d_]", announced.group(1)):
         return announced.group(1).strip()[:LONGEST_NAME], True
     if len(comment) > LONGEST_NAME or len(comment.split()) > MOST_WORDS or not NAME.fullmatch(comment):
+        return "", False
+    if INSIDE.fullmatch(comment):
         return "", False
     if not re.search(r"[^\W\d_]{2}", comment) or NO_NAME.match(comment) or comment.endswith((".", ",")):
         return "", False

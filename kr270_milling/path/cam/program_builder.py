@@ -33,6 +33,7 @@ class ProgramBuilder(PathBuilder):
         self.active = True  #: whether the tool in the spindle is that one
         self.away = False  #: whether the tool was taken away since the last move
         self.named = False  #: whether a comment named the operation since the last cut
+        self.moved = False  #: whether the tool moved since then: a comment that follows is inside the operation
         self.lost = False  #: a move was refused: the place of the tool is unknown
         self.title = ""
         self.tool = ""  #: in the spindle
@@ -42,6 +43,7 @@ class ProgramBuilder(PathBuilder):
         self.silent: Counter[str] = Counter()  #: words that move nothing
         self._tools: dict[str, int] = {}  #: name -> line of its first change
         self._cuts: Counter[str] = Counter()  #: tool -> cutting blocks
+        self._last_cut: dict[str, int] = {}  #: tool -> line
         self._offsets: dict[tuple[str, str], int] = {}  #: (tool, offset) while cutting -> first line
         self._refused: list[tuple[str, Refusal]] = []  #: with the tool in the spindle
 
@@ -49,6 +51,7 @@ class ProgramBuilder(PathBuilder):
 
     def rapid(self, end: tuple) -> None:
         """Go to a point; nothing is recorded until X, Y and Z are known."""
+        self.moved = True
         if not self.active or any(map(math.isnan, end)):
             return
         if self.last is not None and (self.away or self.last[2] == TOP):
@@ -61,6 +64,7 @@ class ProgramBuilder(PathBuilder):
         """Feed through points, from a start that is known."""
         self.named = False
         self._cuts[self.tool] += 1
+        self._last_cut[self.tool] = self.line
         self._offsets.setdefault((self.tool, self.offset), self.line)
         if not self.active:
             return
@@ -73,10 +77,24 @@ class ProgramBuilder(PathBuilder):
         """The tool of the moves that follow; they make a feature of its name where no comment names the operation."""
         self.away = self.away or bool(self.tool) or len(self) > 0
         self.tool = tool
+        self.moved = False
         self.active = self.selected in ("", tool)
         self._tools.setdefault(tool, self.line)
         if not self.named:
             self.name_feature(tool)
+
+    @property
+    def inside_operation(self) -> bool:
+        """Whether the operation has its name, and its tool is on the way to the first cut.
+
+        A program without tools may be written by hand, and there each comment names the moves after it.
+        """
+        return self.named and self.moved and bool(self.tool)
+
+    def name_operation(self, name: str, title: bool) -> None:
+        """The operation of the moves that follow; title: the name is that of the whole program."""
+        self.name_feature(name)
+        self.named, self.moved = not title, False
 
     # --- what cannot be run ---
 
@@ -147,7 +165,8 @@ class ProgramBuilder(PathBuilder):
                 known[tool.name] = known[tool.name].completed(tool) if tool.name in known else tool
         described = ((name, line, known.get(name, ProgramTool(name))) for name, line in names.items())
         return tuple(
-            dataclasses.replace(tool, name=name, line=line, cuts=self._cuts[name]) for name, line, tool in described
+            dataclasses.replace(tool, name=name, line=line, cuts=self._cuts[name], last_cut=self._last_cut.get(name, 0))
+            for name, line, tool in described
         )
 
     def _selection(self, cutters: list[ProgramTool]) -> list[Refusal]:
@@ -157,7 +176,8 @@ class ProgramBuilder(PathBuilder):
             return [Refusal(self.line, self.selected, reason, "")]
         if self.selected or len(cutters) < 2:
             return []
-        advice = f"choose one with path.tool (init: --tool), for example {cutters[0].name or cutters[1].name}"
+        name = cutters[0].name or cutters[1].name
+        advice = f"write a cell with tools (kr270_milling init), or choose one tool with path.tool, for example {name}"
         reason = f"the program cuts with {len(cutters)} tools: {listing}"
         return [Refusal(cutters[1].line, cutters[1].name, reason, advice)]
 

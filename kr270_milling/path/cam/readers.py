@@ -12,10 +12,20 @@ from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_ab
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import UNITS
 from kr270_milling.base.table import read_table
+from kr270_milling.path.source_program import ProgramError
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import REACH, PathBuilder, Toolpath
 
-__all__ = ["READERS", "PathReader", "find_tool_path", "read_path_file", "read_points", "read_toolpath", "reader_of"]
+__all__ = [
+    "READERS",
+    "PathReader",
+    "find_tool_path",
+    "read_path_file",
+    "read_points",
+    "read_toolpath",
+    "read_toolpaths",
+    "reader_of",
+]
 
 LENGTHS, FEEDS = ("m", "mm", "um"), ("mm_per_min", "m_per_min", "mm_per_s", "m_per_s")
 UNITS_OF = dict.fromkeys("xyz", LENGTHS) | dict.fromkeys("abc", ("deg",)) | {"feed": FEEDS}
@@ -115,3 +125,17 @@ def read_toolpath(path, tool: str = "", feed: float = 0.0) -> Toolpath:
     if not isinstance(toolpath, Toolpath):
         raise InputError(path, "is a recording, not a program")
     return toolpath
+
+
+def read_toolpaths(path, tool: str = "") -> list[Toolpath]:
+    """Read the tool paths of all tools that a CAM program cuts with, in its order, or of one.
+
+    Raises as ``read_toolpath``.
+    """
+    try:
+        return [read_toolpath(path, tool)]
+    except ProgramError as error:
+        names = [known.name for known in error.program.tools if known.cuts]
+        if tool or len(names) < 2 or not all(names):
+            raise
+    return [read_toolpath(path, name) for name in names]

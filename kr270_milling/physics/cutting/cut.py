@@ -103,6 +103,13 @@ class CutModel:
     def _make_room(self, n: int, distance: float) -> None:
         """Have an undo log for n micro-steps over a distance [m]."""
 
+    def continue_from(self, before: CutModel) -> None:
+        """Begin with the workpiece that another cut left on the same grid; its removed volume is not counted."""
+        used = before.tiles * TILE**2
+        self.state.pool[:used] = before.state.pool[:used]
+        self.state.table[:] = before.state.table
+        self.state.ints[TILES] = before.tiles
+
     def touch(self, most: int = 1 << 26) -> None:
         """Have the memory of the stock, up to so many bytes, so that no sweep waits for the system to clear a page."""
         used = self.state.ints[TILES] * TILE**2

@@ -17,7 +17,7 @@ COMMANDS = {
     "init": command(
         "cells.run_init", "init --gcode config/test_piece.nc",
         option("--gcode FILE", "the program: G-code or APT/CL"),
-        option("--tool T1", "of a program with several tools: whose moves", default=""),
+        option("--tool T1", "of a program with several tools: a cell for this one alone", default=""),
         option("--robot", "arm file, also a shipped one by its name", default="kr270_2"),
     ),
     "keys": command(
@@ -37,16 +37,17 @@ COMMANDS = {
 
 
 def run_init(args) -> Answer:
-    from kr270_milling.cell.draft import draft_text, straight_text
-    from kr270_milling.path.cam.readers import read_toolpath
+    from kr270_milling.cell.draft import draft_text, straight_text, tools_text
+    from kr270_milling.path.cam.readers import read_toolpaths
 
     robot = args.robot if args.robot.endswith(".yaml") else f"{args.robot}.yaml"
     find_file(robot)
     if args.gcode is None:
         text, program = straight_text(robot), None
     else:
-        path = read_toolpath(args.gcode, args.tool)
-        text, program = draft_text(str(Path(args.gcode).resolve()), path, robot), path.program
+        paths = read_toolpaths(args.gcode, args.tool)
+        file, program = str(Path(args.gcode).resolve()), paths[0].program
+        text = draft_text(file, paths[0], robot) if len(paths) == 1 else tools_text(file, paths, robot)
     return Answer({"cell": text, "program": program and asdict(program)}, [text.removesuffix("\n")])
 
 

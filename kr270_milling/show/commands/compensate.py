@@ -17,7 +17,7 @@ from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, Group, com
 from kr270_milling.show.commands.console import (
     Answer,
     Colored,
-    cell_of,
+    cells_of,
     command_line,
     joints_text,
     now,
@@ -26,6 +26,7 @@ from kr270_milling.show.commands.console import (
 from kr270_milling.show.commands.progress import progress
 
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
+NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
 
 COMMANDS = {
@@ -72,20 +73,28 @@ COMMANDS = {
 def run_compensate(args) -> Answer:
     from kr270_milling.decide.compensation import compensate
     from kr270_milling.decide.decision import CAUTION
+    from kr270_milling.decide.tools import DecisionOnTools, in_turn
 
-    source, cell = find_file(args.cell), cell_of(args)
-    plant = plant_of(args, cell)
-    with staged(args.out) as (draft, final):
+    def run(cell):
         done = compensate(
-            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args), progress=progress
-        )
+            cell, args.method, plant=plant_of(args, cell), motions=args.krl or (), verdict=_order(args),
+            progress=progress,
+        )  # fmt: skip
         if not (done.decision.verdict or args.no_verdict):
             print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
-        if args.json and done.decision.level == CAUTION:
-            print(f"warning: {done.decision.text}", file=sys.stderr)
-        values = _values(cell, done)
-        values |= _write(draft, final, cell, done, args, source)
-    return Answer(values, _shown(cell, done, values, args), code=done.decision.exit_code)
+        return done
+
+    source, cells = find_file(args.cell), cells_of(args)
+    with staged(args.out) as (draft, final):
+        jobs = in_turn(cells, run, lambda done: done.revised if done.checked.may_be_run else None)
+        several = len(jobs) > 1
+        decision = DecisionOnTools.of(jobs) if several else jobs[0][1].decision
+        if args.json and decision.level == CAUTION:
+            print(f"warning: {decision.text}", file=sys.stderr)
+        with progress("files"):
+            values = _write(draft, final, jobs, decision, args, source)
+    shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args)
+    return Answer(values, shown, code=decision.exit_code)
 
 
 def _order(args):
@@ -143,42 +152,77 @@ def _correction(cell, revised, by) -> dict:
     return values
 
 
-def _write(draft, final, cell, done, args, source) -> dict:
-    """All files; their final paths by kind."""
+def _write(draft, final, jobs, decision, args, source) -> dict:
+    """All files of all tools, and what ``--json`` prints; jobs: of each tool its cell and its compensation."""
     from kr270_milling.decide.decision import NO
-    from kr270_milling.decide.programs.files import write_programs
+    from kr270_milling.decide.programs.files import write_manifest
 
-    date = now()
-    revised, released = done.revised, done.decision.level != NO
-    with progress("files"):
-        files = write_programs(
-            draft, cell, done.original.reference, revised.reference, method=revised.name, date=date,
-            motions=done.motions if released or args.force else None, source=cell.programmed.sha256,
-            decision=done.decision.lines(), findings=[*done.checked.findings_lines(), done.checked.counts],
-            released=released,
-        )  # fmt: skip
-        placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
-        placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
+    date, released = now(), decision.level != NO
+    tools, texts, pages = [], [], []
+    for cell, done in jobs:
+        lines = decision.lines(cell.stage.tool) if len(jobs) > 1 else decision.lines()
+        values = _values(cell, done)
+        placed, text = _write_programs(draft, final, cell, done, lines, released, args, date)
+        tools.append(values | placed)
+        texts.append(text)
         if done.parts:
-            placed |= _write_part(draft, final, cell, done, args, source, date)
-    return placed
+            page, part = _part_files(draft, final, cell, done, args, source, date)
+            pages.append(page)
+            tools[-1] |= part
+    manifest = str(final(write_manifest(draft, texts, decision.lines(), released)))
+    report = {"report": str(final(_write_report(draft, jobs, decision, pages)))} if pages else {}
+    if len(jobs) > 1:
+        rows = [
+            {"tool": cell.stage.tool, "level": one.pop("decision"), **one}
+            for (cell, _), one in zip(jobs, tools, strict=True)
+        ]
+        return {**decision.as_dict(), "out": args.out, "manifest": manifest, **report, "tools": rows}
+    tools[0]["programs"]["manifest"] = [manifest]
+    return tools[0] | report
 
 
-def _write_part(draft, final, cell, done, args, source, date: str) -> dict:
-    """Report with the error maps, and the predicted part."""
+def _write_programs(draft, final, cell, done, lines, released, args, date: str) -> tuple[dict, str]:
+    """Programs and tables of one tool: their final paths by kind, and the text for the manifest."""
+    from kr270_milling.decide.programs.files import write_tool_programs
+
+    files, text = write_tool_programs(
+        draft, cell, done.original.reference, done.revised.reference, method=done.revised.name, date=date,
+        motions=done.motions if released or args.force else None, source=cell.programmed.sha256,
+        decision=lines, findings=[*done.checked.findings_lines(), done.checked.counts],
+        released=released,
+    )  # fmt: skip
+    placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
+    placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}
+    return placed, text
+
+
+def _part_files(draft, final, cell, done, args, source, date: str) -> tuple[str, dict]:
+    """The report of one tool as text, and the final path of the predicted part."""
     from kr270_milling.decide.part import write_part
-    from kr270_milling.show.report import write_report
+    from kr270_milling.show.report import report_text
 
     revised = done.revised
     title = f"{cell.programmed.file_name}: before and after compensation ({revised.name})"
-    report = write_report(
-        draft, cell, (done.original, revised), title=title, source=str(source), command=command_line(args), date=date,
-        parts=done.parts, decision=done.decision, checked=done.checked,
+    page = report_text(
+        cell, (done.original, revised), title=f"{title}, {cell.stage}" if cell.stage else title, source=str(source),
+        command=command_line(args), date=date, parts=done.parts, decision=done.decision, checked=done.checked,
         tables=[_joints_table(cell, revised), _time_law_table(cell, done)],
     )  # fmt: skip
-    stl = draft / f"part_{revised.name}.stl"
+    stl = draft / f"part_{revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
     write_part(stl, cell, revised.result)
-    return {"report": str(final(report)), "part": str(final(stl))}
+    return page, {"part": str(final(stl))}
+
+
+def _write_report(draft, jobs, decision, pages):
+    """One page: that of the only tool, or one with the page of each tool behind a tab."""
+    from kr270_milling.show.report import write_report_page
+    from kr270_milling.show.report.tools_page import tools_page
+
+    if len(jobs) == 1:
+        return write_report_page(draft, pages[0])
+    names = [cell.stage.tool for cell, _ in jobs]
+    title = f"{jobs[0][0].programmed.file_name}: {len(jobs)} tools, before and after compensation"
+    return write_report_page(draft, tools_page(title, decision, names, pages))
 
 
 def _joints_table(cell, revised):
@@ -209,13 +253,44 @@ def _time_law_table(cell, done):
     return TextTable("Plan and program: largest deviation [um]", ("pass", "max"), texts, time_law(cell))
 
 
-def _shown(cell, done, values: dict, args):
+def _shown_tools(jobs, decision, values: dict, args):
+    """The output for the terminal: the decision, then what each tool has on its own."""
+    from kr270_milling.decide.decision import NO
+
+    yield Colored(decision.text, COLORS[decision.level])
+    for (cell, done), one in zip(jobs, values["tools"], strict=True):
+        yield f"\n{cell.stage}: {cell.tool.diameter * 1e3:g} mm, {cell.tool.teeth} teeth"
+        yield f"{done.decision.level}: {done.decision.sentence}"
+        yield from done.decision.lines()[1:]
+        yield from _details(cell, done, one)
+        yield from _files(one)
+        yield from (f"{kind}: {one[kind]}" for kind in ("part",) if kind in one)
+    yield ""
+    if decision.level == NO:
+        yield NOT_RELEASED if args.force else NOT_WRITTEN
+    yield from (f"{kind}: {values[kind]}" for kind in ("manifest", "report") if kind in values)
+
+
+def _shown(cell, done, decision, values: dict, args):
     """The output for the terminal, the decision first."""
     from kr270_milling.decide.decision import NO
 
-    decision = done.decision
     yield Colored(decision.text, COLORS[decision.level])
     yield from decision.lines()[1:]
+    yield from _details(cell, done, values)
+    if decision.level == NO:
+        yield NOT_RELEASED if args.force else NOT_WRITTEN
+    yield from _files(values)
+    yield from (f"{kind}: {values[kind]}" for kind in ("report", "part") if kind in values)
+
+
+def _files(values: dict):
+    for kind, paths in values["programs"].items():
+        yield f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}"
+
+
+def _details(cell, done, values: dict):
+    """Tables and lines of one tool after its decision."""
     if done.parts:
         yield _features(values["features"], values["method"])
     else:
@@ -240,11 +315,6 @@ def _shown(cell, done, values: dict, args):
     if values["verdict"]:
         yield from _verdict(values["verdict"])
     yield f"{values['points']} reference points: {values['trajectory']}"
-    if decision.level == NO:
-        yield "programs marked NOT RELEASED" if args.force else "no robot program is written (--force writes one)"
-    for kind, paths in values["programs"].items():
-        yield f"{kind}: {', '.join(paths[:2])}{f' and {len(paths) - 2} more files' if len(paths) > 2 else ''}"
-    yield from (f"{kind}: {values[kind]}" for kind in ("report", "part") if kind in values)
 
 
 def _identified(values: dict) -> str:

@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from kr270_milling.base.column import TextTable, fixed
+from kr270_milling.base.errors import InputError
 from kr270_milling.base.parameter_file import find_file
 
 __all__ = [
-    "Answer", "Colored", "cell_of", "command_line", "joints_text", "now", "output_directory", "plant_of", "print_json",
-    "print_table", "shown_path",
+    "Answer", "Colored", "cell_of", "cells_of", "command_line", "joints_text", "now", "output_directory", "plant_of",
+    "print_json", "print_table", "shown_path",
 ]  # fmt: skip
 
 WIDEST = 1000  # characters of a table
@@ -65,12 +66,22 @@ def cell_of(args):
     return read_cell(find_file(args.cell), args.set)
 
 
+def cells_of(args):
+    """The cells of a command line with ``cell`` and ``--set``, one for each tool of its program."""
+    from kr270_milling.cell.cell import read_cells
+
+    return read_cells(find_file(args.cell), args.set)
+
+
 def plant_of(args, cell):
     """Return the plant of ``--plant`` and ``--noise-um``; None: the model cuts, without imperfections."""
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.cell.plant import Plant
 
-    cuts = read_cell(find_file(args.plant)) if args.plant else cell
+    chosen = [f"path.tool={cell.stage.tool}"] if cell.stage else []
+    cuts = read_cell(find_file(args.plant), chosen) if args.plant else cell
+    if cell.stage and not cuts.stage:
+        raise InputError(args.plant, f"is no plant for a cell with tools: it needs tools.{cell.stage.tool}, too")
     imperfections = cuts.imperfections
     if args.noise_um is not None:
         imperfections = imperfections.replace(pose_noise=1e-6 * args.noise_um)

@@ -9,7 +9,7 @@ from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
 from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, REFERENCE, command, option
-from kr270_milling.show.commands.console import Answer, cell_of, joints_text, plant_of
+from kr270_milling.show.commands.console import Answer, cells_of, joints_text, plant_of
 from kr270_milling.show.commands.progress import progress
 
 FARTHEST = 0.05  #: [m] from the path that a reference may be, the most that compensation.max_correction_mm may say
@@ -32,35 +32,45 @@ COMMANDS = {
 
 
 def run_simulate(args) -> Answer:
+    from kr270_milling.decide.tools import in_turn
+
+    cells = cells_of(args)
+    _refuse_reference(args, cells)
+    with staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final):
+        done = in_turn(cells, lambda cell: _simulated(cell, args, draft, final), lambda one: one[0])
+    shown = [line for cell, (_, _, lines) in done for line in _headed(cell, cells, lines)]
+    return Answer(_by_tool(cells, [summary for _, (_, summary, _) in done]), shown)
+
+
+def _simulated(cell, args, draft, final):
+    """The pass of one tool, what ``--json`` prints of it, and the output for the terminal."""
     from kr270_milling.cell import jobs
     from kr270_milling.decide.check_cut import residue_of
     from kr270_milling.decide.part import FeatureRow, assess, write_part
     from kr270_milling.decide.tolerance import judge
     from kr270_milling.show.report.series import write_series
 
-    cell = cell_of(args)
     reference = None if args.reference is None else _reference(cell, args.reference)
-    name = "original" if reference is None else Path(args.reference).stem
-    plant = plant_of(args, cell)
-    with staged(args.out) if args.out else contextlib.nullcontext((None, None)) as (draft, final):
-        with progress("milling") as report:
-            ran = jobs.simulate(cell, reference, name, report, plant)
-        summary = _summary(cell, ran)
-        residue = residue_of(cell, ran.result)
-        summary["simulated_pass"] = residue.as_dict()
-        part = None if cell.programmed.straight else assess(cell, ran)
-        tolerance = judge(cell, ran, part)
-        summary["tolerance"] = tolerance.as_dict()
-        if part:
-            summary |= {key: value for key, value in part.as_dict().items() if key != "name"}
-        if draft and final:
-            files = write_series(draft, cell, [ran])
-            if not cell.programmed.straight:
-                files.append(draft / "part.stl")
-                write_part(files[-1], cell, ran.result)
-            summary["files"] = [str(final(path)) for path in files]
+    suffix = cell.stage.suffix if cell.stage else ""
+    name = f"original{suffix}" if reference is None else Path(args.reference).stem
+    with progress("milling") as report:
+        ran = jobs.simulate(cell, reference, name, report, plant_of(args, cell))
+    summary = _summary(cell, ran)
+    residue = residue_of(cell, ran.result)
+    summary["simulated_pass"] = residue.as_dict()
+    part = None if cell.programmed.straight else assess(cell, ran)
+    tolerance = judge(cell, ran, part)
+    summary["tolerance"] = tolerance.as_dict()
+    if part:
+        summary |= {key: value for key, value in part.as_dict().items() if key != "name"}
+    if draft and final:
+        files = write_series(draft, cell, [ran])
+        if not cell.programmed.straight:
+            files.append(draft / f"part{suffix}.stl")
+            write_part(files[-1], cell, ran.result)
+        summary["files"] = [str(final(path)) for path in files]
     columns = (("feature", "feature", 1), *columns_of(FeatureRow, unit="um"))
-    return Answer(summary, [
+    return ran, summary, [
         *([table_of(FEATURES, columns, (*summary["features"], summary["whole_part"]))] if part else _scores(summary)),
         f"tolerance: {tolerance.words}",
         residue.text,
@@ -69,24 +79,64 @@ def run_simulate(args) -> Answer:
         f"removed area        {summary['removed_area_mm2']:10.3f} mm2",
         f"{summary['steps']} micro-steps in {summary['wall_s']:.3f} s, {summary['real_time_factor']:.1f} x real time",
         *summary.get("files", []),
-    ])  # fmt: skip
+    ]  # fmt: skip
 
 
 def run_check(args) -> Answer:
     """Exit code 1 if the path must not be run."""
+    from kr270_milling.decide.tools import in_turn
+
+    cells = cells_of(args)
+    _refuse_reference(args, cells)
+    done = in_turn(cells, lambda cell: _checked(cell, args), lambda one: one[0].ran if one[0].may_be_run else None)
+    all_checked = [checked for _, (checked, _, _) in done]
+    may_be_run = all(checked.may_be_run for checked in all_checked)
+    result = {"cell": args.cell, "reference": args.reference}
+    if len(cells) == 1:
+        return Answer(result | done[0][1][1], done[0][1][2], code=int(not may_be_run))
+    counts = {f"{severity}s": sum(one.count(severity) for one in all_checked) for severity in ("stop", "warning")}
+    result |= {"may_be_run": may_be_run, **counts}
+    shown = [line for cell, (_, _, lines) in done for line in _headed(cell, cells, lines)]
+    stopped = [cell.path.tool for cell, (checked, _, _) in done if not checked.may_be_run]
+    verdict = f"must not be run: stops of {', '.join(stopped)}" if stopped else "may be run, after a test in T1 mode"
+    words = f"{len(cells)} tools, {counts['stops']} stops, {counts['warnings']} warnings: the program {verdict}"
+    answer = result | _by_tool(cells, [values for _, (_, values, _) in done])
+    return Answer(answer, [*shown, "", words], code=int(not may_be_run))
+
+
+def _checked(cell, args):
+    """The check of one tool, what ``--json`` prints of it, and the output for the terminal."""
     from kr270_milling.decide import check as decision
     from kr270_milling.decide.tolerance import judge
     from kr270_milling.path.trajectory_csv import read_csv
 
-    cell = cell_of(args)
     reference = None if args.reference is None else read_csv(Path(args.reference))[0]
     with progress("checking") as report:
         checked = decision.check(cell, reference, args.motion, progress=report)
         tolerance = judge(cell, checked.ran) if checked.ran else None
-    result = {"cell": args.cell, "reference": args.reference, "cut": cell.cutting.detail, **checked.as_dict()}
-    result["tolerance"] = tolerance and tolerance.as_dict()
+    values = {"cut": cell.cutting.detail, **checked.as_dict(), "tolerance": tolerance and tolerance.as_dict()}
     words = [f"{'as programmed' if reference is None else 'corrected'}: {tolerance.words}"] if tolerance else []
-    return Answer(result, [*words, cell.cut_text, *checked.lines()], code=int(not checked.may_be_run))
+    return checked, values, [*words, cell.cut_text, *checked.lines()]
+
+
+def _refuse_reference(args, cells) -> None:
+    if args.reference and len(cells) > 1:
+        advice = f"choose the tool with --set path.tool={cells[0].stage.tool}"
+        raise InputError(args.reference, f"is the trajectory of one tool, and the cell has {len(cells)}: {advice}")
+
+
+def _headed(cell, cells, lines) -> list:
+    """The output of a tool, under its name where there are several."""
+    if len(cells) == 1:
+        return list(lines)
+    return [f"\n{cell.stage}: {cell.tool.diameter * 1e3:g} mm, {cell.tool.teeth} teeth", *lines]
+
+
+def _by_tool(cells, values: list[dict]) -> dict:
+    """What ``--json`` prints: the values of the only tool, or a list with those of each."""
+    if len(cells) == 1:
+        return values[0]
+    return {"tools": [{"tool": cell.stage.tool, **one} for cell, one in zip(cells, values, strict=True)]}
 
 
 def _scores(summary: dict) -> list[str]:

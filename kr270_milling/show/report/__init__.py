@@ -26,11 +26,26 @@ from kr270_milling.show.report.robot_model import robot_model
 from kr270_milling.show.report.series import write_series
 from kr270_milling.show.report.straight_cut import charts_of
 
-__all__ = ["write_report", "write_series"]
+__all__ = ["report_text", "write_report", "write_report_page", "write_series"]
 
 
-def write_report(
-    directory,
+def write_report(directory, cell: Cell, passes: Sequence[ScoredPass], **more) -> Path:
+    """Write the page of ``report_text``; more: its other parameters. Returns the path."""
+    return write_report_page(directory, report_text(cell, passes, **more))
+
+
+def write_report_page(directory, text: str) -> Path:
+    """Write ``report.html`` into the directory, which is made if need be; returns its path.
+
+    The file appears whole or not at all. Raises InputError where it cannot be written.
+    """
+    path = Path(directory) / "report.html"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_files({path: (text,)})
+    return path
+
+
+def report_text(
     cell: Cell,
     passes: Sequence[ScoredPass],
     *,
@@ -44,14 +59,13 @@ def write_report(
     checked: Checked | None = None,
     tables: Sequence[TextTable] = (),
     program: str | None = None,
-) -> Path:
-    """Write ``report.html`` into the directory, which is made if need be; returns its path.
+) -> str:
+    """The report as one HTML page.
 
     passes: the original one first; source: the cell file; command: how this was called; date: as it shall be printed;
     paper: set the paper's own results and figure numbers beside ours; parts: the assessments of the passes, if they
     are known already; decision, checked: for the first screen (default: what follows from the passes);
     tables: further ones, after the scores; program: text of the tool path file, where a recording carries it.
-    The file appears whole or not at all. Raises InputError where it cannot be written.
     """
     if not passes:
         raise InputError(title, "a report needs at least one pass")
@@ -83,7 +97,7 @@ def write_report(
         "engaged_s": cell.full_engagement,
         "part": not programmed.straight,
     }
-    text = page.page_text(
+    return page.page_text(
         page.HERE / "report.html",
         page.SCRIPTS,
         title=title,
@@ -112,7 +126,3 @@ def write_report(
         has_source=bool(pictures.source),
         data=page.to_json(data),
     )
-    path = Path(directory) / "report.html"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_files({path: (text,)})
-    return path

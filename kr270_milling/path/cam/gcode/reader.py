@@ -195,9 +195,8 @@ class _GcodeReader:
         elif comment.lower().startswith("finish operation"):
             self.announced = ""
             return
-        if name and (announced or not self.announced):
-            self.program.name_feature(name)
-            self.program.named = not title
+        if name and (announced or not (self.announced or self.program.inside_operation)):
+            self.program.name_operation(name, title)
 
 
 def _split_comments(line: str) -> tuple[str, list[str]]:

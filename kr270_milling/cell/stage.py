@@ -1,0 +1,86 @@
+"""The stage of one tool in a program with several tools: what the other tools remove, before and after."""
+
+from __future__ import annotations
+
+import functools
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from kr270_milling.path.toolpath import Toolpath
+from kr270_milling.physics.cutting import AL7075_T6, CutModel, Cutting, EngagementCut, Stock, Tool
+
+__all__ = ["Removal", "Stage", "cleared", "removal_along", "swept"]
+
+PLACES_PER_RADIUS = 50  #: of a programmed path: between two places R / 20000 stays at the side
+FARTHEST = 1e-4  #: [m], between two places: on an arc of 1 mm the chord misses 1.3 um
+ANY_LAW: dict[str, Any] = {"law": "linear_edge", "linear_edge": AL7075_T6}  #: of no effect: the spindle stands still
+MOST_PLACES = 1_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Removal:
+    """What a tool removes: all material above its end, along its way; workpiece frame."""
+
+    tool: str  #: name in the program
+    radius: float  #: [m], of the longest tooth
+    programmed: np.ndarray  #: tool tip along the programmed path [m], (n, 3)
+    actual: np.ndarray  #: tool tip in the simulated pass [m], (m, 3); the programmed path where no pass was simulated
+    spring_back: float = 0.0  #: [m], largest deflection while the tool cuts
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The tool of a cell in a program with several tools."""
+
+    tool: str  #: name in the program
+    number: int  #: in the order of the program, from 1
+    count: int  #: of the tools
+    earlier: tuple[Removal, ...] = ()  #: in the order of the program
+    later: tuple[Removal, ...] = ()
+
+    @property
+    def suffix(self) -> str:
+        """What names of files and robot programs end in: ``_T2``; ``_N2`` where the tool has no short number."""
+        return f"_{self.tool}" if re.fullmatch(r"T[0-9]{1,2}", self.tool) else f"_N{self.number}"
+
+    def __str__(self) -> str:
+        return f"tool {self.tool}, {self.number} of {self.count}"
+
+
+def removal_along(name: str, tool: Tool, path: Toolpath) -> Removal:
+    """Return what a tool removes on its programmed path."""
+    radius, length = float(tool.radii.max()), path.length
+    count = 2 + min(MOST_PLACES, int(length / min(radius / PLACES_PER_RADIUS, FARTHEST)))
+    distance = np.union1d(np.linspace(0.0, length, count), np.cumsum(path.block_length))
+    position = np.ascontiguousarray(path.on_path(distance)[0])
+    return Removal(name, radius, position, position)
+
+
+@functools.lru_cache(maxsize=6)
+def cleared(removals: tuple[Removal, ...], stock: Stock, actual: bool) -> CutModel:
+    """Return ``swept``; the next pass on the same stock takes the same map."""
+    return swept(removals, stock, actual)
+
+
+def swept(removals: tuple[Removal, ...], stock: Stock, actual: bool) -> CutModel:
+    """Return the stock after other tools, on the grid of ``stock``; actual: along their passes, else as programmed.
+
+    Raises GridError.
+    """
+    cut = _disc(removals[0].radius, stock)
+    for removal in removals:
+        each = _disc(removal.radius, stock)
+        each.continue_from(cut)
+        way = removal.actual if actual else removal.programmed
+        each.along(way, np.zeros(len(way), np.int64))  # the spindle does not turn: no force is computed
+        cut = each
+    return cut
+
+
+def _disc(radius: float, stock: Stock) -> EngagementCut:
+    tool = Tool(diameter=2.0 * radius, teeth=1)
+    return EngagementCut(tool, Cutting(**ANY_LAW), stock, math.radians(1.0))

@@ -1,0 +1,211 @@
+"""Several tools in one program: the stock passes from tool to tool, and there is one decision."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+from three_tools import PLATE, QUICK, RIGID, STOCK, tool_cells
+
+from kr270_milling.base.errors import ConfigError
+from kr270_milling.cell.cell import read_cell, read_cells
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.cli import main
+from kr270_milling.decide.check import check
+from kr270_milling.decide.check_cut import engagement, rapid_violations
+from kr270_milling.decide.part import assess
+from kr270_milling.decide.tools import in_turn
+
+DETAIL = [f"cutting.detail={detail}" for detail in ("teeth", "engagement")]
+
+
+def operation(tool: str, *moves: str) -> str:
+    return "\n".join([f"{tool} M6", "S6000 M3", *moves, "G0 Z20", "M5", ""])
+
+
+ALONG = ("G0 X-40 Y0 Z5", "G0 Z-1", "G1 X40 F3000")  #: a slot over the whole stock, 1 mm deep
+ACROSS = ("G0 X0 Y-25 Z5", "G0 Z-2", "G1 Y25 F3000")  #: 2 mm deep
+HEAD, END = "G21 G90\n", "M30\n"
+LARGE, SMALL = {"diameter_mm": 10, "teeth": 2}, {"diameter_mm": 6, "teeth": 2}
+
+
+def run_in_turn(cells):
+    return in_turn(cells, simulate, lambda ran: ran)
+
+
+@pytest.mark.parametrize("detail", DETAIL)
+@pytest.mark.parametrize("first", ["T1", "T2"])
+def test_two_tools_remove_the_union_of_their_slots(tmp_path, detail, first):
+    slots = [operation("T1", *ALONG), operation("T2", *ACROSS)]
+    program = HEAD + "".join(slots if first == "T1" else slots[::-1]) + END
+    done = run_in_turn(tool_cells(tmp_path, program, {"T1": LARGE, "T2": SMALL}, detail, RIGID))
+    along, across, both = 60 * 10 * 1, 30 * 6 * 2, 6 * 10 * 1  # [mm3], closed form
+    removed = {cell.stage.tool: 1e9 * ran.result.removed_volume for cell, ran in done}
+    alone = {"T1": along, "T2": across}
+    second = "T2" if first == "T1" else "T1"
+    assert removed[first] == pytest.approx(alone[first], rel=0.01)
+    assert removed[second] == pytest.approx(alone[second] - both, rel=0.01)
+    assert not any(check(cell, ran=ran).count("stop") for cell, ran in done)
+
+
+@pytest.mark.parametrize("detail", DETAIL)
+def test_a_tool_on_the_path_of_the_one_before_removes_nothing_and_feels_no_force(tmp_path, detail):
+    program = HEAD + operation("T1", *ALONG) + operation("T2", *ALONG) + END
+    (_, first), (_, second) = run_in_turn(tool_cells(tmp_path, program, {"T1": LARGE, "T2": LARGE}, detail, RIGID))
+    assert np.abs(first.result.wrench).max() > 50.0
+    assert second.result.removed_volume == 0.0 and not second.result.wrench.any()
+
+
+def test_a_soft_arm_leaves_material_that_the_next_tool_finds(tmp_path):
+    """Where the first tool is pushed off to one side, the same slot of the second tool is not free of force."""
+    program = HEAD + operation("T1", *ALONG) + operation("T2", *ALONG) + END
+    (_, first), (cell, second) = run_in_turn(tool_cells(tmp_path, program, {"T1": LARGE, "T2": LARGE}))
+    missed = np.abs(first.result.actual - first.result.target)[first.result.volume > 0.0, 1].mean()
+    assert 1e9 * second.result.removed_volume == pytest.approx(1e9 * missed * 60e-3 * 1e-3, rel=0.5)
+    (moved,) = cell.stage.earlier
+    assert moved.spring_back > 0.5 * missed
+
+
+def test_rapid_moves_where_the_tool_before_has_cut_are_no_contact(tmp_path):
+    inside = ("G0 X-20 Y0 Z5", "G0 Z-1", "G0 X0", "G1 Z-2 F500", "G1 X20 F1000")
+    program = HEAD + operation("T1", *ALONG) + operation("T2", *inside) + END
+    cells = tool_cells(tmp_path, program, {"T1": LARGE, "T2": SMALL})
+    alone = cells[1].replace(stage=None)
+    contacts = [
+        rapid_violations(cell, cell.target(), engagement(cell, cell.limits.rapid_contact)) for cell in (cells[1], alone)
+    ]
+    assert not contacts[0] and len(contacts[1]) == 2
+    depth = engagement(cells[1], 0.0).depth.max(), engagement(alone, 0.0).depth.max()
+    assert depth == (pytest.approx(1e-3), pytest.approx(2e-3))
+
+
+def test_walls_and_floors_belong_to_the_last_tool_that_passes_there(tmp_path):
+    """T1 leaves 0.3 mm at a wall, which T2 removes with a strip of the floor, from y = -10.4 to -4.4 mm."""
+    rough = ("G0 X-45 Y-14.7 Z5", "G0 Z-1", "G1 X45 F3000")
+    finish = ("G0 X-45 Y-7.4 Z5", "G0 Z-1", "G1 X45 F3000")
+    program = HEAD + operation("T1", *rough) + operation("T2", *finish) + END
+    tools = {"T1": {"diameter_mm": 20, "teeth": 2}, "T2": SMALL}
+    (first, roughed), (second, finished) = run_in_turn(tool_cells(tmp_path, program, tools))
+    before, after = assess(first, roughed), assess(second, finished)
+    assert not before.surface.walls.error.size and after.surface.walls.error.size
+    assert assess(first.replace(stage=None), roughed).surface.walls.error.size
+    for part, low, high in ((before, -15.0, -10.4), (after, -10.4, -4.4)):
+        floors = part.surface.floors
+        own = 1e3 * floors.y[np.isfinite(floors.error).any(axis=0)]
+        assert own.min() == pytest.approx(low, abs=0.4) and own.max() == pytest.approx(high, abs=0.4)
+        assert low - 0.05 < own.min() and own.max() < high + 0.05
+
+
+def test_a_tool_overrides_sections_and_one_tool_can_be_chosen(tmp_path):
+    program = HEAD + operation("T1", *ALONG) + operation("T2", *ACROSS) + END
+    tools = {"T1": LARGE, "T2": SMALL | {"cutting": {"linear_edge": {"tangential_cutting_n_per_mm2": 700.0}}}}
+    first, second = tool_cells(tmp_path, program, tools)
+    assert second.cutting.active.tangential_cutting == 700e6 != first.cutting.active.tangential_cutting
+    assert (first.program.name, second.program.name) == ("MILLING_T1", "MILLING_T2")
+    (chosen,) = tool_cells(tmp_path, program, tools, "path.tool=T2")
+    assert chosen.tool.diameter == 6e-3 and [one.tool for one in chosen.stage.earlier] == ["T1"]
+
+
+@pytest.mark.parametrize(
+    ("tools", "more", "message"),
+    [
+        ({"T1": LARGE}, "", r"tools\.T2: is missing: the program cuts with T2"),
+        ({"T1": LARGE, "T2": {"teeth": 2, "diameter": 6}}, "", r"tools\.T2\.diameter: is not a known key"),
+        ({"T1": LARGE, "T2": SMALL | {"stock": {"min_mm": [0, 0, 0]}}}, "", r"tools\.T2\.stock: must not have min_mm"),
+        ({"T1": LARGE, "T2": 3}, "", r"tools: must have a group of keys for each tool"),
+        ({"T1": LARGE, "T2": SMALL}, "path.tool=T9", r"path\.tool: 'T9' is not usable, it must be one of T1, T2"),
+        ({"T1": LARGE, "T2": SMALL}, "program.name=LONGEST_NAME_1", r"program\.name: .*16 characters.*with the tool"),
+        ({"T1": LARGE, "T2": SMALL}, "path.file=", r"tools: needs a program in path\.file"),
+    ],
+)
+def test_tools_that_do_not_fit_are_refused(tmp_path, tools, more, message):
+    program = HEAD + operation("T1", *ALONG) + operation("T2", *ACROSS) + END
+    with pytest.raises(ConfigError, match=message):
+        tool_cells(tmp_path, program, tools, *filter(None, [more]))
+
+
+def test_a_tool_that_cuts_twice_and_a_command_for_one_tool_are_refused(tmp_path):
+    slots = operation("T1", *ALONG), operation("T2", *ACROSS)
+    with pytest.raises(ConfigError, match=r"tools\.T1: cuts again in line 20, after T2"):
+        tool_cells(tmp_path, HEAD + "".join(slots) + slots[0] + END, {"T1": LARGE, "T2": SMALL})
+    path = tmp_path / "cell.yaml"
+    (tmp_path / "part.nc").write_text(HEAD + "".join(slots) + END)
+    path.write_text(
+        "/**:\n  ros__parameters:\n    includes: [test_piece.yaml]\n    path: {file: part.nc}\n"
+        "    tools: {T1: {diameter_mm: 10.0}, T2: {diameter_mm: 6.0}}\n"
+    )
+    assert len(read_cells(path, QUICK)) == 2
+    with pytest.raises(ConfigError, match=r"has 2 tools, .* --set path\.tool=T1"):
+        read_cell(path, QUICK)
+
+
+@pytest.fixture(scope="module")
+def drafted(tmp_path_factory):
+    """The cell that ``init`` writes for the plate."""
+    folder = tmp_path_factory.mktemp("plate")
+    (folder / "plate.nc").write_text(PLATE)
+    with contextlib.redirect_stdout(io.StringIO()) as text:
+        assert main(["init", "--gcode", str(folder / "plate.nc")]) == 0
+    (folder / "cell.yaml").write_text(text.getvalue())
+    return folder / "cell.yaml"
+
+
+FAST = ("cutting.detail=engagement", "dynamics.follow_pose=false", "compensation.method=inverse")
+
+
+def command(name: str, cell, *words: str) -> list[str]:
+    sets = [*STOCK, *FAST]
+    return [name, str(cell), *(part for one in sets for part in ("--set", one)), *words]
+
+
+def test_init_writes_the_tools_of_a_program(drafted):
+    cells = read_cells(drafted)
+    assert [cell.stage.tool for cell in cells] == ["T1", "T2", "T3"]
+    assert [1e3 * cell.tool.diameter for cell in cells] == pytest.approx([40, 10, 6])
+    assert [cell.tool.spindle_speed * 30 / math.pi for cell in cells] == pytest.approx([3000, 8000, 9000])
+    assert [cell.programmed.program.operations for cell in cells] == [("FACE1",), ("POCKET2",), ("CONTOUR3",)]
+    assert [cell.program.name for cell in cells] == ["PLATE_T1", "PLATE_T2", "PLATE_T3"]
+
+
+def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, tmp_path, capsys):
+    assert main(command("check", drafted, "--json")) == 0
+    checked = json.loads(capsys.readouterr().out)
+    assert [one["tool"] for one in checked["tools"]] == ["T1", "T2", "T3"]
+    assert checked["may_be_run"] and sum(one["removed_by_rapid_moves_mm3"] for one in checked["tools"]) == 0.0
+    assert main(command("compensate", drafted, "--no-verdict", "--json", "--out", str(tmp_path / "out"))) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["decision"] == "caution" and answer["may_be_run"]
+    programs = [path for one in answer["tools"] for path in one["programs"]["krl_spline"]]
+    names = [path.rpartition("/")[2] for path in programs]
+    assert len(set(names)) == len(names) and {"PLATE_T1_CMP.src", "PLATE_T3_ORG.dat"} <= set(names)
+    tables = [path for one in answer["tools"] for kind in ("rsi", "joints") for path in one["programs"][kind]]
+    assert len(set(tables)) == 9 and all("_T" in path for path in tables)
+    manifest = (tmp_path / "out" / "MANIFEST.txt").read_text()
+    header = next(tmp_path.glob("out/krl_*_T2_*/PLATE_T2_CMP.src")).read_text()
+    report = (tmp_path / "out" / "report.html").read_text()
+    said = f"decision: caution: {answer['sentence']}"
+    assert said in manifest and said in " ".join(re.findall(r"^; (.*?)\r?$", header, re.MULTILINE))
+    assert manifest.count("====") == 6 and all(f'data-tool="T{k}"' in report for k in (1, 2, 3))
+    for one in answer["tools"]:  # one after the other the tools leave the part
+        assert one["compensated"]["deciding_error_um"] < one["as_programmed"]["deciding_error_um"]
+
+
+def test_a_stop_of_one_tool_stops_the_program(drafted, tmp_path, capsys):
+    dangerous = PLATE.replace("G1 X6.7 F2000", "G0 X6.7")
+    program = tmp_path / "dangerous.nc"
+    program.write_text(dangerous)
+    more = ["--set", f"path.file={program}"]
+    out = tmp_path / "out"
+    assert main(command("compensate", drafted, "--no-verdict", "--json", "--out", str(out), *more)) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["decision"] == "no" and answer["deciding_tool"] == "T2" and "rapid" in answer["sentence"]
+    assert [one["level"] for one in answer["tools"]] == ["caution", "no", "caution"]
+    assert not list(out.glob("krl_*")) and "NOT RELEASED" in (out / "MANIFEST.txt").read_text()
+    assert main(command("check", drafted, *more)) == 1
+    shown = capsys.readouterr().out
+    assert "must not be run: stops of T2" in shown and "tool T3, 3 of 3" in shown
