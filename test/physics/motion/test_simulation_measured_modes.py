@@ -8,8 +8,8 @@ import pytest
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import cell_text
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.live.graph.processes import cell_text
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.motion.arm_model import MeasuredModes, arm_model, measured_model
 from kr270_milling.physics.motion.exchange import Clock
