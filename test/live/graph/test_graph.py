@@ -133,13 +133,6 @@ def test_run_gives_the_plain_loop_bit_for_bit_and_reports_its_passes(ros_environ
     assert not nodes_of(tmp_path)
 
 
-def test_namespace_that_cannot_be_is_refused_before_anything_is_written(tmp_path, capsys):
-    assert main(run_words(tmp_path / "o", "--namespace", "a b")) == 2
-    errors = capsys.readouterr().err
-    assert errors.count("\n") == 1 and "--namespace: 'a b' must be a ROS namespace" in errors
-    assert not (tmp_path / "o").exists()
-
-
 def test_recordings_are_never_overwritten(tmp_path):
     for expected in ("o", "o/run_2", "o/run_3"):
         directory = fresh_directory(tmp_path / "o")

@@ -99,28 +99,6 @@ def test_graph_in_one_process_gives_the_plain_loop_bit_for_bit(world, short_cell
     assert not any(level == ERROR for _, level, _ in loop.reports.all)
 
 
-@pytest.mark.parametrize("method", ["spline", "learned"])
-def test_every_method_revises_on_line_as_it_does_off_line(world, short_cell, tmp_path, method):
-    loop = Loop(world, short_cell, tmp_path)
-    loop.start()
-    loop.revised(1)
-    loop.stop()
-    choice = [Parameter("compensation.method", value=method)]
-    assert loop.compensator.set_parameters(choice)[0].successful
-    reference = loop.revised(2)
-    first = simulate(short_cell)
-    off_line = compensator(short_cell, short_cell.target(), method)
-    expected = off_line.revise(record_of(short_cell, first.result))
-    assert np.array_equal(reference.position, expected.position)
-    assert (reference.velocity is None) == (expected.velocity is None)
-    loop.series = {topic: {} for topic in loop.series}
-    loop.start()
-    second = simulate(short_cell, expected)
-    next_reference = loop.revised(3)
-    loop.matches(second.result)
-    assert np.array_equal(next_reference.position, off_line.revise(record_of(short_cell, second.result)).position)
-
-
 def test_robot_restarted_in_mid_pass_is_reported_by_the_cut_and_runs_after_a_fresh_start(world, short_cell, tmp_path):
     loop = Loop(world, short_cell, tmp_path)
     loop.start()
