@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import signal
@@ -339,10 +338,14 @@ def report(pid: int, message: str, level: bytes = b"\0") -> DiagnosticArray:
 
 def test_reports_of_another_process_under_our_name_are_ignored(ros_environment, world):
     sent = world.partner().create_publisher(*topics.DIAGNOSTICS)
-    with contextlib.closing(Driver("", lambda: None)) as driver:
+    driver = Driver("", lambda: None)
+    try:
         driver.expect("recorder", 1)
         driver.until(sent.get_subscription_count, "matching", 60.0)
         sent.publish(report(1, "recording"))
         sent.publish(report(2, "the directory is there already", b"\2"))
         driver.until(lambda: driver.foreign, "the other report", 60.0)
         assert driver.statuses["recorder"].message == "recording" and driver.error is None
+    finally:
+        driver.node.destroy_node()
+        driver.node.context.try_shutdown()
