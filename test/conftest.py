@@ -165,7 +165,7 @@ class World:
 
     def add(self, kind, *arguments: str, cell=None, directory: Path | None = None, **kwargs):
         """A node of this package; arguments as behind --ros-args; cell: its parameters."""
-        from kr270_milling.live.graph.processes import write_cell_file
+        from kr270_milling.cell.cell_file import write_cell_file
 
         arguments = list(arguments)
         if cell is not None:

@@ -10,7 +10,6 @@ import contextlib
 import os
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 from ros_domain import COUNT, is_used
@@ -19,10 +18,10 @@ from faults.faults import FAULTS
 from faults.rows import COLUMNS, expected_seconds, run_faults
 from faults.soak import COLUMNS as SOAK_COLUMNS
 from faults.soak import run_soak
+from kr270_milling.base.arguments import bounded
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.live.graph.plan import fresh_directory
 from kr270_milling.live.ros.environment import require_ros
-from kr270_milling.show.commands.console import print_json
 from kr270_milling.show.commands.progress import progress
 
 
@@ -44,80 +43,43 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m faults", description="Disturb the graph of nodes on purpose.")
-    parser.add_argument("--soak", action="store_true", help="no fault: many passes in one graph, and a long recording")
-    parser.add_argument("--repeats", type=_count, default=10, metavar="N", help="of every fault (default: 10)")
-    parser.add_argument("--seed", type=int, default=1, metavar="S", help="of the times of the faults (default: 1)")
-    parser.add_argument("--only", metavar="NAME", help="only the faults whose name contains this")
-    parser.add_argument("--passes", type=_count, default=100, metavar="N", help="of the soak (default: 100)")
-    parser.add_argument("--minutes", type=_minutes, default=10.0, metavar="M", help="of its recording (default: 10)")
-    parser.add_argument("--out", metavar="DIR", help="keep recordings and logs there (default: they are removed)")
-    parser.add_argument("--markdown", action="store_true", help="print a table in Markdown")
-    parser.add_argument("--json", action="store_true", help="print JSON")
+    add, count = parser.add_argument, bounded(1, 1000, int)
+    add("--soak", action="store_true", help="no fault: many passes in one graph, and a long recording")
+    add("--repeats", type=count, default=10, metavar="N", help="of every fault (default: 10)")
+    add("--seed", type=int, default=1, metavar="S", help="of the times of the faults (default: 1)")
+    add("--only", default="", metavar="NAME", help="only the faults whose name contains this")
+    add("--passes", type=count, default=100, metavar="N", help="of the soak (default: 100)")
+    add("--minutes", type=bounded(0.01, 1000.0), default=10.0, metavar="M", help="of its recording (default: 10)")
+    add("--out", metavar="DIR", help="keep recordings and logs there (default: they are removed)")
     return parser
 
 
-def _count(text: str) -> int:
-    if not text.isdecimal() or not 1 <= int(text) <= 1000:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to 1000")
-    return int(text)
-
-
-def _minutes(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.01 <= value <= 1000.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number from 0.01 to 1000")
-    return value
-
-
 def _faults(args, directory) -> int:
-    faults = [fault for fault in FAULTS if (args.only or "").lower() in fault.name.lower()]
+    faults = [fault for fault in FAULTS if args.only.lower() in fault.name.lower()]
     if not faults:
-        raise InputError(
-            "--only", f"no fault is named like {args.only!r}; there are {', '.join(f.name for f in FAULTS)}"
-        )
+        names = ", ".join(fault.name for fault in FAULTS)
+        raise InputError("--only", f"no fault is named like {args.only!r}; there are {names}")
     minutes = expected_seconds(faults, args.repeats) / 60
     print(f"seed {args.seed}; this takes about {minutes:.0f} min", file=sys.stderr)
-    start = time.perf_counter()
     with progress("faults") as report:
         rows = run_faults(faults, args.repeats, args.seed, directory, report)
-    seconds, failed = time.perf_counter() - start, sum(bool(row.problems) for row in rows)
-    if args.json:
-        print_json({"seed": args.seed, "rows": [r.as_dict() for r in rows], "failed": failed, "wall_s": seconds})
-    else:
-        _print(list(COLUMNS), [row.cells() for row in rows], args.markdown)
-        print(f"{len(rows)} rows, {failed} FAILED; seed {args.seed}; {seconds:.0f} s")
-        for row in rows:
-            print("".join(f"{row.fault.name}, {problem}\n" for problem in row.problems), end="")
-    return 1 if failed else 0
+    return _print(COLUMNS, {row.fault.name: row for row in rows})
 
 
 def _soak(args, directory) -> int:
     print(f"this takes about {args.minutes + args.passes * 5 / 60:.0f} min", file=sys.stderr)
     with progress("soak") as report:
         rows = run_soak(args.passes, args.minutes * 60, directory, report)
-    failed = sum(bool(row.problems) for row in rows)
-    if args.json:
-        print_json({"rows": [row.as_dict() for row in rows], "failed": failed})
-    else:
-        _print(list(SOAK_COLUMNS), [row.cells() for row in rows], args.markdown)
-        for row in rows:
-            print("".join(f"{row.name}: {problem}\n" for problem in row.problems), end="")
-    return 1 if failed else 0
+    return _print(SOAK_COLUMNS, {row.name: row for row in rows})
 
 
-def _print(columns: list[str], rows: list[list[str]], markdown: bool) -> None:
-    if markdown:
-        for row in (columns, ["---"] * len(columns), *rows):
-            print("| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |")
-        print()
-        return
-    for row in rows:  # a table of this width would be cut off
-        print(row[0])
-        for name, cell in zip(columns[1:], row[1:], strict=True):
-            print(f"    {name:28} {cell}")
+def _print(columns, rows: dict) -> int:
+    """Print a table in Markdown and the problems of its rows; return the exit code."""
+    for cells in (columns, ["---"] * len(columns), *(row.cells() for row in rows.values())):
+        print("| " + " | ".join(cells) + " |")
+    for name, row in rows.items():
+        print("".join(f"{name}, {problem}\n" for problem in row.problems), end="")
+    return int(any(row.problems for row in rows.values()))
 
 
 if __name__ == "__main__":

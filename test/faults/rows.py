@@ -63,16 +63,6 @@ class Row:
             state = f"readable, ends at most {max(r.behind_s for r in recordings):.2f} s before the fault"
         return f"{state}{f', cut off {cut} times' if cut else ''}, {f'lost and counted: {lost}' if lost else 'no hole'}"
 
-    def as_dict(self) -> dict:
-        return {
-            "fault": self.fault.name,
-            "design": self.fault.design,
-            "failed": bool(self.problems),
-            "problems": self.problems,
-            "cells": dict(zip(COLUMNS, self.cells(), strict=True)),
-            "trials": [trial.as_dict() for trial in self.trials],
-        }
-
 
 class Undisturbed:
     """The passes of an undisturbed graph, computed in one process: each along the reference of the previous pass."""

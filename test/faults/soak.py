@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -105,13 +105,6 @@ class Growth:
             f"{self.slope * 1000:+.2f} kB/{self.unit}", f"{a.shared_mb:.1f} -> {b.shared_mb:.1f}",
             f"{a.threads} -> {b.threads}", f"{a.files} -> {b.files}",
         ]  # fmt: skip
-
-    def as_dict(self) -> dict:
-        return {
-            "name": self.name, "growth_mb": self.growth, "slope_mb": self.slope, "unit": self.unit, "lost": self.lost,
-            "problems": self.problems, "settled": asdict(self.samples[self._steady][0]),
-            "last": asdict(self.samples[-1]),
-        }  # fmt: skip
 
 
 def run_soak(passes: int, seconds: float, out: Path, progress: Callable[[int, int], None]) -> list[Growth]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 
 from faults.aftermath import Recorded, read_back
 from faults.disturbed import Disturbed, Message
@@ -34,9 +34,6 @@ class Trial:
     recording: Recorded | None = None
     orphans: int = 0
     problems: list[str] = field(default_factory=list)
-
-    def as_dict(self) -> dict:
-        return {**asdict(self), "ok": not self.problems}
 
 
 def run_trial(graph: Disturbed, fault: Fault, name: str, after: float, plain: PassResult, again: bool) -> Trial:

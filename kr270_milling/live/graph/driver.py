@@ -142,9 +142,3 @@ class Driver:
     def nodes(self) -> set[str]:
         """Return the fully qualified names of the nodes in this ROS domain."""
         return {f"{space.rstrip('/')}/{name}" for name, space in self.node.get_node_names_and_namespaces()}
-
-    def close(self) -> None:
-        """Leave the graph."""
-        self._executor.shutdown()
-        self.node.destroy_node()
-        self._context.try_shutdown()

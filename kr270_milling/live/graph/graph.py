@@ -13,6 +13,7 @@ from typing import Any
 
 from kr270_milling.base.errors import one_line
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import write_cell_file
 from kr270_milling.live.graph.driver import Driver
 from kr270_milling.live.graph.processes import (
     AlreadyRunning,
@@ -21,7 +22,6 @@ from kr270_milling.live.graph.processes import (
     recording_parameters,
     ros_arguments,
     stop,
-    write_cell_file,
 )
 from kr270_milling.live.ros.environment import keep_to_this_host
 from kr270_milling.live.ros.node import LOST

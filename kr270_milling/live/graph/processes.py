@@ -12,15 +12,12 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-import yaml
-
 from kr270_milling.base.errors import MillingError
-from kr270_milling.base.record import tree_of
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import write_cell_file
 from kr270_milling.live.ros.environment import child_environment
 
-__all__ = ["AlreadyRunning", "Child", "RunError", "cell_text", "recording_parameters", "ros_arguments", "stop",
-           "write_cell_file"]  # fmt: skip
+__all__ = ["AlreadyRunning", "Child", "RunError", "recording_parameters", "ros_arguments", "stop"]
 
 GRACE = 3.0  # [s] for a node to close its files and to leave the graph, before it is killed
 TOGETHER = "milling_cell"  # the program that holds several nodes
@@ -137,22 +134,3 @@ def recording_parameters(cell: Cell, out: Path, name: str, plant: Cell | None = 
         write_cell_file(plant, Path(attach[-1]))
     attach += map(str, cell.programmed.files)
     return {"attach": attach, "command": shlex.join(sys.argv), "directory": str(out / name)}
-
-
-def cell_text(cell: Cell) -> str:
-    """Return the cell as YAML text; its numbers are read back bit for bit."""
-    tree = _without_empty(tree_of(cell))
-    for file in cell.programmed.files:
-        tree["path"]["file"] = str(file)
-    text = yaml.safe_dump({"/**": {"ros__parameters": tree}}, sort_keys=False, default_flow_style=None, width=110)
-    return "# Written by kr270_milling: the cell of this run.\n" + text
-
-
-def write_cell_file(cell: Cell, path: Path) -> None:
-    path.write_text(cell_text(cell), encoding="utf-8")
-
-
-def _without_empty(tree: dict) -> dict:
-    """Remove empty lists, whose type ROS cannot derive, and groups that are then empty, which ROS refuses."""
-    values = {key: _without_empty(value) if isinstance(value, dict) else value for key, value in tree.items()}
-    return {key: value for key, value in values.items() if value or not isinstance(value, (list, dict))}

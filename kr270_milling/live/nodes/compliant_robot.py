@@ -12,7 +12,7 @@ from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import WrenchSample
 from kr270_milling.exchange.robot import RobotProtocol
 from kr270_milling.live.ros import topics
-from kr270_milling.live.ros.node import ERROR, LOST, OK, WARN, ManagedNode, guarded
+from kr270_milling.live.ros.node import ERROR, LOST, OK, WARN, ManagedNode, Silence, guarded
 from kr270_milling.live.ros.parameters import declare_cell
 from kr270_milling.path.trajectory import fingerprint
 from kr270_milling.recordings.messages.codec import trajectory_from_bytes, wrench_from_bytes
@@ -22,7 +22,7 @@ __all__ = ["CompliantRobot"]
 
 RETRY = 0.5  # [s] of the wall clock without a wrench, after which the tool pose is published again
 LOOK = 0.1  # [s] of the wall clock between two checks
-SETTLE = 0.5  # [s] of the wall clock without a new subscriber before a pass starts: a recorder discovers the topics
+SETTLE = 5  # checks without a new subscriber before a pass starts: a recorder discovers the topics
 AHEAD = 0.005  # [s] of the wall clock that a paced pass may be ahead
 
 
@@ -38,10 +38,10 @@ class CompliantRobot(ManagedNode):
         self.pace = self.declared("pace", 0.0, about, floating_point_range=limits)
         self._pace_timer: Timer | None = None
         self._given_up = False
+        self._late: list = []  # outputs that wait for the wall clock
         self._listeners: tuple[int, ...] = ()
-        self._unchanged = 0.0  # [s] of the wall clock since the number of subscribers changed
-        self._answered = time.monotonic()  # time of the last accepted wrench
-        self._checked = time.monotonic()
+        self._unchanged = 0  # checks since the numbers of subscribers changed
+        self._silence = Silence()
         self.open_outlets(ROBOT)
         self.subscribe(topics.REFERENCE_TRAJECTORY, self._on_reference)
         self._wrench = self.subscribe(topics.WRENCH, self._on_wrench)
@@ -73,19 +73,14 @@ class CompliantRobot(ManagedNode):
     @guarded
     def _watch_answer(self) -> None:
         """Start the pass when cut and reference are present; repeat the pose, and give up, when no wrench arrives."""
-        protocol = self.protocol
-        held_up, self._checked = time.monotonic() - self._checked, time.monotonic()
-        settled = self._is_settled(held_up)
-        if held_up > RETRY:
-            self._answered = max(self._answered, self._checked)  # this process itself was stopped
-        if not self.active or (protocol.started and (protocol.done or self._given_up)):
+        protocol, silent, settled = self.protocol, self._silence.seconds(), self._is_settled()
+        if not self.active or self._late or (protocol.started and (protocol.done or self._given_up)):
             return
         cut = self.outlets["tool_pose"].get_subscription_count() and self._wrench.get_publisher_count()
         if not protocol.started:
             if cut and settled and protocol.reference is not None:
                 self._start()
             return
-        silent = time.monotonic() - self._answered
         if not cut and not protocol.awaited_ns:
             self.activate()  # the cut left before the pass began
         elif protocol.awaited_ns and (not cut or silent > LOST):
@@ -97,13 +92,10 @@ class CompliantRobot(ManagedNode):
             self.report(WARN, silence if protocol.awaited_ns else "the cutting process is not active yet")
             self.send(protocol.repeat())
 
-    def _is_settled(self, since: float) -> bool:
-        """Return whether the numbers of subscribers are unchanged for ``SETTLE``; since: [s] since the last check.
-
-        A long time without a check counts as two periods only: other nodes on the core were stopped as well.
-        """
+    def _is_settled(self) -> bool:
+        """Return whether the numbers of subscribers are unchanged for ``SETTLE`` checks."""
         listeners = tuple(outlet.get_subscription_count() for outlet in self.outlets.values())
-        self._unchanged = self._unchanged + min(since, 2.0 * LOOK) if listeners == self._listeners else 0.0
+        self._unchanged = self._unchanged + 1 if listeners == self._listeners else 0
         self._listeners = listeners
         return self._unchanged >= SETTLE
 
@@ -132,22 +124,22 @@ class CompliantRobot(ManagedNode):
 
     def _answer(self, outputs) -> None:
         """Publish the outputs; with a pace, delay the next tool pose to the wall clock."""
-        self._answered = time.monotonic()
+        self._silence.end()
         if self.pace > 0.0 and not self.protocol.done:
-            ahead = self._started + self.protocol.awaited_ns * 1e-9 / self.pace - self._answered
+            ahead = self._started + self.protocol.awaited_ns * 1e-9 / self.pace - time.monotonic()
             if ahead > AHEAD:
-                self._answered += ahead
-                self._late = outputs[:1]
+                self._late, outputs = outputs[:1], outputs[1:]
                 self._pace_timer = self.create_timer(ahead, self._ask_late)
-                outputs = outputs[1:]
         self.send(outputs)
 
     @guarded
     def _ask_late(self) -> None:
         if self._pace_timer is not None:
             self.destroy_timer(self._pace_timer)
+        self._silence.end()
+        late, self._late = self._late, []
         if self.protocol.started:
-            self.send(self._late)
+            self.send(late)
 
     def _finish(self) -> None:
         wall = time.monotonic() - self._started

@@ -16,7 +16,7 @@ from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.exchange.scene import INPUTS, Derived, Scene
 from kr270_milling.live.ros.names import NameRefused, message_class
 from kr270_milling.live.ros.node import ERROR, OK, WARN, ReportingNode
-from kr270_milling.live.ros.polling import DEPTH, PolledMessage, in_order, poll, polled_subscription
+from kr270_milling.live.ros.polling import DEPTH, POLL_PERIOD, PolledMessage, in_order, poll, polled_subscription
 from kr270_milling.recordings.bag.writer import BagWriter, MessageRefused
 
 __all__ = ["RecordingSession"]
@@ -25,7 +25,7 @@ DERIVED_QOS = QoSProfile(  # latched, so that late subscribers of a player recei
     depth=1, reliability=ReliabilityPolicy.RELIABLE, durability=DurabilityPolicy.TRANSIENT_LOCAL
 )
 ONLY_BY_NAME = ("/rosout", "/parameter_events")
-SETTLE, PAUSE = 20, 0.05  # polls at most, and [s] between them, for messages that arrive while a recording ends
+SETTLE = 20  # polls at most for messages that arrive while a recording ends
 
 
 class RecordingSession:
@@ -158,7 +158,7 @@ class RecordingSession:
             if count == self.writer.count and not self._waiting:
                 break
             count = self.writer.count
-            time.sleep(PAUSE)
+            time.sleep(POLL_PERIOD)
         for subscription in filter(None, self._subscriptions.values()):
             self._node.destroy_subscription(subscription)
         for publisher in filter(None, self._live.values()):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+from kr270_milling.base.arguments import numbers
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.live.nodes.play_arguments import numbers
 from kr270_milling.show.commands.command import POSTURE, command, option
 from kr270_milling.show.commands.console import Answer
 

@@ -11,7 +11,7 @@ import functools
 import importlib
 from typing import NamedTuple
 
-from kr270_milling.live.nodes.play_arguments import bounded, numbers
+from kr270_milling.base.arguments import bounded, numbers
 
 __all__ = [
     "CELL", "MOTIONS", "PLANT", "POSTURE", "RECORDING", "REFERENCE", "Command", "Group", "add_command", "command",

@@ -8,10 +8,10 @@ from __future__ import annotations
 import dataclasses
 import sys
 
+from kr270_milling.base.arguments import bounded
 from kr270_milling.base.column import TextTable, columns_of, fixed, table_of
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.live.nodes.play_arguments import bounded
 from kr270_milling.physics.compensation.methods import BEST, METHODS
 from kr270_milling.show.commands.command import CELL, MOTIONS, PLANT, Group, command, option
 from kr270_milling.show.commands.console import (

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kr270_milling.base.arguments import bounded, numbers, stretch
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file, read_tree
 from kr270_milling.base.version import __version__
-from kr270_milling.live.nodes.play_arguments import bounded, numbers, stretch
 from kr270_milling.show.commands.command import (
     CELL,
     POSTURE,

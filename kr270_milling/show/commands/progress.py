@@ -7,7 +7,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 
 __all__ = ["Progress", "progress"]
 
@@ -15,44 +14,34 @@ LINE_PERIOD = 5.0  #: [s] between two lines
 LOOK_PERIOD = 0.2  #: [s] between two looks of the bar
 
 
-@dataclass
 class Progress:
     """Called with (done, total) where that is counted; a count that starts over belongs to the next pass.
 
-    most: passes that there can be; unit, rate, each: the count is of ``unit``, with so many ``rate`` in each.
+    most: passes that there can be.
     """
 
-    text: str
-    most: int | None = None
-    unit: str = ""
-    rate: str = ""
-    each: int = 1
-    done: int = field(default=0, init=False)
-    total: int | None = field(default=None, init=False)
-
-    def __post_init__(self) -> None:
+    def __init__(self, text: str, most: int | None = None):
+        self.most = most
         self._number = 1
-        self.say(self.text)
-
-    def _begin(self) -> None:
-        self._start = time.monotonic()
-        self._before = 0
-
-    def __call__(self, done: int, total: int) -> None:
-        if self.total is None:
-            self._before = done - 1 if self.unit else 0  # a study continues after its last chunk
-        elif done < self.done:
-            self._number += 1
-            self._begin()
-        self.done = done
-        self.total = total
+        self.say(text)
 
     def say(self, text: str) -> None:
         """Start another step; nothing of it is counted yet."""
         self.text = text
         self.done = 0
-        self.total = None
-        self._begin()
+        self.total: int | None = None
+        self._begin(0)
+
+    def _begin(self, done: int) -> None:
+        self._start, self._before = time.monotonic(), done
+
+    def __call__(self, done: int, total: int) -> None:
+        if self.total is None:
+            self._begin(done)  # a study continues after its last chunk
+        elif done < self.done:
+            self._number += 1
+            self._begin(done)
+        self.done, self.total = done, total
 
     @property
     def label(self) -> str:
@@ -67,17 +56,14 @@ class Progress:
         now = time.monotonic() - self._start
         if not self.total or not self._before < self.done < self.total:
             return f"{now:.0f} s so far"
-        pace = (self.done - self._before) / max(now, 1e-9)
-        left = f"{(self.total - self.done) / pace:.0f} s left"
-        if not self.unit:
-            return f"{100 * self.done / self.total:.0f} %, {left}"
-        return f"{self.done} of {self.total} {self.unit}, {pace * self.each:.3g} {self.rate} a second, {left}"
+        left = now * (self.total - self.done) / (self.done - self._before)
+        return f"{100 * self.done / self.total:.0f} %, {left:.0f} s left"
 
 
 @contextlib.contextmanager
-def progress(text: str, most: int | None = None, **count) -> Iterator[Progress]:
+def progress(text: str, most: int | None = None) -> Iterator[Progress]:
     """Yield the counter that a job calls; see Progress."""
-    counter = Progress(text, most, **count)
+    counter = Progress(text, most)
     on_terminal = sys.stderr.isatty()
     ended = threading.Event()
     with _bar(counter) if on_terminal else contextlib.nullcontext(lambda: _line(counter)) as show:

@@ -7,9 +7,9 @@ import sys
 import time
 from pathlib import Path
 
+from kr270_milling.base.arguments import bounded
 from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import ParameterError
-from kr270_milling.live.nodes.play_arguments import bounded
 from kr270_milling.live.ros.environment import require_ros
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.show.commands.command import CELL, PLANT, command, option

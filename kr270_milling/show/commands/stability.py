@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+from kr270_milling.base.arguments import grid
 from kr270_milling.base.column import as_dict, columns_of, table_of, yes
 from kr270_milling.base.files import staged
-from kr270_milling.live.nodes.play_arguments import grid
 from kr270_milling.show.commands.command import CELL, command, option
 from kr270_milling.show.commands.console import Answer, cell_of
 from kr270_milling.show.commands.progress import progress

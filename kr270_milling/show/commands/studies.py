@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kr270_milling.base.arguments import bounded, grid
 from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.live.nodes.play_arguments import bounded, grid
 from kr270_milling.show.commands.command import CELL, Group, command, option
 from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
@@ -89,8 +89,7 @@ def run_map(args) -> Answer:
     plan = {"study": "map", "cell": content(source, cell), "set": args.set, "axes": given, "chunk": args.chunk}
     study = Study(output_directory(args.out), plan)
     made = len(study.missing(placements.chunks)) / placements.chunks  # share of the rows that this run makes
-    postures = 8 * args.chunk * len(placements.course.position)
-    with progress("map", unit="chunks", rate="postures", each=postures) as report:
+    with progress("map") as report:
         seconds = run_chunks(study, placements.chunks, placements, args.scheduler, report)
     summary = Summary(axes[0], axes[1], BEST)
     for table in study.tables(placements.chunks):
@@ -209,7 +208,7 @@ def run_sweep(args) -> Answer:
     plan = {"study": "sweep", "cell": hashed, "set": args.set, "vary": args.vary, "samples": args.samples,
             "seed": args.seed, "chunk": args.chunk}  # fmt: skip
     study = Study(output_directory(args.out), plan)
-    with progress("sweep", unit="chunks", rate="passes", each=rows.chunk) as report:
+    with progress("sweep") as report:
         seconds = run_chunks(study, rows.chunks, rows, args.scheduler, report)
     failed = sum(bool(text) for table in study.tables(rows.chunks, ["error"]) for text in table["error"].to_pylist())
     result = {"rows": len(rows), "failed": failed, "out": args.out, "wall_s": seconds}

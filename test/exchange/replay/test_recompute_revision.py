@@ -13,12 +13,12 @@ from pass_recording import STEPS, flip
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.samples import CompensatorState, PoseSample
 from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import cell_text
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.cell.plant import Plant
 from kr270_milling.exchange.replay.compensate import compensate_recording
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording
-from kr270_milling.live.graph.processes import cell_text
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.messages.codec import from_bytes, to_bytes
 

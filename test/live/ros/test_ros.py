@@ -21,7 +21,7 @@ from kr270_milling.base.errors import ConfigError, InputError
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import Record, parameter, specs
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.live.graph.processes import cell_text, write_cell_file
+from kr270_milling.cell.cell_file import cell_text, write_cell_file
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.environment import GUARD, PARENT, PROFILES, RANGE, child_environment, this_host_only

@@ -10,8 +10,8 @@ from scipy.linalg import expm
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.cell_file import cell_text
 from kr270_milling.cell.jobs import simulate
-from kr270_milling.live.graph.processes import cell_text
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.motion.arm_model import Dynamics, MeasuredModes, arm_model, measured_model, modal_models
 from kr270_milling.physics.motion.dynamics import DynamicsError, advance, condense, discretise, modes

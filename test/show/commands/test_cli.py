@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.base.version import __version__
 from kr270_milling.cli import COMMANDS, main
-from kr270_milling.live.nodes.play_arguments import numbers
+from kr270_milling.show.commands import progress as module
+from kr270_milling.show.commands.console import print_table, shown_path
+from kr270_milling.show.commands.progress import Progress, progress
 
 ROOT = Path(__file__).resolve().parents[3]
 PAPER_POSTURE = "--joints-deg=90,-50,120,180,25,180"
@@ -29,17 +35,6 @@ def answer(capsys, *words) -> dict:
     out, err = capsys.readouterr()
     assert err == "" or err.startswith("warning: decision: caution: ")
     return json.loads(out, parse_constant=lambda c: pytest.fail(f"{c} is no JSON"))
-
-
-def refused(capsys, *words) -> str:
-    """The one sentence about a command that exits with 2."""
-    try:
-        code = main(list(words))
-    except SystemExit as exited:  # argparse
-        code = exited.code
-    out, err = capsys.readouterr()
-    assert code == 2 and out == "" and "Traceback" not in err
-    return err
 
 
 def in_a_process(code: str) -> subprocess.CompletedProcess:
@@ -60,12 +55,6 @@ def test_help_lists_every_command_without_importing_numpy():
     assert "SUPPRESS" not in ran.stdout
     for name, command in COMMANDS.items():
         assert name in ran.stdout and command.text in ran.stdout
-
-
-def test_the_program_alone_shows_the_list(capsys):
-    assert main([]) == 0
-    shown = capsys.readouterr().out
-    assert all(command.text in shown for command in COMMANDS.values()) and "SUPPRESS" not in shown
 
 
 def test_the_help_of_every_command_shows_an_example_without_importing_numpy():
@@ -105,61 +94,6 @@ def test_the_version_is_that_of_the_package(capsys):
     assert exited.value.code == 0 and capsys.readouterr().out == f"kr270_milling {__version__}\n"
 
 
-@pytest.mark.parametrize("words", [["mill"], ["--fast"], ["stiffness"], ["simulate"], ["compensate"], ["check"]])
-def test_a_call_that_is_not_understood_exits_with_2(capsys, words):
-    assert "error:" in refused(capsys, *words)
-
-
-@pytest.mark.parametrize(
-    ("words", "names"),
-    [
-        (["stiffness", "none.yaml", PAPER_POSTURE], ["none.yaml", "no such file"]),
-        (["stiffness", "kr270_2.yaml", "--joints-deg", "90,0,0,0,0,0", "--wrench", "0,0,1e9,0,0,0"], []),
-        (["simulate", "none.yaml"], ["none.yaml", "no such file"]),
-        (["simulate", "."], ["no such file"]),
-        (["simulate", "paper.yaml", "--set", "tool.teath=3"], ["paper.yaml", "tool.teath", "teeth"]),
-        (["simulate", "paper.yaml", "--set", "tool.teeth=0"], ["tool.teeth", "0", "at least 1"]),
-        (["simulate", "paper.yaml", "--set", "tool.teeth"], ["key=value"]),
-        (["simulate", "paper.yaml", "--set", "path.feed_rate_m_per_min=.nan"], ["feed_rate", "nan"]),
-        (["simulate", "kr270_2.yaml"], ["kr270_2.yaml", "workpiece.xyz_mm"]),
-        (["simulate", "paper.yaml", "--reference", "none.csv"], ["none.csv"]),
-    ],
-)
-def test_unusable_input_is_one_sentence_and_exit_code_2(capsys, words, names):
-    text = refused(capsys, *words)
-    assert text.count("\n") == 1 and text.startswith("kr270_milling: ") and all(n in text for n in names), text
-
-
-def test_a_directory_that_cannot_be_made_is_one_sentence(capsys, tmp_path):
-    (tmp_path / "file").write_text("")
-    text = refused(capsys, "compensate", "paper.yaml", "--out", str(tmp_path / "file" / "out"))
-    assert text.count("\n") == 1 and "file" in text
-
-
-def test_the_module_runs_as_a_program_and_its_exit_code_is_that_of_main():
-    ran = subprocess.run(
-        [sys.executable, "-m", "kr270_milling.cli", "simulate", "none.yaml"], cwd=ROOT, capture_output=True, text=True
-    )
-    assert ran.returncode == 2 and ran.stdout == "" and ran.stderr.count("\n") == 1
-
-
-def test_ctrl_c_ends_with_130(capsys, monkeypatch):
-    def interrupted(args):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("kr270_milling.show.commands.bench.run_bench", interrupted)
-    assert main(["bench"]) == 130 and capsys.readouterr().err == "kr270_milling: interrupted\n"
-
-
-@pytest.mark.parametrize("text", ["1,2", "1,2,3,4", "1,2,x", "1,2,nan", "1,2,inf", "", ",,"])
-def test_numbers_that_are_not_so_many_or_not_finite_are_refused(text):
-    import argparse
-
-    with pytest.raises(argparse.ArgumentTypeError, match="3 finite numbers"):
-        numbers(3)(text)
-    assert numbers(3)("1, -2.5,1e-3") == [1.0, -2.5, 1e-3]
-
-
 # --- stiffness ---
 
 
@@ -188,12 +122,6 @@ def test_stiffness_in_the_tool_frame_gives_the_compliances_along_the_flanges_axe
     np.testing.assert_allclose(turn @ tool["jacobian"], base["jacobian"], atol=1e-12)
 
 
-def test_stiffness_of_the_other_arm(capsys):
-    result = answer(capsys, "stiffness", "kr270_r2700_ultra.yaml", PAPER_POSTURE, "--frame", "tool")
-    np.testing.assert_allclose(result["position_m"], [0, -1.6308, 0.2446], atol=5e-5)
-    np.testing.assert_allclose(sorted(1e6 * np.diag(result["compliance"])[:3]), [0.1313, 0.7099, 0.7535], atol=1e-4)
-
-
 def test_a_small_wrench_deflects_by_the_compliance(capsys):
     result = answer(capsys, "stiffness", "kr270_2.yaml", PAPER_POSTURE, "--wrench", "-1,2,-3,0.1,0.2,0.3")
     expected = np.array(result["compliance"]) @ [-1, 2, -3, 0.1, 0.2, 0.3]
@@ -201,17 +129,6 @@ def test_a_small_wrench_deflects_by_the_compliance(capsys):
     np.testing.assert_allclose(
         np.array(result["jacobian"]) @ result["joint_deflection_rad"], expected, rtol=1e-3, atol=1e-10
     )
-
-
-def test_a_list_may_begin_with_a_negative_number(capsys):
-    spaced = answer(capsys, "stiffness", "kr270_2.yaml", "--joints-deg", "-90,-50,120,180,25,180")
-    assert spaced == answer(capsys, "stiffness", "kr270_2.yaml", "--joints-deg=-90,-50,120,180,25,180")
-    np.testing.assert_allclose(spaced["position_m"], [0, 1.6407, 0.4924], atol=5e-5)
-
-
-def test_gravity_lets_the_arm_sag(capsys):
-    result = answer(capsys, "stiffness", "kr270_2.yaml", PAPER_POSTURE, "--gravity")
-    assert result["deflection"][2] < -1e-4
 
 
 def test_stiffness_for_people_names_arm_frame_and_units(capsys):
@@ -301,3 +218,81 @@ def test_a_line_is_completed(tmp_path, line, among, not_among):
     subprocess.run([sys.executable, "-m", "kr270_milling.cli"], env={**os.environ, **asked}, timeout=120, check=False)
     words = {word.strip() for word in answer.read_text().split("\n")}
     assert among <= words and not words & not_among
+
+
+# --- progress and tables ---
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_count_that_starts_over_is_the_next_pass():
+    shown = Progress("learned", most=6)
+    for _ in range(3):
+        for done in (200, 400):
+            shown(done, 400)
+    assert shown.label == "learned, pass 3 of at most 6"
+    assert shown.state == "0 s so far"  # what follows the last count is not counted
+
+
+def test_without_a_count_the_time_so_far_is_shown_and_with_a_count_the_time_left(monkeypatch):
+    now = [10.0]
+    monkeypatch.setattr(module.time, "monotonic", lambda: now[0])
+    shown = Progress("sweep")
+    now[0] += 4.0
+    assert shown.state == "4 s so far"
+    shown(50, 100)  # done in an earlier run, which does not count for the pace
+    now[0] += 4.0
+    shown(75, 100)
+    assert shown.state == "75 %, 4 s left"
+    shown.say("files")
+    assert (shown.label, shown.state) == ("files", "0 s so far")
+
+
+def test_off_a_terminal_a_line_comes_every_few_seconds_and_none_of_what_is_quick(capsys, monkeypatch):
+    monkeypatch.setattr(module, "LINE_PERIOD", 0.05)
+    with progress("milling") as report:
+        report(10, 100)
+        report(50, 100)
+        end = time.monotonic() + 20.0
+        shown = ""
+        while shown.count("\n") < 2 and time.monotonic() < end:
+            time.sleep(0.01)
+            shown += capsys.readouterr().err
+    assert all(re.fullmatch(r"milling: 50 %, \d+ s left", line) for line in shown.splitlines()) and shown
+    monkeypatch.setattr(module, "LINE_PERIOD", 60.0)
+    with progress("milling") as report:
+        report(1, 100)
+    assert capsys.readouterr().err == ""
+
+
+def test_on_a_terminal_there_is_a_bar_that_vanishes(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    monkeypatch.setattr(module, "LOOK_PERIOD", 0.01)
+    monkeypatch.setenv("TERM", "xterm")
+    with progress("original") as report:
+        report(10, 100)
+        report(30, 100)
+        end = time.monotonic() + 20.0
+        while "original: 30 %" not in sys.stderr.getvalue() and time.monotonic() < end:
+            time.sleep(0.01)
+    assert "original: 30 %" in sys.stderr.getvalue()
+
+
+@pytest.mark.parametrize("width", ["20", "200"])
+def test_no_name_and_no_number_of_a_table_is_squeezed(monkeypatch, width):
+    monkeypatch.setattr(sys, "stdout", Terminal())
+    monkeypatch.setenv("COLUMNS", width)
+    names = ["pass", "largest deviation [um]", "recording"]
+    print_table(TextTable("Deviation", names, [["a_long_name_of_a_pass", "12.34", "x" * 60]]))
+    shown = sys.stdout.getvalue()
+    assert all(word in shown for word in ("a_long_name_of_a_pass", "12.34", "x" * 60, "largest deviation [um]"))
+    assert ("│" in shown) == (width == "200") and "…" not in shown
+
+
+def test_paths_are_shown_from_the_working_directory(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert shown_path(tmp_path / "out" / "linear") == "out/linear"
+    assert shown_path("/elsewhere/out") == "/elsewhere/out" and shown_path("out") == "out"

@@ -78,13 +78,6 @@ def test_a_program_without_a_cut_is_refused_in_a_sentence(capsys, tmp_path):
     assert "has no cutting move" in capsys.readouterr().err
 
 
-def test_a_program_is_checked_as_init_prints_it(capsys, tmp_path):
-    (tmp_path / "slot.nc").write_text(SLOT)
-    (tmp_path / "my.yaml").write_text(printed(capsys, "--gcode", tmp_path / "slot.nc"))
-    assert main(["check", str(tmp_path / "my.yaml"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["may_be_run"] is True
-
-
 def test_a_cell_without_a_program_is_a_straight_cut(capsys, tmp_path):
     cell = cell_of(capsys, tmp_path)
     assert cell.path.length == pytest.approx(0.040) and not cell.path.file

@@ -7,9 +7,6 @@ import re
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-import pytest
-
-from kr270_milling.cli import _parser
 from kr270_milling.exchange.replay.inputs import TYPES
 from kr270_milling.exchange.scene import OUTPUTS
 from kr270_milling.recordings.messages.definitions import store_of
@@ -85,36 +82,3 @@ def test_every_curve_of_plotjuggler_is_a_number_of_its_message():
             assert fields[0] in [f"joint_a{k}" for k in range(1, 7)] and fields[1] == "position"
         else:
             assert has_number(KNOWN[f"/{topic}"], fields), name
-
-
-# --- The pages of the folders report and watch: their commands run, their links and names exist ---
-
-
-ROOT = Path(__file__).resolve().parents[3]
-
-
-def commands(folder: str, language: str) -> list[list[str]]:
-    text = (ROOT / "kr270_milling" / folder / "README.md").read_text(encoding="utf-8")
-    blocks = re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
-    return [line.split()[1:] for block in blocks for line in block.splitlines() if line.startswith("kr270_milling ")]
-
-
-def test_the_command_of_the_report_is_the_demo_of_the_tests(demo):
-    (words,) = commands("show/report", "sh")
-    assert words == ["demo", "--plain", "--out", "out"]
-    assert f"kr270_milling {' '.join(words)}" in Path(demo.json["report"]).read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize(("folder", "language"), [("show/report", "text"), ("live/watch", "sh")])
-def test_the_other_commands_are_understood(folder, language):
-    result = commands(folder, language)
-    assert result
-    for words in result:
-        assert _parser(words).parse_args(words).command == words[0]
-
-
-@pytest.mark.parametrize("folder", ["show/report", "live/watch"])
-def test_the_files_that_are_named_exist(folder):
-    text = (ROOT / "kr270_milling" / folder / "README.md").read_text(encoding="utf-8")
-    for name in re.findall(r"`((?:config/)[\w.]+)`", text):
-        assert (ROOT / name).is_file(), name

@@ -107,13 +107,6 @@ def test_every_id_is_there_once_and_every_id_that_a_script_asks_for_exists(writt
         assert wanted in ids or wanted == "source", wanted
 
 
-def test_the_scores_stand_in_the_page_as_they_were_given(written, passes):
-    for one in passes:
-        s = one.scores
-        for value, digits in ((s.static_deviation * 1e6, 2), (s.max_deviation * 1e6, 2), (s.ringing_damping, 3)):
-            assert f"<td>{fixed_text(value, digits)}</td>" in written[1]
-
-
 def test_the_papers_column_is_there_only_for_the_paper(tmp_path, cell, passes, written):
     for number in ("58.10", "63.20", "0.14", "4.70", "6.70"):
         assert f'<td class="paper">{number}</td>' in written[1]

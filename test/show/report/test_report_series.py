@@ -16,8 +16,7 @@ from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
 from kr270_milling.decide.part import assess_all
 from kr270_milling.path.trajectory_csv import read_csv
-from kr270_milling.physics.motion.scores import path_deviation
-from kr270_milling.show.report.charts import amplitude_spectrum, envelope_index, moving_mean, stations, thinned_spectrum
+from kr270_milling.show.report.charts import amplitude_spectrum, envelope_index, stations, thinned_spectrum
 from kr270_milling.show.report.linked import MOST_CELLS, linked, part_surface
 from kr270_milling.show.report.series import COLUMNS, deviation_of, file_names, write_series
 from kr270_milling.show.report.straight_cut import machined_profile, micro_step_forces
@@ -56,14 +55,6 @@ def test_every_series_comes_back_with_twelve_digits(tmp_path, cell, passes):
             close(table[f"moment_{axis}_n_m"], r.wrench[:, 3 + k])
         close(table["path_deviation_mm"], 1e3 * deviation_of(r, cell.target()))
         close(table["correction_mm"], 1e3 * r.correction)
-
-
-def test_the_largest_deviation_of_the_series_is_the_score(tmp_path, cell, passes):
-    path = write_series(tmp_path, cell, passes)[0]
-    table = dict(zip(COLUMNS, np.loadtxt(path, delimiter=",", skiprows=1).T, strict=True))
-    engaged = table["time_s"] >= cell.full_engagement - 1e-9
-    largest = np.abs(table["path_deviation_mm"][engaged]).max()
-    assert largest == pytest.approx(1e3 * passes[0].scores.max_deviation, rel=5e-13)
 
 
 def test_reference_trajectories_are_written_with_joint_angles(tmp_path, cell, passes):
@@ -120,12 +111,6 @@ def test_thinning_a_spectrum_loses_no_peak():
     assert np.all(np.diff(thin_f) > 0)
 
 
-def test_a_moving_mean_over_whole_waves_is_flat():
-    wave = np.sin(2 * np.pi * np.arange(300) / 15)
-    assert np.abs(moving_mean(wave, 15)[8:-8]).max() < 1e-12
-    assert moving_mean(np.arange(10.0), 1) == pytest.approx(np.arange(10.0))
-
-
 def test_both_walls_of_a_slot_are_shown_where_the_tool_was_pushed_to():
     """Positive is to the left of the feed, on the left wall (cut too deep) as on the right one (material left)."""
     cell = read_cell(find_file("paper.yaml"), ["path.length_mm=20.0", "stock.grid_step_um=40.0"])
@@ -154,12 +139,6 @@ def test_thinning_keeps_both_ends_and_every_extremum_of_a_bucket(size, buckets, 
         if a < b:
             inside = y[rows[(rows >= a) & (rows < b)]]
             assert inside.max() == y[a:b].max() and inside.min() == y[a:b].min()
-
-
-def test_values_that_are_not_known_are_not_extrema():
-    y = np.full(5000, np.nan)
-    y[1234] = -3.0
-    assert 1234 in envelope_index(y, 50)
 
 
 def test_stations_serve_several_series_and_are_few():
@@ -207,16 +186,6 @@ def test_line_point_and_feature_of_a_station_are_those_of_its_time(case):
         np.testing.assert_allclose(
             [outcome.x[k], outcome.y[k], outcome.z[k]], 1e3 * cell.target().sample(stamp), atol=1e-9
         )
-
-
-def test_the_deviation_is_that_of_the_scores_on_a_level_move(case):
-    cell, passes, parts = case
-    outcome, result = linked(cell, passes, parts), passes[0].result
-    feed = cell.target().sample_velocity(result.time_ns)
-    reference = path_deviation(result.actual, result.target, feed) * 1e6
-    rows = np.searchsorted(result.time_ns, np.round(outcome.time * 1e9).astype(np.int64))
-    moving = (np.hypot(*feed[rows, :2].T) > 1e-3) & (outcome.scored == 1)
-    np.testing.assert_allclose(outcome.passes[0].side[moving], reference[rows][moving], atol=0.5)
 
 
 def test_a_pass_that_was_cut_off_is_unknown_beyond_its_end(case):

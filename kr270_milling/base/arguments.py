@@ -1,0 +1,75 @@
+"""Types of command line options: numbers within bounds, lists and ranges of numbers."""
+
+from __future__ import annotations
+
+import argparse
+import math
+
+__all__ = ["bounded", "grid", "numbers", "stretch"]
+
+
+def bounded(low: float, high: float, kind: type = float, above: bool = False):
+    """Return a parser of a number from low to high, or above low; NaN is refused. A whole number has digits only."""
+    what = "whole number" if kind is int else "number"
+    bounds = f"above {low:g}, at most {high:g}" if above else f"from {low:g} to {high:g}"
+
+    def parse(text: str):
+        plain = kind is float or (text.isascii() and text.lstrip("-").isdecimal())
+        try:
+            value = kind(text) if plain else math.nan
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high or (above and value == low):
+            raise argparse.ArgumentTypeError(f"{text!r} is not a {what} {bounds}")
+        return value
+
+    return parse
+
+
+def _floats(text: str, separator: str, count: int) -> list[float]:
+    """Return ``count`` finite numbers, or an empty list."""
+    try:
+        values = [float(word) for word in text.split(separator)]
+    except ValueError:
+        return []
+    return values if len(values) == count and all(map(math.isfinite, values)) else []
+
+
+def numbers(count: int, most: float = math.inf):
+    """Return a parser of ``count`` finite numbers of at most ``most``, separated by commas."""
+
+    def parse(text: str) -> list[float]:
+        values = _floats(text, ",", count)
+        if not values or max(map(abs, values)) > most:
+            limit = "" if math.isinf(most) else f" of at most {most:g}"
+            raise argparse.ArgumentTypeError(f"{text!r} is not {count} finite numbers{limit} separated by commas")
+        return values
+
+    return parse
+
+
+def stretch(low: float, high: float):
+    """Return a parser of START:STOP, two numbers within bounds, the second above the first."""
+
+    def parse(text: str) -> tuple[float, ...]:
+        values = _floats(text, ":", 2)
+        if not values or not low <= values[0] < values[1] <= high:
+            raise argparse.ArgumentTypeError(f"{text!r} is not START:STOP from {low:g} to {high:g}")
+        return tuple(values)
+
+    return parse
+
+
+def grid(low: float, high: float, most: int):
+    """Return a parser of LOW:HIGH:COUNT, two numbers within bounds and the number of values between them."""
+
+    def parse(text: str) -> tuple[float, float, int]:
+        ends, _, count = text.rpartition(":")
+        values = _floats(ends, ":", 2)
+        if not values or not low <= values[0] <= values[1] <= high or not count.strip().isdecimal():
+            raise argparse.ArgumentTypeError(f"{text!r} is not LOW:HIGH:COUNT from {low:g} to {high:g}")
+        if not 1 <= int(count) <= most:
+            raise argparse.ArgumentTypeError(f"{text!r} has a COUNT that is not from 1 to {most}")
+        return values[0], values[1], int(count)
+
+    return parse
