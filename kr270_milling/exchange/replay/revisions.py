@@ -215,8 +215,8 @@ class CompensatorFeed:
         self._collector.finish()
         if not self._collector.passes or not self._references:
             return None
-        begun = max(self._collector.before[-1], 1)  # the pass runs along the reference before this one
-        state = self._states[min(begun, len(self._states)) - 1][1] if self._states else None
+        count = max(self._collector.before[-1], 1)  # the pass runs along the reference before this one
+        state = self._states[min(count, len(self._states)) - 1][1] if self._states else None
         target = self._targets.get(state.target) if state is not None else list(self._targets.values())[-1]
         if target is None:
             raise NotRecorded("", "the target trajectory of the compensator is not in the recording")
@@ -224,14 +224,14 @@ class CompensatorFeed:
             made = copy.copy(self._rebuild(state, 0).compensator)
         else:
             made = compensator(self.cell, target, method)
-            reference = trajectory_from_bytes(self._references[begun - 1], as_sent=True)
+            reference = trajectory_from_bytes(self._references[count - 1], as_sent=True)
             if fingerprint(reference) != fingerprint(target):
                 if method is None and made.repeats:
                     raise NotRecorded("", f"{made.method} needs the passes before this one, and no state names them")
                 made.resume(reference, state is not None and state.finished)
         made.revise(self._last_pass().record(self.cell, self._plant, len(self._collector.passes) - 1))
         same = state is None or method in (None, state.method)
-        return Revision(made, target, self._references[begun] if same and begun < len(self._references) else None)
+        return Revision(made, target, self._references[count] if same and count < len(self._references) else None)
 
     def _last_pass(self) -> ReceivedPass:
         """Return the last pass, with the wrenches that the compensator received if a state names the pass."""
