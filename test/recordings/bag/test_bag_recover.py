@@ -217,15 +217,17 @@ def test_a_file_that_lacks_only_its_end_loses_nothing(source, tmp_path):
     assert recover(tmp_path / "a.mcap").lost_messages == 0
 
 
-@pytest.mark.parametrize("place", ["packed bytes", "length", "packed length", "type", "first time"])
+@pytest.mark.parametrize("place", ["packed bytes", "length", "longer", "packed length", "type", "first time"])
 def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place):
     data, written, chunks = source
     chunk, count = chunks[len(chunks) // 2]
     packed = chunk.offset + PACKED
-    at = {"packed bytes": packed + 50, "length": chunk.offset + 3, "packed length": packed - 6,
-          "type": chunk.offset, "first time": chunk.offset + 9}[place]  # fmt: skip
+    at = {"packed bytes": packed + 50, "length": chunk.offset + 3, "longer": chunk.offset + 2,
+          "packed length": packed - 6, "type": chunk.offset, "first time": chunk.offset + 9}[place]  # fmt: skip
     damaged = bytearray(data)
     damaged[at] ^= 0x30
+    if place == "longer":  # and yet within the file
+        assert chunk.end < chunk.offset + struct.unpack_from("<Q", damaged, chunk.offset + 1)[0] < len(damaged) - 1000
     (tmp_path / "a.mcap").write_bytes(damaged)
     result = recover(tmp_path / "a.mcap")
     saved = set(content_of(result.directory))
