@@ -125,6 +125,7 @@ def test_files_that_claim_absurd_sizes_take_no_memory(tmp_path):
         "endless": chunk_record(small, 1000, b"zstd", claimed=2**64 - 1),
         "record": struct.pack("<BQ", 3, 2**62) + b"\0" * 100,
         "name": struct.pack("<BQHI", 3, 100, 1, 2**32 - 1) + b"\0" * 94,
+        "short": struct.pack("<BQHIII", 3, 24, 1, 0, 0, 100) + b"\0" * 10,
         "attachment": struct.pack("<BQQQIIQ", 9, 140, 0, 0, 0, 0, 2**40) + b"\0" * 108,
         "lz4 bomb": chunk_record(lz4.frame.compress(b"\0" * 200_000_000, store_size=False), 1000, b"lz4"),
         "no lz4": chunk_record(b"\x04\x22\x4d\x18" + b"\xff" * 50, 2**27, b"lz4"),
@@ -161,6 +162,9 @@ def test_every_compression_gives_its_bytes_back_and_a_truncated_chunk_is_refused
         path.write_bytes(BEGIN + chunk_record(packed[: len(packed) // 2], len(data), compression, zlib.crc32(data)))
         with pytest.raises(RecordingError, match="unpack|checksum"):
             Recording(path)
+        path.write_bytes(BEGIN + chunk_record(packed, len(data), compression, zlib.crc32(data), len(packed) - 1))
+        with pytest.raises(RecordingError, match="lengths that do not agree"):
+            Recording(path)
         path.write_bytes(BEGIN + chunk_record(packed, len(data) + 1, compression))  # without a checksum
         with pytest.raises(RecordingError, match="announces"):
             Recording(path)
@@ -171,6 +175,10 @@ def test_a_chunk_above_the_limit_is_not_unpacked(tmp_path, monkeypatch):
     monkeypatch.setattr("kr270_milling.recordings.bag.chunks.LIMIT", 50_000)
     with Recording(path) as recording, pytest.raises(RecordingError, match="unpacked bytes, more than the limit"):
         list(recording.messages())
+    path = write_mcap(tmp_path / "b.mcap", [(0, os.urandom(100_000))])
+    monkeypatch.setattr("kr270_milling.recordings.bag.records.LIMIT", 50_000)
+    with pytest.raises(RecordingError, match="not a whole record"):
+        Recording(path)
 
 
 def test_a_definition_that_cannot_be_parsed_is_reported_with_the_offset_of_its_chunk(tmp_path):
@@ -182,10 +190,17 @@ def test_a_definition_that_cannot_be_parsed_is_reported_with_the_offset_of_its_c
     assert recover(tmp_path / "a.mcap").messages == 0
 
 
-def test_a_message_of_an_undefined_channel_is_an_error(tmp_path):
-    body = struct.pack("<BQHIQQ", 5, 22, 9, 0, 0, 0)
+@pytest.mark.parametrize(("body", "sentence"), [
+    (struct.pack("<BQHIQQ", 5, 22, 9, 0, 0, 0), "channel 9, which is not defined"),
+    (struct.pack("<BQHII", 5, 10, 1, 0, 0) + struct.pack("<BQ", 0x90, 20) + bytes(20), "message .* impossible length"),
+    (struct.pack("<BQ", 0x90, 21) + bytes(20), "record in a chunk has an impossible length"),
+    (struct.pack("<BQ", 0x90, 20) + bytes(24), "ends in the middle of a record"),
+    (struct.pack("<BQHIQQ", 5, 22, 9, 0, 2**63, 0), "after the year 2262"),
+    (struct.pack("<BQHIQQ", 5, 22, 9, 0, 1, 0), "other log times than it states"),
+])  # fmt: skip
+def test_a_chunk_with_records_that_cannot_be_is_an_error(tmp_path, body, sentence):
     (tmp_path / "a.mcap").write_bytes(BEGIN + chunk_record(body, len(body), b"", zlib.crc32(body)))
-    with Recording(tmp_path / "a.mcap") as recording, pytest.raises(RecordingError, match="channel 9"):
+    with pytest.raises(RecordingError, match=sentence), Recording(tmp_path / "a.mcap") as recording:
         list(recording.messages())
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from kr270_milling.base.errors import MillingError, RecordingError
 from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.exchange.replay.compare import difference
-from kr270_milling.exchange.replay.revisions import LastPass
+from kr270_milling.exchange.replay.revisions import Revision
 from kr270_milling.exchange.replay.robots import Robot, Robots
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.reader import Recording
@@ -53,9 +53,9 @@ def compensate_recording(path, method: str | None = None, progress=None) -> list
         robots = Robots(recording)
         robots.feed(progress, Robot.feed_compensator)
         with robots.usable("/wrench"):
-            passes = [(robot, robot.compensator.last_pass()) for robot in robots.robots.values()]
             try:
-                revised = [_revised(robot, last, method) for robot, last in passes if last is not None]
+                made = [(robot, robot.compensator.revise(method)) for robot in robots.robots.values()]
+                revised = [_revised(robot, revision) for robot, revision in made if revision is not None]
             except MillingError as error:
                 raise RecordingError(recording.path, str(error)) from error
         if not revised:
@@ -63,11 +63,9 @@ def compensate_recording(path, method: str | None = None, progress=None) -> list
     return revised
 
 
-def _revised(robot: Robot, last: LastPass, method: str | None) -> Revised:
-    made, target = robot.compensator.revise(last, method)
-    own = last.state is None or method in (None, last.state.method)
-    published = difference(made.reference, last.published) is None if own and last.published is not None else None
-    shift = made.reference.position - target.sample(made.reference.time_ns)
+def _revised(robot: Robot, revision: Revision) -> Revised:
+    made = revision.compensator
+    shift = made.reference.position - revision.target.sample(made.reference.time_ns)
     return Revised(
         robot.namespace,
         made.method,
@@ -75,5 +73,5 @@ def _revised(robot: Robot, last: LastPass, method: str | None) -> Revised:
         commanded_joints(robot.cell, made.reference),
         made.errors[-1],
         float(np.linalg.norm(shift, axis=1).max()),
-        published,
+        None if revision.published is None else difference(made.reference, revision.published) is None,
     )

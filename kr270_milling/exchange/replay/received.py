@@ -13,12 +13,12 @@ from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
 from kr270_milling.exchange.replay.inputs import INPUTS
 from kr270_milling.recordings.bag.reader import Recording
 
-__all__ = ["EarlierRecordings", "MissingPass", "PassCollector"]
+__all__ = ["EarlierRecordings", "NotRecorded", "PassCollector"]
 
 TOPICS = ("tool_pose", "wrench")
 
 
-class MissingPass(MillingError):
+class NotRecorded(MillingError):
     """A pass that the compensator learned from and that cannot be read; recording: the file that holds it."""
 
     def __init__(self, recording: str, reason: str):
@@ -32,9 +32,11 @@ class PassCollector:
     def __init__(self, cell: Cell, end_ns: int):
         self.inbox = PassInbox(end_ns, cell.exchange.iterations)
         self.passes: list[ReceivedPass] = []
+        self.before: list[int] = []  #: of each pass: references that were published before its first pose
+        self._before = 0
 
-    def sample(self, sample: PoseSample | WrenchSample) -> None:
-        """Take the next pose or wrench that was checked."""
+    def sample(self, sample: PoseSample | WrenchSample, references: int = 0) -> None:
+        """Take the next pose or wrench that was checked; references: number of those that were published before."""
         if isinstance(sample, WrenchSample):
             self.inbox.wrench(sample)
         else:
@@ -43,12 +45,15 @@ class PassCollector:
             self.inbox.pose(sample)
         if self.inbox.complete:
             self.finish()
-            self.inbox.clear()
+        if isinstance(sample, PoseSample) and sample.stamp == 0:
+            self._before = references
 
     def finish(self) -> None:
         """Close a pass that lacks nothing but its last wrench."""
         if self.inbox.at_end:
             self.passes.append(self.inbox.received())
+            self.before.append(self._before)
+            self.inbox.clear()
 
 
 class EarlierRecordings:
@@ -61,12 +66,12 @@ class EarlierRecordings:
         self._read: dict[Path, tuple[Cell | None, list[ReceivedPass]]] = {}  # file -> plant, passes
 
     def find(self, stated: LearnedPass) -> tuple[ReceivedPass, Cell | None, int]:
-        """Return a pass, the plant that ran it and its number in its file; raises MissingPass."""
+        """Return a pass, the plant that ran it and its number in its file; raises NotRecorded."""
         name = stated.recording
         file = self._file(name)
         if file is None:
             reason = f"{name} is missing" if name else "a pass was not recorded"
-            raise MissingPass(name, f"{reason}, and the reference trajectory follows from it")
+            raise NotRecorded(name, f"{reason}, and the reference trajectory follows from it")
         if file not in self._read:
             self._read[file] = self._passes_of(file)
         plant, passes = self._read[file]
@@ -74,7 +79,7 @@ class EarlierRecordings:
             learned = received.until_wrench(stated.wrenches)
             if learned.fingerprint == stated.fingerprint:
                 return learned, plant, number
-        raise MissingPass(name, f"{file}: does not hold the pass that the reference trajectory follows from")
+        raise NotRecorded(name, f"{file}: does not hold the pass that the reference trajectory follows from")
 
     def _file(self, name: str) -> Path | None:
         """Return the file in a neighbouring directory, or in the directory of this recording."""

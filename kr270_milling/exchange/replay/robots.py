@@ -95,7 +95,7 @@ class Robot:
         with contextlib.suppress(MillingError):
             record = INPUTS[name](data) if name in INPUTS else None
         if name == "reference_trajectory":
-            self.compensator.reference(data, record)
+            self.compensator.reference(data, record is not None)
         elif name == "compensator_state":
             self.compensator.state(data)
         elif name == "target_trajectory" and record is not None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import yaml
 
@@ -58,18 +58,10 @@ def qos_text(profiles: Iterable) -> str:
     return yaml_text([describe_qos(p) for p in profiles]).strip()
 
 
-Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-
-class _WithoutAnchors(Dumper):
-    """Repeat equal values: anchors are legal YAML, but other readers may not know them."""
-
-    def ignore_aliases(self, data) -> bool:
-        return True
-
-
 def yaml_text(value) -> str:
-    return yaml.dump(value, Dumper=_WithoutAnchors, sort_keys=False)
+    """Return YAML without anchors, which are legal but which other readers may not know."""
+    repeated = json.loads(json.dumps(value))  # equal parts are separate objects
+    return yaml.dump(repeated, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper), sort_keys=False)
 
 
 @functools.lru_cache(maxsize=32)

@@ -176,55 +176,6 @@ def test_decoded_messages_have_the_fields_of_the_definition(tmp_path):
 
 
 PACKAGES = ("@mcap/core", "@foxglove/rosmsg", "@foxglove/rosmsg2-serialization", "fzstd")
-SCRIPT = """
-const fs = require("fs"), crypto = require("crypto");
-const { McapIndexedReader, McapStreamReader } = require("@mcap/core");
-const { parse } = require("@foxglove/rosmsg");
-const { MessageReader } = require("@foxglove/rosmsg2-serialization");
-const { decompress } = require("fzstd");
-const decompressHandlers = { zstd: (data, size) => decompress(data, new Uint8Array(Number(size))) };
-const plain = (_, v) => typeof v === "bigint" ? Number(v) : ArrayBuffer.isView(v) ? Array.from(v) : v;
-const schemas = new Map(), channels = new Map(), readers = new Map();
-function print(m) {
-  const channel = channels.get(m.channelId), schema = schemas.get(channel.schemaId);
-  if (!readers.has(m.channelId)) {
-    readers.set(m.channelId, new MessageReader(parse(new TextDecoder().decode(schema.data), { ros2: true })));
-  }
-  const sha = crypto.createHash("sha256").update(m.data).digest("hex");
-  const value = readers.get(m.channelId).readMessage(m.data);
-  console.log(JSON.stringify([channel.topic, Number(m.logTime), sha, value], plain));
-}
-async function indexed(file) {
-  const handle = await fs.promises.open(file);
-  const readable = {
-    size: async () => BigInt((await handle.stat()).size),
-    read: async (offset, length) => {
-      const buffer = new Uint8Array(Number(length));
-      await handle.read(buffer, 0, Number(length), Number(offset));
-      return buffer;
-    },
-  };
-  const reader = await McapIndexedReader.Initialize({ readable, decompressHandlers });
-  reader.schemasById.forEach((v, k) => schemas.set(k, v));
-  reader.channelsById.forEach((v, k) => channels.set(k, v));
-  for await (const m of reader.readMessages()) print(m);
-  const names = [];
-  for await (const a of reader.readAttachments()) names.push(a.name);
-  console.log(JSON.stringify(names));
-  await handle.close();
-}
-function streamed(file) {
-  const reader = new McapStreamReader({ decompressHandlers });
-  reader.append(fs.readFileSync(file));
-  for (let r; (r = reader.nextRecord()); ) {
-    if (r.type === "Schema") schemas.set(r.id, r);
-    if (r.type === "Channel") channels.set(r.id, r);
-    if (r.type === "Message") print(r);
-  }
-}
-const [mode, file] = process.argv.slice(-2);
-mode === "indexed" ? indexed(file) : streamed(file);
-"""
 
 
 def order(messages) -> list:
@@ -283,7 +234,8 @@ def run_node(mode: str, file: Path) -> list:
     if modules() is None:
         pytest.skip(f"set KR270_NODE_MODULES to a node_modules with {', '.join(PACKAGES)}")
     env = dict(os.environ, NODE_PATH=str(modules()))
-    done = subprocess.run(["node", "-e", SCRIPT, "--", mode, str(file)], env=env, capture_output=True, text=True,
+    command = ["node", str(Path(__file__).with_name("foxglove.js")), mode, str(file)]
+    done = subprocess.run(command, env=env, capture_output=True, text=True,
                           timeout=120)  # fmt: skip
     assert done.returncode == 0, done.stderr
     return [json.loads(line) for line in done.stdout.splitlines()]
