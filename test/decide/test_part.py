@@ -87,12 +87,6 @@ def test_mean_torque_of_a_rigid_slot_is_that_of_the_linear_edge_law(tmp_path):
     assert mean == pytest.approx(cell.tool.teeth * per_tooth * RADIUS, rel=0.015)
 
 
-def test_a_rigid_arm_has_no_deviation_in_any_row(tmp_path):
-    cell = small_cell(tmp_path, POCKET, RIGID)
-    for row in assess(cell, simulate(cell)).table():
-        assert all(value < 1e-5 for key, value in row.items() if key.endswith("_um"))  # 1e-5 um
-
-
 def test_several_passes_share_the_ideal_part(cell, ran, part):
     first, second = assess_all(cell, [ran, ran])
     assert first.table() == second.table() == part.table()
@@ -147,17 +141,12 @@ def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_give
 
 
 @pytest.fixture(scope="module")
-def cell_of_course(tmp_path_factory):
-    return small_cell(tmp_path_factory.mktemp("course"), POCKET)
+def stamps(cell):
+    return np.arange(0, cell.target().duration_ns, 500_000)
 
 
-@pytest.fixture(scope="module")
-def stamps(cell_of_course):
-    return np.arange(0, cell_of_course.target().duration_ns, 500_000)
-
-
-def test_the_tangent_is_the_direction_of_the_motion_wherever_the_tool_moves(cell_of_course, stamps):
-    path, target = course(cell_of_course, stamps), cell_of_course.target()
+def test_the_tangent_is_the_direction_of_the_motion_wherever_the_tool_moves(cell, stamps):
+    path, target = course(cell, stamps), cell.target()
     velocity = target.sample_velocity(stamps)
     speed = np.linalg.norm(velocity, axis=1)
     moving = speed > 5e-3
@@ -167,28 +156,28 @@ def test_the_tangent_is_the_direction_of_the_motion_wherever_the_tool_moves(cell
     np.testing.assert_allclose(np.linalg.norm(path.tangent, axis=1), 1.0, atol=1e-12)
 
 
-def test_the_tangent_is_there_while_the_tool_rests(cell_of_course):
-    end = cell_of_course.target().duration_ns
-    resting = course(cell_of_course, np.array([0, end, end + 10**9]))
+def test_the_tangent_is_there_while_the_tool_rests(cell):
+    end = cell.target().duration_ns
+    resting = course(cell, np.array([0, end, end + 10**9]))
     np.testing.assert_allclose(np.linalg.norm(resting.tangent, axis=1), 1.0, atol=1e-12)
 
 
-def test_a_move_along_the_spindle_keeps_the_side_of_the_last_horizontal_move(cell_of_course, stamps):
-    path = course(cell_of_course, stamps)
+def test_a_move_along_the_spindle_keeps_the_side_of_the_last_horizontal_move(cell, stamps):
+    path = course(cell, stamps)
     upright = np.abs(path.tangent[:, 2]) > 0.999
     assert upright.any()
     changes = np.flatnonzero(np.abs(np.diff(path.heading)) > 1e-9) + 1
     assert not upright[changes].any()
 
 
-def test_distance_only_grows_and_ends_at_the_length_of_the_path(cell_of_course, stamps):
-    distance = course(cell_of_course, np.append(stamps, cell_of_course.target().duration_ns)).distance
+def test_distance_only_grows_and_ends_at_the_length_of_the_path(cell, stamps):
+    distance = course(cell, np.append(stamps, cell.target().duration_ns)).distance
     assert np.all(np.diff(distance) >= -1e-12)
-    assert distance[-1] == pytest.approx(cell_of_course.timed_path.toolpath.length, abs=1e-12)
+    assert distance[-1] == pytest.approx(cell.timed_path.toolpath.length, abs=1e-12)
 
 
-def test_the_parts_of_a_deviation_on_a_horizontal_path_make_up_its_length(cell_of_course, stamps):
-    path = course(cell_of_course, stamps)
+def test_the_parts_of_a_deviation_on_a_horizontal_path_make_up_its_length(cell, stamps):
+    path = course(cell, stamps)
     error = np.random.default_rng(1).normal(size=(stamps.size, 3))
     parts = deviations(path, error)
     level = np.abs(path.tangent[:, 2]) < 1e-12
@@ -214,8 +203,8 @@ def test_a_straight_cut_without_a_file_is_one_feature_along_x():
     assert path.distance[1] == pytest.approx(4.0 / 60)  # 4 m/min for 1 s
 
 
-def test_features_are_those_of_the_programme(cell_of_course, stamps):
-    path = course(cell_of_course, stamps)
+def test_features_are_those_of_the_programme(cell, stamps):
+    path = course(cell, stamps)
     assert path.features == ("unnamed", "side", "ring")
     assert set(np.unique(path.feature)) <= {0, 1, 2} and {1, 2} <= set(np.unique(path.feature))
 
@@ -223,32 +212,20 @@ def test_features_are_those_of_the_programme(cell_of_course, stamps):
 # --- The finished workpiece of a pass, swept once more ---
 
 
-@pytest.fixture(scope="module")
-def cell_of_machined(tmp_path_factory):
-    return small_cell(tmp_path_factory.mktemp("machined"), POCKET)
-
-
-def test_sweeping_the_positions_of_a_pass_again_removes_the_same_material(cell_of_machined):
-    result = simulate(cell_of_machined).result
-    again = machined(cell_of_machined, result.tool)
-    assert again.removed_volume == pytest.approx(result.removed_volume, rel=1e-12)
-    assert again.removed_volume == pytest.approx(result.volume.sum(), rel=1e-9)
-
-
-def test_heights_at_points_are_those_of_the_map(cell_of_machined):
-    cut = machined(cell_of_machined, simulate(cell_of_machined).result.tool)
+def test_heights_at_points_are_those_of_the_map(cell, ran):
+    cut = machined(cell, ran.result.tool)
     x, y, z = cut.heights(thinning=7)
     points = np.stack(np.meshgrid(x, y, indexing="ij"), -1).reshape(-1, 2)
     np.testing.assert_array_equal(heights_at(cut, points).reshape(z.shape), z)
     assert len(np.unique(z)) > 3
 
 
-def test_a_stock_without_room_for_its_tiles_is_an_error(cell_of_machined, monkeypatch):
+def test_a_stock_without_room_for_its_tiles_is_an_error(cell, monkeypatch):
     monkeypatch.setattr("kr270_milling.physics.cutting.state.MAX_TILES", 2)
     with pytest.raises(GridError):
         machined(
-            cell_of_machined,
-            cell_of_machined.target().sample(np.arange(0, cell_of_machined.target().duration_ns, 500_000)),
+            cell,
+            cell.target().sample(np.arange(0, cell.target().duration_ns, 500_000)),
         )
 
 

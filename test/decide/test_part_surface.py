@@ -137,16 +137,6 @@ def test_a_deeper_pass_on_the_same_contour_may_cut_the_wall_above_but_cannot_put
         np.testing.assert_allclose(found.error[chosen], expected * UM, atol=tolerance + 1e-10)
 
 
-def test_one_level_is_the_grid_of_zeros_and_ones(slot):
-    cut = machined(slot, planned(slot)[1])
-    height = cut.heights()[2]
-    depth = 1 * MM  # a whole number of levels of 0.1 um
-    assert set(np.unique(np.round(height / (0.1 * UM)))) == {-10000.0, 0.0}
-    cleared = (height < -0.5 * depth).sum() * cut.params.spacing**2
-    assert cut.removed_volume == pytest.approx(cleared * depth, rel=1e-9)
-    assert cleared == pytest.approx(2 * RADIUS * 40 * MM, rel=2e-3)
-
-
 def test_several_levels_are_the_envelope_of_each_level_alone(tmp_path):
     first = HEAD + "G0 X-28 Y-4 Z-1\nG1 X28 F3000\nG0 Z2\n"
     second = "G0 X-5 Y-28\nG0 Z-0.4\nG1 Y28 F3000\nG0 Z2\n"

@@ -209,12 +209,6 @@ def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_not_below(so
     assert result.word == word, (soft_limit, result)
 
 
-def test_a_chattering_cut_must_not_be_run(soft_limit):
-    checked = check(soft(2.0 * soft_limit))
-    stops = {f.what for f in checked.findings if f.severity == "stop"}
-    assert not checked.may_be_run and "chatter" in stops and {"growing vibration", "deflection"} & stops
-
-
 def test_the_papers_cut_repeats_and_a_short_one_has_no_statement(demo):
     ran = demo.passes["original"]
     cell = read_cell(find_file("paper.yaml"))

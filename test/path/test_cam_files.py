@@ -227,44 +227,6 @@ def test_tools_and_what_moves_nothing_are_noted(apt):
     np.testing.assert_allclose(path.position[2:] * 1e3, [[0, 0, 5], [9, 9, 5]])  # up first
 
 
-@pytest.mark.parametrize(
-    ("text", "line", "word"),
-    [
-        ("GOTO/0,0,0\nFEDRAT/600\nCIRCLE/0,0,5\n", 3, "CIRCLE"),
-        ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5,0.1,0.5,9,0,TIMES,2\n", 3, "several turns"),
-        ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,1,0,0,5\nGOTO/-5,0,0\n", 3, "not z; let the CAM output GOTO"),
-        ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5\nGOTO/-4,0,0\n", 4, "does not close"),
-        ("GOTO/5,0,0\nFEDRAT/600\nGOTO/6,0,0\nCIRCLE/0,0,0,0,0,1,6\nFINI\n", 5, "without the GOTO"),
-        ("GOTO/5,0,0\nCYCLE/DRILL,5\n", 2, "CYCLE: let the CAM output drilling as GOTO"),
-        ("GOTO/5,0,0\nCUTCOM/LEFT\n", 2, "CUTCOM: let the CAM output the path of the tool's centre"),
-        ("GOTO/0,0,0\nFEDRAT/0.1,MMPR\nGOTO/1,0,0\n", 3, "without a feed"),
-        ("SPINDL/800,SFM\n", 1, "SFM"),
-        ("LOADTL/1\nFEDRAT/9\nGOTO/0,0,0\nGOTO/1,0,0\nLOADTL/2\nGOTO/2,0,0\n", 5, "2 tools: T1 from line 1, T2"),
-        ("GOTO/0,0,0\nMSYS/0,0,0,1,0,0,0,1,0\n", 2, "MSYS"),
-        ("GOTO/0,0,0\nGOTO/1,0,0\n", 2, "without a feed"),
-        ("GOTO/0,0,0\nFEDRAT/0\nGOTO/1,0,0\n", 3, "zero feed"),
-        ("GOTO/0,0,0\nFEDRAT/-5\n", 2, "-5"),
-        ("GOTO/0,0,0\nFEDRAT/0.1,MMPM,IPM\n", 2, "FEDRAT"),
-        ("GOTO/0,0,nan\n", 1, "NAN"),
-        ("GOTO/0,0,inf\n", 1, "INF"),
-        ("GOTO/0,0\n", 1, "not 2 numbers"),
-        ("GOTO/0,0,0,0,0,2\n", 1, "length 2"),
-        ("GOTO/0,0,0,0,0,-1\n", 1, "below"),
-        ("GOTO/1e9,0,0\n", 1, "wrong unit"),
-        ("UNITS/FURLONGS\n", 1, "FURLONGS"),
-        ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,0,0", 3, "cut off"),
-        ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,$\n", 3, "continued"),
-        ("GOTO/0,0,0\nFEDRAT/600\nFINI\n", 1, "never moves"),
-        ("GOTO/0,0,0\n{}\n", 2, "no APT statement"),
-        ("GOTO/0,0,0,0,0,1\nFEDRAT/600\nGOTO/0,0,0,0.6,0,0.8\n", 3, "turns without moving"),
-    ],
-)
-def test_what_cannot_be_run_is_refused_with_line_and_word(apt, text, line, word):
-    with pytest.raises(InputError, match=word) as caught:
-        apt(text)
-    assert caught.value.line == line and "\n" not in str(caught.value)
-
-
 # --- Tool paths from CSV ---
 
 
@@ -296,29 +258,62 @@ def test_kuka_angles_turn_the_tool(points):
     np.testing.assert_allclose(rotation_from_quaternion(path.quaternion), expected, atol=1e-14)
 
 
+APT_REFUSED = [
+    ("GOTO/0,0,0\nFEDRAT/600\nCIRCLE/0,0,5\n", 3, "CIRCLE"),
+    ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5,0.1,0.5,9,0,TIMES,2\n", 3, "several turns"),
+    ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,1,0,0,5\nGOTO/-5,0,0\n", 3, "not z; let the CAM output GOTO"),
+    ("GOTO/5,0,0\nFEDRAT/600\nCIRCLE/0,0,0,0,0,1,5\nGOTO/-4,0,0\n", 4, "does not close"),
+    ("GOTO/5,0,0\nFEDRAT/600\nGOTO/6,0,0\nCIRCLE/0,0,0,0,0,1,6\nFINI\n", 5, "without the GOTO"),
+    ("GOTO/5,0,0\nCYCLE/DRILL,5\n", 2, "CYCLE: let the CAM output drilling as GOTO"),
+    ("GOTO/5,0,0\nCUTCOM/LEFT\n", 2, "CUTCOM: let the CAM output the path of the tool's centre"),
+    ("GOTO/0,0,0\nFEDRAT/0.1,MMPR\nGOTO/1,0,0\n", 3, "without a feed"),
+    ("SPINDL/800,SFM\n", 1, "SFM"),
+    ("LOADTL/1\nFEDRAT/9\nGOTO/0,0,0\nGOTO/1,0,0\nLOADTL/2\nGOTO/2,0,0\n", 5, "2 tools: T1 from line 1, T2"),
+    ("GOTO/0,0,0\nMSYS/0,0,0,1,0,0,0,1,0\n", 2, "MSYS"),
+    ("GOTO/0,0,0\nGOTO/1,0,0\n", 2, "without a feed"),
+    ("GOTO/0,0,0\nFEDRAT/0\nGOTO/1,0,0\n", 3, "zero feed"),
+    ("GOTO/0,0,0\nFEDRAT/-5\n", 2, "-5"),
+    ("GOTO/0,0,0\nFEDRAT/0.1,MMPM,IPM\n", 2, "FEDRAT"),
+    ("GOTO/0,0,nan\n", 1, "NAN"),
+    ("GOTO/0,0,inf\n", 1, "INF"),
+    ("GOTO/0,0\n", 1, "not 2 numbers"),
+    ("GOTO/0,0,0,0,0,2\n", 1, "length 2"),
+    ("GOTO/0,0,0,0,0,-1\n", 1, "below"),
+    ("GOTO/1e9,0,0\n", 1, "wrong unit"),
+    ("UNITS/FURLONGS\n", 1, "FURLONGS"),
+    ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,0,0", 3, "cut off"),
+    ("GOTO/0,0,0\nFEDRAT/600\nGOTO/1,$\n", 3, "continued"),
+    ("GOTO/0,0,0\nFEDRAT/600\nFINI\n", 1, "never moves"),
+    ("GOTO/0,0,0\n{}\n", 2, "no APT statement"),
+    ("GOTO/0,0,0,0,0,1\nFEDRAT/600\nGOTO/0,0,0,0.6,0,0.8\n", 3, "turns without moving"),
+]
+CSV_REFUSED = [
+    ("x,y,z,feed\n0,0,0,1\n", 1, "x_mm"),
+    ("0,0,0,600\n1,0,0,600\n", 1, "not a known column"),
+    ("x_mm;y_mm;z_mm;feed_mm_per_min\n0;0;0;1\n", 1, "not a known column"),
+    ("x_mm,y_mm,z_mm\n0,0,0\n", 1, "header must be"),
+    ("x_mm,x_mm,y_mm,z_mm,feed_mm_per_min\n", 1, "x_mm"),
+    (HEADER + "0,0,0,600\n1,0,0\n", 3, "3 values"),
+    (HEADER + "0,0,0,600\n1,0,nan,600\n", 3, "z_mm is not finite"),
+    (HEADER + "0,0,0,600\n1,0,1_0,600\n", 3, "1_0"),
+    (HEADER + "0,0,0,600\n1,0,0,0\n", 3, "zero feed"),
+    (HEADER + "0,0,0,600\n1,0,0,-1\n", 3, "out of range"),
+    (HEADER + "0,0,0,600\n1e9,0,0,600\n", 3, "wrong unit"),
+    (HEADER + "0,0,0,600\n1,0,0,600", 3, "cut off"),
+    (HEADER + "1,0,0,600\n1,0,0,600\n", 2, "never moves"),
+    (HEADER, 1, "no row"),
+]
+
+
 @pytest.mark.parametrize(
-    ("text", "line", "word"),
-    [
-        ("x,y,z,feed\n0,0,0,1\n", 1, "x_mm"),
-        ("0,0,0,600\n1,0,0,600\n", 1, "not a known column"),
-        ("x_mm;y_mm;z_mm;feed_mm_per_min\n0;0;0;1\n", 1, "not a known column"),
-        ("x_mm,y_mm,z_mm\n0,0,0\n", 1, "header must be"),
-        ("x_mm,x_mm,y_mm,z_mm,feed_mm_per_min\n", 1, "x_mm"),
-        (HEADER + "0,0,0,600\n1,0,0\n", 3, "3 values"),
-        (HEADER + "0,0,0,600\n1,0,nan,600\n", 3, "z_mm is not finite"),
-        (HEADER + "0,0,0,600\n1,0,1_0,600\n", 3, "1_0"),
-        (HEADER + "0,0,0,600\n1,0,0,0\n", 3, "zero feed"),
-        (HEADER + "0,0,0,600\n1,0,0,-1\n", 3, "out of range"),
-        (HEADER + "0,0,0,600\n1e9,0,0,600\n", 3, "wrong unit"),
-        (HEADER + "0,0,0,600\n1,0,0,600", 3, "cut off"),
-        (HEADER + "1,0,0,600\n1,0,0,600\n", 2, "never moves"),
-        (HEADER, 1, "no row"),
-    ],
+    ("suffix", "text", "line", "word"),
+    [(".apt", *row) for row in APT_REFUSED] + [(".csv", *row) for row in CSV_REFUSED],
 )
-def test_what_cannot_be_run_is_refused_with_line_and_word_points(points, text, line, word):
+def test_what_cannot_be_run_is_refused_with_line_and_word(tmp_path, suffix, text, line, word):
+    (tmp_path / f"part{suffix}").write_text(text)
     with pytest.raises(InputError, match=word) as caught:
-        points(text)
-    assert caught.value.line == line
+        read_toolpath(tmp_path / f"part{suffix}")
+    assert caught.value.line == line and "\n" not in str(caught.value)
 
 
 # --- Arcs to chords ---

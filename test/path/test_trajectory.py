@@ -44,19 +44,6 @@ def test_a_spline_is_run_as_scipy_evaluates_it(ends):
     np.testing.assert_allclose(run.feed(FINE), np.linalg.norm(oracle(FINE * 1e-9, 1), axis=1), rtol=1e-10, atol=1e-15)
 
 
-def test_a_spline_takes_end_velocities():
-    run = spline(TIME, PATH, ends=([0.1, 0.0, 0.0], [0.0, 0.2, 0.0]))
-    np.testing.assert_allclose(run.velocity[[0, -1]], [[0.1, 0.0, 0.0], [0.0, 0.2, 0.0]], atol=1e-15)
-
-
-def test_a_spline_has_no_jump_in_acceleration():
-    run = spline(TIME, PATH)
-    step = 10_000
-    inner = TIME[1:-1]
-    slope = [(run.sample_velocity(inner + d) - run.sample_velocity(inner + d - step)) / step for d in (0, step)]
-    np.testing.assert_allclose(slope[0], slope[1], rtol=0, atol=2e-3 * np.abs(slope).max())
-
-
 def test_orientation_follows_scipys_slerp_and_takes_the_short_way():
     turns = Rotation.from_euler("ZYX", np.random.default_rng(1).uniform(-1, 1, (5, 3)))
     quaternion = turns.as_quat() * np.array([1, -1, 1, 1, -1])[:, None]  # q and -q are one rotation

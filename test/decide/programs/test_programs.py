@@ -35,7 +35,6 @@ from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.controller_motion import block_ends, controller_motion
 from kr270_milling.path.timing import Timing, time_path
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
-from kr270_milling.path.trajectory_csv import read_csv
 
 
 def setup(*runs: Trajectory) -> Setup:
@@ -365,24 +364,6 @@ def test_sag_is_in_the_points_where_the_controller_does_not_compensate_it(cell, 
     assert np.abs(told[:, :3, 3] - reached[:, :3, 3]).max() < 1e-6
     lifted = (own.workpiece.pose.apply(read.transforms[:, :3, 3]) - own.workpiece.pose.apply(line.position))[:, 2]
     assert np.all(lifted > 0.1e-3)  # 700 kg of arm bend it by tenths of a millimetre
-
-
-def test_offsets_are_the_difference_of_the_two_programs(cell, tmp_path):
-    target = cell.target()
-    files = write_programs(tmp_path, cell, target, wavy(target), method="wavy", date=DATE)
-    table = np.loadtxt(files["rsi"][0], delimiter=",", skiprows=1)
-    stamps = np.rint(table[:, 0] * 1e9).astype(np.int64)
-    assert set(np.diff(stamps)) == {12_000_000}
-    shift = wavy(target).sample(stamps) - target.sample(stamps)
-    assert table[:, 1:4] == pytest.approx(shift * 1e3, abs=1e-6)
-
-
-def test_revised_trajectory_is_read_back_to_the_last_bit(cell, tmp_path):
-    target = cell.target()
-    files = write_programs(tmp_path, cell, target, wavy(target), method="wavy", date=DATE)
-    back, joints = read_csv(files["trajectory"][0])
-    assert np.array_equal(back.position, wavy(target).position) and np.array_equal(back.time_ns, target.time_ns)
-    assert joints == pytest.approx(commanded_joints(cell, back), abs=1e-9)
 
 
 def test_same_input_and_date_give_the_same_files(cell, tmp_path):

@@ -66,27 +66,6 @@ def test_lifted_response(kind, damping):
     return 0.0, np.abs(found[..., 1].ravel() - middle).max(), 1e-9  # 50 us steps of lsim: 2e-5 of 50 um
 
 
-def test_a_steady_correction_moves_the_tool_by_itself():
-    cubic = np.zeros((len(SEGMENTS), 4, 3))
-    cubic[:, 0] = [1e-5, -2e-5, 3e-5]
-    assert one_mode().follow(SEGMENTS, cubic) == pytest.approx(np.broadcast_to(cubic[0, 0], (12, 16, 3)), abs=1e-18)
-
-
-def test_a_corner_of_the_correction_rings_with_the_change_of_speed_over_omega():
-    """facts: a change of speed dv rings with dv / omega; undamped, 0.4 mm/s at 6.7 Hz gives 9.5 um."""
-    omega, change = 2 * np.pi * 6.7, 0.4e-3
-    time = np.arange(13) * 50_000_000
-    segments = Segments(time, 16)
-    cubic = np.zeros((12, 4, 3))
-    cubic[6:, 1, 1] = change
-    cubic[6:, 0, 1] = change * 0.05 * np.arange(6)
-    arm = ArmResponse(*(a if i > 1 else np.full((12, 1), (omega, 1e-6)[i]) for i, a in enumerate(
-        (0, 0, one_mode().inward, one_mode().outward, one_mode().push, one_mode().carry))))  # fmt: skip
-    swing = arm.swing(segments, cubic, np.zeros(3))[..., 1]
-    assert np.abs(swing[:6]).max() < 1e-18 and np.abs(swing).max() == pytest.approx(change / omega, rel=0.01)
-    assert change / omega == pytest.approx(9.5e-6, rel=0.01)
-
-
 def test_under_a_wrench_the_tool_gives_way_by_the_filter_of_its_mode_and_at_last_by_its_compliance():
     force = 80.0
     wrench = np.zeros((len(SEGMENTS), 16, 6))

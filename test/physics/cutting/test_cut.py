@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 from book import check
-from cuttings import PAPER_LAW, profile
+from cuttings import PAPER_LAW
 
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, GridError, Stock, SweepError, Tool, UndoError
 from kr270_milling.physics.cutting.grid import TILE
@@ -143,16 +143,6 @@ def test_heights_show_the_slot_thinned_and_in_a_window():
     x, y, z = cut.heights(low=[1e-3, -11e-3], high=[2e-3, -9e-3])
     assert (x.size, y.size) == (100, 200) and x[0] == pytest.approx(1.005e-3) and y[-1] == pytest.approx(-9.005e-3)
     assert np.count_nonzero(z[50]) == pytest.approx(100, abs=1)
-
-
-def test_profile_gives_both_walls():
-    cut = new_cut()
-    cut.sweep([-10e-3, 0.0, Z], [10e-3, 0.5e-3, Z], 0, 40 * 360)
-    x, low, high = profile(cut)
-    middle = (x > 1e-3) & (x < 9e-3)
-    axis = 0.5e-3 * (x + 10e-3) / 20e-3
-    assert low[middle] == pytest.approx(axis[middle] - 10e-3, abs=15e-6)
-    assert high[middle] == pytest.approx(axis[middle] + 10e-3, abs=15e-6)
 
 
 def test_a_senseless_sweep_is_refused():

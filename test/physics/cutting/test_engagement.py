@@ -15,7 +15,6 @@ from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, EngagementCut, Stock, Tool
-from kr270_milling.physics.cutting import engagement as engagement_model
 from kr270_milling.physics.motion.milling_pass import run_pass
 
 RADIUS, TEETH, DEPTH, FEED = 10e-3, 4, 1e-3, 0.125e-3  # [m]; feed per tooth
@@ -197,21 +196,6 @@ def test_the_error_falls_with_the_step_of_the_map():
 def test_the_mean_force_does_not_depend_on_the_length_of_a_step():
     """The chip thickness belongs to the feed per tooth and not to the step: the error has no order in dt to lose."""
     assert max(error(AXIAL, "half down", dt=dt) for dt in (1e-3, 2e-3, 4e-3, 8e-3)) < 0.01
-
-
-def test_the_error_falls_with_the_number_of_bins():
-    errors = {}
-    for bins in (12, 24, 72):
-        edges = np.linspace(-math.pi / 2, math.pi / 2, bins // 2 + 1)
-        chips = np.diff(np.sin(edges)) / np.diff(edges) * FEED
-        middle = 0.5 * (edges[1:] + edges[:-1])
-        law = AXIAL.active.per_depth(chips)
-        share = TEETH / (2 * math.pi) * DEPTH * np.diff(edges)
-        binned = np.sum(share * (-law[1] * np.cos(middle) + law[0] * np.sin(middle)))
-        exact = closed_form(AXIAL, tool(), -1.0, 1.0)
-        errors[bins] = abs(binned - exact[0]) / np.linalg.norm(exact)
-    assert fitted_order(1.0 / np.array(list(errors)), list(errors.values())) > 1.7
-    assert errors[engagement_model.BINS] < 1e-3
 
 
 def test_the_test_piece_deflects_as_under_the_swept_teeth():

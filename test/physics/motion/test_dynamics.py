@@ -109,15 +109,6 @@ def test_exponential(inertia, period):
     return 0.0, np.abs((transition - exact[: 2 * r, : 2 * r]) / scale * scale.T).max(), 1e-11
 
 
-def test_the_modes_diagonalise_mass_and_stiffness():
-    model = modes(COMPLIANCE, MASS)
-    np.testing.assert_allclose(model.shape.T @ MASS @ model.shape, np.eye(6), atol=1e-10)
-    stiffness = np.linalg.inv(COMPLIANCE)
-    np.testing.assert_allclose(
-        model.shape.T @ stiffness @ model.shape, np.diag(model.frequency**2), atol=1e-9 * model.frequency[-1] ** 2
-    )
-
-
 @pytest.mark.parametrize("parts", [2, 7, 40])
 def test_a_held_force_may_be_stepped_over_in_any_number_of_steps(parts):
     model, state = modes(COMPLIANCE, MASS), RANDOM.normal(size=12) * 1e-4

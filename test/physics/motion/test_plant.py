@@ -108,6 +108,14 @@ def with_wrench(ran: ScoredPass, wrench: np.ndarray) -> ScoredPass:
     return dataclasses.replace(ran, result=dataclasses.replace(ran.result, wrench=wrench))
 
 
+def reversing(ran: ScoredPass) -> tuple[np.ndarray, int]:
+    """A load across the feed that changes its sign in the middle of a pass, and the number of that sample."""
+    wrench = np.zeros_like(ran.result.wrench)
+    half = len(wrench) // 2
+    wrench[1:half, 1], wrench[half:, 1] = 100.0, -100.0
+    return wrench, half
+
+
 def test_a_load_that_changes_its_sign_moves_the_tool_by_backlash_times_lever(cell):
     plain = cell.arm_model(cell.target())
     wrenches = lateral(100.0, -100.0, 100.0)  # 150 N m about the axis
@@ -166,9 +174,7 @@ def test_the_load_on_a_joint_is_weight_less_inertia_of_the_path(cell):
 
 
 def test_the_check_names_the_place_where_the_load_reverses(cell, ran):
-    wrench = np.zeros_like(ran.result.wrench)
-    half = len(wrench) // 2
-    wrench[1:half, 1], wrench[half:, 1] = 100.0, -100.0
+    wrench, half = reversing(ran)
     (one,) = load_reversals(cell, cell.target(), with_wrench(ran, wrench))
     lever = np.linalg.norm(jacobian(cell.arm, cell.mount, cell.start_joints)[:3, 0])
     assert one.value == pytest.approx(cell.arm.backlash[0] * lever, rel=0.01) and one.severity == "note"
@@ -182,9 +188,7 @@ def test_the_check_names_the_place_where_the_load_reverses(cell, ran):
 
 
 def test_the_plant_moves_by_the_number_of_the_check(cell, ran):
-    wrench = np.zeros_like(ran.result.wrench)
-    half = len(wrench) // 2
-    wrench[1:half, 1], wrench[half:, 1] = 100.0, -100.0
+    wrench, half = reversing(ran)
     (one,) = load_reversals(cell, cell.target(), with_wrench(ran, wrench))
     plant = cell.replace(imperfections=Imperfections(backlash=cell.arm.backlash))
     plain = cell.arm_model(cell.target())
@@ -216,9 +220,7 @@ def test_the_test_pieces_axes_without_weight_change_their_flanks_where_the_arm_b
 
 
 def test_the_decision_names_the_backlash(cell, ran):
-    wrench = np.zeros_like(ran.result.wrench)
-    half = len(wrench) // 2
-    wrench[1:half, 1], wrench[half:, 1] = 100.0, -100.0
+    wrench, half = reversing(ran)
     places = gathered(cell, cell.target(), load_reversals(cell, cell.target(), with_wrench(ran, wrench)))
     assert backlash_statement(cell, places, True) == "backlash: in the verdict only, 0 to 12.4 arcsec"
     assert "not included, up to 49.2 um" in backlash_statement(cell, places, False)
