@@ -91,13 +91,14 @@ def pass_record(
 ) -> PassRecord:  # fmt: skip
     """Tool centres (n, 3) [m] and wrenches (n, 6) [N, N m] at stamps (n,) [ns], received, recorded or simulated.
 
-    The noise of the positions is what the cell states in ``imperfections``. tracker: simulate one with this noise for
-    the true tool centres of the pass ``number``.
+    The noise of the positions is what the cell states in ``imperfections``. tracker: simulate tracker and force sensor
+    with this noise for the true tool centres and wrenches of the pass ``number``.
     """
     revolution = 2e9 * np.pi / cell.tool.spindle_speed
     noise = (tracker or cell.imperfections).pose_noise
+    sensed = wrench if tracker is None else tracker.sensed(wrench, number)
     tool = tool if tracker is None else tracker.measured(tool, number)
-    return PassRecord(time_ns, tool, cell.scored_from_ns, wrench, revolution, noise)
+    return PassRecord(time_ns, tool, cell.scored_from_ns, sensed, revolution, noise)
 
 
 def compensator(cell: Cell, target: Trajectory, method: str | Method | None = None) -> Compensator:

@@ -45,16 +45,21 @@ class Plant:
         """
         cell, number = self.cell, self.passes
         self.passes += 1
-        course = imperfect_course(cell, reference, number)
+        course = imperfect_course(cell, reference, number, self.target)
         iterations = cell.exchange.iterations
         model = imperfect_arm(cell, reference, cell.arm_model(reference))
         silent = cell.programmed.drilling_at
         return run_pass(model, cell.cut(), cell.clock, self.target, course, iterations, progress, silent)
 
 
-def imperfect_course(cell: Cell, reference: Trajectory, number: int) -> Trajectory:
-    """Return the course of the motors of a plant that follows ``reference`` in its pass ``number``."""
+def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Trajectory | None = None) -> Trajectory:
+    """Return the course of the motors of a plant that follows ``reference`` in its pass ``number``.
+
+    target: the programmed trajectory; None: that of the cell.
+    """
     assumed = cell.imperfections
+    if assumed.servo_frequency or assumed.servo_delay:
+        reference = assumed.lagged(reference, cell.target() if target is None else target)
     if not assumed.repeatability:
         return reference
     return reference.with_position(reference.position + assumed.shift(number), reference.velocity)
@@ -118,6 +123,8 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
     noise, repeatability, backlash = rng.random(3) * (assumed.pose_noise, assumed.repeatability, assumed.backlash)
     seed = int(rng.integers(2**31))
     law = law.grown(1.0 + assumed.tool_wear * float(rng.random()))
+    servo = float(rng.uniform(*assumed.servo_frequency)) if assumed.servo_frequency.size else 0.0
+    delay = float(rng.random()) * assumed.servo_delay
     base, tool = _softer(cell, rng, factors(np.full(4, assumed.tool_compliance)))
     return cell.replace(
         arm=cell.arm.replace(
@@ -127,7 +134,16 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
         mount=cell.mount.replace(mass=cell.mount.mass / frequency**2),
         cutting=cell.cutting.replace(**{cell.cutting.law: law}),
         dynamics=cell.dynamics.replace(damping_ratio=damping, reference_inertia=moved),
-        imperfections=Imperfections(noise, repeatability, backlash * cell.arm.backlash, seed),
+        imperfections=Imperfections(
+            noise,
+            repeatability,
+            backlash * cell.arm.backlash,
+            servo,
+            delay,
+            cell.imperfections.wrench,
+            cell.imperfections.wrench_noise,
+            seed,
+        ),
         stock=cell.stock.replace(min=cell.stock.min + shift, max=cell.stock.max + shift),
     )
 

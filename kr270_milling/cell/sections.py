@@ -254,6 +254,14 @@ class Uncertainty(Record):
     backlash: float = parameter(
         2.0, low=0.0, high=1000.0, text="largest backlash of a plant, a multiple of arm.backlash_arcsec"
     )
+    # assumed: closed loops of the axes of heavy arms; one cycle of KUKA RSI
+    servo_frequency: np.ndarray = parameter(
+        [10.0, 40.0], unit="hz", above=0.0, high=1000.0,
+        text="lowest and highest frequency of a plant's servo lag, see imperfections.servo_frequency_hz; empty: none",
+    )  # fmt: skip
+    servo_delay: float = parameter(
+        4e-3, unit="ms", low=0.0, high=1000.0, text="longest dead time of a plant's servo lag"
+    )
     placement: float = parameter(
         0.05e-3, unit="mm", low=0.0, high=10.0, text="of the stock's place along each axis of the workpiece frame"
     )
@@ -264,6 +272,9 @@ class Uncertainty(Record):
     def check(self) -> None:
         if self.joint_compliances.size not in (0, 6):
             raise ParameterError("joint_compliances", self.joint_compliances.tolist(), "empty or one number a joint")
+
+        if self.servo_frequency.size not in (0, 2) or np.any(np.diff(self.servo_frequency) < 0.0):
+            raise ParameterError("servo_frequency_hz", self.servo_frequency.tolist(), "empty, or lowest and highest")
 
     def of_compliances(self) -> np.ndarray:
         """Of the six compliances, (6,)."""

@@ -22,6 +22,8 @@ from kr270_milling.physics.motion.scores import path_deviation
 
 __all__ = ["PATH_DEVIATION", "SURFACE_ERROR", "Gauge", "Judgement", "judge", "judge_part", "um_text"]
 
+#: [m]; a finer or coarser grid changes the deviation of the paper's pass by up to 0.06 um, see guide/numbers.md
+CONVERGED = 1e-7
 SURFACE_ERROR, PATH_DEVIATION = "largest wall or floor error", "largest path deviation"
 
 
@@ -72,7 +74,9 @@ class Judgement:
 
 
 def um_text(length: float) -> str:
-    """A length [m] in micrometres: three digits, from 1 mm on whole micrometres."""
+    """A length [m] in micrometres: three digits, from 1 mm on whole micrometres, below ``CONVERGED`` "< 0.1 um"."""
+    if abs(length) < CONVERGED:
+        return f"< {1e6 * CONVERGED:.1g} um"
     return f"{1e6 * length:.0f} um" if length >= 1e-3 else f"{1e6 * length:.3g} um"
 
 

@@ -300,7 +300,7 @@ def run_sample(plant: Cell, target: Trajectory, references: Sequence[Trajectory]
     try:
         model = plant.arm_model(target)
         for k, reference in enumerate(references):
-            course = imperfect_course(plant, reference, k)
+            course = imperfect_course(plant, reference, k, target)
             silent = plant.programmed.drilling_at
             cut, arm = plant.cut(), imperfect_arm(plant, reference, model)
             ran = run_pass(arm, cut, plant.clock, target, course, plant.exchange.iterations, silent=silent)

@@ -47,7 +47,7 @@ class Row:
         law = model.cutting.fractional
         cutting = model.cutting.replace(fractional=law.replace(stiffness=law.stiffness * self.force))
         dynamics = model.dynamics.replace(damping_ratio=model.dynamics.damping_ratio * self.damping)
-        imperfect = model.imperfections.replace(pose_noise=self.noise)
+        imperfect = model.imperfections.replace(pose_noise=self.noise, wrench="exact")
         return Plant(model, model.replace(arm=arm, cutting=cutting, dynamics=dynamics), imperfect)
 
 

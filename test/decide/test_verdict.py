@@ -32,7 +32,7 @@ SHORT = ("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")
 #: eq. (1) of the paper, a perfect robot on a rigid base, a sharp and rigid tool
 AS_PRINTED = {
     "reference_inertia": 0.0, "repeatability": 0.0, "backlash": 0.0, "tool_wear": 0.0, "base_compliance": 0.0,
-    "tool_stick_out": 0.0,
+    "tool_stick_out": 0.0, "servo_frequency": np.zeros(0), "servo_delay": 0.0,
 }  # fmt: skip
 CERTAIN = {
     **AS_PRINTED, "joint_compliance": 0.0, "force_coefficient": 0.0, "damping_ratio": 0.0, "frequency": 0.0,

@@ -1,16 +1,21 @@
-"""What a real arm adds to a pass and no model knows: noise of the measured pose, repeatability, backlash."""
+"""What a real cell adds to a pass and no model knows: noise of the sensors, repeatability, backlash, servo lag."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import signal
 
 from kr270_milling.base.record import Record, parameter
+from kr270_milling.path.trajectory import Trajectory
 
 __all__ = ["Imperfections"]
 
 #: of a Maxwell-distributed distance with standard deviation 1 along each axis: mean 1.596 + 3 times its deviation 0.673
+SERVO_DAMPING = 0.7  #: assumed: ratio of the second order of the servo lag, the usual tuning without overshoot
+SERVO_STEP = 1e-3  #: [s], of the lagged correction
+SENSOR_LEVER = 0.1  #: [m], assumed: noise of a measured moment over that of a force
 REPEATABILITY_SPREAD = np.sqrt(8.0 / np.pi) + 3.0 * np.sqrt(3.0 - 8.0 / np.pi)
 
 
@@ -29,6 +34,18 @@ class Imperfections(Record):
         np.zeros(6), unit="arcsec", size=6, low=0.0, high=18000.0,
         text="backlash of each joint of this plant, which shows where the load on the joint reverses",
     )  # fmt: skip
+    servo_frequency: float = parameter(
+        0.0, unit="hz", low=0.0, high=1000.0,
+        text="natural frequency of the second-order lag with which the motors follow a correction; 0: no lag",
+    )  # fmt: skip
+    servo_delay: float = parameter(0.0, unit="ms", low=0.0, high=1000.0, text="dead time before this lag")
+    wrench: str = parameter(
+        "noisy", choices=("none", "noisy", "exact"), text="of the cut, that the compensator receives off line"
+    )
+    # assumed: a force sensor of some kN between flange and spindle, at the exchange rate, offset and gravity taken off
+    wrench_noise: float = parameter(
+        2.0, unit="n", low=0.0, high=1e4, text="standard deviation of each measured force while the tool cuts; noisy"
+    )
     seed: int = parameter(1, low=0, high=2**31 - 1, text="of noise and repeatability")
     first_pass: int = parameter(0, low=0, high=1_000_000, text="passes whose random numbers are drawn already")
 
@@ -48,3 +65,46 @@ class Imperfections(Record):
         generator = self.generator(number)
         generator.standard_normal(3)  # those of ``shift``
         return position + self.pose_noise * generator.standard_normal(position.shape)
+
+    def sensed(self, wrench: np.ndarray, number: int) -> np.ndarray | None:
+        """Wrenches (n, 6) [N, N m] of pass ``number`` as the force sensor reports them; None: there is no sensor.
+
+        A period without a cut stays 0: its offset is the tare of the sensor.
+        """
+        if self.wrench == "none":
+            return None
+        if self.wrench == "exact" or not self.wrench_noise:
+            return wrench
+        size = self.wrench_noise * np.array([1.0] * 3 + [SENSOR_LEVER] * 3)
+        noise = np.random.default_rng([self.seed, self.first_pass + number, 1]).standard_normal(wrench.shape)
+        return np.where(wrench.any(axis=1)[:, None], wrench + size * noise, 0.0)
+
+    def lagged(self, reference: Trajectory, target: Trajectory) -> Trajectory:
+        """The course of motors that follow the correction c = reference - target late, and the target at once.
+
+        y'' + 2 zeta w y' + w^2 y = w^2 c(t - T): second order of frequency w with the dead time T, at rest before the
+        pass. The lag along the programmed path is that of a pass without a correction: the controller plans with it.
+        """
+        if not (self.servo_frequency or self.servo_delay) or reference is target:
+            return reference
+        grid = np.append(np.arange(0, target.duration_ns, round(1e9 * SERVO_STEP)), target.duration_ns)
+        late = np.maximum(grid - round(1e9 * self.servo_delay), 0)
+        correction = reference.sample(late) - target.sample(late)
+        if self.servo_frequency:
+            correction = _second_order(correction, 2.0 * np.pi * self.servo_frequency)
+        time_ns = np.union1d(grid, target.time_ns)
+        rates = np.gradient(correction, grid * 1e-9, axis=0)
+        shift, rate = (np.column_stack([np.interp(time_ns, grid, v) for v in rows.T]) for rows in (correction, rates))
+        smooth = reference.velocity is not None
+        return Trajectory(
+            time_ns, target.sample(time_ns) + shift, reference.sample_orientation(time_ns),
+            target.sample_velocity(time_ns) + rate if smooth else None, reference.frame,
+        )  # fmt: skip
+
+
+def _second_order(rows: np.ndarray, w: float) -> np.ndarray:
+    """Rows (n, 3) through w^2 / (s^2 + 2 zeta w s + w^2), linear between samples ``SERVO_STEP`` apart, from rest."""
+    plant = signal.TransferFunction([w * w], [1.0, 2.0 * SERVO_DAMPING * w, w * w])
+    discrete = signal.cont2discrete((plant.num, plant.den), SERVO_STEP, "foh")
+    start = signal.lfilter_zi(discrete[0].ravel(), discrete[1])[:, None] * rows[0]
+    return signal.lfilter(discrete[0].ravel(), discrete[1], rows, axis=0, zi=start)[0]

@@ -85,7 +85,13 @@ def plant_of(args, cell):
     imperfections = cuts.imperfections
     if args.noise_um is not None:
         imperfections = imperfections.replace(pose_noise=1e-6 * args.noise_um)
-    perfect = not (imperfections.pose_noise or imperfections.repeatability or imperfections.backlash.any())
+    added = (
+        imperfections.pose_noise,
+        imperfections.repeatability,
+        imperfections.servo_frequency,
+        imperfections.servo_delay,
+    )
+    perfect = not (any(added) or imperfections.backlash.any())
     return None if perfect and not args.plant else Plant(cell, cuts, imperfections)
 
 

@@ -10,12 +10,12 @@ import pytest
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import ScoredPass, simulate
+from kr270_milling.cell.jobs import ScoredPass, compensated, simulate
 from kr270_milling.cell.plant import Plant, imperfect_arm, joint_gaps
 from kr270_milling.decide.compensation import compensate
 from kr270_milling.decide.findings import gathered
 from kr270_milling.decide.load_reversals import backlash_statement, load_reversals
-from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.motion.backlash import Gaps, flanks, tool_jumps
 from kr270_milling.physics.motion.imperfections import Imperfections
 from kr270_milling.physics.motion.milling_pass import CompliantArm, follow
@@ -238,3 +238,46 @@ def test_keys_of_earlier_versions_are_refused_with_their_new_name():
     ):
         with pytest.raises(ConfigError, match=new):
             read_cell(find_file("paper.yaml"), [f"{old}=[0.01, 0.01, 0.01, 0.01, 0.01, 0.01]"])
+
+
+def test_the_compensator_receives_the_wrench_of_a_sensor(cell):
+    """Noise while the tool cuts, its moments by a lever of 0.1 m; another one in each pass; the part is not noisy."""
+    records = {
+        how: simulate(cell, plant=Plant(cell, cell, Imperfections(wrench=how))) for how in ("exact", "noisy", "none")
+    }
+    true = records["exact"].record.wrench
+    assert np.array_equal(true, records["exact"].result.wrench) and records["none"].record.wrench is None
+    sensed, cuts = records["noisy"].record.wrench, true.any(axis=1)
+    assert not np.any(sensed[~cuts]) and cuts.sum() > 100
+    assert (sensed - true)[cuts].std(axis=0) == pytest.approx([2.0, 2.0, 2.0, 0.2, 0.2, 0.2], rel=0.2)
+    assert np.array_equal(records["noisy"].result.actual, records["exact"].result.actual)
+    how = Imperfections()
+    assert not np.any(how.sensed(true, 0)[cuts] == how.sensed(true, 1)[cuts])
+
+
+@pytest.mark.parametrize("frequency, delay", [(10.0, 0.0), (40.0, 0.012), (0.0, 0.004)])
+def test_motors_follow_a_step_of_the_correction_as_a_second_order_after_a_dead_time(frequency, delay):
+    """y = 1 - exp(-z w t) (cos(w_d t) + z w / w_d sin(w_d t)), z = 0.7; the programmed path itself is not late."""
+    time_ns = np.array([0, 100, 101, 1000]) * 1_000_000
+    target = Trajectory(time_ns, np.outer(time_ns * 1e-9, [0.05, 0.0, 0.0]), TOOL_DOWN)
+    step = np.outer([0.0, 0.0, 1.0, 1.0], [0.0, 100 * UM, 0.0])
+    how = Imperfections(servo_frequency=frequency, servo_delay=delay)
+    course = how.lagged(target.with_position(target.position + step), target)
+    stamps = np.arange(0, 1000, 3) * 1_000_000
+    t = np.maximum(stamps * 1e-9 - 0.1005 - delay, 0.0)
+    w, z = 2 * np.pi * frequency, 0.7
+    d = w * np.sqrt(1 - z * z)
+    expected = 1 - np.exp(-z * w * t) * (np.cos(d * t) + z * w / d * np.sin(d * t)) if frequency else np.sign(t)
+    moved = course.sample(stamps) - target.sample(stamps)
+    settled = np.abs(stamps * 1e-9 - 0.1005 - delay) > 0.001
+    assert moved[settled, 1] == pytest.approx(100 * UM * expected[settled], abs=0.6 * UM)
+    assert np.abs(moved[:, [0, 2]]).max() < 1e-15 and how.lagged(target, target) is target
+
+
+def test_a_servo_lag_spoils_what_inverse_plans_and_learned_repairs_a_part(cell):
+    """The lag is in no model. The pass with the lag of 10 Hz, against that without."""
+    slow = Plant(cell, cell, Imperfections(servo_frequency=10.0, wrench="exact"))
+    original = simulate(cell, plant=slow)
+    left = {name: compensated(cell, original, name, plant=slow).scores.max_deviation for name in ("inverse", "learned")}
+    perfect = compensated(cell, simulate(cell), "inverse").scores.max_deviation
+    assert left["inverse"] > 2 * perfect and left["learned"] <= left["inverse"] < original.scores.max_deviation
