@@ -60,6 +60,7 @@ COMMANDS = {
                 option("--diameter-mm", "of the tool, instead of the cell's", bounded(0, 1000)),
                 option("--rotation", "instead of the cell's", choices=("clockwise", "counterclockwise")),
                 option("--law NAME", "for the YAML file, one of cutting.law", default="linear_edge"),
+                option("--robust", "leave out cuts that contradict the others", bool),
                 Group("recordings of a sensor", (
                     option("--topic", "of type geometry_msgs/WrenchStamped", default="wrench"),
                     option("--spindle-speed-rpm", "instead of the cell's", bounded(0, 1e6)),
@@ -110,7 +111,9 @@ def _answer(args, outcome) -> Answer:
     """Print an outcome; with --out also write its files."""
     files = [str(path) for path in outcome.write(args.out)] if args.out else []
     result = outcome.result | ({"files": files} if args.out else {})
-    return Answer(result, [*(TextTable(*table) for table in outcome.tables), *outcome.sentences, *files])
+    refusal = ["no parameter file: the result must not be used"] if outcome.refused else []
+    shown = [*(TextTable(*table) for table in outcome.tables), *outcome.sentences, *refusal, *files]
+    return Answer(result, shown, int(outcome.refused))
 
 
 def identify_compliance(args) -> Answer:
@@ -121,6 +124,7 @@ def identify_compliance(args) -> Answer:
     from kr270_milling.show.report.identification.compliance import compliance_outcome
     from kr270_milling.studies.identification import plan as load_tests
     from kr270_milling.studies.identification.compliance import fit_compliance
+    from kr270_milling.studies.identification.doubts import refuse_units
     from kr270_milling.studies.identification.measurements import read_measurements
     from kr270_milling.studies.identification.problem import Problem
 
@@ -135,7 +139,9 @@ def identify_compliance(args) -> Answer:
         raise InputError("identify compliance", "needs a table of load tests, or --plan N to make one")
     measured = read_measurements(find_file(args.measurements), arm, mount)
     compensator = tuple(name.strip() for name in args.compensator.split(",") if name.strip())
-    identified = fit_compliance(Problem(arm, mount, measured, not args.no_gravity, compensator), args.robust)
+    problem = Problem(arm, mount, measured, not args.no_gravity, compensator)
+    refuse_units(problem, args.measurements)
+    identified = fit_compliance(problem, args.robust)
     return _answer(args, compliance_outcome(identified, pose, Path(args.measurements).name))
 
 
@@ -175,6 +181,8 @@ def _plan(args, arm, mount, pose) -> Answer:
 
 def identify_forces(args) -> Answer:
     """Identify force coefficients from mean forces of cuts."""
+    import numpy as np
+
     from kr270_milling.physics.cutting import LAWS
     from kr270_milling.show.report.identification.forces import force_outcome
     from kr270_milling.studies.identification import forces as laws
@@ -186,7 +194,11 @@ def identify_forces(args) -> Answer:
     cuts = read_cuts(find_file(args.cuts), tool, sensor)
     if args.law not in LAWS:
         raise InputError("--law", f"is {args.law}, must be one of {', '.join(LAWS)}")
-    return _answer(args, force_outcome(laws.fit_all(cuts, args.law), args.law, Path(args.cuts).name))
+    kept = laws.agreeing_cuts(cuts) if args.robust else np.ones(len(cuts), bool)
+    left_out = (np.flatnonzero(~kept) + 1).tolist()
+    return _answer(
+        args, force_outcome(laws.fit_all(cuts.take(kept), args.law), args.law, Path(args.cuts).name, left_out)
+    )
 
 
 def _tool(args):

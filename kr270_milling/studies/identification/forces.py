@@ -23,10 +23,13 @@ from kr270_milling.studies.identification.cuts import CutMeasurements
 from kr270_milling.studies.identification.intervals import MixedUpError, half_interval, scatter, solve
 
 __all__ = [
-    "NAMES", "SCALE", "TOWARD_PART", "LawFit", "OneFeedError", "fit_forces", "fit_all", "law_sections",
+    "FIRST", "NAMES", "SCALE", "TOWARD_PART", "LawFit", "OneFeedError", "agreeing_cuts", "fit_all", "fit_forces",
+    "law_sections",
 ]  # fmt: skip
 
 FIRST = "linear_edge"
+LEAVES = 0.5  #: a cut is left out if the residual of the others falls below this share
+FEWEST_LEFT = 4
 TOWARD_PART, INTO_HOLDER = -1.0, 1.0  #: s of F_z
 
 
@@ -89,6 +92,25 @@ def fit_forces(law: str, cuts: CutMeasurements) -> LawFit:
     """
     design = LAWS[law].design(cuts)
     return _fit_curved(law, cuts) if design is None else _fit_linear(law, cuts, design)
+
+
+def agreeing_cuts(cuts: CutMeasurements) -> np.ndarray:
+    """Return the cuts that a robust fit keeps, (n,) bool: those without which the others do not agree much better."""
+    kept = np.ones(len(cuts), bool)
+    while True:
+        fitted = fit_forces(FIRST, cuts.take(kept))
+        left = (cuts.force - LAWS[FIRST](*map(float, np.nan_to_num(fitted.values))).mean_forces(cuts))[:, :2]
+        worst = np.argmax(np.where(kept, np.linalg.norm(left, axis=1), 0.0))
+        rest = kept & (np.arange(len(cuts)) != worst)
+        if rest.sum() < max(FEWEST_LEFT, len(cuts) // 2):
+            return kept
+        try:
+            other = fit_forces(FIRST, cuts.take(rest))
+        except OneFeedError:
+            return kept
+        if other.lateral_rms > LEAVES * fitted.lateral_rms:
+            return kept
+        kept = rest
 
 
 def fit_all(cuts: CutMeasurements, needed: str) -> list[LawFit]:
