@@ -235,13 +235,13 @@ def identify_damping(args) -> Answer:
 
     signals = read_signals(args.recording, args.topic).window(args.start, args.stop)
     low, high = args.band
-    identified, shapes = modes.find_modes(signals, low, high, args.modes), None
+    (identified, faint), shapes = modes.split_modes(signals, low, high, args.modes), None
     if args.hammer:
         shapes = modes.by_hammer(identified, signals, args.hammer, args.quantity)
     elif args.cell:
         shapes = modes.by_compliance(identified, signals, modes.tool_compliance(read_cell(find_file(args.cell))))
     title = f"Modes between {low:g} and {high:g} Hz from {Path(args.recording).name}"
-    return _answer(args, mode_outcome(identified, signals, shapes, title))
+    return _answer(args, mode_outcome(identified, faint, signals, shapes, title))
 
 
 def identify_material(args) -> Answer:
