@@ -20,7 +20,7 @@ from kr270_milling.physics.cutting.materials import materials
 from kr270_milling.physics.robot.kinematics import forward
 from kr270_milling.studies.identification.compliance import Fit, fit_compliance
 from kr270_milling.studies.identification.cuts import CutMeasurements
-from kr270_milling.studies.identification.forces import FIRST, LawFit, fit_forces
+from kr270_milling.studies.identification.forces import FIRST, LawFit, contradicting_cut, fit_forces
 from kr270_milling.studies.identification.measurements import Measurements
 from kr270_milling.studies.identification.problem import Problem
 
@@ -110,9 +110,10 @@ def _contradicting_row(fit: Fit, forbids: bool) -> list[Doubt]:
 
 
 def _unexplained(fit: Fit) -> float:
-    """Residual over displacement, root mean squares of the translations."""
-    measured = fit.problem.measured.displacement[:, :3]
-    return float(np.sqrt(np.nanmean(fit.residuals[:, :3] ** 2) / np.nanmean(measured**2)))
+    """Residual over displacement, root mean squares of the translations, of the load tests with weight."""
+    used = fit.weights > LEFT_OUT
+    measured = fit.problem.measured.displacement[used, :3]
+    return float(np.sqrt(np.nanmean(fit.residuals[used, :3] ** 2) / np.nanmean(measured**2)))
 
 
 def _pattern(fit: Fit) -> list[Doubt]:
@@ -232,14 +233,11 @@ def _coefficients(edge: LawFit) -> list[Doubt]:
 
 
 def _contradicting_cut(edge: LawFit) -> list[Doubt]:
-    """The cut without which the others agree; not after a robust fit, which has left it out already."""
-    cuts, worst = edge.cuts, int(np.nanargmax(np.linalg.norm(edge.residuals[:, :2], axis=1)))
-    candidates = {worst, int(np.nanargmax(np.linalg.norm(cuts.force[:, :2], axis=1)))}
-    for row in sorted(candidates) if len(cuts) > 4 else ():
-        with contextlib.suppress(MillingError):
-            other = fit_forces(FIRST, cuts.take(np.arange(len(cuts)) != row))
-            if other.lateral_rms < CLEAN * edge.lateral_rms:
-                return [Doubt(f"cut {row + 1} contradicts the others: correct its row, or use --robust")]
+    """The cut without which the others agree."""
+    with contextlib.suppress(MillingError):
+        row = contradicting_cut(edge.cuts, CLEAN)
+        if row is not None:
+            return [Doubt(f"cut {row + 1} contradicts the others: correct its row, or use --robust")]
     return []
 
 
