@@ -11,7 +11,7 @@ from kr270_milling.studies.identification.signals import Signals
 
 __all__ = ["mode_outcome"]
 
-COLUMNS = ("mode", "[Hz]", "damping [%]", "by decrement", "energy [%]", "shape x y z rx ry rz")
+COLUMNS = ("mode", "[Hz]", "95 % +-", "damping [%]", "95 % +-", "by decrement", "energy [%]", "shape x y z rx ry rz")
 MOST_HZ = 200.0  #: end of the spectrum in the figure
 MOST_POINTS = 4000  #: of a signal in the figure
 
@@ -30,6 +30,8 @@ def mode_outcome(
             "frequency_hz": mode.frequency,
             "damping_ratio": mode.damping_ratio,
             "damping_ratio_log_decrement": mode.decrement,
+            "ci95_frequency_hz": mode.half_widths[0],
+            "ci95_damping_ratio": mode.half_widths[1],
             "confirmed": mode.confirmed,
             "shape": shape,
             "share_of_energy": mode.share,
@@ -60,7 +62,8 @@ def mode_outcome(
         sentences.append("the shapes are not scaled: use a hammer (--hammer) or the compliance of a cell (--cell)")
     rows = [
         [
-            str(i), f"{mode.frequency:.3f}", f"{100 * mode.damping_ratio:.2f}", f"{100 * mode.decrement:.2f}",
+            str(i), f"{mode.frequency:.3f}", f"{mode.half_widths[0]:.2g}", f"{100 * mode.damping_ratio:.2f}",
+            f"{100 * mode.half_widths[1]:.2g}", f"{100 * mode.decrement:.2f}",
             f"{100 * mode.share:.3g}", " ".join(f"{v:.2f}" for v in shape),
         ]
         for i, (mode, shape) in enumerate(zip(modes, axes, strict=True), 1)
