@@ -38,8 +38,8 @@ def of_compliances(robust: bool) -> np.ndarray:
         tests = choice.tests.take(rng.choice(len(choice.tests), 20, replace=False))
         moved = Problem(TRUE, MOUNT, tests).predict(np.ones(6)) + tests.sigma * rng.normal(size=tests.sigma.shape)
         moved[:, 3:] = np.nan
-        found = fit_compliance(Problem(ARM, MOUNT, dataclasses.replace(tests, displacement=moved)), robust)
-        hits.append(np.abs(found.values - TRUE.joint_compliance) <= found.half_widths)
+        result = fit_compliance(Problem(ARM, MOUNT, dataclasses.replace(tests, displacement=moved)), robust)
+        hits.append(np.abs(result.values - TRUE.joint_compliance) <= result.half_widths)
     return np.array(hits)
 
 
@@ -54,8 +54,8 @@ def of_forces(robust: bool) -> np.ndarray:
     for _ in range(CAMPAIGNS):
         measured = dataclasses.replace(cuts, force=force + 2.0 * rng.normal(size=(12, 3)))
         kept = forces.agreeing_cuts(measured) if robust else np.ones(12, bool)
-        found = forces.fit_forces("linear_edge", measured.take(kept))
-        hits.append(np.abs(found.values - true) <= found.half_widths)
+        result = forces.fit_forces("linear_edge", measured.take(kept))
+        hits.append(np.abs(result.values - true) <= result.half_widths)
     return np.array(hits)
 
 
@@ -68,9 +68,9 @@ def of_modes() -> np.ndarray:
         rings += np.outer(np.exp(-zeta * omega * t) * np.cos(omega * np.sqrt(1 - zeta**2) * t + 0.3), shape)
     for seed in range(CAMPAIGNS):
         noise = 0.02 * np.random.default_rng(seed).normal(size=rings.shape)
-        found = find_modes(Signals(5e-3, rings + noise, ("x", "y", "z")), 2.0, 50.0)
+        modes = find_modes(Signals(5e-3, rings + noise, ("x", "y", "z")), 2.0, 50.0)
         for f, zeta, _ in MODES:
-            mode = min(found, key=lambda mode, f=f: abs(mode.frequency - f))
+            mode = min(modes, key=lambda mode, f=f: abs(mode.frequency - f))
             error = np.array([mode.frequency - f, mode.damping_ratio - zeta])
             hits.append(np.abs(error) <= mode.half_widths)
     return np.array(hits)

@@ -79,8 +79,8 @@ def refuse_units(problem: Problem, path) -> None:
         raise InputError(path, "all displacements are zero")
     cause = likely_factor(factor, LOAD_UNITS)
     if not 1 / UNLIKELY < factor < UNLIKELY and (cause or not 1 / FAR < factor < FAR):
-        said = f"the displacements are {factor:.3g} times what the arm file predicts for these loads"
-        raise InputError(path, f"{said}{cause or ', which no arm explains'}")
+        size = f"the displacements are {factor:.3g} times what the arm file predicts for these loads"
+        raise InputError(path, f"{size}{cause or ', which no arm explains'}")
 
 
 def compliance_doubts(fit: Fit) -> list[Doubt]:
@@ -185,13 +185,13 @@ def _tilting_base(fit: Fit) -> list[Doubt]:
     freedom = int((weight > 0.0).sum()) - both.shape[1]
     if freedom < 3:
         return []
-    found = np.linalg.lstsq(both, left, rcond=None)[0]
-    before, after = float(left @ left), float(np.sum((left - both @ found) ** 2))
+    fitted = np.linalg.lstsq(both, left, rcond=None)[0]
+    before, after = float(left @ left), float(np.sum((left - both @ fitted) ** 2))
     significance = stats.f.sf((before - after) / 3 / max(after / freedom, 1e-300), 3, freedom)
-    softest = float(found[-3:].max())
+    softest = float(fitted[-3:].max())
     if not (significance < SURE and after < FALLS * before and softest > 0.0):
         return []
-    tilts = ", ".join(f"{value:.2g}" for value in found[-3:])
+    tilts = ", ".join(f"{value:.2g}" for value in fitted[-3:])
     return [Doubt(f"the residuals look like a base that tilts by {tilts} urad/(N m) about x, y, z: bolt or measure it")]
 
 

@@ -210,8 +210,8 @@ def _refined(
         s, size = moved[k], abs(moved[k])
         frequency = (s.conjugate() * change).real / size
         damping = -change.real / size + s.real * frequency / size**2
-        sigma = (float(np.sqrt(np.sum((row * spread) ** 2))) for row in (frequency / (2 * np.pi), damping))
-        widths[k] = tuple(1.96 * value for value in sigma)
+        sigma = [float(np.sqrt(np.sum((row * spread) ** 2))) for row in (frequency / (2 * np.pi), damping)]
+        widths[k] = (1.96 * sigma[0], 1.96 * sigma[1])
     return moved, widths
 
 

@@ -88,8 +88,8 @@ def test_an_error_is_named_and_no_file_comes_from_a_useless_result(name, tmp_pat
     (kind, source, *words), change, code, sentence = TABLE[name]
     rows = rows_of(source)
     change(rows)
-    found, text = run(capsys, kind, written(tmp_path, rows), *words, "--out", str(tmp_path / "out"))
-    assert (found, sentence in text) == (code, True), text
+    ended, text = run(capsys, kind, written(tmp_path, rows), *words, "--out", str(tmp_path / "out"))
+    assert (ended, sentence in text) == (code, True), text
     assert (tmp_path / "out" / f"{kind}.yaml").exists() == (code == 0)
 
 
