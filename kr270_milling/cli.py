@@ -10,6 +10,7 @@ import re
 import shlex
 import signal
 import sys
+import warnings
 from typing import NamedTuple
 
 from kr270_milling.base.version import __version__
@@ -66,6 +67,8 @@ def main(argv: list[str] | None = None) -> int:
         return _main(argv)
     from kr270_milling.base.process import end_process, exit_code
 
+    if not sys.warnoptions:  # a warning of Python is no sentence for the user; the tests make every one an error
+        warnings.simplefilter("ignore")
     try:
         code = _main(sys.argv[1:])
     except SystemExit as error:  # argparse, or a run that SIGTERM ends

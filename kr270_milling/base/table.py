@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import difflib
 import math
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ from kr270_milling.base.errors import InputError
 from kr270_milling.base.text import read_lines, unended
 
 __all__ = ["Table", "read_table", "write_table"]
+
+DECIMAL_COMMA = re.compile(r"^([+-]?\d*),(\d+(?:[eE][+-]?\d+)?)$")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +100,19 @@ def read_table(path, known, required=(), whole: bool = False) -> Table:
 
 
 def _cells(lines: list[str], path) -> list[tuple[int, tuple[str, ...]]]:
-    """Return the rows that contain a value, with their line numbers."""
-    reader = csv.reader(lines)
+    """Return the rows that contain a value, with their line numbers.
+
+    A spreadsheet may separate columns by semicolons and write 1,5 for 1.5.
+    """
+    header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
+    german = ";" in header and "," not in header
+    reader = csv.reader(lines, delimiter=";" if german else ",")
     try:
         rows = [(number, tuple(map(str.strip, row))) for number, row in enumerate(reader, 1)]
     except csv.Error as error:
         raise InputError(path, f"is no CSV text ({error})", reader.line_num or 1) from None
+    if german:
+        rows = [(number, tuple(DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in row)) for number, row in rows]
     return [(number, row) for number, row in rows if any(row) and not row[0].startswith("#")]
 
 

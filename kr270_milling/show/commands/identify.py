@@ -61,6 +61,7 @@ COMMANDS = {
                 option("--diameter-mm", "of the tool, instead of the cell's", bounded(0, 1000)),
                 option("--rotation", "instead of the cell's", choices=("clockwise", "counterclockwise")),
                 option("--law NAME", "for the YAML file, one of cutting.law", default="linear_edge"),
+                option("--robust", "leave out cuts that contradict the others", bool),
                 Group("recordings of a sensor", (
                     option("--topic", "of type geometry_msgs/WrenchStamped", default="wrench"),
                     option("--spindle-speed-rpm", "instead of the cell's", bounded(0, 1e6)),
@@ -111,7 +112,8 @@ def _answer(args, outcome) -> Answer:
     """Print an outcome; with --out also write its files."""
     files = [str(path) for path in outcome.write(args.out)] if args.out else []
     result = outcome.result | ({"files": files} if args.out else {})
-    return Answer(result, [*outcome.tables, *outcome.sentences, *files])
+    refusal = ["no parameter file: the result must not be used"] if outcome.refused else []
+    return Answer(result, [*outcome.tables, *outcome.sentences, *refusal, *files], int(outcome.refused))
 
 
 def identify_compliance(args) -> Answer:
@@ -122,6 +124,7 @@ def identify_compliance(args) -> Answer:
     from kr270_milling.show.report.identification.compliance import compliance_outcome
     from kr270_milling.studies.identification import plan as load_tests
     from kr270_milling.studies.identification.compliance import fit_compliance
+    from kr270_milling.studies.identification.doubts import refuse_units
     from kr270_milling.studies.identification.measurements import read_measurements
     from kr270_milling.studies.identification.problem import Problem
 
@@ -137,6 +140,7 @@ def identify_compliance(args) -> Answer:
     measured = read_measurements(find_file(args.measurements), arm, mount)
     compensator = tuple(name.strip() for name in args.compensator.split(",") if name.strip())
     problem = Problem(arm, mount, measured, not args.no_gravity, compensator, args.base)
+    refuse_units(problem, args.measurements)
     identified = fit_compliance(problem, args.robust)
     return _answer(args, compliance_outcome(identified, pose, Path(args.measurements).name))
 
@@ -176,6 +180,8 @@ def _plan(args, arm, mount, pose) -> Answer:
 
 def identify_forces(args) -> Answer:
     """Identify force coefficients from mean forces of cuts."""
+    import numpy as np
+
     from kr270_milling.physics.cutting import LAWS
     from kr270_milling.show.report.identification.forces import force_outcome
     from kr270_milling.studies.identification import forces as laws
@@ -187,7 +193,11 @@ def identify_forces(args) -> Answer:
     cuts = read_cuts(find_file(args.cuts), tool, sensor)
     if args.law not in LAWS:
         raise InputError("--law", f"is {args.law}, must be one of {', '.join(LAWS)}")
-    return _answer(args, force_outcome(laws.fit_all(cuts, args.law), args.law, Path(args.cuts).name))
+    kept = laws.agreeing_cuts(cuts) if args.robust else np.ones(len(cuts), bool)
+    left_out = (np.flatnonzero(~kept) + 1).tolist()
+    return _answer(
+        args, force_outcome(laws.fit_all(cuts.take(kept), args.law), args.law, Path(args.cuts).name, left_out)
+    )
 
 
 def _tool(args):
@@ -224,13 +234,13 @@ def identify_damping(args) -> Answer:
 
     signals = read_signals(args.recording, args.topic).window(args.start, args.stop)
     low, high = args.band
-    identified, shapes = modes.find_modes(signals, low, high, args.modes), None
+    (identified, faint), shapes = modes.split_modes(signals, low, high, args.modes), None
     if args.hammer:
         shapes = modes.by_hammer(identified, signals, args.hammer, args.quantity)
     elif args.cell:
         shapes = modes.by_compliance(identified, signals, modes.tool_compliance(read_cell(find_file(args.cell))))
     title = f"Modes between {low:g} and {high:g} Hz from {Path(args.recording).name}"
-    return _answer(args, mode_outcome(identified, signals, shapes, title))
+    return _answer(args, mode_outcome(identified, faint, signals, shapes, title))
 
 
 def identify_material(args) -> Answer:

@@ -69,6 +69,11 @@ class CutMeasurements:
     def __len__(self) -> int:
         return len(self.depth)
 
+    def take(self, rows) -> CutMeasurements:
+        """Some of the cuts."""
+        arrays = ("feed_per_tooth", "depth", "entry", "exit", "force", "sigma")
+        return dataclasses.replace(self, **{name: getattr(self, name)[rows] for name in arrays})
+
     @property
     def feeds(self) -> int:
         """How many different feeds per tooth there are."""

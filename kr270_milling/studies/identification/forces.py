@@ -23,10 +23,13 @@ from kr270_milling.studies.identification.cuts import CutMeasurements
 from kr270_milling.studies.identification.intervals import MixedUpError, half_interval, scatter, solve
 
 __all__ = [
-    "NAMES", "SCALE", "TOWARD_PART", "LawFit", "OneFeedError", "fit_forces", "fit_all", "law_sections",
+    "FIRST", "NAMES", "SCALE", "TOWARD_PART", "LawFit", "OneFeedError", "agreeing_cuts", "contradicting_cut", "fit_all",
+    "fit_forces", "law_sections",
 ]  # fmt: skip
 
 FIRST = "linear_edge"
+LEAVES = 0.5  #: a cut is left out if the residual of the others falls below this share
+FEWEST_LEFT = 4
 TOWARD_PART, INTO_HOLDER = -1.0, 1.0  #: s of F_z
 
 
@@ -89,6 +92,26 @@ def fit_forces(law: str, cuts: CutMeasurements) -> LawFit:
     """
     design = LAWS[law].design(cuts)
     return _fit_curved(law, cuts) if design is None else _fit_linear(law, cuts, design)
+
+
+def contradicting_cut(cuts: CutMeasurements, share: float) -> int | None:
+    """Return the cut without which the linear-edge law leaves least, if the residual falls below this share."""
+    if len(cuts) <= FEWEST_LEFT:
+        return None
+    left = {}
+    for row in range(len(cuts)):
+        with contextlib.suppress(OneFeedError):
+            left[row] = fit_forces(FIRST, cuts.take(np.arange(len(cuts)) != row)).lateral_rms
+    worst = min(left, key=left.__getitem__, default=None)
+    return None if worst is None or left[worst] > share * fit_forces(FIRST, cuts).lateral_rms else worst
+
+
+def agreeing_cuts(cuts: CutMeasurements) -> np.ndarray:
+    """Return the cuts that a robust fit keeps, (n,) bool: those without which the others do not agree much better."""
+    kept = np.arange(len(cuts))
+    while kept.size > len(cuts) // 2 and (worst := contradicting_cut(cuts.take(kept), LEAVES)) is not None:
+        kept = np.delete(kept, worst)
+    return np.isin(np.arange(len(cuts)), kept)
 
 
 def fit_all(cuts: CutMeasurements, needed: str) -> list[LawFit]:

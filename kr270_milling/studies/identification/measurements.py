@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.errors import InputError
 from kr270_milling.base.table import Table, read_table, write_table
 from kr270_milling.physics.robot.arm import Arm, Mount
 from kr270_milling.physics.robot.loads import GRAVITY
@@ -59,7 +60,10 @@ def unmeasured(q: np.ndarray, force: np.ndarray, point: np.ndarray, sigma: float
 def read_measurements(path, arm: Arm, mount: Mount) -> Measurements:
     """A CSV file of load tests, one a row; the columns are COLUMNS. Raises InputError."""
     table = read_table(path, COLUMNS, (*JOINTS, *SHIFT))
-    q = np.radians(table.numbers(JOINTS))
+    angles = table.numbers(JOINTS)
+    if len(angles) > 1 and np.abs(angles).max() <= 2 * np.pi:
+        raise InputError(table.path, "all joint angles are within +-6.28: radians in the columns of degrees?")
+    q = np.radians(angles)
     inside = (q >= arm.joint_lower - 1e-9) & (q <= arm.joint_upper + 1e-9)
     table.refuse(~inside.all(1), "the posture is outside of the joint limits of the arm")
     wrench, application = _loads(table, mount)

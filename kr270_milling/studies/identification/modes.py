@@ -19,6 +19,7 @@ that were measured.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,12 +32,15 @@ from kr270_milling.cell.cell import Cell
 from kr270_milling.physics.robot import compliance, equilibrium, rotate_matrix
 from kr270_milling.studies.identification.signals import AXES, Signals
 
-__all__ = ["Mode", "NoModeError", "by_compliance", "by_hammer", "find_modes", "tool_compliance"]
+__all__ = ["Mode", "NoModeError", "by_compliance", "by_hammer", "find_modes", "split_modes",
+           "tool_compliance"]  # fmt: skip
 
 MOST_SAMPLES = 1200  #: of the pencil; longer ones are thinned after a low-pass
 SHARE = 1e-3  #: of the strongest singular value: below is noise
 MOST_DAMPED = 0.5
-FAINT = 0.02  #: share of the strongest mode's energy below which a pole is not a mode of the machine
+FAINT = 0.02  #: share of the strongest mode's energy below which a mode must exceed the noise by CLEAR to be kept
+CLEAR = 8.0  #: standard deviations; a pole that follows noise reaches about 4
+LEAST = 1e-6  #: share of the energy below which a pole is rounding
 POWER = {"displacement": 0, "velocity": 1, "acceleration": 2}
 TOGETHER = 0.2  #: relative difference of both damping ratios up to which they confirm each other
 
@@ -51,19 +55,30 @@ class Mode:
 
     pole: complex  #: s_k [1/s]
     residues: np.ndarray  #: R_k of each channel, complex (channels,)
+    clear: float  #: size of the residues over their standard deviation
     #: of the energy of all modes
-    share: float = column("share_of_energy", unit="%", scale=100.0, digits=0, short="energy")
+    share: float = column("share_of_energy", unit="%", scale=100.0, digits=1, short="energy")
     #: damping ratio by the logarithmic decrement; NaN where another mode is too near
     decrement: float = column("damping_ratio_log_decrement", unit="%", scale=100.0, digits=2, short="by decrement")
+    #: half widths of the 95 % intervals of frequency [Hz] and damping ratio, for noise that is white
+    half_widths: tuple[float, float] = (math.nan, math.nan)
 
     @computed("frequency_hz", unit="Hz", digits=3, short="frequency")
     def frequency(self) -> float:
         """Undamped [Hz]."""
         return float(np.abs(self.pole) / (2 * np.pi))
 
+    @computed("ci95_frequency_hz", unit="Hz", digits=3, short="95 % ±")
+    def frequency_half_width(self) -> float:
+        return self.half_widths[0]
+
     @computed("damping_ratio", unit="%", scale=100.0, digits=2, short="damping")
     def damping_ratio(self) -> float:
         return float(-self.pole.real / np.abs(self.pole))
+
+    @computed("ci95_damping_ratio", unit="%", scale=100.0, digits=2, short="95 % ±")
+    def damping_half_width(self) -> float:
+        return self.half_widths[1]
 
     @property
     def confirmed(self) -> bool:
@@ -77,7 +92,15 @@ class Mode:
 
 
 def find_modes(signals: Signals, low: float, high: float, most: int = 6) -> list[Mode]:
-    """The modes between two frequencies [Hz], the lowest first. Raises NoModeError."""
+    """The modes between two frequencies [Hz] that exceed the noise, the lowest first. Raises NoModeError."""
+    return split_modes(signals, low, high, most)[0]
+
+
+def split_modes(signals: Signals, low: float, high: float, most: int = 6) -> tuple[list[Mode], list[Mode]]:
+    """The modes between two frequencies [Hz], the lowest first, and the faint ones that may be noise.
+
+    Raises NoModeError where there is no mode.
+    """
     data = signals.values - signals.values[-max(1, len(signals.values) // 10) :].mean(0)
     if signals.force is not None:
         data = impulse_response(signals, signals.force)
@@ -85,23 +108,29 @@ def find_modes(signals: Signals, low: float, high: float, most: int = 6) -> list
     poles = _poles(data, step, 2 * most + 2)
     frequency, damping = np.abs(poles) / (2 * np.pi), -poles.real / np.abs(poles)
     shown = (frequency > low) & (frequency < high) & (poles.imag > 0) & (damping > 0.0) & (damping < MOST_DAMPED)
-    residues = _residues(data, step, poles)
+    residues, spread = _residues(data, step, poles)
     energy = np.sum(np.abs(residues) ** 2, 1) / np.maximum(2 * np.abs(poles.real), 1e-12)
-    shown &= energy > FAINT * energy[shown].max(initial=0.0)
+    clear = np.sqrt(np.sum(np.abs(residues) ** 2, 1) / np.maximum(np.sum(spread**2, 1), 1e-300))
+    shown &= energy > LEAST * energy[shown].max(initial=0.0)
     if not shown.any():
         reason = f"nothing rings between {low:g} and {high:g} Hz with a damping ratio below {MOST_DAMPED}"
         raise NoModeError(reason)
-    order = np.flatnonzero(shown)[np.argsort(frequency[shown])][:most]
+    strong = shown & ((energy > FAINT * energy[shown].max()) | (clear > CLEAR))
+    order = np.flatnonzero(strong)[np.argsort(frequency[strong])][:most]
+    faint = [k for k in np.flatnonzero(shown)[np.argsort(frequency[shown])] if k not in order]
+    total = float(energy[shown].sum())
+    poles, half_widths = _refined(data, step, poles, order)
     modes = []
-    for k in order:
-        others = np.abs(frequency[order[order != k]] - frequency[k])
+    for k in (*order, *faint):
+        others = np.abs(frequency[order[order != k]] - frequency[k])  # a faint pole does not disturb the decrement
         room = others.min() if others.size else frequency[k]
         largest = data[:, np.argmax(np.abs(residues[k]))]
         band = min(0.5 * frequency[k], 0.45 * room)
         decrement = log_decrement(largest, step, float(frequency[k]), band, float(damping[k]))
-        share = float(energy[k] / energy[order].sum())
-        modes.append(Mode(complex(poles[k]), residues[k], share, decrement))
-    return modes
+        share = float(energy[k] / total)
+        widths = half_widths.get(int(k), (math.nan, math.nan))
+        modes.append(Mode(complex(poles[k]), residues[k], float(clear[k]), share, decrement, widths))
+    return modes[: len(order)], modes[len(order) :]
 
 
 def impulse_response(signals: Signals, force: np.ndarray) -> np.ndarray:
@@ -140,11 +169,61 @@ def _poles(data: np.ndarray, step: float, order: int) -> np.ndarray:
         return np.log(np.linalg.eigvals(shift).astype(complex)) / step
 
 
-def _residues(data: np.ndarray, step: float, poles: np.ndarray) -> np.ndarray:
-    """R_k of each channel, (k, channels); poles that grow count from the end, so that no number overflows."""
+def _residues(data: np.ndarray, step: float, poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """R_k of each channel and their standard deviations, (k, channels).
+
+    Poles that grow count from the end, so that no number overflows.
+    """
     time = step * np.arange(len(data))[:, None]
     late = np.where(poles.real > 0.0, time[-1], 0.0)
-    return np.linalg.lstsq(np.exp(poles * (time - late)), data.astype(complex), rcond=None)[0]
+    basis = np.exp(poles * (time - late))
+    residues = np.linalg.lstsq(basis, data.astype(complex), rcond=None)[0]
+    left = np.sum(np.abs(data - basis @ residues) ** 2, axis=0) / max(1, len(data) - len(poles))
+    inverse = np.linalg.pinv(basis.conj().T @ basis)
+    return residues, np.sqrt(np.maximum(np.diag(inverse).real, 0.0)[:, None] * left)
+
+
+def _refined(
+    data: np.ndarray, step: float, poles: np.ndarray, modes: np.ndarray
+) -> tuple[np.ndarray, dict[int, tuple[float, float]]]:
+    """Least squares poles of the modes, and half widths of the 95 % intervals of their frequencies and damping ratios.
+
+    y = sum R_k exp(s_k t) is linearised in s_k and R_k; the first step of Gauss and Newton from the pencil's poles is
+    taken where the residual falls. A change of pole k is w . residual with real residuals of variance sigma^2, so
+    d ln|s| = Re(s* ds) / |s|^2 and the like have the variance sigma^2 sum (Re ...)^2.
+    """
+    time = step * np.arange(len(data))
+    index, mirrored = np.asarray(modes, int), [int(np.argmin(np.abs(poles - poles[k].conj()))) for k in modes]
+    moved, changes = poles.copy(), np.zeros((0, data.size), complex)
+    spread = np.zeros(data.size)
+    for last in (False, True):
+        late = np.where(moved.real > 0.0, time[-1], 0.0)
+        basis = np.exp(moved * (time[:, None] - late))
+        residues = np.linalg.lstsq(basis, data.astype(complex), rcond=None)[0]
+        left = (data - basis @ residues).real
+        inverse = np.linalg.pinv(basis)
+        both = np.concatenate([index, mirrored])
+        slopes = np.stack([time[:, None] * basis[:, [k]] * residues[k] for k in both], -1)  # (n, channels, poles)
+        slopes = slopes - np.tensordot(basis, np.tensordot(inverse, slopes, 1), 1)
+        changes = np.linalg.pinv(slopes.reshape(-1, len(both)))[: len(index)]
+        if not last:
+            before, delta = float(np.sum(left**2)), changes @ left.ravel()
+            tried = poles.copy()
+            tried[index] += delta
+            tried[mirrored] = tried[index].conj()
+            after = np.exp(tried * (time[:, None] - np.where(tried.real > 0.0, time[-1], 0.0)))
+            rest = data - after @ np.linalg.lstsq(after, data.astype(complex), rcond=None)[0]
+            moved = tried if float(np.sum(np.abs(rest) ** 2)) <= before else poles
+        freedom = max(1, len(time) - 2 * len(both))
+        spread = np.tile(np.sqrt(np.sum(left**2, axis=0) / freedom), len(time))
+    widths = {}
+    for k, change in zip(index.tolist(), changes, strict=True):
+        s, size = moved[k], abs(moved[k])
+        frequency = (s.conjugate() * change).real / size
+        damping = -change.real / size + s.real * frequency / size**2
+        sigma = [float(np.sqrt(np.sum((row * spread) ** 2))) for row in (frequency / (2 * np.pi), damping)]
+        widths[k] = (1.96 * sigma[0], 1.96 * sigma[1])
+    return moved, widths
 
 
 def log_decrement(channel: np.ndarray, step: float, frequency: float, band: float, guess: float) -> float:

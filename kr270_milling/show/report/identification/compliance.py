@@ -11,6 +11,7 @@ from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import figure_of, points
 from kr270_milling.studies.identification.compliance import Fit
+from kr270_milling.studies.identification.doubts import compliance_doubts
 from kr270_milling.studies.identification.measurements import Measurements
 from kr270_milling.studies.identification.problem import Cause, Exclusion
 
@@ -30,7 +31,7 @@ CAUSES = {
 
 def compliance_outcome(fit: Fit, pose: Measurements | None, source: str) -> Outcome:
     """Return the result of ``identify compliance``; source: name of the file with the load tests."""
-    problem = fit.problem
+    problem, doubts = fit.problem, compliance_doubts(fit)
     title = f"Joint compliances of {problem.arm.name} from {len(problem.measured)} load tests, {source}"
     residual = f"residual {1e6 * fit.residual_rms:.2f} um RMS, normal with p = {fit.normality:.2g}"
     rows = []
@@ -39,9 +40,13 @@ def compliance_outcome(fit: Fit, pose: Measurements | None, source: str) -> Outc
         unit = 1.0 if name.startswith("compensator") else 1e6
         texts = [f"{unit * number:.4g}" if np.isfinite(number) else "-" for number in numbers]
         rows.append([name, *texts, "yes" if free else "no"])
+    refused = any(doubt.forbids for doubt in doubts)
+    doubted = [doubt.text for doubt in doubts]
+    result = _as_dict(fit, None if refused else pose) | {"doubts": doubted, "usable": not refused}
+    texts = [residual, *doubted, *sentences(fit, None if refused else pose, bool(doubts))]
     return Outcome(
-        "compliance", title, _as_dict(fit, pose), [TextTable(title, COLUMNS, rows)], [residual, *sentences(fit, pose)],
-        lambda: _figures(fit), _sections(fit), "name this file in `includes` after the file of the arm",
+        "compliance", title, result, [TextTable(title, COLUMNS, rows)], texts, lambda: _figures(fit), _sections(fit),
+        "name this file in `includes` after the file of the arm", refused,
     )  # fmt: skip
 
 
@@ -57,12 +62,12 @@ def reason(fit: Fit, number: int) -> str:
     return f"{names[number]}: {CAUSES[exclusion.cause]}"
 
 
-def sentences(fit: Fit, pose: Measurements | None = None) -> list[str]:
-    """Return what the numbers mean."""
+def sentences(fit: Fit, pose: Measurements | None = None, doubted: bool = False) -> list[str]:
+    """Return what the numbers mean; doubted: the data may be wrong, so they are not called complete."""
     texts = [f"not identified: {reason(fit, k)}; it stays as in the arm file" for k in fit.exclusions]
     if fit.problem.base:
         texts.append("not identified: base z: it turns the arm as joint 1 does, whose number contains its compliance")
-    if fit.free.all():
+    if fit.free.all() and not doubted:
         texts.append("the data identify every number that was asked for")
     measured = fit.problem.measured.displacement[:, :3]
     if np.nansum(measured * (measured - fit.residuals[:, :3])) < 0.0:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from kr270_milling.base.column import TextTable
@@ -9,6 +11,7 @@ from kr270_milling.physics.cutting import LAWS
 from kr270_milling.physics.cutting.materials import Material, spread
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import points
+from kr270_milling.studies.identification.doubts import force_doubts
 from kr270_milling.studies.identification.forces import NAMES, SCALE, TOWARD_PART, LawFit, law_sections
 
 __all__ = ["force_outcome", "material_outcome"]
@@ -19,17 +22,21 @@ BETTER = 0.9  #: share of the residual of the linear-edge law below which anothe
 MATERIALS = "Linear-edge law [N/mm2, N/mm]"
 
 
-def force_outcome(fits: list[LawFit], law: str, source: str) -> Outcome:
+def force_outcome(fits: list[LawFit], law: str, source: str, left_out: Sequence[int] = ()) -> Outcome:
     """Return the result of ``identify forces``; fits: the linear-edge law first, then the others.
 
-    law: of the parameter file; source: name of the file with the cuts.
+    law: of the parameter file; source: name of the file with the cuts; left_out: numbers of cuts that are not fitted.
     """
+    doubts = force_doubts(fits, law)
     edge, *others = fits
     result = edge.as_dict() | {
         "axial_force": "toward the part" if edge.axial == TOWARD_PART else "into the holder",
         "residual_rms_n": edge.residual_rms,
         "residuals_n": edge.residuals.tolist(),
         "cuts": len(edge.cuts),
+        "left_out": list(left_out),
+        "doubts": [doubt.text for doubt in doubts],
+        "usable": not any(doubt.forbids for doubt in doubts),
     }
     result |= {fit.law: {**fit.as_dict(), "residual_rms_n": fit.residual_rms} for fit in others}
     chosen = {fit.law: fit for fit in fits}[law]
@@ -37,7 +44,11 @@ def force_outcome(fits: list[LawFit], law: str, source: str) -> Outcome:
     title = f"Force coefficients from {len(edge.cuts)} cuts, {source}"
     use = "name this file in `includes`, and take `cutting` out of the cell"
     tables = [_table(fit) for fit in fits]
-    return Outcome("forces", title, result, tables, _sentences(*fits), lambda: _figures(fits), sections, use)
+    texts = [doubt.text for doubt in doubts] + _sentences(*fits)
+    if left_out:
+        texts.insert(0, "cuts that contradict the others are left out: " + ", ".join(map(str, left_out)))
+    refused = not result["usable"]
+    return Outcome("forces", title, result, tables, texts, lambda: _figures(fits), sections, use, refused)
 
 
 def material_outcome(rows: list[Material], name: str | None, row: Material | None) -> Outcome:

@@ -16,8 +16,13 @@ MOST_HZ = 200.0  #: end of the spectrum in the figure
 MOST_POINTS = 4000  #: of a signal in the figure
 
 
-def mode_outcome(modes: list[Mode], signals: Signals, shapes: np.ndarray | None, title: str) -> Outcome:
-    """Return the result of ``identify damping``; shapes: mass-normalised shapes, (n, 6); None: not scaled."""
+def mode_outcome(
+    modes: list[Mode], faint: list[Mode], signals: Signals, shapes: np.ndarray | None, title: str
+) -> Outcome:
+    """Return the result of ``identify damping``; shapes: mass-normalised shapes, (n, 6); None: not scaled.
+
+    faint: modes that may be noise; they are listed and not used.
+    """
     duration = len(signals.values) * signals.step
     axes = [signals.along_axes(mode.shape).tolist() for mode in modes]
     entries = [{**as_dict(m), "confirmed": m.confirmed, "shape": shape} for m, shape in zip(modes, axes, strict=True)]
@@ -25,11 +30,18 @@ def mode_outcome(modes: list[Mode], signals: Signals, shapes: np.ndarray | None,
         entries = [e | {"mass_normalised_shape": s} for e, s in zip(entries, shapes.tolist(), strict=True)]
     result = {
         "modes": entries,
+        "faint": [
+            {"frequency_hz": mode.frequency, "damping_ratio": mode.damping_ratio, "share_of_energy": mode.share}
+            for mode in faint
+        ],
         "duration_s": duration,
         "samples_per_s": 1 / signals.step,
         "channels": list(signals.names),
     }
     sentences = [f"{duration:.3g} s at {1 / signals.step:.4g} samples a second"]
+    if faint:
+        listed = ", ".join(f"{mode.frequency:.4g} Hz ({100 * mode.share:.2g} %)" for mode in faint)
+        sentences.append(f"left out, not above the noise (share of the energy): {listed}")
     if not all(mode.confirmed for mode in modes):
         sentences.append(
             "the decrement does not confirm each damping ratio: modes are near each other, or ring too briefly"

@@ -27,13 +27,14 @@ class Outcome:
     figures: Callable[[], list] | None = None  #: makes the figures of the page; None: no page
     sections: dict | None = None  #: of the parameter file; None: no parameter file
     use: str = ""  #: how to include the parameter file
+    refused: bool = False  #: the result must not be used: no parameter file is written
 
     def write(self, directory) -> list[Path]:
         """Write page and parameter file; return their paths."""
         notes = [f"{self.title}, identified by kr270_milling {__version__}", *self.sentences, self.use]
         files = []
         with staged(directory) as (draft, final):
-            if self.sections is not None:
+            if self.sections is not None and not self.refused:
                 files.append(write_include(draft / f"{self.name}.yaml", self.sections, notes))
             if self.figures is not None:
                 page = draft / f"{self.name}.html"

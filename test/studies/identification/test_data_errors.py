@@ -1,0 +1,161 @@
+"""Errors in measurements are noticed: each row runs the public command and states the sentence and the exit code."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from campaigns import ARM, MOUNT, loads, measured
+
+from kr270_milling.base.parameter_file import find_file
+from kr270_milling.cli import main
+from kr270_milling.physics.robot.kinematics import forward
+from kr270_milling.studies.identification.measurements import write_measurements
+
+ANGLES = tuple(f"a{j}_deg" for j in range(1, 7))
+SHIFTS, FORCES = ("dx_mm", "dy_mm", "dz_mm"), ("fx_n", "fy_n", "fz_n")
+LOAD = ("compliance", "load_tests.csv", "--arm", "kr270_2.yaml", "--cell", "test_piece.yaml")
+CUT = ("forces", "cuts.csv", "--cell", "test_piece.yaml")
+
+
+def times(names, factor: float, row: int | None = None):
+    def change(rows) -> None:
+        for values in rows if row is None else [rows[row]]:
+            values.update({name: repr(factor * float(values[name])) for name in names if values.get(name)})
+
+    return change
+
+
+def swapped(one: str, other: str):
+    def change(rows) -> None:
+        for values in rows:
+            values[one], values[other] = values[other], values[one]
+
+    return change
+
+
+def other_mode(rows) -> None:
+    for values in rows:
+        values["mode"] = {"up": "down", "down": "up"}.get(values["mode"], values["mode"])
+
+
+TABLE = {
+    "metres for mm": (LOAD, times(SHIFTS, 1e-3), 2, "displacements in m in the columns of mm"),
+    "kgf for N": (LOAD, times(FORCES, 1 / 9.80665), 2, "forces in kgf in the columns of N?"),
+    "kN for N": (LOAD, times(FORCES, 1e-3), 2, "forces in kN in the columns of N?"),
+    "radians for degrees": (LOAD, times(ANGLES, np.pi / 180), 2, "radians in the columns of degrees?"),
+    "x and y of the displacements swapped": (LOAD, swapped(*SHIFTS[:2]), 1, "x and y of the displacements swapped"),
+    "x and y of the loads swapped": (LOAD, swapped(*FORCES[:2]), 1, "x and y of the loads swapped"),
+    "wrong sign": (LOAD, times(SHIFTS, -1.0), 1, "nothing is identified"),
+    "one value ten times too large": (LOAD, times(["dx_mm"], 10.0, 9), 0, "test 10 contradicts the others"),
+    "one large value ten times too large": (LOAD, times(["dz_mm"], 10.0, 4), 1, "test 5 contradicts the others"),
+    "forces in kN": (CUT, times(FORCES, 1e-3), 0, "forces in kN in the columns of N?"),
+    "feed per revolution": (CUT, times(["feed_per_tooth_mm"], 4.0), 0, "is feed_per_tooth_mm the feed per revolution?"),
+    "up and down swapped": (CUT, other_mode, 1, "up and down milling are swapped?"),
+    "one force ten times too large": (CUT, times(["fy_n"], 10.0, 3), 1, "cut 4 contradicts the others"),
+    "one force three times too large": (CUT, times(["fy_n"], 3.0, 9), 0, "cut 10 contradicts the others"),
+    "no force": (CUT, times(FORCES, 0.0), 1, "negative or zero, which no cut has"),
+}
+
+
+def rows_of(name: str) -> list[dict]:
+    with open(find_file(name), encoding="utf-8") as stream:
+        return list(csv.DictReader(line for line in stream if not line.startswith("#")))
+
+
+def written(folder, rows: list[dict], separator: str = ",") -> str:
+    path = folder / "table.csv"
+    with open(path, "w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, rows[0], delimiter=separator)
+        writer.writeheader()
+        writer.writerows(rows)
+    return str(path)
+
+
+def run(capsys, kind: str, table: str, *words: str) -> tuple[int, str]:
+    code = main(["identify", kind, table, *words])
+    out, err = capsys.readouterr()
+    assert "Warning" not in out + err
+    return code, out + err
+
+
+@pytest.mark.parametrize("name", TABLE)
+def test_an_error_is_named_and_no_file_comes_from_a_useless_result(name, tmp_path, capsys):
+    """pytest turns every warning of Python into an error, so none reaches a terminal."""
+    (kind, source, *words), change, code, sentence = TABLE[name]
+    rows = rows_of(source)
+    change(rows)
+    ended, text = run(capsys, kind, written(tmp_path, rows), *words, "--out", str(tmp_path / "out"))
+    assert (ended, sentence in text) == (code, True), text
+    assert (tmp_path / "out" / f"{kind}.yaml").exists() == (code == 0)
+
+
+@pytest.mark.parametrize("name", [name for name in TABLE if "times too large" in name])
+def test_a_robust_fit_gives_what_the_table_without_the_error_gives(name, tmp_path, capsys):
+    (kind, source, *words), change, _, _ = TABLE[name]
+    key = "compliance_urad_per_n_m" if kind == "compliance" else "k_tc_n_per_mm2"
+    results = []
+    for wrong in (True, False):
+        rows = rows_of(source)
+        if wrong:
+            change(rows)
+        code, text = run(capsys, kind, written(tmp_path, rows), *words, "--json", *(["--robust"] if wrong else []))
+        assert code == 0
+        results.append(np.array(json.loads(text)[key]))
+    np.testing.assert_allclose(results[0], results[1], rtol=0.06)
+
+
+@pytest.mark.parametrize(("kind", "source"), [("compliance", "load_tests.csv"), ("forces", "cuts.csv")])
+def test_the_shipped_tables_raise_no_doubt(kind, source, capsys):
+    words = (LOAD if kind == "compliance" else CUT)[2:]
+    code, text = run(capsys, kind, source, *words, "--json")
+    assert code == 0 and json.loads(text)["doubts"] == [] and json.loads(text)["usable"]
+
+
+@pytest.mark.parametrize("source", ["load_tests.csv", "cuts.csv"])
+def test_a_table_of_a_german_spreadsheet_is_the_same_table(source, tmp_path, capsys):
+    """Columns separated by semicolons, a comma for the point."""
+    kind, _, *words = LOAD if source == "load_tests.csv" else CUT
+    rows = rows_of(source)
+    german = [{k: v if k == "note" else v.replace(".", ",") for k, v in row.items()} for row in rows]
+    assert (
+        run(capsys, kind, written(tmp_path, german, ";"), *words, "--json")[1]
+        == run(capsys, kind, written(tmp_path, rows), *words, "--json")[1]
+    )
+
+
+def campaign(folder, change=lambda tests: tests, seed: int = 3) -> str:
+    rng = np.random.default_rng(seed)
+    path = str(folder / "campaign.csv")
+    write_measurements(path, change(measured(loads(rng, 24), rng=rng)))
+    return path
+
+
+def tilted(tests):
+    """The same arm on a base that tilts by 0.3 urad/(N m) about x and y."""
+    frames = forward(ARM, MOUNT, tests.q)
+    moment = np.cross(frames.flange.apply(tests.application), tests.wrench[:, :3])
+    tilt = 0.3e-6 * moment * [1.0, 1.0, 0.0]
+    moved = tests.displacement.copy()
+    moved[:, :3] += np.cross(tilt, frames.flange.apply(tests.reflector))
+    return dataclasses.replace(tests, displacement=moved)
+
+
+def test_a_base_that_tilts_is_named(tmp_path, capsys):
+    code, text = run(capsys, "compliance", campaign(tmp_path, tilted), "--arm", "test_piece.yaml")
+    assert "the residuals look like a base that tilts by 0.3, 0.3, " in text, text
+    code, text = run(capsys, "compliance", campaign(tmp_path), "--arm", "test_piece.yaml", "--json")
+    assert code == 0 and json.loads(text)["doubts"] == []
+
+
+def test_angles_of_another_sign_are_named(tmp_path, capsys):
+    """A1 counted about +z, as ROS does."""
+
+    def change(tests):
+        return dataclasses.replace(tests, q=tests.q * [-1, 1, 1, 1, 1, 1])
+
+    code, text = run(capsys, "compliance", campaign(tmp_path, change), "--arm", "test_piece.yaml")
+    assert code == 1 and "with the sign of A1 changed" in text, text
