@@ -24,7 +24,7 @@ from kr270_milling.physics.motion.milling_pass import CompliantArm
 STIFFNESS, MASS, ZETA = 1.395e6, 790.4, 0.18  # [N/m], [kg]: the paper's arm across the feed
 OMEGA = np.sqrt(STIFFNESS / MASS)
 SHORT = "path.length_mm=14.4"
-STILL = np.zeros((0, 2))  # a reference that does not move
+STILL = np.zeros(0)  # a reference that does not move
 
 
 def _one_degree():

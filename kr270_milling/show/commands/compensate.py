@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from pathlib import Path
 
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
@@ -28,6 +29,7 @@ from kr270_milling.show.commands.console import (
 )
 from kr270_milling.show.commands.progress import progress
 
+UNFINISHED = "unfinished"  #: directory of the passes of a run that has not ended
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
 
@@ -42,6 +44,9 @@ COMMANDS = {
             choices=(BEST, *METHODS),
         ),
         option("--out DIR", "where everything goes", default="out"),
+        option(
+            "--resume", "continue an interrupted run: its finished passes, in DIR/unfinished, are not run again", bool
+        ),
         option(
             "--krl",
             "motions of the robot programs; may be given twice (default: LIN for the method linear, which corrects "
@@ -73,14 +78,17 @@ COMMANDS = {
 
 
 def run_compensate(args) -> Answer:
+    from kr270_milling.cell.saved_passes import SavedPasses, text_of
     from kr270_milling.decide.compensation import compensate
     from kr270_milling.decide.decision import CAUTION
 
     source, cell = find_file(args.cell), cell_of(args)
     plant = plant_of(args, cell)
+    words = args.method, plant and text_of(plant.cell)
+    saved = SavedPasses(Path(args.out, UNFINISHED), cell, words, args.resume)
     with staged(args.out) as (draft, final):
         done = compensate(
-            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args), progress=progress
+            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args), progress=progress, saved=saved
         )
         if not (done.decision.verdict or args.no_verdict):
             print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
@@ -88,6 +96,7 @@ def run_compensate(args) -> Answer:
             print(f"warning: {done.decision.text}", file=sys.stderr)
         values = _values(cell, done)
         values |= _write(draft, final, cell, done, args, source)
+    saved.remove()
     return Answer(values, _shown(cell, done, values, args), code=done.decision.exit_code)
 
 
