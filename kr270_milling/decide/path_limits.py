@@ -101,8 +101,8 @@ def joint_rate_violations(time, joints, speed_limit, acceleration_limit, at_rest
     for axis in range(joints.shape[1]):
         rates = joint_rates(np.asarray(time), joints[:, axis : axis + 1], at_rest)
         for (kind, limits), values, of_kind in zip(kinds, rates, results, strict=True):
-            words = dict(points=points[-len(values) :], axis=f"axis {axis + 1}")
-            of_kind += violations(kind, np.abs(values[:, 0]), limits[axis], **words)
+            where = points[-len(values) :]
+            of_kind += violations(kind, np.abs(values[:, 0]), limits[axis], points=where, axis=f"axis {axis + 1}")
     return [*results[0], *results[1]]
 
 

@@ -127,17 +127,17 @@ def fit_arm(
     """
     if not arm.order or (passes[0].wrench is None and not passes[1:]):
         return arm, None
-    if len(segments) <= MOST_FITTED:
-        problem = _Problem(arm, segments, path, approach, passes, weight, noise)
-    else:
-        problem = _Problem(*_pieces(arm, segments, path, approach, passes, weight), noise)
+    whole = arm
+    if len(segments) > MOST_FITTED:
+        arm, segments, path, passes, weight = _pieces(arm, segments, path, passes, weight)
+    problem = _Problem(arm, segments, path, approach, passes, weight, noise)
     best = problem.start(1.0, 1.0)
     rest = problem.residuals(best)
     if rest @ rest > rest.size:  # the model leaves more than the errors that are supposed
         starts = [problem.start(frequency, damping) for frequency in SCAN[0] for damping in SCAN[1]]
         best = min(starts, key=lambda numbers: float(np.sum(problem.residuals(numbers) ** 2)))
     numbers = least_squares(problem.residuals, best, x_scale=problem.prior, ftol=1e-6, xtol=1e-6, max_nfev=30).x
-    fitted, problem.arm = problem.arm_of(numbers), arm
+    fitted, problem.arm = problem.arm_of(numbers), whole
     return problem.arm_of(numbers), Identified(
         fitted.gain,
         fitted.softness,
@@ -147,8 +147,8 @@ def fit_arm(
     )
 
 
-def _pieces(arm, segments: Segments, path, approach, passes: tuple[Evidence, ...], weight):
-    """Arguments of ``_Problem`` for some pieces of a long path, one after another as if they were one path.
+def _pieces(arm: ArmResponse, segments: Segments, path, passes: tuple[Evidence, ...], weight):
+    """These arguments of ``_Problem`` for some pieces of a long path, one after another as if they were one path.
 
     A handful of numbers does not need every segment, and the cost of the fit does not grow with the path.
     """
@@ -162,4 +162,4 @@ def _pieces(arm, segments: Segments, path, approach, passes: tuple[Evidence, ...
         for ran in (passes[0], *passes[1:][-KEPT:])
     )
     part = Segments(time_ns, segments.parts)
-    return arm.cut(rows), part, path[rows], approach, shown, np.where(counts[:, None], weight[rows], 0.0)
+    return arm.cut(rows), part, path[rows], shown, np.where(counts[:, None], weight[rows], 0.0)

@@ -146,8 +146,8 @@ class Learner:
             shares[n] = 1.0 / (self._noise**2 + (MISFIT * size) ** 2 + 1e-24)
         shares /= shares.sum()
         rest = np.zeros_like(ideal)
-        for share, ran in zip(shares, self.passes, strict=True):
-            rest += share * (ran.deviation - self._modelled(ran))
+        for weight, ran in zip(shares, self.passes, strict=True):
+            rest += weight * (ran.deviation - self._modelled(ran))
         noise = self._noise**2 * np.sum(shares**2)
         if noise:  # the mean over a knot's distance, of which a correction can make use
             width = segments.parts

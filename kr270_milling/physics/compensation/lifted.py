@@ -70,7 +70,7 @@ class Lifted:
     def _matrices(self, part: slice) -> tuple[np.ndarray, ...]:
         """Outputs, transitions, given and free numbers of a block of segments."""
         if self._made is None or self._made[0] != part.start:
-            arm, segments, conditions = (x.cut(part) for x in (self._arm, self._segments, self._conditions))
+            arm, segments, conditions = self._arm.cut(part), self._segments.cut(part), self._conditions.cut(part)
             step = transitions(arm, segments) * self._unit / self._unit[: 2 * self.order + 9, None]
             chosen = choices(arm, segments, conditions, self._unit, part.start == 0)
             self._made = part.start, (outputs(arm, segments) * self._unit, step, *chosen)

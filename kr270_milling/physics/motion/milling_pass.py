@@ -62,8 +62,8 @@ class PassResult:
     removed_area: float  #: [m^2]
     removed_volume: float  #: [m^3]
     wall_time: float  #: [s], of the pass alone
-    every: int = 1  #: exchange periods of a row
     heights: np.ndarray | None = None  #: ``Cut.map_heights`` of the finished workpiece [m], (a, b); None: not stored
+    every: int = 1  #: exchange periods of a row
 
     @property
     def time(self) -> np.ndarray:
@@ -236,10 +236,16 @@ def run_pass(
         tool = out[0]
         first_row = int(begin > 0)
         rows.append(_combined(every, first_row, (stamps, target.sample(stamps), course, *out)))
-    series = [np.concatenate(parts) for parts in zip(*rows, strict=True)]
+    fields = ("time_ns", "target", "reference", "tool", "deflection", "wrench", "correction", "torque", "volume")
+    series = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     return PassResult(
-        *series, n * clock.micro_steps, cut.removed_area - area, cut.removed_volume - volume, wall, every=every
-    )  # fmt: skip
+        **dict(zip(fields, series, strict=True)),
+        micro_steps=n * clock.micro_steps,
+        removed_area=cut.removed_area - area,
+        removed_volume=cut.removed_volume - volume,
+        wall_time=wall,
+        every=every,
+    )
 
 
 def _combined(every: int, first: int, series: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
