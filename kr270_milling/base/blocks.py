@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-__all__ = ["blocks"]
+__all__ = ["BLOCK", "blocks"]
 
 BLOCK = 65_536  #: rows
 

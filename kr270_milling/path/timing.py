@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.blocks import blocks
+from kr270_milling.base.blocks import BLOCK, blocks
 from kr270_milling.base.record import Record, parameter
 from kr270_milling.path.toolpath import Toolpath, ToolpathError
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
@@ -61,12 +61,15 @@ class TimedPath:
 
     def distance_at(self, time_ns) -> np.ndarray:
         """Distance along the path [m] at times [ns]."""
+        time_ns = np.asarray(time_ns)
+        if time_ns.ndim == 1 and time_ns.size > BLOCK:
+            return np.concatenate([self.distance_at(time_ns[part]) for part in blocks(time_ns.size)])
         k, u, step = self.trajectory.locate(time_ns)
-        u, step = u[..., 0], step[..., 0]
-        if self.trajectory.velocity is None:
+        u, step, velocity = u[..., 0], step[..., 0], self.trajectory.velocity
+        if velocity is None:
             return self.distance[k] + u * (self.distance[k + 1] - self.distance[k])
-        speed = np.linalg.norm(self.trajectory.velocity, axis=1)
-        move, v0, v1 = self.distance[k + 1] - self.distance[k], speed[k] * step, speed[k + 1] * step
+        v0, v1 = (np.linalg.norm(velocity[n], axis=-1) * step for n in (k, k + 1))
+        move = self.distance[k + 1] - self.distance[k]
         return self.distance[k] + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
 
     def block_at(self, time_ns) -> np.ndarray:
