@@ -38,18 +38,18 @@ def passes(monkeypatch) -> list[int]:
     return count
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_a_killed_run_continues_where_it_stopped_and_ends_the_same(tmp_path, passes, capsys, how):
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGKILL])
+def test_a_killed_run_continues_where_it_stopped_and_ends_the_same(tmp_path, passes, capsys, stop):
     whole, out = tmp_path / "whole", tmp_path / "out"
     assert main(words(tmp_path, whole)) == 0
     all_passes = len(passes)
-    begun = subprocess.Popen([sys.executable, "-m", "kr270_milling.cli", *words(tmp_path, out)])
+    run = subprocess.Popen([sys.executable, "-m", "kr270_milling.cli", *words(tmp_path, out)])
     first = out / "unfinished" / "pass_1.bin"
     until = time.monotonic() + 300.0
-    while not first.is_file() and begun.poll() is None and time.monotonic() < until:
+    while not first.is_file() and run.poll() is None and time.monotonic() < until:
         time.sleep(0.005)
-    begun.send_signal(how)
-    assert begun.wait(60.0) == (130 if how == signal.SIGINT else -how)
+    run.send_signal(stop)
+    assert run.wait(60.0) == (130 if stop == signal.SIGINT else -stop)
     assert [path.name for path in out.iterdir() if not path.name.startswith(".")] == ["unfinished"]
     saved = len(list(first.parent.glob("pass_*.bin")))
     passes.clear()
