@@ -48,8 +48,7 @@ def assignments(path, minutes: float) -> list[str]:
     half = 0.5 * minutes * FEED / ROW * STEPOVER + 10.0
     return [
         f"path.file={path}", "tool.diameter_mm=10", "tool.teeth=2", "tool.spindle_speed_rpm=4000",
-        f"stock.min_mm=[-160,{-half:.0f},-25]",
-        f"stock.max_mm=[160,{half:.0f},0]",
+        f"stock.min_mm=[-160,{-half:.0f},-25]", f"stock.max_mm=[160,{half:.0f},0]",
     ]  # fmt: skip
 
 

@@ -28,7 +28,7 @@ from kr270_milling.physics.motion.arm_model import Dynamics, arm_model, modal_mo
 from kr270_milling.physics.motion.dynamics import ArmModel, ModalModel, approach
 from kr270_milling.physics.motion.exchange import Clock, Exchange, Publish
 from kr270_milling.physics.motion.imperfections import Imperfections
-from kr270_milling.physics.robot import Arm, Mount, inverse_near, pose
+from kr270_milling.physics.robot import Arm, Mount, inverse_along, pose
 
 __all__ = ["Cell", "read_cell", "read_cells", "with_program"]
 
@@ -147,8 +147,7 @@ class Cell(Record):
 
     def joints_at(self, position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
         """Joint positions [rad], (n, 6), for tool positions (n, 3) [m] and orientations (n, 4), workpiece frame."""
-        tool = Pose(position, rotation_from_quaternion(quaternion))
-        return inverse_near(self.arm, self.mount, self.workpiece.pose @ tool, self.posture)
+        return inverse_along(self.arm, self.mount, self.workpiece.pose, position, quaternion, self.posture)
 
     def joints_along(self, reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
         """Joint positions [rad], (n, 6), that command a trajectory at stamps (n,) [ns]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,6 +13,7 @@ from kr270_milling.base.column import as_dict
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import Plant
+from kr270_milling.cell.saved_passes import SavedPasses
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.learning import Learner
@@ -48,9 +50,13 @@ class ScoredPass:
 
 
 def simulate(
-    cell: Cell, reference: Trajectory | None = None, name: str = "original", progress=None, plant: Plant | None = None
-) -> ScoredPass:
-    """One pass on a fresh workpiece along ``reference`` (default: the target itself); plant: what runs it instead."""
+    cell: Cell, reference: Trajectory | None = None, name: str = "original", progress=None, plant: Plant | None = None,
+    most_rows: float = math.inf,
+) -> ScoredPass:  # fmt: skip
+    """One pass on a fresh workpiece along ``reference`` (default: the target itself); plant: what runs it instead.
+
+    most_rows: of the result, see ``PassResult.every``.
+    """
     target = cell.target()
     reference = target if reference is None else reference
     if plant is not None:
@@ -60,7 +66,7 @@ def simulate(
     cut = cell.cut()
     result = run_pass(
         cell.arm_model(reference), cut, cell.clock, target, reference, cell.exchange.iterations, progress,
-        cell.programmed.drilling_at,
+        cell.programmed.drilling_at, most_rows,
     )  # fmt: skip
     if not cell.programmed.straight:  # its sweep takes long, so the assessment of the part uses this workpiece
         result = dataclasses.replace(result, heights=cut.map_heights()[2])
@@ -204,19 +210,29 @@ def _mirror(cell: Cell, target: Trajectory, wrench_in_base: np.ndarray, sag_comp
 
 def compensated(
     cell: Cell, original: ScoredPass, method: str | Method, progress=None, by: Compensator | None = None,
-    plant: Plant | None = None,
+    plant: Plant | None = None, saved: SavedPasses | None = None,
 ) -> ScoredPass:  # fmt: skip
     """The pass along the trajectory that ``method`` makes from the original pass.
 
-    by: a compensator to do it with; plant: what runs the passes, the original one included.
+    by: a compensator to do it with; plant: what runs the passes, the original one included; saved: passes of an
+    interrupted run, which are not run again.
     """
     passes: dict[int, ScoredPass] = {}
     by = by or compensator(cell, cell.target(), method)
     name = method_of(method).name
 
     def run(reference: Trajectory) -> PassRecord:
-        passes[id(reference)] = simulate(cell, reference, name, progress, plant)
-        return record_of(cell, passes[id(reference)])
+        for key in passes.keys() - {id(by.best)}:  # the series of a long pass are large
+            del passes[key]
+        record = saved.next(reference) if saved else None
+        if record is None:
+            passes[id(reference)] = simulate(cell, reference, name, progress, plant)
+            record = record_of(cell, passes[id(reference)])
+            if saved:
+                saved.save(reference, record)
+        elif plant is not None:
+            plant.passes += 1
+        return record
 
     reference = by.improve(record_of(cell, original), run)
     if reference is original.reference:

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from kr270_milling.base.blocks import blocks
 from kr270_milling.base.errors import InputError, ParameterError
 from kr270_milling.base.frames import rotation_from_quaternion
 from kr270_milling.path.timing import TimedPath
@@ -121,12 +122,15 @@ def _beside_stock(timed: TimedPath, tool: Tool, stock: Stock) -> tuple[str, int]
     """Return the reason and the block of a path that misses the stock: a wrong placement, or a wrong unit."""
     run = timed.trajectory
     step = tool.radius / 8 / max(float(np.max(run.feed(run.time_ns))), 1e-6)
-    stamps = np.linspace(0, run.duration_ns, 2 + int(min(run.time[-1] / step, MOST_STEPS))).astype(np.int64)
-    at, radius = run.sample(stamps), tool.radii.max()
-    beside = np.maximum(np.maximum(stock.min - at, at - stock.max), 0.0)[:, :2]
-    if np.any((np.hypot(*beside.T) < radius) & (at[:, 2] < stock.max[2])):
-        return None
-    way, box = _extent(at.min(axis=0), at.max(axis=0)), _extent(stock.min, stock.max)
+    count, radius = 2 + int(min(run.time[-1] / step, MOST_STEPS)), tool.radii.max()
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for part in blocks(count):
+        at = run.sample((np.arange(part.start, part.stop) / (count - 1) * run.duration_ns).astype(np.int64))
+        beside = np.maximum(np.maximum(stock.min - at, at - stock.max), 0.0)[:, :2]
+        if np.any((np.hypot(*beside.T) < radius) & (at[:, 2] < stock.max[2])):
+            return None
+        low, high = np.minimum(low, at.min(axis=0)), np.maximum(high, at.max(axis=0))
+    way, box = _extent(low, high), _extent(stock.min, stock.max)
     hint = "check the datum and the unit (G20, G21)"
     reason = f"the tool never reaches the stock: it goes through {way} mm, the stock fills {box} mm; {hint}"
     return reason, int(np.flatnonzero(~timed.toolpath.rapid[1:])[0]) + 1

@@ -71,8 +71,10 @@ def imperfect_arm(cell: Cell, reference: Trajectory, model: ArmModel) -> ArmMode
     return dataclasses.replace(model, gaps=joint_gaps(cell, reference, width)) if width.any() else model
 
 
-def joint_gaps(cell: Cell, reference: Trajectory, width: np.ndarray) -> Gaps:
+def joint_gaps(cell: Cell, reference: Trajectory, width: np.ndarray, periods: int = 1) -> Gaps:
     """Return the gaps of joints with a backlash ``width`` [rad], (6,), along a reference, one knot a controller step.
+
+    periods: exchange periods that count as one step.
 
     tau = J_G^T G - M_theta q''   weight (6) and inertia of rigid links; q'' from differences of the joint positions
     """
@@ -90,8 +92,8 @@ def joint_gaps(cell: Cell, reference: Trajectory, width: np.ndarray) -> Gaps:
         jacobian=np.ascontiguousarray(to_workpiece @ jacobian_at(frames, frames.tool.position)),
         friction=np.array(cell.arm.friction_torque),
         width=np.array(width, float),
-        share=1.0 - float(np.exp(-cell.clock.period * cell.tool.spindle_speed / (2.0 * np.pi))),
-        steps_per_knot=float(every),
+        share=1.0 - float(np.exp(-periods * cell.clock.period * cell.tool.spindle_speed / (2.0 * np.pi))),
+        steps_per_knot=every / periods,
     )
 
 

@@ -24,6 +24,7 @@ from kr270_milling.physics.motion.milling_pass import FLIGHT, PassError
 from kr270_milling.physics.robot.errors import DeflectionError, EquilibriumError, UnstableLoadError
 
 RAPID_MOVES = "removed by rapid moves"
+MOST_ROWS = 2**19  #: of the series of the simulated pass, some 220 bytes each: 35 min at 4 ms
 MOST_LINES = 10  #: of the program that the line about rapid moves names
 
 __all__ = ["RAPID_MOVES", "Checked", "check"]
@@ -172,7 +173,7 @@ def check(
 def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple[ScoredPass | None, list[Violation]]:
     """The pass along ``run``, simulated where it was not yet, and what it shows."""
     try:
-        ran = ran or simulate(cell, run, "checked", progress)
+        ran = ran or simulate(cell, run, "checked", progress, most_rows=MOST_ROWS)
     except PassError as error:
         point = int(np.searchsorted(run.time, error.at)) + 1
         failed = violation("deflection", error.deflection, FLIGHT, point, said=error)

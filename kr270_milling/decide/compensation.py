@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simulate
 from kr270_milling.cell.plant import Plant
+from kr270_milling.cell.saved_passes import SavedPasses
 from kr270_milling.decide.check import Checked, check
 from kr270_milling.decide.decision import Decision, decided
 from kr270_milling.decide.findings import Violation, violation
@@ -69,11 +70,13 @@ def compensate(
     motions: Sequence[str] = (),
     verdict: VerdictOrder | None = None,
     progress: Callable = lambda *_: contextlib.nullcontext(),
+    saved: SavedPasses | None = None,
 ) -> JudgedCompensation:
     """Run the path, revise it by a method (default: that of the cell), run that, and judge both.
 
     The method ``best`` compares the methods and runs the best of them. plant: what runs the passes; motions: of the
-    programs, LIN or SPLINE; progress(text, passes at most): a context that yields a function for the progress of a job.
+    programs, LIN or SPLINE; progress(text, passes at most): a context that yields a function for the progress of a job;
+    saved: finished passes of an interrupted run.
     """
     method = method or cell.compensation.method
     with progress("original") as report:
@@ -90,7 +93,7 @@ def compensate(
         planned = revised = replace(original, name=NO_METHOD)
     else:
         with progress(by.method, by.most_passes) as report:
-            planned = compensated(cell, original, method, report, by, plant)
+            planned = compensated(cell, original, method, report, by, plant, saved)
         with progress("program as written") as report:
             revised = written_pass(cell, planned, motion, plant, report)
     with progress("surfaces"):

@@ -28,7 +28,7 @@ def load_reversals(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violati
     """
     width, result = cell.arm.backlash, ran.result
     places = []
-    for step, joint, jump in tool_jumps(joint_gaps(cell, run, width), result.wrench):
+    for step, joint, jump in tool_jumps(joint_gaps(cell, run, width, result.every), result.wrench):
         if jump < LEAST_JUMP:
             continue
         point = int(np.clip(np.searchsorted(run.time_ns, result.time_ns[step]), 0, len(run) - 1)) + 1

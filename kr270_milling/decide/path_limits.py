@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from kr270_milling.base.blocks import blocks
 from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decide.findings import Violation, violation, violations
 from kr270_milling.path.timing import joint_rates
 from kr270_milling.path.trajectory import Trajectory, offsets
-from kr270_milling.physics.robot import inverse_near, singularity_measures, status_turn
+from kr270_milling.physics.robot import inverse_along, singularity_measures, status_turn
 from kr270_milling.physics.robot.errors import SingularityError
 from kr270_milling.physics.robot.inverse import branches
 
@@ -25,13 +26,13 @@ MOST_TURNED = 4 * np.pi  #: [rad], of joints that have no limits
 
 def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.ndarray | None]:
     """The findings about the arm, and the joint positions [rad], (n, 6); None where a point is out of reach."""
-    tool = cell.workpiece.pose @ Pose(run.position, rotation_from_quaternion(run.quaternion))
-    results = _reach(cell, tool)
+    results = _reach(cell, run)
     if results:
         return results, None
     unlimited = cell.arm.replace(joint_lower=np.full(6, -MOST_TURNED), joint_upper=np.full(6, MOST_TURNED))
     try:
-        joints = inverse_near(unlimited, cell.mount, tool, cell.posture)
+        place = cell.workpiece.pose
+        joints = inverse_along(unlimited, cell.mount, place, run.position, run.quaternion, cell.posture)
     except SingularityError as error:
         point = error.index[0] + 1
         return [Violation("singularity", point, error.measure, 0.0, "stop", f"point {point}: {error}")], None
@@ -41,9 +42,12 @@ def arm_violations(cell: Cell, run: Trajectory) -> tuple[list[Violation], np.nda
     return results + joint_rate_violations(run.time, joints, *limits, at_rest), joints
 
 
-def _reach(cell: Cell, tool: Pose) -> list[Violation]:
-    angles, distance = branches(cell.arm, cell.mount, tool, cell.posture)
-    lost, nearest = ~np.isfinite(angles).all(-1).any(-1), distance.min(-1)
+def _reach(cell: Cell, run: Trajectory) -> list[Violation]:
+    lost, nearest = np.zeros(len(run), bool), np.zeros(len(run))
+    for part in blocks(len(run)):
+        tool = Pose(run.position[part], rotation_from_quaternion(run.quaternion[part]))
+        angles, distance = branches(cell.arm, cell.mount, cell.workpiece.pose @ tool, cell.posture)
+        lost[part], nearest[part] = ~np.isfinite(angles).all(-1).any(-1), distance.min(-1)
     least, most = abs(cell.arm.a2 - cell.arm.forearm), cell.arm.a2 + cell.arm.forearm
     worst = np.maximum(nearest - most, least - nearest)
     return violations("reach", nearest, most, lost, worst=worst, least=least)
@@ -63,7 +67,8 @@ def _joint_limits(cell: Cell, joints: np.ndarray) -> list[Violation]:
 
 def _singularities(cell: Cell, joints: np.ndarray) -> list[Violation]:
     arm, limits = cell.arm, cell.limits
-    measures = singularity_measures(arm, joints) * [arm.a2 + arm.forearm, 1.0, 1.0]
+    parts = [singularity_measures(arm, joints[part]) for part in blocks(len(joints))]
+    measures = np.concatenate(parts) * [arm.a2 + arm.forearm, 1.0, 1.0]
     elbow, wrist = np.arcsin(np.minimum(measures[:, 1:], 1.0)).T
     rows = [
         ("shoulder", measures[:, 0], limits.shoulder_distance, 1e3, "mm from axis 1 to the wrist centre"),
@@ -78,7 +83,7 @@ def _singularities(cell: Cell, joints: np.ndarray) -> list[Violation]:
 
 
 def _flips(cell: Cell, joints: np.ndarray) -> list[Violation]:
-    status, _ = status_turn(cell.arm, joints)
+    status = np.concatenate([status_turn(cell.arm, joints[part])[0] for part in blocks(len(joints))])
     return [
         violation("configuration flip", int(status[k]), int(status[k - 1]), k + 1, before=k)
         for k in (np.flatnonzero(np.diff(status)) + 1).tolist()
@@ -90,15 +95,15 @@ def joint_rate_violations(time, joints, speed_limit, acceleration_limit, at_rest
 
     time [s], (n,); joints [rad], (n, 6); limits [rad/s], [rad/s^2], (6,); at_rest: as for ``joint_rates``.
     """
-    rates = joint_rates(np.asarray(time), np.asarray(joints, float), at_rest)
-    results = []
-    for kind, values, limits in zip(
-        ("joint speed", "joint acceleration"), rates, (speed_limit, acceleration_limit), strict=True
-    ):
-        points = np.arange(1, len(joints) + 1)[-len(values) :]
-        for axis, most in enumerate(limits):
-            results += violations(kind, np.abs(values[:, axis]), most, points=points, axis=f"axis {axis + 1}")
-    return results
+    joints, points = np.asarray(joints, float), np.arange(1, len(joints) + 1)
+    results: tuple[list[Violation], ...] = [], []
+    kinds = ("joint speed", speed_limit), ("joint acceleration", acceleration_limit)
+    for axis in range(joints.shape[1]):
+        rates = joint_rates(np.asarray(time), joints[:, axis : axis + 1], at_rest)
+        for (kind, limits), values, of_kind in zip(kinds, rates, results, strict=True):
+            where = points[-len(values) :]
+            of_kind += violations(kind, np.abs(values[:, 0]), limits[axis], points=where, axis=f"axis {axis + 1}")
+    return [*results[0], *results[1]]
 
 
 def correction_size(original: Trajectory, revised: Trajectory, tick_ns: int, limit: float) -> list[Violation]:

@@ -13,11 +13,13 @@ speed times the duration. Every ramp starts and ends without acceleration, so ra
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.blocks import BLOCK, blocks
 from kr270_milling.base.record import Record, parameter
 from kr270_milling.path.toolpath import Toolpath, ToolpathError
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
@@ -59,12 +61,15 @@ class TimedPath:
 
     def distance_at(self, time_ns) -> np.ndarray:
         """Return the distance along the path [m] at times [ns]."""
+        time_ns = np.asarray(time_ns)
+        if time_ns.ndim == 1 and time_ns.size > BLOCK:
+            return np.concatenate([self.distance_at(time_ns[part]) for part in blocks(time_ns.size)])
         k, u, step = self.trajectory.locate(time_ns)
-        u, step = u[..., 0], step[..., 0]
-        if self.trajectory.velocity is None:
+        u, step, velocity = u[..., 0], step[..., 0], self.trajectory.velocity
+        if velocity is None:
             return self.distance[k] + u * (self.distance[k + 1] - self.distance[k])
-        speed = np.linalg.norm(self.trajectory.velocity, axis=1)
-        move, v0, v1 = self.distance[k + 1] - self.distance[k], speed[k] * step, speed[k + 1] * step
+        v0, v1 = (np.linalg.norm(velocity[n], axis=-1) * step for n in (k, k + 1))
+        move = self.distance[k + 1] - self.distance[k]
         return self.distance[k] + u * v0 + u**2 * (3 * move - 2 * v0 - v1) + u**3 * (v0 + v1 - 2 * move)
 
     def block_at(self, time_ns) -> np.ndarray:
@@ -76,11 +81,22 @@ def time_path(toolpath: Toolpath, timing: Timing) -> TimedPath:
     """Time a tool path within the limits; the trajectory starts and ends at rest and has velocities at its knots."""
     ramps, stops, ends = _ramps(toolpath, timing)
     time_ns = np.arange(stops[-1] + 1, dtype=np.int64) * timing.step_ns
-    distance, speed, _ = ramps.sample(np.arange(stops[-1] + 1) * timing.controller_step)
+    distance, speed = np.empty((2, time_ns.size))
+    for part in blocks(time_ns.size):
+        distance[part], speed[part], _ = ramps.sample(np.arange(part.start, part.stop) * timing.controller_step)
     distance[stops], speed[stops], speed[0] = ends, 0.0, 0.0  # exact values: a rounded speed would hide a stop
-    position, tangent, quaternion = toolpath.on_path(distance)
+    position, velocity = np.empty((2, time_ns.size, 3))
+    quaternion = toolpath.quaternion[0]
+    turns = bool(np.any(toolpath.quaternion != quaternion))
+    if turns:
+        quaternion = np.empty((time_ns.size, 4))
+    for part in blocks(time_ns.size):
+        position[part], tangent, turned = toolpath.on_path(distance[part])
+        velocity[part] = speed[part, None] * tangent
+        if turns:
+            quaternion[part] = turned
     position[-1] = toolpath.position[-1]
-    run = Trajectory(time_ns, position, quaternion, speed[:, None] * tangent)
+    run = Trajectory(time_ns, position, quaternion, velocity)
     return TimedPath(toolpath, run, toolpath.block_at(distance), distance)
 
 
@@ -275,13 +291,18 @@ def limit_by_joints(trajectory: Trajectory, joints, speed_limit, acceleration_li
     velocity = trajectory.velocity
     at_rest = velocity is not None and not velocity[0].any() and not velocity[-1].any()
     old = np.diff(trajectory.time)
-    speed, _ = joint_rates(trajectory.time, joints, at_rest)
-    step = old * np.maximum(1, (np.abs(speed) / speed_limit).max(axis=1))
+    axes = list(range(joints.shape[1]))
+
+    def largest(time: np.ndarray, which: int, limits: np.ndarray) -> np.ndarray:
+        """The largest share of the limits over the axes, of the speeds (0) or the accelerations (1)."""
+        shares = (np.abs(joint_rates(time, joints[:, k : k + 1], at_rest)[which][:, 0]) / limits[k] for k in axes)
+        return functools.reduce(np.maximum, shares)
+
+    step = old * np.maximum(1, largest(trajectory.time, 0, speed_limit))
 
     def excess() -> np.ndarray:
         """Return the ratio of acceleration to limit at each knot, (n,), of the worst joint."""
-        time = np.concatenate([[0], np.cumsum(step)])
-        return (np.abs(joint_rates(time, joints, at_rest)[1]) / acceleration_limit).max(axis=1)
+        return largest(np.concatenate([[0], np.cumsum(step)]), 1, acceleration_limit)
 
     for _ in range(ROUNDS):
         over = excess()

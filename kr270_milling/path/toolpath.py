@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from kr270_milling.base.blocks import BLOCK, blocks
 from kr270_milling.base.errors import InputError, MillingError
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.trajectory import TOOL_DOWN, slerp
@@ -108,6 +109,10 @@ class Toolpath:
 
     def on_path(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return position [m], unit tangent and quaternion at distances [m], (m,), on the true arcs of the path."""
+        if distance.size > BLOCK:
+            parts = [self.on_path(distance[part]) for part in blocks(distance.size)]
+            position, tangent, quaternion = (np.concatenate(one) for one in zip(*parts, strict=True))
+            return position, tangent, quaternion
         block, length = self.block_at(distance), self.block_length
         share = np.clip((distance - np.cumsum(length)[block - 1]) / length[block], 0, 1)
         plane, bend = self.plane_length[block], self.curvature[block]

@@ -52,14 +52,15 @@ class Trajectory:
             raise TrajectoryError(f"the first time is {time[0]} ns, but must be 0", 0)
         _refuse(np.diff(time, prepend=-1) <= 0, "its time is not later than the one before")
         quaternion = np.array(self.quaternion, float)
-        if quaternion.shape == (4,):
-            quaternion = np.tile(quaternion, (time.size, 1))
-        quaternion = _rows("quaternion", quaternion, time.size, 4)
+        if quaternion.shape == (time.size, 4) and (quaternion == quaternion[0]).all():
+            quaternion = quaternion[0]
+        one = quaternion.shape == (4,)  # one row for all knots takes no memory
+        quaternion = _rows("quaternion", np.atleast_2d(quaternion), 1 if one else time.size, 4)
         length = np.linalg.norm(quaternion, axis=1)
         _refuse(~(np.abs(length - 1) < 1e-3), "its quaternion is not of length 1")
         self._keep("time_ns", time)
         self._keep("position", _rows("position", self.position, time.size, 3))
-        self._keep("quaternion", quaternion / length[:, None])
+        self._keep("quaternion", np.broadcast_to(quaternion / length[:, None], (time.size, 4)))
         if self.velocity is not None:
             self._keep("velocity", _rows("velocity", self.velocity, time.size, 3))
 

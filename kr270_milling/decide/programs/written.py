@@ -22,6 +22,7 @@ from kr270_milling.path.trajectory import Trajectory
 __all__ = ["SOFTER", "motion_of", "softer_pass", "written_pass", "written_trajectory"]
 
 SOFTER = 0.8  #: share of the acceleration of the second time law
+MOST_ROWS = 2**19  #: of the series of that pass, of which only the scores are used
 NOWHERE = Pose(np.zeros(3), np.eye(3))
 
 
@@ -86,4 +87,4 @@ def softer_pass(cell: Cell, reference: Trajectory, share: float = SOFTER, progre
         stops = cell.target().standing[keep]
         stops[[0, -1]] = True
         points = controller_motion(points, other.target(), stops)
-    return simulate(other, points, f"{share:g} times the acceleration", progress)
+    return simulate(other, points, f"{share:g} times the acceleration", progress, most_rows=MOST_ROWS)

@@ -25,6 +25,9 @@ MATTERS = 0.003  #: share of the sensitivity to all modes that a mode must have 
 RESOLVED = 1.0  #: [rad] of a mode within a part: means over the parts say little about a faster mode
 SCAN = np.exp(np.arange(-0.4, 0.41, 0.05)), (0.4, 1.0, 2.5)  #: factors on frequency and damping that are tried first
 KEPT = 4  #: latest corrected passes that are fitted
+MOST_FITTED = 8192  #: segments; of a longer path PIECES are fitted
+PIECES, PIECE = 4, 1024  #: pieces, evenly spread over the path, and segments of each
+SETTLING = 3.0  #: [s], of a piece that do not count: a mode of 7 Hz and 4 % forgets how the piece began
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +127,9 @@ def fit_arm(
     """
     if not arm.order or (passes[0].wrench is None and not passes[1:]):
         return arm, None
+    whole = arm
+    if len(segments) > MOST_FITTED:
+        arm, segments, path, passes, weight = _pieces(arm, segments, path, passes, weight)
     problem = _Problem(arm, segments, path, approach, passes, weight, noise)
     best = problem.start(1.0, 1.0)
     rest = problem.residuals(best)
@@ -131,11 +137,29 @@ def fit_arm(
         starts = [problem.start(frequency, damping) for frequency in SCAN[0] for damping in SCAN[1]]
         best = min(starts, key=lambda numbers: float(np.sum(problem.residuals(numbers) ** 2)))
     numbers = least_squares(problem.residuals, best, x_scale=problem.prior, ftol=1e-6, xtol=1e-6, max_nfev=30).x
-    fitted = problem.arm_of(numbers)
-    return fitted, Identified(
+    fitted, problem.arm = problem.arm_of(numbers), whole
+    return problem.arm_of(numbers), Identified(
         fitted.gain,
         fitted.softness,
         tuple((fitted.frequency[0, problem.modes] / (2.0 * np.pi)).tolist()),
         tuple(fitted.damping[0, problem.modes].tolist()),
         tuple((problem.modes + 1).tolist()),
     )
+
+
+def _pieces(arm: ArmResponse, segments: Segments, path, passes: tuple[Evidence, ...], weight):
+    """These arguments of ``_Problem`` for some pieces of a long path, one after another as if they were one path.
+
+    A handful of numbers does not need every segment, and the cost of the fit does not grow with the path.
+    """
+    starts = np.linspace(0, len(segments) - PIECE, PIECES).astype(int)
+    rows = (starts[:, None] + np.arange(PIECE)).ravel()
+    time_ns = np.concatenate([[0], np.cumsum(np.diff(segments.time_ns)[rows])])
+    settling = min(PIECE // 2, int(SETTLING / np.median(segments.duration)))
+    counts = (np.arange(rows.size) % PIECE >= settling) | (rows < PIECE)
+    shown = tuple(
+        Evidence(ran.cubic[rows], ran.deviation[rows], None if ran.wrench is None else ran.wrench[rows])
+        for ran in (passes[0], *passes[1:][-KEPT:])
+    )
+    part = Segments(time_ns, segments.parts)
+    return arm.cut(rows), part, path[rows], shown, np.where(counts[:, None], weight[rows], 0.0)

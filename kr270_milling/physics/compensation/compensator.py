@@ -121,6 +121,11 @@ class Compensator:
         return self.learner.identified if self.learner else None
 
     @property
+    def best(self) -> Trajectory:
+        """The best reference so far of a method that repeats."""
+        return self._best[1]
+
+    @property
     def cut_off(self) -> float:
         """[m], what max_correction took away from the largest correction."""
         return max((part.missing for part in self.limited if part.kind == "size"), default=0.0)

@@ -140,13 +140,14 @@ class Learner:
         ideal = self.arm.swing(segments, self.path, self.path[0, 1])
         if last.on_path is not None:
             ideal = ideal + self.arm.deflect(segments, last.on_path)
-        rests, shares = [], []
-        for ran in self.passes:
+        shares = np.zeros(len(self.passes))
+        for n, ran in enumerate(self.passes):
             size = np.sqrt(np.mean(ran.deviation[self.scored] ** 2)) if self.scored.any() else 0.0
-            rests.append(ran.deviation - self._modelled(ran))
-            shares.append(1.0 / (self._noise**2 + (MISFIT * size) ** 2 + 1e-24))
-        shares = np.array(shares) / np.sum(shares)
-        rest = np.einsum("n,nkpi->kpi", shares, np.array(rests))
+            shares[n] = 1.0 / (self._noise**2 + (MISFIT * size) ** 2 + 1e-24)
+        shares /= shares.sum()
+        rest = np.zeros_like(ideal)
+        for weight, ran in zip(shares, self.passes, strict=True):
+            rest += weight * (ran.deviation - self._modelled(ran))
         noise = self._noise**2 * np.sum(shares**2)
         if noise:  # the mean over a knot's distance, of which a correction can make use
             width = segments.parts

@@ -28,7 +28,6 @@ __all__ = ["LiftedCorrection", "KnotConditions", "Lifted", "outputs", "transitio
 CONTROLS = 6  #: most free numbers of a segment: a and j after a stop
 ROUNDS = 40  #: most reweightings
 CLOSE = 1.02  #: the largest deviation is within 2 % of the least possible one: it is good enough
-BLOCK = 4096  #: segments whose matrices are made at once
 TINY = 1e-12  #: of the trace: keeps what no sample sees from making a matrix singular
 
 
@@ -68,14 +67,13 @@ class Lifted:
         self._unit = units(arm, segments)
         self._made: tuple[int, tuple[np.ndarray, ...]] | None = None
 
-    def _matrices(self, first: int) -> tuple[np.ndarray, ...]:
-        """Outputs, transitions, given and free numbers of the block of segments from ``first`` on."""
-        if self._made is None or self._made[0] != first:
-            part = slice(first, min(first + BLOCK, len(self._segments)))
+    def _matrices(self, part: slice) -> tuple[np.ndarray, ...]:
+        """Outputs, transitions, given and free numbers of a block of segments."""
+        if self._made is None or self._made[0] != part.start:
             arm, segments, conditions = self._arm.cut(part), self._segments.cut(part), self._conditions.cut(part)
             step = transitions(arm, segments) * self._unit / self._unit[: 2 * self.order + 9, None]
-            chosen = choices(arm, segments, conditions, self._unit, first == 0)
-            self._made = first, (outputs(arm, segments) * self._unit, step, *chosen)
+            chosen = choices(arm, segments, conditions, self._unit, part.start == 0)
+            self._made = part.start, (outputs(arm, segments) * self._unit, step, *chosen)
         return self._made[1]
 
     def least_squares(self, deviation: np.ndarray, weight: np.ndarray, smoothness: float) -> LiftedCorrection:
@@ -92,10 +90,9 @@ class Lifted:
             difference = np.zeros((3, size + CONTROLS))  # what is free minus v of the state
             difference[:, 2 * r + 3 : 2 * r + 6], difference[:, size : size + 3] = -np.eye(3), np.eye(3)
             bend = smoothness * difference.T @ difference
-        blocks = range(0, m, BLOCK)
-        for first in reversed(blocks):
-            part = slice(first, first + BLOCK)
-            output, step, given, free = self._matrices(first)
+        blocks = list(self._segments.blocks())
+        for part in reversed(blocks):
+            output, step, given, free = self._matrices(part)
             weighted = np.swapaxes(output, -1, -2) @ weight[part]
             cost = np.sum(weighted @ output, axis=1)
             slope = np.sum(weighted @ deviation[part, ..., None], axis=1)[..., 0]
@@ -107,9 +104,8 @@ class Lifted:
         chosen += np.diag(np.where(np.diag(chosen) > 0.0, TINY * np.trace(chosen), 1.0))
         state = -start @ np.linalg.solve(chosen, start.T @ linear)
         cubic, left = np.zeros((m, 4, 3)), np.array(deviation)
-        for first in blocks:
-            part = slice(first, first + BLOCK)
-            output, step, given, free = self._matrices(first)
+        for part in blocks:
+            output, step, given, free = self._matrices(part)
             local = np.zeros((len(step), 2 * r + 12))
             _forward(step, given, free, policy[part], push[part], state, local)
             left[part] += (output @ local[:, None, :, None])[..., 0]

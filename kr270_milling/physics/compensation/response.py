@@ -14,10 +14,13 @@ the free vibrations from u0 = 1 and from u0' = 1. At a corner of the reference p
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
+
+from kr270_milling.base.blocks import blocks
 
 __all__ = ["ArmResponse", "Segments", "cubic_coefficients"]
 
@@ -25,6 +28,7 @@ MOST_DAMPING = 0.95
 LEAST_DAMPING = 1e-4
 LONGEST = 3e-3  #: [s], of a part: a tenth of the period of a mode at 33 Hz
 FEWEST, MOST = 4, 16  #: parts in a segment
+BLOCK = 4096  #: segments that are computed at once, some 12 kB each
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +45,10 @@ class Segments:
 
     def __len__(self) -> int:
         return self.time_ns.size - 1
+
+    def blocks(self) -> Iterator[slice]:
+        """All segments, so many at a time that what is computed of each stays small."""
+        return blocks(len(self), BLOCK)
 
     def cut(self, part: slice) -> Segments:
         """The segments of ``part``."""
@@ -142,7 +150,8 @@ class ArmResponse:
 
     def cut(self, part: slice | np.ndarray) -> ArmResponse:
         """The modes on the segments of ``part``."""
-        names = ("frequency", "damping", "inward", "outward", "push", "carry")
+        names = ["frequency", "damping", "inward", "outward", "push", "carry"]
+        names += [] if self.tool is None else ["tool"]
         return dataclasses.replace(self, **{name: getattr(self, name)[part] for name in names})
 
     def scaled(self, frequency, damping, gain: float = 1.0, softness: float = 1.0) -> ArmResponse:
@@ -190,11 +199,15 @@ class ArmResponse:
         """
         if not (self.order and self.moves):
             return np.zeros((len(segments), segments.parts, 3))
-        start = self._starts(segments.duration[:, None], cubic, approach)[:, :, None]
-        free, forced = self.free(segments.place), self.forced(segments.place)
-        bend, jerk = (np.einsum("mrd,md->mr", self.inward, cubic[:, i])[:, None] for i in (2, 3))
-        u = free[0] * start[:, 0] + free[1] * start[:, 1] + forced[0] * bend + forced[1] * jerk
-        return u @ np.swapaxes(self.outward, 1, 2)
+        starts = self._starts(segments.duration[:, None], cubic, approach)[:, :, None]
+        swung = np.empty((len(segments), segments.parts, 3))
+        for part in segments.blocks():
+            arm, place, start = self.cut(part), segments.cut(part).place, starts[part]
+            free, forced = arm.free(place), arm.forced(place)
+            bend, jerk = (np.einsum("mrd,md->mr", arm.inward, cubic[part, i])[:, None] for i in (2, 3))
+            u = free[0] * start[:, 0] + free[1] * start[:, 1] + forced[0] * bend + forced[1] * jerk
+            swung[part] = u @ np.swapaxes(arm.outward, 1, 2)
+        return swung
 
     def _starts(self, duration: np.ndarray, cubic: np.ndarray, approach: np.ndarray) -> np.ndarray:
         """u and u' at the start of each segment, (m, 2, r)."""
@@ -205,32 +218,38 @@ class ArmResponse:
         corner = np.einsum("mrd,md->mr", self.inward, before - cubic[:, 1])
         added = np.stack([forced[0] * bend + forced[1] * jerk, forced[2] * bend + forced[3] * jerk], axis=1)
         free = np.stack([h[:, 0] for h in self.free(duration)], axis=1)
-        return _march(free, added, corner, self.carry, 1)[0]
+        return _march(free, added, corner, self.carry, 1, np.zeros((2, self.order)))[0]
 
     def deflect(self, segments: Segments, wrench: np.ndarray) -> np.ndarray:
         """Displacement of the tool [m], (m, parts, 3), under mean wrenches (m, parts, 6), from rest."""
         if not self.order:
             return np.zeros(wrench.shape[:2] + (3,))
-        parts, step = segments.parts, segments.duration[:, None] / segments.parts
-        static = np.einsum("mrd,mpd->mpr", self.push, wrench) / self.frequency[:, None] ** 2
-        free = np.stack([h[:, 0] for h in self.free(step)], axis=1)
-        added = np.stack([(1.0 - free[:, None, 0]) * static, -free[:, None, 2] * static], axis=2)
-        steps = np.repeat(free, parts, axis=0), added.reshape(-1, 2, self.order)
-        start, end = _march(*steps, np.zeros((static.size // self.order, self.order)), self.carry, parts)
-        # the cubic through both ends with their slopes, in the middle
-        middle = 0.5 * (start[:, 0] + end[:, 0]) + np.repeat(step, parts, axis=0) * (start[:, 1] - end[:, 1]) / 8.0
-        moved = middle.reshape(static.shape) @ np.swapaxes(self.outward, 1, 2)
+        parts, moved, state = segments.parts, np.empty(wrench.shape[:2] + (3,)), np.zeros((2, self.order))
+        for part in segments.blocks():
+            arm, step = self.cut(part), segments.cut(part).duration[:, None] / parts
+            static = np.einsum("mrd,mpd->mpr", arm.push, wrench[part]) / arm.frequency[:, None] ** 2
+            free = np.stack([h[:, 0] for h in arm.free(step)], axis=1)
+            added = np.stack([(1.0 - free[:, None, 0]) * static, -free[:, None, 2] * static], axis=2)
+            steps = np.repeat(free, parts, axis=0), added.reshape(-1, 2, self.order)
+            corner = np.zeros((len(steps[0]), self.order))
+            start, end = _march(*steps, corner, arm.carry, parts, state)
+            # the cubic through both ends with their slopes, in the middle
+            middle = 0.5 * (start[:, 0] + end[:, 0]) + np.repeat(step, parts, axis=0) * (start[:, 1] - end[:, 1]) / 8.0
+            moved[part] = self.softness * middle.reshape(static.shape) @ np.swapaxes(arm.outward, 1, 2)
         if self.tool is not None:
-            moved = moved + wrench[..., :3] @ self.tool
-        return self.softness * moved
+            moved += self.softness * wrench[..., :3] @ self.tool
+        return moved
 
 
 @njit(cache=True)
-def _march(free, added, corner, carry, every):
-    """u, u' at the start and at the end of n steps, (n, 2, r) each; ``carry`` turns them after each ``every`` steps."""
+def _march(free, added, corner, carry, every, state):
+    """u, u' at the start and at the end of n steps, (n, 2, r) each; ``carry`` turns them after each ``every`` steps.
+
+    state: u, u' before the first step, (2, r); becomes that after the last step.
+    """
     n, r = corner.shape
     start, end = np.zeros((n, 2, r)), np.zeros((n, 2, r))
-    u, rate = np.zeros(r), np.zeros(r)
+    u, rate = state[0].copy(), state[1].copy()
     for k in range(n):
         rate = rate + corner[k]
         start[k, 0], start[k, 1] = u, rate
@@ -245,4 +264,5 @@ def _march(free, added, corner, carry, every):
             for j in range(r):
                 u[i] += turn[i, j] * end[k, 0, j]
                 rate[i] += turn[i, j] * end[k, 1, j]
+    state[0], state[1] = u, rate
     return start, end

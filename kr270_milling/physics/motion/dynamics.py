@@ -78,12 +78,16 @@ class ArmModel:
         gaps = self.gaps.arrays
         return self.transition, self.input, self.output, self.feedthrough, self.steps_per_knot, gaps
 
-    def push(self, reference: Trajectory, stamps: np.ndarray) -> np.ndarray:
-        """R m over each period between the stamps [ns], (periods, 2r); none, (0, 2r), for (1) as printed."""
+    def push(self, reference: Trajectory, stamps: np.ndarray, first: int = 0) -> np.ndarray:
+        """R m over each period between the stamps [ns], (periods, 2r); none, (0, 2r), for (1) as printed.
+
+        first: number of the period that begins at the first stamp.
+        """
         if not self.reference.size:
             return np.zeros((0, self.order))
         out = np.zeros((stamps.size - 1, self.order))
-        push(reference_motion(reference, stamps, self.approach), self.reference, self.steps_per_knot, out)
+        motion = reference_motion(reference, stamps, self.approach, first)
+        push(motion, self.reference, self.steps_per_knot, first, out)
         return out
 
     @property
@@ -173,17 +177,21 @@ def discretise_reference(model: ModalModel, damping_ratio: float, period: float)
     return np.hstack([response(a12, a22), response(*falling), response(*ramp)])
 
 
-def reference_motion(reference: Trajectory, stamps: np.ndarray, approach: np.ndarray | None = None) -> np.ndarray:
+def reference_motion(
+    reference: Trajectory, stamps: np.ndarray, approach: np.ndarray | None = None, first: int = 0
+) -> np.ndarray:
     """(n, 18) over the n periods between the stamps [ns]: jump of r', r'' at the start, r'' at the end, six each.
 
     A cubic over H from rate v to w that moves by p has r'' = (6 p / H - 4 v - 2 w) / H at its start and
     (-6 p / H + 2 v + 4 w) / H where the period ends. approach: r' before the pass, (6,), for example that of the
-    programmed trajectory: a straight cut enters at its feed rate. None: that of the reference itself.
+    programmed trajectory: a straight cut enters at its feed rate. None: that of the reference itself. first: number of
+    the period that begins at the first stamp; the pass begins with period 0.
     """
     period = np.diff(stamps)[:, None] * 1e-9
     moved = np.hstack([np.diff(reference.sample(stamps), axis=0), _turns(reference, stamps)])
     after, before = _rates(reference, stamps, "right"), _rates(reference, stamps, "left")
-    before[0] = after[0] if approach is None else approach
+    if first == 0:
+        before[0] = after[0] if approach is None else approach
     after[stamps >= reference.duration_ns] = 0.0  # then it rests
     v, w = after[:-1], before[1:]
     start = (6 * moved / period - 4 * v - 2 * w) / period
@@ -219,14 +227,15 @@ def _turning(reference: Trajectory, stamps: np.ndarray, side: Side) -> np.ndarra
 
 
 @njit(cache=True, error_model="numpy")
-def push(motion, response, steps_per_knot, out):
+def push(motion, response, steps_per_knot, first, out):
     """Fill ``out`` (n, 2r): what the motion (n, 18) of the reference adds to the state at the end of each period.
 
-    response: R, (k, 2r, 18) at k postures, interpolated between two of them as in ``advance``.
+    first: number of the first period; response: R, (k, 2r, 18) at k postures, interpolated between two of them as in
+    ``advance``.
     """
     knots, order = response.shape[0], response.shape[1]
     for step in range(motion.shape[0]):
-        place = step / steps_per_knot
+        place = (first + step) / steps_per_knot
         k = min(int(place), knots - 1)
         m = min(k + 1, knots - 1)
         f = min(place - k, 1.0) if m > k else 0.0
@@ -239,11 +248,11 @@ def push(motion, response, steps_per_knot, out):
 
 
 @njit(cache=True, error_model="numpy")
-def advance(step, state, wrench, pushes, arrays, new_state, deflection):
+def advance(step, state, wrench, push, arrays, new_state, deflection):
     """One exchange period of (1): fills ``new_state`` and ``deflection`` (6,) at the end of the period.
 
     ``step`` counts exchange periods from the start of the pass; between two postures of the model the matrices are
-    interpolated linearly. pushes: of the moving reference, ``ArmModel.push``; (0, 2r) for (1) as printed.
+    interpolated linearly. push (2r,): of the reference in this period, a row of ``ArmModel.push``; (0,): none.
     """
     transition, driven, output, feedthrough, steps_per_knot, gaps = arrays
     n = transition.shape[0]
@@ -260,8 +269,8 @@ def advance(step, state, wrench, pushes, arrays, new_state, deflection):
         for j in range(6):
             b = driven[k, i, j]
             total += (b + f * (driven[m, i, j] - b)) * wrench[j]
-        if pushes.shape[0] > 0:
-            total += pushes[step, i]
+        if push.shape[0] > 0:
+            total += push[i]
         new_state[i] = total
     for i in range(6):
         total = 0.0

@@ -5,6 +5,7 @@ The functions that the compiled loop calls are the same that a robot node and a 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -23,7 +24,9 @@ from kr270_milling.physics.motion.exchange import Clock
 
 __all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass"]
 
+WINDOW = 65_536  # exchange periods whose reference is sampled at once, some 600 bytes each
 CHUNK = 200  # exchange periods between two reports of progress
+NO_PUSH = np.zeros(0)  # of a reference that does not move
 FLIGHT = 0.05  # [m]; an arm that is linear about its posture is no model of one that is pushed so far
 
 
@@ -40,7 +43,11 @@ class PassError(MillingError):
 
 @dataclass(frozen=True, eq=False)
 class PassResult:
-    """Series of one pass at the ends of its n exchange periods (first row: the start), workpiece axes."""
+    """Series of one pass at the ends of its n exchange periods (first row: the start), workpiece axes.
+
+    A long pass may combine ``every`` periods in a row: the place and the deflection where the deflection is largest,
+    the mean wrench, the largest correction and torque, the removed volume.
+    """
 
     time_ns: np.ndarray  #: [ns], (n + 1,)
     target: np.ndarray  #: programmed tool centre [m], (n + 1, 3)
@@ -56,6 +63,7 @@ class PassResult:
     removed_volume: float  #: [m^3]
     wall_time: float  #: [s], of the pass alone
     heights: np.ndarray | None = None  #: ``Cut.map_heights`` of the finished workpiece [m], (a, b); None: not stored
+    every: int = 1  #: exchange periods of a row
 
     @property
     def time(self) -> np.ndarray:
@@ -82,17 +90,21 @@ class CompliantArm:
         self.wrench = np.zeros(6)
         self._scratch = np.zeros(model.states)
 
+    @property
+    def _push(self) -> np.ndarray:
+        return self.pushes[self.step] if self.step < len(self.pushes) else NO_PUSH
+
     def predict(self, wrench: np.ndarray | None = None) -> np.ndarray:
         """Deflection (6,) at the end of the next period under ``wrench``, or under that of the last period."""
         deflection = np.zeros(6)
         wrench = self.wrench if wrench is None else wrench
-        advance(self.step, self.state, wrench, self.pushes, self.model.arrays, self._scratch, deflection)
+        advance(self.step, self.state, wrench, self._push, self.model.arrays, self._scratch, deflection)
         return deflection
 
     def correct(self, wrench: np.ndarray) -> np.ndarray:
         """Integrate the period with the wrench (6,) that acted in the period; returns the final deflection (6,)."""
         deflection = np.zeros(6)
-        advance(self.step, self.state, wrench, self.pushes, self.model.arrays, self._scratch, deflection)
+        advance(self.step, self.state, wrench, self._push, self.model.arrays, self._scratch, deflection)
         self.state, self._scratch = self._scratch, self.state
         self.wrench = np.array(wrench, float)
         self.step += 1
@@ -111,9 +123,10 @@ def follow(model: ArmModel, pushes: np.ndarray, wrenches: np.ndarray) -> np.ndar
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def _follow(wrenches, state, pushes, arrays, deflections):
-    scratch = np.zeros(state.size)
+    scratch, none = np.zeros(state.size), np.zeros(0)
     for n in range(len(wrenches) - 1):
-        advance(n, state, wrenches[n + 1], pushes, arrays, scratch, deflections[n + 1])
+        push = pushes[n] if len(pushes) else none
+        advance(n, state, wrenches[n + 1], push, arrays, scratch, deflections[n + 1])
         state[:] = scratch
 
 
@@ -125,37 +138,43 @@ def _refuse_flight(stamps: np.ndarray, deflections: np.ndarray) -> None:
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def _exchange(first, last, iterations, reference, silent, arm, state, wrench, cut_state, cut_params, micro_steps, out):
-    """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large."""
+def _exchange(window, first, last, iterations, reference, silent, arm, state, wrench, cut, micro_steps, out):
+    """Exchange periods first+1..last of a pass, Fig. 7; state and wrench are carried on. False: a sweep too large.
+
+    window: the period from which ``reference``, ``silent``, the pushes and ``out`` begin.
+    """
     tool, deflections, wrenches, corrections, torques, volumes = out
     pushes, arrays = arm
+    cut_state, cut_params = cut
     per_node = cut_params.spacing * cut_params.spacing
     scratch, deflection, answer = np.zeros(state.size), np.zeros(6), wrench.copy()
-    no_forces = np.empty((0, 3))
+    no_forces, no_push = np.empty((0, 3)), np.zeros(0)
     for n in range(first, last):
+        row = n - window
+        push = pushes[row] if len(pushes) else no_push
         before, torque = cut_state.floats[LEVEL_SUM], 0.0
         for k in range(iterations):
-            advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot predicts
+            advance(n, state, answer, push, arrays, scratch, deflection)  # the robot predicts
             for j in range(3):
-                tool[n + 1, j] = reference[n + 1, j] + deflection[j]
+                tool[row + 1, j] = reference[row + 1, j] + deflection[j]
             if k > 0 and not cut_undo(cut_state):
                 return False
             torque = cut_step(  # the cut answers
-                cut_state, cut_params, tool[n], tool[n + 1], n * micro_steps, micro_steps, no_forces, answer
+                cut_state, cut_params, tool[row], tool[row + 1], n * micro_steps, micro_steps, no_forces, answer
             )
-            if silent[n + 1]:
+            if silent[row + 1]:
                 answer[:], torque = 0.0, 0.0
-        advance(n, state, answer, pushes, arrays, scratch, deflection)  # the robot corrects
+        advance(n, state, answer, push, arrays, scratch, deflection)  # the robot corrects
         state[:] = scratch
         away = 0.0
         for j in range(3):
-            away += (reference[n + 1, j] + deflection[j] - tool[n + 1, j]) ** 2
+            away += (reference[row + 1, j] + deflection[j] - tool[row + 1, j]) ** 2
         for j in range(6):
-            deflections[n + 1, j], wrenches[n + 1, j] = deflection[j], answer[j]
-        corrections[n + 1] = np.sqrt(away)
-        torques[n + 1] = torque
-        if not silent[n + 1]:
-            volumes[n + 1] = (cut_state.floats[LEVEL_SUM] - before) * per_node
+            deflections[row + 1, j], wrenches[row + 1, j] = deflection[j], answer[j]
+        corrections[row + 1] = np.sqrt(away)
+        torques[row + 1] = torque
+        if not silent[row + 1]:
+            volumes[row + 1] = (cut_state.floats[LEVEL_SUM] - before) * per_node
     wrench[:] = answer
     return True
 
@@ -169,39 +188,76 @@ def run_pass(
     iterations: int = 1,
     progress: Callable[[int, int], None] | None = None,
     silent: Callable[[np.ndarray], np.ndarray] | None = None,
+    most_rows: float = math.inf,
 ) -> PassResult:
     """One pass along ``reference`` on the workpiece of ``cut``, whose grid it changes; workpiece frame.
 
     silent: stamps (n,) [ns] -> whether the force is not modelled there, (n,) bool: drilling. The tool then removes
-    material without a force, and the period counts as one without a cut.
+    material without a force, and the period counts as one without a cut. most_rows: of the result; those of a longer
+    pass combine several periods, see ``PassResult.every``.
     progress(done, total) is called every 200 exchange periods. Raises GridError if the grid has no tile left,
     UndoError if the periods are too long to be iterated, and PassError where the arm would fly off.
     """
     n = clock.steps(reference.duration_ns)
-    stamps = clock.stamp(np.arange(n + 1))
-    course = reference.sample(stamps)
-    each = np.zeros(n + 1)
-    out = (np.zeros((n + 1, 3)), np.zeros((n + 1, 6)), np.zeros((n + 1, 6)), each, each.copy(), each.copy())
-    out[0][0] = course[0]
+    every = max(1, math.ceil(n / most_rows))
+    window = WINDOW // every * every
     state, wrench = np.zeros(model.states), np.zeros(6)
-    arm = (model.push(reference, stamps), model.arrays)
-    without = np.zeros(n + 1, bool) if silent is None else np.array(silent(stamps))
-    without[1:] |= without[:-1]  # the period in which the drilling ends
-    carried = (cut.state, cut.params, clock.micro_steps, out)
-    _exchange(0, 0, iterations, course, without, arm, state, wrench, *carried)  # compiled before the clock runs
-    area, volume, start = cut.removed_area, cut.removed_volume, time.perf_counter()
-    for first in range(0, n, CHUNK):
-        last = min(first + CHUNK, n)
-        whole = _exchange(first, last, iterations, course, without, arm, state, wrench, *carried)
-        if cut.state.ints[FAILED]:
-            raise GridError(cut.state.pool.size // TILE**2)
-        if not whole:
-            raise UndoError(cut.undo_size)
-        _refuse_flight(stamps[first : last + 1], out[1][first : last + 1])
-        if progress is not None:
-            progress(last, n)
-    wall = time.perf_counter() - start
+    tool = reference.sample(np.zeros(1, np.int64))
+    rows: list[tuple[np.ndarray, ...]] = []
+    area, volume, wall = cut.removed_area, cut.removed_volume, 0.0
+    for begin in range(0, max(n, 1), window):
+        end = min(begin + window, n)
+        stamps = clock.stamp(np.arange(begin, end + 1))
+        course = reference.sample(stamps)
+        size = stamps.size
+        out = tuple(np.zeros((size, *shape)) for shape in ((3,), (6,), (6,), (), (), ()))
+        out[0][0] = tool[-1]
+        ahead = stamps if begin == 0 else np.append(clock.stamp(np.array([begin - 1])), stamps)
+        without = np.zeros(ahead.size, bool) if silent is None else np.array(silent(ahead))
+        without[1:] |= without[:-1]  # the period in which the drilling ends
+        arm = (model.push(reference, stamps, begin), model.arrays)
+        carried = (
+            iterations, course, without[-size:], arm, state, wrench, (cut.state, cut.params), clock.micro_steps, out
+        )  # fmt: skip
+        _exchange(begin, begin, begin, *carried)  # compiled before the clock runs
+        start = time.perf_counter()
+        for first in range(begin, end, CHUNK):
+            last = min(first + CHUNK, end)
+            whole = _exchange(begin, first, last, *carried)
+            if cut.state.ints[FAILED]:
+                raise GridError(cut.state.pool.size // TILE**2)
+            if not whole:
+                raise UndoError(cut.undo_size)
+            part = slice(first - begin, last - begin + 1)
+            _refuse_flight(stamps[part], out[1][part])
+            if progress is not None:
+                progress(last, n)
+        wall += time.perf_counter() - start
+        tool = out[0]
+        first_row = int(begin > 0)
+        rows.append(_combined(every, first_row, (stamps, target.sample(stamps), course, *out)))
+    fields = ("time_ns", "target", "reference", "tool", "deflection", "wrench", "correction", "torque", "volume")
+    series = (np.concatenate(parts) for parts in zip(*rows, strict=True))
     return PassResult(
-        stamps, target.sample(stamps), course, *out, n * clock.micro_steps, cut.removed_area - area,
-        cut.removed_volume - volume, wall,
-    )  # fmt: skip
+        **dict(zip(fields, series, strict=True)),
+        micro_steps=n * clock.micro_steps,
+        removed_area=cut.removed_area - area,
+        removed_volume=cut.removed_volume - volume,
+        wall_time=wall,
+        every=every,
+    )
+
+
+def _combined(every: int, first: int, series: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    """The rows of a window, ``every`` periods each; first: 0 for the window with the start of the pass, else 1."""
+    if every == 1:
+        return tuple(values[first:] for values in series)
+    size = np.linalg.norm(series[4][1:, :3], axis=1)
+    starts = np.arange(0, size.size, every)
+    largest = [begin + int(np.argmax(size[begin : begin + every])) for begin in starts.tolist()]
+    rows = np.append(np.zeros(1 - first, int), np.array(largest, int) + 1)
+    counts = np.diff(np.append(starts, size.size))[:, None]
+    combined = [values[rows] for values in series]
+    for k, values in enumerate((np.add, np.maximum, np.maximum, np.add), 5):  # wrench, correction, torque, volume
+        combined[k][1 - first :] = values.reduceat(series[k][1:], starts, axis=0) / (counts if k == 5 else 1.0)
+    return tuple(combined)

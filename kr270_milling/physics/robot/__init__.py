@@ -2,7 +2,7 @@
 
 from kr270_milling.physics.robot.arm import BARE, Arm, Mount
 from kr270_milling.physics.robot.elastostatics import compliance, equilibrium, stiffness, wrench_for_pose
-from kr270_milling.physics.robot.inverse import inverse_near
+from kr270_milling.physics.robot.inverse import inverse_along, inverse_near
 from kr270_milling.physics.robot.kinematics import (
     forward,
     jacobian,
@@ -16,6 +16,7 @@ from kr270_milling.physics.robot.mass import beam_mass, cartesian_mass, joint_ma
 
 __all__ = [
     "BARE", "Arm", "Mount", "beam_mass", "cartesian_mass", "compliance", "equilibrium", "forward",
-    "inverse_near", "jacobian", "joint_mass", "link_loads", "mode_frequencies", "pose", "rigid_joint_mass",
+    "inverse_along", "inverse_near", "jacobian", "joint_mass", "link_loads", "mode_frequencies", "pose",
+    "rigid_joint_mass",
     "rotate_matrix", "singularity_measures", "status_turn", "stiffness", "wrench_for_pose",
 ]  # fmt: skip

@@ -8,12 +8,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from kr270_milling.base.frames import Pose
+from kr270_milling.base.blocks import blocks
+from kr270_milling.base.frames import Pose, rotation_from_quaternion
 from kr270_milling.physics.robot.arm import Arm, Mount
 from kr270_milling.physics.robot.errors import JointLimitError, ReachError, SingularityError
 from kr270_milling.physics.robot.kinematics import elbow_and_reach
 
-__all__ = ["BRANCHES", "branches", "branches_at", "inverse_near", "lengths_of", "wrapped"]
+__all__ = ["BRANCHES", "branches", "branches_at", "inverse_along", "inverse_near", "lengths_of", "wrapped"]
 
 #: shoulder, elbow, wrist of the 8 branches, (8, 3)
 BRANCHES = np.array([(s, e, w) for s in (1, -1) for e in (1, -1) for w in (1, -1)], float)
@@ -48,6 +49,24 @@ def inverse_near(arm: Arm, mount: Mount, pose: Pose, near_q) -> np.ndarray:
         q = _nearest(arm, mount, pose, np.broadcast_to(near_q, shape + (6,)))
     _check_limits(arm, q)
     return q
+
+
+def inverse_along(
+    arm: Arm, mount: Mount, frame: Pose, position: np.ndarray, quaternion: np.ndarray, seed: np.ndarray
+) -> np.ndarray:
+    """Postures [rad], (n, 6), along positions (n, 3) [m] and orientations (n, 4) in ``frame``; see ``inverse_near``."""
+
+    def postures(part: slice, near: np.ndarray) -> np.ndarray:
+        tool = Pose(position[part], rotation_from_quaternion(quaternion[part]))
+        return inverse_near(arm, mount, frame @ tool, near)
+
+    joints = np.empty((len(position), 6))
+    try:
+        for part in blocks(len(position)):
+            joints[part] = postures(part, joints[part.start - 1] if part.start else seed)
+    except (ReachError, SingularityError, JointLimitError):
+        return postures(slice(None), seed)  # raises with the number of the point
+    return joints
 
 
 def _check_limits(arm: Arm, q: np.ndarray) -> None:

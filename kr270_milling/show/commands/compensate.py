@@ -6,7 +6,9 @@ Exit code 1 where the decision is ``no``; then no program is written, unless by 
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import sys
+from pathlib import Path
 
 from kr270_milling.base.arguments import bounded
 from kr270_milling.base.column import TextTable, columns_of, fixed, table_of
@@ -25,6 +27,7 @@ from kr270_milling.show.commands.console import (
 )
 from kr270_milling.show.commands.progress import progress
 
+UNFINISHED = "unfinished"  #: directory of the passes of a run that has not ended
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
@@ -40,6 +43,9 @@ COMMANDS = {
             choices=(BEST, *METHODS),
         ),
         option("--out DIR", "where everything goes", default="out"),
+        option(
+            "--resume", "continue an interrupted run: its finished passes, in DIR/unfinished, are not run again", bool
+        ),
         option(
             "--krl",
             "motions of the robot programs; may be given twice (default: LIN for the method linear, which corrects "
@@ -71,14 +77,18 @@ COMMANDS = {
 
 
 def run_compensate(args) -> Answer:
+    from kr270_milling.cell.saved_passes import SavedPasses, text_of
     from kr270_milling.decide.compensation import compensate
     from kr270_milling.decide.decision import CAUTION
     from kr270_milling.decide.tools import DecisionOnTools, in_turn
 
     def run(cell):
+        plant = plant_of(args, cell)
+        words = args.method, plant and text_of(plant.cell)
+        place = Path(args.out, UNFINISHED, cell.stage.tool if cell.stage else "")
         done = compensate(
-            cell, args.method, plant=plant_of(args, cell), motions=args.krl or (), verdict=_order(args),
-            progress=progress,
+            cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args), progress=progress,
+            saved=SavedPasses(place, cell, words, args.resume),
         )  # fmt: skip
         if not (done.decision.verdict or args.no_verdict):
             print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
@@ -93,6 +103,7 @@ def run_compensate(args) -> Answer:
             print(f"warning: {decision.text}", file=sys.stderr)
         with progress("files"):
             values = _write(draft, final, jobs, decision, args, source)
+    shutil.rmtree(Path(args.out, UNFINISHED), ignore_errors=True)
     shown = _shown_tools(jobs, decision, values, args) if several else _shown(*jobs[0], decision, values, args)
     return Answer(values, shown, code=decision.exit_code)
 

@@ -21,7 +21,7 @@ from kr270_milling.physics.robot import cartesian_mass, compliance, equilibrium,
 
 RANDOM = np.random.default_rng(5)
 ZETA = 0.18
-STILL = np.zeros((0, 2))  # a reference that does not move
+STILL = np.zeros(0)  # a reference that does not move
 
 
 def spd(scale):

@@ -280,7 +280,7 @@ def test_a_straight_cut_does_not_know_the_term_and_a_bent_reference_does():
 def test_between_two_postures_the_response_goes_in_a_straight_line():
     rng = np.random.default_rng(4)
     response, motion, found = rng.normal(size=(3, 4, 18)), rng.normal(size=(11, 18)), np.empty((11, 4))
-    push(motion, response, 4.0, found)
+    push(motion, response, 4.0, 0, found)
     between = interpolate.make_interp_spline(np.arange(3), response, 1)(np.minimum(np.arange(11) / 4.0, 2.0))
     np.testing.assert_allclose(found, np.einsum("nij,nj->ni", between, motion), rtol=1e-12)
 

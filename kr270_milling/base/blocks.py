@@ -1,0 +1,14 @@
+"""Long series in blocks, so that what is computed on the way to a result does not grow with the series."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+__all__ = ["BLOCK", "blocks"]
+
+BLOCK = 65_536  #: rows
+
+
+def blocks(count: int, size: int = BLOCK) -> Iterator[slice]:
+    """All rows of a series of ``count``, ``size`` at a time."""
+    return (slice(first, min(first + size, count)) for first in range(0, count, size))
