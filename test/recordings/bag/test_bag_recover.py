@@ -239,6 +239,18 @@ def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place
     assert not result.whole and len(result.dropped) >= 1 and result.lost_bytes >= chunk.end - chunk.offset
 
 
+@pytest.mark.parametrize(("opcode", "sentence"), [(7, "its summary counts"), (5, "outside of the chunks")])
+def test_a_chunk_with_the_opcode_of_another_record_is_not_passed_over(source, tmp_path, opcode, sentence):
+    data, _, chunks = source
+    chunk, count = chunks[len(chunks) // 2]
+    damaged = bytearray(data)
+    damaged[chunk.offset] = opcode
+    (tmp_path / "a.mcap").write_bytes(damaged)
+    with pytest.raises(RecordingError, match=sentence):
+        Recording(tmp_path / "a.mcap")
+    assert recover(tmp_path / "a.mcap").lost_messages == count
+
+
 def test_without_the_summary_a_lost_definition_is_told(source, tmp_path):
     """The first chunk defines the channels; in a cut-off file nothing else does."""
     data, written, chunks = source
