@@ -21,7 +21,7 @@ from kr270_milling.recordings.bag.recover import recover
 from kr270_milling.recordings.bag.verify import findings
 
 NAMES = {1: "header", 7: "message index", 9: "attachment", 12: "metadata", 15: "end of data", 11: "statistics",
-         8: "chunk index", 2: "footer"}  # fmt: skip
+         8: "chunk index", 10: "attachment index", 13: "metadata index", 2: "footer"}  # fmt: skip
 
 
 def places(data: bytes) -> dict[str, list[tuple[int, int]]]:
@@ -113,6 +113,21 @@ def test_an_index_of_messages_that_points_elsewhere_is_told_without_any_checksum
 
     assert "an index points to other messages than its chunk holds" in foreign(tmp_path / "a.mcap", IndexType.ALL,
                                                                                change)[0]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "byte", "sentence"), [
+    ("chunk index", 0, "index of chunks"), ("attachment index", -1, "index of attachments"),
+    ("metadata index", -1, "index of metadata"), ("statistics", 0, "counts of messages"),
+])  # fmt: skip
+def test_an_index_that_does_not_fit_is_reported_without_any_checksum(whole, tmp_path, name, byte, sentence):
+    data = bytearray(whole[0])
+    begin, end = places(data)[name][0]
+    data[begin if byte == 0 else end - 1] ^= 1
+    after = places(data)["footer"][0][1]
+    data[after - 4 : after] = bytes(4)
+    (tmp_path / "a.mcap").write_bytes(data)
+    with Recording(tmp_path / "a.mcap") as recording:
+        assert [sentence in text for text in findings(recording)] == [True]
 
 
 def test_a_damaged_attachment_costs_only_itself(tmp_path):
@@ -237,6 +252,18 @@ def test_a_damaged_chunk_in_the_middle_costs_only_itself(source, tmp_path, place
     assert len(lost) == count
     assert (result.lost_messages, result.messages) == (len(lost), len(written) - len(lost))
     assert not result.whole and len(result.dropped) >= 1 and result.lost_bytes >= chunk.end - chunk.offset
+
+
+@pytest.mark.parametrize(("opcode", "sentence"), [(7, "its summary counts"), (5, "outside of the chunks")])
+def test_a_chunk_with_the_opcode_of_another_record_is_not_passed_over(source, tmp_path, opcode, sentence):
+    data, _, chunks = source
+    chunk, count = chunks[len(chunks) // 2]
+    damaged = bytearray(data)
+    damaged[chunk.offset] = opcode
+    (tmp_path / "a.mcap").write_bytes(damaged)
+    with pytest.raises(RecordingError, match=sentence):
+        Recording(tmp_path / "a.mcap")
+    assert recover(tmp_path / "a.mcap").lost_messages == count
 
 
 def test_without_the_summary_a_lost_definition_is_told(source, tmp_path):
