@@ -85,7 +85,6 @@ def test_a_recipe_needs_no_more_files_than_promised(title):
 
 
 # --- a third force law goes through every command; the sweep was compiled before the law existed ---
-
 K_C, M_C, RATIO = 700e6, 0.25, 0.35  # k_c1.1 [N/m^2], m_c, k_r: ordinary aluminium
 KIENZLE = (
     "cutting.law=kienzle", f"cutting.kienzle.specific_force_n_per_mm2={K_C / 1e6}", f"cutting.kienzle.exponent={M_C}",
@@ -147,8 +146,6 @@ def test_identify_forces_fits_the_force_law_of_the_guide(extended, tmp_path):
 
 
 # --- the other recipes ---
-
-
 def test_a_compensation_method_of_the_guide_compensates_a_short_cut(extended):
     copy = extended("A compensation method")
     words = ("compensate", "paper.yaml", "--method", "half", "--no-verdict", "--out", str(copy / "out"), *settings())

@@ -89,8 +89,6 @@ def test_a_path_that_cannot_be_run_is_refused_with_its_block(change, index):
 
 
 # --- S-shaped ramps ---
-
-
 A, J = 2.0, 20.0
 speeds, lengths = st.floats(0, 1), st.floats(1e-6, 1)
 
@@ -163,8 +161,6 @@ def test_a_chain_covers_the_mean_speed_times_the_duration_of_each_ramp():
 
 
 # --- From tool path to trajectory ---
-
-
 STEP, FEED = 0.05, 4 / 60
 FINE = Timing(controller_step=0.001)
 START = "G0 X0 Y0 Z0\nF4000\n"
@@ -362,8 +358,6 @@ def test_limits_out_of_range_are_refused(name):
 
 
 # --- Slowing down for the joints ---
-
-
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 8.0)
 
 
@@ -441,8 +435,6 @@ def test_joints_that_do_not_fit_or_limits_of_nothing_are_refused():
 
 
 # --- The shipped test piece has the dimensions that its comments claim ---
-
-
 FILE = Path(__file__).parents[2] / "config" / "test_piece.nc"
 CUTTER = 10.0  # mm, radius
 STOCK = 50.0  # mm, half of its side

@@ -56,8 +56,6 @@ def short():
 
 
 # --- the exchange period ---
-
-
 @check("H = 0.5 ms against an exchange at every micro-step", "self-consistent: the finer pass, share of its deflection",
        at_most=True)  # fmt: skip
 def test_default_period():
@@ -116,8 +114,6 @@ def test_sides():
 
 
 # --- what a pass says ---
-
-
 def test_stamps_are_counted_and_the_pass_covers_the_path(paper):
     cell, result = paper
     np.testing.assert_array_equal(result.time_ns, np.arange(2401) * 500_000)
@@ -187,8 +183,6 @@ def test_a_stiffness_that_follows_the_pose_changes_a_line_of_80_mm_by_little_but
 
 
 # --- errors ---
-
-
 def test_a_grid_without_a_tile_left_is_told(monkeypatch):
     monkeypatch.setattr("kr270_milling.physics.cutting.state.MAX_TILES", 3)
     with pytest.raises(GridError, match="3 tiles"):
@@ -210,8 +204,6 @@ def test_a_path_of_one_period_is_a_pass():
 
 
 # --- The exchange period ---
-
-
 SPEED = 8000 * 2 * np.pi / 60
 
 
@@ -273,8 +265,6 @@ def test_an_exchange_that_cannot_be_is_refused(wrong):
 
 
 # --- Scores of Table 2 and the ringing found in a pass ---
-
-
 TIME = np.arange(0, 1.05, 5e-4)
 X, Y = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
 
