@@ -17,6 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from hypothesis import settings
 from ros_domain import DISCOVERY, environment_of_processes, is_used, own_domain, own_turn
 
 LEAVE = 10.0  # [s] for nodes and processes of a test to close their ports
@@ -29,6 +30,8 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
+    settings.register_profile("suite", deadline=None)  # a busy machine may take long for one example
+    settings.load_profile("suite")
     config.addinivalue_line("markers", "book: a row of the verification book (test/book)")
     if config.getoption("--book"):
         config.option.markexpr = "book"

@@ -53,8 +53,6 @@ def test_mutations_fit_the_code_that_they_change(file):
 
 
 # --- files ---
-
-
 def texts():
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
     if listed.returncode:

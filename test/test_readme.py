@@ -71,8 +71,6 @@ def deviations(*overrides: str) -> tuple[float, float]:
 
 
 # --- commands ---
-
-
 @pytest.mark.parametrize("words", commands())
 def test_every_command_is_one_that_the_program_takes(words):
     words = shlex.split(words)
@@ -180,8 +178,6 @@ def test_the_oldest_python_is_that_of_the_setup():
 
 
 # --- tables ---
-
-
 def test_the_demo_prints_what_is_shown(demo):
     """Digit by digit, but for the last: compilers and processors may round it the other way."""
     shown, printed = (text.split("ran as")[0].splitlines() for text in (block("demo output"), demo.text))
@@ -203,8 +199,6 @@ def test_the_methods_are_all_named_in_their_order():
 
 
 # --- numbers ---
-
-
 @pytest.mark.parametrize(
     ("row", "place", "overrides"),
     [

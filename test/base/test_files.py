@@ -114,8 +114,6 @@ def test_a_file_or_a_forbidden_place_is_refused_before_any_work(tmp_path):
 
 
 # --- Text files ---
-
-
 @pytest.mark.parametrize(
     ("data", "line", "word"),
     [

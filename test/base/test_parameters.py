@@ -291,8 +291,6 @@ def test_a_tool_with_conditions_between_values_names_the_key():
 
 
 # --- Parameter files ---
-
-
 def write(directory, text, name="cell.yaml") -> Path:
     path = directory / name
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
@@ -419,8 +417,6 @@ def test_a_whole_number_of_thousands_of_digits_is_refused(tmp_path, value):
 
 
 # --- includes ---
-
-
 def test_the_including_file_overrides_the_included_and_later_includes_earlier_ones(tmp_path):
     write(tmp_path, wrapped("g: {a: 1, b: 1, c: 1, d: 1}"), "one.yaml")
     write(tmp_path, wrapped("includes: [one.yaml]\ng: {b: 2, c: 2}"), "two.yaml")
@@ -464,8 +460,6 @@ def test_a_mistyped_folder_never_ends_at_a_shipped_file():
 
 
 # --- key=value ---
-
-
 def test_an_assignment_sets_a_nested_key_and_the_last_one_wins():
     tree, keys = override({"g": {"a": 1, "b": 2}}, ["g.a=3", "h.i.j=[1, 2]", "g.a=4", "t=x=y"])
     assert tree == {"g": {"a": 4, "b": 2}, "h": {"i": {"j": [1, 2]}}, "t": "x=y"}

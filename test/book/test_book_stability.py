@@ -82,8 +82,6 @@ def test_disturbances_grow_and_die_as_fast_as_the_multiplier_says(share):
 
 
 # --- the oracle itself ---
-
-
 def test_semi_discretisation_finds_the_closed_form_of_turning():
     """Constant h: the borderline frequency w_c gives a h = (w_c^2 - w^2) / 2 + 2 (zeta w w_c)^2 / (w_c^2 - w^2)."""
     beyond = OMEGA * 1.02

@@ -27,8 +27,6 @@ def passes(demo):
 
 
 # --- Table 2; these bounds are the customer's ---
-
-
 def test_what_is_printed_of_a_pass_are_its_scores(passes):
     row = passes["linear"].row()
     assert row["name"] == "linear" and row["max_deviation_mm"] == 1e3 * passes["linear"].scores.max_deviation
@@ -36,8 +34,6 @@ def test_what_is_printed_of_a_pass_are_its_scores(passes):
 
 
 # --- the cell ---
-
-
 def test_the_path_starts_where_the_start_joints_put_the_tool():
     start = PAPER.workpiece.pose.inverse() @ pose(PAPER.arm, PAPER.mount, PAPER.start_joints)
     np.testing.assert_allclose(start.position, PAPER.target().position[0], atol=1e-9)
@@ -140,8 +136,6 @@ def test_a_tool_path_has_no_low_frequency_of_one_feed_direction(tmp_path):
 
 
 # --- where the workpiece is ---
-
-
 def test_the_start_joints_place_the_workpiece_and_numbers_may_move_it():
     q = "start_joints_deg=[80,-50,120,180,25,180]"
     turned = read_cell(FILE, [q])
@@ -165,7 +159,6 @@ def test_a_posture_is_given_once_at_least():
 
 
 # --- what the program says ---
-
 PROGRAM = "G21 G90\nM3 S6000\nG0 X-40 Y0 Z5\nG0 Z-1\nG1 X40 F900\nG0 Z5\nM30\n"
 SILENT = ["exchange.period_ms=0.25", "tool.spindle_speed_rpm=0"]
 
@@ -195,8 +188,6 @@ def test_a_feed_comes_from_the_cell_where_the_program_has_none_and_may_not_contr
 
 
 # --- the programmed path ---
-
-
 def test_a_straight_cut_and_a_program_answer_the_same_questions(tmp_path):
     (tmp_path / "part.nc").write_text(PROGRAM)
     program = read_cell(find_file("test_piece.yaml"), [*SILENT, f"path.file={tmp_path / 'part.nc'}"]).programmed
@@ -221,8 +212,6 @@ def test_a_cell_without_a_recording_does_not_load_the_reader_of_recordings():
 
 
 # --- effort ---
-
-
 CELL = read_cell(FILE)
 HEAD = "G21 G90 S8000 M3\n"
 
@@ -292,8 +281,6 @@ def test_an_arm_that_would_fly_off_gives_no_numbers(stiffness):
 
 
 # --- Tool paths that a cell refuses because their spindle, their tool axis or their moves cannot be meant ---
-
-
 SLOT = "x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n" + "".join(
     f"{x},0,-0.5,{{a}},{{b}},{{c}},3000\n" for x in range(-14, 20, 2)
 )

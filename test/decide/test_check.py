@@ -223,8 +223,6 @@ def test_many_findings_of_one_kind_are_gathered_under_the_worst(tmp_path, capsys
 
 
 # --- Checks of a corrected path ---
-
-
 LINE = Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], 0.08, 4 / 60, 0.05)
 TICK = 4_000_000  # [ns]
 
@@ -297,8 +295,6 @@ def test_joint_speeds_and_accelerations_are_found_by_axis_and_point():
 
 
 # --- Cells and paths that are wrong, each with the finding that it must give, and everyday programs that may be run ---
-
-
 START = "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\n"
 SLOT = START + "G0 Z-0.5\nG1 X26 F4000\nG0 Z5\nM30\n"  # the stock: x 0 to 40, y -14 to 40, z -10 to 0; cutter 20 mm
 FIRM = "dynamics.modes=[{frequency_hz: 60, damping_ratio: 0.02, shape: [0.0, 0.2, 0.0, 0.0, 0.0, 0.0]}]"
@@ -400,8 +396,6 @@ def test_a_move_below_the_bottom_of_the_stock_beside_it_may_be_run(tmp_path):
 
 
 # --- Rapid moves through material ---
-
-
 STIFFNESS = {"rigid": 1e-3, "nominal": 1.0, "10 times softer": 10.0}  #: factor of the compliances
 DANGEROUS = [row for diameter in DIAMETERS_MM for row in dangerous(diameter)]
 SOUND = [row for diameter in DIAMETERS_MM for row in sound(diameter)]

@@ -95,8 +95,6 @@ def test_the_decision_of_a_tool_path_has_walls_and_floors(tmp_path, capsys):
 
 
 # --- The three levels of the decision, the same in every output of one run, and the method that ``best`` writes ---
-
-
 MOVING = ("dynamics.reference_inertia=true", "dynamics.damping_ratio=0.04", "dynamics.mass_model=rigid")
 UM = 1e-6
 
@@ -256,8 +254,6 @@ def test_an_exchange_that_is_too_coarse_is_a_stop(tmp_path):
 
 
 # --- No dangerous program or cell of the table is released, no sound one is stopped ---
-
-
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_a_dangerous_case_is_stopped_by_its_finding_and_a_sound_case_is_released(tmp_path, case):
     result = decision_table.answer(case, tmp_path)

@@ -138,8 +138,6 @@ def test_the_workpiece_of_the_pass_itself_gives_what_a_sweep_along_the_pass_give
 
 
 # --- Directions, distances and features along a pass ---
-
-
 @pytest.fixture(scope="module")
 def stamps(cell):
     return np.arange(0, cell.target().duration_ns, 500_000)
@@ -210,8 +208,6 @@ def test_features_are_those_of_the_programme(cell, stamps):
 
 
 # --- The finished workpiece of a pass, swept once more ---
-
-
 def test_heights_at_points_are_those_of_the_map(cell, ran):
     cut = machined(cell, ran.result.tool)
     x, y, z = cut.heights(thinning=7)
@@ -230,8 +226,6 @@ def test_a_stock_without_room_for_its_tiles_is_an_error(cell, monkeypatch):
 
 
 # --- The shipped cell of the test piece ---
-
-
 COARSE = ("stock.grid_step_um=50.0", "exchange.micro_step_deg=3.0")
 
 
@@ -316,8 +310,6 @@ def test_one_pass_of_inverse_leaves_a_twentieth_of_walls_and_floors_with_every_c
 
 
 # --- Stiffness and mass that follow the posture ---
-
-
 #: 200 mm away from the arm and 100 mm across, through the stock
 FAR = HEAD + "(far)\nG0 X-100 Y-50 Z-1\nG1 X100 Y50 F3000\n"
 

@@ -198,8 +198,6 @@ def test_a_mark_among_too_many_of_other_walls_counts_alone():
 
 
 # --- The STL file, read back without the writer's code ---
-
-
 @pytest.fixture(scope="module")
 def cut(tmp_path_factory):
     cell = small_cell(tmp_path_factory.mktemp("stl"), POCKET)

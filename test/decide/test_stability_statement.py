@@ -64,8 +64,6 @@ def slot_limit() -> float:
 
 
 # --- against the limit ---
-
-
 @pytest.mark.parametrize(
     ("share", "word", "severity"),
     [(1.1, "chatter", "stop"), (0.9, "near the limit", "warning"), (0.7, "stable", None)],
@@ -108,8 +106,6 @@ def test_the_shipped_cell_with_tool_modes_is_stable_and_chatters_when_its_modes_
 
 
 # --- the engagement along the path ---
-
-
 @pytest.mark.parametrize("rotation", ["clockwise", "counterclockwise"])
 @pytest.mark.parametrize(("start", "end", "to_the_left"), [(-14, 54, True), (54, -14, False)])
 def test_half_an_immersion_is_engaged_from_the_middle_to_the_side_with_material(
@@ -164,8 +160,6 @@ def test_the_statement_of_the_test_piece_takes_few_evaluations(monkeypatch):
 
 
 # --- the same statement everywhere ---
-
-
 def unwrapped(program: str) -> str:
     """The comments of a KRL program as one line."""
     return " ".join(line.lstrip("; ") for line in program.splitlines() if line.startswith(";"))
@@ -200,8 +194,6 @@ def test_limits_over_speed_without_tool_modes_name_tool_and_spindle_as_rigid(cap
 
 
 # --- the simulated pass, with the modes of the arm alone ---
-
-
 @pytest.mark.parametrize("share, word", [(0.5, "repeats"), (2.0, "grows")])
 def test_vibration_of_the_arm_grows_in_the_pass_above_the_limit_and_not_below(soft_limit, share, word):
     cell = soft(share * soft_limit)

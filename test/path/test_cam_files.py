@@ -122,8 +122,6 @@ def test_a_tool_of_a_file_without_tools_and_a_recording_as_a_program_are_refused
 
 
 # --- APT/CL files ---
-
-
 HEAD = "PARTNO TEST PIECE\nUNITS/MM\nSPINDL/8000,RPM,CLW\n"
 
 
@@ -228,8 +226,6 @@ def test_tools_and_what_moves_nothing_are_noted(apt):
 
 
 # --- Tool paths from CSV ---
-
-
 HEADER = "x_mm,y_mm,z_mm,feed_mm_per_min\n"
 
 
@@ -317,8 +313,6 @@ def test_what_cannot_be_run_is_refused_with_line_and_word(tmp_path, suffix, text
 
 
 # --- Arcs to chords ---
-
-
 finite = st.floats(-0.2, 0.2)
 
 

@@ -186,8 +186,6 @@ def test_an_arc_may_miss_closing_by_the_rounding_of_its_numbers(read):
 
 
 # --- Drilling cycles, retracts, planes, feeds and tools of G-code ---
-
-
 HIGH = "G0 X0 Y0 Z10\n"
 
 
@@ -196,8 +194,6 @@ def millimetres(path) -> list[list[float]]:
 
 
 # --- cycles ---
-
-
 def test_pecks_end_at_the_bottom_and_start_a_clearance_above_the_last_one():
     path = Cycle(83, 10e-3, 2e-3, -5e-3, 3e-3).strokes()
     depths = [z for z, rapid in path if not rapid]
@@ -239,8 +235,6 @@ def test_a_motion_word_ends_a_cycle_and_g80_leaves_the_motion_before_it(read):
 
 
 # --- retracts ---
-
-
 @pytest.mark.parametrize(
     "home", ["G28 G91 Z0\nG90", "G91 G28 Z0.\nG90", "G53 G0 Z0", "G0 SUPA Z0", "G30 Z5", "G74 Z1=0"]
 )
@@ -272,8 +266,6 @@ def test_a_posts_feed_move_from_home_is_a_positioning_move(read):
 
 
 # --- planes, feeds, offsets ---
-
-
 @pytest.mark.parametrize(("plane", "end", "centre"), [(17, "X5 Y5", "I5"), (18, "Z15 X5", "K5"), (19, "Y5 Z15", "J5")])
 def test_clockwise_is_seen_against_the_axis_across_the_plane(read, plane, end, centre):
     quarter = read(HIGH + f"G{plane} G2 {end} {centre} F100\n")
@@ -309,8 +301,6 @@ def test_a_line_with_block_skip_is_run_and_said(read):
 
 
 # --- Names of operations and descriptions of tools, as posts write them into comments ---
-
-
 MM, INCH = 1e-3, 0.0254
 
 
@@ -368,8 +358,6 @@ def test_what_a_post_says_of_itself_is_no_operation(comment):
 
 
 # --- One pocket as seven posts write it ---
-
-
 PROGRAMS = Path(__file__).parent / "programs"
 ONE_TOOL = ("fusion_haas.nc", "fusion_grbl.nc", "freecad_linuxcnc.ngc", "mastercam_fanuc.nc", "linuxcnc.ngc",
             "sinumerik.mpf")  # fmt: skip
@@ -446,8 +434,6 @@ def test_the_holes_of_the_other_tool_are_drilled_at_their_places():
 
 
 # --- Paths at random, written in every dialect and read back ---
-
-
 GRID = st.integers(-40_000, 40_000).map(lambda n: n / 1000)  # [mm]
 HEIGHT = st.integers(-5_000, 10_000).map(lambda n: n / 1000)
 FEED = st.sampled_from([100.0, 400.0, 1250.0])
@@ -507,8 +493,6 @@ def test_a_path_written_in_a_dialect_is_read_back(tmp_path, dialect, moves):
 
 
 # --- The reader keeps pace with long programs ---
-
-
 BLOCKS = 6_000
 WORD = re.compile(r"([A-Z])([-+]?[0-9]*\.?[0-9]+)")
 #: a reader that takes 25 us a block, on a machine that finds the words of one in 3.5 us

@@ -89,8 +89,6 @@ def test_a_path_that_cannot_be_run_is_refused_with_its_block(change, index):
 
 
 # --- S-shaped ramps ---
-
-
 A, J = 2.0, 20.0
 speeds, lengths = st.floats(0, 1), st.floats(1e-6, 1)
 
@@ -100,12 +98,11 @@ def way(first, last):
     return (first + last) / 2 * ramp_time(last - first, A, J)
 
 
-def test_a_small_change_of_speed_takes_two_ramps_of_acceleration():
-    assert ramp_time(0.05, A, J) == pytest.approx(2 * np.sqrt(0.05 / J))
-
-
-def test_a_large_change_of_speed_holds_the_acceleration():
-    assert ramp_time(-1.0, A, J) == pytest.approx(1.0 / A + A / J)
+@pytest.mark.parametrize(
+    ("change", "duration"), [(0.05, 2 * np.sqrt(0.05 / J)), (-1.0, 1.0 / A + A / J), (A**2 / J, 2 * A / J)]
+)
+def test_a_small_change_of_speed_takes_two_ramps_of_acceleration_and_a_large_one_holds_it(change, duration):
+    assert ramp_time(change, A, J) == pytest.approx(duration)
 
 
 @given(speeds, lengths)
@@ -140,31 +137,19 @@ def chain() -> Ramps:
     return Ramps.make(duration, first, last, A, J)
 
 
-def test_distance_speed_and_acceleration_are_derivatives_of_each_other():
+def test_distance_speed_and_acceleration_are_derivatives_of_each_other_and_reach_their_limits():
     ramps = chain()
     time, step = np.linspace(0, ramps.start[-1], 40001, retstep=True)
     distance, speed, acceleration = ramps.sample(time)
     assert np.abs(np.gradient(distance, step) - speed)[1:-1].max() < step * A
     assert np.abs(np.gradient(speed, step) - acceleration)[1:-1].max() < step * J
-
-
-def test_acceleration_and_jerk_reach_their_limits_and_never_exceed_them():
-    ramps = chain()
-    time, step = np.linspace(0, ramps.start[-1], 40001, retstep=True)
-    acceleration = ramps.sample(time)[2]
     assert np.abs(acceleration).max() == pytest.approx(A, rel=1e-9)
     assert np.abs(np.diff(acceleration)).max() / step == pytest.approx(J, rel=1e-6)
-
-
-def test_a_chain_covers_the_mean_speed_times_the_duration_of_each_ramp():
-    ramps = chain()
-    total = np.sum((ramps.first + ramps.last) / 2 * ramps.duration)
+    total = np.sum((ramps.first + ramps.last) / 2 * ramps.duration)  # mean speed times duration of each ramp
     assert ramps.sample(np.array([ramps.start[-1] + 9.0]))[0] == pytest.approx(total)
 
 
 # --- From tool path to trajectory ---
-
-
 STEP, FEED = 0.05, 4 / 60
 FINE = Timing(controller_step=0.001)
 START = "G0 X0 Y0 Z0\nF4000\n"
@@ -362,8 +347,6 @@ def test_limits_out_of_range_are_refused(name):
 
 
 # --- Slowing down for the joints ---
-
-
 SPEED, ACCELERATION = np.full(6, 1.0), np.full(6, 8.0)
 
 
@@ -441,8 +424,6 @@ def test_joints_that_do_not_fit_or_limits_of_nothing_are_refused():
 
 
 # --- The shipped test piece has the dimensions that its comments claim ---
-
-
 FILE = Path(__file__).parents[2] / "config" / "test_piece.nc"
 CUTTER = 10.0  # mm, radius
 STOCK = 50.0  # mm, half of its side
@@ -470,16 +451,13 @@ def lines(piece, feature: str) -> list[tuple[np.ndarray, float]]:
     return walls
 
 
-def test_the_square_is_80_mm_wide_and_its_sides_are_parallel_to_the_axes(piece):
+def test_the_square_is_80_mm_wide_parallel_to_the_axes_and_its_corners_are_rolled_round(piece):
     walls = lines(piece, "square")
     assert {tuple(np.round(n).astype(int)) for n, _ in walls} == {(1, 0), (-1, 0), (0, 1), (0, -1)}
     for normal, distance in walls:
         assert np.abs(normal).max() == pytest.approx(1, abs=1e-12) and distance == pytest.approx(40, abs=1e-9)
-    assert set(cuts(piece, "square")[1][:, 2]) == {-1.2}
-
-
-def test_the_corners_of_the_square_are_rolled_round_with_the_radius_of_the_cutter(piece):
-    start, _, curvature = cuts(piece, "square")
+    start, end, curvature = cuts(piece, "square")
+    assert set(end[:, 2]) == {-1.2}
     corners = start[curvature != 0, :2]
     np.testing.assert_allclose(np.linalg.norm(np.abs(corners) - 40, axis=1), CUTTER, atol=1e-9)
     np.testing.assert_allclose(curvature[curvature != 0], -1 / CUTTER)
@@ -495,20 +473,16 @@ def test_the_circle_has_a_diameter_of_54_mm_and_is_closed(piece):
         assert distance == pytest.approx(27, abs=1e-9) and abs(normal[0]) == 1
 
 
-def test_the_diamond_is_the_square_over_the_middles_of_the_sides(piece):
+def test_the_diamond_is_the_square_over_the_middles_of_the_sides_and_the_inclined_side_leans_by_3_degrees(piece):
     walls = lines(piece, "diamond")
     assert len(walls) == 4
     for normal, distance in walls:
         np.testing.assert_allclose(np.abs(normal), np.sqrt(0.5), atol=1e-5)
         assert distance == pytest.approx(40 / np.sqrt(2), abs=1e-4)  # four digits in the file
-    assert set(cuts(piece, "diamond")[1][:, 2]) == {-0.8}
-
-
-def test_the_inclined_side_leans_by_3_degrees_from_the_corner_of_the_square(piece):
     ((normal, distance),) = lines(piece, "inclined_side")
     assert np.degrees(np.arctan2(-normal[0], -normal[1])) == pytest.approx(3, abs=1e-4)
-    assert normal @ [-40, -40] == pytest.approx(distance, abs=1e-4)
-    assert set(cuts(piece, "inclined_side")[1][:, 2]) == {-1.6}
+    assert normal @ [-40, -40] == pytest.approx(distance, abs=1e-4)  # from the corner of the square
+    assert set(cuts(piece, "diamond")[1][:, 2]) == {-0.8} and set(cuts(piece, "inclined_side")[1][:, 2]) == {-1.6}
 
 
 def test_every_feature_is_cut_clockwise_so_that_the_clockwise_spindle_mills_down(piece):

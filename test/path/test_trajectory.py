@@ -120,8 +120,6 @@ def test_a_line_without_length_feed_or_step_is_refused(value):
 
 
 # --- Trajectories as CSV ---
-
-
 RANDOM = np.random.default_rng(5)
 QUATERNION = RANDOM.normal(size=(7, 4))
 RUN = spline(
@@ -173,8 +171,6 @@ def test_a_spoilt_file_is_refused_with_its_line(tmp_path, change, line):
 
 
 # --- Where a tool stands still ---
-
-
 STOP = 5  #: knot of the corner
 
 

@@ -211,8 +211,6 @@ def test_nothing_is_written_when_the_directory_is_not_there_or_the_pair_does_not
 
 
 # --- What a program does before and behind the path: home, safe height, spindle, coolant, tool and base ---
-
-
 #: a cell's own commands, run up, home declared, tool and base of the controller's tables
 OWN = Program(
     spindle_on=("$OUT[1]=TRUE",), spindle_off=("$OUT[1]=FALSE",), coolant_on=("$OUT[2]=TRUE",),
@@ -259,8 +257,6 @@ def test_what_no_controller_reads_is_refused(wrong):
 
 
 # --- The programs of a cell, read back by a reader written here and run on an arm chain written here ---
-
-
 DATE = "2030-01-01T00:00:00+00:00"
 
 
@@ -389,8 +385,6 @@ def test_a_method_that_is_no_file_name_is_refused(cell, tmp_path, method):
 
 
 # --- RSI offset tables and joint tables ---
-
-
 LINE = Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], 0.08, 4 / 60, 0.05)
 BENT = spline(LINE.time_ns, LINE.position + np.sin(LINE.time)[:, None] * [0, 1e-4, -2e-5], ends="not-a-knot")
 
@@ -449,8 +443,6 @@ def test_joints_that_do_not_fit_the_knots_are_refused(tmp_path):
 
 
 # --- The figures of a program are those of its written points, joined as the controller joins them ---
-
-
 UM = 1e-6
 SHARE = 0.02  #: of the planned deviation
 ROUNDING = 0.12 * UM  #: points are written to 0.1 um, which an arm with a damping of 0.04 amplifies

@@ -39,8 +39,6 @@ def one_mode(frequency=OMEGA, damping=ZETA) -> ArmResponse:
 
 
 # --- The response of the arm to a correction and to a wrench, against scipy's simulation of the transfer functions ---
-
-
 def correction(smooth: bool) -> Trajectory:
     values = np.random.default_rng(2).normal(0.0, 50e-6, (KNOTS.size, 3))
     return spline(KNOTS, values) if smooth else Trajectory(KNOTS, values, (0.0, 0.0, 0.0, 1.0))
@@ -126,8 +124,6 @@ def test_eq_1_as_printed_moves_the_tool_with_the_reference():
 
 
 # --- The correction by dynamic programming, against the dense least squares of the same lifted model ---
-
-
 EIGHTH = Segments(KNOTS, 8)
 M = len(EIGHTH)
 SMOOTH = 1e-3

@@ -78,8 +78,6 @@ def ringing(t, frequency=6.69, damping=0.18):
 
 
 # --- exact cases ---
-
-
 def test_linear_takes_away_what_is_linear_between_the_knots():
     target = line()
     values = np.random.default_rng(1).normal(0, 50e-6, (len(target), 3))
@@ -125,8 +123,6 @@ def test_times_orientation_and_frame_stay(smooth):
 
 
 # --- orders of convergence ---
-
-
 @check(
     "order of the interpolation, {method}", "interpolation theory: 2 for straight lines, 4 for a cubic C2 spline; "
     "learned gains at the ends too", cases=("method expected low high", [
@@ -169,8 +165,6 @@ def test_learned_is_better_than_spline_in_what_it_minimises(frequency, damping):
 
 
 # --- limits and errors ---
-
-
 def test_knots_without_samples_stay_bounded():
     """A pass that was heard of only up to its middle."""
     target = line()
@@ -257,8 +251,6 @@ def test_the_slopes_are_scipys_and_a_stop_is_the_only_knot_where_the_spline_is_n
 
 
 # --- Compensation along a tool path ---
-
-
 METHODS = ("linear", "spline", "learned", "mirror")
 SMOOTH = ("spline", "learned", "mirror")
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cuttings import LAWS
-from kienzle import KienzleLaw
 from slot import fitted_order
 
 from kr270_milling.base.errors import MillingError
@@ -22,12 +20,7 @@ SPEED = 8000.0 * math.pi / 30.0  # [rad/s]
 VELOCITY = FEED * TEETH * SPEED / (2.0 * math.pi)
 MICRO_STEP = math.radians(1.0)
 AXIAL = Cutting("linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6, axial_edge=2e3))
-THIRD = KienzleLaw(700e6, 0.25, 0.35)  # ordinary aluminium
-CUTTINGS = {
-    "fractional": LAWS["fractional"],
-    "linear_edge": AXIAL,
-    "kienzle": SimpleNamespace(active=THIRD, coefficients=THIRD.coefficients, moments=True, end_ratio=1.0),
-}
+CUTTINGS = {"fractional": LAWS["fractional"], "linear_edge": AXIAL}
 #: y of the material as shares of R: the tool turns clockwise and feeds along +x
 IMMERSIONS = {
     "slot": (-1.1, 1.1),

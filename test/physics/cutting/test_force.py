@@ -69,8 +69,6 @@ def integral(law: str, entry: float, leave: float, exact: bool = True) -> np.nda
 
 
 # --- mean forces of the paper's cutter ---
-
-
 @check("force of one tooth at h = 0.125 mm, 1 mm deep", "(26), k_0 read per millimetre of depth [derived]", "N")
 def test_one_tooth():
     return 133.3, PAPER_LAW.force_per_depth(FEED)[0] * DEPTH, 0.05
@@ -164,8 +162,6 @@ def test_runout_and_unequal_pitch_agree_with_the_quadrature():
 
 
 # --- invariants ---
-
-
 @check("work of the tangential force / (K_tc volume removed)", "energy: of the spindle, torque, and of the feed, force")
 def test_work():
     law = AL7075_T6.replace(tangential_edge=0.0, radial_cutting=0.0, radial_edge=0.0)
@@ -221,7 +217,6 @@ def test_force_is_proportional_to_depth_and_stops_at_the_stock_s_bottom():
 
 
 # --- six components, a helix; [m], feed per tooth ---
-
 TEETH, RADIUS, SMALL_FEED, DEEP = 4, 10e-3, 0.05e-3, 8e-3
 LAW = AL7075_T6.replace(axial_cutting=220e6, axial_edge=5e3)
 AXIAL = Cutting("linear_edge", linear_edge=LAW)
@@ -374,8 +369,6 @@ def test_forces_only_are_what_the_paper_sums_up():
 
 
 # --- the oracle of chips between two trochoids, and orders of convergence ---
-
-
 def test_exact_chips_tend_to_the_cosine_and_those_of_a_revolution_add_up_to_the_area_fed():
     """2 R f of slot a revolution, but for the scallops between the teeth's marks on both walls."""
     phi = np.radians([-80.0, -30.0, 0.0, 45.0, 85.0])

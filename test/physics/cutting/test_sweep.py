@@ -17,7 +17,7 @@ from kr270_milling.base.errors import ConfigError, ParameterError
 from kr270_milling.base.record import build
 from kr270_milling.physics.cutting import Cut, Stock, Tool, lanes, make_params, make_state
 from kr270_milling.physics.cutting.fill import clear_quad
-from kr270_milling.physics.cutting.grid import TILE, levels_in_window, tile_count
+from kr270_milling.physics.cutting.grid import tile_count
 from kr270_milling.physics.cutting.lanes import LANES, NODE, build_lanes, lower_lanes, lower_one_by_one
 
 PAPER = {"diameter_mm": 20.0, "teeth": 4, "spindle_speed_rpm": 8000.0}
@@ -70,8 +70,6 @@ def test_a_micro_step_must_divide_a_revolution(degrees):
 
 
 # --- The stock's record, its levels and its tiles ---
-
-
 BOX = {"min_mm": [0.0, -12.0, -10.0], "max_mm": [100.0, 12.0, 0.0]}
 
 
@@ -97,23 +95,7 @@ def test_impossible_stocks_are_refused(change):
         build(Stock, {**BOX, **change})
 
 
-def test_windows_are_put_together_from_tiles_wherever_they_lie_in_the_pool():
-    rng = np.random.default_rng(1)
-    whole = rng.integers(0, 65535, (3 * TILE, 2 * TILE)).astype(np.uint16)
-    table = np.array([[4, 0], [-1, 2], [1, 3]], np.int32)
-    whole[TILE : 2 * TILE, :TILE] = 0
-    pool = np.zeros(5 * TILE**2, np.uint16)
-    for (tx, ty), slot in np.ndenumerate(table):
-        if slot >= 0:
-            tile = whole[tx * TILE : (tx + 1) * TILE, ty * TILE : (ty + 1) * TILE]
-            pool[slot * TILE**2 : (slot + 1) * TILE**2] = tile.ravel()
-    ix, iy = np.arange(200, 700, 3), np.arange(100, 300, 7)
-    assert np.array_equal(levels_in_window(pool, table, ix, iy), whole[np.ix_(ix, iy)])
-
-
 # --- The innermost step of the sweep ---
-
-
 def lowered(lower, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Pool and log after 16 nodes from number 5 were lowered to level 300; the log from number 2 on."""
     pool = np.random.default_rng(count).integers(0, 600, 40).astype(np.uint16)
@@ -168,8 +150,6 @@ def test_the_instructions_are_valid_with_opaque_pointers(monkeypatch):
 
 
 # --- Clearing of polygons, against a point-in-polygon test by crossing numbers ---
-
-
 SIZE = 30
 STOCK_FILL = Stock(min=np.zeros(3), max=np.array([3e-3, 3e-3, 1e-3]), grid_step=1e-4)
 PARAMS = make_params(Tool(diameter=1e-3, teeth=1, spindle_speed=1.0), PAPER_LAW, STOCK_FILL, np.radians(10.0))
@@ -204,8 +184,6 @@ def test_a_quadrilateral_is_cleared_inside_and_nowhere_else(xs, ys):
 
 
 # --- The compiled sweep against a brute-force oracle on small grids, and what a sweep must conserve ---
-
-
 STEP = 1e-4  # [m] grid step of the small grids here
 NODES = 40
 

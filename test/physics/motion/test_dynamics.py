@@ -66,8 +66,6 @@ def stiffness_matrix(model):
 
 
 # --- closed forms ---
-
-
 @check("free vibration of one degree of freedom over 0.5 s", "closed form, relative to the start")
 def test_free_vibration():
     states, deflections = run(one_degree(), ZETA, 1e-3, 500, np.array([1e-4, 2e-3]), np.zeros(6))
@@ -109,14 +107,6 @@ def test_exponential(inertia, period):
     return 0.0, np.abs((transition - exact[: 2 * r, : 2 * r]) / scale * scale.T).max(), 1e-11
 
 
-@pytest.mark.parametrize("parts", [2, 7, 40])
-def test_a_held_force_may_be_stepped_over_in_any_number_of_steps(parts):
-    model, state = modes(COMPLIANCE, MASS), RANDOM.normal(size=12) * 1e-4
-    whole, _ = run(model, ZETA, 0.02, 1, state, WRENCH)
-    states, _ = run(model, ZETA, 0.02 / parts, parts, state, WRENCH)
-    np.testing.assert_allclose(states[-1], whole[-1], rtol=1e-10, atol=1e-13)
-
-
 @check(
     "long held wrench, {inertia} inertias: deflection of all six components",
     "compliance times wrench (condensed, not sliced)", cases=("inertia", [("six",), ("three",)]),
@@ -128,8 +118,6 @@ def test_static_limit(inertia):
 
 
 # --- condensation ---
-
-
 def test_condensing_keeps_the_compliance_where_slicing_the_stiffness_would_not():
     _, stiffness, *_ = condense(COMPLIANCE, TRANSLATIONS)
     np.testing.assert_allclose(np.linalg.inv(stiffness), COMPLIANCE[:3, :3], rtol=1e-12)
@@ -164,8 +152,6 @@ def test_a_moment_turns_massless_rotations_at_once():
 
 
 # --- energy ---
-
-
 def energies(model, states):
     """Kinetic and potential energy [J], (n,)."""
     r = model.frequency.size
@@ -203,8 +189,6 @@ def test_the_work_of_a_held_force_is_what_is_stored_and_what_is_dissipated():
 
 
 # --- several postures ---
-
-
 def test_between_two_postures_the_matrices_are_interpolated_and_after_the_last_they_stay():
     models = [modes(COMPLIANCE * s, TRANSLATIONS) for s in (1.0, 1.3, 0.8)]
     arm = arm_model(models, ZETA, 5e-4, 4.0)
@@ -248,8 +232,6 @@ def test_a_mass_or_compliance_that_no_arm_has_is_refused(softness, mass):
 
 
 # --- Modes of the arm in workpiece axes, from its elastostatics and mass ---
-
-
 PAPER = read_cell(find_file("paper.yaml"))
 
 
@@ -306,8 +288,6 @@ def test_a_path_of_postures_gives_one_set_of_matrices_each():
 
 
 # --- Measured modes against the arm whose modes they are, closed forms, and what a file may say of them ---
-
-
 SHORT = "path.length_mm=14.4"
 GROUPS = """/**:
   ros__parameters:

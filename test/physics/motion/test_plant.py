@@ -79,8 +79,6 @@ def test_the_path_is_the_models_and_the_arm_is_the_plants(cell):
 
 
 # --- Backlash ---
-
-
 LEVER, WIDTH, FRICTION = 1.5, 1e-4, 100.0  # [m], [rad], [N m]
 
 

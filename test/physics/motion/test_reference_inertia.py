@@ -66,8 +66,6 @@ def polygon(periods=400, every=20, size=1e-4):
 
 
 # --- transfer function ---
-
-
 @check(
     "M delta'' + C delta' + K delta = -M r'', straight lines with corners, zeta {zeta}",
     "scipy.signal.lsim of (C s + K) / (M s^2 + C s + K), exact for lines, relative",
@@ -102,8 +100,6 @@ def test_every_mode_of_a_coupled_arm_follows_its_own_filter(mass):
 
 
 # --- closed forms ---
-
-
 @check("corner of 0.4 mm/s in the reference, zeta {zeta}", "-dv / omega_d exp(-zeta omega t) sin(omega_d t), 9.5 um at "
        "6.7 Hz without damping, relative", cases=("zeta", [(0.0,), (ZETA,)]))  # fmt: skip
 def test_corner(zeta):
@@ -168,15 +164,6 @@ def test_a_cubic_reference_is_integrated_exactly_for_the_coupled_arm():
     np.testing.assert_allclose(states[-1], state, atol=1e-9 * np.abs(states).max())
 
 
-def test_a_smooth_reference_may_be_stepped_over_in_any_number_of_periods():
-    model = modes(SOFT, HEAVY)
-    times = np.arange(6) * 0.02
-    reference = knots(times, RANDOM.normal(size=(6, 3)) * 1e-4, RANDOM.normal(size=(6, 3)) * 1e-3)
-    coarse, _ = deflections(model, reference, 5, period=0.02)
-    fine, _ = deflections(model, reference, 500, period=0.0002)
-    np.testing.assert_allclose(fine[::100], coarse, atol=1e-9 * np.abs(coarse).max())
-
-
 def test_a_corner_within_a_period_costs_an_error_of_second_order_in_the_period():
     """Impulse and first moment of the corner are met; the second moment is wrong by less than dv H^2 / 4."""
     gaps = []
@@ -192,8 +179,6 @@ def test_a_corner_within_a_period_costs_an_error_of_second_order_in_the_period()
 
 
 # --- energy ---
-
-
 @check("energy of the undamped arm / work of its motors, r' (M z'') over straight lines", "conservation of energy")
 def test_work_of_the_motors():
     """Without damping z'M z' / 2 + delta' K delta / 2 grows by the work of M z'' along r', lines between corners."""
@@ -214,8 +199,6 @@ def test_work_of_the_motors():
 
 
 # --- rotations, start, corners ---
-
-
 def test_a_turning_reference_moves_an_arm_with_rotary_inertia_and_no_other():
     angles = np.array([0.0, 0.0, 0.02, 0.02])
     turned = Rotation.from_rotvec(np.outer(angles, [1.0, 0.0, 0.0])).as_quat()
@@ -254,8 +237,6 @@ def test_a_correction_that_sets_out_at_once_is_a_corner_in_the_programmed_motion
 
 
 # --- one step function for everybody ---
-
-
 def cell(*assignments):
     return read_cell(find_file("paper.yaml"), ("path.length_mm=14.4", *assignments))
 
@@ -286,8 +267,6 @@ def test_between_two_postures_the_response_goes_in_a_straight_line():
 
 
 # --- compensated by (1) as printed, milled with the term ---
-
-
 def compensated_as_printed(method):
     printed, moving = (
         read_cell(find_file("paper.yaml"), (f"dynamics.reference_inertia={on}",)) for on in ("false", "true")

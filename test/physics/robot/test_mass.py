@@ -41,8 +41,6 @@ def rigid(x: float) -> np.ndarray:
 
 
 # --- beams ---
-
-
 @check("beam mass matrix (23)", "Gauss quadrature of the kinetic energy (18)-(22)")
 def test_beam():
     """4 Gauss points are exact to x^7."""
@@ -104,8 +102,6 @@ def test_the_energy_consistent_mass_is_the_sum_over_the_links_with_the_loaded_sp
 
 
 # --- rigid links ---
-
-
 @check("rigid links: M_theta at 100 postures, heavy spindle", "pinocchio's crba", "kg m^2")
 def test_rigid_joint_mass():
     model, data, _ = pinocchio_arm(UNEVEN, TURNED, tubes=True)
@@ -152,8 +148,6 @@ def test_the_paper_s_beams_hold_so_much_of_the_inertia_of_rigid_links():
 
 
 # --- natural frequencies ---
-
-
 def _modes(model: str) -> np.ndarray:
     soft = compliance(equilibrium(ARM, BARE, PAPER, gravity=False), ARM)
     return mode_frequencies(soft, cartesian_mass(ARM, BARE, PAPER, model))

@@ -48,8 +48,6 @@ NONE = np.zeros((100, 6))
 
 
 # --- torques of loads ---
-
-
 @check("torque of the link weights at 100 postures", "pinocchio", "N m")
 def test_pinocchio_gravity():
     model, data, _ = pinocchio_arm(UNEVEN, TURNED)
@@ -104,8 +102,6 @@ def test_the_torque_of_a_wrench_is_the_transposed_jacobian_times_it():
 
 
 # --- equilibria ---
-
-
 @check("equilibrium (7): largest torque out of balance", "0: torques of weights and 1 kN balance, 50 postures", "N m")
 def test_residual():
     solved = equilibrium(ARM, SPINDLE, NEAR, LOADS)
@@ -205,8 +201,6 @@ def test_loads_and_poses_without_an_equilibrium_are_errors_that_say_so():
 
 
 # --- stiffness and compliance ---
-
-
 def kilonewton(moments: bool) -> np.ndarray:
     wrenches = np.random.default_rng(8).normal(size=(20, 6))
     wrenches[:, :3] *= 1000 / np.linalg.norm(wrenches[:, :3], axis=-1, keepdims=True)
@@ -294,7 +288,6 @@ def test_a_rotated_matrix_keeps_the_energy():
 
 
 # --- the gravity compensator ---
-
 SPRING = GravityCompensator(stiffness=50e3, preload=6e3, base_x=-0.69, base_z=0.12, arm_length=0.18)
 ANGLES = np.radians(np.linspace(-140.0, -5.0, 4))
 
@@ -361,7 +354,6 @@ def test_a_balanced_arm_sags_less_and_without_weights_there_is_no_compensator():
 
 
 # --- the answer of the command stiffness ---
-
 WRENCH = np.array([300.0, -150.0, 80.0, 20.0, -10.0, 5.0])
 
 

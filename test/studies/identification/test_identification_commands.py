@@ -180,8 +180,6 @@ def test_hostile_options_are_refused(capsys, words):
 
 
 # --- The README of the folder ---
-
-
 ROOT = Path(__file__).resolve().parents[3]
 TEXT = (ROOT / "kr270_milling" / "studies" / "identification" / "README.md").read_text(encoding="utf-8")
 

@@ -243,8 +243,6 @@ def test_too_few_numbers_and_an_arm_that_falls_are_refused(rng):
 
 
 # --- Identified intervals reach the plants of the verdict ---
-
-
 SPREADS = [0.01, 0.02, 0.04, 0.08, 0.16, 0.32]
 
 
@@ -280,8 +278,6 @@ def test_lists_of_another_length_are_refused():
 
 
 # --- Plans of load tests: the design is what it claims, the exchange finds the best of what can be enumerated ---
-
-
 BENCH = Bench(MOUNT.xyz)
 POSE = read_test_pose(find_file("test_piece.yaml"), MOUNT)
 
@@ -405,8 +401,6 @@ def test_a_known_base_of_the_arm_file_is_a_part_of_the_model(rng):
 
 
 # --- Tables of load tests in and out ---
-
-
 HEAD = "a1_deg,a2_deg,a3_deg,a4_deg,a5_deg,a6_deg"
 POSTURE = "10,-80,100,20,30,40"
 
@@ -486,8 +480,6 @@ def test_a_misspelt_column_and_a_posture_out_of_the_limits_are_refused(tmp_path)
 
 
 # --- Compare a measured pass with the simulated pass: lag, gains and advice, for a known plant ---
-
-
 CELL = read_cell(find_file("paper.yaml"), ["path.length_mm=40.0", "stock.grid_step_um=40.0"])
 
 

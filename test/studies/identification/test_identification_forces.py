@@ -151,8 +151,6 @@ def test_unusable_rows_are_refused_with_their_line(tmp_path, row, text):
 
 
 # --- The shipped table of published force coefficients ---
-
-
 def test_every_material_has_a_source_and_the_coefficients_of_the_milling_plane():
     rows = materials()
     assert len(rows) >= 6
@@ -164,8 +162,6 @@ def test_every_material_has_a_source_and_the_coefficients_of_the_milling_plane()
 
 
 # --- Modes from ring-downs and impacts of machines that are known ---
-
-
 #: a milling robot as measured: 7.07 Hz (3.7 %), 10.3 Hz (2.2 %), 16.0 Hz (2.3 %) [shared facts of the project]
 MEASURED = [(7.07, 0.037, [1.0, 0.2, 0.0]), (10.3, 0.022, [0.3, 1.0, 0.1]), (16.0, 0.023, [0.0, 0.4, 1.0])]
 

@@ -139,8 +139,6 @@ def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path, capsys)
 
 
 # --- Sweeps: axes, samples, rows that do not depend on the chunk. Workers are in ``test_engine`` ---
-
-
 SHORT = ("path.length_mm=4", "stock.grid_step_um=40", "stock.max_mm=[4,12,0]")
 
 
@@ -210,8 +208,6 @@ def test_a_folder_of_another_study_is_refused(tmp_path):
 
 
 # --- The turn of the tool along a path ---
-
-
 GRID = np.radians(np.arange(-90.0, 91.0, 10.0))
 ARM, _ = read_arm(find_file("kr270_2.yaml"))
 
