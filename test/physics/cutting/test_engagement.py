@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cuttings import LAWS
+from kienzle import KienzleLaw
+from milled_part import POCKET, small_cell
 from slot import fitted_order
 
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
+from kr270_milling.cell.jobs import simulate
+from kr270_milling.decide.part import assess
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, EngagementCut, Stock, Tool
+from kr270_milling.physics.cutting.engagement import BINS
 from kr270_milling.physics.motion.milling_pass import run_pass
 
 RADIUS, TEETH, DEPTH, FEED = 10e-3, 4, 1e-3, 0.125e-3  # [m]; feed per tooth
@@ -20,7 +26,9 @@ SPEED = 8000.0 * math.pi / 30.0  # [rad/s]
 VELOCITY = FEED * TEETH * SPEED / (2.0 * math.pi)
 MICRO_STEP = math.radians(1.0)
 AXIAL = Cutting("linear_edge", linear_edge=AL7075_T6.replace(axial_cutting=220e6, axial_edge=2e3))
-CUTTINGS = {"fractional": LAWS["fractional"], "linear_edge": AXIAL}
+THIRD = KienzleLaw(700e6, 0.25, 0.35)  # ordinary aluminium
+THIRD_CUTTING = SimpleNamespace(active=THIRD, coefficients=THIRD.coefficients, moments=True, end_ratio=1.0)
+CUTTINGS = {"fractional": LAWS["fractional"], "linear_edge": AXIAL, "kienzle": THIRD_CUTTING}
 #: y of the material as shares of R: the tool turns clockwise and feeds along +x
 IMMERSIONS = {
     "slot": (-1.1, 1.1),
@@ -64,18 +72,22 @@ def closed_form(cutting, cutter: Tool, low: float, high: float) -> np.ndarray:
     ])  # fmt: skip
 
 
-def mean_force(cutting, immersion: str, helix: float = 0.0, dt: float = 4e-3, grid_step: float = 1e-4) -> np.ndarray:
-    """Mean (3,) [N] where the tool is fully engaged."""
-    cut = EngagementCut(tool(helix), cutting, block(*IMMERSIONS[immersion], grid_step), MICRO_STEP)
+def forces(cutting, immersion: str, helix=0.0, dt=4e-3, grid_step=1e-4, bins: int = BINS) -> np.ndarray:
+    """(n, 3) [N] where the tool is fully engaged."""
+    cut = EngagementCut(tool(helix), cutting, block(*IMMERSIONS[immersion], grid_step), MICRO_STEP, bins)
     path, steps = straight(dt, 40e-3 + RADIUS)
-    wrench = cut.along(path, steps)[0]
-    return wrench[(path[:, 0] > 2 * RADIUS) & (path[:, 0] < 28e-3), :3].mean(axis=0)
+    return cut.along(path, steps)[0][(path[:, 0] > 2 * RADIUS) & (path[:, 0] < 28e-3), :3]
 
 
 def error(cutting, immersion: str, **options) -> float:
     """Of the mean force, a share of its size."""
     exact = closed_form(cutting, tool(), *IMMERSIONS[immersion])
-    return float(np.abs(mean_force(cutting, immersion, **options) - exact).max() / np.linalg.norm(exact))
+    mean = forces(cutting, immersion, **options).mean(axis=0)
+    return float(np.abs(mean - exact).max() / np.linalg.norm(exact))
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 @pytest.mark.parametrize("helix", [0.0, 30.0, 45.0])
@@ -137,7 +149,7 @@ def test_the_thrust_of_a_plunge_is_that_of_the_law_on_all_teeth():
 
 
 def test_the_end_ratio_leaves_a_level_cut_unchanged():
-    assert np.array_equal(mean_force(AXIAL.replace(end_ratio=3.0), "half up"), mean_force(AXIAL, "half up"))
+    assert np.array_equal(forces(AXIAL.replace(end_ratio=3.0), "half up"), forces(AXIAL, "half up"))
 
 
 def test_a_ramp_removes_the_wedge_below_the_path():
@@ -174,16 +186,11 @@ def test_a_step_taken_back_leaves_every_bit_of_the_state(sinking):
 
 
 def test_the_error_falls_with_the_step_of_the_map():
-    """Scatter of the force over the steps; nodes that a step removes at random give an order of about one."""
-    steps = [4e-4, 2e-4, 1e-4, 5e-5]
-    scatter = []
-    for grid_step in steps:
-        cut = EngagementCut(tool(), AXIAL, block(*IMMERSIONS["slot"], grid_step), MICRO_STEP)
-        path, counts = straight(4e-3, 40e-3 + RADIUS)
-        force = cut.along(path, counts)[0][:, :3]
-        scatter.append(float(force[(path[:, 0] > 2 * RADIUS) & (path[:, 0] < 28e-3)].std(axis=0).max()))
-    assert fitted_order(steps, scatter) > 0.7
-    assert scatter[2] < 0.03 * np.linalg.norm(closed_form(AXIAL, tool(), -1.0, 1.0))
+    """Scatter of the force over the steps: cells that are cut in part alias with the step of the path."""
+    steps = [8e-4, 4e-4, 2e-4, 1e-4, 5e-5]
+    scatter = [float(forces(AXIAL, "slot", grid_step=step).std(axis=0).max()) for step in steps]
+    assert fitted_order(steps, scatter) > 0.8
+    assert scatter[2] < 0.006 * np.linalg.norm(closed_form(AXIAL, tool(), -1.0, 1.0))
 
 
 def test_the_mean_force_does_not_depend_on_the_length_of_a_step():
@@ -191,23 +198,60 @@ def test_the_mean_force_does_not_depend_on_the_length_of_a_step():
     assert max(error(AXIAL, "half down", dt=dt) for dt in (1e-3, 2e-3, 4e-3, 8e-3)) < 0.01
 
 
-def test_the_test_piece_deflects_as_under_the_swept_teeth():
-    results = []
+def test_the_error_falls_with_the_square_of_the_number_of_bins():
+    bins = [8, 12, 16, 24]
+    errors = [error(THIRD_CUTTING, "half down", bins=count) for count in bins]
+    assert fitted_order(1.0 / np.array(bins), errors) > 1.7
+    assert error(THIRD_CUTTING, "half down") < errors[-1] / 4
+
+
+def test_the_deflection_converges_with_the_exchange_period(tmp_path):
+    def deflection(period: float):
+        words = [f"exchange.engagement_period_ms={period}", "cutting.detail=engagement", "tool.teeth=4"]
+        cell = small_cell(tmp_path, POCKET, *words, "exchange.micro_step_deg=1.0")
+        target = cell.target()
+        result = run_pass(cell.arm_model(target), cell.cut(), cell.clock, target, target)
+        return result.time_ns, result.deflection[:, :3]
+
+    time, finest = deflection(0.25)
+    errors = []
+    for period in (16.0, 8.0, 4.0, 2.0):
+        stamps, coarse = deflection(period)
+        rows = np.searchsorted(time, stamps[stamps <= time[-1]])
+        errors.append(rms(coarse[: rows.size] - finest[rows]))
+    assert fitted_order([16.0, 8.0, 4.0, 2.0], errors) > 1.4
+    assert errors[2] < 0.5e-6
+
+
+@pytest.fixture(scope="module")
+def milled():
+    """The pass and its assessment by each model."""
+    results = {}
     for detail in ("teeth", "engagement"):
         cell = read_cell(find_file("test_piece.yaml"), [f"cutting.detail={detail}"])
-        target = cell.target()
-        results.append(run_pass(cell.arm_model(target), cell.cut(), cell.clock, target, target))
-    teeth, mean = results
+        ran = simulate(cell)
+        results[detail] = ran.result, assess(cell, ran).whole
+    return results
+
+
+def test_the_test_piece_deflects_as_under_the_swept_teeth(milled):
+    teeth, mean = (milled[detail][0] for detail in ("teeth", "engagement"))
     at = np.searchsorted(teeth.time_ns, mean.time_ns[1:-1])
-    swept = teeth.deflection[at, :3]
-    difference = np.linalg.norm(mean.deflection[1:-1, :2] - swept[:, :2], axis=1)
+    swept, engaged = teeth.deflection[at, :3], mean.deflection[1:-1, :3]
     for axis in range(3):
-        largest = np.abs(swept[:, axis]).max(), np.abs(mean.deflection[:, axis]).max()
-        assert largest[1] == pytest.approx(largest[0], rel=0.02, abs=0.5e-6)
-        root = [float(np.sqrt(np.mean(a[:, axis] ** 2))) for a in (swept, mean.deflection[1:-1, :3])]
-        assert root[1] == pytest.approx(root[0], rel=0.02, abs=0.5e-6)
-    assert np.sqrt(np.mean(difference**2)) < 1.5e-6
-    assert mean.removed_volume == pytest.approx(teeth.removed_volume, rel=0.005)
+        for measure in (np.max, rms):
+            before, after = (measure(np.abs(series[:, axis])) for series in (swept, engaged))
+            assert after == pytest.approx(before, rel=0.02, abs=0.5e-6)
+    difference = np.linalg.norm(engaged[:, :2] - swept[:, :2], axis=1)
+    assert difference.max() < 5e-6
+    assert rms(difference) < 1e-6
+    assert mean.removed_volume == pytest.approx(teeth.removed_volume, rel=0.002)
+
+
+@pytest.mark.parametrize("name", ["max_normal", "max_vertical", "max_wall", "mean_wall", "max_floor", "mean_floor"])
+def test_errors_of_the_test_piece_are_those_of_the_swept_teeth(milled, name):
+    teeth, mean = (getattr(milled[detail][1], name) for detail in ("teeth", "engagement"))
+    assert mean == pytest.approx(teeth, rel=0.02, abs=0.5e-6)
 
 
 @pytest.mark.parametrize("value, detail", [("auto", "teeth"), ("teeth", "teeth"), ("engagement", "engagement")])
@@ -225,7 +269,7 @@ def test_a_long_program_is_cut_by_its_engagement_and_may_ask_for_the_teeth(tmp_p
     cell = read_cell(find_file("test_piece.yaml"), words)
     assert cell.by_engagement
     assert cell.clock.period == pytest.approx(4e-3) and cell.clock.micro_steps == 192
-    assert cell.stock.grid_step == pytest.approx(1e-4)
+    assert cell.stock.grid_step == pytest.approx(2e-4)
     assert "engagement" in cell.cut_text
     assert not read_cell(find_file("test_piece.yaml"), [*words, "cutting.detail=teeth"]).by_engagement
 
