@@ -77,7 +77,7 @@ class Imperfections(Record):
             return wrench
         size = self.wrench_noise * np.array([1.0] * 3 + [SENSOR_LEVER] * 3)
         noise = np.random.default_rng([self.seed, self.first_pass + number, 1]).standard_normal(wrench.shape)
-        return np.where(wrench.any(axis=1)[:, None], wrench + size * noise, 0.0)
+        return np.where(wrench.any(axis=1, keepdims=True), wrench + size * noise, 0.0)
 
     def lagged(self, reference: Trajectory, target: Trajectory) -> Trajectory:
         """The course of motors that follow the correction c = reference - target late, and the target at once.
