@@ -206,7 +206,7 @@ class Uncertainty(Record):
 
     Joint compliances of one type differ by 7 to 20 % from robot to robot, and the springs of joints 1 to 3 of a KR 300
     R2500 (JonasWeigand/Robot_Identification: 0.218, 0.133, 0.244 urad/(N m)) by 6 to 16 % from Table 1 of the paper.
-    The four published K_tc of aluminium 7075 scatter by 34 % (``materials.csv``). The other defaults are assumed: modal
+    The four published K_tc of aluminium 7075 scatter by 33 % (``materials.csv``). The other defaults are assumed: modal
     damping scatters by a third from mode to mode, frequencies by a tenth; a part is touched off within a few hundredths
     of a millimetre. Repeatability, noise, backlash, wear, and the compliances of a base or a tool that the cell takes
     as rigid are drawn evenly from 0 to the value here.
