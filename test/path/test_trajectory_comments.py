@@ -74,8 +74,8 @@ def test_what_happens_inside_an_operation_is_no_operation(comment):
 def test_a_comment_on_the_way_to_the_first_cut_is_inside_the_operation(tmp_path, change, names):
     """In a program with tools; a program without tools may be written by hand, with a comment anywhere."""
     program = (
-        f"G21 G90\n(POCKET 1)\n{change}G0 X0 Y0 Z5\n(BOTTOM)\nG1 Z-1 F500\nX10\nG0 Z5\n(POCKET 2)\nG0 X20\nG1 Z-1\nX30\n"
-        "G0 Z5\nM30\n"
+        f"G21 G90\n(POCKET 1)\n{change}G0 X0 Y0 Z5\n(BOTTOM)\nG1 Z-1 F500\nX10\nG0 Z5\n"
+        "(POCKET 2)\nG0 X20\nG1 Z-1\nX30\nG0 Z5\nM30\n"
     )
     (tmp_path / "part.nc").write_text(program)
     assert read_toolpath(tmp_path / "part.nc").program.operations == names

@@ -21,7 +21,7 @@ from kr270_milling.physics.cutting.state import FAILED, LEVEL_SUM
 from kr270_milling.physics.motion.dynamics import ArmModel, advance
 from kr270_milling.physics.motion.exchange import Clock
 
-__all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass"]
+__all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass", "silent_periods"]
 
 CHUNK = 200  # exchange periods between two reports of progress
 FLIGHT = 0.05  # [m]; an arm that is linear about its posture is no model of one that is pushed so far
@@ -160,6 +160,16 @@ def _exchange(first, last, iterations, reference, silent, arm, state, wrench, cu
     return True
 
 
+def silent_periods(silent: np.ndarray) -> np.ndarray:
+    """Whether a period has no force, (n + 1,) bool, by its end; silent (n + 1,): whether its end has none.
+
+    The period in which the drilling ends has no force either.
+    """
+    without = np.array(silent, bool)
+    without[1:] |= without[:-1]
+    return without
+
+
 def run_pass(
     model: ArmModel,
     cut: CutModel,
@@ -185,8 +195,7 @@ def run_pass(
     out[0][0] = course[0]
     state, wrench = np.zeros(model.states), np.zeros(6)
     arm = (model.push(reference, stamps), model.arrays)
-    without = np.zeros(n + 1, bool) if silent is None else np.array(silent(stamps))
-    without[1:] |= without[:-1]  # the period in which the drilling ends
+    without = np.zeros(n + 1, bool) if silent is None else silent_periods(silent(stamps))
     carried = (cut.state, cut.params, clock.micro_steps, out)
     _exchange(0, 0, iterations, course, without, arm, state, wrench, *carried)  # compiled before the clock runs
     area, volume, start = cut.removed_area, cut.removed_volume, time.perf_counter()
