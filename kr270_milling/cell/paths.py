@@ -50,6 +50,7 @@ class StraightCut:
     cutting_time = 0.0  #: [s], of a program
     fed = None  #: the tool path under the limits of the controller alone
     timed = None  #: the tool path under the limits of controller and joints
+    drills = False  #: whether the program has a drilling cycle
 
     @property
     def name(self) -> str:
@@ -241,6 +242,11 @@ class ProgramPath:
     def rapid_at(self, time_ns: np.ndarray) -> np.ndarray:
         """Whether the tool makes a rapid move at times (n,) [ns]."""
         return self.timed.toolpath.rapid[self.timed.block_at(time_ns)]
+
+    @property
+    def drills(self) -> bool:
+        """Whether the program has a drilling cycle."""
+        return bool(self.fed.toolpath.drilling.any())
 
     def drilling_at(self, time_ns: np.ndarray) -> np.ndarray:
         """Whether the tool is in a hole of a drilling cycle at times (n,) [ns]."""

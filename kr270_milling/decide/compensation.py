@@ -48,7 +48,7 @@ class VerdictOrder:
 class JudgedCompensation:
     """Both passes and the decision on them."""
 
-    original: ScoredPass
+    original: ScoredPass  #: of the original program as written
     planned: ScoredPass  #: along the planned reference
     revised: ScoredPass  #: of the program as written; its reference is the planned one
     by: Compensator
@@ -89,15 +89,18 @@ def compensate(
     by = compensator(cell, cell.target(), None if method == NO_METHOD else method)
     motions = tuple(motions) or (cell.program.motion if by.chosen.smooth else "LIN",)
     motion = "LIN" if "LIN" in motions else motions[0]  # LIN motions are blended
-    if method == NO_METHOD:
-        planned = revised = replace(original, name=NO_METHOD)
-    else:
+    planned = revised = original
+    if method != NO_METHOD:
         with progress(by.method, by.most_passes) as report:
             planned = compensated(cell, original, method, report, by, plant, saved)
         with progress("program as written") as report:
             revised = written_pass(cell, planned, motion, plant, report)
+    with progress("original program as written") as report:
+        programmed = written_pass(cell, original, motion, plant, report)
+    if method == NO_METHOD:
+        planned = revised = replace(programmed, name=NO_METHOD)
     with progress("surfaces"):
-        parts = () if cell.programmed.straight else assess_all(cell, (original, revised))
+        parts = () if cell.programmed.straight else assess_all(cell, (programmed, revised))
     limited = [
         violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, said=limit_sentence(p, by))
         for p in by.limited
@@ -105,10 +108,10 @@ def compensate(
     checked = check(cell, revised.reference, motion, ran=revised, more=[*limited, *unlike(planned, revised)])
     with progress("verdict") as report:
         judged = _verdict(cell, original, revised, verdict, report, comparison is None) if verdict else None
-    before, after = map(lambda ran, part: judge(cell, ran, part), (original, revised), parts or (None, None))
+    before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
     backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
-    return JudgedCompensation(original, planned, revised, by, parts, checked, decision, motions)
+    return JudgedCompensation(programmed, planned, revised, by, parts, checked, decision, motions)
 
 
 def _verdict(

@@ -13,6 +13,7 @@ from kr270_milling.base.samples import PoseSample, StockMap, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.exchange.inputs import ExchangeError, Output, checked_pose
 from kr270_milling.physics.cutting import CutModel
+from kr270_milling.physics.motion.milling_pass import silent_periods
 
 __all__ = ["CutProtocol", "NoWorkpiece"]
 
@@ -41,10 +42,22 @@ class CutProtocol:
         """Create a fresh workpiece and return its map, so that late subscribers do not see the previous part."""
         self.cut = self.cell.cut()
         self.cut.touch()
+        self._silent = self._drilling()
         self.step, self.stamp_ns = -1, 0
         self._before = self._tool = np.zeros(3)  # tool centre of the previous exchange, and of the last one
         self._wrench = np.zeros(6)
         return self.workpiece()
+
+    def _drilling(self) -> np.ndarray:
+        """Whether the wrench of each exchange is zero, (n + 1,) bool: the force of drilling is not modelled.
+
+        Empty where the program does not drill: then the cut does not need the times of the path.
+        """
+        programmed = self.cell.programmed
+        if not programmed.drills:
+            return np.zeros(0, bool)
+        steps = self._clock.steps(programmed.target.duration_ns)
+        return silent_periods(programmed.drilling_at(self._clock.stamp(np.arange(steps + 1))))
 
     def release(self) -> None:
         """Drop the workpiece."""
@@ -99,7 +112,8 @@ class CutProtocol:
 
     def _sweep(self, cut: CutModel, step: int, start: np.ndarray, end: np.ndarray) -> None:
         n = self._clock.micro_steps
-        self._wrench = cut.sweep(start, end, (step - 1) * n, n)
+        wrench = cut.sweep(start, end, (step - 1) * n, n)
+        self._wrench = np.zeros(6) if step < self._silent.size and self._silent[step] else wrench
         self.step, self._before, self._tool = step, start, np.array(end)
 
     def workpiece(self) -> list[Output]:

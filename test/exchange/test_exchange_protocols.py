@@ -85,6 +85,15 @@ def test_the_protocols_give_the_compiled_pass_of_the_mean_force_bit_for_bit(tmp_
     same_as_compiled(cell)
 
 
+def test_drilling_has_no_force_on_line_as_in_a_simulated_pass(tmp_path):
+    drilled = "G21 G90 S8000 M3\nG0 X6 Y8 Z2\nG81 Z-0.5 R1 F2000\nG80\nG0 X-12 Y0\nZ-0.5\nG1 X0 F4000\nG0 Z2\nM30\n"
+    cell = small_part(tmp_path, drilled)
+    same_as_compiled(cell)
+    ran = simulate(cell).result
+    hole = cell.programmed.drilling_at(ran.time_ns)
+    assert hole.any() and not ran.wrench[hole].any() and np.abs(ran.wrench).max() > 20.0
+
+
 def same_as_compiled(cell):
     robot, cut = protocols(cell)
     outputs, expected = run(robot, cut), simulate(cell).result

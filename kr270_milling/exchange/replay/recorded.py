@@ -18,7 +18,7 @@ from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
 from kr270_milling.path.trajectory import Trajectory
-from kr270_milling.physics.motion.milling_pass import PassResult, follow
+from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import TopicSeries, several
 from kr270_milling.recordings.messages.codec import trajectory_from_bytes
@@ -171,6 +171,8 @@ def _result(cell: Cell, plant: Cell, run: Trajectory, steps: np.ndarray, rows: d
     shift = course + rows["deflection"][:, :3] - tool
     cut, counts = plant.cut(), steps * plant.clock.micro_steps
     _, torque, volume = cut.along(tool, counts)
+    silent = silent_periods(plant.programmed.drilling_at(stamps))
+    torque[silent], volume[silent] = 0.0, 0.0
     return PassResult(
         stamps, cell.target().sample(stamps), course, tool, rows["deflection"], rows["wrench"],
         np.sqrt(np.sum(shift**2, axis=1)), torque, volume, int(counts[-1]), cut.removed_area, cut.removed_volume, wall,

@@ -22,7 +22,7 @@ from kr270_milling.physics.cutting.state import FAILED, LEVEL_SUM
 from kr270_milling.physics.motion.dynamics import ArmModel, advance
 from kr270_milling.physics.motion.exchange import Clock
 
-__all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass"]
+__all__ = ["CompliantArm", "PassError", "PassResult", "follow", "run_pass", "silent_periods"]
 
 WINDOW = 65_536  # exchange periods whose reference is sampled at once, some 600 bytes each
 CHUNK = 200  # exchange periods between two reports of progress
@@ -179,6 +179,16 @@ def _exchange(window, first, last, iterations, reference, silent, arm, state, wr
     return True
 
 
+def silent_periods(silent: np.ndarray) -> np.ndarray:
+    """Whether a period has no force, (n + 1,) bool, by its end; silent (n + 1,): whether its end has none.
+
+    The period in which the drilling ends has no force either.
+    """
+    without = np.array(silent, bool)
+    without[1:] |= without[:-1]
+    return without
+
+
 def run_pass(
     model: ArmModel,
     cut: CutModel,
@@ -213,8 +223,7 @@ def run_pass(
         out = tuple(np.zeros((size, *shape)) for shape in ((3,), (6,), (6,), (), (), ()))
         out[0][0] = tool[-1]
         ahead = stamps if begin == 0 else np.append(clock.stamp(np.array([begin - 1])), stamps)
-        without = np.zeros(ahead.size, bool) if silent is None else np.array(silent(ahead))
-        without[1:] |= without[:-1]  # the period in which the drilling ends
+        without = np.zeros(ahead.size, bool) if silent is None else silent_periods(silent(ahead))
         arm = (model.push(reference, stamps, begin), model.arrays)
         carried = (
             iterations, course, without[-size:], arm, state, wrench, (cut.state, cut.params), clock.micro_steps, out

@@ -47,6 +47,10 @@ def run_graph(args) -> Answer:
     from kr270_milling.physics.motion.scores import Scores
 
     cell = cell_of(args)
+    if cell.stage:
+        if cell.stage.earlier:
+            print(f"warning: {cell.stage}: the nodes begin with an uncut stock", file=sys.stderr)
+        cell = cell.replace(stage=None)
     methods = list(dict.fromkeys(args.method or [cell.compensation.planned_method]))  # each once, in the order given
     options = args.passes, args.namespace, not args.processes, plant_of(args, cell)
     ran = run_passes(cell, methods, args.out, *options)

@@ -83,9 +83,11 @@ def test_a_cell_without_a_program_is_a_straight_cut(capsys, tmp_path):
     assert cell.path.length == pytest.approx(0.040) and not cell.path.file
 
 
-def test_a_program_with_several_tools_lists_each_refused_word_in_a_line(capsys):
-    assert main(["init", "--gcode", str(PROGRAMS / "haas.nc")]) == 2
-    assert "cuts with 2 tools" in capsys.readouterr().err
+def test_a_program_with_several_tools_gives_a_cell_with_tools(capsys):
+    cell = yaml.safe_load(printed(capsys, "--gcode", PROGRAMS / "haas.nc"))["/**"]["ros__parameters"]
+    assert "tool" not in cell and [one["diameter_mm"] for one in cell["tools"].values()] == [10.0, 6.0]
+    assert main(["init", "--gcode", str(PROGRAMS / "haas.nc"), "--tool", "T9"]) == 2
+    assert "does not cut with T9; it does with T1" in capsys.readouterr().err
 
 
 def test_json_has_the_cell_and_the_words_of_the_program(capsys):
