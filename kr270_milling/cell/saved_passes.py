@@ -32,7 +32,8 @@ class SavedPasses:
     A pass is taken from its file only for the same version, cell, path file, words and reference. Then the revisions
     that follow are the same as those of the interrupted run.
 
-    words: what else decides about the passes, such as the method and the plant; resume: False deletes the files of an earlier run.
+    words: what else decides about the passes, such as the method and the plant; resume: False deletes the files of an
+    earlier run.
     """
 
     def __init__(self, directory, cell: Cell, words: Sequence[str | None] = (), resume: bool = False):
