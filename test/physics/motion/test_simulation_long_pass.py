@@ -55,7 +55,7 @@ def test_combined_rows_keep_extremes_sums_means_and_the_scores(cell, whole, monk
 
 
 def test_the_memory_of_a_pass_does_not_grow_with_its_length(tmp_path, monkeypatch):
-    """A tenth of the feed takes six times the periods, with rapid moves; windows and rows of the result stay the same."""
+    """A tenth of the feed takes six times the periods, with rapid moves; windows and rows stay as many as before."""
     monkeypatch.setattr(milling_pass, "WINDOW", 64)
     peaks, periods = [], []
     for feed in ("F4000", "F400"):
