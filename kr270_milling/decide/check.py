@@ -131,6 +131,7 @@ def check(
     results, joints = arm_violations(cell, run)
     stability = residue = rapid_moves = exchange = reversals = None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in results)
+    del joints  # of a long program they take 100 MB
     if reachable and reference is None and fed is not None:
         run = cell.target()  # slowed down to what the joints can do
         results, _ = arm_violations(cell, run)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from small_part import GCODE, small_part
@@ -50,3 +52,21 @@ def test_combined_rows_keep_extremes_sums_means_and_the_scores(cell, whole, monk
     assert mean == pytest.approx(plain.wrench[1:].mean(axis=0), rel=1e-9, abs=1e-9)
     assert ran.scores.max_deviation == pytest.approx(whole.scores.max_deviation, rel=0.05)
     assert some.removed_volume == plain.removed_volume
+
+
+def test_the_memory_of_a_pass_does_not_grow_with_its_length(tmp_path, monkeypatch):
+    """A tenth of the feed takes six times the periods, with rapid moves; windows and rows stay as many as before."""
+    monkeypatch.setattr(milling_pass, "WINDOW", 64)
+    peaks, periods = [], []
+    for feed in ("F4000", "F400"):
+        cell = small_part(tmp_path, GCODE.replace("F4000", feed), "cutting.detail=engagement")
+        target, cut = cell.target(), cell.cut()
+        arm = cell.arm_model(target)
+        silent = cell.programmed.drilling_at
+        tracemalloc.start()
+        ran = milling_pass.run_pass(arm, cut, cell.clock, target, target, silent=silent, most_rows=50)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        periods.append(ran.micro_steps)
+        assert len(ran.time) <= 51
+    assert periods[1] > 5 * periods[0] and peaks[1] < 1.5 * peaks[0]
