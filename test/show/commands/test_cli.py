@@ -169,18 +169,19 @@ def test_compensate_writes_a_trajectory_that_simulate_runs_to_the_predicted_scor
     assert again["max_deviation_mm"] == pytest.approx(result["max_deviation_mm"], abs=rounding)
 
 
-def test_the_demo_prints_four_passes_and_writes_report_and_series(demo):
+def test_the_demo_prints_five_passes_and_writes_report_and_series(demo):
     result = demo.json
-    assert [p["name"] for p in result["passes"]] == ["original", "linear", "spline", "learned"]
+    assert [p["name"] for p in result["passes"]] == ["original", "linear", "spline", "mirror", "learned"]
     for ran in result["passes"]:
         assert {"static_deviation_mm", "max_deviation_mm", "low_frequency_hz"} <= set(ran)
     assert result["passes"][0]["static_deviation_mm"] == pytest.approx(0.0581, rel=0.01)
-    assert result["passes"][3]["max_deviation_mm"] <= 0.0005
+    assert result["passes"][4]["max_deviation_mm"] <= 0.0005
     moving = {p["name"]: p["max_deviation_mm"] for p in result["passes_reference_inertia"]}
-    assert list(moving) == ["original", "linear", "spline", "learned", "inverse"]
+    assert list(moving) == ["original", "linear", "spline", "mirror", "learned", "inverse"]
     # the paper's methods excite the arm (20 and 27 um by two independent calculations), the lifted model does not
     assert moving["original"] == pytest.approx(0.0628, rel=0.01)
     assert moving["linear"] == pytest.approx(0.020, rel=0.05) and moving["spline"] == pytest.approx(0.027, rel=0.05)
+    assert moving["mirror"] == pytest.approx(0.0055, abs=0.0005)
     assert moving["learned"] <= 0.0001 and moving["inverse"] <= 0.0003
     assert "eq. (1) as printed" in demo.text and "with the inertia of the moving arm" in demo.text
     report = Path(result["report"])
