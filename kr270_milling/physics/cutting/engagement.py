@@ -96,7 +96,7 @@ class EngagementState(NamedTuple):
     """The height map and the last step. Names and layout of the map are those of ``state.State``."""
 
     pool: np.ndarray  # uint16, (tiles * TILE * TILE,): mean of the cell of a node
-    rest: np.ndarray  # uint16, likewise: level of that part of the cell which the tool has not covered
+    rest: np.ndarray  # uint16, same shape: level of that part of the cell which the tool has not covered
     table: np.ndarray  # int32, tile -> place in the pool or -1
     ints: np.ndarray  # int64, (INTS,)
     floats: np.ndarray  # (FLOATS,)
