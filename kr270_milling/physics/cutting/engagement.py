@@ -3,17 +3,28 @@
 This is the second cutting model behind the interface of ``Cut``. The sweep of the teeth resolves each tooth; this model
 resolves steps of some milliseconds, in which many teeth pass, on a height map with a coarse step.
 
-A step moves the tool tip by d, with m = |d_xy|. Angles phi are counted about the tool axis from the direction of d.
-The new footprint removes a crescent; seen from the middle between both centres the thickness of the crescent is
-m cos(phi). Bin k of the front half covers dphi:
+A step first sinks the tool, then moves the tool tip by d, with m = |d_xy|. Angles phi are counted about the tool axis
+from the direction of d. The new footprint removes a crescent; seen from the middle between both centres the thickness
+of the crescent is m cos(phi). Bin k of the front half covers dphi:
 
     h_k = m C_k / dphi / (passes of a tooth),  C_k = int_k cos(phi) dphi          mean chip thickness
-    a_k = dV_k / A_k,  f_k = A_k / (R m C_k)                                      depth, share of the bin that cuts
+    a_k f_k = dV_k / (R m C_k)                                                    depth times share of the bin that cuts
     F = N / (2 pi) sum_k [F_t(h_k) t_k - F_r(h_k) r_k - F_a(h_k) z] a_k f_k dphi  mean force on the tool
 
-dV_k and A_k are the volume and the area that the bin removes from the map. h_k is free of the noise of the map, and
-dV_k conserves the volume, so the mean force over a length of path has no bias from the step of the map.
+dV_k is the volume that the bin removes from the map. h_k is free of the noise of the map, and dV_k conserves the
+volume, so the mean force over a length of path has no bias from the step of the map.
 The formula equals the mean of (29) over a revolution [Altintas2012, section 2.8] where the engagement is constant.
+
+A cell of the map that the footprint covers in part is lowered in part: level = rest + c (tip - rest), c the covered
+share, rest the level of what the tool has not covered. c rises linearly over |cos(n)| + |sin(n)| nodes, n the direction
+of the rim; a sum over such cells has no aliasing where a row of nodes is parallel to the rim.
+
+A tooth cuts what the axis moved over since the tooth before: on average half a pitch later, at the height z of a helix
+later by z tan(helix) / R. The force of a step therefore acts with the lag of first order T,
+
+    load += theta / (theta + T) (F - load),  T = pi / N + tan(helix) / R (mean height above the tip)
+
+theta the spindle angle of the step. Without the lag the model damps vibrations too early.
 """
 
 from __future__ import annotations
@@ -85,7 +96,7 @@ class EngagementState(NamedTuple):
     """The height map and the last step. Names and layout of the map are those of ``state.State``."""
 
     pool: np.ndarray  # uint16, (tiles * TILE * TILE,): mean of the cell of a node
-    rest: np.ndarray  # uint16, likewise: level of that part of the cell which the tool has not covered
+    rest: np.ndarray  # uint16, same shape: level of that part of the cell which the tool has not covered
     table: np.ndarray  # int32, tile -> place in the pool or -1
     ints: np.ndarray  # int64, (INTS,)
     floats: np.ndarray  # (FLOATS,)
