@@ -276,7 +276,7 @@ def plant_of(cell, **imperfections) -> Plant:
     mass = cell.arm.link_mass / (FREQUENCY**2 * SOFT)
     arm = cell.arm.replace(link_mass=mass, joint_compliance=SOFT * cell.arm.joint_compliance)
     dynamics = cell.dynamics.replace(damping_ratio=DAMPING * cell.dynamics.damping_ratio)
-    how = cell.imperfections.replace(**imperfections)
+    how = cell.imperfections.replace(wrench="exact", **imperfections)  # the noise of a force sensor biases the fit
     return Plant(cell, cell.replace(arm=arm, dynamics=dynamics), how)
 
 
