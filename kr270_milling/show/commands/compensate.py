@@ -206,9 +206,12 @@ def _part_files(draft, final, cell, done, args, source, date: str) -> tuple[str,
 
     revised = done.revised
     title = f"{cell.programmed.file_name}: before and after compensation ({revised.name})"
+    block = decision_block(done.decision, done.checked)
+    if cell.stage:
+        block = dataclasses.replace(block, label=f"decision on {cell.stage.tool}")
     page = report_text(
         cell, (done.original, revised), title=f"{title}, {cell.stage}" if cell.stage else title, source=str(source),
-        command=command_line(args), date=date, parts=done.parts, decision=decision_block(done.decision, done.checked),
+        command=command_line(args), date=date, parts=done.parts, decision=block,
         tables=[_joints_table(cell, revised), _time_law_table(cell, done)],
     )  # fmt: skip
     stl = draft / f"part_{revised.name}{cell.stage.suffix if cell.stage else ''}.stl"

@@ -49,6 +49,7 @@ class DecisionBlock:
     stability: str = ""  #: statement in one sentence
     findings: tuple[Finding, ...] = ()
     rapid_moves: str = ""  #: what rapid moves remove, in one line
+    label: str = "decision"  #: of its tile
 
 
 def decision_block(decision: Decision, checked: Checked) -> DecisionBlock:
@@ -119,7 +120,7 @@ def tiles(
     """The decision as tiles. sizes: tolerance quantity of the passes [m]; quantity: its name."""
     rows = []
     if decision.level:
-        rows.append(Tile("decision", decision.level, micro(decision.sentence), TONES[decision.level]))
+        rows.append(Tile(decision.label, decision.level, micro(decision.sentence), TONES[decision.level]))
     rows.append(_judged("as programmed", decision.as_programmed, sizes[0], quantity))
     if len(names) > 1:
         best = min(range(1, len(names)), key=lambda k: sizes[k])
