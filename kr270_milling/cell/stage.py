@@ -17,7 +17,7 @@ __all__ = ["Removal", "Stage", "cleared", "removal_along", "swept"]
 
 PLACES_PER_RADIUS = 50  #: of a programmed path: between two places R / 20000 stays at the side
 FARTHEST = 1e-4  #: [m], between two places: on an arc of 1 mm the chord misses 1.3 um
-ANY_LAW: dict[str, Any] = {"law": "linear_edge", "linear_edge": AL7075_T6}  #: of no effect: the spindle stands still
+ANY_LAW: dict[str, Any] = {"law": "linear_edge", "linear_edge": AL7075_T6}  #: of no effect: the spindle does not turn
 MOST_PLACES = 1_000_000
 
 

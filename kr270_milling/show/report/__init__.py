@@ -112,7 +112,7 @@ def report_text(
         paper_source=texts.PAPER,
         names=names,
         asked=asked(cell, passes),
-        tiles=tiles(names, judgements, decision, checked, method),
+        tiles=tiles(names, judgements, decision, checked, method, cell.stage.tool if cell.stage else ""),
         findings=finding_rows(checked),
         scores=texts.line_scores(passes, paper) if programmed.straight else texts.part_scores(parts),
         features=None if programmed.straight else texts.feature_table(parts),

@@ -62,11 +62,22 @@ def tiles(
     decision: Decision | None,
     checked: Checked | None,
     method: str,
+    tool: str = "",
 ) -> list[Tile]:
-    """Return the decision as tiles; judgements: of the passes; method: its line; None or empty: not shown."""
+    """Return the decision as tiles; None or empty: not shown.
+
+    judgements: of the passes; method: its line; tool: name of the tool in a program with several tools.
+    """
     first, rows = judgements[0], []
     if decision:
-        rows.append(Tile("decision", decision.level, micro(decision.sentence), TONES[decision.level]))
+        rows.append(
+            Tile(
+                f"decision on {tool}" if tool else "decision",
+                decision.level,
+                micro(decision.sentence),
+                TONES[decision.level],
+            )
+        )
     rows.append(_tile("as programmed", first, first.quantity))
     if len(names) > 1:
         best = min(range(1, len(names)), key=lambda k: judgements[k].error)

@@ -1,4 +1,4 @@
-// The page of each tool in a frame of its own, made when its tab is chosen for the first time.
+// The page of each tool in a separate frame, made when its tab is chosen for the first time.
 "use strict";
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
