@@ -106,8 +106,11 @@ class Driver:
     def spin(self) -> None:
         self._executor.spin_once(timeout_sec=LOOK)
 
-    def _call(self, node: str, kind: type, service: str, request, deadline: float) -> Callable:
-        """Call a service of a node; return a function that waits for the response and returns it."""
+    def _call(self, node: str, kind: type, service: str, request, what: str, deadline: float) -> Callable:
+        """Call a service of a node; return a function that waits for the response and returns it.
+
+        what: words for the call, for the error after the deadline [s].
+        """
         name = f"{self.name_of(node)}/{service}"
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
@@ -116,7 +119,7 @@ class Driver:
         future = client.call_async(request)
 
         def response():
-            self.until(future.done, service, deadline, node)
+            self.until(future.done, what, deadline, node)
             return future.result()
 
         return response
@@ -125,7 +128,7 @@ class Driver:
         """Request a lifecycle transition of several nodes at once; raises RunError where it fails."""
         change = Transition(id=getattr(Transition, f"TRANSITION_{name.upper()}"), label=name)
         request = ChangeState.Request(transition=change)
-        responses = {node: self._call(node, ChangeState, "change_state", request, deadline) for node in nodes}
+        responses = {node: self._call(node, ChangeState, "change_state", request, name, deadline) for node in nodes}
         for node, response in responses.items():
             if not response().success:
                 self.until(lambda: self.error, f"the reason for the failed {name}", 1.0, node)
@@ -135,7 +138,8 @@ class Driver:
         """Set parameters of a node, one after another; raises RunError where the node refuses a value."""
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = SetParameters.Request(parameters=parameters)
-        for result in self._call(node, SetParameters, "set_parameters", request, deadline)().results:
+        what = f"setting {', '.join(values)}"
+        for result in self._call(node, SetParameters, "set_parameters", request, what, deadline)().results:
             if not result.successful:
                 raise RunError(node, result.reason)
 
