@@ -281,6 +281,9 @@ def test_without_the_summary_a_lost_definition_is_told(source, tmp_path):
     (tmp_path / "b.mcap").write_bytes(damaged)
     result = recover(tmp_path / "b.mcap")
     assert result.messages > 0.8 * len(written) and result.lost_messages == len(written) - result.messages
+    damaged[places(damaged)["statistics"][0][0]] ^= 1  # and now nothing states how many messages there were
+    (tmp_path / "c.mcap").write_bytes(damaged)
+    assert recover(tmp_path / "c.mcap").lost_messages is None
 
 
 def test_nothing_is_overwritten_and_nothing_half_is_left(source, tmp_path):
