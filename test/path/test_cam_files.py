@@ -286,7 +286,7 @@ APT_REFUSED = [
 CSV_REFUSED = [
     ("x,y,z,feed\n0,0,0,1\n", 1, "x_mm"),
     ("0,0,0,600\n1,0,0,600\n", 1, "not a known column"),
-    ("x_mm;y_mm;z_mm;feed_mm_per_min\n0;0;0;1\n", 1, "not a known column"),
+    ("x_mm;y_mm;z_mm;feed\n0;0;0;1\n", 1, "not a known column"),
     ("x_mm,y_mm,z_mm\n0,0,0\n", 1, "header must be"),
     ("x_mm,x_mm,y_mm,z_mm,feed_mm_per_min\n", 1, "x_mm"),
     (HEADER + "0,0,0,600\n1,0,0\n", 3, "3 values"),

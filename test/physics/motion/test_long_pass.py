@@ -56,7 +56,7 @@ def test_combined_rows_keep_extremes_sums_means_and_the_scores(cell, whole, monk
 
 def test_the_memory_of_a_pass_does_not_grow_with_its_length(tmp_path, monkeypatch):
     """A tenth of the feed takes six times the periods, with rapid moves; windows and rows stay as many as before."""
-    monkeypatch.setattr(milling_pass, "WINDOW", 64)
+    monkeypatch.setattr(milling_pass, "WINDOW", 256)
     peaks, periods = [], []
     for feed in ("F4000", "F400"):
         cell = small_part(tmp_path, GCODE.replace("F4000", feed), "cutting.detail=engagement")
