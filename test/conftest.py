@@ -193,6 +193,12 @@ class World:
         """As if its process had ended."""
         self.executor.remove_node(node)
         self.nodes.remove(node)
+        self._end(node)
+
+    @staticmethod
+    def _end(node) -> None:
+        if hasattr(node, "close"):  # the file of a recorder, as its process closes the file
+            node.close()
         node.destroy_node()
 
     def until(self, condition, deadline: float = 10.0, what: str = ""):
@@ -221,7 +227,7 @@ class World:
     def close(self) -> None:
         self.executor.shutdown()
         for node in self.nodes:
-            node.destroy_node()
+            self._end(node)
         self.context.try_shutdown()
 
 
