@@ -35,6 +35,29 @@ def pytest_configure(config):
     config.addinivalue_line("markers", "book: a row of the verification book (test/book)")
     if config.getoption("--book"):
         config.option.markexpr = "book"
+    if config.getoption("numprocesses", None):
+        compile_pass()
+
+
+def compile_pass() -> None:
+    """Compile the pass before workers start: processes that store compiled code at the same time can damage it."""
+    from kr270_milling.base.parameter_file import find_file
+    from kr270_milling.cell.cell import read_cell
+    from kr270_milling.cell.jobs import compensated, simulate
+
+    cell = read_cell(find_file("paper.yaml"), SHORT)
+    compensated(cell, simulate(cell), "mirror")
+    simulate(read_cell(find_file("paper.yaml"), [*SHORT, "cutting.detail=engagement"]))
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session) -> None:
+    """A run whose workers all crashed before the first test is no success."""
+    results = session.config.pluginmanager.get_plugin("terminalreporter")
+    if results is None or "PYTEST_XDIST_WORKER" in os.environ or session.config.option.collectonly:
+        return
+    if session.exitstatus == pytest.ExitCode.OK and not (results.stats.get("passed") or results.stats.get("skipped")):
+        session.exitstatus = pytest.ExitCode.NO_TESTS_COLLECTED
 
 
 def pytest_terminal_summary(terminalreporter, config):
@@ -86,20 +109,6 @@ def no_lines_of_progress():
     from kr270_milling.show.commands import progress
 
     progress.LINE_PERIOD = 1e6
-
-
-@pytest.fixture(scope="session", autouse=True)
-def compiled():
-    """Of several workers the first compiles the pass; the others, and the processes of the tests, load the result."""
-    if "PYTEST_XDIST_WORKER" not in os.environ:
-        return
-    from kr270_milling.base.parameter_file import find_file
-    from kr270_milling.cell.cell import read_cell
-    from kr270_milling.cell.jobs import compensated, simulate
-
-    with own_turn("compile"):
-        cell = read_cell(find_file("paper.yaml"), SHORT)
-        compensated(cell, simulate(cell), "mirror")
 
 
 @pytest.fixture(scope="session")
