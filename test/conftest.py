@@ -12,6 +12,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell sets this for b
 import contextlib
 import io
 import json
+import tempfile
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -41,13 +42,16 @@ def pytest_configure(config):
 
 def compile_pass() -> None:
     """Compile the pass before workers start: processes that store compiled code at the same time can damage it."""
+    from small_part import GCODE, small_part
+
     from kr270_milling.base.parameter_file import find_file
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.cell.jobs import compensated, simulate
 
     cell = read_cell(find_file("paper.yaml"), SHORT)
     compensated(cell, simulate(cell), "mirror")
-    simulate(read_cell(find_file("paper.yaml"), [*SHORT, "cutting.detail=engagement"]))
+    with tempfile.TemporaryDirectory() as directory:
+        simulate(small_part(Path(directory), GCODE, "cutting.detail=engagement"))
 
 
 @pytest.hookimpl(trylast=True)
