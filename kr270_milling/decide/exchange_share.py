@@ -21,11 +21,12 @@ class ExchangeShare:
     warn: float  #: share above which it is reported
     stop: float  #: share above which the pass has no meaning
     point: int  #: number of the next point of the path, from 1
+    period: str  #: key of the exchange period of this model of the cut
 
     @property
     def text(self) -> str:
         """One line."""
-        above = f": above {100 * self.warn:g} %, use a shorter exchange.period_ms" if self.share > self.warn else ""
+        above = f": above {100 * self.warn:g} %, use a shorter {self.period}" if self.share > self.warn else ""
         return (
             f"exchange: largest correction of a predicted pose is {100 * self.share:.1f} % of the feed per tooth{above}"
         )
@@ -41,4 +42,5 @@ def exchange_share(cell: Cell, ran: ScoredPass) -> ExchangeShare:
     k = int(np.argmax(ran.result.correction))
     point = int(np.searchsorted(ran.reference.time_ns, ran.result.time_ns[k])) + 1
     share = float(ran.result.correction[k]) / per_tooth
-    return ExchangeShare(share, cell.exchange.warn_correction, cell.exchange.stop_correction, point)
+    period = "exchange.engagement_period_ms" if cell.by_engagement else "exchange.period_ms"
+    return ExchangeShare(share, cell.exchange.warn_correction, cell.exchange.stop_correction, point, period)

@@ -109,7 +109,7 @@ KINDS = {
     "exchange": Kind("%",
         "the largest correction of a predicted pose is {value:.1f} % of the feed per tooth at point {point}, more than "
         "{limit:g} %: the simulated pass says nothing",
-        "Use a shorter exchange.period_ms or more exchange.iterations."),
+        "Use a shorter exchange period or more exchange.iterations."),
     "deflection": Kind("mm", "{said}", "Check force law, feed per tooth, compliances and masses."),
     "joint deflection": Kind("deg", "{said}", "Check compliances and masses; the linear springs do not hold so far."),
     "load on the arm": Kind("1", "{said}", "Check masses and compliances: the arm does not bear its own weight."),
