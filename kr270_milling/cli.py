@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib
+import json
 import os
 import re
 import shlex
@@ -13,6 +14,8 @@ import sys
 import warnings
 from typing import NamedTuple
 
+from kr270_milling.base.arguments import Parser, UsageError
+from kr270_milling.base.errors import MillingError, one_line
 from kr270_milling.base.version import __version__
 
 __all__ = ["COMMANDS", "Entry", "main"]
@@ -83,14 +86,26 @@ def _main(argv: list[str]) -> int:
     except BrokenPipeError:  # the reader of the output, head for example, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_OK
+    except MillingError as error:
+        return _refuse(argv, str(error))
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        return _refuse(f"{where}{error.strerror or error}")
+        return _refuse(argv, f"{where}{error.strerror or error}")
     except MemoryError:
-        return _refuse("there is not enough memory for this; a larger stock.grid_step_um or a shorter path needs less")
+        advice = "a larger stock.grid_step_um or a shorter path needs less"
+        return _refuse(argv, f"there is not enough memory for this; {advice}")
     except KeyboardInterrupt:
-        print("kr270_milling: interrupted", file=sys.stderr)
-        return EXIT_INTERRUPTED
+        return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
+
+
+def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE) -> int:
+    """Print the sentence on standard error, or with ``--json`` as an object on standard output; return the code."""
+    sentence = one_line(sentence)
+    if "--json" in argv:
+        print(json.dumps({"error": sentence, "exit_code": code}, indent=2))
+    else:
+        print(f"kr270_milling: {sentence}", file=sys.stderr)
+    return code
 
 
 def _handle_interrupts() -> None:
@@ -138,38 +153,24 @@ def _run(argv: list[str]) -> int:
         _complete()
     argv = _join_negative(argv)
     if any("\0" in word for word in argv):  # a caller of main can pass one, a shell cannot
-        return _refuse("an argument contains a zero byte")
+        raise UsageError("an argument contains a zero byte")
     parser = _parser(argv)
     if not argv:
         parser.print_help()
         return EXIT_OK
     args = parser.parse_args(argv)
     args.argv = argv
-    from kr270_milling.base.errors import MillingError
-
     if hasattr(sys.stdout, "reconfigure"):  # a file name need not be text that can be printed
         sys.stdout.reconfigure(errors="backslashreplace")
-    try:
-        answer = args.run(args)
-        return answer if isinstance(answer, int) else answer.print(args.json)
-    except MillingError as error:
-        return _refuse(str(error), getattr(error, "listing", ()))
-
-
-def _refuse(sentence: str, listing: tuple = ()) -> int:
-    """Print the sentence, or each entry of the listing on a separate line."""
-    from kr270_milling.base.errors import one_line
-
-    for line in listing or (sentence,):
-        print(f"kr270_milling: {one_line(line)}", file=sys.stderr)
-    return EXIT_USAGE
+    answer = args.run(args)
+    return answer if isinstance(answer, int) else answer.print(args.json)
 
 
 def _join_negative(argv: list[str]) -> list[str]:
-    """``--wrench -1,2`` as ``--wrench=-1,2``: argparse takes a list that starts with a minus for an option."""
+    """``--wrench -1,2`` as ``--wrench=-1,2``: argparse takes a list or range that starts with a minus for an option."""
     joined: list[str] = []
     for word in argv:
-        if joined and re.match(r"--[a-z][a-z-]*$", joined[-1]) and re.match(r"-[0-9.][^ ]*,", word):
+        if joined and re.match(r"--[a-z][a-z-]*$", joined[-1]) and re.match(r"-[0-9.][^ ]*[,:]", word):
             joined[-1] += "=" + word
         else:
             joined.append(word)
@@ -179,13 +180,13 @@ def _join_negative(argv: list[str]) -> list[str]:
 def _parser(argv: list[str]) -> argparse.ArgumentParser:
     width = max(map(len, COMMANDS)) + 2
     listing = "\n".join(f"  {name:{width}}{entry.text}" for name, entry in COMMANDS.items())
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="kr270_milling",
         description="Predict and compensate the compliance errors of robotic milling.",
         epilog=f"commands:\n{listing}\n\nexample: kr270_milling demo --out out",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="version", version=f"kr270_milling {__version__}")
+    parser.add_argument("-V", "--version", action="version", version=f"kr270_milling {__version__}")
     sub = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     chosen = next((a for a in argv if not a.startswith("-")), None)
     for name, entry in COMMANDS.items():

@@ -125,7 +125,7 @@ def test_a_slot_by_the_force_law_of_the_guide_has_the_force_of_the_closed_form(e
 def test_simulate_stability_and_verdict_take_the_force_law_of_the_guide(extended, tmp_path):
     copy, words = extended("A force law"), [word for setting in KIENZLE for word in ("--set", setting)]
     assert command(copy, "simulate", "paper.yaml", *words)["removed_area_mm2"] > 0
-    assert command(copy, "stability", "paper.yaml", *words, "--speeds", "8000:8000:1")
+    assert command(copy, "stability", "paper.yaml", *words, "--speeds", "8000:8000/1")
     words += ["--method", "spline", "--verdict", "3", "--out", str(tmp_path)]
     verdict = command(copy, "compensate", "paper.yaml", *words)["verdict"]
     assert verdict["samples"] == 3 and len(set(verdict["compensated_mm"])) == 3

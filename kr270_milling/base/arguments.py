@@ -1,11 +1,49 @@
-"""Types of command line options: numbers within bounds, lists and ranges of numbers."""
+"""The parser of a command line, and types of its options: numbers within bounds, lists and ranges of numbers."""
 
 from __future__ import annotations
 
 import argparse
 import math
 
-__all__ = ["bounded", "grid", "numbers", "stretch"]
+from kr270_milling.base.errors import MillingError, nearest
+
+__all__ = ["Parser", "UsageError", "bounded", "grid", "numbers", "stretch"]
+
+
+class UsageError(MillingError):
+    """Words of a command line that no command takes."""
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that raises UsageError with one sentence instead of printing its usage."""
+
+    def error(self, message: str):
+        sentence = message.removeprefix("argument ").replace("the following arguments are required:", "needs")
+        raise UsageError(f"{sentence} ({self.prog} --help)")
+
+    def parse_args(self, args=None, namespace=None):  # type: ignore[override]
+        """Parse every word; an unknown option is answered by the nearest one of the command that was chosen."""
+        parsed, unknown = self.parse_known_args(args, namespace)
+        chosen = getattr(parsed, "parser", self)
+        for word in unknown:
+            if word.startswith("-"):
+                name = word.partition("=")[0]
+                chosen.error(f"there is no option {name}{nearest(name, chosen.option_names)}")
+        if unknown:
+            chosen.error(f"{unknown[0]!r} is one argument too many")
+        return parsed
+
+    @property
+    def option_names(self) -> list[str]:
+        return [name for action in self._actions for name in action.option_strings]
+
+    def _check_value(self, action, value):
+        if action.choices is None or value in action.choices:
+            return
+        near = nearest(str(value), action.choices)
+        if action.nargs == argparse.PARSER:
+            raise argparse.ArgumentError(None, f"there is no command {value!r}{near}")
+        raise argparse.ArgumentError(action, f"{value!r} is not one of {', '.join(action.choices)}{near}")
 
 
 def bounded(low: float, high: float, kind: type = float, above: bool = False):
@@ -61,13 +99,15 @@ def stretch(low: float, high: float):
 
 
 def grid(low: float, high: float, most: int):
-    """Return a parser of LOW:HIGH:COUNT, two numbers within bounds and the number of values between them."""
+    """Return a parser of LOW:HIGH/COUNT, two numbers within bounds and the number of values between them."""
 
     def parse(text: str) -> tuple[float, float, int]:
-        ends, _, count = text.rpartition(":")
+        ends, _, count = text.rpartition("/")
         values = _floats(ends, ":", 2)
         if not values or not low <= values[0] <= values[1] <= high or not count.strip().isdecimal():
-            raise argparse.ArgumentTypeError(f"{text!r} is not LOW:HIGH:COUNT from {low:g} to {high:g}")
+            before, _, last = text.rpartition(":")
+            advice = f": write {before}/{last}" if _floats(before, ":", 2) and last.isdecimal() else ""
+            raise argparse.ArgumentTypeError(f"{text!r} is not LOW:HIGH/COUNT from {low:g} to {high:g}{advice}")
         if not 1 <= int(count) <= most:
             raise argparse.ArgumentTypeError(f"{text!r} has a COUNT that is not from 1 to {most}")
         return values[0], values[1], int(count)

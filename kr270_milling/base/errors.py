@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 import reprlib
+from collections.abc import Collection
 
 __all__ = [
-    "ConfigError", "InputError", "MessageError", "MillingError", "ParameterError", "RecordingError", "one_line",
+    "ConfigError", "InputError", "MessageError", "MillingError", "ParameterError", "RecordingError", "nearest",
+    "one_line",
 ]  # fmt: skip
 
 
@@ -31,6 +34,12 @@ def _shown(value) -> str:
 def one_line(text: str) -> str:
     """Escape control characters and line breaks: names and values in messages come from files."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def nearest(word: str, known: Collection[str], otherwise: str = "") -> str:
+    """Return "; did you mean NAME?" for the most similar known name; a text otherwise, where no name is similar."""
+    near = difflib.get_close_matches(word, known, 1)
+    return f"; did you mean {near[0]}?" if near else otherwise
 
 
 class ParameterError(MillingError):

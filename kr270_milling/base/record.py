@@ -12,14 +12,13 @@ In a file it reads ``diameter_mm: 20.0``; in code ``tool.diameter`` is 0.020 [m]
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import numbers
 import typing
 
 import numpy as np
 
-from kr270_milling.base.errors import ConfigError, ParameterError
+from kr270_milling.base.errors import ConfigError, ParameterError, nearest
 from kr270_milling.base.parameter_file import find_file, merge, override, read_tree, refusal
 from kr270_milling.base.units import UNITS
 
@@ -235,8 +234,7 @@ def build(record: type[Record], tree: dict, file="", prefix: str = ""):
         if key not in known:
             if prefix + key in MOVED:
                 raise ConfigError(file, f"{prefix}{key}", None, MOVED[prefix + key])
-            near = difflib.get_close_matches(str(key), known, 1)
-            hint = f"; did you mean {near[0]}?" if near else f"; known here: {', '.join(known)}"
+            hint = nearest(str(key), known, f"; known here: {', '.join(known)}")
             raise ConfigError(file, f"{prefix}{key}", None, "is not a known key" + hint)
     values, given = {}, {}
     for key, spec in known.items():

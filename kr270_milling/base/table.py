@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import csv
-import difflib
 import math
 import re
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, nearest
 from kr270_milling.base.text import read_lines, unended
 
 __all__ = ["Table", "read_table", "write_table"]
@@ -83,8 +82,7 @@ def read_table(path, known, required=(), whole: bool = False) -> Table:
     line, names = rows[0]
     for name in names:
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"; did you mean {near[0]}?" if near else f"; known here: {', '.join(known)}"
+            hint = nearest(name, known, f"; known here: {', '.join(known)}")
             raise InputError(path, f"{name[:40]!r} is not a known column{hint}", line)
         if names.count(name) > 1:
             raise InputError(path, f"the column {name} occurs twice", line)

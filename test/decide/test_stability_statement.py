@@ -188,7 +188,7 @@ def test_one_run_has_one_statement_in_terminal_json_report_manifest_and_programs
 
 
 def test_limits_over_speed_without_tool_modes_name_tool_and_spindle_as_rigid(capsys):
-    assert main(["stability", "paper.yaml", "--speeds", "6000:8000:2"]) == 0
+    assert main(["stability", "paper.yaml", "--speeds", "6000:8000/2"]) == 0
     last = capsys.readouterr().out.splitlines()[-1]
     assert "above 100 mm" in last and "tool and spindle taken as rigid" in last
 

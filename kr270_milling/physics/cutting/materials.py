@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import difflib
 from dataclasses import dataclass
 
 import numpy as np
 
-from kr270_milling.base.errors import InputError
+from kr270_milling.base.errors import InputError, nearest
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import specs
 from kr270_milling.base.table import read_table
@@ -59,7 +58,6 @@ def find_material(name: str) -> list[Material]:
     matches = [row for row in rows if row.name.lower() == name.lower()]
     if not matches:
         known = sorted({row.name for row in rows})
-        near = difflib.get_close_matches(name, known, 1, 0.4)
-        hint = f"; did you mean {near[0]}?" if near else f"; it has {', '.join(known)}"
+        hint = nearest(name, known, f"; it has {', '.join(known)}")
         raise InputError(FILE, f"has no material {name[:40]!r}{hint}")
     return matches

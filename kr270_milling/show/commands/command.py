@@ -85,7 +85,7 @@ def add_command(sub, name: str, text: str, of: Command, json_default=False, **mo
             add_command(below, key, line, part, json_default=argparse.SUPPRESS, help=line)
     text = "print one JSON object to standard output"
     parser.add_argument("--json", help=text, action="store_true", default=json_default)
-    parser.set_defaults(run=functools.partial(_run, of.run))
+    parser.set_defaults(run=functools.partial(_run, of.run), parser=parser)
 
 
 def _run(place: str, args: argparse.Namespace):

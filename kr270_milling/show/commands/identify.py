@@ -57,7 +57,7 @@ COMMANDS = {
                 "identify.identify_forces", "identify forces CUTS.csv --cell config/test_piece.yaml --out identified",
                 option("cuts CUTS.csv", "one cut a row, with its forces or a recording of them"),
                 option("--cell CELL.yaml", "its tool made the cuts"),
-                option("--teeth", "of the tool, instead of the cell's", int),
+                option("--teeth", "of the tool, instead of the cell's", bounded(1, 100, int)),
                 option("--diameter-mm", "of the tool, instead of the cell's", bounded(0, 1000)),
                 option("--rotation", "instead of the cell's", choices=("clockwise", "counterclockwise")),
                 option("--law NAME", "for the YAML file, one of cutting.law", default="linear_edge"),
@@ -88,7 +88,7 @@ COMMANDS = {
             "material": ("published force coefficients of a material", command(
                 "identify.identify_material", "identify material Al7075-T6",
                 option("name NAME", "of a material; without it all are listed", nargs="?"),
-                option("--row", "which, where a material has several", int, 1),
+                option("--row", "which, where a material has several", bounded(1, 1000, int), 1),
                 option("--out DIR", "write YAML to include"),
             )),
         },

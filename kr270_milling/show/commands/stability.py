@@ -22,10 +22,10 @@ def _rigid(cell) -> str:
 
 COMMANDS = {
     "stability": command(
-        "stability.run_stability", "stability config/paper.yaml --speeds 4000:12000:100",
+        "stability.run_stability", "stability config/paper.yaml --speeds 4000:12000/100",
         *CELL,
         option(
-            "--speeds LOW:HIGH:COUNT",
+            "--speeds LOW:HIGH/COUNT",
             f"spindle speeds [rpm] (default: {LOBE_SPEEDS} from half to one and a half times that of the cell)",
             grid(1.0, 2e5, 100_000),
         ),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import math
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.errors import MillingError, ParameterError
+from kr270_milling.base.errors import MillingError, ParameterError, nearest
 from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import mean_force, simulate
 from kr270_milling.cell.keys import keys_of
@@ -36,9 +35,9 @@ class Axis:
 
 
 def parse_axis(text: str) -> Axis:
-    """``key=LOW:HIGH:STEP`` or ``key=A,B,C``; raises ParameterError."""
+    """``key=LOW:HIGH:STEP``, ``key=LOW:HIGH/COUNT`` or ``key=A,B,C``; raises ParameterError."""
     key, equals, given = text.partition("=")
-    wrong = ParameterError("--vary", text, "key=LOW:HIGH:STEP or key=A,B,C")
+    wrong = ParameterError("--vary", text, "key=LOW:HIGH:STEP, key=LOW:HIGH/COUNT or key=A,B,C")
     if not equals or not key:
         raise wrong
     if ":" not in given:
@@ -46,15 +45,19 @@ def parse_axis(text: str) -> Axis:
         if not all(values):
             raise wrong
         return Axis(key, tuple(map(_value, values)))
+    ends, slash, last = given.rpartition("/")
     try:
-        low, high, step = map(float, given.split(":"))
+        low, high, number = map(float, (*ends.split(":"), last) if slash else given.split(":"))
     except ValueError:
         raise wrong from None
-    if not (math.isfinite(low) and math.isfinite(high) and low <= high and 0.0 < step < math.inf):
+    if not (math.isfinite(low) and math.isfinite(high) and low <= high and 0.0 < number < math.inf):
         raise wrong
-    count = math.floor((high - low) / step + 1e-9) + 1
+    if slash and number % 1.0:
+        raise wrong
+    count = int(number) if slash else math.floor((high - low) / number + 1e-9) + 1
     if count > MOST_ROWS:
         raise ParameterError("--vary", text, f"at most {MOST_ROWS} values")
+    step = (high - low) / max(1, count - 1) if slash else number
     return Axis(key, tuple(low + step * i for i in range(count)))
 
 
@@ -90,8 +93,7 @@ class Sweep(StudyRows):
         keys = [axis.key for axis in self.axes]
         for key in keys:
             if key not in known:  # else every row would have this error
-                near = "".join(f"; did you mean {name}?" for name in difflib.get_close_matches(key, known, 1))
-                raise ParameterError("--vary", key, f"a key of a cell{near}")
+                raise ParameterError("--vary", key, f"a key of a cell{nearest(key, known)}")
         if self.samples is not None and not 1 <= self.samples <= MOST_ROWS:
             raise ParameterError("--samples", self.samples, f"from 1 to {MOST_ROWS}")
         if len(self) > MOST_ROWS:

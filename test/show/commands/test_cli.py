@@ -88,10 +88,35 @@ def test_the_example_of_a_command_is_one_that_it_takes(name):
     assert _parser(words).parse_args(words).command == name
 
 
-def test_the_version_is_that_of_the_package(capsys):
-    with pytest.raises(SystemExit) as exited:
-        main(["--version"])
-    assert exited.value.code == 0 and capsys.readouterr().out == f"kr270_milling {__version__}\n"
+@pytest.mark.parametrize("words", [("kr270_milling.cli", "--version"), ("kr270_milling", "-V")])
+def test_the_version_is_that_of_the_package(words):
+    ran = subprocess.run([sys.executable, "-m", *words], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert (ran.returncode, ran.stdout) == (0, f"kr270_milling {__version__}\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("simulat paper.yaml", "there is no command 'simulat'; did you mean simulate?"),
+        ("identify complianc", "did you mean compliance? (kr270_milling identify --help)"),
+        ("check paper.yaml --refrence=x", "there is no option --refrence; did you mean --reference?"),
+        ("compensate paper.yaml --method liner", "'liner' is not one of best, linear,"),
+        ("compensate paper.yaml --seed 0", "--seed: '0' is not a whole number from 1 to 999999"),
+        ("check", "needs CELL.yaml (kr270_milling check --help)"),
+        ("check paper.yaml other.yaml", "'other.yaml' is one argument too many"),
+        ("map paper.yaml --y -2:2:5", "'-2:2:5' is not LOW:HIGH/COUNT from -100000 to 100000: write -2:2/5"),
+        ("stability paper.yaml --speeds 1:9", "'1:9' is not LOW:HIGH/COUNT from 1 to 200000 ("),
+        ("check nowhere.yaml", "nowhere.yaml: is no such file"),
+    ],
+)
+def test_a_wrong_call_is_answered_in_one_sentence_and_with_json_by_an_object(capsys, words, sentence):
+    assert main(words.split()) == 2
+    out, err = capsys.readouterr()
+    assert out == "" and err.startswith("kr270_milling: ") and err.count("\n") == 1 and sentence in err
+    assert main([*words.split(), "--json"]) == 2
+    out, err = capsys.readouterr()
+    assert err == "" and set(refusal := json.loads(out)) == {"error", "exit_code"}
+    assert refusal["exit_code"] == 2 and sentence in refusal["error"]
 
 
 # --- stiffness ---

@@ -126,7 +126,7 @@ def test_a_quarter_turn_of_everything_changes_nothing_but_joint_1(placements):
 
 
 def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path, capsys):
-    words = ["map", "paper.yaml", "--x=-100:100:2", "--y=-1700:-1500:2", "--out", str(tmp_path / "map"), "--json"]
+    words = ["map", "paper.yaml", "--x=-100:100/2", "--y=-1700:-1500/2", "--out", str(tmp_path / "map"), "--json"]
     words += ["--set", "path.length_mm=6", "--set", "stock.grid_step_um=40"]
     assert main(words) == 0
     result = json.loads(capsys.readouterr().out)
@@ -149,9 +149,18 @@ def sweep(**more) -> Sweep:
 
 def test_axes_are_ranges_or_lists():
     assert parse_axis("tool.teeth=2:6:2") == Axis("tool.teeth", (2.0, 4.0, 6.0))
+    assert parse_axis("tool.teeth=2:6/3") == parse_axis("tool.teeth=2:6:2")
     assert parse_axis("path.depth_of_cut_mm=0.2:2:0.2").values[-1] == pytest.approx(2.0)
     assert parse_axis("dynamics.mass_model=lumped,rigid").values == ("lumped", "rigid")
-    for text in ("tool.teeth", "tool.teeth=", "tool.teeth=1:0:1", "tool.teeth=1:2:0", "=1,2", "x=1:2:nan"):
+    for text in (
+        "tool.teeth",
+        "tool.teeth=",
+        "tool.teeth=1:0:1",
+        "tool.teeth=1:2:0",
+        "tool.teeth=1:2/0.5",
+        "=1,2",
+        "x=1:2:nan",
+    ):
         with pytest.raises(ParameterError):
             parse_axis(text)
 
@@ -298,7 +307,7 @@ def test_what_is_too_fast_for_every_turn_is_refused(across):
 
 
 def test_the_command_writes_a_cell_that_runs(tmp_path, capsys):
-    words = ["map", "test_piece.yaml", "--along", "--places", "20", "--tool-turn=-60:60:13", "--out", str(tmp_path)]
+    words = ["map", "test_piece.yaml", "--along", "--places", "20", "--tool-turn=-60:60/13", "--out", str(tmp_path)]
     slot = ("path.file=''", "path.start_mm=[-60,0]", "path.length_mm=15", "path.depth_of_cut_mm=1",
             "path.feed_rate_m_per_min=4", "stock.grid_step_um=60")  # fmt: skip
     assert main([*words, "--json", *(part for pair in slot for part in ("--set", pair))]) == 0
@@ -310,5 +319,5 @@ def test_the_command_writes_a_cell_that_runs(tmp_path, capsys):
     assert cell.joints(run).shape == (len(run), 6)
     table = (tmp_path / "along.csv").read_text().splitlines()
     assert len(table) == len(run) + 1 and table[0].endswith("a6_deg")
-    assert main([*words, "--x", "1:2:2"]) == 2
+    assert main([*words, "--x", "1:2/2"]) == 2
     assert main([*words, "--json", *(part for pair in slot for part in ("--set", pair))]) == 0  # over the rest
