@@ -48,6 +48,8 @@ setup(
             "pyarrow>=14",
             "pyuff>=2.4",
             "pytest>=7.4",
+            "setuptools>=64",
+            "wheel",
             "pytest-xdist>=3.5",
             "hypothesis>=6.80",
             "pin>=2.7",

@@ -20,6 +20,7 @@ GUIDE = ROOT / "kr270_milling/guide/extending.md"
 BLOCK = re.compile(r"^(New file|Change in) `([^`]+)`:\n\n```\w+\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 MOST_FILES = {
     "A force law": 2, "A compensation method": 2, "A topic": 3, "A robot": 1, "A CAM dialect": 2, "A report column": 2,
+    "From a package of your own": 1,
 }  # fmt: skip
 SHORT = ("path.length_mm=4", "stock.grid_step_um=20", "stock.max_mm=[4,12,0]")
 
@@ -208,3 +209,53 @@ def test_a_report_column_of_the_guide_is_in_the_table_and_in_the_json(extended):
     words = ("compensate", "paper.yaml", "--no-verdict", "--out", str(copy / "out"), *settings())
     assert all(row["mean_size_mm"] > 0 for row in command(copy, *words)["passes"])
     assert re.search(r"\bpass\b.*\bstatic\b.*\bmax\b.*\bmean size\b", command(copy, *words, json_too=False))
+
+
+# --- the same law, method and reader in a package of somebody else, beside the package under test ---
+@pytest.fixture(scope="module")
+def outside(tmp_path_factory):
+    """Return the directory in which pip has installed the package of the guide."""
+    source, installed = tmp_path_factory.mktemp("my_milling"), tmp_path_factory.mktemp("installed")
+    (source / "my_milling").mkdir()
+    (source / "my_milling/__init__.py").touch()
+    for title in ("A force law", "A compensation method", "A CAM dialect"):
+        ((name, text),) = ((name, text) for kind, name, text in recipe(title) if kind == "New file")
+        (source / "my_milling" / Path(name).name).write_text(text, encoding="utf-8")
+    ((_, name, text),) = recipe("From a package of your own")
+    (source / name).write_text(text, encoding="utf-8")
+    install = ["install", "-q", "--no-deps", "--no-build-isolation", "--target", str(installed), str(source)]
+    subprocess.run([sys.executable, "-m", "pip", *install], check=True, timeout=300)
+    return installed
+
+
+def test_a_package_of_somebody_else_adds_law_method_and_reader_to_every_command(outside, tmp_path):
+    (tmp_path / "part.xyz").write_text("-14 0 2 6000\n-14 0 -0.5 600\n20 0 -0.5 4000\n20 0 2 6000\n", encoding="utf-8")
+    part = (f"path.file={tmp_path / 'part.xyz'}", "stock.min_mm=[0,-14,-10]", "stock.max_mm=[20,14,0]",
+            "stock.grid_step_um=50", "part.tolerance_um=200")  # fmt: skip
+    words = [word for setting in (*KIENZLE[:4], *part) for word in ("--set", setting)]
+    out = tmp_path / "out"
+    order = ("--method", "half", "--verdict", "3", "--out", str(out))
+    result = command(outside, "compensate", "paper.yaml", *words, *order)
+    assert result["method"] == "half" and result["verdict"]["samples"] == 3
+    original, revised = (row["max_deviation_mm"] for row in result["passes"])
+    assert 0.3 * original < revised < 0.7 * original  # half of the deviation is left
+    assert {".src", ".html"} <= {file.suffix for file in out.rglob("*")}
+
+
+@pytest.mark.parametrize(
+    ("line", "sentence"),
+    [
+        ("[kr270_milling.force_laws]\nlinear_edge = json:loads", "this name is taken"),
+        ("[kr270_milling.force_laws]\nmine = no_such_module:Law", "cannot be imported (ModuleNotFoundError"),
+        ("[kr270_milling.methods]\nmine = json:loads", "json:loads is no class with the function revise"),
+    ],
+)
+def test_an_entry_point_that_cannot_be_used_is_named_in_one_sentence(tmp_path, line, sentence):
+    (tmp_path / "mine-1.0.dist-info").mkdir()
+    (tmp_path / "mine-1.0.dist-info/METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (tmp_path / "mine-1.0.dist-info/entry_points.txt").write_text(line + "\n")
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+    command = [sys.executable, "-m", "kr270_milling.cli", "compensate", "paper.yaml"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2 and "package mine: entry point" in done.stderr and sentence in done.stderr
+    assert "Traceback" not in done.stderr

@@ -12,18 +12,13 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
-from kr270_milling.base.record import flatten
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
+from kr270_milling.cell.cell_file import cell_text
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.revision import PassRecord
 
-__all__ = ["SavedPasses", "text_of"]
-
-
-def text_of(cell: Cell) -> str:
-    """All parameters of a cell, with all their digits."""
-    return json.dumps(flatten(cell), default=np.ndarray.tolist, sort_keys=True)
+__all__ = ["SavedPasses"]
 
 
 class SavedPasses:
@@ -38,7 +33,7 @@ class SavedPasses:
 
     def __init__(self, directory, cell: Cell, words: Sequence[str | None] = (), resume: bool = False):
         self.directory = Path(directory)
-        settings = repr((__version__, *words, cell.programmed.sha256, text_of(cell)))
+        settings = repr((__version__, *words, cell.programmed.sha256, cell_text(cell)))
         self._cell = hashlib.sha256(settings.encode()).hexdigest()
         self._number = 0
         self._resumes = resume

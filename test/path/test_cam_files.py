@@ -113,9 +113,9 @@ def test_another_kind_of_file_is_refused_by_its_name(tmp_path):
 
 
 def test_a_tool_of_a_file_without_tools_and_a_recording_as_a_program_are_refused(tmp_path):
-    with pytest.raises(InputError, match="a CSV of points has no tools, so T1 cannot be chosen"):
+    with pytest.raises(InputError, match=r"a \.csv file has no tools, so T1 cannot be chosen"):
         read_path_file(tmp_path / "points.csv", tool="T1")
-    with pytest.raises(InputError, match="a recording has no tools"):
+    with pytest.raises(InputError, match=r"a \.mcap file has no tools"):
         read_path_file(tmp_path / "run.mcap", tool="T1")
     with pytest.raises(InputError, match="is a recording, not a program"):
         read_toolpath(tmp_path / "run.mcap")

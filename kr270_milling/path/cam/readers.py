@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kr270_milling.base.errors import InputError, RecordingError
+from kr270_milling.base.extensions import registered
 from kr270_milling.base.frames import quaternion_from_rotation, rotation_from_abc
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.base.record import UNITS
@@ -82,6 +83,7 @@ READERS: dict[str, PathReader] = {
     ".csv": POINTS,
     ".mcap": RECORDING,
 }
+READERS |= {point.name: PathReader(point.module, point.attr) for point in registered("readers", READERS)}
 
 
 def reader_of(path) -> PathReader:
@@ -113,8 +115,7 @@ def read_path_file(path, tool: str = "", topic: str = "", feed: float = 0.0) -> 
     """
     reader = reader_of(path)
     if tool and "tool" not in reader.options:
-        kind = "recording" if reader.recorded else "CSV of points"
-        raise InputError(path, f"a {kind} has no tools, so {tool} cannot be chosen")
+        raise InputError(path, f"a {Path(path).suffix} file has no tools, so {tool} cannot be chosen")
     given = {"tool": tool, "topic": topic, "feed": feed}
     return reader.read(path, **{name: given[name] for name in reader.options})
 

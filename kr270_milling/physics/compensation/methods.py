@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from kr270_milling.base.extensions import load_as, registered
 from kr270_milling.physics.compensation.method import Correction, Method, RevisionTask
 
 __all__ = ["BEST", "LEARNED", "METHODS", "method_of"]
@@ -75,6 +76,13 @@ METHODS: dict[str, Method] = {
         ResponseMethod("inverse", repeats=False),
     )
 }
+
+
+def _is_method(kind) -> bool:
+    return isinstance(kind, type) and hasattr(kind, "revise")
+
+
+METHODS |= {p.name: load_as(p, _is_method, "class with the function revise")() for p in registered("methods", METHODS)}
 
 
 def method_of(method: str | Method) -> Method:

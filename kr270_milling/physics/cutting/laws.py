@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.extensions import load_as, registered
 from kr270_milling.base.record import Record, parameter, specs
 from kr270_milling.physics.cutting.force_law import ForceLaw
 from kr270_milling.physics.cutting.fractional import FractionalLaw
@@ -17,6 +18,13 @@ __all__ = ["LAWS", "Cutting"]
 
 #: every force law, by its name in a parameter file
 LAWS: dict[str, type[ForceLaw]] = {"fractional": FractionalLaw, "linear_edge": LinearEdgeLaw}
+
+
+def _is_law(kind) -> bool:
+    return isinstance(kind, type) and issubclass(kind, ForceLaw)
+
+
+LAWS |= {point.name: load_as(point, _is_law, "subclass of ForceLaw") for point in registered("force_laws", LAWS)}
 
 
 def _with_laws(record: type) -> type:

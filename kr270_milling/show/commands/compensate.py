@@ -77,14 +77,15 @@ COMMANDS = {
 
 
 def run_compensate(args) -> Answer:
-    from kr270_milling.cell.saved_passes import SavedPasses, text_of
+    from kr270_milling.cell.cell_file import cell_text
+    from kr270_milling.cell.saved_passes import SavedPasses
     from kr270_milling.decide.compensation import compensate
     from kr270_milling.decide.decision import CAUTION
     from kr270_milling.decide.tools import DecisionOnTools, in_turn
 
     def run(cell):
         plant = plant_of(args, cell)
-        words = args.method, plant and text_of(plant.cell)
+        words = args.method, plant and cell_text(plant.cell)
         place = Path(args.out, UNFINISHED, cell.stage.tool if cell.stage else "")
         done = compensate(
             cell, args.method, plant=plant, motions=args.krl or (), verdict=_order(args), progress=progress,

@@ -1,0 +1,38 @@
+"""Objects of other installed packages, which these packages register as entry points of Python.
+
+The groups are ``kr270_milling.force_laws``, ``kr270_milling.methods`` and ``kr270_milling.readers``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container
+from importlib.metadata import EntryPoint, entry_points
+
+from kr270_milling.base.errors import ConfigError
+
+__all__ = ["load_as", "registered"]
+
+
+def registered(group: str, known: Container[str]) -> list[EntryPoint]:
+    """The entry points of ``kr270_milling.<group>``, by name; raises ConfigError for a name that is taken."""
+    points = sorted(entry_points(group=f"kr270_milling.{group}"), key=lambda point: point.name)
+    for before, point in zip([None, *points], points, strict=False):
+        if point.name in known or (before is not None and before.name == point.name):
+            raise _error(point, "this name is taken; choose another one")
+    return points
+
+
+def load_as(point: EntryPoint, valid: Callable[[object], bool], kind: str):
+    """The object of an entry point; raises ConfigError where the import fails or the object is of another kind."""
+    try:
+        loaded = point.load()
+    except (ImportError, AttributeError, SyntaxError) as error:
+        raise _error(point, f"cannot be imported ({type(error).__name__}: {error})") from None
+    if not valid(loaded):
+        raise _error(point, f"{point.value} is no {kind}")
+    return loaded
+
+
+def _error(point: EntryPoint, reason: str) -> ConfigError:
+    package = point.dist.name if point.dist else "an installed package"
+    return ConfigError(f"package {package}", f"entry point {point.name} of {point.group}", None, reason)
