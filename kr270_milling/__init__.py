@@ -13,22 +13,22 @@ from typing import TYPE_CHECKING
 from kr270_milling.base.version import __version__
 
 if TYPE_CHECKING:
-    from kr270_milling.api import check, compensate, read_cell, read_recording, simulate
-    from kr270_milling.api import verdict_of as verdict
+    from kr270_milling.api import check, compensate, read_cell, read_recording, simulate, stability, verdict
     from kr270_milling.path.trajectory import Trajectory
 
-__all__ = ["Trajectory", "__version__", "check", "compensate", "read_cell", "read_recording", "simulate", "verdict"]
-
-#: name -> module and name there; imported when asked for, so that the command line starts at once
-_PLACES = {
-    **{name: ("api", name) for name in ("check", "compensate", "read_cell", "read_recording", "simulate")},
-    "verdict": ("api", "verdict_of"),
-    "Trajectory": ("path.trajectory", "Trajectory"),
-}
+__all__ = [
+    "Trajectory", "__version__", "check", "compensate", "read_cell", "read_recording", "simulate", "stability",
+    "verdict",
+]  # fmt: skip
 
 
 def __getattr__(name: str):
-    if name not in _PLACES:
+    """Import a name when it is asked for, so that the command line starts at once."""
+    if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, original = _PLACES[name]
-    return getattr(importlib.import_module(f"{__name__}.{module}"), original)
+    module = "path.trajectory" if name == "Trajectory" else "api"
+    return getattr(importlib.import_module(f"{__name__}.{module}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

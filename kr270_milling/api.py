@@ -1,4 +1,4 @@
-"""The front door for scripts and notebooks: five functions and the records that they return."""
+"""The front door for scripts and notebooks: the functions and the results that they return."""
 
 from __future__ import annotations
 
@@ -9,27 +9,57 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from kr270_milling.base.column import TextTable, as_dict, columns_of, fixed, table_of
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell as cells
 from kr270_milling.cell import jobs
 from kr270_milling.cell.cell import Cell
 from kr270_milling.decide import check as checks
-from kr270_milling.decide import compensation, tolerance, verdict
+from kr270_milling.decide import compensation, tolerance
 from kr270_milling.decide import decision as decisions
+from kr270_milling.decide import verdict as verdicts
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.compensation.method import Method
+from kr270_milling.physics.motion.scores import Scores
+from kr270_milling.physics.motion.stability import Lobe
+from kr270_milling.show.commands.console import now
+from kr270_milling.show.report import report_text
 from kr270_milling.show.report.series import COLUMNS, series_lines, series_rows
+from kr270_milling.show.report.study_page import figure_of, fragment, points, write_page
+from kr270_milling.studies.maps.lobes import lobes
 
 if TYPE_CHECKING:
     import pandas
     import plotly.graph_objects
 
-__all__ = ["Compensation", "Pass", "check", "compensate", "read_cell", "read_recording", "simulate", "verdict_of"]
+__all__ = ["Compensation", "Lobes", "Pass", "Verdict", "check", "compensate", "read_cell", "read_recording", "simulate",
+           "stability", "verdict"]  # fmt: skip
+
+
+class Shown:
+    """A result as a notebook shows it; each class gives sentences, tables and a figure."""
+
+    def sentences(self) -> list[str]:
+        return [repr(self)[1:-1]]
+
+    def tables(self) -> list[TextTable]:
+        return []
+
+    def plot(self) -> plotly.graph_objects.Figure:
+        raise NotImplementedError
+
+    def _repr_html_(self) -> str:
+        return fragment(self.sentences(), self.tables())
+
+    def report(self, path) -> Path:
+        """Write one HTML page with sentences, tables and figure; returns the path."""
+        title, *sentences = self.sentences()
+        return write_page(Path(path), title, sentences, self.tables(), [self.plot()])
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class Pass(jobs.ScoredPass):
+class Pass(Shown, jobs.ScoredPass):
     """One pass of a cell, simulated or recorded: its name, reference, result (series) and scores."""
 
     cell: Cell
@@ -48,6 +78,9 @@ class Pass(jobs.ScoredPass):
         """What the pass leaves on the part against ``part.tolerance_um``."""
         return tolerance.judge(self.cell, self)
 
+    def tables(self) -> list[TextTable]:
+        return [_scores_table([self])]
+
     def to_frame(self) -> pandas.DataFrame:
         """Every series as a pandas frame, units in the column names; raises ImportError without pandas."""
         import pandas
@@ -61,22 +94,16 @@ class Pass(jobs.ScoredPass):
         return Path(path)
 
     def plot(self) -> plotly.graph_objects.Figure:
-        """Deviation across the feed and force over time, as an interactive figure."""
-        from plotly.subplots import make_subplots
+        """Path deviation [um] and force [N] over time, as an interactive figure."""
+        return _series_figure([self])
 
-        series = dict(zip(COLUMNS[1:], series_rows(self.result, self.cell.target()).T, strict=True))
-        figure = make_subplots(rows=2, cols=1, shared_xaxes=True)
-        figure.add_scatter(x=self.result.time, y=1e3 * series["path_deviation_mm"], name="deviation", row=1, col=1)
-        for axis in "xyz":
-            figure.add_scatter(x=self.result.time, y=series[f"force_{axis}_n"], name=f"force {axis}", row=2, col=1)
-        figure.update_yaxes(title="deviation [um]", row=1, col=1)
-        figure.update_yaxes(title="force [N]", row=2, col=1)
-        figure.update_xaxes(title="time [s]", row=2, col=1)
-        return figure.update_layout(title=repr(self)[1:-1])
+    def report(self, path) -> Path:
+        """Write the report of the pass as one HTML page; returns the path."""
+        return _write_report(path, self.cell, (self,), f"{self.cell.programmed.file_name}: {self.name}")
 
 
-@dataclass(frozen=True, eq=False)
-class Compensation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Compensation(Shown):
     """A pass as programmed, the compensated one, what the check says of it, and the decision."""
 
     original: Pass
@@ -87,42 +114,186 @@ class Compensation:
     def __repr__(self) -> str:
         return f"<Compensation {self.compensated.name}: {self.decision.headline}>"
 
+    def sentences(self) -> list[str]:
+        return [f"Compensation {self.compensated.name}", *self.decision.lines(), self.checked.counts]
+
+    def tables(self) -> list[TextTable]:
+        return [_scores_table([self.original, self.compensated])]
+
+    def to_frame(self) -> pandas.DataFrame:
+        """The series of both passes below each other, the name in the column ``pass``."""
+        import pandas
+
+        frames = {one.name: one.to_frame() for one in (self.original, self.compensated)}
+        return pandas.concat(frames, names=["pass"]).reset_index(level=0)
+
+    def plot(self) -> plotly.graph_objects.Figure:
+        """Path deviation [um] and force [N] of both passes over time."""
+        return _series_figure([self.original, self.compensated])
+
+    def report(self, path) -> Path:
+        """Write the report of both passes as one HTML page, the decision first; returns the path."""
+        passes, cell = (self.original, self.compensated), self.original.cell
+        title = f"{cell.programmed.file_name}: before and after compensation ({self.compensated.name})"
+        return _write_report(path, cell, passes, title, decision=self.decision, checked=self.checked)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Verdict(Shown, verdicts.Verdict):
+    """What simulated robots do with a corrected trajectory: ``original`` and ``compensated`` [m], one row a robot."""
+
+    def sentences(self) -> list[str]:
+        return [repr(self)[1:-1], self.reason]
+
+    def to_frame(self) -> pandas.DataFrame:
+        """The errors of each simulated robot [um], as programmed and compensated; NaN where a robot fails."""
+        import pandas
+
+        return pandas.DataFrame({"original_um": 1e6 * self.original, "compensated_um": 1e6 * self.compensated})
+
+    def tables(self) -> list[TextTable]:
+        rows = [
+            (which, *(fixed(1e6 * value, 1) for value in self.band(which))) for which in ("original", "compensated")
+        ]
+        return [TextTable(f"{self.quantity} [um]", ("", "5 %", "50 %", "95 %"), rows)]
+
+    def plot(self) -> plotly.graph_objects.Figure:
+        """The distribution of the errors [um] before and after."""
+        figure = figure_of(self.word, "", f"{self.quantity} [um]")
+        for which in ("original", "compensated"):
+            figure.add_box(y=1e6 * getattr(self, which), name=which, boxpoints="all")
+        return figure
+
+
+@dataclass(frozen=True, repr=False)
+class Lobes(Shown):
+    """Limit depth of cut and chatter frequency over spindle speed."""
+
+    rows: tuple[Lobe, ...]
+
+    def __repr__(self) -> str:
+        best = max(self.rows, key=lambda row: row.depth_limit)
+        if best.depth_limit == np.inf:
+            return "<Lobes: no chatter up to 100 mm at one speed or more>"
+        depth, speed = 1e3 * best.depth_limit, best.spindle_speed * 30.0 / np.pi
+        return f"<Lobes: deepest stable cut {depth:.3g} mm at {speed:.0f} rpm>"
+
+    def tables(self) -> list[TextTable]:
+        return [table_of("Stability lobes", columns_of(Lobe), map(as_dict, self.rows))]
+
+    def to_frame(self) -> pandas.DataFrame:
+        """One row a spindle speed: ``spindle_speed_rpm``, ``depth_limit_mm``, ``chatter_hz``."""
+        import pandas
+
+        return pandas.DataFrame(map(as_dict, self.rows))
+
+    def plot(self) -> plotly.graph_objects.Figure:
+        """Limit depth [mm] over spindle speed [rpm]."""
+        rows = list(map(as_dict, self.rows))
+        across, up = ([row[name] for row in rows] for name in ("spindle_speed_rpm", "depth_limit_mm"))
+        lines = {"limit depth": (across, up)}
+        title = "Below the line the cut is stable"
+        return points(title, "spindle speed [rpm]", "depth of cut [mm]", lines, ("limit depth",))
+
 
 def read_cell(path, *assignments: str) -> Cell:
     """The cell of a parameter file, also a shipped one by its name; raises ConfigError.
 
-    assignments: texts ``"tool.teeth=2"``, as behind ``--set``.
+    assignments: texts in the unit of their keys, as behind ``--set``; ``kr270_milling keys`` lists the keys.
+
+    >>> cell = read_cell("paper.yaml", "path.length_mm=30", "tool.teeth=2")
     """
     return cells.read_cell(find_file(str(path)), assignments)
 
 
 def simulate(cell: Cell, reference: Trajectory | None = None) -> Pass:
-    """One pass on a fresh workpiece, along the programmed path or along a reference."""
+    """One pass on a fresh workpiece, along the programmed path or along a reference (positions in m).
+
+    >>> simulate(read_cell("paper.yaml"))
+    <Pass original: static 58.10 um, max 62.79 um>
+    """
     return Pass.of(cell, jobs.simulate(cell, reference, "original" if reference is None else "reference"))
 
 
 def compensate(cell: Cell, method: str | Method | None = None) -> Compensation:
-    """Revise the trajectory by a method (default: that of the cell) and judge it."""
+    """Revise the trajectory by a method (default: that of the cell), simulate the revision, check it and decide.
+
+    method: a name, or an object of a class of your own, see the extension guide. Raises ParameterError, PassError.
+
+    >>> compensate(read_cell("paper.yaml"), "spline").plot().show()
+    """
     done = compensation.compensate(cell, method)
     return Compensation(Pass.of(cell, done.original), Pass.of(cell, done.revised), done.checked, done.decision)
 
 
 def check(cell: Cell, reference: Trajectory | None = None) -> checks.Checked:
-    """Whether the path of the cell, or a corrected one, may be run."""
+    """Whether the path of the cell, or a corrected one, may be run: findings, stability, reach, limits.
+
+    >>> check(read_cell("test_piece.yaml")).may_be_run
+    True
+    """
     return checks.check(cell, reference)
 
 
-def verdict_of(cell: Cell, reference: Trajectory, samples: int = verdict.SAMPLES, seed: int = 1) -> verdict.Verdict:
-    """Whether a corrected trajectory helps when the models are as uncertain as the cell says."""
-    result = verdict.monte_carlo(cell, reference, samples, seed)
-    return cast(verdict.Verdict, result)  # None only with a limit of time
+def verdict(cell: Cell, reference: Trajectory, samples: int = verdicts.SAMPLES, seed: int = 1) -> Verdict:
+    """Whether a corrected trajectory helps when the models are as uncertain as the cell says.
+
+    samples: number of simulated robots, drawn from the section ``uncertainty`` of the cell.
+
+    >>> verdict(cell, done.compensated.reference, samples=16)
+    <Verdict: helps (16 plants: 12.3 um, 5 to 95 % 4.1 to 25.6)>
+    """
+    result = verdicts.monte_carlo(cell, reference, samples, seed)
+    return Verdict(**vars(cast(verdicts.Verdict, result)))  # None only with a limit of time
+
+
+def stability(cell: Cell, speeds_rpm: Sequence[float], arm: bool = True) -> Lobes:
+    """Limit depth of cut at each spindle speed, with the modes of the arm (``arm``) and of ``tool.modes``.
+
+    >>> stability(cell, range(6000, 10001, 500)).plot()
+    """
+    return Lobes(tuple(lobes(cell, [float(speed) * np.pi / 30.0 for speed in speeds_rpm], arm)))
 
 
 def read_recording(path, namespace: str | None = None) -> Pass:
-    """The pass of a recording (.mcap or its directory); raises RecordingError."""
+    """The pass of a recording (.mcap or its directory); raises RecordingError.
+
+    >>> read_recording("out/linear.mcap").to_frame()
+    """
     from kr270_milling.exchange.replay.recorded import pass_from_recording
 
     place = Path(path)
     files: Sequence[Path] = sorted(place.glob("*.mcap")) if place.is_dir() else [place]
     recorded = pass_from_recording(files[0] if files else place, place.stem, namespace)
     return Pass.of(recorded.cell, recorded.scored)
+
+
+def _scores_table(passes: Sequence[Pass]) -> TextTable:
+    columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
+    return table_of("Path deviation [um]", columns, [one.row() for one in passes])
+
+
+def _series_figure(passes: Sequence[Pass]) -> plotly.graph_objects.Figure:
+    from plotly.subplots import make_subplots
+
+    figure = make_subplots(rows=2, cols=1, shared_xaxes=True)
+    for one in passes:
+        which = f" {one.name}" if len(passes) > 1 else ""
+        series = dict(zip(COLUMNS[1:], series_rows(one.result, one.cell.target()).T, strict=True))
+        deviation = 1e3 * series["path_deviation_mm"]
+        figure.add_scatter(x=one.result.time, y=deviation, name=f"deviation{which}", row=1, col=1)
+        for axis in "xyz":
+            force = series[f"force_{axis}_n"]
+            figure.add_scatter(x=one.result.time, y=force, name=f"force {axis}{which}", row=2, col=1)
+    figure.update_yaxes(title="deviation [um]", row=1, col=1)
+    figure.update_yaxes(title="force [N]", row=2, col=1)
+    figure.update_xaxes(title="time [s]", row=2, col=1)
+    return figure.update_layout(title=", ".join(repr(one)[1:-1] for one in passes))
+
+
+def _write_report(path, cell: Cell, passes: Sequence[Pass], title: str, **more) -> Path:
+    text = report_text(
+        cell, passes, title=title, source=cell.programmed.file_name, command="Python", date=now(), **more
+    )
+    write_files({Path(path): (text,)})
+    return Path(path)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 
 import numpy as np
 
+from kr270_milling.base.column import TextTable
 from kr270_milling.show.report.page.page import HERE, page_text
-from kr270_milling.show.report.tables import micro
+from kr270_milling.show.report.tables import micro, typographic
 
-__all__ = ["figure_of", "points", "write_page"]
+__all__ = ["figure_of", "fragment", "points", "write_page"]
 
 CLEAR = "rgba(0,0,0,0)"
 CONFIG = {"displaylogo": False, "responsive": True}
@@ -52,6 +55,17 @@ def write_page(path: Path, title: str, sentences, tables, figures) -> Path:
     )
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def fragment(sentences: Sequence[str], tables: Sequence[TextTable]) -> str:
+    """Sentences and tables as HTML without a page around them, for a notebook; all texts are escaped."""
+    parts = [f"<p>{escape(_typographic(text))}</p>" for text in sentences]
+    for table in map(typographic, tables):
+        head = "".join(f"<th>{escape(name)}</th>" for name in table.columns)
+        rows = ("".join(f"<td>{escape(text)}</td>" for text in row) for row in table.rows)
+        body = "".join(f"<tr>{row}</tr>" for row in rows)
+        parts.append(f"<table><caption>{escape(table.title)}</caption><tr>{head}</tr>{body}</table>")
+    return "".join(parts)
 
 
 def _plot(figure) -> str:
