@@ -8,6 +8,9 @@ Terminal tables, JSON, CSV files and the report take their columns from there::
 
 The key of JSON is ``max_deviation_mm``, the heading is ``largest deviation [µm]`` in the report and ``max [um]`` in the
 terminal. ``computed`` does the same for a property.
+
+Tables print ``< 0.1`` for a deviation of a part (``least=CONVERGED``) that is smaller than what another grid changes.
+JSON and CSV have the number. ``Scores`` of a straight cut keep their digits: they stand beside Table 2 of the paper.
 """
 
 from __future__ import annotations
@@ -17,7 +20,11 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-__all__ = ["Column", "TextTable", "as_dict", "column", "columns", "columns_of", "computed", "fixed", "table_of", "yes"]
+__all__ = ["CONVERGED", "Column", "TextTable", "as_dict", "column", "columns", "columns_of", "computed", "fixed",
+           "table_of", "yes"]  # fmt: skip
+
+#: [m]; a finer or coarser grid changes the deviation of the paper's pass by up to 0.06 um, see guide/numbers.md
+CONVERGED = 1e-7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -33,6 +40,7 @@ class Column:
     digits: int  #: decimals in tables
     short: str  #: heading in the terminal; "": the field is not shown there
     infinite: str  #: text of an infinite value
+    least: float  #: in SI; of a smaller size tables state only that it is smaller; 0: none
 
     def heading(self, short: bool = False) -> str:
         """Return the title, or the short one, with the unit."""
@@ -40,7 +48,8 @@ class Column:
 
     def text(self, written: float) -> str:
         """Return a value of JSON as text, in the unit of the tables."""
-        return self.infinite if written == math.inf else fixed(written / self.factor * self.scale, self.digits)
+        value = written / self.factor * self.scale
+        return self.infinite if written == math.inf else fixed(value, self.digits, self.least * self.scale)
 
 
 class TextTable(NamedTuple):
@@ -54,10 +63,11 @@ class TextTable(NamedTuple):
 
 def _about(
     key: str, factor: float = 1.0, title: str = "", unit: str = "", scale: float | None = None, digits: int = 1,
-    short: str = "", infinite: str = "inf",
+    short: str = "", infinite: str = "inf", least: float = 0.0,
 ) -> dict:  # fmt: skip
     """Return the column but for its name; scale: default the factor of the key."""
-    about = dict(key=key, factor=factor, title=title, unit=unit, digits=digits, short=short, infinite=infinite)
+    about = dict(key=key, factor=factor, title=title, unit=unit, digits=digits, short=short, infinite=infinite,
+                 least=least)  # fmt: skip
     return about | {"scale": factor if scale is None else scale}
 
 
@@ -115,8 +125,10 @@ def _cell(value, style: int | Callable[[Any], str]) -> str:
     return value if isinstance(value, str) else fixed(value, style)
 
 
-def fixed(value: float, digits: int = 2) -> str:
-    """Return a number with so many decimals; "-" for NaN."""
+def fixed(value: float, digits: int = 2, least: float = 0.0) -> str:
+    """Return a number with so many decimals; "-" for NaN, "< 0.1" for a size below ``least`` = 0.1."""
+    if abs(value) < least:
+        return f"< {least:.3g}"
     return "-" if math.isnan(value) else f"{round(value, digits) + 0.0:.{digits}f}"
 
 

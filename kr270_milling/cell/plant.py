@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.path.controller_motion import other_motion
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import Tool
 from kr270_milling.physics.motion.backlash import Gaps
@@ -31,7 +32,8 @@ class Plant:
 
     def __init__(self, model: Cell, cell: Cell, imperfections: Imperfections | None = None):
         programmed = {
-            name: getattr(model, name) for name in ("path", "timing", "start_joints", "compensation", "stage")
+            name: getattr(model, name)
+            for name in ("path", "timing", "start_joints", "compensation", "stage", "program")
         }
         self.cell = cell.replace(imperfections=imperfections or cell.imperfections, **programmed)
         self.target = model.target()
@@ -58,8 +60,11 @@ def imperfect_course(cell: Cell, reference: Trajectory, number: int, target: Tra
     target: the programmed trajectory; None: that of the cell.
     """
     assumed = cell.imperfections
+    target = cell.target() if target is None else target
+    if assumed.joining:
+        reference = other_motion(reference, target, assumed.joining, cell.program.blend_distance)
     if assumed.servo_frequency or assumed.servo_delay:
-        reference = assumed.lagged(reference, cell.target() if target is None else target)
+        reference = assumed.lagged(reference, target)
     if not assumed.repeatability:
         return reference
     return reference.with_position(reference.position + assumed.shift(number), reference.velocity)
@@ -136,15 +141,15 @@ def perturbed(cell: Cell, rng: np.random.Generator) -> Cell:
         mount=cell.mount.replace(mass=cell.mount.mass / frequency**2),
         cutting=cell.cutting.replace(**{cell.cutting.law: law}),
         dynamics=cell.dynamics.replace(damping_ratio=damping, reference_inertia=moved),
-        imperfections=Imperfections(
-            noise,
-            repeatability,
-            backlash * cell.arm.backlash,
-            servo,
-            delay,
-            cell.imperfections.wrench,
-            cell.imperfections.wrench_noise,
-            seed,
+        imperfections=cell.imperfections.replace(
+            pose_noise=noise,
+            repeatability=repeatability,
+            backlash=backlash * cell.arm.backlash,
+            servo_frequency=servo,
+            servo_delay=delay,
+            joining=assumed.joining * float(np.random.default_rng(seed).random()),  # the other draws stay
+            seed=seed,
+            first_pass=0,
         ),
         stock=cell.stock.replace(min=cell.stock.min + shift, max=cell.stock.max + shift),
     )

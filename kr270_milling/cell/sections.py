@@ -208,8 +208,8 @@ class Uncertainty(Record):
     R2500 (JonasWeigand/Robot_Identification: 0.218, 0.133, 0.244 urad/(N m)) by 6 to 16 % from Table 1 of the paper.
     The four published K_tc of aluminium 7075 scatter by 33 % (``materials.csv``). The other defaults are assumed: modal
     damping scatters by a third from mode to mode, frequencies by a tenth; a part is touched off within a few hundredths
-    of a millimetre. Repeatability, noise, backlash, wear, and the compliances of a base or a tool that the cell takes
-    as rigid are drawn evenly from 0 to the value here.
+    of a millimetre. Repeatability, noise, backlash, wear, the joining of points, and the compliances of a base or a
+    tool that the cell takes as rigid are drawn evenly from 0 to the value here.
     """
 
     joint_compliance: float = parameter(0.15, low=0.0, high=1.0, text="of each joint's compliance")
@@ -261,6 +261,10 @@ class Uncertainty(Record):
     )  # fmt: skip
     servo_delay: float = parameter(
         4e-3, unit="ms", low=0.0, high=1000.0, text="longest dead time of a plant's servo lag"
+    )
+    # assumed: between the planned motion and slopes from the neighbouring points
+    joining: float = parameter(
+        1.0, low=0.0, high=1.0, text="how far a plant's controller joins points otherwise, see imperfections.joining"
     )
     placement: float = parameter(
         0.05e-3, unit="mm", low=0.0, high=10.0, text="of the stock's place along each axis of the workpiece frame"

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from kr270_milling.base.errors import MillingError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, compensated, compensator, simulate
 from kr270_milling.cell.plant import Plant
@@ -15,7 +16,7 @@ from kr270_milling.decide.decision import Decision, decided
 from kr270_milling.decide.findings import Violation, violation
 from kr270_milling.decide.load_reversals import backlash_statement
 from kr270_milling.decide.part.assessment import PartAssessment, assess_all
-from kr270_milling.decide.programs.written import written_pass
+from kr270_milling.decide.programs.written import written_pass, written_trajectory
 from kr270_milling.decide.tolerance import judge
 from kr270_milling.decide.verdict import NO_METHOD, SAMPLES, Verdict, alternatives, compare_methods, monte_carlo
 from kr270_milling.physics.compensation.compensator import Compensator
@@ -107,7 +108,7 @@ def compensate(
     ]
     checked = check(cell, revised.reference, motion, ran=revised, more=[*limited, *unlike(planned, revised)])
     with progress("verdict") as report:
-        judged = _verdict(cell, original, revised, verdict, report, comparison is None) if verdict else None
+        judged = _verdict(cell, original, revised, verdict, report, comparison is None, motion) if verdict else None
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
     backlash = backlash_statement(cell, checked.load_reversals, bool(judged))
     decision = decided(before, after, revised.name, checked, judged, comparison, backlash)
@@ -115,18 +116,23 @@ def compensate(
 
 
 def _verdict(
-    cell: Cell, original: ScoredPass, revised: ScoredPass, order: VerdictOrder, report, compares: bool
+    cell: Cell, original: ScoredPass, revised: ScoredPass, order: VerdictOrder, report, compares: bool, motion: str
 ) -> Verdict | None:
     """The verdict of plants drawn from the uncertainties; None where it was not asked for and would take too long.
 
-    compares: whether no comparison was made yet.
+    compares: whether no comparison was made yet; motion: of the written programs, which the plants run.
     """
     if not order.asked_for and original.result.wall_time > LONGEST_PASS:
         return None
     others = alternatives(cell, original, revised.name) if order.compare and compares else {}
+    programs = {}
+    for name, run in others.items():
+        with contextlib.suppress(MillingError):
+            programs[name] = written_trajectory(cell, run, motion if run.velocity is not None else "LIN")
+    program = written_trajectory(cell, revised.reference, motion)
     return monte_carlo(
-        cell, revised.reference, order.samples, order.seed, budget=BUDGET if order.asked_for else USUAL_BUDGET,
-        give_up=not order.asked_for, progress=report, estimate=order.estimate, method=revised.name, others=others,
+        cell, program, order.samples, order.seed, budget=BUDGET if order.asked_for else USUAL_BUDGET,
+        give_up=not order.asked_for, progress=report, estimate=order.estimate, method=revised.name, others=programs,
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kr270_milling.base.column import CONVERGED
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decide.part.assessment import PartAssessment, assess, assess_result
@@ -22,8 +23,6 @@ from kr270_milling.physics.motion.scores import path_deviation
 
 __all__ = ["PATH_DEVIATION", "SURFACE_ERROR", "Gauge", "Judgement", "judge", "judge_part", "um_text"]
 
-#: [m]; a finer or coarser grid changes the deviation of the paper's pass by up to 0.06 um, see guide/numbers.md
-CONVERGED = 1e-7
 SURFACE_ERROR, PATH_DEVIATION = "largest wall or floor error", "largest path deviation"
 
 

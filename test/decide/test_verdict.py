@@ -32,7 +32,7 @@ SHORT = ("path.length_mm=16", "stock.grid_step_um=40", "stock.max_mm=[16,12,0]")
 #: eq. (1) of the paper, a perfect robot on a rigid base, a sharp and rigid tool
 AS_PRINTED = {
     "reference_inertia": 0.0, "repeatability": 0.0, "backlash": 0.0, "tool_wear": 0.0, "base_compliance": 0.0,
-    "tool_stick_out": 0.0, "servo_frequency": np.zeros(0), "servo_delay": 0.0,
+    "tool_stick_out": 0.0, "servo_frequency": np.zeros(0), "servo_delay": 0.0, "joining": 0.0,
 }  # fmt: skip
 CERTAIN = {
     **AS_PRINTED, "joint_compliance": 0.0, "force_coefficient": 0.0, "damping_ratio": 0.0, "frequency": 0.0,
@@ -247,7 +247,7 @@ def test_frequencies_of_the_plants_scatter_and_a_stated_share_of_them_moves_with
 
 def test_imperfections_of_the_plants_are_spread_evenly_up_to_what_is_stated(cell):
     plants, how = draw(cell, 400), cell.uncertainty
-    for name in ("pose_noise", "repeatability"):
+    for name in ("pose_noise", "repeatability", "joining"):
         drawn = np.array([getattr(p.imperfections, name) for p in plants]) / getattr(how, name)
         assert drawn.min() >= 0.0 and drawn.max() <= 1.0 and drawn.mean() == pytest.approx(0.5, abs=0.06)
     times = np.array([p.imperfections.backlash / p.arm.backlash for p in plants])

@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from kr270_milling.base.column import as_dict, column
+from kr270_milling.base.column import CONVERGED, as_dict, column
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decide.part.course import Course, course, deviations
@@ -19,6 +19,11 @@ from kr270_milling.physics.motion.milling_pass import PassResult
 __all__ = ["FeatureRow", "PartAssessment", "assess", "assess_all", "assess_result"]
 
 QUANTILE = 0.95
+
+
+def _deviation(key: str, title: str, short: str):
+    """Return a field in metres, shown in um, with the convergence of the grid as its least size."""
+    return column(key, 1e6, title, "um", short=short, least=CONVERGED)
 
 
 @dataclass(frozen=True)
@@ -33,16 +38,16 @@ class FeatureRow:
     #: of the path on which material was removed
     cut_length: float = column("cut_length_mm", 1e3, unit="mm", short="cut")
     #: deviation to the side of the path while cutting
-    max_normal: float = column("max_normal_um", 1e6, "largest deviation to the side", "um", short="max")
-    mean_normal: float = column("mean_normal_um", 1e6, "mean", "um", short="mean")
+    max_normal: float = _deviation("max_normal_um", "largest deviation to the side", "max")
+    mean_normal: float = _deviation("mean_normal_um", "mean", "mean")
     #: 95 % of the time the deviation is smaller
-    quantile_normal: float = column("q95_normal_um", 1e6, "95 %", "um", short="95 %")
+    quantile_normal: float = _deviation("q95_normal_um", "95 %", "95 %")
     max_vertical: float = column("max_vertical_um", 1e6)
     #: error of the walls that remain
-    max_wall: float = column("max_wall_error_um", 1e6, "largest wall error", "um", short="wall")
+    max_wall: float = _deviation("max_wall_error_um", "largest wall error", "wall")
     mean_wall: float = column("mean_wall_error_um", 1e6)
     #: error of the floor that remains
-    max_floor: float = column("max_floor_error_um", 1e6, "largest floor error", "um", short="floor")
+    max_floor: float = _deviation("max_floor_error_um", "largest floor error", "floor")
     mean_floor: float = column("mean_floor_error_um", 1e6)
     #: mean of an exchange period
     max_force: float = column("max_force_n", 1.0, "largest force", "N", short="force")

@@ -39,6 +39,11 @@ class Imperfections(Record):
         text="natural frequency of the second-order lag with which the motors follow a correction; 0: no lag",
     )  # fmt: skip
     servo_delay: float = parameter(0.0, unit="ms", low=0.0, high=1000.0, text="dead time before this lag")
+    # the rule of a controller is not public; slopes from the neighbours are assumed
+    joining: float = parameter(
+        0.0, low=0.0, high=1.0,
+        text="motion between points: 0 as planned, 1 with slopes from their neighbours (SPLINE), blended corners (LIN)",
+    )  # fmt: skip
     wrench: str = parameter(
         "noisy", choices=("none", "noisy", "exact"), text="of the cut, that the compensator receives off line"
     )

@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from kr270_milling.base.arguments import bounded
-from kr270_milling.base.column import TextTable, columns_of, fixed, table_of
+from kr270_milling.base.column import CONVERGED, TextTable, columns, columns_of, fixed, table_of
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.physics.compensation.methods import BEST, METHODS
@@ -303,6 +303,8 @@ def _files(values: dict):
 
 def _details(cell, done, values: dict):
     """Tables and lines of one tool after its decision."""
+    from kr270_milling.decide.tolerance import um_text
+
     if done.parts:
         yield _features(values["features"], values["method"])
     else:
@@ -311,8 +313,8 @@ def _details(cell, done, values: dict):
         columns = (("pass", "name", 2), *columns_of(Scores, unit="um"))
         yield table_of("Predicted path deviation [um]", columns, values["passes"])
     yield (
-        f"largest deviation of the written program {1e3 * values['max_deviation_mm']:.3g} um, of the plan "
-        f"{1e3 * values['planned_max_deviation_mm']:.3g} um; {values['time_law']}"
+        f"largest deviation of the written program {um_text(1e-3 * values['max_deviation_mm'])}, of the plan "
+        f"{um_text(1e-3 * values['planned_max_deviation_mm'])}; {values['time_law']}"
     )
     if values["note"]:
         yield values["note"]
@@ -338,20 +340,23 @@ def _identified(values: dict) -> str:
 
 def _features(features: dict, method: str) -> TextTable:
     """Before and after, side by side."""
+    from kr270_milling.decide.part import FeatureRow
+
     before, after = ({row["feature"]: row for row in features[name]} for name in ("original", method))
     keys = ("max_normal_um", "mean_normal_um", "max_wall_error_um", "max_floor_error_um")
+    texts = {column.key: column.text for column in columns(FeatureRow)}
     rows = []
     for name, row in before.items():
-        pairs = [(row[key], after.get(name, {}).get(key, float("nan"))) for key in keys]
-        rows.append([name] + [fixed(v, 1) for pair in pairs for v in pair])
-    columns = ["feature", "max", "after", "mean", "after", "wall", "after", "floor", "after"]
+        cells = [(texts[key](row[key]), texts[key](after.get(name, {}).get(key, float("nan")))) for key in keys]
+        rows.append([name, *(text for pair in cells for text in pair)])
+    heads = ["feature", "max", "after", "mean", "after", "wall", "after", "floor", "after"]
     title = f"Before and after ({method}) [um]: deviation to the side while cutting, errors that remain"
-    return TextTable(title, columns, rows)
+    return TextTable(title, heads, rows)
 
 
 def _verdict(verdict: dict):
     columns = ["", "5 %", "50 %", "95 %"]
-    rows = [[name, *(f"{1e3 * value:.1f}" for value in band)] for name, band in verdict["methods"].items()]
+    rows = [[name, *(fixed(1e3 * v, 1, 1e6 * CONVERGED) for v in band)] for name, band in verdict["methods"].items()]
     yield TextTable(
         f"{verdict['samples']} simulated robots, seed {verdict['seed']}: {verdict['quantity']} [um]", columns, rows
     )

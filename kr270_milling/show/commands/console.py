@@ -90,6 +90,7 @@ def plant_of(args, cell):
         imperfections.repeatability,
         imperfections.servo_frequency,
         imperfections.servo_delay,
+        imperfections.joining,
     )
     perfect = not (any(added) or imperfections.backlash.any())
     return None if perfect and not args.plant else Plant(cell, cuts, imperfections)

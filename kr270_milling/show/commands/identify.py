@@ -40,7 +40,7 @@ COMMANDS = {
                 option("--at A1,...,A6", "posture there [deg]", POSTURE),
                 option("--no-gravity", "leave the link weights out", bool),
                 option("--robust", "take the weight from tests that contradict the others", bool),
-                option("--base", "also fit the compliance of the base, arm.base_compliance", bool),
+                option("--base", "also fit or plan arm.base_compliance about x and y", bool),
                 option("--compensator NAMES", "also fit these of arm.compensator, as stiffness,preload", default=""),
                 Group("plan", (
                     option("--plan N", "choose the best N load tests for the cell", bounded(1, 1000, int)),
@@ -161,14 +161,14 @@ def _plan(args, arm, mount, pose) -> Answer:
     choice = load_tests.candidates(arm, mount, bench, args.postures, args.seed)
     if args.plan > len(choice.tests):
         raise InputError("--plan", f"asks for {args.plan} load tests, but only {len(choice.tests)} are possible here")
-    planner = load_tests.Planner(arm, mount, choice, pose, not args.no_gravity)
+    planner = load_tests.Planner(arm, mount, choice, pose, not args.no_gravity, args.base)
     designs = {name: planner.best(args.plan, c) for name, c in zip(DESIGNS, load_tests.CRITERIA, strict=True)}
     rng = np.random.default_rng(args.seed)
     blind = sorted((planner.random(args.plan, rng) for _ in range(BLIND_DESIGNS)), key=lambda d: d.pose_error)
     designs[f"random (median of {BLIND_DESIGNS})"] = blind[BLIND_DESIGNS // 2]
     best = designs[DESIGNS[0]]
     plan = load_tests.sorted_tests(choice.take(best.rows))
-    result = plan_as_dict(plan, designs, best)
+    result = plan_as_dict(plan, designs, best, planner.names)
     if args.out:
         error = f"expected error {1e6 * best.pose_error:.3f} um per 100 N"
         notes = [f"load tests planned by kr270_milling {__version__}, {error}", *result["blind_spots"],

@@ -17,8 +17,8 @@ from kr270_milling.cell.jobs import ScoredPass
 from kr270_milling.decide.check import RAPID_MOVES, Checked, check
 from kr270_milling.decide.decision import CAUTION, NO, YES, Decision, decided
 from kr270_milling.decide.findings import SEVERITIES
-from kr270_milling.decide.tolerance import Judgement
-from kr270_milling.show.report.tables import fixed_text, micro
+from kr270_milling.decide.tolerance import Judgement, um_text
+from kr270_milling.show.report.tables import micro
 
 TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: of the tile
 
@@ -102,11 +102,11 @@ def tiles(
 def _tile(label: str, judged: Judgement, quantity: str) -> Tile:
     """Return the tile of one version of the path; quantity: the words of the error that decides."""
     if judged.passes is None:
-        return Tile(label, f"{fixed_text(judged.error * 1e6, 2)} µm", f"{quantity}; no tolerance is given")
+        return Tile(label, micro(um_text(judged.error)), f"{quantity}; no tolerance is given")
     word, tone = ("passes", "good") if judged.passes else ("fails", "bad")
     where = f" at {judged.feature}" if judged.feature else ""
-    sizes = f"{1e6 * judged.error:.1f} µm{where}, {1e6 * judged.tolerance:.0f} µm allowed"
-    return Tile(label, word, f"{judged.quantity} {sizes}", tone)
+    sizes = f"{um_text(judged.error)}{where}, {um_text(judged.tolerance)} allowed"
+    return Tile(label, word, micro(f"{judged.quantity} {sizes}"), tone)
 
 
 def finding_rows(checked: Checked | None) -> list[dict]:

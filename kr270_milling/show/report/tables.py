@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from kr270_milling.base.column import Column, TextTable, columns
+from kr270_milling.base.column import Column, TextTable, columns, fixed
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, mean_force
 from kr270_milling.decide.exchange_share import exchange_share
@@ -31,12 +31,9 @@ TABLE_2 = {
 }
 
 
-def fixed_text(value: float, digits: int) -> str:
-    """Fixed decimals with a typographer's minus, never "-0"; a dash where there is no number."""
-    if value is None or not np.isfinite(value):
-        return "–"
-    text = f"{value:.{digits}f}"
-    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−")
+def fixed_text(value: float, digits: int, least: float = 0.0) -> str:
+    """``fixed`` with a typographer's minus; a dash where there is no number."""
+    return "–" if value is None or not np.isfinite(value) else fixed(value, digits, least).replace("-", "−")
 
 
 def micro(text: str) -> str:
@@ -121,7 +118,7 @@ def _heading(column: Column) -> str:
 
 
 def _text(column: Column, value: float) -> str:
-    return fixed_text(value * column.scale, column.digits)
+    return fixed_text(value * column.scale, column.digits, column.least * column.scale)
 
 
 def input_rows(cell: Cell, joints: np.ndarray) -> list[tuple[str, list[str]]]:

@@ -22,7 +22,7 @@ from kr270_milling.studies.identification.compliance import Fit, fit_compliance
 from kr270_milling.studies.identification.cuts import CutMeasurements
 from kr270_milling.studies.identification.forces import FIRST, LawFit, contradicting_cut, fit_forces
 from kr270_milling.studies.identification.measurements import Measurements
-from kr270_milling.studies.identification.problem import Problem
+from kr270_milling.studies.identification.problem import TILTS, Problem
 
 __all__ = ["Doubt", "compliance_doubts", "force_doubts", "refuse_units"]
 
@@ -164,17 +164,20 @@ def _hypotheses(measured: Measurements) -> Iterable[tuple[str, Measurements]]:
 
 
 def _tilting_base(fit: Fit) -> list[Doubt]:
-    """Three rotational springs under the base, fitted beside the joints; named where the F-test is sure.
+    """Springs of the base about x and y, fitted beside the joints; named where the F-test is sure.
 
-    A reflector at p under a wrench with the moment m about the origin of the base moves by (c m) x p.
+    A reflector at p under a wrench with the moment m about the origin of the base moves by (c m) x p. About z the base
+    turns the arm as joint 1 does. A fit with the base among the unknowns has no such doubt.
     """
     problem: Problem = fit.problem
+    if problem.base:
+        return []
     measured, sigma = problem.measured, problem.measured.sigma
     frames = forward(problem.arm, problem.mount, measured.q)
     place, at = frames.flange.apply(measured.reflector), frames.flange.apply(measured.application)
     moment = measured.wrench[:, 3:] + np.cross(at, measured.wrench[:, :3])
     columns = []
-    for k in range(3):
+    for k in range(len(TILTS)):
         tilt = np.zeros_like(moment)
         tilt[:, k] = 1e-6 * moment[:, k]
         columns.append((np.hstack([np.cross(tilt, place), tilt]) / sigma)[problem.finite])
@@ -187,12 +190,14 @@ def _tilting_base(fit: Fit) -> list[Doubt]:
         return []
     fitted = np.linalg.lstsq(both, left, rcond=None)[0]
     before, after = float(left @ left), float(np.sum((left - both @ fitted) ** 2))
-    significance = stats.f.sf((before - after) / 3 / max(after / freedom, 1e-300), 3, freedom)
-    softest = float(fitted[-3:].max())
+    count = len(columns)
+    significance = stats.f.sf((before - after) / count / max(after / freedom, 1e-300), count, freedom)
+    softest = float(fitted[-count:].max())
     if not (significance < SURE and after < FALLS * before and softest > 0.0):
         return []
-    tilts = ", ".join(f"{value:.2g}" for value in fitted[-3:])
-    return [Doubt(f"the residuals look like a base that tilts by {tilts} urad/(N m) about x, y, z: bolt or measure it")]
+    tilts = ", ".join(f"{value:.2g}" for value in fitted[-count:])
+    known = "bolt it, or fit it with --base (about z the number of joint 1 contains the base)"
+    return [Doubt(f"the residuals look like a base that tilts by {tilts} urad/(N m) about x, y: {known}")]
 
 
 # --- forces ---

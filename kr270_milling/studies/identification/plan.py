@@ -122,10 +122,13 @@ class Design:
 
 
 class Planner:
-    """Choose among candidates for one arm and one test pose."""
+    """Choose among candidates for one arm and one test pose; base: whether the base is among the unknowns."""
 
-    def __init__(self, arm: Arm, mount: Mount, choice: Candidates, pose: Measurements, gravity: bool = True):
-        problem = Problem(arm, mount, choice.tests, gravity)
+    def __init__(
+        self, arm: Arm, mount: Mount, choice: Candidates, pose: Measurements, gravity: bool = True, base: bool = False
+    ):
+        problem = Problem(arm, mount, choice.tests, gravity, base=base)
+        self.names = problem.names  #: of the sought numbers, (p,)
         self._slopes = problem.slopes(problem.start, choice.tests)  # (m, 3, p): a tracker sees translations
         at_pose = problem.slopes(problem.start, pose)
         self._pose = np.einsum("kip,kiq->pq", at_pose, at_pose) / len(at_pose)

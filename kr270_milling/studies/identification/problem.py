@@ -31,7 +31,7 @@ from kr270_milling.physics.robot.kinematics import LinkFrames, forward, jacobian
 from kr270_milling.physics.robot.loads import GRAVITY, link_loads, load_hessian, load_torque
 from kr270_milling.studies.identification.measurements import Measurements
 
-__all__ = ["Cause", "Exclusion", "Problem", "SoftArmError"]
+__all__ = ["TILTS", "Cause", "Exclusion", "Problem", "SoftArmError"]
 
 COMPENSATOR = tuple(spec.name for spec in specs(GravityCompensator))
 #: where the base may tilt, and the size of the unknown: [rad/(N m)], assumed, a third of the stiffest joint's

@@ -1,4 +1,4 @@
-"""Imperfect plants: noise, repeatability and backlash."""
+"""Imperfect plants: noise, repeatability, backlash, servo lag and the joining of points."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from kr270_milling.cell.plant import Plant, imperfect_arm, joint_gaps
 from kr270_milling.decide.compensation import compensate
 from kr270_milling.decide.findings import gathered
 from kr270_milling.decide.load_reversals import backlash_statement, load_reversals
+from kr270_milling.path.controller_motion import other_motion
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory
 from kr270_milling.physics.motion.backlash import Gaps, flanks, tool_jumps
 from kr270_milling.physics.motion.imperfections import Imperfections
@@ -279,3 +280,33 @@ def test_a_servo_lag_spoils_what_inverse_plans_and_learned_repairs_a_part(cell):
     left = {name: compensated(cell, original, name, plant=slow).scores.max_deviation for name in ("inverse", "learned")}
     perfect = compensated(cell, simulate(cell), "inverse").scores.max_deviation
     assert left["inverse"] > 2 * perfect and left["learned"] <= left["inverse"] < original.scores.max_deviation
+
+
+def test_another_controller_runs_a_parabola_exactly_and_blends_the_corners_of_straight_lines():
+    """Three points give the slope of a parabola; a blend at d misses a corner by d sin(turn / 2) / 2, but at stops."""
+    time_ns = np.array([0, 5, 12, 20, 33]) * 1_000_000
+    way = np.array([1.0, 2.0, -1.0])
+    target = Trajectory(time_ns, np.outer((time_ns * 1e-9) ** 2, way), TOOL_DOWN)
+    planned = target.with_position(target.position, np.outer([0.0, 7.0, -3.0, 5.0, 66e-3], way))
+    other, stamps = other_motion(planned, target, 1.0, 1e-3), np.arange(5, 33) * 1_000_000
+    assert other.sample(stamps[:15]) == pytest.approx(np.outer((stamps[:15] * 1e-9) ** 2, way), abs=1e-12)
+    half = other_motion(planned, target, 0.5, 1e-3)
+    assert half.sample(stamps) == pytest.approx((other.sample(stamps) + planned.sample(stamps)) / 2, abs=1e-12)
+    corner = np.array([[0.0, 0, 0], [4e-3, 0, 0], [4e-3, 1e-3, 0], [8e-3, 1e-3, 0], [9e-3, 1e-3, 0]])
+    lines = Trajectory(time_ns, corner, TOOL_DOWN)
+    for blend, distance in ((0.2e-3, 0.2e-3), (1e-3, 0.5e-3)):  # at most half of the leg of 1 mm
+        missed = np.linalg.norm(other_motion(lines, lines, 1.0, blend).position - corner, axis=1)
+        assert missed == pytest.approx(distance * np.sqrt(0.5) / 2 * np.array([0, 1, 1, 0, 0]), abs=1e-12)
+    stops = lines.with_position(corner, np.outer([1, 1, 0, 1, 1], way))
+    missed = np.linalg.norm(other_motion(lines, stops, 1.0, 1e-3).position - corner, axis=1)
+    assert missed[2] == 0.0 < missed[1]
+
+
+def test_the_joining_of_the_points_spoils_what_inverse_plans(cell):
+    """The planned C2 spline is no longer what runs; the path as programmed is straight and stays."""
+    other = Plant(cell, cell, Imperfections(joining=1.0, wrench="exact"))
+    original = simulate(cell, plant=other)
+    assert np.allclose(original.result.actual, simulate(cell).result.actual, rtol=0, atol=1e-12)
+    perfect = compensated(cell, simulate(cell), "inverse").scores.max_deviation
+    left = compensated(cell, original, "inverse", plant=other).scores.max_deviation
+    assert perfect < left < 0.1 * original.scores.max_deviation

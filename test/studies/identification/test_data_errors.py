@@ -146,7 +146,12 @@ def tilted(tests):
 
 def test_a_base_that_tilts_is_named(tmp_path, capsys):
     code, text = run(capsys, "compliance", campaign(tmp_path, tilted), "--arm", "test_piece.yaml")
-    assert "the residuals look like a base that tilts by 0.3, 0.3, " in text, text
+    assert "the residuals look like a base that tilts by 0.3, 0.3 urad/(N m) about x, y" in text, text
+    assert "fit it with --base (about z " in text and "base z" not in text
+    code, text = run(capsys, "compliance", campaign(tmp_path, tilted), "--arm", "test_piece.yaml", "--base")
+    assert (
+        code == 0 and "look like a base" not in text and "not identified: base z: it turns the arm as joint 1" in text
+    )
     code, text = run(capsys, "compliance", campaign(tmp_path), "--arm", "test_piece.yaml", "--json")
     assert code == 0 and json.loads(text)["doubts"] == []
 

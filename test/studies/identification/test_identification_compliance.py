@@ -347,8 +347,19 @@ def test_the_plan_is_sorted_by_load_and_written_for_the_controller(choice, plann
 
 def test_a_sentence_names_the_joints_that_a_plan_cannot_identify():
     relative = np.array([0.01, 0.02, 0.02, 0.05, 0.04, 1.0])
-    (sentence,) = blind_spots(relative)
-    assert sentence.startswith("joint 6: these tests hardly identify") and blind_spots(relative[:5]) == []
+    joints = [f"joint {j}" for j in range(1, 7)]
+    (sentence,) = blind_spots(relative, joints)
+    assert sentence.startswith("joint 6: these tests hardly identify") and blind_spots(relative[:5], joints[:5]) == []
+
+
+def test_tests_planned_for_a_base_that_tilts_know_the_posture_better_than_tests_planned_for_a_rigid_base(
+    choice, planner
+):
+    tilting = Planner(ARM, MOUNT, choice, POSE, base=True)
+    rigid, planned = tilting.design(planner.best(12).rows), tilting.best(12)
+    assert planned.pose_error < 0.98 * rigid.pose_error and tilting.names[6:] == ["base x", "base y"]
+    (sentence,) = blind_spots(planned.relative, tilting.names)
+    assert sentence.startswith("not identified: base z") and planned.relative[6:].max() < 0.5
 
 
 # --- a base that tilts ---

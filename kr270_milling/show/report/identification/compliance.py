@@ -15,12 +15,13 @@ from kr270_milling.studies.identification.doubts import compliance_doubts
 from kr270_milling.studies.identification.measurements import Measurements
 from kr270_milling.studies.identification.problem import Cause, Exclusion
 
-__all__ = ["compliance_outcome", "reason", "sentences"]
+__all__ = ["BASE_Z", "compliance_outcome", "reason", "sentences"]
 
 HARDLY_NORMAL = 0.05  #: p-value of the normality test below which a sentence warns
 OUTLIER = 0.25  #: weight of a load test below which a sentence names the test
 WIDENED = 1.5  #: reduced chi^2 above which a sentence warns
 COLUMNS = ("number", "arm file", "identified", "95 % +-", "identified by the data")
+BASE_Z = "not identified: base z: it turns the arm as joint 1 does, whose number contains its compliance"
 CAUSES = {
     Cause.NO_EFFECT: "no measured displacement depends on it",
     Cause.NO_LOAD: "no load turned it",
@@ -66,7 +67,7 @@ def sentences(fit: Fit, pose: Measurements | None = None, doubted: bool = False)
     """Return what the numbers mean; doubted: the data may be wrong, so they are not called complete."""
     texts = [f"not identified: {reason(fit, k)}; it stays as in the arm file" for k in fit.exclusions]
     if fit.problem.base:
-        texts.append("not identified: base z: it turns the arm as joint 1 does, whose number contains its compliance")
+        texts.append(BASE_Z)
     if fit.free.all() and not doubted:
         texts.append("the data identify every number that was asked for")
     measured = fit.problem.measured.displacement[:, :3]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from kr270_milling.base.column import TextTable
 from kr270_milling.decide.programs.krl import EXTERNAL, HEAD
+from kr270_milling.show.report.identification.compliance import BASE_Z
 from kr270_milling.studies.identification.measurements import write_measurements
 from kr270_milling.studies.identification.plan import Candidates, Design
 
@@ -17,13 +18,16 @@ __all__ = ["blind_spots", "load_text", "plan_as_dict", "plan_tables", "write_pla
 LOADS = ("hang", "pull outward", "pull sideways", "pull between both")  #: by the kind of a candidate
 BLIND = 0.5  #: relative standard deviation from which a compliance is practically unknown
 MODULE = "LOADTEST"
+JOINTS = 6  #: further sought numbers are those of the base
 SPEED = 10  #: [%] of the axis speeds
 
 
-def plan_as_dict(plan: Candidates, designs: Mapping[str, Design], chosen: Design) -> dict:
-    """Return a plan for JSON; designs: by name, for comparison; chosen: the design of the plan."""
+def plan_as_dict(plan: Candidates, designs: Mapping[str, Design], chosen: Design, names: Sequence[str]) -> dict:
+    """Return a plan for JSON; designs: by name, for comparison; chosen: the design of the plan; names: of the sought
+    numbers, (p,)."""
     return {
-        "blind_spots": blind_spots(chosen.relative),
+        "blind_spots": blind_spots(chosen.relative, names),
+        "sought": list(names),
         "designs": [{"name": name, "error_um": 1e6 * d.pose_error, "relative": d.relative.tolist(),
                      "determinant": d.determinant} for name, d in designs.items()],
         "tests": [{"joints_deg": np.degrees(q).tolist(), "wrench": w.tolist(), "load": load_text(plan, i)}
@@ -43,13 +47,15 @@ def plan_tables(plan: Candidates, designs: Mapping[str, Design]) -> list[TextTab
     ]
 
 
-def blind_spots(relative: np.ndarray) -> list[str]:
-    """Return a sentence about the joints that a plan cannot identify; relative: of the factors, (6,)."""
-    joints = [f"joint {j}" for j in np.flatnonzero(relative > BLIND) + 1]
-    if not joints:
-        return []
+def blind_spots(relative: np.ndarray, names: Sequence[str]) -> list[str]:
+    """Return sentences about the numbers that a plan cannot identify.
+
+    relative: standard deviations of the factors, (p,); names: of the sought numbers, (p,).
+    """
+    unseen = [name for name, deviation in zip(names, relative, strict=True) if deviation > BLIND]
     cure = "a horizontal pull turns joint 1, a --point off axis 6 turns joint 6, more tests help joints of small effect"
-    return [f"{', '.join(joints)}: these tests hardly identify the compliance; {cure}"]
+    texts = [f"{', '.join(unseen)}: these tests hardly identify the compliance; {cure}"] if unseen else []
+    return texts + [BASE_Z] * (len(names) > JOINTS)
 
 
 def load_text(plan: Candidates, row: int) -> str:
