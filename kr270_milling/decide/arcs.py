@@ -12,13 +12,14 @@ import numpy as np
 from numba import njit
 
 from kr270_milling.cell.cell import Cell
+from kr270_milling.decide.height_map import MAP_TURN, chord, height_map, lower, lower_along, on_map
 
-__all__ = ["Arcs", "arcs_along", "chord"]
+__all__ = ["Arcs", "arcs_along"]
 
 NODES_PER_RADIUS = 200  #: of the height map: a finishing cut of 0.05 mm with a cutter of 20 mm covers a row of nodes
 MOST_VISITS = 1e9  #: of nodes; a longer path takes a coarser map
 VISITS = 12.0  #: nodes at each place, as a multiple of those in a radius
-MOST_NODES = 2e7  #: of the height map, 8 bytes each
+MOST_NODES = 2e7  #: of the height map
 LAG = 10  #: nodes: the crescent in front of the tool is then several nodes thick
 EVERY = 8  #: places from one evaluation to the next
 FEWEST_NODES = 3  #: in material; fewer are the rounding of a curve
@@ -71,12 +72,11 @@ def arcs_along(cell: Cell) -> Arcs:
     heading = np.arctan2(tangent[:, 1], tangent[:, 0])
     look = ~rapid & (level > STEEP)
     look &= np.arange(look.size) % EVERY == 0
-    low, high = cell.stock.min, cell.stock.max
-    surface = np.full(tuple(np.maximum(1, np.ceil((high - low)[:2] / step)).astype(int)), high[2])
+    grid = height_map(cell.stock, step, position, radius)
     for removal in cell.stage.earlier if cell.stage else ():
-        _lower_along(surface, low[:2] + step / 2, step, removal.programmed, removal.radius, high[2])
+        lower_along(grid, removal.radius, on_map(removal.programmed))
     count, (depth, least, most) = np.zeros(distance.size, np.int64), np.zeros((3, distance.size))
-    _engage(surface, low[:2] + step / 2, step, position, heading, radius, look, (count, depth, least, most))
+    _engage(grid, on_map(position), heading - MAP_TURN, radius, look, (count, depth, least, most))
     some = count >= FEWEST_NODES
     left = (
         np.arcsin(np.clip((least[some] - step / 2) / radius, -1, 1)),
@@ -89,84 +89,39 @@ def arcs_along(cell: Cell) -> Arcs:
     )  # fmt: skip
 
 
-@njit(cache=True, inline="always")
-def chord(away_x, y, square, origin, step):
-    """First and last node of a row within a circle about (0, y), to a node; away_x: of the row; square: of the radius.
-
-    A row beside the circle gives an empty range.
-    """
-    rest = square - away_x**2
-    if rest <= 0.0:
-        return 1 << 30, -(1 << 30)
-    half = np.sqrt(rest)
-    return int((y - half - origin) / step), int((y + half - origin) / step) + 1
-
-
 @njit(cache=True)
-def _engage(surface, origin, step, position, heading, radius, look, met):
+def _engage(grid, path, heading, radius, look, met):
     """Material in the tool at each place of ``look``: nodes, largest depth, least and largest distance to the left."""
     count, depth, least, most = met
-    reach = int(radius / step) + 1
-    for k in range(position.shape[0]):
+    step = grid.step
+    for k in range(path.shape[0]):
         before = max(k - LAG, 0)
         if k >= LAG:
-            _lower(surface, origin, step, position[max(before - 1, 0)], position[before], radius, reach, before > 0)
+            lower(grid, grid.depth, radius, 0.0, path[max(before - 1, 0)], path[before], before > 0)
         if not look[k]:
             continue
-        x, y, z = position[k]
-        level = max(z, position[before, 2]) + CUTS  # a tool on its way down removes a little floor everywhere
+        x, y, z = path[k]
+        level = grid.top - max(z, path[before, 2]) - CUTS  # a tool on its way down removes a little floor everywhere
         left_x, left_y = -np.sin(heading[k]), np.cos(heading[k])
-        middle_x = int((x - origin[0]) / step)
-        for i in range(max(middle_x - reach, 0), min(middle_x + reach + 2, surface.shape[0])):
-            away_x = origin[0] + i * step - x
-            first_j, last_j = chord(away_x, y, radius**2, origin[1], step)
+        first_i = max(int((x - radius - grid.x) / step), 0)
+        for i in range(first_i, min(int((x + radius - grid.x) / step) + 2, grid.depth.shape[0])):
+            away_x = grid.x + i * step - x
+            first_j, last_j = chord(away_x, y, radius**2, grid.y, step)
             skip_from, skip_to = 0, -1
             if k >= LAG:  # there the surface is no higher than ``level``
-                away = away_x + x - position[before, 0]
-                skip_from, skip_to = chord(away, position[before, 1], radius**2, origin[1], step)
-            j, last = max(first_j, 0) - 1, min(last_j + 1, surface.shape[1])
-            while j + 1 < last:
+                skip_from, skip_to = chord(away_x + x - path[before, 0], path[before, 1], radius**2, grid.y, step)
+            j, stop = max(first_j, grid.first[i]) - 1, min(last_j + 1, grid.end[i])
+            while j + 1 < stop:
                 j += 1
                 if skip_from + 2 <= j <= skip_to - 2:
                     j = skip_to - 2
                     continue
-                away_y = origin[1] + j * step - y
-                if surface[i, j] <= level or away_x**2 + away_y**2 >= radius**2:
+                away_y = grid.y + j * step - y
+                if grid.depth[i, j] >= level or away_x**2 + away_y**2 >= radius**2:
                     continue
                 left = left_x * away_x + left_y * away_y
                 if count[k] == 0:
                     least[k], most[k] = left, left
                 least[k], most[k] = min(least[k], left), max(most[k], left)
-                depth[k] = max(depth[k], surface[i, j] - z)
+                depth[k] = max(depth[k], grid.top - z - grid.depth[i, j])
                 count[k] += 1
-
-
-@njit(cache=True)
-def _lower_along(surface, origin, step, tips, radius, top):
-    """Lower the surface to the tool's end at each of the places (n, 3) [m] in their order; top [m]: of the stock."""
-    for k in range(tips.shape[0]):
-        below = k + 1 < tips.shape[0] and tips[k + 1, 2] < tips[k, 2]
-        if tips[k, 2] >= top or (below and tips[k, 0] == tips[k + 1, 0] and tips[k, 1] == tips[k + 1, 1]):
-            continue
-        _lower(surface, origin, step, tips[max(k - 1, 0)], tips[k], radius, int(radius / step) + 1, k > 0)
-
-
-@njit(cache=True)
-def _lower(surface, origin, step, last_tip, tip, radius, reach, cleared):
-    """Lower the surface to the tool's end at one place; cleared: whether it is lowered at the place before."""
-    cleared = cleared and tip[2] >= last_tip[2]
-    middle_x = int((tip[0] - origin[0]) / step)
-    for i in range(max(middle_x - reach, 0), min(middle_x + reach + 2, surface.shape[0])):
-        away_x = origin[0] + i * step - tip[0]
-        first_j, last_j = chord(away_x, tip[1], radius**2, origin[1], step)
-        skip_from, skip_to = 0, -1
-        if cleared:
-            skip_from, skip_to = chord(away_x + tip[0] - last_tip[0], last_tip[1], radius**2, origin[1], step)
-        j, last = max(first_j, 0) - 1, min(last_j + 1, surface.shape[1])
-        while j + 1 < last:
-            j += 1
-            if skip_from + 2 <= j <= skip_to - 2:
-                j = skip_to - 2
-                continue
-            if surface[i, j] > tip[2] and away_x**2 + (origin[1] + j * step - tip[1]) ** 2 < radius**2:
-                surface[i, j] = tip[2]

@@ -11,8 +11,8 @@ from numba import njit
 
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass
-from kr270_milling.decide.arcs import chord
 from kr270_milling.decide.findings import Violation, stretches, violation, violations
+from kr270_milling.decide.height_map import ROUNDING, height_map, lower, lower_along, on_map
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.motion.milling_pass import PassResult
 
@@ -29,12 +29,7 @@ __all__ = [
 
 NODES_PER_RADIUS = 50  #: of the height map, along its axes
 MOST_VISITS = 2e9  #: of nodes, about a nanosecond each; a longer path takes a coarser map
-MOST_NODES = 2e7  #: of the height map, 20 bytes each; a small cutter in a large stock takes a coarser map
-#: [rad], from x of the workpiece to the first axis of the map. The tangent is the golden ratio less 1: no wall along x,
-#: y or a diagonal lies on a row of nodes, so that a long contact far narrower than the node step still covers nodes
-MAP_TURN = math.atan((math.sqrt(5.0) - 1.0) / 2.0)
-VERTICAL = 1e-20  #: [m^2], square of the horizontal length below which a move is vertical
-LEAST_MARGIN = 1e-9  #: [m], rounding of heights and radii
+MOST_NODES = 2e7  #: of the height map; a small cutter in a large stock takes a coarser map
 CORE = 0.2  #: share of the radius about the axis where a cutter that is not centre-cutting has no edge
 PLUNGE = 0.5  #: sine of the slope below which a way down is a ramp: 30 deg
 UNLIKELY_FEED = 0.25  #: of the diameter, a tooth: no cutter takes that, so a unit has slipped
@@ -78,50 +73,31 @@ def engagement(cell: Cell, margin: float, shift: np.ndarray | None = None) -> En
     depth, inner, core, volume = met = np.zeros((4, len(position)))
     radius = float(cell.tool.radii.max())
     moved = position if shift is None else position + shift
-    turn = _turn()
-    surface, origin = _fresh_map(cell, moved, radius, step)
-    path = np.column_stack([moved[:, :2] @ turn.T, moved[:, 2]])
-    margin = max(margin, LEAST_MARGIN)
-    radii = radius, max(radius - margin, 0.0), CORE * radius
-    before = np.zeros(surface.shape), np.full(surface.shape, -1, np.int32)
+    grid = height_map(cell.stock, step, moved, radius)
     for removal in cell.stage.earlier if cell.stage else ():
-        way = removal.programmed if shift is None else removal.actual
-        way = np.column_stack([way[:, :2] @ turn.T, way[:, 2]])
-        no_series, nothing = np.zeros(len(way), np.int64), np.zeros((4, len(way)))
-        _mill(surface, *before, origin, step, way, no_series, (removal.radius, 0.0, 0.0), 0.0, nothing)
-    _mill(surface, *before, origin, step, path, series, radii, margin, met)
+        lower_along(grid, removal.radius, on_map(removal.programmed if shift is None else removal.actual))
+    radii = radius, max(radius - max(margin, ROUNDING), 0.0), CORE * radius
+    _meet(grid, np.zeros_like(grid.depth), on_map(moved), series, radii, met)
     return Engagement(position, time, rapid, block, series, depth, inner, core, volume)
 
 
-def _turn() -> np.ndarray:
-    """From the workpiece frame to the axes of the map, (2, 2)."""
-    c, s = math.cos(MAP_TURN), math.sin(MAP_TURN)
-    return np.array([[c, s], [-s, c]])
-
-
-def _fresh_map(cell: Cell, position: np.ndarray, radius: float, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Heights of the uncut stock [m] at the nodes that the tool can reach, -inf outside, and the first node [m]."""
-    low, high, turn = cell.stock.min, cell.stock.max, _turn()
-    near = np.maximum(low[:2], position[:, :2].min(axis=0) - radius)
-    far = np.maximum(near, np.minimum(high[:2], position[:, :2].max(axis=0) + radius))
-    corners = np.array([[x, y] for x in (near[0], far[0]) for y in (near[1], far[1])]) @ turn.T
-    origin = corners.min(axis=0) + 0.5 * step
-    shape = np.maximum(1, np.ceil(np.ptp(corners, axis=0) / step)).astype(int)
-    surface = np.full(tuple(shape), high[2])
-    _clear_outside(surface, origin, step, turn, low, high)
-    return surface, origin
-
-
 @njit(cache=True)
-def _clear_outside(surface, origin, step, turn, low, high):
-    """Set the nodes that are not over the stock to -inf."""
-    for i in range(surface.shape[0]):
-        u = origin[0] + i * step
-        for j in range(surface.shape[1]):
-            v = origin[1] + j * step
-            x, y = turn[0, 0] * u + turn[1, 0] * v, turn[0, 1] * u + turn[1, 1] * v
-            if x < low[0] or x > high[0] or y < low[1] or y > high[1]:
-                surface[i, j] = -np.inf
+def _meet(grid, ahead, path, series, radii, met):
+    """Fill ``met`` with what the tool meets on the way to each place, and lower the map.
+
+    A series of rapid moves runs twice: first with the smaller radius on the map ``ahead``, against the material before
+    the series.
+    """
+    depth, inner, core, volume = met
+    for k in range(path.shape[0]):
+        last, count = path[max(k - 1, 0)], path.shape[0]
+        if series[k] and (k == 0 or series[k] != series[k - 1]):
+            n = k
+            while n < count and series[n] == series[k]:
+                inner[n] = lower(grid, ahead, radii[1], 0.0, path[max(n - 1, 0)], path[n], n > 0)[0]
+                n += 1
+        depth[k], core[k], removed = lower(grid, grid.depth, radii[0], radii[2], last, path[k], k > 0)
+        volume[k] = removed if series[k] else 0.0
 
 
 def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
@@ -145,81 +121,6 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     block = np.clip(np.searchsorted(ends, distance), 0, len(ends) - 1)  # where two meet, the one that ends
     time = np.interp(distance, timed.distance_at(target.time_ns), target.time)
     return timed.toolpath.on_path(distance)[0], time, block, step
-
-
-@njit(cache=True)
-def _mill(surface, before, by, origin, step, position, series, radii, margin, met):
-    """Lower the surface to the lowest height of the tip on the straight way to each place, and note what was there.
-
-    by: the last place on a rapid move that lowered a node, -1: none; before: height of the node before its series.
-    """
-    depth, inner, core, volume = met
-    square, square_inner, square_core = radii[0] ** 2, radii[1] ** 2, radii[2] ** 2
-    contact, start = False, 0  # whether the present series of rapid moves has lowered a node; first place of the series
-    for k in range(position.shape[0]):
-        x, y, z = position[k]
-        last_x, last_y, last_z = position[max(k - 1, 0)]
-        move_x, move_y = x - last_x, y - last_y
-        way, lower = move_x**2 + move_y**2, min(last_z, z)
-        if k == 0 or series[k] != series[k - 1]:
-            contact, start = False, k
-        first_i = max(int((min(x, last_x) - radii[0] - origin[0]) / step), 0)
-        first_j = max(int((min(y, last_y) - radii[0] - origin[1]) / step), 0)
-        end_j = min(int((max(y, last_y) + radii[0] - origin[1]) / step) + 1, surface.shape[1])
-        cleared = k > 0 and z >= last_z  # under the last place nothing is higher than this way
-        for i in range(first_i, min(int((max(x, last_x) + radii[0] - origin[0]) / step) + 1, surface.shape[0])):
-            away_x = origin[0] + i * step - last_x
-            last_from, last_to = chord(away_x, last_y, square, origin[1], step)
-            to_from, to_to = chord(away_x - move_x, y, square, origin[1], step)
-            j = max(min(last_from, to_from) - 2, first_j) - 1
-            last_j = min(max(last_to, to_to) + 3, end_j)
-            while j + 1 < last_j:
-                j += 1
-                if cleared and not contact and last_from + 2 <= j <= last_to - 2:
-                    j = last_to - 2
-                    continue
-                if surface[i, j] <= lower and not (contact and by[i, j] >= start):
-                    continue
-                away_y = origin[1] + j * step - last_y
-                along, beside = 0.0, away_x**2 + away_y**2
-                if way > VERTICAL:
-                    along = (away_x * move_x + away_y * move_y) / way
-                    beside -= along**2 * way
-                tip = _lowest(along, beside, way, square, last_z, z)
-                over = surface[i, j] - tip
-                if over > 0.0:
-                    depth[k] = max(depth[k], over)
-                    if (away_x - move_x) ** 2 + (away_y - move_y) ** 2 < square_core:
-                        core[k] = max(core[k], over)
-                    if series[k]:
-                        contact = True
-                        volume[k] += over * step**2
-                        if by[i, j] < start:
-                            before[i, j] = surface[i, j]
-                        by[i, j] = k
-                    surface[i, j] = tip
-                if contact and by[i, j] >= start:
-                    deep = before[i, j] - _lowest(along, beside, way, square_inner, last_z, z)
-                    if deep > margin:
-                        inner[by[i, j]] = max(inner[by[i, j]], deep)
-
-
-@njit(cache=True, inline="always")
-def _lowest(along, beside, way, square, last_z, z):
-    """Lowest height of a straight way while a node is within the radius; inf where it never is.
-
-    along: of the node's projection, a share of the way; beside: square of its distance from the line of the way; way:
-    square of the horizontal length; square: of the radius; last_z, z: heights at both ends.
-    """
-    if beside >= square:
-        return np.inf
-    if way <= VERTICAL:
-        return min(last_z, z)
-    half = np.sqrt((square - beside) / way)
-    first, last = max(along - half, 0.0), min(along + half, 1.0)
-    if first > last:
-        return np.inf
-    return last_z + (z - last_z) * (last if z < last_z else first)
 
 
 def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:

@@ -1,0 +1,158 @@
+"""The stock under the programmed path as depths at points: one removal for contacts, depths of cut and arcs.
+
+A node is cut where the axis of the tool comes nearer than its radius, whatever the distance of the places of the path.
+The cells of ``physics.cutting.engagement``, which are cut in part, are right for forces, but not for such a contact.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from kr270_milling.physics.cutting import Stock
+
+__all__ = ["HeightMap", "MAP_TURN", "ROUNDING", "chord", "height_map", "lower", "lower_along", "on_map"]
+
+#: [rad], from x of the workpiece to the first axis of the map. The tangent is the golden ratio less 1: no wall along x,
+#: y or a diagonal lies on a row of nodes, so that a long contact far narrower than the node step still covers nodes
+MAP_TURN = math.atan((math.sqrt(5.0) - 1.0) / 2.0)
+ROUNDING = 1e-7  #: [m], of depths (float32) and radii
+VERTICAL = 1e-20  #: [m^2], square of the horizontal length below which a move is vertical
+
+
+class HeightMap(NamedTuple):
+    """Node (i, j) is at (x + i step, y + j step) in the turned axes; only nodes that were cut take memory."""
+
+    depth: np.ndarray  # removed below the top of the stock [m], float32, (n, m)
+    first: np.ndarray  # first node of each column over the stock, (n,)
+    end: np.ndarray  # one after the last such node, (n,)
+    x: float
+    y: float
+    step: float
+    top: float
+
+
+def on_map(position: np.ndarray) -> np.ndarray:
+    """Positions (m, 3) of the workpiece frame in the axes of a map [m]."""
+    c, s = math.cos(MAP_TURN), math.sin(MAP_TURN)
+    x, y, z = np.asarray(position).T
+    return np.column_stack([c * x + s * y, c * y - s * x, z])
+
+
+def height_map(stock: Stock, step: float, position: np.ndarray, radius: float) -> HeightMap:
+    """The uncut stock where a tool of a radius [m] reaches it from the positions (m, 3) [m]; step [m]: of the nodes."""
+    low, high = stock.min, stock.max
+    near = np.maximum(low[:2], position[:, :2].min(axis=0) - radius)
+    far = np.maximum(near, np.minimum(high[:2], position[:, :2].max(axis=0) + radius))
+    corners = on_map(np.array([[x, y, 0.0] for x in (near[0], far[0]) for y in (near[1], far[1])]))[:, :2]
+    origin = corners.min(axis=0) + 0.5 * step
+    columns, rows = np.maximum(1, np.ceil(np.ptp(corners, axis=0) / step)).astype(int).tolist()
+    along = origin[0] + step * np.arange(columns)
+    c, s = math.cos(MAP_TURN), math.sin(MAP_TURN)  # x = c u - s v, y = s u + c v
+    least = np.maximum((c * along - high[0]) / s, (low[1] - s * along) / c)
+    most = np.minimum((c * along - low[0]) / s, (high[1] - s * along) / c)
+    return HeightMap(
+        np.zeros((columns, rows), np.float32),
+        np.clip(np.ceil((least - origin[1]) / step), 0, rows).astype(np.int32),
+        np.clip(np.floor((most - origin[1]) / step) + 1, 0, rows).astype(np.int32),
+        *origin.tolist(), step, float(high[2]),
+    )  # fmt: skip
+
+
+@njit(cache=True, inline="always")
+def chord(away_x, y, square, origin, step):
+    """First and last node of a column within a circle about (0, y), to a node; away_x: of the column; square: of the
+    radius. A column beside the circle gives an empty range.
+    """
+    rest = square - away_x**2
+    if rest <= 0.0:
+        return 1 << 30, -(1 << 30)
+    half = np.sqrt(rest)
+    return int((y - half - origin) / step), int((y + half - origin) / step) + 1
+
+
+@njit(cache=True)
+def lower(grid, depth, radius, core, start, end, cleared):
+    """Lower the nodes of ``depth`` to the end of the tool on a straight way from one place (3,) to another.
+
+    Only nodes count that neither ``depth`` nor ``grid`` has as deep. cleared: whether all nodes within the radius of
+    the start are that deep. Returns the deepest material of ``grid`` within the radius and within ``core`` of the axis
+    [m], and its volume [m^3].
+    """
+    parts = 1 + int(math.hypot(end[0] - start[0], end[1] - start[1]) / grid.step)
+    deepest = at_axis = volume = 0.0
+    x, y, below = start[0], start[1], grid.top - start[2]
+    for k in range(parts):
+        share = (k + 1.0) / parts
+        to_x, to_y = start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])
+        to_below = grid.top - start[2] - share * (end[2] - start[2])
+        if max(below, to_below) > 0.0:
+            part = _lower(grid, depth, radius, core, x, y, below, to_x, to_y, to_below, cleared or k > 0)
+            deepest, at_axis, volume = max(deepest, part[0]), max(at_axis, part[1]), volume + part[2]
+        x, y, below = to_x, to_y, to_below
+    return deepest, at_axis, volume
+
+
+@njit(cache=True)
+def _lower(grid, depth, radius, core, x, y, below, to_x, to_y, to_below, cleared):
+    """``lower`` on a way of at most one node; below, to_below: depths of the tip at its ends."""
+    step, square, move_x, move_y = grid.step, radius**2, to_x - x, to_y - y
+    way, most = move_x**2 + move_y**2, max(below, to_below)
+    cleared = cleared and to_below <= below  # the tool is nowhere deeper than at the start
+    deepest = at_axis = volume = 0.0
+    first_i = max(int((min(x, to_x) - radius - grid.x) / step), 0)
+    for i in range(first_i, min(int((max(x, to_x) + radius - grid.x) / step) + 2, depth.shape[0])):
+        away_x = grid.x + i * step - x
+        from_j, last_j = chord(away_x, y, square, grid.y, step)
+        to_from, to_last = chord(away_x - move_x, to_y, square, grid.y, step)
+        j = max(min(from_j, to_from) - 2, grid.first[i]) - 1
+        stop = min(max(last_j, to_last) + 3, grid.end[i])
+        while j + 1 < stop:
+            j += 1
+            if cleared and from_j + 2 <= j <= last_j - 2:
+                j = last_j - 2
+                continue
+            before = grid.depth[i, j]
+            if max(before, depth[i, j]) + ROUNDING >= most:
+                continue
+            away_y = grid.y + j * step - y
+            along, beside = 0.0, away_x**2 + away_y**2
+            if way > VERTICAL:
+                along = (away_x * move_x + away_y * move_y) / way
+                beside -= along**2 * way
+            tip = _deepest(along, beside, way, square, below, to_below)
+            if max(before, depth[i, j]) + ROUNDING < tip:
+                deepest = max(deepest, tip - before)
+                if (away_x - move_x) ** 2 + (away_y - move_y) ** 2 < core**2:
+                    at_axis = max(at_axis, tip - before)
+                volume += (tip - before) * step**2
+                depth[i, j] = tip
+    return deepest, at_axis, volume
+
+
+@njit(cache=True, inline="always")
+def _deepest(along, beside, way, square, below, to_below):
+    """Deepest place of a straight way while a node is within the radius; -inf where no place is.
+
+    along: of the node's projection, a share of the way; beside: square of its distance from the line of the way; way:
+    square of the horizontal length; square: of the radius; below, to_below: depths at both ends.
+    """
+    if beside >= square:
+        return -np.inf
+    if way <= VERTICAL:
+        return max(below, to_below)
+    half = np.sqrt((square - beside) / way)
+    first, last = max(along - half, 0.0), min(along + half, 1.0)
+    if first > last:
+        return -np.inf
+    return below + (to_below - below) * (last if to_below > below else first)
+
+
+@njit(cache=True)
+def lower_along(grid, radius, path):
+    """Lower the map along straight ways through the places (m, 3) of a tool."""
+    for k in range(path.shape[0]):
+        lower(grid, grid.depth, radius, 0.0, path[max(k - 1, 0)], path[k], k > 0)
