@@ -5,7 +5,9 @@ Numbers, frames and comments are written as a KR C4 reads them.
 
 from __future__ import annotations
 
+import re
 import textwrap
+import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -16,7 +18,7 @@ from kr270_milling.cell.sections import Program
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = [
-    "Source", "axis_text", "comments", "frame_row", "frame_text", "modules_of", "motion_lines", "number",
+    "Source", "axis_text", "comments", "frame_row", "frame_text", "modules_of", "motion_lines", "number", "plain",
     "point_speeds", "position_text",
 ]  # fmt: skip
 
@@ -51,10 +53,15 @@ def axis_text(degrees: Sequence[float]) -> str:
     return ",".join(f"A{i} {number(v, 4)}" for i, v in enumerate(degrees, 1)) + f",{EXTERNAL_AXES}"
 
 
+def plain(text: str) -> str:
+    """Return printable ASCII: letters without their accents, ? for all other signs, one space for each white space."""
+    letters = (sign for sign in unicodedata.normalize("NFKD", text) if not unicodedata.combining(sign))
+    return re.sub(r"[^ -~]+", "", re.sub(r"\s+", " ", "".join(letters)).encode("ascii", "replace").decode())
+
+
 def comments(texts: Iterable[str]) -> list[str]:
     """Each text as comment lines that a controller's editor shows."""
-    ascii_only = (text.encode("ascii", "replace").decode() for text in texts)
-    return [f"; {line}" for text in ascii_only for line in textwrap.wrap(text, WIDEST)]
+    return [f"; {line}" for text in texts for line in textwrap.wrap(plain(text), WIDEST)]
 
 
 GAUSS = np.polynomial.legendre.leggauss(4)
@@ -72,8 +79,8 @@ class Source:
         """The comment before point k, where line or feature are not those of the point before."""
         if (self.line[k], self.feature[k]) == (self.line[before], self.feature[before]) or not self.line[k]:
             return []
-        name = f" ({self.feature[k]})" if self.feature[k] else ""
-        return [f"; line {self.line[k]}{name}"]
+        name = plain(self.feature[k])[:WIDEST]
+        return [f"; line {self.line[k]}" + f" ({name})" * bool(name)]
 
 
 def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, source: Source, most: int) -> list:

@@ -31,6 +31,7 @@ from kr270_milling.decide.programs.files import (
     write_rsi_table,
 )
 from kr270_milling.decide.programs.krl import Approach, Heading, Setup, trajectory_hash, write_krl
+from kr270_milling.decide.programs.krl_motion import Source
 from kr270_milling.decide.programs.krl_reader import read_krl
 from kr270_milling.decide.programs.points import point_numbers, program_blocks
 from kr270_milling.decide.programs.written import softer_pass, written_pass, written_trajectory
@@ -212,6 +213,19 @@ def test_nothing_is_written_when_the_directory_is_not_there_or_the_pair_does_not
     with pytest.raises(TrajectoryError):
         write(tmp_path, Program(), swaying(20)[0], swaying(21)[1])
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("sign", ["\x0b", "\x0c", "\x85", "\u2028", "\u2029", "\x1c", "\x00", "\x7f", "\r", "\n", "\t"])
+def test_a_name_of_an_operation_and_a_finding_are_one_line_of_ascii(tmp_path, sign):
+    run = swaying(20)[0]
+    name = f"Tasche \u00dc1{sign}HALT {sign} \u2205"
+    source = Source(np.arange(20) + 1, (name,) * 20)
+    heading = Heading("1.2.3", "2025-06-01", findings=(name,))
+    write_krl(tmp_path, Program(tolerance=0.0), setup(run, run), run, run, heading, source)
+    text = (tmp_path / "MILLING_CMP.src").read_bytes()
+    assert not set(text) - {*range(32, 127), 10, 13} and len(text.splitlines()) == text.count(b"\r\n")
+    gap = b" " if sign.isspace() else b""
+    assert b"; line 7 (Tasche U1" + gap + b"HALT" in text and len(Robot(tmp_path, "MILLING_CMP").numbers) == 20
 
 
 # --- What a program does before and behind the path: home, safe height, spindle, coolant, tool and base ---
