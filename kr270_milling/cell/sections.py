@@ -168,6 +168,10 @@ class Program(Record):
     motion: str = parameter("SPLINE", choices=("SPLINE", "LIN"), text="SPL segments in SPLINE blocks, or LIN")
     line_limit: int = parameter(1400, low=100, high=100000, text="most lines of a .src or .dat file")
     blend_distance: float = parameter(1e-3, unit="mm", low=0.0, high=100.0, text="$APO.CDIS of LIN motions")
+    tolerance: float = parameter(
+        2e-6, unit="um", low=0.0, high=1000.0,
+        text="how far the motion through the points may leave the planned path; 0: a point at each controller step",
+    )  # fmt: skip
     point_spacing: float = parameter(1e-6, unit="mm", above=0.0, high=10.0, text="closer points are left out")
     approach_speed_percent: int = parameter(10, low=1, high=100, text="axis speed of the PTP motions")
     approach_feed: float = parameter(0.05, unit="m_per_min", above=0.0, high=60.0, text="down to the first point")

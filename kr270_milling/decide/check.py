@@ -11,12 +11,14 @@ import numpy as np
 from kr270_milling.base.errors import InputError
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import ScoredPass, simulate
+from kr270_milling.cell.sections import Program
 from kr270_milling.decide.check_cut import Residue, contact_violations, cut_violations, residue_of
 from kr270_milling.decide.exchange_share import ExchangeShare, exchange_share
 from kr270_milling.decide.findings import SEVERITIES, Finding, Violation, gathered, separate, violation
 from kr270_milling.decide.inputs import input_violations
 from kr270_milling.decide.load_reversals import load_reversals
 from kr270_milling.decide.path_limits import arm_violations, corner_blending, correction_per_tick, correction_size
+from kr270_milling.decide.programs.points import ProgramBlocks, point_numbers, program_blocks
 from kr270_milling.decide.stability import Stability, chatter_violations, stability_statement
 from kr270_milling.path.source_program import SourceProgram
 from kr270_milling.path.trajectory import Trajectory
@@ -45,6 +47,7 @@ class Checked:
     rapid_moves: tuple[Finding, ...] | None = None  #: each one through material; None: the arm cannot make the path
     exchange: ExchangeShare | None = None  #: of the pass that was simulated
     load_reversals: tuple[Finding, ...] | None = None  #: each one, with its jump; None: no pass was simulated
+    blocks: ProgramBlocks | None = None  #: of the robot program; None: the arm cannot make the path
 
     def __repr__(self) -> str:
         return f"<Checked: {self.summary}>"
@@ -77,7 +80,7 @@ class Checked:
     def findings_lines(self) -> list[str]:
         """One line a finding, and what the path does beside."""
         read_over = [self.program.summary] if self.program.summary else []
-        stability = [one.text for one in (self.stability, self.residue, self.exchange) if one]
+        stability = [one.text for one in (self.stability, self.residue, self.exchange, self.blocks) if one]
         findings = (f"{f.severity:8} {f.text}" for f in self.findings)
         return [*read_over, *findings, self.rapid_text, *stability]
 
@@ -109,6 +112,7 @@ class Checked:
             "stability": self.stability and self.stability.as_dict(),
             "simulated_pass": self.residue and self.residue.as_dict(),
             "largest_pose_correction_share": self.exchange and self.exchange.share,
+            "program": self.blocks and self.blocks.as_dict(),
             "read_over": [{"word": word.word, "count": word.count} for word in self.program.read_over],
         }
 
@@ -129,7 +133,7 @@ def check(
     programmed = cell.target() if fed is None else fed.trajectory
     run = programmed if reference is None else reference
     results, joints = arm_violations(cell, run)
-    stability = residue = rapid_moves = exchange = reversals = None
+    stability = residue = rapid_moves = exchange = reversals = program_size = None
     reachable = joints is not None and not any(v.kind == "joint limit" for v in results)
     del joints  # of a long program they take 100 MB
     if reachable and reference is None and fed is not None:
@@ -139,7 +143,9 @@ def check(
     if reachable:
         target = cell.target()
         straight = run.velocity is None and target.velocity is not None
-        results += _correction(cell, target, run, motion or ("LIN" if straight else cell.program.motion))
+        robot_program = cell.program.replace(motion=motion or ("LIN" if straight else cell.program.motion))
+        results += _correction(cell, target, run, robot_program)
+        program_size = program_blocks(robot_program, target, run)
         ran, cut = _cut(cell, run, ran, progress)
         results += cut
         if ran:
@@ -168,6 +174,7 @@ def check(
         rapid_moves,
         exchange,
         reversals,
+        program_size,
     )
 
 
@@ -187,7 +194,7 @@ def _cut(cell: Cell, run: Trajectory, ran: ScoredPass | None, progress) -> tuple
     return None, [failed, *contact_violations(cell, run)]
 
 
-def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) -> list[Violation]:
+def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: Program) -> list[Violation]:
     if not np.array_equal(target.time_ns, run.time_ns):
         raise InputError("reference", f"its times are not those of the {len(target)} points of this cell's path")
     if run is target:
@@ -195,6 +202,7 @@ def _correction(cell: Cell, target: Trajectory, run: Trajectory, motion: str) ->
     how = cell.compensation
     results = correction_size(target, run, how.tick_ns, how.max_correction)
     results += correction_per_tick(target, run, how.tick_ns, how.max_change_per_tick)
-    if motion == "LIN":
-        results += corner_blending(target, run, cell.program.blend_distance, cell.limits.blending_share)
+    if robot_program.motion == "LIN":
+        points = point_numbers(robot_program, target, run)
+        results += corner_blending(target, run, robot_program.blend_distance, cell.limits.blending_share, points)
     return results

@@ -106,7 +106,9 @@ def compensate(
         violation("correction limited", p.wanted, p.wanted - p.missing, p.worst, said=limit_sentence(p, by))
         for p in by.limited
     ]
-    checked = check(cell, revised.reference, motion, ran=revised, more=[*limited, *unlike(planned, revised)])
+    checked = check(
+        cell, revised.reference, motion, ran=revised, more=[*limited, *unlike(planned, revised, cell.program.tolerance)]
+    )
     with progress("verdict") as report:
         judged = _verdict(cell, original, revised, verdict, report, comparison is None, motion) if verdict else None
     before, after = map(lambda ran, part: judge(cell, ran, part), (programmed, revised), parts or (None, None))
@@ -140,10 +142,14 @@ WRITTEN_SHARE = 0.2  #: share of the planned deviation by which that of the writ
 WRITTEN_STEP = 0.5e-6  #: [m], differences below it come from the 0.1 um of the points
 
 
-def unlike(planned: ScoredPass, written: ScoredPass) -> list[Violation]:
-    """A violation where planned and written program differ by more than a share of the planned deviation."""
+def unlike(planned: ScoredPass, written: ScoredPass, tolerance: float) -> list[Violation]:
+    """A violation where planned and written program differ by more than a share of the planned deviation.
+
+    tolerance [m]: by which the points of the program may leave the planned path. After a step of the path by it, an
+    arm with little damping swings by twice of it.
+    """
     plan, error = planned.scores.max_deviation, written.scores.max_deviation
-    if abs(error - plan) <= max(WRITTEN_SHARE * plan, WRITTEN_STEP):
+    if abs(error - plan) <= max(WRITTEN_SHARE * plan, 2.0 * tolerance + WRITTEN_STEP):
         return []
     return [violation("written program", error, plan)]
 

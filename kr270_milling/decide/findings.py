@@ -77,7 +77,7 @@ KINDS = {
         "Lower the feed there, or raise the limit in section compensation.", "warning"),
     "written program": Kind("um",
         "the written program leaves {value:.3g} um, the plan {limit:.3g} um (largest deviation across the feed)",
-        "Use SPLINE motions, a larger program.line_limit or a smaller program.point_spacing_mm.", "warning"),
+        "Use SPLINE motions, a larger program.line_limit or a smaller program.tolerance_um.", "warning"),
     "corner blending": Kind("%", "the share of the correction that corner blending takes" + EXCEEDS,
         "Lower program.blend_distance_mm, or use SPLINE motions.", "warning"),
     "spindle torque": Kind("N m", "the spindle torque" + EXCEEDS, "Lower depth, width or feed of the cut."),

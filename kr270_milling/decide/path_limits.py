@@ -128,18 +128,22 @@ def _on_the_way(original: Trajectory, time_ns: np.ndarray, values: np.ndarray) -
     return largest
 
 
-def corner_blending(original: Trajectory, revised: Trajectory, blend_distance: float, share=0.5) -> list[Violation]:
-    """Where the controller's blending of LIN motions rounds off more than a share of the correction at the knot [m].
+def corner_blending(
+    original: Trajectory, revised: Trajectory, blend_distance: float, share=0.5, points: np.ndarray | None = None
+) -> list[Violation]:
+    """Where the controller's blending of LIN motions rounds off more than a share of the correction at the point [m].
 
     A parabola that leaves the corner's legs at the distance d, at most half a leg, misses the corner by d sin(t/2) / 2
-    for a turn by t. Knots where the tool stops are not blended.
+    for a turn by t. Points where the tool stops are not blended. points: the knots that are points; None: all.
     """
-    legs = np.diff(revised.position, axis=0)
+    points = np.arange(len(revised)) if points is None else points
+    legs = np.diff(revised.position[points], axis=0)
     length = np.linalg.norm(legs, axis=1)
     ahead = legs / np.where(length > 0, length, 1.0)[:, None]
     half_sine = np.linalg.norm(np.diff(ahead, axis=0), axis=1) / 2
     distance = np.minimum(blend_distance, np.minimum(length[:-1], length[1:]) / 2)
-    rounded = np.where(original.standing[1:-1], 0.0, distance * half_sine / 2)
-    correction = np.linalg.norm(revised.position - original.position, axis=1)[1:-1]
+    inner = points[1:-1]
+    rounded = np.where(original.standing[inner], 0.0, distance * half_sine / 2)
+    correction = np.linalg.norm(revised.position - original.position, axis=1)[inner]
     ratio = np.where(rounded < LEAST_ROUNDING, 0.0, rounded / np.maximum(correction, 1e-9))
-    return violations("corner blending", ratio, share, points=np.arange(2, len(ratio) + 2))
+    return violations("corner blending", ratio, share, points=inner + 1)

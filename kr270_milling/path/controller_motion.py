@@ -3,6 +3,9 @@
 A program has points and no slopes. The planner, the score of a program and the reader of a program take the slopes
 from here, so that all of them use the motion that the controller runs. LIN: straight lines, ``velocity=None``.
 
+A program may have fewer points than the plan has knots. The points alone determine the path, ``places_on_program``; the
+time law determines where on the path the tool is.
+
 The rule of a real controller is not public. ``other_motion`` is a second rule for the same points.
 """
 
@@ -13,7 +16,7 @@ from scipy.linalg import solve_banded
 
 from kr270_milling.path.trajectory import AT_REST, Trajectory
 
-__all__ = ["block_ends", "controller_motion", "other_motion", "spline_slopes"]
+__all__ = ["block_ends", "controller_motion", "other_motion", "places_on_program", "spline_slopes"]
 
 
 def block_ends(target: Trajectory) -> np.ndarray:
@@ -74,3 +77,60 @@ def spline_slopes(time: np.ndarray, values: np.ndarray, fixed: np.ndarray, slope
     right[inner] = 3.0 * (step[inner, None] * slope[inner - 1] + step[inner - 1, None] * slope[inner])
     bands = np.stack([np.append(0.0, above[:-1]), middle, np.append(below[1:], 0.0)])
     return solve_banded((1, 1), bands, right)
+
+
+def places_on_program(run: Trajectory, knots: np.ndarray, points: np.ndarray, stops: np.ndarray, spline: bool):
+    """Return the place [m], (n, 3), of each knot of a planned run on the path through the points of its program.
+
+    knots: those that are points, (p,), the first and the last included; points [m], (p, 3); stops (p,) bool: ends of
+    the SPLINE blocks. A place is as far along the path as the knot is along the chords of the run. spline: the C2 cubic
+    spline over that distance in each block, without curvature at its ends; else straight lines.
+    """
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(run.position, axis=0), axis=1))])
+    step, move = np.diff(way[knots])[:, None], np.diff(points, axis=0)
+    span = np.clip(np.searchsorted(knots, np.arange(len(run)), side="right") - 1, 0, len(knots) - 2)
+    u = (way - way[knots][span])[:, None] / step[span]
+    if not spline:
+        return points[span] + u * move[span]
+    first, last = step * _natural_slopes(step, move / step, stops)
+    return _hermite(points[span], move[span], first[span], last[span], u)
+
+
+def _natural_slopes(step: np.ndarray, slope: np.ndarray, stops: np.ndarray) -> np.ndarray:
+    """Slopes (2, p - 1, 3) at both ends of the spans of natural cubic splines, one spline from stop to stop.
+
+    step (p - 1, 1): lengths of the spans; slope (p - 1, 3): mean slopes. Two unknowns for each span, so that a stop has
+    a slope on both sides: equal slopes and curvatures inside of a block, no curvature at its ends.
+    """
+    count = len(step)
+    ends = np.concatenate([[True], stops[1:-1], [True]])
+    begins, closes = ends[:-1], ends[1:]  # of the spans
+    h = step[:, 0]
+    # unknowns in the order of the path: the first and the last slope of span 0, of span 1, ...
+    bands, right = np.zeros((5, 2 * count)), np.zeros((2 * count, 3))
+
+    def put(row: np.ndarray, offset: int, value) -> None:
+        bands[2 - offset, row + offset] = value
+
+    k = np.flatnonzero(begins)
+    put(2 * k, 0, 2.0)
+    put(2 * k, 1, 1.0)
+    right[2 * k] = 3.0 * slope[k]
+    k = np.flatnonzero(~begins)  # its first slope is the last one of the span before
+    put(2 * k, 0, 1.0)
+    put(2 * k, -1, -1.0)
+    k = np.flatnonzero(closes)
+    put(2 * k + 1, 0, 2.0)
+    put(2 * k + 1, -1, 1.0)
+    right[2 * k + 1] = 3.0 * slope[k]
+    k = np.flatnonzero(~closes)  # equal curvatures at the end of span k and at the start of span k + 1
+    put(2 * k + 1, -1, h[k + 1])
+    put(2 * k + 1, 0, 2.0 * (h[k] + h[k + 1]))
+    put(2 * k + 1, 2, h[k])
+    right[2 * k + 1] = 3.0 * (h[k + 1, None] * slope[k] + h[k, None] * slope[k + 1])
+    return solve_banded((2, 2), bands, right).reshape(count, 2, 3).swapaxes(0, 1)
+
+
+def _hermite(start, move, first, last, u) -> np.ndarray:
+    """Cubic from ``start`` by ``move`` with the slopes ``first`` and ``last`` over u from 0 to 1."""
+    return start + u * first + u**2 * (3 * move - 2 * first - last) + u**3 * (first + last - 2 * move)

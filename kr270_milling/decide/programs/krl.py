@@ -32,10 +32,10 @@ from kr270_milling.decide.programs.krl_motion import (
     modules_of,
     motion_lines,
     number,
-    point_numbers,
     point_speeds,
     position_text,
 )
+from kr270_milling.decide.programs.points import point_numbers
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = ["Approach", "Heading", "Setup", "filled", "trajectory_hash", "write_krl"]

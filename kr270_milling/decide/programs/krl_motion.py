@@ -5,8 +5,9 @@ Numbers, frames and comments are written as a KR C4 reads them.
 
 from __future__ import annotations
 
-import math
+import re
 import textwrap
+import unicodedata
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -17,8 +18,8 @@ from kr270_milling.cell.sections import Program
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = [
-    "Source", "axis_text", "comments", "frame_row", "frame_text", "modules_of", "motion_lines", "number",
-    "point_numbers", "point_speeds", "position_text",
+    "Source", "axis_text", "comments", "frame_row", "frame_text", "modules_of", "motion_lines", "number", "plain",
+    "point_speeds", "position_text",
 ]  # fmt: skip
 
 WIDEST = 100  #: characters of a comment line
@@ -52,10 +53,15 @@ def axis_text(degrees: Sequence[float]) -> str:
     return ",".join(f"A{i} {number(v, 4)}" for i, v in enumerate(degrees, 1)) + f",{EXTERNAL_AXES}"
 
 
+def plain(text: str) -> str:
+    """Return printable ASCII: letters without their accents, ? for all other signs, one space for each white space."""
+    letters = (sign for sign in unicodedata.normalize("NFKD", text) if not unicodedata.combining(sign))
+    return re.sub(r"[^ -~]+", "", re.sub(r"\s+", " ", "".join(letters)).encode("ascii", "replace").decode())
+
+
 def comments(texts: Iterable[str]) -> list[str]:
     """Each text as comment lines that a controller's editor shows."""
-    ascii_only = (text.encode("ascii", "replace").decode() for text in texts)
-    return [f"; {line}" for text in ascii_only for line in textwrap.wrap(text, WIDEST)]
+    return [f"; {line}" for text in texts for line in textwrap.wrap(plain(text), WIDEST)]
 
 
 GAUSS = np.polynomial.legendre.leggauss(4)
@@ -73,28 +79,8 @@ class Source:
         """The comment before point k, where line or feature are not those of the point before."""
         if (self.line[k], self.feature[k]) == (self.line[before], self.feature[before]) or not self.line[k]:
             return []
-        name = f" ({self.feature[k]})" if self.feature[k] else ""
-        return [f"; line {self.line[k]}{name}"]
-
-
-def point_numbers(program: Program, original: Trajectory, revised: Trajectory) -> np.ndarray:
-    """Knots that become points, (p,): far enough from the one before in both; the first, the stops and the last."""
-    stops, spacing = original.standing, program.point_spacing
-    rows = np.stack([original.position, revised.position], axis=1).tolist()
-    last, chosen = len(rows) - 1, [0]
-
-    def near(k: int) -> bool:
-        return any(math.dist(new, old) < spacing for new, old in zip(rows[k], rows[chosen[-1]], strict=True))
-
-    for k in range(1, last + 1):
-        if stops[k] or k == last:  # a corner must not move to the knot before it
-            while len(chosen) > 1 and near(k):
-                chosen.pop()
-            if k == last or not near(k):
-                chosen.append(k)
-        elif not near(k):
-            chosen.append(k)
-    return np.array(chosen)
+        name = plain(self.feature[k])[:WIDEST]
+        return [f"; line {self.line[k]}" + f" ({name})" * bool(name)]
 
 
 def modules_of(program: Program, points: np.ndarray, stops: np.ndarray, source: Source, most: int) -> list:
@@ -137,13 +123,15 @@ def motion_lines(program: Program, points: np.ndarray, piece, speed, stops, sour
 
 
 def point_speeds(program: Program, run: Trajectory, points: np.ndarray) -> np.ndarray:
-    """Mean speed [m/s], (p,), along the motion that leads to each point; 0 for the first."""
+    """Largest speed [m/s], (p,), on the way to each point, of the mean speeds between knots; 0 for the first.
+
+    The controller plans its own ramps up to that speed.
+    """
     step = np.diff(run.time_ns)
     if program.motion == "LIN" or run.velocity is None:
-        position = run.position[points]
-        length = np.linalg.norm(np.diff(position, axis=0), axis=1)
+        length = np.linalg.norm(np.diff(run.position, axis=0), axis=1)
     else:
         places = run.time_ns[:-1, None] + np.rint((1 + GAUSS[0]) / 2 * step[:, None]).astype(np.int64)
-        way = np.concatenate([[0.0], np.cumsum(run.feed(places) @ (GAUSS[1] / 2) * step * 1e-9)])
-        length = np.diff(way[points])
-    return np.concatenate([[0.0], np.maximum(length / np.diff(run.time[points]), SLOWEST)])
+        length = run.feed(places) @ (GAUSS[1] / 2) * step * 1e-9
+    fastest = np.maximum.reduceat(length / (1e-9 * step), points[:-1])
+    return np.concatenate([[0.0], np.maximum(fastest, SLOWEST)])

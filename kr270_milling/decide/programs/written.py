@@ -16,7 +16,7 @@ from kr270_milling.cell.plant import Plant
 from kr270_milling.decide.programs import krl
 from kr270_milling.decide.programs.files import as_commanded, source_of
 from kr270_milling.decide.programs.krl_reader import read_krl
-from kr270_milling.path.controller_motion import controller_motion
+from kr270_milling.path.controller_motion import controller_motion, places_on_program
 from kr270_milling.path.trajectory import Trajectory
 
 __all__ = ["SOFTER", "motion_of", "softer_pass", "written_pass", "written_trajectory"]
@@ -48,8 +48,22 @@ def written_trajectory(cell: Cell, planned: Trajectory, motion: str) -> Trajecto
     quaternion = planned.quaternion[k]
     if commanded is planned:
         quaternion = quaternion_from_rotation(read.pose.rotation)
-    points = Trajectory(planned.time_ns[k], position, quaternion, None, planned.frame)
-    return controller_motion(points, target, read.stops) if read.spline else points
+    return _as_run(planned, target, k, position, quaternion, read.stops, read.spline)
+
+
+def _as_run(
+    planned: Trajectory, target: Trajectory, knots: np.ndarray, position: np.ndarray, quaternion: np.ndarray,
+    stops: np.ndarray, spline: bool,
+) -> Trajectory:  # fmt: skip
+    """The motion through the points of a program, with the time law of the plan."""
+    place = places_on_program(planned, knots, position, stops, spline)
+    turned = Trajectory(planned.time_ns[knots], position, quaternion).sample_orientation(planned.time_ns)
+    run = Trajectory(planned.time_ns, place, turned, None, planned.frame)
+    if not spline:
+        return run
+    ends = np.zeros(len(run), bool)
+    ends[knots[stops]] = ends[[0, -1]] = True
+    return controller_motion(run, target, ends)
 
 
 def written_pass(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from krl_robot import NUMBER, Robot
+from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 from small_part import GCODE, small_part
 from splines import spline
@@ -29,7 +31,9 @@ from kr270_milling.decide.programs.files import (
     write_rsi_table,
 )
 from kr270_milling.decide.programs.krl import Approach, Heading, Setup, trajectory_hash, write_krl
+from kr270_milling.decide.programs.krl_motion import Source
 from kr270_milling.decide.programs.krl_reader import read_krl
+from kr270_milling.decide.programs.points import point_numbers, program_blocks
 from kr270_milling.decide.programs.written import softer_pass, written_pass, written_trajectory
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.controller_motion import block_ends, controller_motion
@@ -101,7 +105,7 @@ def test_speeds_are_rounded_to_a_millimetre_a_second_and_never_zero(tmp_path):
     for feed in (4 / 60, 1e-5):
         line = Trajectory.straight_line(np.zeros(3), [1.0, 0, 0], 20 * feed * 0.05, feed, 0.05)
         for motion in ("LIN", "SPLINE"):
-            write(tmp_path, Program(motion=motion, point_spacing=1e-9), line, line)
+            write(tmp_path, Program(motion=motion, tolerance=0.0), line, line)
             text = (tmp_path / "MILLING_ORG.src").read_text()
             assert f"$VEL.CP={max(feed, 1e-3):.3f}\n" in text + "\n" and "-0.0000" not in text
 
@@ -136,12 +140,13 @@ def test_the_robot_stops_in_the_corners_and_nowhere_else(tmp_path, motion):
 def test_points_closer_than_the_spacing_are_left_out_of_both_and_their_time_is_kept(tmp_path):
     run = milled(tmp_path, "G0 X0 Y0 Z0\nG1 X20 F4000\nM30\n")
     (tmp_path / "out").mkdir()
-    program = Program(motion="LIN", point_spacing=1e-3)
+    program = Program(motion="LIN", point_spacing=1e-3, tolerance=0.0)
     write(tmp_path / "out", program, run, run.with_position(run.position + [0, 1e-4, 0], run.velocity))
     robots = [Robot(tmp_path / "out", f"MILLING_{kind}") for kind in ("ORG", "CMP")]
     assert np.linalg.norm(np.diff(robots[0].column("XYZ"), axis=0), axis=1).min() > 1 - 1e-6
     assert 2 < len(robots[0].numbers) < len(run) and robots[0].numbers.tolist() == robots[1].numbers.tolist()
-    assert robots[0].time[-1] == pytest.approx(run.time[-1], rel=0.02)  # speeds are rounded to 1 mm/s
+    cruise = run.feed(run.time_ns).max()  # the controller plans its own ramps up to the written speed
+    assert run.position[-1, 0] / cruise < robots[0].time[-1] < run.time[-1]
 
 
 @pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
@@ -208,6 +213,19 @@ def test_nothing_is_written_when_the_directory_is_not_there_or_the_pair_does_not
     with pytest.raises(TrajectoryError):
         write(tmp_path, Program(), swaying(20)[0], swaying(21)[1])
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("sign", ["\x0b", "\x0c", "\x85", "\u2028", "\u2029", "\x1c", "\x00", "\x7f", "\r", "\n", "\t"])
+def test_a_name_of_an_operation_and_a_finding_are_one_line_of_ascii(tmp_path, sign):
+    run = swaying(20)[0]
+    name = f"Tasche \u00dc1{sign}HALT {sign} \u2205"
+    source = Source(np.arange(20) + 1, (name,) * 20)
+    heading = Heading("1.2.3", "2025-06-01", findings=(name,))
+    write_krl(tmp_path, Program(tolerance=0.0), setup(run, run), run, run, heading, source)
+    text = (tmp_path / "MILLING_CMP.src").read_bytes()
+    assert not set(text) - {*range(32, 127), 10, 13} and len(text.splitlines()) == text.count(b"\r\n")
+    gap = b" " if sign.isspace() else b""
+    assert b"; line 7 (Tasche U1" + gap + b"HALT" in text and len(Robot(tmp_path, "MILLING_CMP").numbers) == 20
 
 
 # --- What a program does before and behind the path: home, safe height, spindle, coolant, tool and base ---
@@ -288,7 +306,7 @@ def wavy(target: Trajectory, size: float = 50e-6) -> Trajectory:
 
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory):
-    return small_part(tmp_path_factory.mktemp("part"))
+    return small_part(tmp_path_factory.mktemp("part"), GCODE, "program.tolerance_um=0")
 
 
 @pytest.mark.parametrize("motion", ["LIN", "SPLINE"])
@@ -462,14 +480,17 @@ def part(tmp_path_factory):
     return cell, simulate(cell)
 
 
-@pytest.mark.parametrize("method", ["linear", *SMOOTH])
-def test_the_written_program_leaves_what_the_plan_leaves(paper, method):
+@pytest.mark.parametrize(
+    ("method", "tolerance"), [("linear", 2 * UM), *((one, 2 * UM) for one in SMOOTH), ("inverse", 0.0)]
+)
+def test_the_written_program_leaves_what_the_plan_leaves(paper, method, tolerance):
     cell, original = paper
     planned = compensated(cell, original, method)
-    written = written_pass(cell, planned)
+    written = written_pass(cell.replace(program=cell.program.replace(tolerance=tolerance)), planned)
     plan, left = planned.scores.max_deviation, written.scores.max_deviation
-    assert left == pytest.approx(plan, rel=SHARE, abs=ROUNDING)
-    assert method not in ("learned", "inverse") or left < 0.5 * UM
+    swing = 2.0 * tolerance  # of an arm with little damping after a step of the path by the tolerance
+    assert left == pytest.approx(plan, rel=SHARE, abs=swing + ROUNDING)
+    assert method not in ("learned", "inverse") or left < 0.5 * UM + swing
 
 
 @pytest.mark.parametrize("method", SMOOTH)
@@ -485,11 +506,11 @@ def test_a_program_with_stops_leaves_what_the_plan_leaves(part, method):
     cell, original = part
     planned = compensated(cell, original, method)
     left = written_pass(cell, planned).scores.max_deviation
-    assert left == pytest.approx(planned.scores.max_deviation, rel=SHARE, abs=ROUNDING)
+    assert left == pytest.approx(planned.scores.max_deviation, rel=SHARE, abs=2 * cell.program.tolerance + ROUNDING)
 
 
 def test_a_program_in_straight_lines_of_a_smooth_plan_is_a_finding(part):
-    cell, _ = part
+    cell = part[0].replace(program=part[0].program.replace(tolerance=0.0))
     done = compensate(cell, "inverse", motions=("LIN",))
     (finding,) = [f for f in done.checked.findings if f.what == "written program"]
     assert finding.severity == "warning"
@@ -514,19 +535,48 @@ def test_the_reader_has_the_points_and_stops_of_an_independent_reader(part, tmp_
     assert any(time_law(cell)[:40] in line for line in robot.steps)
 
 
+@pytest.mark.parametrize("motion", ["SPLINE", "LIN"])
+def test_points_are_few_and_the_path_through_them_is_the_planned_one(part, tmp_path, motion):
+    """The path of the points is that of another library: from stop to stop a natural spline over the planned way."""
+    cell, original = part
+    program, target = cell.program.replace(motion=motion), cell.target()
+    run = compensated(cell, original, "inverse").reference
+    write_programs(tmp_path, cell, target, run, method="inverse", date=DATE, motions=(motion,))
+    for kind, planned in (("ORG", target), ("CMP", run)):
+        robot = Robot(next(tmp_path.glob("krl_*")), f"MILLING_{kind}")
+        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(planned.position, axis=0), axis=1))])
+        knots, ends = robot.numbers - 1, [0, *(np.flatnonzero(np.isin(robot.numbers, robot.rests)))]
+        for first, last in pairwise(ends):
+            points, inner = slice(first, last + 1), np.arange(knots[first], knots[last] + 1)
+            place = 1e-3 * robot.column("XYZ")[points]
+            straight = motion == "LIN" or last == first + 1
+            spline = (make_interp_spline if straight else CubicSpline)(
+                way[knots[points]], place, *([1] if straight else [0, "natural"])
+            )
+            gap = np.linalg.norm(spline(way[inner]) - planned.position[inner], axis=1)
+            assert gap.max() < program.tolerance + 0.1 * UM  # frames are written to 0.1 um
+    assert len(knots) < len(run) and len(point_numbers(program, target, target)) < 0.3 * len(target)
+    size = program_blocks(program, target, run)
+    assert (size.points, size.error < program.tolerance) == (len(knots), True)
+    assert size.shortest == pytest.approx(np.diff(run.time[knots]).min())
+    coarse = np.diff(run.time_ns[point_numbers(program.replace(tolerance=1e-3), target, run)])
+    assert coarse.min() >= 30_000_000 and len(coarse) < len(knots)
+
+
 def test_a_point_without_a_frame_is_refused(part, tmp_path):
     cell, _ = part
     target = cell.target()
     files = write_programs(tmp_path, cell, target, target, method="spline", date="2030-01-01", motions=["SPLINE"])
     data = files["krl_spline"][0].parent / f"{cell.program.name}_CMP.dat"
-    data.write_text(data.read_text().replace("DECL FRAME XP7=", "DECL FRAME XP7777="))
-    with pytest.raises(InputError, match="XP7 has no frame"):
+    name = f"XP{read_krl(data.parent, data.stem).number[3]}"
+    data.write_text(data.read_text().replace(f"DECL FRAME {name}=", "DECL FRAME XP7777="))
+    with pytest.raises(InputError, match=f"{name} has no frame"):
         read_krl(data.parent, f"{cell.program.name}_CMP")
 
 
 def test_a_module_that_ends_between_two_stops_stops_the_robot_there(paper):
     cell, _ = paper
-    program = cell.program.replace(line_limit=100)
+    program = cell.program.replace(line_limit=100, tolerance=0.0)
     cell = cell.replace(program=program, timing=cell.timing.replace(controller_step=0.012))
     run = controller_motion(cell.target(), cell.target())
     written = written_trajectory(cell, run, "SPLINE")

@@ -1,0 +1,175 @@
+"""The points of a robot program: as few knots as keep the motion of the controller on the planned path.
+
+A point more is a block more for the planner of the controller. The points therefore begin with the stops. A stretch
+between two points is halved where a knot is farther than ``program.tolerance`` from its place on the path through the
+points (``path.controller_motion``), and points that are not needed are left out again. The controller plans the ramps
+along the path itself.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.cell.sections import Program
+from kr270_milling.path.controller_motion import places_on_program
+from kr270_milling.path.trajectory import Trajectory
+
+__all__ = ["ProgramBlocks", "point_numbers", "program_blocks"]
+
+SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
+THINNINGS = 4  #: times that each point is left out on trial
+REACH = 2  #: stretches to both sides in which a point that is left out changes the path
+LEVER = 0.1  #: [m], length of a tool: a turn by an angle moves its shank by the angle times the length
+
+
+def point_numbers(program: Program, original: Trajectory, revised: Trajectory) -> np.ndarray:
+    """Return the knots that become points, (p,), in both trajectories; the first, the stops and the last are points.
+
+    Knots closer than ``program.point_spacing`` are left out. A tolerance of 0 takes all other knots.
+    """
+    knots = _apart(program.point_spacing, original, revised)
+    if not program.tolerance:
+        return knots
+    runs = [original] if revised is original else [original, revised]
+    chosen = _refined(program, runs, knots)
+    return knots[_thinned(program, runs, knots, chosen)]
+
+
+def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray) -> np.ndarray:
+    """Halve the stretches between two stops until the error is in the tolerance; return indices into ``knots``."""
+    time, chosen = runs[0].time_ns[knots], np.flatnonzero(_fixed(runs[0], knots))
+    while True:
+        middle = _middles(time, chosen)
+        inside = (middle > chosen[:-1]) & (middle < chosen[1:])
+        split = inside & (_errors(program, runs, knots[chosen]) > program.tolerance)
+        if not split.any():
+            return chosen
+        new = middle[split]
+        sides = np.minimum(time[new] - time[chosen[:-1][split]], time[chosen[1:][split]] - time[new])
+        wide = sides >= SHORT_NS
+        chosen = np.union1d(chosen, new[wide] if wide.any() else new)
+
+
+def _thinned(program: Program, runs: list[Trajectory], knots: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed."""
+    limit = max(program.tolerance, float(_errors(program, runs, knots[chosen]).max()))
+    for turn in range(3 * THINNINGS):
+        out = np.arange(len(chosen)) % 3 == turn % 3
+        out &= ~_fixed(runs[0], knots[chosen])
+        while out.any():
+            over = _errors(program, runs, knots[chosen[~out]]) > limit
+            if not over.any():
+                break
+            near = np.convolve(over, np.ones(2 * REACH + 1), "same") > 0.0
+            back = near[np.cumsum(~out)[out] - 1]  # the stretch in which the point was
+            out[np.flatnonzero(out)[back if back.any() else slice(None)]] = False
+        chosen = chosen[~out]
+    return chosen
+
+
+def _fixed(original: Trajectory, knots: np.ndarray) -> np.ndarray:
+    """Return a mask of the knots that must be points: the first, the stops and the last."""
+    fixed = original.standing[knots]
+    fixed[[0, -1]] = True
+    return fixed
+
+
+@dataclass(frozen=True)
+class ProgramBlocks:
+    """What the planner of a controller must follow."""
+
+    points: int
+    duration: float  #: [s]
+    most: int  #: points in one second, at most
+    shortest: float  #: [s]
+    length: float  #: of the shortest block [m]
+    short: int  #: blocks shorter than ``SHORT_NS``
+    error: float  #: [m], of the motion through the points from the planned path
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        return {
+            "points": self.points,
+            "points_per_second": self.points / self.duration,
+            "most_points_in_one_second": self.most,
+            "shortest_block_ms": 1e3 * self.shortest,
+            "shortest_block_mm": 1e3 * self.length,
+            "short_blocks": self.short,
+            "error_um": 1e6 * self.error,
+        }
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        short = f", {self.short} shorter than {SHORT_NS / 1e6:g} ms" if self.short else ""
+        return (
+            f"program: {self.points} points, {self.points / self.duration:.3g} a second, at most {self.most} in one; "
+            f"shortest block {1e3 * self.shortest:.3g} ms, {1e3 * self.length:.3g} mm{short}; the motion through the "
+            f"points is within {1e6 * self.error:.2g} um of the planned path"
+        )
+
+
+def program_blocks(program: Program, original: Trajectory, revised: Trajectory) -> ProgramBlocks:
+    """Return the size of the blocks of the program of ``revised``."""
+    points = point_numbers(program, original, revised)
+    time = original.time_ns[points]
+    step = np.diff(time)
+    shortest = int(np.argmin(step))
+    ahead = np.searchsorted(time, time + 1_000_000_000) - np.arange(len(time))
+    length = math.dist(*revised.position[points[shortest : shortest + 2]])
+    error = _errors(program, [original, revised], points).max()
+    return ProgramBlocks(
+        len(points), original.duration_ns * 1e-9, int(ahead.max()), 1e-9 * int(step[shortest]), length,
+        int((step < SHORT_NS).sum()), float(error),
+    )  # fmt: skip
+
+
+def _apart(spacing: float, original: Trajectory, revised: Trajectory) -> np.ndarray:
+    """Return the knots that are farther than ``spacing`` [m] from the knot before in both runs, and all stops."""
+    stops = original.standing
+    rows = np.stack([original.position, revised.position], axis=1).tolist()
+    last, chosen = len(rows) - 1, [0]
+
+    def near(k: int) -> bool:
+        return any(math.dist(new, old) < spacing for new, old in zip(rows[k], rows[chosen[-1]], strict=True))
+
+    for k in range(1, last + 1):
+        if stops[k] or k == last:  # a corner must not move to the knot before it
+            while len(chosen) > 1 and near(k):
+                chosen.pop()
+            if k == last or not near(k):
+                chosen.append(k)
+        elif not near(k):
+            chosen.append(k)
+    return np.array(chosen)
+
+
+def _middles(time: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Return the knot nearest to the middle of each stretch between two chosen knots."""
+    middle = (time[chosen[1:]] + time[chosen[:-1]]) // 2
+    later = np.searchsorted(time, middle)
+    return later - (time[later] - middle > middle - time[later - 1])
+
+
+def _errors(program: Program, runs: list[Trajectory], points: np.ndarray) -> np.ndarray:
+    """Return the largest distance [m] of a knot from its place on the program, of each stretch between points."""
+    stops, number = runs[0].standing[points], np.arange(len(runs[0]))
+    stretch = np.clip(np.searchsorted(points, number, side="right") - 1, 0, len(points) - 2)
+    worst = np.zeros(len(points) - 1)
+    for run in runs:
+        spline = program.motion == "SPLINE"
+        place = places_on_program(run, points, run.position[points], stops, spline)
+        np.maximum.at(worst, stretch, np.linalg.norm(place - run.position, axis=1))
+        if np.any(run.quaternion != run.quaternion[0]):
+            turned = Trajectory(run.time_ns[points], run.position[points], run.quaternion[points])
+            np.maximum.at(worst, stretch, LEVER * _angle(turned.sample_orientation(run.time_ns), run.quaternion))
+    return worst
+
+
+def _angle(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the small angle [rad], (n,), between quaternions (n, 4)."""
+    sign = np.where(np.sum(one * other, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    return 2.0 * np.linalg.norm(one - sign * other, axis=1)
