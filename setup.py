@@ -38,7 +38,7 @@ setup(
         "rich>=13.0",
     ],
     extras_require={
-        "studies": ["dask[distributed]>=2024.1", "pyarrow>=14"],
+        "studies": ["dask[distributed]>=2024.1", "pyarrow>=14", "pandas>=2.0"],
         "ros": ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"],
         "completion": ["argcomplete>=3.0"],
         "uff": ["pyuff>=2.4"],

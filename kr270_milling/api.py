@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell as cells
@@ -49,7 +50,8 @@ class Pass(jobs.ScoredPass):
         return tolerance.judge(self.cell, self)
 
     def to_frame(self) -> pandas.DataFrame:
-        """Every series as a pandas frame, units in the column names; raises ImportError without pandas."""
+        """Every series as a pandas frame, units in the column names; raises MissingExtra without pandas."""
+        require_extra("to_frame", "studies", "pandas")
         import pandas
 
         rows = series_rows(self.result, self.cell.target())
