@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from kr270_milling.base.column import TextTable, as_dict, columns_of, fixed, table_of
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.cell import cell as cells
@@ -82,11 +83,9 @@ class Pass(Shown, jobs.ScoredPass):
         return [_scores_table([self])]
 
     def to_frame(self) -> pandas.DataFrame:
-        """Every series as a pandas frame, units in the column names; raises ImportError without pandas."""
-        import pandas
-
+        """Every series as a pandas frame, units in the column names; raises MissingExtra without pandas."""
         rows = series_rows(self.result, self.cell.target())
-        return pandas.DataFrame(np.column_stack([self.result.time, rows]), columns=list(COLUMNS))
+        return _pandas().DataFrame(np.column_stack([self.result.time, rows]), columns=list(COLUMNS))
 
     def to_csv(self, path) -> Path:
         """Write every series as CSV; returns the path."""
@@ -121,11 +120,9 @@ class Compensation(Shown):
         return [_scores_table([self.original, self.compensated])]
 
     def to_frame(self) -> pandas.DataFrame:
-        """The series of both passes below each other, the name in the column ``pass``."""
-        import pandas
-
+        """The series of both passes below each other, the name in the column ``pass``; raises MissingExtra."""
         frames = {one.name: one.to_frame() for one in (self.original, self.compensated)}
-        return pandas.concat(frames, names=["pass"]).reset_index(level=0)
+        return _pandas().concat(frames, names=["pass"]).reset_index(level=0)
 
     def plot(self) -> plotly.graph_objects.Figure:
         """Path deviation [um] and force [N] of both passes over time."""
@@ -147,9 +144,7 @@ class Verdict(Shown, verdicts.Verdict):
 
     def to_frame(self) -> pandas.DataFrame:
         """The errors of each simulated robot [um], as programmed and compensated; NaN where a robot fails."""
-        import pandas
-
-        return pandas.DataFrame({"original_um": 1e6 * self.original, "compensated_um": 1e6 * self.compensated})
+        return _pandas().DataFrame({"original_um": 1e6 * self.original, "compensated_um": 1e6 * self.compensated})
 
     def tables(self) -> list[TextTable]:
         rows = [
@@ -183,9 +178,7 @@ class Lobes(Shown):
 
     def to_frame(self) -> pandas.DataFrame:
         """One row a spindle speed: ``spindle_speed_rpm``, ``depth_limit_mm``, ``chatter_hz``."""
-        import pandas
-
-        return pandas.DataFrame(map(as_dict, self.rows))
+        return _pandas().DataFrame(map(as_dict, self.rows))
 
     def plot(self) -> plotly.graph_objects.Figure:
         """Limit depth [mm] over spindle speed [rpm]."""
@@ -266,6 +259,13 @@ def read_recording(path, namespace: str | None = None) -> Pass:
     files: Sequence[Path] = sorted(place.glob("*.mcap")) if place.is_dir() else [place]
     recorded = pass_from_recording(files[0] if files else place, place.stem, namespace)
     return Pass.of(recorded.cell, recorded.scored)
+
+
+def _pandas():
+    require_extra("to_frame", "studies", "pandas")
+    import pandas
+
+    return pandas
 
 
 def _scores_table(passes: Sequence[Pass]) -> TextTable:

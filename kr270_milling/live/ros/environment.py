@@ -5,15 +5,14 @@ This file does not import ROS, so that the command line can report a missing ROS
 
 from __future__ import annotations
 
-import importlib.util
 import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from kr270_milling.base.errors import MillingError
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.parameter_file import find_file
 
-__all__ = ["RosMissing", "child_environment", "keep_to_this_host", "require_ros"]
+__all__ = ["child_environment", "keep_to_this_host", "require_ros"]
 
 PROFILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 FAST_DDS = "rmw_fastrtps_cpp"
@@ -24,20 +23,9 @@ GUARD = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 PARENT = "KR270_MILLING_PARENT"
 
 
-class RosMissing(MillingError):
-    """rclpy is not installed."""
-
-    def __init__(self):
-        super().__init__(
-            "ROS 2 is not installed: run \"pip install 'kr270_milling[ros]'\", or source the setup file of an "
-            "installed ROS 2 first"
-        )
-
-
-def require_ros() -> None:
-    """Raises RosMissing."""
-    if importlib.util.find_spec("rclpy") is None:
-        raise RosMissing
+def require_ros(what: str = "a graph of nodes") -> None:
+    """Raise MissingExtra where rclpy is not installed."""
+    require_extra(what, "ros", "rclpy", otherwise=", or source the setup file of an installed ROS 2")
 
 
 def this_host_only(environ: Mapping[str, str]) -> dict[str, str]:

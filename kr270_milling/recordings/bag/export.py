@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import importlib.util
 import io
 import itertools
 import json
@@ -18,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import InputError, RecordingError
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.units import SECOND
 from kr270_milling.recordings.bag.reader import Recording
@@ -57,10 +57,10 @@ def export(
     """Write one file for each topic into a directory; progress(messages done, of all); kind: "csv" or "parquet".
 
     The result names each topic that cannot be read; the other topics are written. Raises RecordingError for an unknown
-    topic, a full disk, and a missing pyarrow.
+    topic and a full disk, MissingExtra without pyarrow.
     """
-    if kind == "parquet" and importlib.util.find_spec("pyarrow") is None:
-        raise RecordingError(directory, "Parquet needs the package pyarrow, which is not installed")
+    if kind == "parquet":
+        require_extra("Parquet", "studies", "pyarrow")
     known = recording.topics()
     missing = sorted(set(topics or ()) - set(known))
     if missing:

@@ -55,9 +55,20 @@ class Progress:
         """Share done and time left; the time so far if nothing is counted."""
         now = time.monotonic() - self._start
         if not self.total or not self._before < self.done < self.total:
-            return f"{now:.0f} s so far"
+            return f"{now:.0f} s so far{', compiling' if is_compiling() else ''}"
         left = now * (self.total - self.done) / (self.done - self._before)
         return f"{100 * self.done / self.total:.0f} %, {left:.0f} s left"
+
+
+def is_compiling() -> bool:
+    """Whether another thread compiles now: the first run after an installation does so for some 15 s."""
+    compiler = sys.modules.get("numba.core.compiler_lock")
+    if compiler is None:
+        return False
+    lock = compiler.global_compiler_lock._lock  # noqa: SLF001, is_locked() sees the locks of this thread alone
+    if free := lock.acquire(blocking=False):
+        lock.release()
+    return not free
 
 
 @contextlib.contextmanager

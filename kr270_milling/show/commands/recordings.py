@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from kr270_milling.base.column import columns_of, table_of, yes
 from kr270_milling.base.errors import InputError, one_line
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.units import seconds
 from kr270_milling.show.commands.command import RECORDING, command, option
 from kr270_milling.show.commands.console import Answer, command_line, now, output_directory
@@ -29,7 +30,7 @@ COMMANDS = {
         "recordings.run_export", "export out/pass1 --csv tables",
         RECORDING,
         option("--csv DIR", "write one CSV file per topic into this directory"),
-        option("--parquet DIR", "the same as Parquet; needs pyarrow"),
+        option("--parquet DIR", "the same as Parquet"),
         option("--topics TOPIC", "only these", nargs="+"),
     ),
     "report": command(
@@ -72,6 +73,8 @@ def run_export(args) -> Answer:
 
     if not args.csv and not args.parquet:
         raise InputError("export", "give --csv DIR or --parquet DIR")
+    if args.parquet:
+        require_extra("export --parquet", "studies", "pyarrow")
     files: list[Path] = []
     refused: dict[str, str] = {}
     with progress("exporting") as report, Recording(args.file, report) as recording:

@@ -50,7 +50,7 @@ def run_replay(args) -> Answer:
 
 
 def _play(args) -> Answer:
-    require_ros()
+    require_ros("the playback")
     from kr270_milling.live.nodes.player import run_player
 
     with progress("playing") as report:

@@ -42,7 +42,7 @@ COMMANDS = {
 
 
 def run_graph(args) -> Answer:
-    require_ros()
+    require_ros("run")
     from kr270_milling.live.graph.plan import RunRow
     from kr270_milling.physics.motion.scores import Scores
 
@@ -104,7 +104,7 @@ def summary(ran: dict) -> dict:
 
 def run_watch(args) -> int:
     """Print the address and serve the page until Ctrl-C or the end of the graph."""
-    require_ros()
+    require_ros("watch")
     from kr270_milling.live.nodes.watcher import Watcher
     from kr270_milling.live.ros.names import full_namespace
     from kr270_milling.live.ros.spin import run_node

@@ -7,12 +7,14 @@ from pathlib import Path
 from kr270_milling.base.arguments import bounded, grid
 from kr270_milling.base.column import columns_of, table_of
 from kr270_milling.base.errors import ParameterError
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.show.commands.command import CELL, Group, command, option
 from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
+STUDIES = ("dask", "distributed", "pyarrow")
 MOST = 10_000_000
 BEST = 5  #: placements that are written as cells
 TURNS = (-180.0, 180.0, 73)  #: [deg] along a path, where --tool-turn does not say otherwise
@@ -65,6 +67,8 @@ COMMANDS = {
 
 
 def run_map(args) -> Answer:
+    if args.along is None:
+        require_extra("map", "studies", *STUDIES)
     import numpy as np
 
     from kr270_milling.cell.cell import read_cell
@@ -195,6 +199,7 @@ def _write(out: Path, source: Path, settings, cell, run, q, way) -> list[Path]:
 
 def run_sweep(args) -> Answer:
     """Full passes with other values of any keys, scores to Parquet."""
+    require_extra("sweep", "studies", *STUDIES)
     from kr270_milling.cell.cell import read_cell
     from kr270_milling.studies.maps.engine import Study, content, run_chunks
     from kr270_milling.studies.maps.sweep import Sweep, parse_axis

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.errors import InputError, RecordingError
+from kr270_milling.base.extras import require_extra
 from kr270_milling.base.table import read_table
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import FIXED, series
@@ -87,10 +88,9 @@ def resampled(time: np.ndarray, values: np.ndarray, step: float) -> np.ndarray:
 
 def _read_uff(path) -> tuple[np.ndarray, tuple[str, ...], np.ndarray]:
     """Seconds, names and values of the time histories (function type 1) of data set 58."""
-    try:
-        import pyuff
-    except ModuleNotFoundError:
-        raise InputError(path, "is read by pyuff, which is not installed (pip install pyuff)") from None
+    require_extra(f"{path}", "uff", "pyuff")
+    import pyuff
+
     try:
         if not Path(path).is_file() or Path(path).stat().st_size > MOST_BYTES:
             raise InputError(path, f"is no UFF file of at most {MOST_BYTES} bytes")

@@ -54,7 +54,7 @@ LOCAL = {
 
 
 class EngineError(MillingError):
-    """The extra libraries are missing, or the scheduler does not answer."""
+    """The scheduler does not answer, or has no worker."""
 
 
 class StudyRows:
@@ -138,7 +138,7 @@ def run_chunks(
     """Make the missing ones of ``count`` chunks; rows_of(number): the bytes of a Parquet file. Returns seconds.
 
     A killed worker's chunk is made again by another one; a killed driver loses the chunks under way. Raises
-    EngineError where Dask is missing, or the scheduler cannot be reached, has no worker or goes away.
+    EngineError where the scheduler cannot be reached, has no worker or goes away.
     """
     missing, start = study.missing(count), time.monotonic()
     if scheduler is None:
@@ -212,11 +212,9 @@ def _made(client, name: str, missing: list[int], rows_of: Callable[[int], bytes]
 
 @contextlib.contextmanager
 def _client(scheduler: str | None) -> Iterator:
-    try:
-        import dask
-        from dask.distributed import Client, LocalCluster
-    except ImportError:
-        raise EngineError("studies need Dask and Arrow: pip install 'kr270_milling[studies]'") from None
+    import dask
+    from dask.distributed import Client, LocalCluster
+
     with dask.config.set(QUIET if scheduler else QUIET | LOCAL), contextlib.ExitStack() as stack:
         where = scheduler or stack.enter_context(LocalCluster(
             n_workers=os.cpu_count() or 1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0",

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -163,14 +161,6 @@ def test_child_finds_its_own_libraries_and_knows_its_parent(monkeypatch):
     environment = child_environment()
     assert GUARD not in environment
     assert environment[PARENT] == str(os.getpid())
-
-
-def test_missing_ros_is_one_sentence_with_the_command_that_installs_it(tmp_path):
-    hide = "import importlib.util as u; find = u.find_spec; u.find_spec = lambda n: None if n == 'rclpy' else find(n);"
-    code = hide + "from kr270_milling.cli import main; raise SystemExit(main(['run', 'paper.yaml']))"
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert ran.returncode == 2
-    assert "kr270_milling[ros]" in ran.stderr and ran.stderr.count("\n") == 1
 
 
 # --- The cell file of a run: the numbers of the cell, bit for bit ---

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import io
 import json
 import os
@@ -11,10 +12,12 @@ import resource
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numba.core.compiler_lock import global_compiler_lock
 from scipy.spatial.transform import Rotation
 
 from kr270_milling.base.column import TextTable
@@ -117,6 +120,27 @@ def test_a_wrong_call_is_answered_in_one_sentence_and_with_json_by_an_object(cap
     out, err = capsys.readouterr()
     assert err == "" and set(refusal := json.loads(out)) == {"error", "exit_code"}
     assert refusal["exit_code"] == 2 and sentence in refusal["error"]
+
+
+@pytest.mark.parametrize(
+    ("module", "extra", "words"),
+    [
+        ("pyarrow", "studies", "map paper.yaml --out out"),
+        ("distributed", "studies", "sweep paper.yaml --vary tool.teeth=2,4 --out out"),
+        ("pyarrow", "studies", "export nowhere --csv out --parquet out"),
+        ("pyuff", "uff", "identify damping nowhere.uff"),
+        ("rclpy", "ros", "run paper.yaml --out out"),
+        ("rclpy", "ros", "watch"),
+        ("rclpy", "ros", "replay nowhere"),
+    ],
+)
+def test_a_missing_extra_is_named_before_anything_is_computed(capsys, monkeypatch, tmp_path, module, extra, words):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == module else find(name, *more))
+    monkeypatch.chdir(tmp_path)
+    assert main(words.split()) == 2
+    assert f"needs {module}, which is not installed: pip install '.[{extra}]'" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 # --- stiffness ---
@@ -275,6 +299,8 @@ def test_without_a_count_the_time_so_far_is_shown_and_with_a_count_the_time_left
     assert shown.state == "75 %, 4 s left"
     shown.say("files")
     assert (shown.label, shown.state) == ("files", "0 s so far")
+    with global_compiler_lock, ThreadPoolExecutor(1) as other:
+        assert other.submit(lambda: shown.state).result() == "0 s so far, compiling"
 
 
 def test_off_a_terminal_a_line_comes_every_few_seconds_and_none_of_what_is_quick(capsys, monkeypatch):

@@ -1,0 +1,23 @@
+"""Packages of the optional parts of the installation, checked before a long computation starts."""
+
+from __future__ import annotations
+
+import importlib.util
+
+from kr270_milling.base.errors import MillingError
+
+__all__ = ["MissingExtra", "require_extra"]
+
+
+class MissingExtra(MillingError):
+    """A package of an extra of ``setup.py`` is not installed."""
+
+
+def require_extra(what: str, extra: str, *modules: str, otherwise: str = "") -> None:
+    """Raise MissingExtra where one of the modules is not installed.
+
+    what: the command, method or file that needs it; otherwise: another remedy, as text.
+    """
+    for name in modules:
+        if importlib.util.find_spec(name) is None:
+            raise MissingExtra(f"{what} needs {name}, which is not installed: pip install '.[{extra}]'{otherwise}")
