@@ -68,7 +68,7 @@ def test_columns_name_their_units(tables):
     assert list(tables["wrench"][0])[3:] == ["force_x_n", "force_y_n", "force_z_n", "torque_x_n_m", "torque_y_n_m",
                                              "torque_z_n_m"]  # fmt: skip
     assert list(tables["deflection"][0])[5:7] == ["linear_z_m", "angular_x_rad"]
-    assert "velocity_joint_a2_rad_per_s" in tables["joint_states"][0]
+    assert "velocity_joint_2_rad_per_s" in tables["joint_states"][0]
     assert "time_from_start_ns" in tables["target_trajectory"][0]
 
 
