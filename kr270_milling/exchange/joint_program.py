@@ -1,4 +1,4 @@
-"""The reference trajectory for a joint controller: an approach from where the robot stands, the pass, a run-out.
+"""The reference trajectory for a joint controller: an approach from the position of the robot, the pass, a run-out.
 
 Controllers such as the joint_trajectory_controller of ros2_controllers join points with positions only by straight
 lines, points with velocities by cubic splines and points with accelerations, too, by quintic splines.
@@ -36,7 +36,7 @@ class JointProgramError(MillingError):
 
 
 def joint_program(cell: Cell, reference: Trajectory, joints: np.ndarray, stamp_ns: int) -> JointProgram:
-    """Return what a joint controller runs for a reference; it starts at ``stamp_ns`` where the robot stands.
+    """Return what a joint controller runs for a reference; from its present position, at ``stamp_ns``.
 
     joints: positions (6,) [rad] of the robot, which is at rest. The program moves all joints in proportion, below a
     tenth of their limits, to the start; where the reference begins or ends in motion, the program gains the speed
@@ -121,7 +121,7 @@ def _run_in(cell: Cell, velocity: np.ndarray) -> float:
 def _check_limits(cell: Cell, program: JointProgram) -> None:
     """Raise JointProgramError for the first joint whose speed or position exceeds its limit."""
     arm = cell.arm
-    for name, first, rows, low, high, unit in (  # the robot may stand beyond a limit: the first position is not checked
+    for name, first, rows, low, high, unit in (  # the robot may be beyond a limit: the first position is not checked
         ("speed", 0, program.velocity, -arm.joint_speed_limit, arm.joint_speed_limit, "deg/s"),
         ("position", 1, program.position[1:], arm.joint_lower, arm.joint_upper, "deg"),
     ):

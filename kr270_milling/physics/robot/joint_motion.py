@@ -19,7 +19,9 @@ def joint_motion(arm: Arm, mount: Mount, q, velocity, acceleration) -> tuple[np.
     q' = J^-1 x'    q'' = J^-1 (x'' - J' q')
     J' q' = (sum_i (2 w_i - a_i q_i') x l_i q_i', sum_i w_i x a_i q_i')    w_i = sum_(k<=i) a_k q_k'
 
-    The last line is the derivative of the geometric Jacobian [Siciliano2009, sec. 3.1]. Raises SingularityError.
+    The last line is the derivative of the geometric Jacobian: a_i turns with w_i, r_i with the links after it.
+
+    Raises SingularityError.
     """
     check_regular(arm, q)
     frames = forward(arm, mount, q)
