@@ -111,6 +111,8 @@ def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE) -> int:
 def _handle_interrupts() -> None:
     """Let Ctrl-C wait for the end of a compilation or an import, some seconds at most; a second Ctrl-C does not wait.
 
+    SIGTERM ends the command as an error does, so that no unfinished file stays.
+
     An interrupted compiler stays incomplete, and compiled libraries report an interrupted import as a broken
     installation.
     """
@@ -129,6 +131,12 @@ def _handle_interrupts() -> None:
     with contextlib.suppress(ValueError):  # only the main thread may
         if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, interrupt)
+        if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+            signal.signal(signal.SIGTERM, _terminate)
+
+
+def _terminate(number, frame) -> None:
+    raise SystemExit(128 + number)
 
 
 def _complete() -> None:

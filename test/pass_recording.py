@@ -34,10 +34,10 @@ CELL = """/**:
 """
 POSE, TWIST = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TwistStamped"
 WRENCH, JOINTS = "geometry_msgs/msg/WrenchStamped", "sensor_msgs/msg/JointState"
-REFERENCE, PROGRAM = "trajectory_msgs/msg/MultiDOFJointTrajectory", "trajectory_msgs/msg/JointTrajectory"
+REFERENCE = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 LATCHED = {"durability": "transient_local", "depth": 1}
 LATCHED_TOPICS = {topic.name for topic in TOPICS if topic.latched}
-LATCHED_FIRST = 3  # state, reference and joint trajectory, which the compensator publishes together
+LATCHED_FIRST = 2  # state and reference, which the compensator publishes together
 STEPS = 121  # 4 mm at 4 m/min, every 0.5 ms
 
 
@@ -122,7 +122,7 @@ def _exchange(robot, cut, compensator) -> list[Message]:
 
 
 TYPES = {"tool_pose": POSE, "wrench": WRENCH, "deflection": TWIST, "joint_states": JOINTS,
-         "robot_description": "std_msgs/msg/String", "reference_trajectory": REFERENCE, "joint_trajectory": PROGRAM,
+         "robot_description": "std_msgs/msg/String", "reference_trajectory": REFERENCE,
          "workpiece": "nav_msgs/msg/OccupancyGrid", "compensator_state": "diagnostic_msgs/msg/DiagnosticStatus",
          "target_trajectory": REFERENCE}  # fmt: skip
 

@@ -10,7 +10,7 @@ import time
 from kr270_milling.live.nodes.play_arguments import PLAY, play_options
 from kr270_milling.recordings.bag.play_options import PlayOptions
 
-FIRST = ("/compensator_state", "/reference_trajectory", "/joint_trajectory")
+FIRST = ("/compensator_state", "/reference_trajectory")
 
 
 def options(*words: str) -> PlayOptions:

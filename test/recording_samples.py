@@ -71,11 +71,11 @@ def twist(stamp: int, values, frame: str = "workpiece"):
 
 
 def joints(stamp: int, position, velocity=(), effort=(), names=None):
-    names = names or [f"joint_a{i + 1}" for i in range(len(position))]
+    names = names or [f"joint_{i + 1}" for i in range(len(position))]
     return make(JOINTS, header(stamp, ""), names, *(np.array(v, float) for v in (position, velocity, effort)))
 
 
-def path(stamp: int, times, positions, quaternions, velocities=None, names=("tool0",)):
+def path(stamp: int, times, positions, quaternions, velocities=None, names=("tcp",)):
     """positions (p, j, 3), quaternions (p, j, 4), velocities (p, j, 6) or None."""
     points = []
     for i, at in enumerate(times):
@@ -96,7 +96,7 @@ def sample(topic: str, step: int):
     if kind == JOINT_PATH:
         point = make("trajectory_msgs/msg/JointTrajectoryPoint", values[:6], values[:0], values[:0], values[:0],
                      duration(50_000_000))  # fmt: skip
-        return make(JOINT_PATH, header(stamp), [f"joint_a{i}" for i in range(1, 7)], [point])
+        return make(JOINT_PATH, header(stamp), [f"joint_{i}" for i in range(1, 7)], [point])
     if kind == GRID:
         info = make("nav_msgs/msg/MapMetaData", time(0), 1e-5, 40, 25, pose(0, [*values[:3], 0, 0, 0, 1]).pose)
         return make(GRID, header(stamp), info, (np.arange(1000) % 101).astype(np.int8))

@@ -12,12 +12,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 __all__ = [
-    "JOINT_NAMES", "TOOL", "WORKPIECE", "Pose", "abc_from_rotation", "quaternion_from_rotation", "rotation_from_abc",
-    "rotation_from_quaternion",
+    "JOINT_NAMES", "OLD_TOOL", "TOOL", "TOOL0", "WORKPIECE", "Pose", "abc_from_rotation", "quaternion_from_rotation",
+    "rotation_from_abc", "rotation_from_quaternion",
 ]  # fmt: skip
 
-TOOL, WORKPIECE = "tool0", "workpiece"  #: frames of the messages
-JOINT_NAMES = tuple(f"joint_a{i}" for i in range(1, 7))
+TOOL, WORKPIECE = "tcp", "workpiece"  #: frames of the messages; z of tcp is along the spindle, away from the flange
+#: the tool tip of recordings before 0.3; since then ``tool0`` is the flange with z out of it, as in ROS-Industrial
+OLD_TOOL = "tool0"
+JOINT_NAMES = tuple(f"joint_{i}" for i in range(1, 7))  #: as in the drivers of KUKA robots for ROS 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,3 +84,8 @@ def quaternion_from_rotation(rotation: np.ndarray) -> np.ndarray:
     """Return quaternions x, y, z, w with w >= 0, (..., 4), of rotation matrices (..., 3, 3)."""
     r = np.asarray(rotation, float)
     return Rotation.from_matrix(r.reshape(-1, 3, 3)).as_quat(canonical=True).reshape(r.shape[:-2] + (4,))
+
+
+#: ``tool0`` in ``flange``: its z axis points out of the flange, as x of ``flange`` does; KUKA's $FLANGE
+#: [kuka_experimental: "the $FLANGE coordinate system of the KRC"]
+TOOL0 = Pose.from_abc(np.zeros(3), [0.0, np.pi / 2, 0.0])

@@ -88,12 +88,15 @@ class Text(Sample):
 
 @dataclass(frozen=True, eq=False)
 class JointProgram(Sample):
-    """Joint positions at times from the start (trajectory_msgs/JointTrajectory)."""
+    """What a joint controller runs (trajectory_msgs/JointTrajectory); a row of NaN: the point has no such values."""
 
+    stamp: int  #: start [ns]; 0: at once
     frame: str
     names: tuple[str, ...]
-    time: np.ndarray = _values(-1, kind=np.int64)  #: [ns], (n,)
+    time: np.ndarray = _values(-1, kind=np.int64)  #: from the start [ns], (n,)
     position: np.ndarray = _values(-1, -1)  #: [rad], (n, joints)
+    velocity: np.ndarray = _values(-1, -1)  #: [rad/s], (n, joints)
+    acceleration: np.ndarray = _values(-1, -1)  #: [rad/s^2], (n, joints)
 
 
 @dataclass(frozen=True, eq=False)

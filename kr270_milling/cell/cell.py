@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from kr270_milling.base.errors import ConfigError, InputError, ParameterError
-from kr270_milling.base.frames import Pose, abc_from_rotation, rotation_from_quaternion
+from kr270_milling.base.frames import JOINT_NAMES, Pose, abc_from_rotation, rotation_from_quaternion
 from kr270_milling.base.record import Record, build, derived, override, parameter, read_tree
 from kr270_milling.cell.path import check_postures
 from kr270_milling.cell.paths import ProgramPath, StraightCut
@@ -47,6 +47,9 @@ class Cell(Record):
     posture_hint: np.ndarray = parameter(
         [], unit="deg", low=-720.0, high=720.0, text="six joints near those of the path: they choose the branch"
     )
+    joint_names: tuple[str, ...] = parameter(
+        JOINT_NAMES, text="names of the six joints in joint_states, joint_trajectory and robot_description"
+    )
     arm: Arm
     mount: Mount
     workpiece: Workpiece
@@ -76,6 +79,8 @@ class Cell(Record):
         if abs(turn - round(turn)) > 1e-6:
             raise ParameterError("exchange.micro_step_deg", np.degrees(self.exchange.micro_step), "a whole part of 360")
         self._check_posture()
+        if len(set(self.joint_names)) != 6 or len(self.joint_names) != 6 or not all(self.joint_names):
+            raise ParameterError("joint_names", list(self.joint_names), "six different names")
         if self.by_engagement and not self.path.file:
             raise ParameterError("cutting.detail", "engagement", "teeth or auto for a straight cut")
         if self.tool.spindle_speed > 0.0:

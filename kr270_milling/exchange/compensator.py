@@ -9,16 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import MessageError
-from kr270_milling.base.frames import JOINT_NAMES
-from kr270_milling.base.samples import CompensatorState, JointProgram, LearnedPass, PoseSample, WrenchSample
+from kr270_milling.base.samples import CompensatorState, LearnedPass, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints, compensator, pass_record
 from kr270_milling.exchange.inputs import Output, checked_pose, checked_wrench, in_workpiece_axes
+from kr270_milling.exchange.joint_program import joint_program
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.revision import PassRecord
 
-__all__ = ["CompensatorProtocol", "PassInbox", "ReceivedPass", "end_of", "joint_program"]
+__all__ = ["CompensatorProtocol", "PassInbox", "ReceivedPass", "end_of"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +141,7 @@ class PassInbox:
 
 
 class CompensatorProtocol:
-    """tool_pose and wrench in; compensator_state, reference_trajectory and joint_trajectory out.
+    """tool_pose and wrench in; compensator_state and reference_trajectory out; joint_trajectory on request.
 
     plant: the cell that is simulated in the place of a real one, with its tracker; name: of the node.
     ``finish`` completes a pass without its last wrench. A refused message leaves the state unchanged.
@@ -214,6 +214,16 @@ class CompensatorProtocol:
         """Revise without the last wrench if the pass lacks nothing else."""
         return self._revise() if self.at_end else []
 
+    def program(self, joints: np.ndarray, stamp_ns: int) -> list[Output]:
+        """Return the reference for a joint controller, see ``joint_program``; joints (6,) [rad]: of the robot.
+
+        Raises MessageError in mid-pass and before there is a target, and the errors of ``joint_program``.
+        """
+        reference = self.active.reference
+        if self.under_way:
+            raise MessageError("a pass is under way: the robot moves")
+        return [("joint_trajectory", joint_program(self.cell, reference, joints, stamp_ns))]
+
     def _revise(self) -> list[Output]:
         received = self.inbox.received()
         number = self.passes
@@ -231,24 +241,19 @@ class CompensatorProtocol:
 
     def _continue(self, made: Compensator, learned: tuple[LearnedPass, ...]) -> list[Output]:
         """Return the outputs of a new state; an error comes before anything has changed."""
-        program = joint_program(self.cell, made.reference)
+        commanded_joints(self.cell, made.reference)  # raises where no arm can run the reference
         self.compensator, self._learned = made, learned
         self.inbox = PassInbox(end_of(self.cell, made.reference), self.cell.exchange.iterations)
         state = CompensatorState(
             self.name, made.method, self.passes, made.finished, fingerprint(made.target), fingerprint(made.reference),
             learned,
         )  # fmt: skip
-        return [("compensator_state", state), ("reference_trajectory", made.reference), ("joint_trajectory", program)]
+        return [("compensator_state", state), ("reference_trajectory", made.reference)]
 
 
 def end_of(cell: Cell, reference: Trajectory) -> int:
     """Return the stamp [ns] of the last exchange of a pass along a reference."""
     return int(cell.clock.stamp(cell.clock.steps(reference.duration_ns)))
-
-
-def joint_program(cell: Cell, reference: Trajectory) -> JointProgram:
-    """Return what a joint controller runs for a reference; raises MillingError where that is not possible."""
-    return JointProgram("base_link", JOINT_NAMES, reference.time_ns, commanded_joints(cell, reference))
 
 
 def _missing(stamps: np.ndarray) -> int:

@@ -26,7 +26,7 @@ class ExchangeError(MillingError):
 
 
 def checked_pose(sample: PoseSample) -> PoseSample:
-    """Return the sample; raises MessageError unless it is a finite pose of tool0 in the workpiece frame."""
+    """Return the sample; raises MessageError unless it is a finite pose of tcp in the workpiece frame."""
     if sample.frame != WORKPIECE:
         raise MessageError(f"tool_pose: the frame is {sample.frame!r}, but must be {WORKPIECE}")
     quaternion = sample.quaternion.tolist()
@@ -45,9 +45,9 @@ def checked_wrench(sample: WrenchSample) -> WrenchSample:
 
 
 def in_workpiece_axes(sample: WrenchSample, quaternion: np.ndarray) -> np.ndarray:
-    """Return the wrench (6,) in workpiece axes; a force sensor may publish it in the axes of tool0.
+    """Return the wrench (6,) in workpiece axes; a force sensor may publish it in the axes of tcp.
 
-    F_workpiece = R F_tool and M_workpiece = R M_tool: both are taken at the tool tip. quaternion: of tool0, (4,).
+    F_workpiece = R F_tool and M_workpiece = R M_tool: both are taken at the tool tip. quaternion: of tcp, (4,).
     """
     wrench = sample.wrench
     if sample.frame == WORKPIECE:

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from kr270_milling.base.frames import JOINT_NAMES, WORKPIECE
+from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import ClockSample, JointSample, PoseSample, Text, TwistSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
@@ -46,7 +46,8 @@ class RobotProtocol:
     def describe(self) -> list[Output]:
         """Return the URDF for viewers."""
         cell = self.cell
-        return [("robot_description", Text(urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose)))]
+        text = urdf(cell.arm, cell.mount, cell.tool.radius, cell.workpiece.pose, cell.joint_names)
+        return [("robot_description", Text(text))]
 
     def start(self) -> list[Output]:
         """Begin a pass along ``reference``. Raises ExchangeError where there is none."""
@@ -138,7 +139,7 @@ class RobotProtocol:
             outputs.append(("deflection", TwistSample(stamp_ns, WORKPIECE, deflection)))
         if step % self._joints_every == 0:
             joints = self._joints[step // self._joints_every]
-            outputs.append(("joint_states", JointSample(stamp_ns, JOINT_NAMES, joints)))
+            outputs.append(("joint_states", JointSample(stamp_ns, self.cell.joint_names, joints)))
         if step % self._clock_every == 0:
             outputs.append(("clock", ClockSample(stamp_ns)))
         return outputs

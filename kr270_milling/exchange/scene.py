@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kr270_milling.base.frames import quaternion_from_rotation
+from kr270_milling.base.frames import OLD_TOOL, TOOL, WORKPIECE, quaternion_from_rotation
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.robot.urdf_links import Link, links_of
 from kr270_milling.recordings.messages.cdr import stamp_of
@@ -42,7 +42,6 @@ PERIOD_NS = 33_333_333  #: between two messages, 30 Hz
 MOST_POINTS = 200  #: of the path; beyond, every second point is removed
 FULL_ERROR = 100e-6  #: [m], of the far end of the colours
 ARROW_LENGTH = 1e-3  #: [m/N]
-WORKPIECE = "workpiece"
 LOW, HIGH = np.array([0.03, 0.31, 0.59, 1.0]), np.array([0.90, 0.35, 0.05, 1.0])  #: colours of no and of full error
 REMOVED = np.array([0.6, 0.65, 0.7, 0.6])
 FORCE = np.array([0.0, 0.5, 0.35, 1.0])
@@ -115,7 +114,8 @@ class Scene:
 
     def _width(self) -> float:
         """[m], of the tool's tip in the description."""
-        tools = [mesh for link in self._links if link.name == "tool0" for mesh in link.meshes if mesh.colour == "tool"]
+        tips = [link for link in self._links if link.name in (TOOL, OLD_TOOL)]
+        tools = [mesh for link in tips for mesh in link.meshes if mesh.colour == "tool"]
         return 2 * float(np.hypot(*tools[0].vertex[:, :2].T).max()) if tools else 0.02
 
     def _add_point(self, stamp: int, position: np.ndarray) -> None:

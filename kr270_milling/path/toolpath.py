@@ -45,7 +45,7 @@ class Toolpath:
     features: tuple[str, ...]  #: names of the features of the part; the first is "" for blocks of no feature
     curvature: np.ndarray  #: [1/m], (n,), in the xy plane, positive counterclockwise seen from +z; 0: straight
     spindle_speed: np.ndarray  #: [rad/s], (n,), clockwise, negative: counterclockwise; 0: off or not given
-    quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tool0 in the workpiece frame at the end of each block
+    quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tcp in the workpiece frame at the end of each block
     drilling: np.ndarray = field(
         default_factory=lambda: np.zeros(0, bool)
     )  #: strokes of a cycle, (n,) bool; empty: none

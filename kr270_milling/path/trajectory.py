@@ -20,7 +20,7 @@ from kr270_milling.base.frames import abc_from_rotation, rotation_from_quaternio
 
 __all__ = ["TOOL_DOWN", "Trajectory", "TrajectoryError", "fingerprint", "offsets", "slerp"]
 
-#: tool0 in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
+#: tcp in the workpiece frame when its axis points straight down and its x axis along the feed: diag(1, -1, -1)
 TOOL_DOWN = (1.0, 0.0, 0.0, 0.0)
 AT_REST = 1e-6  #: [m/s] a slower tool is at rest: 12 nm in a tick of 12 ms are below the resolution of any axis
 
@@ -35,11 +35,11 @@ class TrajectoryError(MillingError):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Knots of the tool tip frame tool0 over time; arrays become read-only."""
+    """Knots of the tool tip frame tcp over time; arrays become read-only."""
 
     time_ns: np.ndarray  #: [ns], (n,) int64, strictly increasing from 0
-    position: np.ndarray  #: [m], (n, 3), of tool0 in ``frame``
-    quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tool0 in ``frame``; (4,) holds for all knots
+    position: np.ndarray  #: [m], (n, 3), of tcp in ``frame``
+    quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tcp in ``frame``; (4,) holds for all knots
     velocity: np.ndarray | None = None  #: [m/s], (n, 3), at the knots; None: straight lines between them
     frame: str = "workpiece"
 
@@ -101,6 +101,14 @@ class Trajectory:
             return np.where(moving, move / step, 0.0)
         v0, v1 = step * self.velocity[k], step * self.velocity[k + 1]
         return np.where(moving, (v0 + 2 * u * (3 * move - 2 * v0 - v1) + 3 * u**2 * (v0 + v1 - 2 * move)) / step, 0.0)
+
+    def sample_acceleration(self, time_ns, side: Literal["left", "right"] = "right") -> np.ndarray:
+        """Return the acceleration [m/s^2], (..., 3), of the segments, see ``sample_velocity``; corners have none."""
+        k, u, step = self.locate(time_ns, side)
+        if self.velocity is None:
+            return np.zeros_like(self.position[k])
+        move, v0, v1 = self.position[k + 1] - self.position[k], step * self.velocity[k], step * self.velocity[k + 1]
+        return (2 * (3 * move - 2 * v0 - v1) + 6 * u * (v0 + v1 - 2 * move)) / step**2
 
     @property
     def standing(self) -> np.ndarray:

@@ -43,7 +43,7 @@ def tube(mass: float, vector: np.ndarray, radius: float) -> np.ndarray:
 
 
 def pinocchio_arm(arm, mount: Mount, tubes: bool = False):
-    """The chain of the data sheet with its weights on the links' lines; tubes: with rotary inertia. Frame: tool0.
+    """The chain of the data sheet with its weights on the links' lines; tubes: with rotary inertia. Frame: tcp.
 
     The axes of a base that tilts precede the six joints.
     """
@@ -64,5 +64,5 @@ def pinocchio_arm(arm, mount: Mount, tubes: bool = False):
     model.appendBodyToJoint(parent, rider, pin.SE3.Identity())
     model.gravity.linear = np.array([0, 0, -9.80665])
     place = pin.SE3(pin.rpy.rpyToMatrix(*mount.abc[::-1]), at + mount.xyz)
-    frame = model.addFrame(pin.Frame("tool0", parent, 0, place, pin.FrameType.OP_FRAME))
+    frame = model.addFrame(pin.Frame("tcp", parent, 0, place, pin.FrameType.OP_FRAME))
     return model, model.createData(), frame

@@ -37,7 +37,7 @@ def test_what_is_printed_of_a_pass_are_its_scores(passes):
 def test_the_path_starts_where_the_start_joints_put_the_tool():
     start = PAPER.workpiece.pose.inverse() @ pose(PAPER.arm, PAPER.mount, PAPER.start_joints)
     np.testing.assert_allclose(start.position, PAPER.target().position[0], atol=1e-9)
-    np.testing.assert_allclose(start.rotation, np.diag([1.0, -1.0, -1.0]), atol=1e-12)  # tool0 in the workpiece
+    np.testing.assert_allclose(start.rotation, np.diag([1.0, -1.0, -1.0]), atol=1e-12)  # tcp in the workpiece
     np.testing.assert_allclose(PAPER.joints(PAPER.target())[0], PAPER.start_joints, atol=1e-7)
 
 
@@ -287,7 +287,7 @@ SLOT = "x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,feed_mm_per_min\n" + "".join(
 
 
 def table(directory, a=0.0, b=0.0, c=180.0):
-    """The cell with a slot as a table; A, B, C [deg] turn tool0."""
+    """The cell with a slot as a table; A, B, C [deg] turn tcp."""
     path = directory / "slot.csv"
     path.write_text(SLOT.format(a=a, b=b, c=c))
     return read_cell(find_file("paper.yaml"), [f"path.file={path}", "stock.max_mm=[40,14,0]"])

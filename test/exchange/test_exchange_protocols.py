@@ -157,7 +157,7 @@ def test_a_robot_refuses_what_it_cannot_use_and_continues(short_cell):
 def test_a_cut_refuses_what_it_cannot_use_and_continues(short_cell):
     def disturb(robot, cut, pose):
         at, turn = pose.position, pose.quaternion
-        for bad in (("tool0", at, turn), ("workpiece", at * np.nan, turn), ("workpiece", at, 2 * turn)):
+        for bad in (("tcp", at, turn), ("workpiece", at * np.nan, turn), ("workpiece", at, 2 * turn)):
             with pytest.raises(MessageError):
                 cut.pose(PoseSample(pose.stamp, *bad))
         return []
@@ -293,7 +293,7 @@ def protocol(short_cell):
 def samples(ran, turned: bool = False) -> list:
     """Poses and wrenches in turn; turned: the wrenches in the axes of the tool."""
     turn = np.kron(np.eye(2), rotation_from_quaternion(DOWN)) if turned else np.eye(6)
-    frame = "tool0" if turned else "workpiece"
+    frame = "tcp" if turned else "workpiece"
     answer = []
     for stamp, tool, wrench in zip(ran.time_ns.tolist(), ran.tool, ran.wrench, strict=True):
         answer += [PoseSample(stamp, "workpiece", tool, DOWN), WrenchSample(stamp, frame, turn.T @ wrench)]
@@ -312,7 +312,7 @@ def expected(cell, ran):
 
 
 def assert_revised(outputs, reference) -> None:
-    assert [topic for topic, _ in outputs] == ["compensator_state", "reference_trajectory", "joint_trajectory"]
+    assert [topic for topic, _ in outputs] == ["compensator_state", "reference_trajectory"]
     np.testing.assert_array_equal(outputs[1][1].position, reference.position)
 
 

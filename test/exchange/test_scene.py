@@ -32,7 +32,7 @@ def placed(cell, joints) -> dict[str, np.ndarray]:
     """Every frame on base_link, by chaining the transforms that a viewer gets."""
     scene = Scene()
     result = list(scene.take("robot_description", described(cell)))
-    result += scene.take("joint_states", to_bytes(JointSample(0, tuple(f"joint_a{i}" for i in range(1, 7)), joints)))
+    result += scene.take("joint_states", to_bytes(JointSample(0, tuple(f"joint_{i}" for i in range(1, 7)), joints)))
     frames = {"base_link": np.eye(4)}
     waiting = [t for one in result for t in deserialise(one.type, one.data).transforms]
     while waiting:
@@ -51,7 +51,7 @@ def placed(cell, joints) -> dict[str, np.ndarray]:
 def test_the_transforms_put_every_frame_where_the_kinematics_does(cell):
     for joints in np.random.default_rng(5).uniform(-1.2, 1.2, (4, 6)):
         frames, ours = placed(cell, joints), forward(cell.arm, cell.mount, joints)
-        for name, pose in (("flange", ours.flange), ("tool0", ours.tool), ("workpiece", cell.workpiece.pose)):
+        for name, pose in (("flange", ours.flange), ("tcp", ours.tool), ("workpiece", cell.workpiece.pose)):
             np.testing.assert_allclose(frames[name][:3, 3], pose.position, atol=1e-8)
             np.testing.assert_allclose(frames[name][:3, :3], pose.rotation, atol=1e-8)
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from kr270_milling.base.errors import InputError
 from kr270_milling.base.files import write_files
-from kr270_milling.base.frames import JOINT_NAMES, Pose, quaternion_from_rotation
+from kr270_milling.base.frames import JOINT_NAMES, TOOL0, quaternion_from_rotation
 from kr270_milling.base.units import seconds
 from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
@@ -129,16 +129,11 @@ def as_commanded(cell: Cell, run: Trajectory, joints) -> Trajectory:
     return Trajectory(run.time_ns, tool.position, quaternion_from_rotation(tool.rotation), run.velocity, run.frame)
 
 
-#: the controller's $FLANGE in ``flange``: its z axis points out of the flange, as x does here (kuka_experimental sets
-#: its tool0 frame, "the $FLANGE coordinate system of the KRC", by the same turn)
-KUKA_FLANGE = Pose.from_abc(np.zeros(3), [0.0, np.pi / 2, 0.0])
-
-
 def _setup(cell: Cell, original: Trajectory, revised: Trajectory) -> krl.Setup:
     """$TOOL is the mount, $BASE the workpiece."""
     safe_z = float(cell.stock.max[2]) + cell.program.safe_height
     approaches = _approach(cell, original, safe_z), _approach(cell, revised, safe_z)
-    mount, to_kuka = cell.mount, KUKA_FLANGE.inverse()
+    mount, to_kuka = cell.mount, TOOL0.inverse()
     centre = tuple(to_kuka.apply(mount.mass_centre).tolist())
     return krl.Setup(to_kuka @ mount.pose, cell.workpiece.pose, approaches, safe_z, mount.mass, centre)
 

@@ -59,7 +59,7 @@ class Approach:
 class Setup:
     """What the controller must know of the cell beside the points."""
 
-    tool: Pose  #: tool0 in $FLANGE, whose z points out of the flange ($TOOL)
+    tool: Pose  #: tcp in $FLANGE, whose z points out of the flange ($TOOL)
     base: Pose  #: the workpiece frame on $ROBROOT ($BASE)
     approaches: tuple[Approach, Approach]  #: of the original and of the compensated program
     safe_z: float  #: [m], height of the retract in the workpiece frame

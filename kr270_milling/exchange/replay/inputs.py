@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from kr270_milling.base.samples import PoseSample, WrenchSample
+from kr270_milling.base.samples import JointProgram, PoseSample, WrenchSample
 from kr270_milling.exchange.inputs import checked_pose, checked_wrench
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.messages.codec import pose_from_bytes, trajectory_from_bytes, wrench_from_bytes
@@ -19,8 +19,8 @@ READERS: dict[Callable | None, Callable] = {
     WrenchSample: lambda data: checked_wrench(wrench_from_bytes(data)),
     Trajectory: trajectory_from_bytes,
 }
-#: topics that are recomputed, in the order of causes
-OUTPUTS = tuple(t.name for t in TOPICS if t.publisher in NODES and t.record is not None)
+#: topics that are recomputed, in the order of causes; a joint program starts where the robot stood at the request
+OUTPUTS = tuple(t.name for t in TOPICS if t.publisher in NODES and t.record not in (None, JointProgram))
 #: topic -> reader, of the topics that a protocol takes
 INPUTS = {t.name: READERS[t.record] for t in TOPICS if t.record in READERS and set(t.subscribers) & set(NODES)}
 TYPES = {t.name: t.type for t in TOPICS if t.name in OUTPUTS or t.name in INPUTS}

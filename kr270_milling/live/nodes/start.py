@@ -38,8 +38,23 @@ def start(name: str | None = None) -> int:
         return player_main()
     from kr270_milling.live.ros.spin import run_nodes
 
-    names = _chosen_nodes() if name == "milling_cell" else [name]
-    return run_nodes([_node_class(node) for node in names])
+    if name == "milling_cell":
+        return run_nodes([_node_class(node) for node in _chosen_nodes()])
+    if {"-h", "--help"} & set(sys.argv[1:]):
+        return _help(name)
+    return run_nodes([_node_class(name)])
+
+
+def _help(name: str) -> int:
+    """Print what a node does and how to start the node."""
+    parser = argparse.ArgumentParser(
+        prog=name,
+        usage=f"{name} --ros-args --params-file CELL.yaml [-p KEY:=VALUE] [-r NAME:=NAME]",
+        description=(_node_class(name).__doc__ or "").split("\n\n")[0],
+        epilog="The command kr270_milling keys lists the parameters of a cell with unit, range and default.",
+    )
+    parser.print_help()
+    return 0
 
 
 def _end(number, frame) -> None:

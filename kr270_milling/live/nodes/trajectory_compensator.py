@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
 import time
 
+import numpy as np
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import Trigger
 
+from kr270_milling.base.errors import MessageError
 from kr270_milling.base.parameter_file import find_file
+from kr270_milling.base.units import SECOND
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.exchange.compensator import CompensatorProtocol
 from kr270_milling.live.ros import topics
@@ -31,6 +36,10 @@ METHOD = "compensation.method"
 TARGET = "the target itself"
 LOOK = 0.1  # [s] of the wall clock between two checks of the publishers
 WITHOUT_START = 20  # poses of a pass without its start, after which the node reports an error
+JOINTS_AGE = 1.0  # [s] of the wall clock, of the last joint_states from which a joint trajectory may start
+LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
+#: reliable and best-effort publishers match; only the last message counts
+LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
 LAST_WRENCH = 0.5  # [s] of the wall clock to wait for the wrench of the last pose
 
 
@@ -55,8 +64,12 @@ class TrajectoryCompensator(ReportingNode):
         pose, wrench = topics.TOOL_POSE, topics.WRENCH
         self._pose = polled_subscription(self, pose.type, pose.name, self._on_pose, pose.qos)
         self._wrench = polled_subscription(self, wrench.type, wrench.name, self._on_wrench, wrench.qos)
+        states = topics.JOINT_STATES
+        self.create_subscription(states.type, states.name, self._on_joints, LATEST, raw=True)
         self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/send_joint_trajectory", self._on_send)
         self._revision = 0
+        self._joints: tuple[float, bytes] | None = None  # arrival [s of the monotonic clock], last joint_states
         self._ended: float | None = None  # arrival of the last pose [s of the monotonic clock]
         self._silence = Silence()
         self.add_on_set_parameters_callback(self._on_parameters)
@@ -165,6 +178,37 @@ class TrajectoryCompensator(ReportingNode):
     def _reset(self) -> bool:
         self._publish(self.protocol.reset(), TARGET)
         return True
+
+    def _on_joints(self, data: bytes) -> None:
+        self._joints = time.monotonic(), data
+
+    def _present_joints(self) -> np.ndarray:
+        """Return the joint positions of the robot [rad], (6,); raises MessageError where these are unknown."""
+        arrival, data = self._joints or (-math.inf, b"")
+        age = time.monotonic() - arrival
+        if age > JOINTS_AGE:
+            last = f"the last message is {age:.1f} s old" if data else "no message was received"
+            raise MessageError(f"joint_states: {last}, so the position of the robot is not known")
+        state = from_bytes("sensor_msgs/msg/JointState", data)
+        places = dict(zip(state.names, state.position.tolist(), strict=False))
+        missing = [name for name in self.cell.joint_names if not math.isfinite(places.get(name, math.nan))]
+        if missing:
+            raise MessageError(f"joint_states: has no position of {', '.join(missing)} (parameter joint_names)")
+        return np.array([places[name] for name in self.cell.joint_names])
+
+    @guarded
+    def _send_program(self) -> str:
+        """Publish the reference for a joint controller; return what was published."""
+        start = self.get_clock().now().nanoseconds + int(LEAD * SECOND)
+        outputs = self.protocol.program(self._present_joints(), start)
+        self.send(outputs)
+        program = outputs[0][1]
+        return f"{len(program.time)} points, {program.time[-1] / SECOND:.3f} s, start in {LEAD:g} s"
+
+    def _on_send(self, _, response):
+        sent = self._send_program()
+        response.success, response.message = sent is not None, sent or self.message
+        return response
 
     def _on_reset(self, _, response):
         if self.protocol.compensator is None:

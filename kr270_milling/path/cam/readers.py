@@ -35,7 +35,7 @@ EXAMPLE = "x_mm,y_mm,z_mm,feed_mm_per_min or x_mm,y_mm,z_mm,a_deg,b_deg,c_deg,fe
 
 
 def read_points(path) -> Toolpath:
-    """Read a CSV of points; a, b, c are KUKA angles of tool0 in the workpiece frame; the feed leads to its point."""
+    """Read a CSV of points; a, b, c are KUKA angles of tcp in the workpiece frame; the feed leads to its point."""
     table = read_table(path, COLUMNS, whole=True)
     names, scales = zip(*(COLUMNS[name] for name in table.names), strict=True)
     if sorted(names) not in (sorted({"x", "y", "z", "feed"}), sorted(UNITS_OF)):

@@ -31,7 +31,7 @@ class MirrorError(MillingError):
 class Mirror:
     """Modified target points t_0^(F) of (31) and how the iteration went."""
 
-    pose: Pose  #: tool0 in base_link, (n, 3), (n, 3, 3)
+    pose: Pose  #: tcp in base_link, (n, 3), (n, 3, 3)
     joints: np.ndarray  #: inverse kinetostatic model: joint positions that command it [rad], (n, 6)
     history: tuple[float, ...]  #: largest remaining error [m] before each iteration of (32)
 

@@ -40,7 +40,7 @@ def read_arm(path) -> tuple[Arm, Mount]:
 def analyse(arm: Arm, mount: Mount, q, wrench, frame: str = "base", gravity: bool = False) -> dict:
     """Pose of the unloaded posture q [rad], (6,), and the loaded equilibrium under a wrench, as a dict for JSON.
 
-    frame: "base", or "tool" for the axes of the unloaded tool0; wrench, matrices and deflection are in its axes.
+    frame: "base", or "tool" for the axes of the unloaded tcp; wrench, matrices and deflection are in its axes.
     """
     if frame not in ("base", "tool"):
         raise ParameterError("frame", frame, "one of base, tool")

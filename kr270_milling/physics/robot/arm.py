@@ -200,12 +200,12 @@ class Arm(Record):
 
 @dataclass(frozen=True, eq=False)
 class Mount(Record):
-    """Spindle and tool on the flange: where ``tool0`` is in ``flange``, and a rigid mass."""
+    """Spindle and tool on the flange: where ``tcp`` is in ``flange``, and a rigid mass."""
 
     xyz: np.ndarray = parameter([0.0, 0.0, 0.0], unit="mm", text="tool tip in the flange frame", size=3,
                                 low=-5000.0, high=5000.0)  # fmt: skip
     abc: np.ndarray = parameter([0.0, math.pi / 2, 0.0], unit="deg", size=3, low=-360.0, high=360.0, text="A, B, C of "
-                                "tool0 in the flange frame; 0, 90, 0: spindle in line with axis 6")  # fmt: skip
+                                "tcp in the flange frame; 0, 90, 0: spindle in line with axis 6")  # fmt: skip
     mass: float = parameter(0.0, unit="kg", text="mass of spindle and tool", low=0.0, high=5000.0)
     mass_centre: np.ndarray = parameter([0.0, 0.0, 0.0], unit="mm", text="its centre in the flange frame", size=3,
                                         low=-5000.0, high=5000.0)  # fmt: skip
@@ -219,7 +219,7 @@ class Mount(Record):
 
     @functools.cached_property
     def pose(self) -> Pose:
-        """Maps tool0 coordinates to flange coordinates."""
+        """Maps tcp coordinates to flange coordinates."""
         return Pose.from_abc(self.xyz, self.abc)
 
 

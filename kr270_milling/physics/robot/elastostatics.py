@@ -38,7 +38,7 @@ class Equilibrium:
     tilt: np.ndarray  #: of the base, about its k compliant axes [rad], (..., k)
     theta: np.ndarray  #: deflection of the joint springs [rad], (..., 6)
     posture: np.ndarray  #: q + theta [rad], (..., 6)
-    pose: Pose  #: of the loaded tool0 in base_link
+    pose: Pose  #: of the loaded tcp in base_link
     jacobian: np.ndarray  #: at the tool point in the loaded posture, (..., 6, k + 6): base, then joints
     hessian: np.ndarray  #: H_theta_theta [N m/rad], (..., k + 6, k + 6)
     residual: np.ndarray  #: largest torque out of balance [N m], (...,)

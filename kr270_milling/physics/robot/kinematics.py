@@ -101,7 +101,7 @@ def _turn(rotation, k, cosine, sine, out):
 
 
 def pose(arm: Arm, mount: Mount, q) -> Pose:
-    """Pose of tool0 in base_link."""
+    """Pose of tcp in base_link."""
     return forward(arm, mount, q).tool
 
 

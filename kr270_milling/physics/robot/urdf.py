@@ -1,4 +1,4 @@
-"""URDF of the arm: links with inertias and simple solids, joint limits, flange, tool0 and, if wanted, the workpiece.
+"""URDF of the arm: links with inertias and simple solids, joint limits, flange, tcp and, if wanted, the workpiece.
 
 The inertias are those of the mass model ``rigid``: thin tubes, and spindle and tool on the flange. The solids of arm,
 spindle and tool are boxes and cylinders, sized by the link lengths. They are for the eye only: own primitives by the
@@ -7,12 +7,13 @@ look of a heavy arm, no maker's meshes. Collision is not their job.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from kr270_milling.base.frames import Pose, abc_from_rotation
+from kr270_milling.base.frames import JOINT_NAMES, TOOL, TOOL0, Pose, abc_from_rotation
 from kr270_milling.physics.robot.arm import AXES, Arm, Mount
 from kr270_milling.physics.robot.mass import own_inertia
 
@@ -43,10 +44,14 @@ class Solid:
     colour: str
 
 
-def urdf(arm: Arm, mount: Mount, tool_radius: float = 0.01, workpiece: Pose | None = None) -> str:
-    """URDF text: base_link, link_1 to link_6, flange, tool0; joints joint_a1 to joint_a6 [m, rad, kg].
+def urdf(
+    arm: Arm, mount: Mount, tool_radius: float = 0.01, workpiece: Pose | None = None,
+    joint_names: Sequence[str] = JOINT_NAMES,
+) -> str:  # fmt: skip
+    """URDF text: base_link, link_1 to link_6, flange, tcp [m, rad, kg], and ROS-Industrial's frames base and tool0.
 
-    tool_radius [m] of the cutter that is shown; workpiece: its frame on base_link, as a further fixed link.
+    tool_radius [m] of the cutter that is shown; workpiece: its frame on base_link, as a further fixed link;
+    joint_names: of the six joints.
     """
     root = ET.Element("robot", name="kr270")
     for name, rgb in COLOURS.items():
@@ -58,14 +63,16 @@ def urdf(arm: Arm, mount: Mount, tool_radius: float = 0.01, workpiece: Pose | No
         _inertial(link, arm.link_mass[j], arm.link_mass_centre[j] * ends[j], own_inertia(arm, j))
     for j in range(6):
         parent, offset = (f"link_{j}", ends[j - 1]) if j else ("base_link", ORIGIN)
-        joint = _joint(root, f"joint_a{j + 1}", "revolute", parent, f"link_{j + 1}", offset, NO_TURN)
+        joint = _joint(root, joint_names[j], "revolute", parent, f"link_{j + 1}", offset, NO_TURN)
         ET.SubElement(joint, "axis", xyz=_text(AXES[j]))
         low, high, speed = arm.joint_lower[j], arm.joint_upper[j], arm.joint_speed_limit[j]
         ET.SubElement(joint, "limit", lower=f"{low:.9g}", upper=f"{high:.9g}", velocity=f"{speed:.9g}", effort="0")
     flange = _fixed(root, "flange", "link_6", Pose(ends[5], np.eye(3)), _adapter(mount))
     if mount.mass > 0.0:
         _inertial(flange, mount.mass, mount.mass_centre, np.diag(mount.inertia))
-    _fixed(root, "tool0", "flange", mount.pose, _spindle(mount, tool_radius))
+    _fixed(root, TOOL, "flange", mount.pose, _spindle(mount, tool_radius))
+    _fixed(root, "tool0", "flange", TOOL0, [])
+    _fixed(root, "base", "base_link", Pose(ORIGIN, np.eye(3)), [])
     if workpiece is not None:
         _fixed(root, "workpiece", "base_link", workpiece, [])
     ET.indent(root)
@@ -180,7 +187,7 @@ def _adapter(mount: Mount) -> list[Solid]:
 
 
 def _spindle(mount: Mount, tool_radius: float) -> list[Solid]:
-    """Tool, holder and, where the tip is far enough from the flange, the housing; tool0's z points to the tip."""
+    """Tool, holder and, where the tip is far enough from the flange, the housing; tcp's z points to the tip."""
     solids = [_cylinder((0, 0, -STICK_OUT), (0, 0, 0), tool_radius, "tool")]
     if float(np.linalg.norm(mount.xyz)) > STICK_OUT + HOLDER:
         nose = -(STICK_OUT + HOLDER)

@@ -39,6 +39,7 @@ POINT = [
     *(f"angular_acceleration_{a}_rad_per_s2" for a in "xyz"),
 ]
 JOINTS = "sensor_msgs/msg/JointState"
+FORMULA = ("=", "+", "-", "@", "\t", "\r")  #: beginnings of a text that a spreadsheet evaluates
 TWIST = "geometry_msgs/msg/TwistStamped"
 
 
@@ -110,8 +111,13 @@ def _free_path(directory: Path, topic: str, suffix: str, taken: list[Path]) -> P
 def _write_csv(stream, columns: list[str], rows: Iterable[list]) -> None:
     with io.TextIOWrapper(stream, encoding="utf-8", newline="") as text:
         writer = csv.writer(text)
-        writer.writerow(columns)
-        writer.writerows(rows)  # a number is the shortest text that gives the same bits
+        writer.writerow(map(_inert, columns))
+        writer.writerows(map(_inert, row) for row in rows)  # a number is the shortest text that gives the same bits
+
+
+def _inert(cell):
+    """Return a cell that no spreadsheet takes for a formula: an apostrophe before texts such as =1+1."""
+    return f"'{cell}" if isinstance(cell, str) and cell.startswith(FORMULA) else cell
 
 
 def _write_parquet(stream, columns: list[str], rows: Iterable[list]) -> None:

@@ -1,7 +1,7 @@
 """The target of a pass from a recording: a nav_msgs/Path, or a MultiDOFJointTrajectory with its times.
 
 A Path contains positions. The stamps of its poses determine the feed; ``feed_rate`` does if all stamps are equal. The
-orientations are used if tool0 z points into the part. If z points straight up in all of them, as in empty orientations
+orientations are used if tcp z points into the part. If z points straight up in all of them, as in empty orientations
 and in headings of planners, they do not describe a tool, and the tool is vertical.
 """
 
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import RecordingError
+from kr270_milling.base.frames import OLD_TOOL, TOOL, WORKPIECE
 from kr270_milling.path.timing import TimedPath
 from kr270_milling.path.toolpath import REACH, Toolpath
 from kr270_milling.path.trajectory import TOOL_DOWN, Trajectory, TrajectoryError
@@ -22,7 +23,6 @@ from kr270_milling.recordings.messages.trajectory import TRAJECTORY, TrajectoryR
 __all__ = ["PATH", "PathRecord", "read_path", "read_recorded"]
 
 PATH = "nav_msgs/msg/Path"
-TOOL, WORKPIECE = "tool0", "workpiece"
 UPRIGHT = 1e-9  #: horizontal part of the z axis below which an orientation is a mere heading
 
 
@@ -133,7 +133,7 @@ def _six_digits(feed: np.ndarray) -> np.ndarray:
 
 
 def _orientations(quaternion: np.ndarray) -> np.ndarray:
-    """Orientations of tool0, (n, 4); those of a vertical tool if the poses do not describe a tool."""
+    """Orientations of tcp, (n, 4); those of a vertical tool if the poses do not describe a tool."""
     if not np.isfinite(quaternion).all():
         raise ValueError("an orientation is not finite")
     x, y, z, w = quaternion.T
@@ -145,7 +145,7 @@ def _orientations(quaternion: np.ndarray) -> np.ndarray:
         raise ValueError(f"the orientation of pose {int(np.argmax(other)) + 1} does not have length 1")
     up = w**2 + z**2 - x**2 - y**2 > 0.0  # z component of the z axis
     if up.any():
-        raise ValueError(f"at pose {int(np.argmax(up)) + 1} the z axis of tool0, along the spindle away from "
+        raise ValueError(f"at pose {int(np.argmax(up)) + 1} the z axis of tcp, along the spindle away from "
                          "the flange, points out of the part")  # fmt: skip
     return quaternion / length[:, None]
 
@@ -153,7 +153,7 @@ def _orientations(quaternion: np.ndarray) -> np.ndarray:
 def _timed(record: TrajectoryRecord) -> TimedPath:
     """Return a trajectory as a tool path: a block from knot to knot, curved as the velocities at its ends require."""
     _expect_frame(record.frame_id)
-    if record.names != (TOOL,):
+    if record.names not in ((TOOL,), (OLD_TOOL,)):
         raise ValueError(f"is a trajectory of {', '.join(record.names) or 'nothing'}, not of {TOOL}")
     chosen, velocity = _moving(record.position[:, 0]), record.velocity[:, 0, :3]
     none = np.isnan(velocity).all()

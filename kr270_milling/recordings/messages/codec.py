@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kr270_milling.base.errors import MessageError
-from kr270_milling.base.frames import TOOL, WORKPIECE
+from kr270_milling.base.frames import OLD_TOOL, TOOL, WORKPIECE
 from kr270_milling.base.samples import (
     ClockSample,
     CompensatorState,
@@ -127,17 +127,22 @@ def _read_joints(msg) -> JointSample:
 
 
 def _program(record: JointProgram) -> dict:
-    points = [
-        {"positions": row, "time_from_start": time_fields(ns)}
-        for ns, row in zip(record.time.tolist(), record.position, strict=True)
-    ]
-    return {"header": _header(0, record.frame), "joint_names": list(record.names), "points": points}
+    points = []
+    for i, ns in enumerate(record.time.tolist()):
+        point = {"positions": record.position[i], "time_from_start": time_fields(ns)}
+        derivatives = {"velocities": record.velocity[i], "accelerations": record.acceleration[i]}
+        points.append(point | {name: row for name, row in derivatives.items() if not np.isnan(row).any()})
+    return {"header": _header(record.stamp, record.frame), "joint_names": list(record.names), "points": points}
 
 
 def _read_program(msg) -> JointProgram:
     times = np.array([_ns(point.time_from_start) for point in msg.points], np.int64)
-    rows = np.array([point.positions for point in msg.points]).reshape(-1, len(msg.joint_names))
-    return JointProgram(msg.header.frame_id, tuple(msg.joint_names), times, rows)
+    none = np.full(len(msg.joint_names), np.nan)
+    rows = [
+        np.array([row if len(row) else none for row in values]).reshape(-1, none.size)
+        for values in zip(*((p.positions, p.velocities, p.accelerations) for p in msg.points), strict=True)
+    ] or [np.empty((0, none.size))] * 3
+    return JointProgram(_ns(msg.header.stamp), msg.header.frame_id, tuple(msg.joint_names), times, *rows)
 
 
 def _map(record: StockMap) -> dict:
@@ -178,7 +183,7 @@ def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
         raise MessageError("trajectory: cannot be read as MultiDOFJointTrajectory") from None
     if read.frame_id != WORKPIECE:
         raise MessageError(f"trajectory: the frame is {read.frame_id!r}, but must be {WORKPIECE}")
-    if read.names != (TOOL,):
+    if read.names not in ((TOOL,), (OLD_TOOL,)):
         raise MessageError(f"trajectory: must hold one transform a point, of the joint {TOOL}")
     velocity = read.velocity[:, 0, :3]
     none = np.isnan(velocity).all()
@@ -239,7 +244,7 @@ def type_of(record) -> str:
 
 
 def to_bytes(record) -> bytes:
-    """The message that carries a record, serialised; a Trajectory becomes one of the body tool0."""
+    """The message that carries a record, serialised; a Trajectory becomes one of the body tcp."""
     return KINDS[type(record)].write(record)
 
 

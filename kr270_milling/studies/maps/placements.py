@@ -68,7 +68,7 @@ class PathPlaces:
     """m places on the path of a cell, workpiece frame."""
 
     position: np.ndarray  #: of the tool tip [m], (m, 3)
-    rotation: np.ndarray  #: of tool0, (m, 3, 3)
+    rotation: np.ndarray  #: of tcp, (m, 3, 3)
     feed: np.ndarray  #: unit vectors, (m, 3)
     force: np.ndarray  #: mean cutting force on the tool [N], (m, 3)
 

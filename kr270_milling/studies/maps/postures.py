@@ -22,7 +22,7 @@ _slope = njit(cache=True, nogil=True)(moment_slope)
 def postures(arm: Arm, mount: Mount, place: Pose, force: np.ndarray, gravity: bool) -> tuple[np.ndarray, np.ndarray]:
     """Joint angles [rad], (k, 8, 6), in the order of ``robot.inverse.BRANCHES``, and the deflection of the tool.
 
-    place: of tool0 on base_link, (k,); force: on the tool, base axes [N], (k, 3). The second is C F [m], (k, 8, 3),
+    place: of tcp on base_link, (k,); force: on the tool, base axes [N], (k, 3). The second is C F [m], (k, 8, 3),
     with C = J diag(c) J^T of the translations, joints and base; where gravity is on, c of joint 2 has the share of the
     gravity compensator, c_2 / (1 - c_2 dM_c/dq_2). NaN where out of reach.
     """

@@ -26,13 +26,13 @@ from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import to_bytes
 
 pytestmark = made.needs_messages
-LATCHED = ("compensator_state", "reference_trajectory", "joint_trajectory")
+LATCHED = ("compensator_state", "reference_trajectory")
 
 
 def test_a_recorded_exchange_is_recomputed_to_the_last_bit_on_every_channel(tmp_path):
     replayed = recompute(made.write(tmp_path / "r", made.one_pass()))
     assert replayed.verdict == "identical" and replayed.first is None and not replayed.stops
-    both = {"/compensator_state": 2, "/reference_trajectory": 2, "/joint_trajectory": 2}
+    both = {"/compensator_state": 2, "/reference_trajectory": 2}
     counts = {topic: c.compared for topic, c in replayed.channels.items()}
     assert counts == {"/tool_pose": STEPS, "/wrench": STEPS, "/deflection": STEPS, "/joint_states": STEPS,
                       "/workpiece": 1} | both  # fmt: skip
@@ -172,7 +172,7 @@ def test_outputs_of_either_pass_are_missed(tmp_path, number):
 
 def test_a_recording_without_any_exchange_is_not_called_identical(tmp_path):
     replayed = recompute(made.write(tmp_path / "r", made.one_pass()[: made.LATCHED_FIRST]))
-    assert replayed.compared == 3 and replayed.verdict == "incomplete"
+    assert replayed.compared == 2 and replayed.verdict == "incomplete"
     assert "no pass is in the recording" in str(replayed.stops[0])
 
 

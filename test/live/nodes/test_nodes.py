@@ -13,8 +13,10 @@ pytest.importorskip("rclpy")
 
 import ros_messages as messages
 from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_sensor_data
 from ros_messages import from_msg
 from scipy.ndimage import binary_dilation
+from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from kr270_milling.cell.jobs import compensator, record_of, simulate
@@ -278,13 +280,43 @@ def machine(world, node):
     return Cell(world)
 
 
-def test_first_reference_is_the_target_itself_with_its_joint_positions(machine, short_cell):
-    target = short_cell.target()
-    reference = machine.reference(0)
-    assert np.array_equal(reference.position, target.position)
-    machine.world.until(lambda: machine.joints)
-    positions = [point.positions.tolist() for point in machine.joints[0].points]
+def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_not_before(world, machine, short_cell):
+    """Names and order as a driver publishes them, best effort; a controller that comes late receives nothing."""
+    target, stands = short_cell.target(), short_cell.posture + 0.1
+    assert np.array_equal(machine.reference(0).position, target.position)
+    refused = requested(machine, "send_joint_trajectory")
+    assert not refused.success and "joint_states: no message was received" in refused.message
+    states = machine.node.create_publisher(JointState, "joint_states", qos_profile_sensor_data)
+    world.until(states.get_subscription_count)
+    names = ["external", *(f"joint_{i}" for i in range(6, 0, -1))]
+    states.publish(JointState(name=names[:-1], position=[9.0, *stands[:0:-1]]))
+    world.step(0.1)
+    assert "no position of joint_1 (parameter joint_names)" in requested(machine, "send_joint_trajectory").message
+    states.publish(JointState(name=names, position=[9.0, *stands[::-1]]))
+    world.step(0.1)
+    assert not machine.joints
+    before = machine.node.get_clock().now().nanoseconds
+    assert requested(machine, "send_joint_trajectory").success
+    world.until(lambda: machine.joints)
+    (sent,) = machine.joints
+    assert 0.9e9 < messages.ns_from_stamp(sent.header.stamp) - before < 10e9
+    assert sent.joint_names == [f"joint_{i}" for i in range(1, 7)]
+    assert sent.points[0].positions.tolist() == stands.tolist() and not any(sent.points[-1].velocities)
+    positions = [point.positions.tolist() for point in sent.points[2:-1]]
     assert np.allclose(positions, short_cell.joints(target), rtol=0, atol=1e-12)
+    assert all(len(point.velocities) == len(point.accelerations) == 6 for point in sent.points)
+    late = world.listen(world.partner("late"), topics.JOINT_TRAJECTORY)
+    world.step(1.1)
+    assert not late and "s old" in requested(machine, "send_joint_trajectory").message
+
+
+def test_in_mid_pass_no_joint_trajectory_is_sent(world, machine, ran, short_cell):
+    states = machine.node.create_publisher(JointState, "joint_states", 10)
+    world.until(states.get_subscription_count)
+    machine.play(ran, range(20))
+    states.publish(JointState(name=list(short_cell.joint_names), position=short_cell.posture.tolist()))
+    world.step(0.1)
+    assert "a pass is under way" in requested(machine, "send_joint_trajectory").message and not machine.joints
 
 
 def test_target_and_reference_are_latched_as_paths_for_viewers(world, machine, ran, short_cell):
@@ -330,7 +362,11 @@ def raised(short_cell):
 
 
 def reset(machine):
-    client = machine.node.create_client(Trigger, "trajectory_compensator/reset")
+    return requested(machine, "reset")
+
+
+def requested(machine, service: str):
+    client = machine.node.create_client(Trigger, f"trajectory_compensator/{service}")
     machine.world.until(client.service_is_ready)
     future = client.call_async(Trigger.Request())
     machine.world.until(future.done)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import subprocess
 import sys
@@ -34,7 +35,7 @@ from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
 from kr270_milling.cli import main
 from kr270_milling.recordings.bag import export as module
-from kr270_milling.recordings.bag.export import export
+from kr270_milling.recordings.bag.export import WRITERS, export
 from kr270_milling.recordings.bag.info import info, info_text
 from kr270_milling.recordings.bag.playback import opening, passage, span
 from kr270_milling.recordings.bag.reader import Recording
@@ -67,7 +68,7 @@ def test_columns_name_their_units(tables):
     assert list(tables["wrench"][0])[3:] == ["force_x_n", "force_y_n", "force_z_n", "torque_x_n_m", "torque_y_n_m",
                                              "torque_z_n_m"]  # fmt: skip
     assert list(tables["deflection"][0])[5:7] == ["linear_z_m", "angular_x_rad"]
-    assert "velocity_joint_a2_rad_per_s" in tables["joint_states"][0]
+    assert "velocity_joint_2_rad_per_s" in tables["joint_states"][0]
     assert "time_from_start_ns" in tables["target_trajectory"][0]
 
 
@@ -349,3 +350,11 @@ def test_a_cut_off_file_of_two_passes_is_played_in_their_order(tmp_path):
         assert recording.cut_off
         sent = [m.data for m in recording.messages(["/tool_pose"])]
         assert [m.data for m in played(recording) if m.topic == "/tool_pose"] == sent and len(sent) > STEPS
+
+
+@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1"])
+def test_no_text_of_a_table_is_a_formula_for_a_spreadsheet(text):
+    stream = io.BytesIO()
+    stream.close = lambda: None
+    WRITERS["csv"](stream, ["a", "b", "c"], [[text, "x=1", -1.5]])
+    assert list(csv.reader(io.StringIO(stream.getvalue().decode())))[1] == ["'" + text, "x=1", "-1.5"]

@@ -214,7 +214,7 @@ def test_a_recorded_path_is_cut_like_the_same_points_from_a_table(tmp_path):
     np.testing.assert_array_equal(ours.target().time_ns, other.target().time_ns)
 
 
-def points_of(run: Trajectory, names=("tool0",), frame: str = "workpiece"):
+def points_of(run: Trajectory, names=("tcp",), frame: str = "workpiece"):
     """A MultiDOFJointTrajectory with the knots of a trajectory."""
     velocity = None if run.velocity is None else np.hstack([run.velocity, np.zeros((len(run), 3))])[:, None]
     message = path(3, run.time_ns.tolist(), run.position[:, None], run.quaternion[:, None], velocity, names)
@@ -234,9 +234,10 @@ def arc(period: float = 0.05, speed: float = 0.05, radius: float = 0.02) -> Traj
     return Trajectory(time_ns, at, TOOL_DOWN, speed * np.stack([-np.sin(angle), np.cos(angle), zero], axis=1))
 
 
+@pytest.mark.parametrize("name", ["tcp", "tool0"])  # before 0.3 the tool tip was tool0
 @pytest.mark.parametrize("run", [arc(), Trajectory.straight_line([0, 0, -SIDE], [1, 0, 0], 0.01, FEED, 0.05)])
-def test_a_trajectory_is_the_target_as_it_is(tmp_path, run):
-    actual = read_recorded(record(tmp_path / "a", reference=points_of(run)))
+def test_a_trajectory_is_the_target_as_it_is(tmp_path, run, name):
+    actual = read_recorded(record(tmp_path / "a", reference=points_of(run, names=(name,))))
     assert isinstance(actual, TimedPath) and actual.timed_by_source
     np.testing.assert_array_equal(actual.trajectory.time_ns, run.time_ns)
     np.testing.assert_array_equal(actual.trajectory.position, run.position)
@@ -285,7 +286,7 @@ def test_a_pass_along_the_recorded_target_is_the_pass_of_the_straight_cut(tmp_pa
     ("message", "sentence"),
     [
         (points_of(arc(), frame="base_link"), "must be workpiece"),
-        (points_of(arc(), names=("flange",)), "of flange, not of tool0"),
+        (points_of(arc(), names=("flange",)), "of flange, not of tcp"),
         (path(3, [0, 10**9], line(2)[:, None] * np.nan, [[[1, 0, 0, 0]]] * 2), "point 1 is more than"),
         (path(3, [0, 10**9], line(2)[:, None] * 1e9, [[[1, 0, 0, 0]]] * 2), "wrong unit"),
         (path(3, [0, 10**9], line(2)[:, None], [[[1, 0, 0, 1]]] * 2), "point 1: its quaternion"),

@@ -32,17 +32,19 @@ from kr270_milling.recordings.messages.codec import (
 )
 
 RANDOM = np.random.default_rng(7).normal(size=40)
-NAMES = tuple(f"joint_a{i}" for i in range(1, 7))
+ROWS = np.random.default_rng(8).normal(size=(3, 5, 6))
+ROWS[1:, 2] = ROWS[2, 3] = np.nan  # a point with positions only, and a point without accelerations
+NAMES = tuple(f"joint_{i}" for i in range(1, 7))
 STAMP = 3_000_000_001
 RECORDS = [
     PoseSample(STAMP, "workpiece", RANDOM[:3], RANDOM[3:7]),
-    WrenchSample(STAMP, "tool0", RANDOM[:6]),
+    WrenchSample(STAMP, "tcp", RANDOM[:6]),
     TwistSample(0, "workpiece", RANDOM[6:12]),
     JointSample(STAMP, NAMES, RANDOM[:6]),
     JointSample(STAMP, (), ()),
     ClockSample(STAMP),
     Text("fräsen"),
-    JointProgram("base_link", NAMES, np.arange(5) * 40_000_000, RANDOM[:30].reshape(5, 6)),
+    JointProgram(STAMP, "base_link", NAMES, np.arange(5) * 40_000_000, ROWS[0], ROWS[1], ROWS[2]),
     StockMap(STAMP, "workpiece", float(np.float32(2e-4)), RANDOM[:3], np.arange(28).reshape(7, 4)),
 ]
 RUNS = [

@@ -12,6 +12,7 @@ pytest.importorskip("rclpy")
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from rclpy.serialization import deserialize_message, serialize_message
+from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from kr270_milling.base.errors import MessageError
 from kr270_milling.base.samples import CompensatorState, LearnedPass, PoseSample, TwistSample, WrenchSample
@@ -56,12 +57,12 @@ def test_the_bytes_are_those_that_rclpy_writes_of_the_fields_that_it_reads(stamp
 
 
 def test_sensor_wrench_in_tool_axes_is_turned_into_workpiece_axes():
-    sample = wrench_from_bytes(to_bytes(WrenchSample(5, "tool0", np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))))
+    sample = wrench_from_bytes(to_bytes(WrenchSample(5, "tcp", np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))))
     head_over = np.array([1.0, 0.0, 0.0, 0.0])  # half a turn about x
     assert np.array_equal(in_workpiece_axes(sample, head_over), [1.0, -2.0, -3.0, 4.0, -5.0, -6.0])
 
 
-@pytest.mark.parametrize("frame", ["base_link", "", "workpiece2", "Workpiece", "tool0"])
+@pytest.mark.parametrize("frame", ["base_link", "", "workpiece2", "Workpiece", "tcp"])
 def test_wrong_frame_of_a_pose_is_refused(frame):
     with pytest.raises(MessageError, match="frame"):
         checked_pose(pose_from_bytes(to_bytes(PoseSample(0, frame, np.zeros(3), DOWN))))
@@ -100,10 +101,13 @@ def test_trajectory_comes_back_and_one_of_something_else_is_refused():
     again = trajectory_from_bytes(to_bytes(run))
     assert to_bytes(again) == to_bytes(run)
     data = to_bytes(run)
+    old = deserialize_message(data, MultiDOFJointTrajectory)
+    old.joint_names = ["tool0"]  # the tool tip before 0.3
+    assert to_bytes(trajectory_from_bytes(serialize_message(old))) == data
     with pytest.raises(MessageError, match="frame"):
         trajectory_from_bytes(data.replace(b"workpiece", b"base_link"))
-    with pytest.raises(MessageError, match="tool0"):
-        trajectory_from_bytes(data.replace(b"tool0", b"tool1"))
+    with pytest.raises(MessageError, match="tcp"):
+        trajectory_from_bytes(data.replace(b"tcp", b"tip"))
     with pytest.raises(MessageError, match="cannot be read"):
         trajectory_from_bytes(data[:70])
     bad = data.replace(np.float64(1e-3).tobytes(), np.float64(np.nan).tobytes())

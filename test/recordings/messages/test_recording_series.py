@@ -74,7 +74,7 @@ def test_joint_states_with_and_without_velocities(tmp_path):
     assert actual["stamp_ns"] == list(range(100))
     for kind, unit, expected in (("position", "rad", position), ("velocity", "rad_per_s", velocity),
                                  ("effort", "n_m", effort)):  # fmt: skip
-        columns = [actual[f"{kind}_joint_a{i}_{unit}"] for i in range(1, 7)]
+        columns = [actual[f"{kind}_joint_{i}_{unit}"] for i in range(1, 7)]
         np.testing.assert_array_equal(np.transpose(columns), expected)
 
 

@@ -65,7 +65,7 @@ def test_a_tool_path_ends_with_table_report_programs_and_findings(tmp_path, caps
     for path in out.glob("*.csv"):
         header = path.read_text().splitlines()[0].split(",")
         assert path.name in manifest and (header[0] in manifest and header[0] == "time_s")
-    assert "every 12 ms" in manifest and "joint_a1_deg to joint_a6_deg" in manifest and "T1, 10 %" in manifest
+    assert "every 12 ms" in manifest and "joint_1_deg to joint_6_deg" in manifest and "T1, 10 %" in manifest
     assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []
 
 

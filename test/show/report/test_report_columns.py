@@ -78,7 +78,7 @@ def test_pinocchio_puts_every_frame_of_the_urdf_where_our_kinematics_does(cell, 
     for q in np.random.default_rng(4).uniform(-1.5, 1.5, (5, 6)):
         pin.framesForwardKinematics(model, data, q)
         ours = forward(cell.arm, cell.mount, q)
-        for name, pose in (("flange", ours.flange), ("tool0", ours.tool), ("workpiece", cell.workpiece.pose)):
+        for name, pose in (("flange", ours.flange), ("tcp", ours.tool), ("workpiece", cell.workpiece.pose)):
             placed = data.oMf[model.getFrameId(name)]
             np.testing.assert_allclose(placed.translation, pose.position, atol=1e-8)
             np.testing.assert_allclose(placed.rotation, pose.rotation, atol=1e-8)
@@ -88,14 +88,14 @@ def test_every_link_that_one_sees_has_solids_and_none_is_a_mesh(text):
     root = ET.fromstring(text)
     shapes = {shape.tag for geometry in root.iter("geometry") for shape in geometry}
     assert shapes == {"box", "cylinder"}
-    for name in ("base_link", *(f"link_{j}" for j in range(1, 7)), "tool0"):
+    for name in ("base_link", *(f"link_{j}" for j in range(1, 7)), "tcp"):
         assert root.find(f"link[@name='{name}']").findall("visual"), name
     known = {m.get("name") for m in root.findall("material")}
     assert {m.get("name") for v in root.iter("visual") for m in v.findall("material")} <= known
 
 
 def test_the_tool_ends_in_the_tip(cell, text):
-    (tool,) = (link for link in links_of(text) if link.name == "tool0")
+    (tool,) = (link for link in links_of(text) if link.name == "tcp")
     vertices = np.vstack([mesh.vertex for mesh in tool.meshes])
     assert vertices[:, 2].max() == pytest.approx(0.0, abs=1e-9)  # z points from the flange to the tip
     at_tip = vertices[np.abs(vertices[:, 2]) < 1e-9]

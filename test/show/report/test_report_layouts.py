@@ -79,6 +79,6 @@ def test_every_curve_of_plotjuggler_is_a_number_of_its_message():
     for name in names:
         _, topic, *fields = name.split("/")
         if topic == "joint_states":  # PlotJuggler names the joints: /joint_states/JOINT/position
-            assert fields[0] in [f"joint_a{k}" for k in range(1, 7)] and fields[1] == "position"
+            assert fields[0] in [f"joint_{k}" for k in range(1, 7)] and fields[1] == "position"
         else:
             assert has_number(KNOWN[f"/{topic}"], fields), name

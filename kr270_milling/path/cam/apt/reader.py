@@ -292,7 +292,7 @@ def _number(text: str) -> float:
 
 
 def _tool_axis(axis: list[float]) -> tuple[float, float, float, float]:
-    """Quaternion of tool0 whose -z is ``axis``."""
+    """Quaternion of tcp whose -z is ``axis``."""
     length = math.hypot(*axis)
     if not abs(length - 1) < 1e-3:
         raise StatementError(f"the tool axis has the length {length:g} instead of 1")

@@ -34,7 +34,7 @@
     }
     return result;
   }
-  KR.toolAt = (i) => apply(framesAt(linked.time[i])[robot.links.findIndex((link) => link.name === "tool0")], [0, 0, 0]);
+  KR.toolAt = (i) => apply(framesAt(linked.time[i])[robot.links.findIndex((link) => link.name === "tcp")], [0, 0, 0]);
 
   /* All solids of one colour as one mesh: [number of the link, mesh], vertices at a time, triangles. */
   const solids = (colour) => robot.links.flatMap((link, n) => link.meshes.filter((m) => m.colour === colour).map((m) => [n, m]));
