@@ -19,6 +19,7 @@ from kr270_milling.base.version import __version__
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints
 from kr270_milling.decide.programs import krl, krl_motion
+from kr270_milling.decide.programs.rsi_context import write_rsi_context
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError, offsets
 from kr270_milling.path.trajectory_csv import write_csv
 from kr270_milling.physics.robot import pose, status_turn
@@ -76,11 +77,12 @@ def write_manifest(directory, texts: Sequence[str], decision: Sequence[str] = ()
 def write_tool_programs(
     directory, cell: Cell, original: Trajectory, revised: Trajectory, *, method: str, date: str,
     motions: Sequence[str] | None = (), source: str = "", decision: Sequence[str] = (),
-    findings: Sequence[str] = (), released: bool = True,
+    findings: Sequence[str] = (), released: bool = True, rsi: tuple[str, int] | None = None,
 ) -> tuple[dict[str, list[Path]], str]:  # fmt: skip
     """``write_programs`` without its manifest; return the paths by kind, and the text for the manifest.
 
-    In a program with several tools the name of the tool is in every name.
+    In a program with several tools the name of the tool is in every name. rsi: address of the host of RSI, for
+    ``rsi_context``.
     """
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", method):
         raise InputError("method", f"{method[:40]!r} cannot be part of a file name")
@@ -101,6 +103,11 @@ def write_tool_programs(
         written = krl.write_krl(folder, program.replace(motion=motion), setup, *commanded, heading, origin)
         files[f"krl_{motion.lower()}"] = written
         programs.append((motion, folder.name, len(written)))
+    if rsi and motions is not None:
+        folder = place / f"rsi_{label}"
+        folder.mkdir(parents=True, exist_ok=True)
+        limit, lines = cell.compensation.max_correction, heading.lines(program, "ORG", commanded[0])
+        files["rsi_context"] = write_rsi_context(folder, program, setup, limit, rsi, lines)
     tick_ns = cell.compensation.tick_ns
     tick_ns = tick_ns if tick_ns in RSI_TICKS_NS else RSI_TICKS_NS[-1]
     files["rsi"] = [place / f"rsi_offsets_{label}.csv"]

@@ -18,8 +18,8 @@ from kr270_milling.cell.sections import Program
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = [
-    "Source", "axis_text", "comments", "frame_row", "frame_text", "modules_of", "motion_lines", "number", "plain",
-    "point_speeds", "position_text",
+    "Source", "axis_text", "comments", "frame_row", "frame_text", "modules_of", "motion_lines", "number",
+    "point_speeds", "position_text", "printable_ascii",
 ]  # fmt: skip
 
 WIDEST = 100  #: characters of a comment line
@@ -53,7 +53,7 @@ def axis_text(degrees: Sequence[float]) -> str:
     return ",".join(f"A{i} {number(v, 4)}" for i, v in enumerate(degrees, 1)) + f",{EXTERNAL_AXES}"
 
 
-def plain(text: str) -> str:
+def printable_ascii(text: str) -> str:
     """Return printable ASCII: letters without their accents, ? for all other signs, one space for each white space."""
     letters = (sign for sign in unicodedata.normalize("NFKD", text) if not unicodedata.combining(sign))
     return re.sub(r"[^ -~]+", "", re.sub(r"\s+", " ", "".join(letters)).encode("ascii", "replace").decode())
@@ -61,7 +61,7 @@ def plain(text: str) -> str:
 
 def comments(texts: Iterable[str]) -> list[str]:
     """Each text as comment lines that a controller's editor shows."""
-    return [f"; {line}" for text in texts for line in textwrap.wrap(plain(text), WIDEST)]
+    return [f"; {line}" for text in texts for line in textwrap.wrap(printable_ascii(text), WIDEST)]
 
 
 GAUSS = np.polynomial.legendre.leggauss(4)
@@ -79,7 +79,7 @@ class Source:
         """The comment before point k, where line or feature are not those of the point before."""
         if (self.line[k], self.feature[k]) == (self.line[before], self.feature[before]) or not self.line[k]:
             return []
-        name = plain(self.feature[k])[:WIDEST]
+        name = printable_ascii(self.feature[k])[:WIDEST]
         return [f"; line {self.line[k]}" + f" ({name})" * bool(name)]
 
 

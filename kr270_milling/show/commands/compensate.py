@@ -71,6 +71,10 @@ COMMANDS = {
             "also write the programs after the decision no, marked NOT RELEASED in name and header",
             bool,
         ),
+        option(
+            "--rsi ADDRESS[:PORT]",
+            "also write the RSI context of a KR C4 and the program around it, for 'kr270_milling rsi' on that host",
+        ),
         option("--seed N", "of the verdict's plants", bounded(1, 999_999, int), 1),
     ),
 }  # fmt: skip
@@ -81,6 +85,7 @@ def run_compensate(args) -> Answer:
     from kr270_milling.cell.saved_passes import SavedPasses
     from kr270_milling.decide.compensation import compensate
     from kr270_milling.decide.decision import CAUTION
+    from kr270_milling.decide.programs.rsi_context import rsi_address
     from kr270_milling.decide.tools import DecisionOnTools, in_turn
 
     def run(cell):
@@ -95,6 +100,8 @@ def run_compensate(args) -> Answer:
             print(f"no verdict: {FEWEST_PLANTS} plants would take too long; --verdict runs them", file=sys.stderr)
         return done
 
+    if args.rsi:
+        rsi_address(args.rsi)  # refused before the passes are run
     source, cells = find_file(args.cell), cells_of(args)
     with staged(args.out) as (draft, final):
         jobs = in_turn(cells, run, lambda done: done.revised if done.checked.may_be_run else None)
@@ -196,12 +203,13 @@ def _write(draft, final, jobs, decision, args, source) -> dict:
 def _write_programs(draft, final, cell, done, lines, released, args, date: str) -> tuple[dict, str]:
     """Programs and tables of one tool: their final paths by kind, and the text for the manifest."""
     from kr270_milling.decide.programs.files import write_tool_programs
+    from kr270_milling.decide.programs.rsi_context import rsi_address
 
     files, text = write_tool_programs(
         draft, cell, done.original.reference, done.revised.reference, method=done.revised.name, date=date,
         motions=done.motions if released or args.force else None, source=cell.programmed.sha256,
         decision=lines, findings=[*done.checked.findings_lines(), done.checked.counts],
-        released=released,
+        released=released, rsi=args.rsi and rsi_address(args.rsi),
     )  # fmt: skip
     placed = {"out": args.out, "trajectory": str(final(files.pop("trajectory")[0]))}
     placed["programs"] = {kind: [str(final(path)) for path in paths] for kind, paths in files.items()}

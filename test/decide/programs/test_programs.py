@@ -6,6 +6,7 @@ import csv
 import re
 from itertools import pairwise
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -29,11 +30,13 @@ from kr270_milling.decide.programs.files import (
     write_joint_table,
     write_programs,
     write_rsi_table,
+    write_tool_programs,
 )
 from kr270_milling.decide.programs.krl import Approach, Heading, Setup, trajectory_hash, write_krl
 from kr270_milling.decide.programs.krl_motion import Source
 from kr270_milling.decide.programs.krl_reader import read_krl
 from kr270_milling.decide.programs.points import point_numbers, program_blocks
+from kr270_milling.decide.programs.rsi_context import rsi_address
 from kr270_milling.decide.programs.written import softer_pass, written_pass, written_trajectory
 from kr270_milling.path.cam.gcode.reader import read_gcode
 from kr270_milling.path.controller_motion import block_ends, controller_motion
@@ -402,7 +405,43 @@ def test_a_method_that_is_no_file_name_is_refused(cell, tmp_path, method):
     assert not (tmp_path / "out").exists()
 
 
-# --- RSI offset tables and joint tables ---
+# --- RSI context, offset tables and joint tables ---
+def test_the_rsi_context_leads_each_correction_to_its_axis_in_base(cell, tmp_path):
+    """Object and parameter numbers of POSCORR and ETHERNET: those of two contexts of others that run on a KR C4."""
+    target = cell.target()
+    address = rsi_address("192.168.1.10:50000")
+    files, _ = write_tool_programs(tmp_path, cell, target, target, method="same", date=DATE, rsi=address)
+    src, context, model, ethernet = files["rsi_context"]
+    network = ElementTree.parse(ethernet)
+    assert [network.findtext(f"CONFIG/{key}") for key in ("IP_NUMBER", "PORT")] == ["192.168.1.10", "50000"]
+    channel = {one.get("INDX"): one.get("TAG") for one in network.iterfind("RECEIVE/ELEMENTS/ELEMENT")}
+    objects = {one.get("ObjID"): one for one in ElementTree.parse(context).iterfind("RSIObject")}
+    inputs = [(one.get("InIdx"), channel[one.get("OutIdx")]) for one in objects["POSCORR1"].iterfind("Inputs/Input")]
+    assert inputs == [(str(n), f"RKorr.{axis}") for n, axis in enumerate("XYZABC", 1)]
+    values = {one.get("Name"): one.attrib for one in objects["POSCORR1"].iterfind("Parameters/Parameter")}
+    most = 1e3 * cell.compensation.max_correction
+    assert float(values["LowerLimZ"]["ParamValue"]) == -most and float(values["UpperLimX"]["ParamValue"]) == most
+    numbers = {name: int(one["ParamID"]) for name, one in values.items()}
+    assert numbers == {"LowerLimX": 1, "LowerLimY": 2, "LowerLimZ": 3, "UpperLimX": 4, "UpperLimY": 5, "UpperLimZ": 6,
+                       "MaxRotAngle": 7, "RefCorrSys": 1}  # fmt: skip
+    shown = {one.get("name"): one for one in ElementTree.parse(model).iter() if one.tag.endswith("rSIParameter")}
+    assert {name: int(shown[name].get("index")) for name in numbers} == numbers
+    assert shown["RefCorrSys"].get("value") == "Base" and shown["LowerLimY"].get("value") == f"{-most:g}"
+    assert objects["ETHERNET1"].find("Parameters/Parameter[@Name='ConfigFile']").get("ParamValue") == ethernet.name
+    lines = src.read_bytes().decode("ascii").split("\r\n")
+    steps = ('RSI_CREATE("MILLING.rsi",RSI_ID,TRUE)', "RSI_ON(#ABSOLUTE)", "RSI_OFF()", "RSI_DELETE(RSI_ID)")
+    order = [lines.index(f"RSI_RET={step}") for step in steps]
+    assert order[1] < lines.index("MILLING_ORG( )") < order[2]
+    assert not any(line.startswith("; ;") for line in lines)
+    assert order == sorted(order) and lines.count("HALT") == 3
+
+
+@pytest.mark.parametrize("text", ["", "host", "1.2.3", "1.2.3.4:0", "1.2.3.4:x", "1.2.3.4:99999", "::1"])
+def test_an_address_that_no_controller_takes_is_refused(text):
+    with pytest.raises(InputError, match="--rsi"):
+        rsi_address(text)
+
+
 LINE = Trajectory.straight_line(np.zeros(3), [1.0, 0.0, 0.0], 0.08, 4 / 60, 0.05)
 BENT = spline(LINE.time_ns, LINE.position + np.sin(LINE.time)[:, None] * [0, 1e-4, -2e-5], ends="not-a-knot")
 
