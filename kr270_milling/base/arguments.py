@@ -21,7 +21,7 @@ class Parser(argparse.ArgumentParser):
         sentence = message.removeprefix("argument ").replace("the following arguments are required:", "needs")
         raise UsageError(f"{sentence} ({self.prog} --help)")
 
-    def parse_args(self, args=None, namespace=None):  # type: ignore[override]
+    def parse_args(self, args=None, namespace=None):
         """Parse every word; an unknown option is answered by the nearest one of the command that was chosen."""
         parsed, unknown = self.parse_known_args(args, namespace)
         chosen = getattr(parsed, "parser", self)
