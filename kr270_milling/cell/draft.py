@@ -49,7 +49,8 @@ STRAIGHT_TOOL = {
 }  # fmt: skip
 STRAIGHT = {
     "operations": "", "place": f"[{PLACE[0]}, {PLACE[1]}, {PLACE[2]}]", "offset": "of the workpiece",
-    "tool": "    tool:\n" + TOOL.format(**STRAIGHT_TOOL), "low": "[0.0, -20.0, -10.0]", "program": "",
+    "tool": "    tool:\n" + TOOL.format(**STRAIGHT_TOOL), "low": "[0.0, -20.0, -10.0]",
+    "name": "MILLING", "name_note": "yours: of the robot program",
     "high": "[60.0, 20.0, 0.0]", "grid": "20.0", "period": 1e3 * PERIOD, "steps": round(PERIOD * 6.0 * SPEED),
     "spacing": SPACING,
     "path": """\
@@ -132,6 +133,7 @@ def draft_text(file: str, path: Toolpath, robot: str) -> str:
     several = sum(bool(known.cuts) for known in program.tools) > 1
     values = _common(path, stock) | _exchange(path, stock) | {
         "operations": _words(f"operations: {', '.join(program.operations)}" if program.operations else ""),
+        "name": _module_name(file),
         "tool": "    tool:\n" + TOOL.format(**_tool(path)),
         "path": f"      file: {_quoted(file)}" + (f"\n      tool: {_quoted(program.tool)}" if several else ""),
         "spacing": _spacing([path]),
@@ -151,16 +153,21 @@ def tools_text(file: str, paths: Sequence[Toolpath], robot: str) -> str:
         keys = (TOOL + DIFFERENCES).format(**_tool(path) | _exchange(path, stock))
         indented = "\n".join(f"  {line}" for line in keys.splitlines())
         entries.append(f"      {path.program.tool}:  # {label}\n{indented}")
-    name = re.sub(r"[^A-Z0-9]+", "_", pathlib.Path(file).stem.upper()).strip("_")
-    name = (name if name[:1].isalpha() else f"P_{name}")[:LONGEST_NAME].rstrip("_")
     values = _common(paths[0], stock) | _exchange(paths[0], stock) | {
         "operations": _words(f"{len(paths)} tools, which run in the order of the program"),
         "tool": TOOLS + "\n".join(entries),
         "path": f"      file: {_quoted(file)}",
-        "program": f"\n    program:\n      name: {name}  # the name of the tool is added\n",
+        "name": _module_name(file),
+        "name_note": "yours: of the robot programs; the name of the tool is added",
         "spacing": _spacing(paths),
     }  # fmt: skip
     return _aligned(TEMPLATE.format(**STRAIGHT | values, robot=robot))
+
+
+def _module_name(file: str) -> str:
+    """A name of a robot program from that of a file."""
+    name = re.sub(r"[^A-Z0-9]+", "_", pathlib.Path(file).stem.upper()).strip("_")
+    return (name if name[:1].isalpha() else f"P_{name}")[:LONGEST_NAME].rstrip("_")
 
 
 def _common(path: Toolpath, stock: Box) -> dict:

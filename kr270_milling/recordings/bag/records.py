@@ -29,6 +29,7 @@ MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # opcode and length of a record
 LIMIT = 256 * MB  # of a record, and of an unpacked chunk
 NO_RECORD = 0  # an opcode that does not exist: zeros follow the last record after a power failure
+NAMED = 8  # recordings that an error message names
 PRIVATE = 0x80  # opcodes from here on belong to applications
 
 
@@ -78,9 +79,14 @@ def mcap_file(path) -> Path:
     if not path.is_dir():
         return path
     files = sorted(path.glob("*.mcap"))
-    if len(files) != 1:
-        raise RecordingError(path, f"holds {len(files)} MCAP files where a recording has one")
-    return files[0]
+    if len(files) == 1:
+        return files[0]
+    several = [str(file) for file in files] or sorted({str(file.parent) for file in path.glob("*/*.mcap")})
+    if several:
+        more = f" and {len(several) - NAMED} more" if len(several) > NAMED else ""
+        reason = f"is no recording; name one of those in it: {', '.join(several[:NAMED])}{more}"
+        raise RecordingError(path, reason)
+    raise RecordingError(path, "holds no recording (.mcap)")
 
 
 def open_to_read(path: Path) -> IO[bytes]:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from kr270_milling.base.arguments import numbers
 from kr270_milling.base.column import TextTable
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import write_files
 from kr270_milling.base.parameter_file import find_file
 from kr270_milling.show.commands.command import POSTURE, command, option
 from kr270_milling.show.commands.console import Answer
@@ -15,10 +17,11 @@ SIX_AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 COMMANDS = {
     "init": command(
-        "cells.run_init", "init --gcode config/test_piece.nc",
+        "cells.run_init", "init --gcode config/test_piece.nc --out my.yaml",
         option("--gcode FILE", "the program: G-code or APT/CL"),
         option("--tool T1", "of a program with several tools: a cell for this one alone", default=""),
         option("--robot", "arm file, also a shipped one by its name", default="kr270_2"),
+        option("--out FILE.yaml", "write this file instead; it names a program below its folder by the relative path"),
     ),
     "keys": command(
         "cells.run_keys", "keys tool",
@@ -46,9 +49,23 @@ def run_init(args) -> Answer:
         text, program = straight_text(robot), None
     else:
         paths = read_toolpaths(args.gcode, args.tool)
-        file, program = str(Path(args.gcode).resolve()), paths[0].program
+        file, program = _program_of(args), paths[0].program
         text = draft_text(file, paths[0], robot) if len(paths) == 1 else tools_text(file, paths, robot)
-    return Answer({"cell": text, "program": program and asdict(program)}, [text.removesuffix("\n")])
+    result = {"cell": text, "program": program and asdict(program), "file": args.out}
+    if args.out is None:
+        return Answer(result, [text.removesuffix("\n")])
+    if Path(args.out).exists():
+        raise InputError(args.out, "exists already: choose another --out")
+    write_files({Path(args.out): (text,)})
+    guesses = sum("yours" in line for line in text.splitlines()[1:])
+    return Answer(result, [f"{args.out}: {guesses} lines marked yours are guesses to put right"])
+
+
+def _program_of(args) -> str:
+    """The path of the program as the cell file names it."""
+    program = Path(args.gcode).resolve()
+    folder = Path(args.out).resolve().parent if args.out else None
+    return str(program.relative_to(folder)) if folder and program.is_relative_to(folder) else str(program)
 
 
 def run_keys(args) -> Answer:

@@ -41,7 +41,11 @@ COMMANDS = {
             nargs="+",
         ),
         option("--namespace NAME", "of the robot, where a recording holds several"),
-        option("--out DIR", "where the report goes (default: report in the first DIR, or beside the first FILE)"),
+        option(
+            "--out DIR",
+            "where the report goes (default: in place of the report.html of the first DIR, else DIR/report; DIR of "
+            "a first FILE: that of the file)",
+        ),
     ),
     "recover": command(
         "recordings.run_recover", "recover out/pass1",
@@ -116,7 +120,9 @@ def run_report(args) -> Answer:
     recorded, copies = _read(places, args.namespace)
     cell, passes = recorded[0].cell, [one.scored for one in recorded]
     first = places[0]
-    directory = output_directory(args.out or (first if first.is_dir() else first.parent) / "report")
+    beside = first if first.is_dir() else first.parent
+    there = (beside / "report.html").is_file()  # of the run; the report of its recordings replaces it
+    directory = output_directory(args.out or (beside if there else beside / "report"))
     title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
     with progress("report"):
         page = write_report(

@@ -128,6 +128,12 @@ def test_the_report_of_a_directory_goes_into_it_whether_it_holds_files_or_direct
         assert ask("report", str(tmp_path / place)).code == 0
     pages = [str(page.relative_to(tmp_path)) for page in tmp_path.rglob("report.html")]
     assert sorted(pages) == [f"{place}/report/report.html" for place in ("directories", "files", "made/one")]
+    (tmp_path / "directories" / "report.html").write_text("of the run")
+    assert ask("report", str(tmp_path / "directories")).code == 0
+    assert "of the run" not in (tmp_path / "directories" / "report.html").read_text()[:100]
+    for place, names in (("files", ("a.mcap", "b.mcap")), ("directories", ("a",))):
+        listed = ", ".join(str(tmp_path / place / name) for name in names)
+        assert refused("replay", str(tmp_path / place), "--recompute").endswith(f"name one of those in it: {listed}")
 
 
 def test_of_two_robots_in_a_recording_one_is_named(tmp_path):

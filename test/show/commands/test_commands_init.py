@@ -78,6 +78,23 @@ def test_a_program_without_a_cut_is_refused_in_a_sentence(capsys, tmp_path):
     assert "has no cutting move" in capsys.readouterr().err
 
 
+def test_a_written_cell_moves_with_the_program_beside_it_and_an_error_leaves_no_file(capsys, tmp_path):
+    (tmp_path / "part").mkdir()
+    (tmp_path / "part" / "slot.nc").write_text(SLOT)
+    cell = tmp_path / "my.yaml"
+    assert main(["init", "--gcode", str(tmp_path / "part" / "air.nc"), "--out", str(cell)]) == 2
+    assert not cell.exists()
+    assert main(["init", "--gcode", str(tmp_path / "part" / "slot.nc"), "--out", str(cell)]) == 0
+    assert "lines marked yours are guesses" in capsys.readouterr().out
+    moved = tmp_path.rename(tmp_path.with_name("moved")) / "my.yaml"
+    drafted = yaml.safe_load(moved.read_text())["/**"]["ros__parameters"]
+    assert drafted["path"]["file"] == "part/slot.nc" and drafted["program"]["name"] == "SLOT"
+    assert "fixtures_mm" in drafted["workpiece"] and read_cell(moved).path.file.endswith("/moved/part/slot.nc")
+    defaults = {row["key"].partition(".")[2]: row["default"] for row in keys_of("uncertainty")}
+    assert drafted["uncertainty"].items() <= defaults.items()
+    assert main(["init", "--out", str(moved)]) == 2 and "exists already" in capsys.readouterr().err
+
+
 def test_a_cell_without_a_program_is_a_straight_cut(capsys, tmp_path):
     cell = cell_of(capsys, tmp_path)
     assert cell.path.length == pytest.approx(0.040) and not cell.path.file
