@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kr270_milling.base.errors import MessageError
-from kr270_milling.base.samples import CompensatorState, LearnedPass, PoseSample, WrenchSample
+from kr270_milling.base.samples import CompensatorState, JointProgram, LearnedPass, PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.cell.jobs import commanded_joints, compensator, pass_record
 from kr270_milling.exchange.inputs import Output, checked_pose, checked_wrench, in_workpiece_axes
@@ -214,7 +214,7 @@ class CompensatorProtocol:
         """Revise without the last wrench if the pass lacks nothing else."""
         return self._revise() if self.at_end else []
 
-    def program(self, joints: np.ndarray, stamp_ns: int) -> list[Output]:
+    def program(self, joints: np.ndarray, stamp_ns: int) -> JointProgram:
         """Return the reference for a joint controller, see ``joint_program``; joints (6,) [rad]: of the robot.
 
         Raises MessageError in mid-pass and before there is a target, and the errors of ``joint_program``.
@@ -222,7 +222,7 @@ class CompensatorProtocol:
         reference = self.active.reference
         if self.under_way:
             raise MessageError("a pass is under way: the robot moves")
-        return [("joint_trajectory", joint_program(self.cell, reference, joints, stamp_ns))]
+        return joint_program(self.cell, reference, joints, stamp_ns)
 
     def _revise(self) -> list[Output]:
         received = self.inbox.received()

@@ -200,9 +200,8 @@ class TrajectoryCompensator(ReportingNode):
     def _send_program(self) -> str:
         """Publish the reference for a joint controller; return what was published."""
         start = self.get_clock().now().nanoseconds + int(LEAD * SECOND)
-        outputs = self.protocol.program(self._present_joints(), start)
-        self.send(outputs)
-        program = outputs[0][1]
+        program = self.protocol.program(self._present_joints(), start)
+        self.send([("joint_trajectory", program)])
         return f"{len(program.time)} points, {program.time[-1] / SECOND:.3f} s, start in {LEAD:g} s"
 
     def _on_send(self, _, response):
