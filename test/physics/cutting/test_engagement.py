@@ -15,7 +15,7 @@ from slot import fitted_order
 from kr270_milling.base.errors import MillingError
 from kr270_milling.base.record import find_file
 from kr270_milling.cell.cell import read_cell
-from kr270_milling.cell.jobs import simulate
+from kr270_milling.cell.jobs import compensated, simulate
 from kr270_milling.decide.part import assess
 from kr270_milling.physics.cutting import AL7075_T6, Cut, Cutting, EngagementCut, Stock, Tool
 from kr270_milling.physics.cutting.engagement import BINS
@@ -252,6 +252,14 @@ def test_the_test_piece_deflects_as_under_the_swept_teeth(milled):
 def test_errors_of_the_test_piece_are_those_of_the_swept_teeth(milled, name):
     teeth, mean = (getattr(milled[detail][1], name) for detail in ("teeth", "engagement"))
     assert mean == pytest.approx(teeth, rel=0.02, abs=0.5e-6)
+
+
+def test_a_reference_planned_by_the_engagement_leaves_at_most_a_fifth_more_under_the_swept_teeth():
+    details = "teeth", "engagement"
+    cells = {name: read_cell(find_file("test_piece.yaml"), [f"cutting.detail={name}"]) for name in details}
+    planned = {name: compensated(cell, simulate(cell), "learned").reference for name, cell in cells.items()}
+    left = {name: simulate(cells["teeth"], one).scores.max_deviation for name, one in planned.items()}
+    assert left["engagement"] < 1.2 * left["teeth"] < 4e-6
 
 
 @pytest.mark.parametrize("value, detail", [("auto", "teeth"), ("teeth", "teeth"), ("engagement", "engagement")])
