@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,13 +63,15 @@ class ReceivedPass:
 
 
 class PassInbox:
-    """Collects poses and wrenches of one pass that ends at the stamp ``end_ns``.
+    """Collects poses and wrenches of one pass that starts at the stamp ``start_ns`` and takes ``end_ns``.
 
-    A pass is complete when pose and wrench have reached the end, each as often as the exchange is iterated.
+    All other times are those of the pass, counted from its start. A pass is complete when pose and wrench have
+    reached the end, each as often as the exchange is iterated.
     """
 
-    def __init__(self, end_ns: int, iterations: int):
+    def __init__(self, end_ns: int, iterations: int, start_ns: int = 0):
         self.end_ns = end_ns
+        self.start_ns = start_ns
         self._iterations = iterations
         self.clear()
 
@@ -97,7 +100,7 @@ class PassInbox:
 
     @property
     def stamp_ns(self) -> int:
-        """Stamp of the last pose that counts."""
+        """Time of the last pose that counts."""
         return next(reversed(self._poses), 0)
 
     @property
@@ -112,22 +115,24 @@ class PassInbox:
 
     def pose(self, sample: PoseSample) -> None:
         """Take a pose that was checked."""
-        if sample.stamp == 0 and list(self._poses) != [0]:  # a later start begins another pass
+        time = sample.stamp - self.start_ns
+        if time == 0 and list(self._poses) != [0]:  # a later start begins another pass
             self.clear(self._early)
         last = next(reversed(self._poses), -1)
-        if sample.stamp != last and (sample.stamp < last or last >= self.end_ns or (last < 0 < sample.stamp)):
-            self._ignored += 1  # older than the last one, after the end, or before the start
+        if time != last and (time < last or last >= self.end_ns or last < 0 != time):
+            self._ignored += 1  # older than the last one, after the end, or without the start
             return
-        self._poses[sample.stamp] = sample  # repeated where the exchange is iterated, or the robot asked again
-        self._last_poses -= sample.stamp >= self.end_ns
+        self._poses[time] = sample  # repeated where the exchange is iterated, or the robot asked again
+        self._last_poses -= time >= self.end_ns
 
     def wrench(self, sample: WrenchSample) -> None:
         """Take a wrench that was checked."""
-        if sample.stamp == 0 and list(self._poses) != [0]:
+        time = sample.stamp - self.start_ns
+        if time == 0 and list(self._poses) != [0]:
             self._early = {0: sample}  # it may overtake the pose that it answers
         elif self._poses:
-            self._wrenches[sample.stamp] = sample
-            self._last_wrenches -= sample.stamp >= self.end_ns
+            self._wrenches[time] = sample
+            self._last_wrenches -= time >= self.end_ns
 
     def received(self) -> ReceivedPass:
         """Return what has come; the wrenches of a tool frame are turned by the pose before them."""
@@ -143,11 +148,16 @@ class PassInbox:
 class CompensatorProtocol:
     """tool_pose and wrench in; compensator_state, reference_trajectory and joint_trajectory out.
 
-    plant: the cell that is simulated in the place of a real one, with its tracker; name: of the node.
+    plant: the cell that is simulated in the place of a real one, with its tracker; name: of the node; now: the
+    time [ns] of its clock. The reference states the start of its pass: now, or the end of the last pass where that is
+    later.
     ``finish`` completes a pass without its last wrench. A refused message leaves the state unchanged.
     """
 
-    def __init__(self, cell: Cell, plant: Cell | None = None, name: str = "trajectory_compensator"):
+    def __init__(
+        self, cell: Cell, plant: Cell | None = None, name: str = "trajectory_compensator",
+        now: Callable[[], int] = lambda: 0,
+    ):  # fmt: skip
         self.cell = cell
         self.plant = plant
         self.name = name
@@ -156,6 +166,8 @@ class CompensatorProtocol:
         self.passes = 0  #: completed passes
         self.missing = 0  #: poses that the last completed pass lacks
         self.inbox = PassInbox(0, cell.exchange.iterations)
+        self._now = now
+        self._free_ns = 0  # stamp after the end of the last pass
         self._learned: tuple[LearnedPass, ...] = ()  # the passes that the reference follows from
         self._first: tuple[LearnedPass, ...] = ()  # the pass along the target
 
@@ -194,12 +206,18 @@ class CompensatorProtocol:
         made.reset()
         return self._continue(made, ())
 
+    def restart(self) -> list[Output]:
+        """Begin the pass anew, with another start."""
+        return self._continue(self.active, self._learned)
+
     def pose(self, sample: PoseSample) -> list[Output]:
         """Take a pose; raises MessageError, and the errors of a revision."""
         checked_pose(sample)
         if self.compensator is None:
             return []
         self.inbox.pose(sample)
+        if self.inbox.started:
+            self._free_ns = self.inbox.start_ns + self.inbox.end_ns + round(self.cell.clock.period * 1e9)
         return self._revise() if self.inbox.complete else []
 
     def wrench(self, sample: WrenchSample) -> list[Output]:
@@ -233,12 +251,14 @@ class CompensatorProtocol:
         """Return the outputs of a new state; an error comes before anything has changed."""
         program = joint_program(self.cell, made.reference)
         self.compensator, self._learned = made, learned
-        self.inbox = PassInbox(end_of(self.cell, made.reference), self.cell.exchange.iterations)
+        start = max(self._now(), self._free_ns)
+        self.inbox = PassInbox(end_of(self.cell, made.reference), self.cell.exchange.iterations, start)
         state = CompensatorState(
             self.name, made.method, self.passes, made.finished, fingerprint(made.target), fingerprint(made.reference),
             learned,
         )  # fmt: skip
-        return [("compensator_state", state), ("reference_trajectory", made.reference), ("joint_trajectory", program)]
+        reference = made.reference.starting_at(start)
+        return [("compensator_state", state), ("reference_trajectory", reference), ("joint_trajectory", program)]
 
 
 def end_of(cell: Cell, reference: Trajectory) -> int:

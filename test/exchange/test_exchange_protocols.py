@@ -268,7 +268,7 @@ def test_the_map_is_that_of_the_part_and_a_fresh_one_is_whole(short_cell):
 
 def test_a_pass_is_under_way_from_its_first_pose_to_the_end_of_the_reference(short_cell):
     robot, cut = protocols(short_cell)
-    cut.end_ns = short_cell.target().duration_ns
+    cut.reference(short_cell.target())
     assert not cut.under_way
     seen = []
     run(robot, cut, lambda robot, cut, pose: seen.append(cut.under_way) or [])
@@ -301,8 +301,9 @@ def samples(ran, turned: bool = False) -> list:
 
 
 def feed(protocol, records) -> list:
-    outputs = []
-    for record in records:
+    """Feed messages with times of the pass."""
+    outputs, start = [], protocol.inbox.start_ns
+    for record in (record._replace(stamp=start + record.stamp) for record in records):
         outputs += (protocol.pose if isinstance(record, PoseSample) else protocol.wrench)(record)
     return outputs
 

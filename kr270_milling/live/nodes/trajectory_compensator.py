@@ -46,7 +46,7 @@ class TrajectoryCompensator(ReportingNode):
         about = "parameter file of the simulated plant, whose tracker's noise is added to the poses; empty: none"
         plant = self.declared("plant", "", about)
         cuts = read_cell(find_file(plant)) if plant else None
-        self.protocol = CompensatorProtocol(self.cell, cuts, self.get_fully_qualified_name())
+        self.protocol = CompensatorProtocol(self.cell, cuts, self.get_fully_qualified_name(), self._now_ns)
         about = "the cell file's path is the target until one is published"
         own = self.declared("use_cell_path", True, about)
         self.open_outlets(COMPENSATOR)
@@ -66,6 +66,9 @@ class TrajectoryCompensator(ReportingNode):
             self._publish(self.protocol.begin(self.cell.target()), TARGET)
         else:
             self.report(OK, "waiting for a target trajectory")
+
+    def _now_ns(self) -> int:
+        return self.get_clock().now().nanoseconds
 
     @guarded
     def _on_target(self, data: bytes) -> None:
@@ -92,6 +95,7 @@ class TrajectoryCompensator(ReportingNode):
             "remaining_error_um": " ".join(repr(float(e) * 1e6) for e in state.errors),
             "finished": state.finished,
             "reference": fingerprint(state.reference),
+            "start_ns": self.protocol.inbox.start_ns,
         }
         but = f", shortened by up to {state.cut_off * 1e6:.1f} um to the limit" if state.cut_off > 0.0 else ""
         if missing:
@@ -112,12 +116,12 @@ class TrajectoryCompensator(ReportingNode):
         sample = pose_from_bytes(data)
         outputs = self.protocol.pose(sample)
         inbox = self.protocol.inbox
-        if inbox.ignored == WITHOUT_START and sample.stamp < inbox.end_ns:
+        if inbox.ignored == WITHOUT_START and 0 < sample.stamp - inbox.start_ns < inbox.end_ns:
             self.report(
                 ERROR, "the pass is under way, but this compensator did not receive its start: the pass is not used"
             )
         self._revised(outputs)
-        if not self.protocol.under_way or sample.stamp != inbox.stamp_ns:
+        if not self.protocol.under_way or sample.stamp - inbox.start_ns != inbox.stamp_ns:
             return
         self.stamp_ns = sample.stamp
         if self._silence.end():
@@ -141,6 +145,7 @@ class TrajectoryCompensator(ReportingNode):
             return
         for what in (self._pose, self._wrench):
             if not what.get_publisher_count() and (what is self._pose or self.protocol.inbox.has_wrench):
+                self._publish(self.protocol.restart(), "restarted")
                 self.report(ERROR, f"the pass broke off: {what.topic_name} has no publisher")
                 return
         if self._silence.is_due(silent):

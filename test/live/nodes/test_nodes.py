@@ -47,7 +47,7 @@ class Loop:
 
     def keep(self, topic, msg, field) -> None:
         sample = from_msg(msg)
-        self.series[topic][sample.stamp] = getattr(sample, field)
+        self.series[topic][sample.stamp - self.robot.protocol.start_ns] = getattr(sample, field)
 
     def start(self, cut: bool = True) -> None:
         self.cut.trigger_configure()
@@ -60,7 +60,7 @@ class Loop:
                 and self.cut.outlets["wrench"].get_subscription_count() == 3
                 and self.references
                 and self.robot.protocol.reference is not None
-                and self.cut.protocol.end_ns > 0
+                and self.cut.protocol.planned
             )
         )
         if cut:
@@ -144,7 +144,7 @@ def test_robot_asks_again_for_as_long_as_its_cut_is_not_active(world, loop, shor
     loop.start(cut=False)
     asked = world.listen(loop.ear, topics.TOOL_POSE)
     world.until(lambda: len(asked) >= 6)  # longer than a pass under way would be waited for
-    assert {messages.ns_from_stamp(msg.header.stamp) for msg in asked} == {0}
+    assert {messages.ns_from_stamp(msg.header.stamp) for msg in asked} == {loop.robot.protocol.start_ns}
     assert not loop.reports.reported(ROBOT, "", ERROR)
     loop.cut.trigger_activate()
     loop.revised(1)
@@ -251,8 +251,9 @@ class Cell:
         world.until(lambda: self.references)
 
     def play(self, result, rows, wrench: bool = True) -> None:
+        start = messages.ns_from_stamp(self.references[-1].header.stamp)
         for i in rows:
-            stamp = int(result.time_ns[i])
+            stamp = start + int(result.time_ns[i])
             self.pose.publish(pose_msg(stamp, result.tool[i], UPRIGHT))
             if wrench:
                 self.wrench.publish(wrench_msg(stamp, result.wrench[i]))
