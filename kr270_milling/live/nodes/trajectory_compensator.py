@@ -31,6 +31,8 @@ METHOD = "compensation.method"
 TARGET = "the target itself"
 LOOK = 0.1  # [s] of the wall clock between two checks of the publishers
 WITHOUT_START = 20  # poses of a pass without its start, after which the node reports an error
+TELL = 1.0  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
+GAP_NS = 100_000_000  # longest time between two poses of a pass without a report
 LAST_WRENCH = 0.5  # [s] of the wall clock to wait for the wrench of the last pose
 
 
@@ -59,6 +61,8 @@ class TrajectoryCompensator(ReportingNode):
         self._revision = 0
         self._ended: float | None = None  # arrival of the last pose [s of the monotonic clock]
         self._silence = Silence()
+        self._told = 0.0  # time of the last report of a robot that waits [s of the monotonic clock]
+        self._gap_ns = GAP_NS  # longest time without a pose that was reported
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(LOOK, self._watch_pass)
         self.create_timer(POLL_PERIOD, self._poll)
@@ -116,7 +120,7 @@ class TrajectoryCompensator(ReportingNode):
         sample = pose_from_bytes(data)
         outputs = self.protocol.pose(sample)
         inbox = self.protocol.inbox
-        if inbox.ignored == WITHOUT_START and 0 < sample.stamp - inbox.start_ns < inbox.end_ns:
+        if inbox.ignored == WITHOUT_START and not inbox.distance and 0 < sample.stamp - inbox.start_ns < inbox.end_ns:
             self.report(
                 ERROR, "the pass is under way, but this compensator did not receive its start: the pass is not used"
             )
@@ -124,6 +128,9 @@ class TrajectoryCompensator(ReportingNode):
         if not self.protocol.under_way or sample.stamp - inbox.start_ns != inbox.stamp_ns:
             return
         self.stamp_ns = sample.stamp
+        if inbox.gap_ns > self._gap_ns:
+            self._gap_ns = inbox.gap_ns
+            self.report(WARN, f"no tool_pose for {inbox.gap_ns * 1e-9:.3f} s of the pass")
         if self._silence.end():
             self.report(OK, "the pass continues")
         self._ended = time.monotonic() if self.protocol.at_end else None
@@ -135,8 +142,13 @@ class TrajectoryCompensator(ReportingNode):
     @guarded
     def _watch_pass(self) -> None:
         """Finish without a last wrench that does not arrive; report publishers that leave in mid-pass."""
-        silent = self._silence.seconds()
+        silent, inbox = self._silence.seconds(), self.protocol.inbox
         if not self.protocol.under_way:
+            self._gap_ns = GAP_NS
+            if inbox.distance and time.monotonic() - self._told > TELL:
+                self._told = time.monotonic()
+                where = f"the tool is {inbox.distance * 1e3:.1f} mm from the first point of the reference"
+                self.report(OK, f"waiting for the start of a pass: {where}")
             return
         if self.protocol.at_end:
             ended = time.monotonic() if self._ended is None else self._ended
@@ -148,8 +160,9 @@ class TrajectoryCompensator(ReportingNode):
                 self._publish(self.protocol.restart(), "restarted")
                 self.report(ERROR, f"the pass broke off: {what.topic_name} has no publisher")
                 return
-        if self._silence.is_due(silent):
-            self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: waiting for it")
+        limit = TELL if inbox.foreign else SILENT
+        if self._silence.is_due(silent, limit):
+            self.report(WARN, f"no tool_pose for {limit:g} s in mid-pass: waiting for it")
 
     def _on_parameters(self, changes) -> SetParametersResult:
         """Accept another method while the node runs; it starts from the pass along the target."""

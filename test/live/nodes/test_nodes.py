@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from foreign_cell import foreign_pass
 from sample_messages import pose_msg, wrench_msg
 
 pytest.importorskip("rclpy")
@@ -17,6 +18,7 @@ from ros_messages import from_msg
 from scipy.ndimage import binary_dilation
 from std_srvs.srv import Trigger
 
+from kr270_milling.base.samples import PoseSample
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.live.nodes.compliant_robot import CompliantRobot
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
@@ -277,6 +279,22 @@ def node(world, short_cell, tmp_path):
 @pytest.fixture
 def machine(world, node):
     return Cell(world)
+
+
+def test_a_robot_with_its_own_clock_is_followed_and_a_far_one_is_reported(machine, ran):
+    """A driver at 4 ms and a sensor at 1 kHz by the wall clock, with jitter and losses."""
+    machine.reference(0)
+    messages_of_pass = foreign_pass(ran, 0)
+    for away in (0.01, 0.0):
+        for sample in messages_of_pass:
+            if isinstance(sample, PoseSample):
+                machine.pose.publish(pose_msg(sample.stamp, sample.position + [0.0, 0.0, away], UPRIGHT))
+            else:
+                machine.wrench.publish(wrench_msg(sample.stamp, sample.wrench))
+            machine.world.executor.spin_once(timeout_sec=0.0)
+        if away:
+            machine.reports.until(COMPENSATOR, "from the first point of the reference", OK, deadline=1.5)
+    assert machine.reference(1).duration_ns == machine.reference(0).duration_ns
 
 
 def test_first_reference_is_the_target_itself_with_its_joint_positions(machine, short_cell):
