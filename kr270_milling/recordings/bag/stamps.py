@@ -62,11 +62,14 @@ class GapCounter:
     """Counts the gaps in a series of stamps [ns].
 
     The period is the smallest of the first 20 differences, if all of them are multiples of it within a quarter and most
-    of them equal it. A series without a period has no gaps. The time between two passes is no gap; starts: of the
-    passes. Backward stamps and repeated stamps are counted separately.
+    of them equal it. A series without a period has no gaps. The time between two passes is no gap. Backward stamps and
+    repeated stamps are counted separately.
+
+    starts: of the passes; latched: a late subscriber receives the last message again, which is no repeated stamp.
     """
 
-    def __init__(self, starts: Sequence[int] = ()):
+    def __init__(self, starts: Sequence[int] = (), latched: bool = False):
+        self._latched = latched
         self.period_ns: int | None = None  #: 0: the series has no period
         self.missing = self.gaps = self.repeated = self.backwards = 0
         self.last: int | None = None
@@ -78,7 +81,7 @@ class GapCounter:
             self.last = stamp
             return
         difference = stamp - self.last
-        self.repeated += difference == 0
+        self.repeated += difference == 0 and not self._latched
         self.backwards += difference < 0
         if difference <= 0:
             return

@@ -129,7 +129,7 @@ class BagWriter:
         stamped = schema[1] == "ros2msg" and starts_with_stamp(schema[2].decode("utf-8", "replace"))
         profiles = bagmeta.read_qos(about.get("offered_qos_profiles", ""))
         digest = about.get("topic_type_hash", "")
-        gaps = GapCounter(self._starts.of(topic))
+        gaps = GapCounter(self._starts.of(topic), bagmeta.all_latched(profiles))
         self.channels[number] = WrittenChannel(number, topic, schema[0], encoding, profiles, digest, stamped, gaps)
         self.topics.setdefault(topic, number)
         return number
