@@ -66,9 +66,11 @@ def reference_data(run) -> bytes:
     return to_bytes(run)
 
 
-def one_pass(method: str = "linear", iterations: int = 1, passes: int = 1, every: int = 1) -> tuple[Message, ...]:
-    """The messages of the nodes' protocols in some passes of one file, in the order of causes."""
-    latched, *ran = passes_of(method, ("r/r.mcap",) * passes, iterations, every)
+def one_pass(
+    method: str = "linear", iterations: int = 1, passes: int = 1, every: int = 1, begin: int = 0
+) -> tuple[Message, ...]:  # fmt: skip
+    """The messages of the nodes' protocols in some passes of one file, in the order of causes; begin: of the first."""
+    latched, *ran = passes_of(method, ("r/r.mcap",) * passes, iterations, every, begin=begin)
     return (*latched, *(message for one in ran for message in one))
 
 
@@ -80,26 +82,44 @@ def files_of(method: str, names: tuple[str, ...], plant=None) -> list[list[Messa
 
 @functools.cache
 def passes_of(
-    method: str, files: tuple[str, ...], iterations: int = 1, every: int = 1, plant=None
+    method: str, files: tuple[str, ...], iterations: int = 1, every: int = 1, plant=None, begin: int = 0
 ) -> list[list[Message]]:
     """The messages before the first pass, and in each pass; plant: of robot and cut."""
     cell = cell_of(method, iterations, every)
     cuts = plant or cell
-    robot, cut, compensator = RobotProtocol(cuts), CutProtocol(cuts), CompensatorProtocol(cell, plant)
+    robot, cut, compensator = (
+        RobotProtocol(cuts),
+        CutProtocol(cuts),
+        CompensatorProtocol(cell, plant, now=lambda: begin),
+    )
     parts = [messages(compensator.begin(cell.target()))]
     for file in files:
-        robot.reference, compensator.recording = compensator.compensator.reference, file
-        cut.configure()
+        compensator.recording = file
+        _begin(robot, cut, compensator)
         parts.append(_exchange(robot, cut, compensator))
     return parts
+
+
+def target_of_user(target) -> list[Message]:
+    """A pass along a target that the user publishes."""
+    compensator = CompensatorProtocol(cell_of())
+    published = [Message("target_trajectory", to_bytes(target), 0), *messages(compensator.begin(target))]
+    return [*published, *pass_along(compensator, "r/r.mcap")]
 
 
 def pass_along(compensator, file: str) -> list[Message]:
     """A pass of the linear cell along the reference of a compensator, recorded to a file."""
     robot, cut = RobotProtocol(cell_of()), CutProtocol(cell_of())
-    robot.reference, compensator.recording = compensator.compensator.reference, file
-    cut.configure()
+    compensator.recording = file
+    _begin(robot, cut, compensator)
     return _exchange(robot, cut, compensator)
+
+
+def _begin(robot, cut, compensator) -> None:
+    """Give robot and cut the reference with its start, and the cut a fresh workpiece."""
+    robot.reference = compensator.active.reference.starting_at(compensator.inbox.start_ns)
+    cut.reference(robot.reference)
+    cut.configure()
 
 
 def messages(outputs) -> list[Message]:

@@ -75,9 +75,14 @@ def simulate(
     return ScoredPass(name, reference, result, scored(cell, result))
 
 
-def scored(cell: Cell, result: PassResult, low_frequency: float | None = None) -> Scores:
-    """Against the path of the cell; low_frequency [Hz]: of the arm that ran, where that is another one."""
-    feed = cell.target().sample_velocity(result.time_ns)
+def scored(
+    cell: Cell, result: PassResult, low_frequency: float | None = None, target: Trajectory | None = None
+) -> Scores:
+    """Return the scores against a target (default: the path of the cell).
+
+    low_frequency [Hz]: of the arm that ran, where that is another one.
+    """
+    feed = (target or cell.target()).sample_velocity(result.time_ns)
     lowest = cell.low_frequency if low_frequency is None else low_frequency
     return score(
         result.time, result.actual, result.target, feed, cell.full_engagement, lowest, result.deflection[:, 1],

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import hashlib
+from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,8 +19,14 @@ from kr270_milling.exchange.joint_program import joint_program
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.revision import PassRecord
+from kr270_milling.physics.motion.exchange import Clock
 
 __all__ = ["CompensatorProtocol", "PassInbox", "ReceivedPass", "end_of"]
+
+START_TOLERANCE = 0.5e-3  #: [m], from the first point of the reference, in which a robot with another clock waits
+SEEK_NS = 1_000_000_000  # within this time of the pass, a pose beyond the tolerance must follow
+MOST_EARLY = 2000  # poses and wrenches that are kept before the start is known
+LAG_ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,13 +70,23 @@ class ReceivedPass:
 
 
 class PassInbox:
-    """Collects poses and wrenches of one pass that ends at the stamp ``end_ns``.
+    """Collects poses and wrenches of one pass that starts at the stamp ``start_ns`` and takes ``end_ns``.
 
-    A pass is complete when pose and wrench have reached the end, each as often as the exchange is iterated.
+    All other times are those of the pass, counted from its start. A pass is complete when pose and wrench have
+    reached the end, each as often as the exchange is iterated.
+
+    A robot with another clock starts when its tool leaves the first point of ``reference`` along the reference; then
+    ``start_ns`` becomes a stamp of this clock. ``clock`` tells the stamps of the simulated robot from those of others.
     """
 
-    def __init__(self, end_ns: int, iterations: int):
+    def __init__(
+        self, end_ns: int, iterations: int, start_ns: int = 0, reference: Trajectory | None = None,
+        clock: Clock | None = None,
+    ):  # fmt: skip
         self.end_ns = end_ns
+        self.start_ns = start_ns
+        self._reference = reference
+        self._clock = clock
         self._iterations = iterations
         self.clear()
 
@@ -78,6 +96,11 @@ class PassInbox:
         self._wrenches: dict[int, WrenchSample] = dict(wrenches or {})
         self._early: dict[int, WrenchSample] = {}
         self._ignored = 0
+        self.foreign = False  #: the pass of a robot with another clock
+        self.distance = 0.0  #: [m], of the tool of such a robot from the first point of the reference
+        self.gap_ns = 0  #: longest time between two poses
+        self._at_start: deque[PoseSample] = deque(maxlen=MOST_EARLY)
+        self._before: deque[WrenchSample] = deque(maxlen=MOST_EARLY)
         self._last_poses = self._last_wrenches = self._iterations
 
     @property
@@ -97,7 +120,7 @@ class PassInbox:
 
     @property
     def stamp_ns(self) -> int:
-        """Stamp of the last pose that counts."""
+        """Time of the last pose that counts."""
         return next(reversed(self._poses), 0)
 
     @property
@@ -112,22 +135,68 @@ class PassInbox:
 
     def pose(self, sample: PoseSample) -> None:
         """Take a pose that was checked."""
-        if sample.stamp == 0 and list(self._poses) != [0]:  # a later start begins another pass
+        time = sample.stamp - self.start_ns
+        if time == 0 and list(self._poses) != [0]:  # a later start begins another pass
             self.clear(self._early)
         last = next(reversed(self._poses), -1)
-        if sample.stamp != last and (sample.stamp < last or last >= self.end_ns or (last < 0 < sample.stamp)):
-            self._ignored += 1  # older than the last one, after the end, or before the start
+        if last < 0 != time and self._is_foreign(time):
+            self._seek_start(self._reference, sample)
             return
-        self._poses[sample.stamp] = sample  # repeated where the exchange is iterated, or the robot asked again
-        self._last_poses -= sample.stamp >= self.end_ns
+        if time != last and (time < last or last >= self.end_ns or last < 0 != time):
+            self._ignored += 1  # older than the last one, after the end, or without the start
+            return
+        self.gap_ns = max(self.gap_ns, time - last if last >= 0 else 0)
+        self._poses[time] = sample  # repeated where the exchange is iterated, or the robot asked again
+        self._last_poses -= time >= self.end_ns
+
+    def _is_foreign(self, time: int) -> bool:
+        """Whether a time is none of the simulated robot."""
+        if self._reference is None or self._clock is None:
+            return False
+        return not 0 <= time <= self.end_ns or self._clock.step(time) < 0
+
+    def _seek_start(self, reference: Trajectory, sample: PoseSample) -> None:
+        """Begin the pass with the first pose that has left the first point along the reference."""
+        self._ignored += 1
+        self.distance = float(np.linalg.norm(sample.position - reference.position[0]))
+        if self.distance <= START_TOLERANCE:
+            self._at_start.append(sample)
+            return
+        waited, self._at_start = self._at_start, deque(maxlen=MOST_EARLY)
+        if not waited:
+            return
+        times = np.arange(0, min(SEEK_NS, self.end_ns) + 1, SEEK_NS // 1000)
+        off = np.linalg.norm(reference.sample(times) - sample.position, axis=1)
+        nearest = int(np.argmin(off))
+        if off[nearest] > START_TOLERANCE:
+            return
+        early = list(self._before)
+        self.clear()
+        self.foreign = True
+        self._last_poses = self._last_wrenches = 1
+        self.start_ns = sample.stamp - int(times[nearest])
+        for pose in (*waited, sample):
+            if pose.stamp >= self.start_ns:
+                self._poses[pose.stamp - self.start_ns] = pose
+        for one in early:
+            self.wrench(one)
 
     def wrench(self, sample: WrenchSample) -> None:
         """Take a wrench that was checked."""
-        if sample.stamp == 0 and list(self._poses) != [0]:
+        if self.foreign:
+            time = sample.stamp - self.start_ns
+            if time >= 0 and self._last_wrenches > 0:
+                self._wrenches[time] = sample
+                self._last_wrenches -= time >= self.end_ns
+            return
+        if self._reference is not None:
+            self._before.append(sample)
+        time = sample.stamp - self.start_ns
+        if time == 0 and list(self._poses) != [0]:
             self._early = {0: sample}  # it may overtake the pose that it answers
         elif self._poses:
-            self._wrenches[sample.stamp] = sample
-            self._last_wrenches -= sample.stamp >= self.end_ns
+            self._wrenches[time] = sample
+            self._last_wrenches -= time >= self.end_ns
 
     def received(self) -> ReceivedPass:
         """Return what has come; the wrenches of a tool frame are turned by the pose before them."""
@@ -137,17 +206,35 @@ class PassInbox:
         samples = [self._wrenches[stamp] for stamp in times.tolist()]
         turned = [in_workpiece_axes(s, poses[k].quaternion) for s, k in zip(samples, nearest, strict=True)]
         position = np.array([pose.position for pose in poses], float).reshape(-1, 3)
+        if self.foreign and self._reference is not None:
+            late = lag(self._reference, stamps, position)
+            stamps, times = stamps - late, times - late
         return ReceivedPass(stamps, position, times, np.array(turned, float).reshape(-1, 6))
+
+
+def lag(reference: Trajectory, time_ns: np.ndarray, position: np.ndarray) -> int:
+    """Return the delay [ns] of poses (n, 3) [m] along a reference: least squares of v (p - r) + v^2 dt."""
+    delay = 0
+    for _ in range(LAG_ROUNDS):
+        velocity = reference.sample_velocity(time_ns - delay)
+        behind = np.sum(velocity * (position - reference.sample(time_ns - delay)))
+        delay -= round(1e9 * behind / max(np.sum(velocity**2), 1e-12))
+    return delay
 
 
 class CompensatorProtocol:
     """tool_pose and wrench in; compensator_state and reference_trajectory out; joint_trajectory on request.
 
-    plant: the cell that is simulated in the place of a real one, with its tracker; name: of the node.
+    plant: the cell that is simulated in the place of a real one, with its tracker; name: of the node; now: the
+    time [ns] of its clock. The reference states the start of its pass: now, or the end of the last pass where that is
+    later.
     ``finish`` completes a pass without its last wrench. A refused message leaves the state unchanged.
     """
 
-    def __init__(self, cell: Cell, plant: Cell | None = None, name: str = "trajectory_compensator"):
+    def __init__(
+        self, cell: Cell, plant: Cell | None = None, name: str = "trajectory_compensator",
+        now: Callable[[], int] = lambda: 0,
+    ):  # fmt: skip
         self.cell = cell
         self.plant = plant
         self.name = name
@@ -156,6 +243,8 @@ class CompensatorProtocol:
         self.passes = 0  #: completed passes
         self.missing = 0  #: poses that the last completed pass lacks
         self.inbox = PassInbox(0, cell.exchange.iterations)
+        self._now = now
+        self._free_ns = 0  # stamp after the end of the last pass
         self._learned: tuple[LearnedPass, ...] = ()  # the passes that the reference follows from
         self._first: tuple[LearnedPass, ...] = ()  # the pass along the target
 
@@ -194,12 +283,18 @@ class CompensatorProtocol:
         made.reset()
         return self._continue(made, ())
 
+    def restart(self) -> list[Output]:
+        """Begin the pass anew, with another start."""
+        return self._continue(self.active, self._learned)
+
     def pose(self, sample: PoseSample) -> list[Output]:
         """Take a pose; raises MessageError, and the errors of a revision."""
         checked_pose(sample)
         if self.compensator is None:
             return []
         self.inbox.pose(sample)
+        if self.inbox.started and not self.inbox.foreign:
+            self._free_ns = self.inbox.start_ns + self.inbox.end_ns + round(self.cell.clock.period * 1e9)
         return self._revise() if self.inbox.complete else []
 
     def wrench(self, sample: WrenchSample) -> list[Output]:
@@ -243,12 +338,14 @@ class CompensatorProtocol:
         """Return the outputs of a new state; an error comes before anything has changed."""
         commanded_joints(self.cell, made.reference)  # raises where no arm can run the reference
         self.compensator, self._learned = made, learned
-        self.inbox = PassInbox(end_of(self.cell, made.reference), self.cell.exchange.iterations)
+        start = max(self._now(), self._free_ns)
+        end, iterations = end_of(self.cell, made.reference), self.cell.exchange.iterations
+        self.inbox = PassInbox(end, iterations, start, made.reference, self.cell.clock)
         state = CompensatorState(
             self.name, made.method, self.passes, made.finished, fingerprint(made.target), fingerprint(made.reference),
             learned,
         )  # fmt: skip
-        return [("compensator_state", state), ("reference_trajectory", made.reference)]
+        return [("compensator_state", state), ("reference_trajectory", made.reference.starting_at(start))]
 
 
 def end_of(cell: Cell, reference: Trajectory) -> int:

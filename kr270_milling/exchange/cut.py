@@ -12,6 +12,7 @@ from kr270_milling.base.frames import WORKPIECE
 from kr270_milling.base.samples import PoseSample, StockMap, WrenchSample
 from kr270_milling.cell.cell import Cell
 from kr270_milling.exchange.inputs import ExchangeError, Output, checked_pose
+from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.physics.cutting import CutModel
 from kr270_milling.physics.motion.milling_pass import silent_periods
 
@@ -35,8 +36,14 @@ class CutProtocol:
         self.cut: CutModel | None = None  #: the tool on the workpiece
         self.step = -1  #: last exchange that was answered; -1 before the first one
         self.stamp_ns = 0  #: of the last answer
-        self.end_ns = 0  #: of the reference trajectory; 0 where it is not known
+        self.start_ns = 0  #: stamp of the first exchange of the pass
+        self._end_ns = 0  # of the pass, 0 where it is not known
+        self.planned: tuple[int, int] | None = None  #: stamps of start and end of the next pass
         self._clock = cell.clock
+
+    def reference(self, run: Trajectory) -> None:
+        """Take the reference of the next pass, which states the start of the pass."""
+        self.planned = run.start_ns, run.start_ns + run.duration_ns
 
     def configure(self) -> list[Output]:
         """Create a fresh workpiece and return its map, so that late subscribers do not see the previous part."""
@@ -66,7 +73,7 @@ class CutProtocol:
     @property
     def under_way(self) -> bool:
         """Whether a pass was started and has not reached the end of the reference trajectory."""
-        return self.step >= 0 and self.stamp_ns < self.end_ns
+        return self.step >= 0 and self.stamp_ns < self._end_ns
 
     @property
     def at_end(self) -> bool:
@@ -92,10 +99,12 @@ class CutProtocol:
 
     def _answer(self, cut: CutModel, stamp_ns: int, tool: np.ndarray) -> None:
         """Update the wrench. Raises ExchangeError for a stamp that is neither the next nor the last one."""
-        step = self._clock.step(stamp_ns)
+        if self.step < 0:
+            self.start_ns, self._end_ns = self.planned or (0, 0)
+        step = self._clock.step(stamp_ns - self.start_ns)
         if step == 0 and self.step <= 0:
             self.step, self._tool, self._wrench = 0, np.array(tool), np.zeros(6)
-        elif step == 0:
+        elif step == 0 or (self.step >= 0 and self.planned is not None and stamp_ns == self.planned[0]):
             raise ExchangeError(stamp_ns, "a new pass needs a fresh workpiece: configure the cutting process again")
         elif self.step < 0:
             raise ExchangeError(stamp_ns, "the pass is under way, but this cutting process has not seen its start")
@@ -107,8 +116,8 @@ class CutProtocol:
                 self._sweep(cut, step, self._before, tool)
         else:
             relation = "is older than" if 0 <= step < self.step else "does not follow"
-            last = self._clock.stamp(self.step) * 1e-9
-            raise ExchangeError(stamp_ns, f"{relation} the last one, {last:.6f} s")
+            last = self.start_ns + int(self._clock.stamp(self.step))
+            raise ExchangeError(stamp_ns, f"{relation} the last one, {last * 1e-9:.6f} s")
 
     def _sweep(self, cut: CutModel, step: int, start: np.ndarray, end: np.ndarray) -> None:
         n = self._clock.micro_steps

@@ -36,6 +36,7 @@ class RobotProtocol:
         self.started = False  #: a pass runs, or has run to its end
         self.done = False  #: the pass has run to its end
         self.steps = 0  #: exchange periods of the pass
+        self.start_ns = 0  #: stamp of the first exchange of the pass, as the reference states it
         self.awaited_ns = 0  #: stamp of the next wrench
         self.correction = 0.0  #: [m], largest distance between corrected and predicted tool centre in this pass
         self._iterations = cell.exchange.iterations
@@ -58,7 +59,10 @@ class RobotProtocol:
         model = imperfect_arm(cell, reference, cell.arm_model(reference))
         self.steps = cell.clock.steps(course.duration_ns)
         stamps = cell.clock.stamp(np.arange(self.steps + 1))
-        self._stamps: list[int] = stamps.tolist()  # a list gives an item in a tenth of the time of an array
+        self.start_ns = reference.start_ns
+        self._stamps: list[int] = (
+            stamps + self.start_ns
+        ).tolist()  # a list gives an item in a tenth of the time of an array
         self._unloaded = course.sample(stamps)  # [m], (steps + 1, 3)
         self._orientation = course.sample_orientation(stamps)  # (steps + 1, 4)
         self._joints = cell.joints_along(reference, stamps[:: self._joints_every])  # the encoders are at the motors
@@ -68,7 +72,7 @@ class RobotProtocol:
         self._iteration = 0
         self._asked = 0  # tool poses published since the last wrench
         self._stale = 0  # wrenches to come that answer a repeated tool pose
-        self.awaited_ns = 0
+        self.awaited_ns = self.start_ns
         self.correction = 0.0
         self.started, self.done = True, False
         return [self._question()]
@@ -85,6 +89,11 @@ class RobotProtocol:
         feed = float(np.max(self.reference.feed(self.reference.time_ns)))
         tooth_rate = self.cell.tool.spindle_speed / (2 * math.pi) * self.cell.tool.teeth
         return self.correction > self.cell.exchange.warn_correction * feed / tooth_rate
+
+    @property
+    def time_ns(self) -> int:
+        """Time of the awaited wrench, counted from the start of the pass; 0 before the first wrench."""
+        return self.awaited_ns - self.start_ns
 
     def repeat(self) -> list[Output]:
         """Return the last tool_pose again; only one of its answers will be used."""

@@ -62,6 +62,7 @@ class Scene:
     def __init__(self):
         self._links: tuple[Link, ...] = ()
         self._target: Trajectory | None = None
+        self._start_ns = self._next_ns = 0  # of the pass and of the next one
         self._fresh()
         self._tool_width = 0.02
 
@@ -80,16 +81,21 @@ class Scene:
             self._links = links_of(from_bytes("std_msgs/msg/String", data).text)
             self._tool_width = self._width()
             yield Derived("/tf_static", TRANSFORMS, transforms_bytes(0, self._frames(np.zeros(6), moving=False)), 0)
-        elif name == "target_trajectory" or (name == "reference_trajectory" and self._target is None):
-            self._target = trajectory_from_bytes(data)
+        elif name.endswith("_trajectory"):
+            run = trajectory_from_bytes(data)
+            if name == "target_trajectory" or self._target is None:
+                self._target = run
+            if name == "reference_trajectory":
+                self._next_ns = run.start_ns
         elif name in ("joint_states", "tool_pose", "wrench"):
             yield from self._of_the_pass(name, data, stamp_of(data) or 0)
 
     def _of_the_pass(self, name: str, data: bytes, stamp: int) -> Iterator[Derived]:
-        if name == "tool_pose" and stamp == 0 and self._pose_due > PERIOD_NS:
+        if name == "tool_pose" and stamp < self._pose_due - PERIOD_NS or self._start_ns < self._next_ns <= stamp:
             self._fresh()  # the next pass
+            self._start_ns = self._next_ns
         if name == "joint_states":
-            if self._links and (stamp >= self._joints_due or stamp == 0):
+            if self._links and stamp >= self._joints_due:
                 self._joints_due = stamp + PERIOD_NS
                 joints = from_bytes("sensor_msgs/msg/JointState", data).position
                 yield Derived("/tf", TRANSFORMS, transforms_bytes(stamp, self._frames(joints, moving=True)), stamp)
@@ -122,7 +128,11 @@ class Scene:
         self._count += 1
         if self._count % self._spacing:
             return
-        error = 0.0 if self._target is None else float(np.linalg.norm(position - self._target.sample(stamp)))
+        error = (
+            0.0
+            if self._target is None
+            else float(np.linalg.norm(position - self._target.sample(stamp - self._start_ns)))
+        )
         self._points.append(position)
         self._errors.append(error)
         self._cuts.append(float(np.linalg.norm(self._force)) > 0.1)

@@ -8,6 +8,7 @@ and after the last knot.
 
 from __future__ import annotations
 
+import copy
 import math
 import zlib
 from dataclasses import dataclass
@@ -42,6 +43,7 @@ class Trajectory:
     quaternion: np.ndarray  #: (n, 4), x, y, z, w, of tcp in ``frame``; (4,) holds for all knots
     velocity: np.ndarray | None = None  #: [m/s], (n, 3), at the knots; None: straight lines between them
     frame: str = "workpiece"
+    start_ns: int = 0  #: [ns] stamp of the message: a pass along the trajectory is counted from this time
 
     def __post_init__(self):
         time = np.array(self.time_ns)
@@ -140,6 +142,12 @@ class Trajectory:
         k = np.clip(np.searchsorted(self.time_ns, time, side=side) - 1, 0, len(self) - 2)
         step_ns = (self.time_ns[k + 1] - self.time_ns[k])[..., None]
         return k, (time - self.time_ns[k])[..., None] / step_ns, step_ns * 1e-9
+
+    def starting_at(self, start_ns: int) -> Trajectory:
+        """Return the trajectory, with the same bits, for a pass that starts at a stamp [ns]."""
+        started = copy.copy(self)
+        object.__setattr__(started, "start_ns", int(start_ns))
+        return started
 
     def with_position(self, position, velocity=None) -> Trajectory:
         """Return a copy with other positions [m], (n, 3), and knot velocities [m/s]."""

@@ -6,6 +6,7 @@ import functools
 
 import numpy as np
 import pytest
+from foreign_cell import WALL, foreign_pass
 from small_part import GCODE, small_part
 
 from kr270_milling.base.errors import MessageError
@@ -14,7 +15,7 @@ from kr270_milling.base.record import find_file
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import read_cell
 from kr270_milling.cell.jobs import compensator, record_of, simulate
-from kr270_milling.exchange.compensator import CompensatorProtocol
+from kr270_milling.exchange.compensator import CompensatorProtocol, lag
 from kr270_milling.exchange.cut import CutProtocol, NoWorkpiece
 from kr270_milling.exchange.inputs import ExchangeError
 from kr270_milling.exchange.robot import RobotProtocol
@@ -268,7 +269,7 @@ def test_the_map_is_that_of_the_part_and_a_fresh_one_is_whole(short_cell):
 
 def test_a_pass_is_under_way_from_its_first_pose_to_the_end_of_the_reference(short_cell):
     robot, cut = protocols(short_cell)
-    cut.end_ns = short_cell.target().duration_ns
+    cut.reference(short_cell.target())
     assert not cut.under_way
     seen = []
     run(robot, cut, lambda robot, cut, pose: seen.append(cut.under_way) or [])
@@ -301,8 +302,9 @@ def samples(ran, turned: bool = False) -> list:
 
 
 def feed(protocol, records) -> list:
-    outputs = []
-    for record in records:
+    """Feed messages with times of the pass."""
+    outputs, start = [], protocol.inbox.start_ns
+    for record in (record._replace(stamp=start + record.stamp) for record in records):
         outputs += (protocol.pose if isinstance(record, PoseSample) else protocol.wrench)(record)
     return outputs
 
@@ -419,3 +421,41 @@ def test_another_method_and_a_reset_start_from_the_target(protocol, ran, short_c
     spline = compensator(short_cell, short_cell.target(), "spline").revise(record_of(short_cell, ran))
     assert_revised(protocol.choose("spline"), spline)
     assert_revised(protocol.reset(), short_cell.target())
+
+
+# --- A robot and a sensor with another clock ---
+
+
+@pytest.mark.parametrize(("noise", "bound"), [(0.0, 1e-6), (5e-6, 5e-6)])
+def test_learning_converges_with_a_robot_of_another_clock(noise, bound):
+    """Poses every 4 ms with jitter, 2 % lost, force at 1 kHz; the error is at most the noise of one pose."""
+    cell = read_cell(find_file("paper.yaml"))
+    cell = cell.replace(
+        compensation=cell.compensation.replace(method="learned"),
+        imperfections=cell.imperfections.replace(pose_noise=noise),
+    )
+    protocol = CompensatorProtocol(cell)
+    protocol.begin(cell.target())
+    errors = []
+    for number in range(4):
+        result = simulate(cell, protocol.active.reference).result
+        errors.append(np.abs((result.actual - result.target)[result.time > cell.full_engagement, 1]).max())
+        for sample in foreign_pass(result, number, noise):
+            (protocol.pose if isinstance(sample, PoseSample) else protocol.wrench)(sample)
+        assert protocol.passes == number + 1 and not protocol.under_way
+    assert errors[0] > 60e-6 and errors[-1] < bound
+
+
+def test_a_robot_of_another_clock_starts_when_it_leaves_the_first_point(protocol, ran):
+    samples_of_pass = foreign_pass(ran, 0)
+    poses = [sample for sample in samples_of_pass if isinstance(sample, PoseSample)]
+    away = [one._replace(position=one.position + [0.0, 0.0, 0.01]) for one in poses]
+    for sample in away:
+        assert protocol.pose(sample) == []
+    assert not protocol.under_way and protocol.inbox.distance > 9.9e-3  # the whole pass is 10 mm above
+    for sample in poses[:90]:
+        protocol.pose(sample)
+    assert protocol.under_way and protocol.inbox.foreign
+    assert abs(protocol.inbox.start_ns - WALL) < 1_000_000
+    (late,) = [lag(protocol.active.reference, ran.time_ns + 700_000, ran.tool)]
+    assert abs(late - 700_000) < 100_000

@@ -13,6 +13,7 @@ from kr270_milling.physics.motion.milling_pass import PassResult
 from kr270_milling.recordings.bag.info import info
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import series
+from kr270_milling.recordings.messages.cdr import stamp_of
 
 __all__ = ["Recorded", "is_alive", "read_back"]
 
@@ -41,14 +42,16 @@ def read_back(path: Path, expected: PassResult, struck_ns: int, started_ns: int,
     """
     with Recording(path) as recording:
         about, every = info(recording), attached_cell(recording).thinned_steps
+        references = recording.messages(["/reference_trajectory"])
+        stamps = expected.time_ns + next((stamp_of(message.data) or 0 for message in references), 0)
         wrong, short, started, ends = False, 0, False, {}
         for topic, values in zip(WIDTH, (expected.tool, expected.wrench, expected.deflection), strict=True):
             recorded = series(recording, topic)
-            due = expected.time_ns[:: every if topic == "/deflection" else 1]
+            due = stamps[:: every if topic == "/deflection" else 1]
             started |= recorded.stamp.size > 0 and topic != "/deflection"
             ends[topic] = recorded.stamp.size and recorded.stamp[-1] == due[-1]
             short += due.size - np.unique(recorded.stamp).size
-            wrong = wrong or not _same(recorded, expected.time_ns, values, WIDTH[topic])
+            wrong = wrong or not _same(recorded, stamps, values, WIDTH[topic])
         last = max((m.publish_time for m in recording.messages(["/tool_pose"])), default=started_ns)
     complete = all(ends.values()) and not short
     behind = max(0.0, (struck_ns - last) * 1e-9)

@@ -6,7 +6,7 @@ import dataclasses
 import os
 import struct
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -56,10 +56,11 @@ class Expected(NamedTuple):
 class Channel:
     """One topic: what was recorded and what is recomputed, each in its own order, matched by pass and stamp.
 
-    Recorded and expected messages may come in any order. rank: place of the topic in the chain of causes.
+    Recorded and expected messages may come in any order. rank: place of the topic in the chain of causes; starts: of
+    the passes [ns], ascending.
     """
 
-    def __init__(self, topic: str, rank: int = 0):
+    def __init__(self, topic: str, rank: int = 0, starts: Sequence[int] = ()):
         self.topic = topic
         self.rank = rank
         self.compared = 0
@@ -70,11 +71,11 @@ class Channel:
         self.refused = 0  #: that no node can have used
         self.first: Difference | None = None
         self._abandoned = 0  # recorded in a pass that could not be recomputed to its end
-        self._holes = GapCounter()  # from the recorded stamps alone
+        self._holes = GapCounter(starts)  # from the recorded stamps alone
         self._recorded: deque[Recorded] = deque()
         self._expected: deque[Expected] = deque()
-        self._recorded_passes = Passes()
-        self._expected_passes = Passes()
+        self._recorded_passes = Passes(starts)
+        self._expected_passes = Passes(starts)
         self._index = -1
         self._last = b""  # recorded
         self._last_expected: Expected | None = None
@@ -89,12 +90,12 @@ class Channel:
         show the pass.
         """
         self._index += 1
-        if number is not None:
-            self._recorded_passes.number = number
-        elif not refused:
-            self._recorded_passes.begins(stamp)
-            self._holes.add(stamp)
-        self._recorded.append(Recorded((self._recorded_passes.number, stamp), self._index, data, refused))
+        if number is None:
+            if not refused:
+                self._recorded_passes.begins(stamp)
+                self._holes.add(stamp)
+            number = self._recorded_passes.index
+        self._recorded.append(Recorded((number, stamp), self._index, data, refused))
         self._match()
 
     def take(self, data: bytes) -> None:
@@ -108,20 +109,19 @@ class Channel:
 
         due: False where the recording may lack the message; number: of its pass, where stamps do not show the pass.
         """
-        if number is not None:
-            self._expected_passes.number = number
-        else:
+        if number is None:
             self._expected_passes.begins(stamp)
-        number = self._expected_passes.number
+            number = self._expected_passes.index
         if due:
             self._ends[number] = stamp
         self._expected.append(Expected((number, stamp), record, due))
         self._match()
 
-    def abandon(self) -> None:
-        """What waits will not be recomputed: another pass begins."""
-        self._abandoned += len(self._recorded)
-        self._recorded.clear()
+    def abandon(self, number: int | None = None) -> None:
+        """What waits will not be recomputed: the pass ``number`` begins, or the file has ended."""
+        while self._recorded and (number is None or self._recorded[0].order[0] < number):
+            self._recorded.popleft()
+            self._abandoned += 1
 
     def _match(self) -> None:
         while self._recorded and self._expected:
@@ -196,7 +196,7 @@ class Channel:
         Messages of the last ``under_way`` [ns] of a pass that broke off do not count. done: the last pass is
         complete; iterations: messages of one stamp.
         """
-        whole = self._expected_passes.number if done else -1
+        whole = self._expected_passes.index if done else -1
         ends = sum(number == whole or stamp < self._ends[number] - under_way for number, stamp in self._tails)
         return ends + max(0, self._skipped - iterations * self._holes.missing)
 

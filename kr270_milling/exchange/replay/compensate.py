@@ -13,6 +13,7 @@ from kr270_milling.exchange.replay.revisions import Revision
 from kr270_milling.exchange.replay.robots import Robot, Robots
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.messages.cdr import stamp_of
 
 __all__ = ["Revised", "compensate_recording"]
 
@@ -63,6 +64,11 @@ def compensate_recording(path, method: str | None = None, progress=None) -> list
     return revised
 
 
+def _same_bits(reference: Trajectory, published: bytes) -> bool:
+    """Whether a message has the bits of a reference; only the recording knows the start of the next pass."""
+    return difference(reference.starting_at(stamp_of(published) or 0), published) is None
+
+
 def _revised(robot: Robot, revision: Revision) -> Revised:
     made = revision.compensator
     shift = made.reference.position - revision.target.sample(made.reference.time_ns)
@@ -73,5 +79,5 @@ def _revised(robot: Robot, revision: Revision) -> Revised:
         commanded_joints(robot.cell, made.reference),
         made.errors[-1],
         float(np.linalg.norm(shift, axis=1).max()),
-        None if revision.published is None else difference(made.reference, revision.published) is None,
+        None if revision.published is None else _same_bits(made.reference, revision.published),
     )

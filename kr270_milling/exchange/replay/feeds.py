@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 
 from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.cell.cell import Cell
@@ -16,6 +16,7 @@ from kr270_milling.recordings.bag.stamps import Passes
 
 __all__ = ["MOST_AHEAD", "CutFeed", "RobotFeed"]
 
+MID_PASS = "the recording begins in the middle of a pass, whose state is not known"
 MOST_AHEAD = 10  # exchange periods that a message may precede its cause in the file
 
 Stop = Callable[[int, str], None]  # (stamp [ns], reason)
@@ -26,28 +27,34 @@ class InputFeed:
 
     outputs: tuple[str, ...] = ()
 
-    def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
+    protocol: RobotProtocol | CutProtocol
+
+    def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop, starts: Sequence[int] = ()):
         self.cell = cell
         self._channels = channels
         self._stop = stop
         self._thinned = cell.thinned_steps
-        self._passes = Passes()
+        self._passes = Passes(starts)
         self._lack: tuple[int, str] | None = None  # the stamp [ns] and the reason of a stop
 
     def _publish(self, outputs: Iterable[Output]) -> None:
         for name, record in outputs:
             if name in self._channels:
                 stamp = getattr(record, "stamp", 0)
-                due = name != "deflection" or self.cell.clock.step(stamp) % self._thinned == 0
+                step = self.cell.clock.step(stamp - self.protocol.start_ns)
+                due = name != "deflection" or step % self._thinned == 0
                 self._channels[name].expected(stamp, record, due)
 
-    def end_pass(self) -> None:
-        """Report a missing input if recorded outputs follow from it; else the live node missed it too."""
+    def end_pass(self, number: int | None = None) -> None:
+        """Report a missing input if recorded outputs follow from it; else the live node missed it too.
+
+        number: of the pass that begins.
+        """
         channels = [self._channels[name] for name in self.outputs if name in self._channels]
         if self._lack is not None and any(channel.waiting for channel in channels):
             self._stop(*self._lack)
             for channel in channels:
-                channel.abandon()
+                channel.abandon(number)
         self._lack = None
 
 
@@ -62,8 +69,8 @@ class RobotFeed(InputFeed):
 
     outputs = ("tool_pose", "deflection", "joint_states", "clock")
 
-    def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
-        super().__init__(cell, channels, stop)
+    def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop, starts: Sequence[int] = ()):
+        super().__init__(cell, channels, stop, starts)
         self.protocol = RobotProtocol(cell, deflection_every=1)
         self._begun = False
         self._same_stamp: list[WrenchSample] = []
@@ -123,13 +130,14 @@ class RobotFeed(InputFeed):
         self._publish(protocol.wrench(sample))
 
     def _begin(self, stamp: int) -> None:
-        self.end_pass()
+        self.end_pass(self._passes.index)
         self._begun = True
         self.protocol.stop()
         if self.protocol.reference is None:
             self._stop(stamp, "no reference trajectory is in the recording")
-        elif stamp != 0:
-            self._stop(stamp, "the recording begins in the middle of a pass, whose state is not known")
+        elif stamp != self.protocol.reference.start_ns:
+            self._lack = stamp, MID_PASS
+            self._stop(*self._lack)
         else:
             self._publish(self.protocol.start())
 
@@ -139,30 +147,40 @@ class CutFeed(InputFeed):
 
     outputs = ("wrench",)
 
-    def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop):
-        super().__init__(cell, channels, stop)
+    def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop, starts: Sequence[int] = ()):
+        super().__init__(cell, channels, stop, starts)
         self.protocol = CutProtocol(cell)
         ((_, self._fresh),) = self.protocol.configure()
+        self._start_ns = 0
         self._maps: list[tuple[int, bytes]] = []
         self._latched = False  # the last map is that of a pass before the recording
+
+    def reference(self, run: Trajectory) -> None:
+        """Take the reference of the next pass."""
+        self._start_ns = run.start_ns
+        self.protocol.reference(run)
 
     def pose(self, sample: PoseSample) -> None:
         """The next tool_pose; raises MillingError where the protocol refuses it."""
         if self._passes.begins(sample.stamp):
-            self.end_pass()
+            self.end_pass(self._passes.index)
             self.protocol.configure()
-        if self._latched and sample.stamp == 0:
+        time = self._time(sample.stamp)
+        if self._latched and time == 0:
             self._latched = False
             self._channels["workpiece"].expected(0, self._fresh)  # of this pass, which none can begin without
         next_step = self.protocol.step + 1
-        if self.cell.clock.step(sample.stamp) > next_step and self._lack is None:
+        if self.cell.clock.step(time) > next_step and self._lack is None:
             lost = "the tool pose of this time is not in the recording"
-            reason = lost if next_step else "the recording begins in the middle of a pass"
-            self._lack = int(self.cell.clock.stamp(next_step)), reason
+            self._lack = sample.stamp - time + int(self.cell.clock.stamp(next_step)), lost if next_step else MID_PASS
         self._publish(self.protocol.pose(sample))
         if self.protocol.step == next_step:
             self._lack = None
         self._compare_maps()
+
+    def _time(self, stamp: int) -> int:
+        """Return the time of the pass under way, else of the next one; its reference comes before the last map."""
+        return stamp - (self.protocol.start_ns if self.protocol.step >= 0 else self._start_ns)
 
     def workpiece(self, stamp: int, data: bytes) -> None:
         """Compare a recorded map: the fresh part at stamp 0, else the part after the last pose that was answered.
@@ -172,7 +190,7 @@ class CutFeed(InputFeed):
         """
         channel = self._channels["workpiece"]
         near, ahead = MOST_AHEAD * self.cell.exchange.period * 1e9, stamp - self.protocol.stamp_ns
-        in_pass = self.protocol.step >= 0 and self.cell.clock.step(stamp) >= 0
+        in_pass = self.protocol.step >= 0 and self.cell.clock.step(self._time(stamp)) >= 0
         if stamp == 0:
             self._latched = False
             channel.expected(0, self._fresh)

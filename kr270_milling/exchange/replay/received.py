@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import bisect
 import contextlib
+from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 
 from kr270_milling.base.errors import MillingError
@@ -12,6 +14,8 @@ from kr270_milling.exchange.compensator import PassInbox, ReceivedPass
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
 from kr270_milling.exchange.replay.inputs import INPUTS
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.stamps import PassStarts
+from kr270_milling.recordings.messages.cdr import stamp_of
 
 __all__ = ["EarlierRecordings", "NotRecorded", "PassCollector"]
 
@@ -27,25 +31,32 @@ class NotRecorded(MillingError):
 
 
 class PassCollector:
-    """Collects the passes that reach the end stamp ``end_ns``, one after another."""
+    """Collects the passes that take ``end_ns``, one after another; starts: of the passes [ns], ascending."""
 
-    def __init__(self, cell: Cell, end_ns: int):
+    def __init__(self, cell: Cell, end_ns: int, starts: Sequence[int]):
         self.inbox = PassInbox(end_ns, cell.exchange.iterations)
         self.passes: list[ReceivedPass] = []
         self.before: list[int] = []  #: of each pass: references that were published before its first pose
         self._before = 0
+        self._starts = starts
 
     def sample(self, sample: PoseSample | WrenchSample, references: int = 0) -> None:
         """Take the next pose or wrench that was checked; references: number of those that were published before."""
+        passed = bisect.bisect_right(self._starts, sample.stamp)
+        start = self._starts[passed - 1] if passed else 0
+        if start != self.inbox.start_ns:
+            self.finish()  # the last wrench of the previous pass is not in the file
+            self.inbox.clear()
+            self.inbox.start_ns = start
         if isinstance(sample, WrenchSample):
             self.inbox.wrench(sample)
         else:
-            if sample.stamp == 0 and self.inbox.stamp_ns > 0:
-                self.finish()  # the last wrench of the previous pass is not in the file
+            if sample.stamp == start and self.inbox.stamp_ns > 0:
+                self.finish()
             self.inbox.pose(sample)
         if self.inbox.complete:
             self.finish()
-        if isinstance(sample, PoseSample) and sample.stamp == 0:
+        if isinstance(sample, PoseSample) and sample.stamp == start:
             self._before = references
 
     def finish(self) -> None:
@@ -97,7 +108,11 @@ class EarlierRecordings:
         with Recording(file) as recording:
             cell = attached_cell(recording)
             plant = attached_plant(recording, cell)
-            collector = PassCollector(cell, self._end_ns)
+            starts = PassStarts()
+            topic = f"{self._namespace}/reference_trajectory"
+            for message in recording.messages({topic}):
+                starts.take(topic, stamp_of(message.data))
+            collector = PassCollector(cell, self._end_ns, starts.of(topic))
             for message in recording.messages(set(names)):
                 with contextlib.suppress(MillingError):  # refused by the live node as well
                     collector.sample(INPUTS[names[message.topic]](message.data))

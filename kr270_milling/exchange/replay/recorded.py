@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,16 +17,18 @@ from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
-from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import TopicSeries, several
-from kr270_milling.recordings.messages.codec import trajectory_from_bytes
+from kr270_milling.recordings.messages.cdr import stamp_of
+from kr270_milling.recordings.messages.codec import from_bytes, trajectory_from_bytes
 from kr270_milling.recordings.messages.trajectory import TRAJECTORY
 
-__all__ = ["RecordedPass", "pass_from_recording", "topic_of"]
+__all__ = ["RecordedPass", "pass_from_recording", "passes_from_recording", "topic_of"]
 
 DIAGNOSTICS = "/diagnostics"
+STATE = "diagnostic_msgs/msg/DiagnosticStatus"
 SERIES = ("tool_pose", "deflection", "wrench")
 
 
@@ -36,10 +38,53 @@ class RecordedPass:
 
     scored: ScoredPass
     cell: Cell
+    target: Trajectory
     messages_lost: int  #: poses, wrenches and deflections that the pass must have had and the file has not
     lost_to_end: int  #: the same, where the pass is known to have run to the end of its reference
     complete: bool  #: the pass ran to the end of its reference, no message of it is lost, and the file was closed
     program: str | None = None  #: text of the tool path file, where the recording carries it
+
+    def renamed(self, name: str) -> RecordedPass:
+        return dataclasses.replace(self, scored=dataclasses.replace(self.scored, name=name))
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Content:
+    """Messages of a recording that all passes need."""
+
+    topic: str  #: of the references
+    references: dict[int, bytes]  #: by their starts [ns]
+    targets: dict[str, Trajectory]  #: by their fingerprints, in the order of the file
+    stated: dict[str, str]  #: fingerprint of a reference -> fingerprint of its target
+    walls: list[float]  #: reported times of the wall clock [s], one a complete pass
+    series: dict[str, TopicSeries]
+
+    def add_target(self, data: bytes) -> None:
+        with contextlib.suppress(MillingError):  # the compensator refused it
+            target = trajectory_from_bytes(data)
+            self.targets[fingerprint(target)] = target
+
+    def add_state(self, data: bytes) -> None:
+        with contextlib.suppress(ValueError):
+            state = from_bytes(STATE, data)
+            self.stated[state.reference] = state.target
+
+    def add_walls(self, walls: Iterable[float]) -> None:
+        self.walls.extend(wall for wall in walls if self.walls[-1:] != [wall])
+
+    def target_of(self, reference: Trajectory, default: Trajectory) -> Trajectory:
+        """Return the target that a reference follows from: as the compensator states it, else the last one recorded."""
+        if (stated := self.stated.get(fingerprint(reference))) is not None:
+            return self.targets.get(stated, default)
+        return list(self.targets.values())[-1] if self.targets else default
+
+
+class Window(NamedTuple):
+    """One pass; the stamps of the series are counted from its start."""
+
+    reference: Trajectory
+    target: Trajectory
+    series: dict[str, TopicSeries]
 
 
 class StepRows(NamedTuple):
@@ -64,12 +109,63 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
 
 
 def pass_from_recording(path, name: str | None = None, namespace: str | None = None) -> RecordedPass:
-    """The pass that a recording holds; a file that was cut off gives the part that is there. It is read once."""
+    """Return the only pass of a recording. Raises RecordingError where there is none, or more than one."""
+    passes = passes_from_recording(path, name, namespace)
+    if len(passes) > 1:
+        raise RecordingError(path, f"has {len(passes)} passes; this needs a recording with one pass")
+    return passes[0]
+
+
+def passes_from_recording(path, name: str | None = None, namespace: str | None = None) -> list[RecordedPass]:
+    """Return every pass of a recording along the reference and the target of its time; the file is read once.
+
+    A file that was cut off gives the part that is there. Raises RecordingError where there is no pass.
+    """
     with Recording(path) as recording:
         cell = attached_cell(recording)
-        plant = attached_plant(recording, cell)
-        reference, wall, series = _read(recording, namespace)
+        cells = cell, attached_plant(recording, cell)
+        content = _read(recording, namespace)
         program = _program(recording, cell)
+    windows = _windows(recording, cell, content)
+    walls = content.walls if len(content.walls) == len(windows) else [float("nan")] * len(windows)
+    name = name or recording.path.stem
+    scored_passes = (_scored(recording, cells, *one, name, program) for one in zip(windows, walls, strict=True))
+    passes = [one for one in scored_passes if one is not None]
+    if not passes:
+        raise RecordingError(recording.path, "holds no pass: poses, wrenches and deflections of at least one period")
+    return passes if len(passes) == 1 else [one.renamed(f"{name}_{n}") for n, one in enumerate(passes, 1)]
+
+
+def _windows(recording: Recording, cell: Cell, content: Content) -> list[Window]:
+    """Return the passes in the order of their starts: references with a pose between their start and the next one."""
+    windows = []
+    starts = sorted(content.references)
+    for start, end in zip(starts, [*starts[1:], np.iinfo(np.int64).max], strict=True):
+        chosen = {kind: (one.stamp >= start) & (one.stamp < end) for kind, one in content.series.items()}
+        series = {
+            kind: TopicSeries(one.stamp[chosen[kind]] - start, one.values[chosen[kind]])
+            for kind, one in content.series.items()
+        }
+        if not series["tool_pose"].stamp.size:
+            continue
+        passes = int(np.count_nonzero(series["deflection"].stamp == 0))  # published once an exchange
+        if passes > 1:
+            raise RecordingError(recording.path, f"has {passes} passes with one start; they cannot be told apart")
+        try:
+            reference = trajectory_from_bytes(content.references[start])
+        except MillingError as error:
+            reason = f"a message on {content.topic} is no path of the tool: {error}"
+            raise RecordingError(recording.path, reason) from error
+        windows.append(Window(reference, content.target_of(reference, cell.target()), series))
+    return windows
+
+
+def _scored(
+    recording: Recording, cells: tuple[Cell, Cell], window: Window, wall: float, name: str, program: str | None
+) -> RecordedPass | None:  # fmt: skip
+    """Return the scored pass; None where poses, wrenches and deflections of at least one period are missing."""
+    cell, plant = cells
+    reference, target, series = window
     last = cell.clock.steps(reference.duration_ns)
     if last > MOST_STEPS:
         raise RecordingError(recording.path, f"its reference trajectory takes {reference.duration_ns * 1e-9:g} s")
@@ -78,38 +174,37 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
     whole = recorded | {"deflection": _all_deflections(plant, reference, course, recorded)}
     steps = functools.reduce(lambda a, b: np.intersect1d(a, b, True), (rows.step for rows in whole.values()))
     if steps.size < 2:
-        raise RecordingError(recording.path, "holds no pass: poses, wrenches and deflections of at least one period")
+        return None
     rows = {kind: one.values[np.searchsorted(one.step, steps)] for kind, one in whole.items()}
     ended = int(steps[-1]) == last
     lost = _lost(cell, recorded, int(steps[-1]))
-    result = _result(cell, plant, course, steps, rows, wall)
-    ran = ScoredPass(name or recording.path.stem, reference, result, scored(cell, result, plant.low_frequency))
+    result = _result(cells, target, course, steps, rows, wall)
+    ran = ScoredPass(name, reference, result, scored(cell, result, plant.low_frequency, target))
     complete = ended and not lost and not recording.cut_off
-    return RecordedPass(ran, cell, lost, _lost(cell, recorded, last), complete, program)
+    return RecordedPass(ran, cell, target, lost, _lost(cell, recorded, last), complete, program)
 
 
-def _read(recording: Recording, namespace: str | None) -> tuple[Trajectory, float, dict[str, TopicSeries]]:
-    """The reference that the pass ran, its time of the wall [s], and the series."""
+def _read(recording: Recording, namespace: str | None) -> Content:
+    """Return what is read for all passes."""
     topics = {kind: topic_of(recording, kind, namespace) for kind in SERIES}
     topic = topic_of(recording, "reference_trajectory", namespace)
     if recording.topics()[topic].type != TRAJECTORY:
         raise RecordingError(recording.path, f"{topic} is no trajectory")
-    runs: list[bytes] = []
-    walls = [float("nan")]
-    others: dict = {topic: lambda data: runs.append(data) if not runs else None}
+    space = topic.rpartition("/")[0]
+    content = Content(topic, {}, {}, {}, [], {})
+    others: dict[str, Callable[[bytes], object]] = {
+        topic: lambda data: content.references.setdefault(stamp_of(data) or 0, data),
+        f"{space}/target_trajectory": content.add_target,
+        f"{space}/compensator_state": content.add_state,
+    }
     if DIAGNOSTICS in recording.topics():
         decode = recording.decoder(DIAGNOSTICS)
-        others[DIAGNOSTICS] = lambda data: walls.extend(_wall_times(decode(data)))
-    series = dict(zip(SERIES, several(recording, list(topics.values()), others), strict=True))
-    if not runs:
+        others[DIAGNOSTICS] = lambda data: content.add_walls(_wall_times(decode(data)))
+    others = {name: take for name, take in others.items() if name in recording.topics()}
+    found = several(recording, list(topics.values()), others)
+    if not content.references:
         raise RecordingError(recording.path, f"{topic} has no message")
-    passes = int(np.count_nonzero(series["deflection"].stamp == 0))  # published once an exchange
-    if passes > 1:
-        raise RecordingError(recording.path, f"holds {passes} passes; each pass needs a separate recording")
-    try:
-        return trajectory_from_bytes(runs[0]), walls[-1], series
-    except MillingError as error:
-        raise RecordingError(recording.path, f"a message on {topic} is no path of the tool: {error}") from error
+    return dataclasses.replace(content, series=dict(zip(SERIES, found, strict=True)))
 
 
 def _wall_times(diagnostics) -> Iterator[float]:
@@ -163,9 +258,12 @@ def _program(recording: Recording, cell: Cell) -> str | None:
     return recording.attachment(name).decode("utf-8", errors="replace")
 
 
-def _result(cell: Cell, plant: Cell, run: Trajectory, steps: np.ndarray, rows: dict, wall: float) -> PassResult:
+def _result(
+    cells: tuple[Cell, Cell], target: Trajectory, run: Trajectory, steps: np.ndarray, rows: dict, wall: float
+) -> PassResult:
     """What no message carries (torque, volume, heights) from the recorded tool centres on a fresh workpiece; across a
     hole in the recording the tool goes straight."""
+    cell, plant = cells
     stamps, tool = cell.clock.stamp(steps), rows["tool_pose"][:, :3]
     course = run.sample(stamps)
     shift = course + rows["deflection"][:, :3] - tool
@@ -174,7 +272,7 @@ def _result(cell: Cell, plant: Cell, run: Trajectory, steps: np.ndarray, rows: d
     silent = silent_periods(plant.programmed.drilling_at(stamps))
     torque[silent], volume[silent] = 0.0, 0.0
     return PassResult(
-        stamps, cell.target().sample(stamps), course, tool, rows["deflection"], rows["wrench"],
+        stamps, target.sample(stamps), course, tool, rows["deflection"], rows["wrench"],
         np.sqrt(np.sum(shift**2, axis=1)), torque, volume, int(counts[-1]), cut.removed_area, cut.removed_volume, wall,
         cut.map_heights()[2],
     )  # fmt: skip

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import bisect
 import contextlib
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.compensation.compensator import Compensator
 from kr270_milling.physics.compensation.methods import METHODS
 from kr270_milling.physics.compensation.revision import PassRecord
+from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import from_bytes, trajectory_from_bytes
 from kr270_milling.recordings.messages.topics import TOPICS
 
@@ -52,7 +54,7 @@ class CompensatorFeed:
 
     def __init__(
         self, cells: tuple[Cell, Cell], channels: dict[str, Channel], place: tuple[Path, str],
-        stop: Callable[[int | None, str], None],
+        stop: Callable[[int | None, str], None], starts: Sequence[int] = (),
     ):  # fmt: skip
         self.cell, plant = cells
         self._plant = None if plant is self.cell else plant
@@ -61,7 +63,8 @@ class CompensatorFeed:
         target = self.cell.target()
         self._targets = {fingerprint(target): target}
         self._end_ns = end_of(self.cell, target)
-        self._collector = PassCollector(self.cell, self._end_ns)
+        self._collector = PassCollector(self.cell, self._end_ns, starts)
+        self._starts = starts
         self._place = place  # of the recording: file, namespace
         self._earlier: dict[int, EarlierRecordings] = {}  # by the end stamp of a pass
         self._states: list[tuple[bytes, CompensatorState]] = []
@@ -128,7 +131,7 @@ class CompensatorFeed:
         channel = self._channels["reference_trajectory"]
         if made is not None:
             number, stamp = self._when(index)
-            channel.expected(stamp, made.compensator.reference, number=number)
+            channel.expected(stamp, made.compensator.reference.starting_at(stamp_of(data) or 0), number=number)
             channel.recorded(stamp, data, number=number)
             return
         channel.take(data)
@@ -138,7 +141,10 @@ class CompensatorFeed:
     def _when(self, index: int) -> tuple[int, int]:
         """Return number and end stamp of the pass before a state; it sorts the first differences of the topics."""
         passes = self._states[index][1].passes - self._states[0][1].passes
-        return (passes - 1, self._end_ns) if passes > 0 else (0, 0)
+        if passes <= 0:
+            return 0, 0
+        start = (stamp_of(self._references[index - 1]) or 0) if index <= len(self._references) else 0
+        return (passes - 1 if start == 0 else 0) + bisect.bisect_right(self._starts, start), start + self._end_ns
 
     # --- recompute of a state ---
 
@@ -149,7 +155,7 @@ class CompensatorFeed:
             raise NotRecorded("", f"the target trajectory {stated.target} of the compensator is not in the recording")
         before = {one.fingerprint for _, state in self._states[:index] for one in state.learned}
         here = [index > 0 and one.fingerprint not in before for one in stated.learned]
-        passes = [self._learned(one, new) for one, new in zip(stated.learned, here, strict=True)]
+        passes = [self._learned(one, index if new else None) for one, new in zip(stated.learned, here, strict=True)]
         made = self._revised(target, stated.method, [record for _, record in passes])
         state = CompensatorState(
             stated.name, made.method, stated.passes, made.finished, fingerprint(target), fingerprint(made.reference),
@@ -169,23 +175,26 @@ class CompensatorFeed:
             made = self._made[key]
         return made
 
-    def _learned(self, stated: LearnedPass, new: bool) -> tuple[LearnedPass, PassRecord]:
-        """Return a pass as this recording or an earlier one has it; new: no state before this one names the pass."""
+    def _learned(self, stated: LearnedPass, index: int | None) -> tuple[LearnedPass, PassRecord]:
+        """Return a pass as this recording or an earlier one has it.
+
+        index: of the first state that names the pass; None where that state is not in this recording.
+        """
         if stated.fingerprint not in self._records:
-            received, plant, number = self._received(stated, new)
+            received, plant, number = self._received(stated, index)
             record = received.record(self.cell, plant, number)
             self._records[stated.fingerprint] = received.as_learned(stated.recording), record
         return self._records[stated.fingerprint]
 
-    def _received(self, stated: LearnedPass, new: bool) -> tuple[ReceivedPass, Cell | None, int]:
+    def _received(self, stated: LearnedPass, index: int | None) -> tuple[ReceivedPass, Cell | None, int]:
         path, _ = self._place
-        if not new and stated.recording != f"{path.parent.name}/{path.name}":
+        if index is None and stated.recording != f"{path.parent.name}/{path.name}":
             earlier = self._earlier.setdefault(self._end_ns, EarlierRecordings(*self._place, self._end_ns))
             return earlier.find(stated)
         passes = {
             number: received.until_wrench(stated.wrenches)
             for number, received in enumerate(self._collector.passes)
-            if number not in self._claimed
+            if number not in self._claimed and (index is None or self._collector.before[number] <= index)
         }
         same = (number for number, received in passes.items() if received.fingerprint == stated.fingerprint)
         number = next(same, next(iter(passes), None))

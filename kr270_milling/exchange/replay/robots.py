@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,9 @@ from kr270_milling.exchange.replay.compare import Channel
 from kr270_milling.exchange.replay.feeds import CutFeed, RobotFeed
 from kr270_milling.exchange.replay.inputs import INPUTS, OUTPUTS, STAMPED, TYPES
 from kr270_milling.exchange.replay.revisions import CompensatorFeed
+from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.stamps import PassStarts
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import trajectory_from_bytes
 
@@ -39,16 +41,19 @@ class Stop:
 class Robot:
     """All nodes of one namespace; cells: the cell that plans, and the cell that cuts."""
 
-    def __init__(self, recording: Recording, cells: tuple[Cell, Cell], namespace: str, channels: dict[str, Channel]):
+    def __init__(
+        self, recording: Recording, cells: tuple[Cell, Cell], namespace: str, channels: dict[str, Channel],
+        starts: Sequence[int],
+    ):  # fmt: skip
         self.cell, plant = cells
         self.namespace = namespace
         self.channels = channels
         self.stops: list[Stop] = []
         #: another version recorded it, whose picture of the arm for viewers may be another
         self.foreign = recording.library != f"kr270_milling/{__version__}"
-        self.robot = RobotFeed(plant, channels, self._stop)
-        self.cut = CutFeed(plant, channels, self._stop)
-        self.compensator = CompensatorFeed(cells, channels, (recording.path, namespace), self._stop)
+        self.robot = RobotFeed(plant, channels, self._stop, starts)
+        self.cut = CutFeed(plant, channels, self._stop, starts)
+        self.compensator = CompensatorFeed(cells, channels, (recording.path, namespace), self._stop, starts)
 
     def _stop(self, stamp_ns: int | None, reason: str) -> None:
         stop = Stop(self.namespace, stamp_ns, reason)
@@ -84,10 +89,15 @@ class Robot:
         if name == "wrench":
             self.robot.wrench(record)
         elif name == "reference_trajectory":
-            self.robot.reference(record)
+            self.reference(record)
         elif name == "target_trajectory":
             self.compensator.target(record)
         return True
+
+    def reference(self, run: Trajectory) -> None:
+        """Take the reference of the next pass of robot and cut."""
+        self.robot.reference(run)
+        self.cut.reference(run)
 
     def feed_compensator(self, name: str, data: bytes) -> None:
         """Take the next message for the compensator alone."""
@@ -120,18 +130,20 @@ class Robots:
         self.cell = attached_cell(recording)
         cells = self.cell, attached_plant(recording, self.cell)
         self._names = self._find_topics()
-        firsts = self._first_references()
+        starts = PassStarts()
+        firsts = self._first_references(starts)
         self.robots: dict[str, Robot] = {}
         for namespace in sorted({namespace for namespace, _ in self._names.values()}):
             with self.usable(f"{namespace}/reference_trajectory"):
-                channels = {
-                    name: Channel(topic, OUTPUTS.index(name))
+                times = starts.of(f"{namespace}/reference_trajectory")
+                channels = {  # a map of the uncut part has the stamp 0 in every pass
+                    name: Channel(topic, OUTPUTS.index(name), (0,) if name == "workpiece" else times)
                     for topic, (ns, name) in self._names.items()
                     if ns == namespace and name in OUTPUTS
                 }
-                robot = Robot(recording, cells, namespace, channels)
+                robot = Robot(recording, cells, namespace, channels, times)
                 if namespace in firsts:
-                    robot.robot.reference(trajectory_from_bytes(firsts[namespace]))
+                    robot.reference(trajectory_from_bytes(firsts[namespace]))
                 self.robots[namespace] = robot
 
     def _find_topics(self) -> dict[str, tuple[str, str]]:
@@ -146,8 +158,8 @@ class Robots:
             raise RecordingError(self.recording.path, "holds no tool_pose, wrench or reference_trajectory to recompute")
         return {t: place for t, place in places.items() if place[0] in robots}
 
-    def _first_references(self) -> dict[str, bytes]:
-        """Return the first usable reference of each namespace.
+    def _first_references(self, starts: PassStarts) -> dict[str, bytes]:
+        """Return the first usable reference of each namespace; collect the starts of all references.
 
         It was latched when the recording began, and may be recorded after the first messages of the pass.
         """
@@ -157,6 +169,7 @@ class Robots:
             with contextlib.suppress(MillingError):
                 trajectory_from_bytes(message.data)
                 firsts.setdefault(references[message.topic], message.data)
+                starts.take(message.topic, stamp_of(message.data))
         return firsts
 
     def feed(self, progress=None, feed: Callable[[Robot, str, bytes], None] = Robot.feed) -> None:

@@ -185,7 +185,7 @@ class Graph:
         """Run one pass on a fresh workpiece and record it to ``out/name``."""
         until = self.driver.until
         self.begin_recording(name)
-        until(self._same_reference, "transfer of the reference trajectory", MATCH, ROBOT)
+        until(lambda: all(map(self._has_reference, CELL)), "transfer of the reference trajectory", MATCH, ROBOT)
         revision = self._value("revision")
         self.driver.transition("activate", CUT, deadline=UP)
         self.driver.transition("activate", ROBOT, deadline=UP)
@@ -199,8 +199,10 @@ class Graph:
         errors = tuple(float(e) * 1e-6 for e in self._value("remaining_error_um").split())
         return RunValues(self.out / name, wall, errors, self._value("finished") == "True")
 
-    def _same_reference(self) -> bool:
-        return bool(self._value("reference")) and self._value("reference") == self._value("reference", ROBOT)
+    def _has_reference(self, node: str) -> bool:
+        """Return whether a node has received the reference of the next pass, with its start."""
+        values = [(self._value("reference", one), self._value("start_ns", one)) for one in (COMPENSATOR, node)]
+        return bool(values[0][0]) and values[0] == values[1]
 
     def begin_recording(self, name: str) -> None:
         """Set the directory of the recorder, and wait until publishers and subscribers have discovered each other."""

@@ -67,8 +67,8 @@ class CompliantRobot(ManagedNode):
 
     @guarded
     def _on_reference(self, data: bytes) -> None:
-        self.protocol.reference = trajectory_from_bytes(data)
-        self.set_values(reference=fingerprint(self.protocol.reference))
+        reference = self.protocol.reference = trajectory_from_bytes(data)
+        self.set_values(reference=fingerprint(reference), start_ns=reference.start_ns)
 
     @guarded
     def _watch_answer(self) -> None:
@@ -81,15 +81,15 @@ class CompliantRobot(ManagedNode):
             if cut and settled and protocol.reference is not None:
                 self._start()
             return
-        if not cut and not protocol.awaited_ns:
+        if not cut and not protocol.time_ns:
             self.activate()  # the cut left before the pass began
-        elif protocol.awaited_ns and (not cut or silent > LOST):
+        elif protocol.time_ns and (not cut or silent > LOST):
             what = "no wrench: its publisher is gone" if not cut else f"no wrench for {LOST:g} s"
             self._given_up = True
             self.report(ERROR, f"{what}; the cutting process is gone and the pass is given up")
         elif silent > RETRY:
             silence = "no wrench from the cutting process: repeating the tool pose"
-            self.report(WARN, silence if protocol.awaited_ns else "the cutting process is not active yet")
+            self.report(WARN, silence if protocol.time_ns else "the cutting process is not active yet")
             self.send(protocol.repeat())
 
     def _is_settled(self) -> bool:
@@ -114,7 +114,7 @@ class CompliantRobot(ManagedNode):
         outputs = self.protocol.wrench(sample)
         if not outputs and not self.protocol.done:
             return  # not the awaited wrench
-        if sample.stamp == 0:
+        if sample.stamp == self.protocol.start_ns:
             self._started = time.monotonic()  # the cutting process may have started late
             self.report(OK, "pass running")
         self.stamp_ns = sample.stamp
@@ -126,7 +126,7 @@ class CompliantRobot(ManagedNode):
         """Publish the outputs; with a pace, delay the next tool pose to the wall clock."""
         self._silence.end()
         if self.pace > 0.0 and not self.protocol.done:
-            ahead = self._started + self.protocol.awaited_ns * 1e-9 / self.pace - time.monotonic()
+            ahead = self._started + self.protocol.time_ns * 1e-9 / self.pace - time.monotonic()
             if ahead > AHEAD:
                 self._late, outputs = outputs[:1], outputs[1:]
                 self._pace_timer = self.create_timer(ahead, self._ask_late)
@@ -150,4 +150,4 @@ class CompliantRobot(ManagedNode):
             self.report(OK, "pass complete", **values)
 
     def watch(self) -> dict:
-        return {"state": self.state, "pass_time_s": f"{self.stamp_ns * 1e-9:.6f}"}
+        return {"state": self.state, "pass_time_s": f"{self.protocol.time_ns * 1e-9:.6f}"}

@@ -9,6 +9,7 @@ from kr270_milling.exchange.cut import CutProtocol, NoWorkpiece
 from kr270_milling.live.ros import topics
 from kr270_milling.live.ros.node import ERROR, OK, SILENT, WARN, ManagedNode, Silence, guarded
 from kr270_milling.live.ros.parameters import declare_cell
+from kr270_milling.path.trajectory import fingerprint
 from kr270_milling.recordings.messages.codec import pose_from_bytes, trajectory_from_bytes
 from kr270_milling.recordings.messages.topics import CUT
 
@@ -75,7 +76,9 @@ class CuttingProcess(ManagedNode):
 
     @guarded
     def _on_reference(self, data: bytes) -> None:
-        self.protocol.end_ns = trajectory_from_bytes(data).duration_ns
+        reference = trajectory_from_bytes(data)
+        self.protocol.reference(reference)
+        self.set_values(reference=fingerprint(reference), start_ns=reference.start_ns)
 
     @guarded
     def _watch_robot(self) -> None:
@@ -111,6 +114,6 @@ class CuttingProcess(ManagedNode):
         volume = self.protocol.removed_volume
         return {
             "state": self.state,
-            "pass_time_s": f"{self.stamp_ns * 1e-9:.6f}",
+            "pass_time_s": f"{max(self.stamp_ns - self.protocol.start_ns, 0) * 1e-9:.6f}",
             "removed_volume_m3": "" if volume is None else repr(volume),
         }

@@ -40,6 +40,8 @@ JOINTS_AGE = 1.0  # [s] of the wall clock, of the last joint_states from which a
 LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
 #: reliable and best-effort publishers match; only the last message counts
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+TELL = 1.0  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
+GAP_NS = 100_000_000  # longest time between two poses of a pass without a report
 LAST_WRENCH = 0.5  # [s] of the wall clock to wait for the wrench of the last pose
 
 
@@ -55,7 +57,7 @@ class TrajectoryCompensator(ReportingNode):
         about = "parameter file of the simulated plant, whose tracker's noise is added to the poses; empty: none"
         plant = self.declared("plant", "", about)
         cuts = read_cell(find_file(plant)) if plant else None
-        self.protocol = CompensatorProtocol(self.cell, cuts, self.get_fully_qualified_name())
+        self.protocol = CompensatorProtocol(self.cell, cuts, self.get_fully_qualified_name(), self._now_ns)
         about = "the cell file's path is the target until one is published"
         own = self.declared("use_cell_path", True, about)
         self.open_outlets(COMPENSATOR)
@@ -72,6 +74,8 @@ class TrajectoryCompensator(ReportingNode):
         self._joints: tuple[float, bytes] | None = None  # arrival [s of the monotonic clock], last joint_states
         self._ended: float | None = None  # arrival of the last pose [s of the monotonic clock]
         self._silence = Silence()
+        self._told = 0.0  # time of the last report of a robot that waits [s of the monotonic clock]
+        self._gap_ns = GAP_NS  # longest time without a pose that was reported
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(LOOK, self._watch_pass)
         self.create_timer(POLL_PERIOD, self._poll)
@@ -79,6 +83,9 @@ class TrajectoryCompensator(ReportingNode):
             self._publish(self.protocol.begin(self.cell.target()), TARGET)
         else:
             self.report(OK, "waiting for a target trajectory")
+
+    def _now_ns(self) -> int:
+        return self.get_clock().now().nanoseconds
 
     @guarded
     def _on_target(self, data: bytes) -> None:
@@ -105,6 +112,7 @@ class TrajectoryCompensator(ReportingNode):
             "remaining_error_um": " ".join(repr(float(e) * 1e6) for e in state.errors),
             "finished": state.finished,
             "reference": fingerprint(state.reference),
+            "start_ns": self.protocol.inbox.start_ns,
         }
         but = f", shortened by up to {state.cut_off * 1e6:.1f} um to the limit" if state.cut_off > 0.0 else ""
         if missing:
@@ -125,14 +133,17 @@ class TrajectoryCompensator(ReportingNode):
         sample = pose_from_bytes(data)
         outputs = self.protocol.pose(sample)
         inbox = self.protocol.inbox
-        if inbox.ignored == WITHOUT_START and sample.stamp < inbox.end_ns:
+        if inbox.ignored == WITHOUT_START and not inbox.distance and 0 < sample.stamp - inbox.start_ns < inbox.end_ns:
             self.report(
                 ERROR, "the pass is under way, but this compensator did not receive its start: the pass is not used"
             )
         self._revised(outputs)
-        if not self.protocol.under_way or sample.stamp != inbox.stamp_ns:
+        if not self.protocol.under_way or sample.stamp - inbox.start_ns != inbox.stamp_ns:
             return
         self.stamp_ns = sample.stamp
+        if inbox.gap_ns > self._gap_ns:
+            self._gap_ns = inbox.gap_ns
+            self.report(WARN, f"no tool_pose for {inbox.gap_ns * 1e-9:.3f} s of the pass")
         if self._silence.end():
             self.report(OK, "the pass continues")
         self._ended = time.monotonic() if self.protocol.at_end else None
@@ -144,8 +155,13 @@ class TrajectoryCompensator(ReportingNode):
     @guarded
     def _watch_pass(self) -> None:
         """Finish without a last wrench that does not arrive; report publishers that leave in mid-pass."""
-        silent = self._silence.seconds()
+        silent, inbox = self._silence.seconds(), self.protocol.inbox
         if not self.protocol.under_way:
+            self._gap_ns = GAP_NS
+            if inbox.distance and time.monotonic() - self._told > TELL:
+                self._told = time.monotonic()
+                where = f"the tool is {inbox.distance * 1e3:.1f} mm from the first point of the reference"
+                self.report(OK, f"waiting for the start of a pass: {where}")
             return
         if self.protocol.at_end:
             ended = time.monotonic() if self._ended is None else self._ended
@@ -154,10 +170,12 @@ class TrajectoryCompensator(ReportingNode):
             return
         for what in (self._pose, self._wrench):
             if not what.get_publisher_count() and (what is self._pose or self.protocol.inbox.has_wrench):
+                self._publish(self.protocol.restart(), "restarted")
                 self.report(ERROR, f"the pass broke off: {what.topic_name} has no publisher")
                 return
-        if self._silence.is_due(silent):
-            self.report(WARN, f"no tool_pose for {SILENT:g} s in mid-pass: waiting for it")
+        limit = TELL if inbox.foreign else SILENT
+        if self._silence.is_due(silent, limit):
+            self.report(WARN, f"no tool_pose for {limit:g} s in mid-pass: waiting for it")
 
     def _on_parameters(self, changes) -> SetParametersResult:
         """Accept another method while the node runs; it starts from the pass along the target."""

@@ -30,6 +30,7 @@ class LiveEvents:
 
     def __init__(self):
         self._target: Trajectory | None = None
+        self._start_ns = self._next_ns = 0  # of the pass and of the next one
         self._due = 0
         self._latest = -1
         self._force: np.ndarray | None = None
@@ -43,9 +44,13 @@ class LiveEvents:
         """
         if name == "diagnostics":
             yield from self._report(data)
-        elif name == "target_trajectory" or (name == "reference_trajectory" and self._target is None):
-            self._target = trajectory_from_bytes(data)  # the first reference is the target itself
-        elif name != "reference_trajectory":
+        elif name.endswith("_trajectory"):
+            run = trajectory_from_bytes(data)
+            if name == "target_trajectory" or self._target is None:
+                self._target = run  # the first reference is the target itself
+            if name == "reference_trajectory":
+                self._next_ns = run.start_ns
+        else:
             yield from self._exchange(name, data, stamp_of(data) or 0)
 
     def _exchange(self, name: str, data: bytes, stamp: int) -> Iterator[dict]:
@@ -53,9 +58,9 @@ class LiveEvents:
             if stamp >= self._due - PERIOD_NS // 4:
                 self._force = np.asarray(wrench_from_bytes(data).wrench[:3])
             return
-        if stamp < self._latest or self._latest < 0:
+        if stamp < self._latest or self._latest < 0 or self._start_ns < self._next_ns <= stamp:
             self._passes += 1
-            self._due = stamp
+            self._due, self._start_ns = stamp, self._next_ns
             duration = None if self._target is None else self._target.duration_ns * 1e-9
             yield {"kind": "pass", "number": self._passes, "duration_s": duration}
         self._latest = stamp
@@ -65,6 +70,7 @@ class LiveEvents:
 
     def _sample(self, stamp: int, actual: np.ndarray) -> dict:
         """Deviations in um, to the left of the path and upwards; the force [N] is that of the last received period."""
+        stamp -= self._start_ns
         target = actual if self._target is None else self._target.sample(stamp)
         feed = np.zeros((1, 3)) if self._target is None else self._target.sample_velocity(stamp)[None]
         side = float(path_deviation(actual[None], target[None], feed)[0])

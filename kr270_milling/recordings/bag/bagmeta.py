@@ -12,7 +12,7 @@ from kr270_milling.base import parameter_file as config_file
 from kr270_milling.base.errors import ConfigError
 from kr270_milling.base.units import SECOND
 
-__all__ = ["bag_information", "describe_qos", "qos_text", "read_qos", "yaml_text"]
+__all__ = ["all_latched", "bag_information", "describe_qos", "qos_text", "read_qos", "yaml_text"]
 
 INFINITE = 2**63 - 1  # [ns]; rosbag2's duration without limit
 DURATIONS = ("deadline", "lifespan", "liveliness_lease_duration")
@@ -62,6 +62,12 @@ def yaml_text(value) -> str:
     """Return YAML without anchors, which are legal but which other readers may not know."""
     repeated = json.loads(json.dumps(value))  # equal parts are separate objects
     return yaml.dump(repeated, Dumper=getattr(yaml, "CSafeDumper", yaml.SafeDumper), sort_keys=False)
+
+
+def all_latched(profiles: list[dict]) -> bool:
+    """Whether every profile of a topic is that of a latched publisher."""
+    # rosbag2 writes words since Jazzy and the numbers of the middleware before
+    return bool(profiles) and all(profile.get("durability") in ("transient_local", 1) for profile in profiles)
 
 
 @functools.lru_cache(maxsize=32)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from kr270_milling.base.errors import one_line
+from kr270_milling.recordings.bag.playback import is_latched
 from kr270_milling.recordings.bag.reader import RawMessage, RecordedTopic, Recording
-from kr270_milling.recordings.bag.stamps import SHARED, GapCounter, Passes
+from kr270_milling.recordings.bag.stamps import SHARED, GapCounter, Passes, PassStarts
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import starts_with_stamp
 
@@ -15,8 +16,10 @@ __all__ = ["info", "info_text"]
 
 def info(recording: Recording, progress: Callable[[int, int], None] | None = None) -> dict:
     """Return duration, counts, rates, sizes, gaps, metadata and attachments of a recording; read all its messages."""
-    topics = {name: _TopicCount(about) for name, about in recording.topics().items()}
+    starts = PassStarts()
+    topics = {name: _TopicCount(about, starts.of(name)) for name, about in recording.topics().items()}
     for number, message in enumerate(recording.messages()):
+        starts.take(message.topic, stamp_of(message.data))
         topics[message.topic].add(message)
         if progress and number % 10_000 == 0:
             progress(number, recording.count)
@@ -41,12 +44,12 @@ def info(recording: Recording, progress: Callable[[int, int], None] | None = Non
 class _TopicCount:
     """Size, gaps and duration of the messages of a topic; each pass is counted separately."""
 
-    def __init__(self, about: RecordedTopic):
+    def __init__(self, about: RecordedTopic, starts: Sequence[int]):
         self._about = about
         self._stamped = about.schema_encoding == "ros2msg" and about.type not in SHARED
         self._stamped = self._stamped and starts_with_stamp(about.schema)
-        self.gaps = GapCounter()
-        self._passes = Passes()
+        self.gaps = GapCounter(starts, is_latched(about))
+        self._passes = Passes(starts)
         self._size = 0
         self._before = self._first = self._last = 0  # [ns], duration of earlier passes, log times of the current pass
         self._empty = True

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from kr270_milling.base.errors import InputError
-from kr270_milling.recordings.bag.bagmeta import read_qos
+from kr270_milling.recordings.bag.bagmeta import all_latched, read_qos
 from kr270_milling.recordings.bag.play_options import MOST, PlayOptions
 from kr270_milling.recordings.bag.reader import RawMessage, RecordedTopic, Recording
 from kr270_milling.recordings.bag.stamps import SHARED, Passes
@@ -50,9 +50,7 @@ class PlayClock:
 
 def is_latched(about: RecordedTopic) -> bool:
     """Whether every publisher of a recorded topic repeats its last message for late subscribers."""
-    profiles = read_qos(about.metadata.get("offered_qos_profiles", ""))
-    # rosbag2 writes words since Jazzy and the numbers of the middleware before
-    return bool(profiles) and all(p.get("durability") in ("transient_local", 1) for p in profiles)
+    return all_latched(read_qos(about.metadata.get("offered_qos_profiles", "")))
 
 
 def _ns(option: str, seconds: float) -> int:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-__all__ = ["SHARED", "GapCounter", "LogTimes", "Passes"]
+import bisect
+from collections.abc import Sequence
+
+__all__ = ["SHARED", "GapCounter", "LogTimes", "PassStarts", "Passes"]
 
 LEARN = 20  # differences from which a period is learned
 #: types of topics with many publishers: their stamps are several series and do not mark a pass
@@ -10,34 +13,67 @@ SHARED = frozenset(["diagnostic_msgs/msg/DiagnosticArray"])
 YEAR = 365 * 86_400 * 10**9  # [ns]; stamps that differ more come from different clocks
 #: types whose stamps may come from any clock; they do not decide the clock of the recording
 BESIDE = ("diagnostic_msgs/", "rcl_interfaces/")
+TIMELESS = ("trajectory_msgs/", "nav_msgs/")  #: types whose stamp may be 0 in a graph with another clock
+
+
+class PassStarts:
+    """Starts of passes [ns], which the reference trajectories of each namespace state in their headers."""
+
+    def __init__(self):
+        self._starts: dict[str, list[int]] = {}
+
+    def of(self, topic: str) -> list[int]:
+        """Return the starts in the namespace of a topic, ascending; the list grows with each reference."""
+        return self._starts.setdefault(topic.rpartition("/")[0], [])
+
+    def take(self, topic: str, stamp: int | None) -> None:
+        """Take the stamp of the next message of a topic."""
+        starts = self.of(topic) if topic.endswith("/reference_trajectory") else None
+        if starts is not None and stamp is not None and stamp not in starts:
+            bisect.insort(starts, stamp)
 
 
 class Passes:
-    """Counts the passes in a series of stamps [ns]: a pass begins when the stamp returns to 0."""
+    """Counts the passes in a series of stamps [ns]: a pass begins at a start, or when the stamp returns to 0."""
 
-    def __init__(self):
+    def __init__(self, starts: Sequence[int] = ()):
         self.number, self._last = 0, 0
+        self._returns = 0
+        self._starts = starts
 
     def begins(self, stamp: int) -> bool:
-        again = stamp == 0 and self._last > 0
+        again = self._last > 0 and (stamp == 0 or self._passed(stamp) > self._passed(self._last))
         self.number += again
+        self._returns += stamp == 0 and self._last > 0
         self._last = stamp
         return again
+
+    @property
+    def index(self) -> int:
+        """Number of the pass among all starts, also where the first passes have no stamp in the series."""
+        return self._returns + self._passed(self._last)
+
+    def _passed(self, stamp: int) -> int:
+        """Number of starts up to a stamp."""
+        return bisect.bisect_right(self._starts, stamp)
 
 
 class GapCounter:
     """Counts the gaps in a series of stamps [ns].
 
     The period is the smallest of the first 20 differences, if all of them are multiples of it within a quarter and most
-    of them equal it. A series without a period has no gaps. A stamp that returns to 0 begins a new pass, which is
-    counted like the pass before. Other backward stamps and repeated stamps are counted separately.
+    of them equal it. A series without a period has no gaps. The time between two passes is no gap. Backward stamps and
+    repeated stamps are counted separately.
+
+    starts: of the passes; latched: a late subscriber receives the last message again, which is no repeated stamp.
     """
 
-    def __init__(self):
+    def __init__(self, starts: Sequence[int] = (), latched: bool = False):
+        self._latched = latched
         self.period_ns: int | None = None  #: 0: the series has no period
         self.missing = self.gaps = self.repeated = self.backwards = 0
         self.last: int | None = None
-        self.passes = Passes()
+        self.passes = Passes(starts)
         self._differences: list[int] = []  # until the period is known
 
     def add(self, stamp: int) -> None:
@@ -45,7 +81,7 @@ class GapCounter:
             self.last = stamp
             return
         difference = stamp - self.last
-        self.repeated += difference == 0
+        self.repeated += difference == 0 and not self._latched
         self.backwards += difference < 0
         if difference <= 0:
             return
@@ -102,8 +138,8 @@ class LogTimes:
             self.latest, self._by_wall = latest, by_wall
 
     def of(self, kind: str, stamp: int | None, publish_time: int) -> int | None:
-        if stamp == 0 and kind.startswith("trajectory_msgs/"):
-            stamp = None  # it means "start at once" and is not the time of the message
+        if stamp == 0 and kind.startswith(TIMELESS):
+            stamp = None  # it means "start at once", or the part before a pass, and is not the time of the message
         decides = stamp is not None and not kind.startswith(BESIDE)
         latest = stamp if self.latest is None and decides else self.latest
         if latest is None:

@@ -6,7 +6,7 @@ import json
 import os
 from collections import deque
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from kr270_milling.base.errors import InputError, RecordingError
@@ -14,7 +14,7 @@ from kr270_milling.base.files import write_files
 from kr270_milling.base.version import __version__
 from kr270_milling.recordings.bag import bagmeta
 from kr270_milling.recordings.bag.output import Output
-from kr270_milling.recordings.bag.stamps import SHARED, GapCounter, LogTimes
+from kr270_milling.recordings.bag.stamps import SHARED, GapCounter, LogTimes, PassStarts
 from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.definitions import definition, starts_with_stamp, type_hash
 
@@ -41,7 +41,7 @@ class WrittenChannel:
     qos: list[dict]
     hash: str
     stamped: bool
-    gaps: GapCounter = field(default_factory=GapCounter)
+    gaps: GapCounter
     count: int = 0
     refused: int = 0
 
@@ -80,6 +80,7 @@ class BagWriter:
         self.end = 0
         self._last_chunk: float | None = None  # [s]
         self._times = LogTimes()
+        self._starts = PassStarts()
         self._waiting_size = 0  # [bytes]
         self._waiting_since: float | None = None  # [s]
         self._custom = {"kr270_milling_version": __version__, **{k: str(v) for k, v in (metadata or {}).items()}}
@@ -128,7 +129,8 @@ class BagWriter:
         stamped = schema[1] == "ros2msg" and starts_with_stamp(schema[2].decode("utf-8", "replace"))
         profiles = bagmeta.read_qos(about.get("offered_qos_profiles", ""))
         digest = about.get("topic_type_hash", "")
-        self.channels[number] = WrittenChannel(number, topic, schema[0], encoding, profiles, digest, stamped)
+        gaps = GapCounter(self._starts.of(topic), bagmeta.all_latched(profiles))
+        self.channels[number] = WrittenChannel(number, topic, schema[0], encoding, profiles, digest, stamped, gaps)
         self.topics.setdefault(topic, number)
         return number
 
@@ -186,6 +188,7 @@ class BagWriter:
         self.output.add_message(channel.id, log_time, data, publish_time, sequence)
         self.start = log_time if self.start is None else min(self.start, log_time)
         self.end = max(self.end, log_time)
+        self._starts.take(channel.topic, stamp)
         if stamp is not None and channel.type not in SHARED:
             before = channel.gaps.passes.number
             channel.gaps.add(stamp)

@@ -168,7 +168,7 @@ def _trajectory(record: Trajectory) -> dict:
         if record.velocity is not None:
             point["velocities"] = [{"linear": named("xyz", record.velocity[i])}]
         points.append({**point, "time_from_start": time_fields(ns)})
-    return {"header": _header(0, record.frame), "joint_names": [TOOL], "points": points}
+    return {"header": _header(record.start_ns, record.frame), "joint_names": [TOOL], "points": points}
 
 
 def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
@@ -188,7 +188,7 @@ def trajectory_from_bytes(data: bytes, as_sent: bool = False) -> Trajectory:
     velocity = read.velocity[:, 0, :3]
     none = np.isnan(velocity).all()
     position, quaternion = read.position[:, 0], read.quaternion[:, 0]
-    run = Trajectory(read.time, position, quaternion, None if none else velocity, read.frame_id)
+    run = Trajectory(read.time, position, quaternion, None if none else velocity, read.frame_id, read.stamp or 0)
     if as_sent:
         object.__setattr__(run, "quaternion", np.array(quaternion))
     return run

@@ -141,33 +141,42 @@ def run_report(args) -> Answer:
 
 def _read(places: Sequence[Path], namespace: str | None) -> tuple[list[RecordedPass], list[str]]:
     """The passes, and the recordings that hold a pass that is there already. Raises InputError for another path."""
-    import numpy as np
 
-    from kr270_milling.exchange.replay.recorded import pass_from_recording
+    from kr270_milling.exchange.replay.recorded import passes_from_recording
 
     paths = list(dict.fromkeys(path for place in places for path in _recordings(place)))
     names = unique_names(paths)
     recorded: list[RecordedPass] = []
     copies: list[str] = []
     with progress("reading") as count, ThreadPoolExecutor(2) as pool:  # the sweep runs without the interpreter's lock
-        read = pool.map(lambda path, name: pass_from_recording(path, name, namespace), paths, names)
-        for number, (path, one) in enumerate(zip(paths, read, strict=True), 1):
+        read = pool.map(lambda path, name: passes_from_recording(path, name, namespace), paths, names)
+        for number, (path, passes) in enumerate(zip(paths, read, strict=True), 1):
             count(number, len(paths))
-            if any(_same(one.scored.result, other.scored.result) for other in recorded):
-                copies.append(str(path))
-                continue
-            target, first = one.cell.target(), (recorded or [one])[0].cell.target()
-            if not np.array_equal(target.time_ns, first.time_ns) or not np.allclose(target.position, first.position):
-                raise InputError(path, f"is a pass of another path than {paths[0]}: give each path a separate report")
-            recorded.append(one)
+            for one in passes:
+                if any(_same(one, other) for other in recorded):
+                    copies.append(str(path))
+                elif _other_path(one, (recorded or [one])[0]):
+                    reason = f"is a pass of another path than {paths[0]}: give each path a separate report"
+                    raise InputError(path, reason)
+                else:
+                    recorded.append(one)
     return recorded, copies
 
 
-def _same(one, other) -> bool:
-    """Whether two recorded passes hold the same poses and wrenches: a copy, or what was recovered of one."""
+def _other_path(one: RecordedPass, other: RecordedPass) -> bool:
     import numpy as np
 
-    return all(np.array_equal(getattr(one, key), getattr(other, key)) for key in ("time_ns", "tool", "wrench"))
+    same = np.array_equal(one.target.time_ns, other.target.time_ns)
+    return not same or not np.allclose(one.target.position, other.target.position)
+
+
+def _same(one: RecordedPass, other: RecordedPass) -> bool:
+    """Whether two recordings have the same pass: start, poses and wrenches; a copy, or what was recovered of one."""
+    import numpy as np
+
+    ran, known = one.scored, other.scored
+    alike = (np.array_equal(getattr(ran.result, k), getattr(known.result, k)) for k in ("time_ns", "tool", "wrench"))
+    return ran.reference.start_ns == known.reference.start_ns and all(alike)
 
 
 def unique_names(paths: Sequence[Path]) -> list[str]:

@@ -58,7 +58,9 @@ def run_graph(args) -> Answer:
     result = summary(ran)
     columns = (("pass", "name", 2), *columns_of(Scores), *columns_of(RunRow), ("recording", "recording", shown_path))
     table = table_of("Path deviation, four nodes and a recorder", columns, result["passes"])
-    return Answer(result, [table, cell.cut_text, up])
+    lost = sum(one.messages_lost for row in ran["passes"] for one in (row, *row.learning))
+    missing = [f"{lost} messages are missing in the recordings, see the column lost"] if lost else []
+    return Answer(result, [table, cell.cut_text, up, *missing], code=1 if lost else 0)
 
 
 def run_passes(cell, methods, out, passes=None, namespace: str = "", composed: bool = True, plant=None) -> dict:

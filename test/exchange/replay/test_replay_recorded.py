@@ -12,8 +12,10 @@ import pytest
 
 from kr270_milling.base.errors import ConfigError, RecordingError
 from kr270_milling.exchange.replay.attached import attached_cell
-from kr270_milling.exchange.replay.recorded import pass_from_recording
+from kr270_milling.exchange.replay.recompute import recompute
+from kr270_milling.exchange.replay.recorded import pass_from_recording, passes_from_recording
 from kr270_milling.path.trajectory import Trajectory
+from kr270_milling.recordings.bag.info import info
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.messages.codec import to_bytes
 
@@ -120,3 +122,57 @@ def test_merged_keys_that_double_with_every_line_are_refused_at_once(tmp_path):
 
 def test_an_attachment_with_an_endless_name_is_left_alone(tmp_path):
     assert cell_in(tmp_path / "r", cell__yaml=made.cell_text(), **{"n" * 3000: ""}).path.length == pytest.approx(4e-3)
+
+
+LATE = 1_700_000_000_123_456_789  # [ns], of the wall clock
+
+
+@pytest.fixture(scope="module")
+def late() -> list[made.Message]:
+    """Two passes in one file, by the wall clock."""
+    return made.one_pass(passes=2, begin=LATE)
+
+
+def test_a_pass_has_the_same_bits_whatever_its_start(tmp_path, late):
+    plain = made.one_pass(passes=2)
+    assert len(plain) == len(late)
+    for one, other in zip(plain, late, strict=True):
+        moved = later(one, one.stamp + LATE) if one.stamp or other.stamp else one
+        assert one.topic == "compensator_state" or other.data == moved.data or one.topic == "reference_trajectory"
+    figures = []
+    for name, messages in (("plain", plain), ("late", late)):
+        replayed = recompute(made.write(tmp_path / name, messages))
+        assert replayed.verdict == "identical" and replayed.compared > 900
+        passes = passes_from_recording(tmp_path / name, "r")
+        assert [one.complete for one in passes] == [True, True]
+        figures.append([one.scored.row() for one in passes])
+    np.testing.assert_equal(*figures)
+    poses = [m.stamp for m in late if m.topic == "tool_pose"]
+    assert poses == sorted(set(poses)) and poses[0] == LATE  # the second pass begins after the first
+    with Recording(tmp_path / "late") as recording:
+        assert info(recording)["missing"] == 0
+
+
+def test_a_recorder_that_starts_in_mid_pass_has_an_incomplete_pass_and_a_whole_one(tmp_path, late):
+    first, *_, last = (i for i, m in enumerate(late) if m.topic == "reference_trajectory")
+    bag = made.write(tmp_path / "r", [*late[: first + 2], *late[first + 200 :]])
+    broken, whole = passes_from_recording(bag)
+    assert (broken.complete, whole.complete) == (False, True) and broken.scored.name == "r_1"
+    (_, same) = passes_from_recording(made.write(tmp_path / "whole", late))
+    np.testing.assert_equal(whole.scored.row() | {"name": ""}, same.scored.row() | {"name": ""})
+    replayed = recompute(bag)
+    assert replayed.verdict == "incomplete" and replayed.first is None
+    assert replayed.channels["/tool_pose"].compared == made.STEPS  # of the second pass
+    assert "begins in the middle of a pass" in str(replayed.stops[0])
+
+
+def test_a_pass_is_scored_along_the_target_in_force(tmp_path):
+    """A target that lies 0.5 mm to the side: the deviation is that from this target, not from the path of the cell."""
+    cell = made.cell_of()
+    target = cell.target()
+    shifted = target.with_position(target.position + [0.0, 5e-4, 0.0])
+    (moved,) = passes_from_recording(made.write(tmp_path / "moved", made.target_of_user(shifted)))
+    (plain,) = passes_from_recording(made.write(tmp_path / "plain", made.one_pass()))
+    assert moved.complete and moved.target.position[0, 1] == shifted.position[0, 1]
+    shift = (moved.scored.result.tool - plain.scored.result.tool)[:, 1]
+    assert abs(moved.scored.scores.static_deviation - plain.scored.scores.static_deviation) < 1e-7 < 4e-4 < shift.min()

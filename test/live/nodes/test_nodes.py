@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from foreign_cell import foreign_pass
 from sample_messages import pose_msg, wrench_msg
 
 pytest.importorskip("rclpy")
@@ -19,6 +20,7 @@ from scipy.ndimage import binary_dilation
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
+from kr270_milling.base.samples import PoseSample
 from kr270_milling.cell.jobs import compensator, record_of, simulate
 from kr270_milling.live.nodes.compliant_robot import CompliantRobot
 from kr270_milling.live.nodes.cutting_process import CuttingProcess
@@ -49,7 +51,7 @@ class Loop:
 
     def keep(self, topic, msg, field) -> None:
         sample = from_msg(msg)
-        self.series[topic][sample.stamp] = getattr(sample, field)
+        self.series[topic][sample.stamp - self.robot.protocol.start_ns] = getattr(sample, field)
 
     def start(self, cut: bool = True) -> None:
         self.cut.trigger_configure()
@@ -62,7 +64,7 @@ class Loop:
                 and self.cut.outlets["wrench"].get_subscription_count() == 3
                 and self.references
                 and self.robot.protocol.reference is not None
-                and self.cut.protocol.end_ns > 0
+                and self.cut.protocol.planned
             )
         )
         if cut:
@@ -146,7 +148,7 @@ def test_robot_asks_again_for_as_long_as_its_cut_is_not_active(world, loop, shor
     loop.start(cut=False)
     asked = world.listen(loop.ear, topics.TOOL_POSE)
     world.until(lambda: len(asked) >= 6)  # longer than a pass under way would be waited for
-    assert {messages.ns_from_stamp(msg.header.stamp) for msg in asked} == {0}
+    assert {messages.ns_from_stamp(msg.header.stamp) for msg in asked} == {loop.robot.protocol.start_ns}
     assert not loop.reports.reported(ROBOT, "", ERROR)
     loop.cut.trigger_activate()
     loop.revised(1)
@@ -253,8 +255,9 @@ class Cell:
         world.until(lambda: self.references)
 
     def play(self, result, rows, wrench: bool = True) -> None:
+        start = messages.ns_from_stamp(self.references[-1].header.stamp)
         for i in rows:
-            stamp = int(result.time_ns[i])
+            stamp = start + int(result.time_ns[i])
             self.pose.publish(pose_msg(stamp, result.tool[i], UPRIGHT))
             if wrench:
                 self.wrench.publish(wrench_msg(stamp, result.wrench[i]))
@@ -278,6 +281,22 @@ def node(world, short_cell, tmp_path):
 @pytest.fixture
 def machine(world, node):
     return Cell(world)
+
+
+def test_a_robot_with_its_own_clock_is_followed_and_a_far_one_is_reported(machine, ran):
+    """A driver at 4 ms and a sensor at 1 kHz by the wall clock, with jitter and losses."""
+    machine.reference(0)
+    messages_of_pass = foreign_pass(ran, 0)
+    for away in (0.01, 0.0):
+        for sample in messages_of_pass:
+            if isinstance(sample, PoseSample):
+                machine.pose.publish(pose_msg(sample.stamp, sample.position + [0.0, 0.0, away], UPRIGHT))
+            else:
+                machine.wrench.publish(wrench_msg(sample.stamp, sample.wrench))
+            machine.world.executor.spin_once(timeout_sec=0.0)
+        if away:
+            machine.reports.until(COMPENSATOR, "from the first point of the reference", OK, deadline=1.5)
+    assert machine.reference(1).duration_ns == machine.reference(0).duration_ns
 
 
 def test_a_joint_trajectory_is_sent_on_request_from_where_the_robot_stands_and_not_before(world, machine, short_cell):
