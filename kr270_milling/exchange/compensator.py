@@ -139,10 +139,11 @@ class PassInbox:
         if time == 0 and list(self._poses) != [0]:  # a later start begins another pass
             self.clear(self._early)
         last = next(reversed(self._poses), -1)
-        if last < 0 != time and self._is_foreign(time):
+        unstarted = last < 0 and time != 0
+        if unstarted and self._reference is not None and self._is_foreign(time):
             self._seek_start(self._reference, sample)
             return
-        if time != last and (time < last or last >= self.end_ns or last < 0 != time):
+        if time != last and (time < last or last >= self.end_ns or unstarted):
             self._ignored += 1  # older than the last one, after the end, or without the start
             return
         self.gap_ns = max(self.gap_ns, time - last if last >= 0 else 0)
@@ -151,7 +152,7 @@ class PassInbox:
 
     def _is_foreign(self, time: int) -> bool:
         """Whether a time is none of the simulated robot."""
-        if self._reference is None or self._clock is None:
+        if self._clock is None:
             return False
         return not 0 <= time <= self.end_ns or self._clock.step(time) < 0
 

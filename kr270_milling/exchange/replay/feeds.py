@@ -27,13 +27,10 @@ class InputFeed:
 
     outputs: tuple[str, ...] = ()
 
-    protocol: RobotProtocol | CutProtocol
-
     def __init__(self, cell: Cell, channels: dict[str, Channel], stop: Stop, starts: Sequence[int] = ()):
         self.cell = cell
         self._channels = channels
         self._stop = stop
-        self._thinned = cell.thinned_steps
         self._passes = Passes(starts)
         self._lack: tuple[int, str] | None = None  # the stamp [ns] and the reason of a stop
 
@@ -41,9 +38,11 @@ class InputFeed:
         for name, record in outputs:
             if name in self._channels:
                 stamp = getattr(record, "stamp", 0)
-                step = self.cell.clock.step(stamp - self.protocol.start_ns)
-                due = name != "deflection" or step % self._thinned == 0
-                self._channels[name].expected(stamp, record, due)
+                self._channels[name].expected(stamp, record, self._is_due(name, stamp))
+
+    def _is_due(self, name: str, stamp: int) -> bool:
+        """Whether the live node publishes an output at this time."""
+        return True
 
     def end_pass(self, number: int | None = None) -> None:
         """Report a missing input if recorded outputs follow from it; else the live node missed it too.
@@ -80,6 +79,10 @@ class RobotFeed(InputFeed):
         if self.cell.clock.steps(run.duration_ns) > MOST_STEPS:
             raise ValueError(f"the reference trajectory takes {run.duration_ns * 1e-9:g} s")
         self.protocol.reference = run
+
+    def _is_due(self, name: str, stamp: int) -> bool:
+        step = self.cell.clock.step(stamp - self.protocol.start_ns)
+        return name != "deflection" or step % self.cell.thinned_steps == 0
 
     def description(self) -> None:
         """Compare the recorded description."""
