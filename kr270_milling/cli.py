@@ -87,7 +87,7 @@ def _main(argv: list[str]) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_OK
     except MillingError as error:
-        return _refuse(argv, str(error))
+        return _refuse(argv, str(error), listing=getattr(error, "listing", ()))
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         return _refuse(argv, f"{where}{error.strerror or error}")
@@ -98,13 +98,16 @@ def _main(argv: list[str]) -> int:
         return _refuse(argv, "interrupted", EXIT_INTERRUPTED)
 
 
-def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE) -> int:
-    """Print the sentence on standard error, or with ``--json`` as an object on standard output; return the code."""
-    sentence = one_line(sentence)
+def _refuse(argv: list[str], sentence: str, code: int = EXIT_USAGE, listing: tuple[str, ...] = ()) -> int:
+    """Print the sentence on standard error, or with ``--json`` as an object on standard output; return the code.
+
+    listing: the parts of the sentence, each for a separate line.
+    """
     if "--json" in argv:
-        print(json.dumps({"error": sentence, "exit_code": code}, indent=2))
-    else:
-        print(f"kr270_milling: {sentence}", file=sys.stderr)
+        print(json.dumps({"error": one_line(sentence), "exit_code": code}, indent=2))
+        return code
+    for line in listing or (sentence,):
+        print(f"kr270_milling: {one_line(line)}", file=sys.stderr)
     return code
 
 

@@ -278,7 +278,7 @@ def test_a_pocket_ends_in_a_program_a_report_and_a_decision(capsys, tmp_path, na
     assert '<span class="label">decision</span><strong>caution</strong>' in page
     folder = Path(result["programs"]["krl_spline"][0]).parent
     for kind in ("ORG", "CMP"):
-        robot = Robot(folder, f"MILLING_{kind}")
+        robot = Robot(folder, f"{Path(name).stem.upper()}_{kind}")
         assert_a_pocket(robot.column("XYZ"), 1e3 * 100e-6 if kind == "CMP" else 1e-3)
         assert_in_order(robot)
 
