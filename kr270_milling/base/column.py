@@ -10,7 +10,7 @@ The key of JSON is ``max_deviation_mm``, the heading is ``largest deviation [µm
 terminal. ``computed`` does the same for a property.
 
 Tables print ``< 0.1`` for a deviation of a part (``least=CONVERGED``) that is smaller than what another grid changes.
-JSON and CSV have the number. ``Scores`` of a straight cut keep their digits: they stand beside Table 2 of the paper.
+JSON and CSV have the number. ``Scores`` of a straight cut keep their digits, for comparison with Table 2 of the paper.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ __all__ = ["CompensatorProtocol", "PassInbox", "ReceivedPass", "end_of"]
 
 START_TOLERANCE = 0.5e-3  #: [m], from the first point of the reference, in which a robot with another clock waits
 SEEK_NS = 1_000_000_000  # within this time of the pass, a pose beyond the tolerance must follow
-MOST_EARLY = 2000  # poses and wrenches that are kept before the start is known
+MOST_EARLY = 2000  # poses and wrenches before the start is known
 LAG_ROUNDS = 3
 
 
@@ -76,7 +76,7 @@ class PassInbox:
     reached the end, each as often as the exchange is iterated.
 
     A robot with another clock starts when its tool leaves the first point of ``reference`` along the reference; then
-    ``start_ns`` becomes a stamp of this clock. ``clock`` tells the stamps of the simulated robot from those of others.
+    ``start_ns`` becomes a stamp of this clock. ``clock`` recognises the stamps of the simulated robot.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ READERS: dict[Callable | None, Callable] = {
     WrenchSample: lambda data: checked_wrench(wrench_from_bytes(data)),
     Trajectory: trajectory_from_bytes,
 }
-#: topics that are recomputed, in the order of causes; a joint program starts where the robot stood at the request
+#: topics that are recomputed, in the order of causes; a joint program depends on where the robot is
 OUTPUTS = tuple(t.name for t in TOPICS if t.publisher in NODES and t.record not in (None, JointProgram))
 #: topic -> reader, of the topics that a protocol takes
 INPUTS = {t.name: READERS[t.record] for t in TOPICS if t.record in READERS and set(t.subscribers) & set(NODES)}

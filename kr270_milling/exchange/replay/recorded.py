@@ -150,7 +150,9 @@ def _windows(recording: Recording, cell: Cell, content: Content) -> list[Window]
             continue
         passes = int(np.count_nonzero(series["deflection"].stamp == 0))  # published once an exchange
         if passes > 1:
-            raise RecordingError(recording.path, f"has {passes} passes with one start; they cannot be told apart")
+            raise RecordingError(
+                recording.path, f"does not separate its {passes} passes: they have one start"
+            )
         try:
             reference = trajectory_from_bytes(content.references[start])
         except MillingError as error:
@@ -201,10 +203,10 @@ def _read(recording: Recording, namespace: str | None) -> Content:
         decode = recording.decoder(DIAGNOSTICS)
         others[DIAGNOSTICS] = lambda data: content.add_walls(_wall_times(decode(data)))
     others = {name: take for name, take in others.items() if name in recording.topics()}
-    found = several(recording, list(topics.values()), others)
+    series = several(recording, list(topics.values()), others)
     if not content.references:
         raise RecordingError(recording.path, f"{topic} has no message")
-    return dataclasses.replace(content, series=dict(zip(SERIES, found, strict=True)))
+    return dataclasses.replace(content, series=dict(zip(SERIES, series, strict=True)))
 
 
 def _wall_times(diagnostics) -> Iterator[float]:

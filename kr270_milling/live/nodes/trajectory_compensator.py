@@ -40,7 +40,7 @@ JOINTS_AGE = 1.0  # [s] of the wall clock, of the last joint_states from which a
 LEAD = 1.0  # [s] of the node's clock from the publication of a joint trajectory to its start
 #: reliable and best-effort publishers match; only the last message counts
 LATEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-TELL = 1.0  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
+REPORT_AFTER = 1.0  # [s] of the wall clock, after which the node reports why the poses of a robot are no pass
 GAP_NS = 100_000_000  # longest time between two poses of a pass without a report
 LAST_WRENCH = 0.5  # [s] of the wall clock to wait for the wrench of the last pose
 
@@ -74,7 +74,7 @@ class TrajectoryCompensator(ReportingNode):
         self._joints: tuple[float, bytes] | None = None  # arrival [s of the monotonic clock], last joint_states
         self._ended: float | None = None  # arrival of the last pose [s of the monotonic clock]
         self._silence = Silence()
-        self._told = 0.0  # time of the last report of a robot that waits [s of the monotonic clock]
+        self._report_time = 0.0  # time of the last report of a robot that waits [s of the monotonic clock]
         self._gap_ns = GAP_NS  # longest time without a pose that was reported
         self.add_on_set_parameters_callback(self._on_parameters)
         self.create_timer(LOOK, self._watch_pass)
@@ -158,8 +158,8 @@ class TrajectoryCompensator(ReportingNode):
         silent, inbox = self._silence.seconds(), self.protocol.inbox
         if not self.protocol.under_way:
             self._gap_ns = GAP_NS
-            if inbox.distance and time.monotonic() - self._told > TELL:
-                self._told = time.monotonic()
+            if inbox.distance and time.monotonic() - self._report_time > REPORT_AFTER:
+                self._report_time = time.monotonic()
                 where = f"the tool is {inbox.distance * 1e3:.1f} mm from the first point of the reference"
                 self.report(OK, f"waiting for the start of a pass: {where}")
             return
@@ -173,7 +173,7 @@ class TrajectoryCompensator(ReportingNode):
                 self._publish(self.protocol.restart(), "restarted")
                 self.report(ERROR, f"the pass broke off: {what.topic_name} has no publisher")
                 return
-        limit = TELL if inbox.foreign else SILENT
+        limit = REPORT_AFTER if inbox.foreign else SILENT
         if self._silence.is_due(silent, limit):
             self.report(WARN, f"no tool_pose for {limit:g} s in mid-pass: waiting for it")
 
