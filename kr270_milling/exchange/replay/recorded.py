@@ -150,9 +150,7 @@ def _windows(recording: Recording, cell: Cell, content: Content) -> list[Window]
             continue
         passes = int(np.count_nonzero(series["deflection"].stamp == 0))  # published once an exchange
         if passes > 1:
-            raise RecordingError(
-                recording.path, f"does not separate its {passes} passes: they have one start"
-            )
+            raise RecordingError(recording.path, f"does not separate its {passes} passes: they have one start")
         try:
             reference = trajectory_from_bytes(content.references[start])
         except MillingError as error:
