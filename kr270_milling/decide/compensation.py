@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -25,11 +26,10 @@ from kr270_milling.physics.compensation.method import Method
 from kr270_milling.physics.compensation.methods import BEST
 
 __all__ = [
-    "BUDGET", "NO_METHOD", "USUAL_BUDGET", "JudgedCompensation", "VerdictOrder", "compensate", "limit_sentence",
+    "NO_METHOD", "USUAL_BUDGET", "JudgedCompensation", "VerdictOrder", "compensate", "limit_sentence",
 ]  # fmt: skip
 
 
-BUDGET = 300.0  #: [s], of a verdict that is asked for; beyond it fewer plants are run
 USUAL_BUDGET = 50.0  #: [s], of a verdict that is not asked for; none where 8 plants take longer
 LONGEST_PASS = USUAL_BUDGET / 2  #: [s]; after a longer one not even a first plant is tried
 
@@ -39,7 +39,7 @@ class VerdictOrder:
     """How a verdict is wanted."""
 
     samples: int = SAMPLES  #: plants
-    asked_for: bool = False  #: whether it may take BUDGET, else USUAL_BUDGET or nothing
+    asked_for: bool = False  #: whether all plants run, else as many as USUAL_BUDGET allows, or none
     compare: bool = True  #: whether other methods are looked at
     seed: int = 1
     estimate: Callable[[int, float], None] = lambda *_: None  #: receives the plants and the seconds that are to come
@@ -133,7 +133,7 @@ def _verdict(
             programs[name] = written_trajectory(cell, run, motion if run.velocity is not None else "LIN")
     program = written_trajectory(cell, revised.reference, motion)
     return monte_carlo(
-        cell, program, order.samples, order.seed, budget=BUDGET if order.asked_for else USUAL_BUDGET,
+        cell, program, order.samples, order.seed, budget=math.inf if order.asked_for else USUAL_BUDGET,
         give_up=not order.asked_for, progress=report, estimate=order.estimate, method=revised.name, others=programs,
     )  # fmt: skip
 

@@ -52,6 +52,7 @@ class Verdict:
     quantity: str = PATH_DEVIATION  #: name of the errors
     shares: np.ndarray | None = None  #: errors of the compensated plants as shares of the tolerance, (n,); None: no
     #: tolerance is given
+    note: str = ""  #: why fewer plants ran than were ordered
 
     def __repr__(self) -> str:
         return f"<Verdict: {self.text}>"
@@ -92,6 +93,7 @@ class Verdict:
             "reason": self.reason,
             "quantity": self.quantity,
             "samples": len(self.original),
+            "note": self.note,
             "seed": self.seed,
             "within_tolerance": self.within,
             "failed": int(np.isnan(self.compensated).sum()),
@@ -256,7 +258,9 @@ def monte_carlo(
     before, after = rows[:, 0, 0], rows[:, 1, 0]
     word, reason = judge_plants(before, after, cell.uncertainty.matters_above, quantity)
     given = bool(np.isfinite(rows[..., 1]).any())
-    return Verdict(word, reason, before, after, seed, methods, quantity, shares if given else None)
+    fewer = f"{len(drawn)} of {samples} plants ran: more would take longer than {budget:.3g} s"
+    note = fewer if len(drawn) < samples else ""
+    return Verdict(word, reason, before, after, seed, methods, quantity, shares if given else None, note)
 
 
 def judge_plants(

@@ -61,7 +61,8 @@ def revolution(feed: float, *assignments: str) -> np.ndarray:
 @check(
     "slots on a dynamometer: identify forces, {key}", DYNAMOMETER + ", linear regression of others; 0.5 % are allowed",
     "N/mm^2, N/mm", cases=("key expected", [
-        ("k_tc_n_per_mm2", 958.8), ("k_te_n_per_mm", 15.75), ("k_rc_n_per_mm2", 251.1), ("k_re_n_per_mm", 19.42)]),
+        ("tangential_cutting_n_per_mm2", 958.8), ("tangential_edge_n_per_mm", 15.75),
+        ("radial_cutting_n_per_mm2", 251.1), ("radial_edge_n_per_mm", 19.42)]),
 )  # fmt: skip
 def test_coefficients(key, expected):
     return expected, identified()[key], 5e-3 * expected
@@ -127,7 +128,7 @@ def test_peak(feed):
     "K_tc h + K_te of " + DYNAMOMETER + "; 5 % are allowed, the coefficients have 12 %", "N",
 )  # fmt: skip
 def test_one_tooth():
-    expected = identified()["k_tc_n_per_mm2"] * 0.125 + identified()["k_te_n_per_mm"]
+    expected = identified()["tangential_cutting_n_per_mm2"] * 0.125 + identified()["tangential_edge_n_per_mm"]
     return expected, PAPER_LAW.force_per_depth(0.125e-3)[0] * 1e-3, 0.05 * expected
 
 

@@ -182,6 +182,7 @@ def test_a_budget_of_time_lessens_the_samples_but_not_below_eight(cell, pair):
         cell, pair[1].reference, 20, budget=1e-3,
         progress=lambda done, total: seen.append((done, total)),
     )  # fmt: skip
+    assert found.as_dict()["note"] == "8 of 20 plants ran: more would take longer than 0.001 s"
     assert len(found.original) == 8 and seen[-1] == (8, 8) and [done for done, _ in seen] == list(range(1, 9))
 
 

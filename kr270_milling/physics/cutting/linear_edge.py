@@ -73,9 +73,5 @@ class LinearEdgeLaw(ForceLaw):
         share = cuts.tool.teeth * cuts.depth / (2 * np.pi)
         return share[:, None, None] * np.moveaxis(np.array(rows), -1, 0)
 
-    @classmethod
-    def result_keys(cls) -> tuple[str, ...]:
-        return ("k_tc_n_per_mm2", "k_te_n_per_mm", "k_rc_n_per_mm2", "k_re_n_per_mm", "k_ac_n_per_mm2", "k_ae_n_per_mm")
-
 
 AL7075_T6 = LinearEdgeLaw(600.46e6, 17.9e3, 180.96e6, 20.42e3)  #: review in the Chinese Journal of Mech. Eng., table 5

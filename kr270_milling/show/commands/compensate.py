@@ -56,9 +56,9 @@ COMMANDS = {
         Group(None, (
             option(
                 "--verdict N",
-                f"judge the compensation by N plants (default {PLANTS}) drawn from the cell's uncertainty; by "
-                f"fewer, but at least {FEWEST_PLANTS}, where they take more than 5 minutes. Without this option: "
-                f"as many as take less than a minute, and none where {FEWEST_PLANTS} take longer",
+                f"judge the compensation by N plants (default {PLANTS}) drawn from the cell's uncertainty, however "
+                f"long they take. Without this option: as many of {PLANTS} as take less than a minute, and none where "
+                f"{FEWEST_PLANTS} take longer",
                 bounded(1, 999_999, int),
                 nargs="?",
                 const=PLANTS,
@@ -368,4 +368,6 @@ def _verdict(verdict: dict):
     yield TextTable(
         f"{verdict['samples']} simulated robots, seed {verdict['seed']}: {verdict['quantity']} [um]", columns, rows
     )
+    if verdict["note"]:
+        yield f"{verdict['note']}; --verdict {PLANTS} runs {PLANTS}"
     yield f"verdict: compensation {verdict['verdict']}: {verdict['reason']}"

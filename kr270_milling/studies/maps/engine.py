@@ -33,7 +33,7 @@ SEVERAL = 16  #: chunks, above which a local cluster is prepared while the first
 ANSWER = 10.0  #: [s] for a scheduler to answer
 PATIENCE = 30.0  #: [s] for a first worker
 LOOK = 1.0  #: [s] between two looks at the number of workers
-PLAN = "study.json"
+PLAN = "_study.json"  # Arrow leaves out names that begin with "_" where it reads the folder
 METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
 QUIET = {
     "distributed.logging.distributed": "critical",  # a worker that ends may miss a heartbeat

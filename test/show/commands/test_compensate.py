@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from pathlib import Path
@@ -230,10 +231,13 @@ def test_the_verdict_is_part_of_the_decision_unless_it_is_switched_off(compensat
     assert errors.startswith("warning: decision: caution: ") and "would take too long" not in errors
 
 
-def test_a_verdict_that_would_take_long_is_left_out_with_a_sentence(compensate, monkeypatch):
+def test_a_verdict_that_would_take_long_is_left_out_with_a_sentence_but_a_typed_number_runs(compensate, monkeypatch):
     monkeypatch.setattr("kr270_milling.decide.compensation.USUAL_BUDGET", 1e-3)
+    monkeypatch.setattr("time.perf_counter", itertools.count(0.0, 100.0).__next__)  # 100 s from look to look
     result, errors = compensate("--method", "spline")
     assert result["verdict"] is None and "--verdict runs them" in errors
+    result, _ = compensate("--method", "spline", "--verdict", "9")
+    assert result["verdict"]["samples"] == 9 and result["verdict"]["note"] == ""
 
 
 # --- from a CAM's file to the controller in two commands ---

@@ -96,7 +96,7 @@ def test_an_error_is_named_and_no_file_comes_from_a_useless_result(name, tmp_pat
 @pytest.mark.parametrize("name", [name for name in TABLE if "times too large" in name])
 def test_a_robust_fit_gives_what_the_table_without_the_error_gives(name, tmp_path, capsys):
     (kind, source, *words), change, _, _ = TABLE[name]
-    key = "compliance_urad_per_n_m" if kind == "compliance" else "k_tc_n_per_mm2"
+    key = "compliance_urad_per_n_m" if kind == "compliance" else "tangential_cutting_n_per_mm2"
     results = []
     for wrong in (True, False):
         rows = rows_of(source)

@@ -67,10 +67,14 @@ def test_forces_come_out_of_recordings_of_a_plate_under_the_part(tmp_path, capsy
         capsys, "identify", "forces", tmp_path / "cuts.csv", "--teeth", 4, "--diameter-mm", 20, "--topic", "wrench",
         "--spindle-speed-rpm", RPM, "--tare", "0:0.25", "--sensor-abc", "90,0,0", "--sensor-on", "part",
     )  # fmt: skip
-    keys = ("k_tc_n_per_mm2", "k_te_n_per_mm", "k_rc_n_per_mm2", "k_re_n_per_mm", "k_ac_n_per_mm2", "k_ae_n_per_mm")
+    keys = [
+        f"{side}_{part}"
+        for side in ("tangential", "radial", "axial")
+        for part in ("cutting_n_per_mm2", "edge_n_per_mm")
+    ]
     for key, true in zip(keys, TRUE / [1e6, 1e3, 1e6, 1e3, 1e6, 1e3], strict=True):
         assert abs(result[key] - true) < 2 * result["ci95"][key]
-    assert result["ci95"]["k_tc_n_per_mm2"] < 0.02 * result["k_tc_n_per_mm2"]
+    assert result["ci95"]["tangential_cutting_n_per_mm2"] < 0.02 * result["tangential_cutting_n_per_mm2"]
 
 
 @pytest.mark.parametrize("on_part", [False, True])
@@ -221,7 +225,11 @@ def test_the_identified_arm_and_coefficients_are_those_that_the_examples_were_ma
     away = np.abs(np.array(arm["compliance_urad_per_n_m"]) - truth) / arm["ci95_urad_per_n_m"]
     assert all(arm["identifiable"]) and away.max() < 1.5
     forces = result(ran, "cuts.csv")
-    for key, true in (("k_tc_n_per_mm2", 767.01), ("k_rc_n_per_mm2", 168.8), ("k_ac_n_per_mm2", 222.0)):
+    for key, true in (
+        ("tangential_cutting_n_per_mm2", 767.01),
+        ("radial_cutting_n_per_mm2", 168.8),
+        ("axial_cutting_n_per_mm2", 222.0),
+    ):
         assert abs(forces[key] - true) < 1.5 * forces["ci95"][key]
 
 

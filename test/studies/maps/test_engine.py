@@ -95,6 +95,11 @@ def test_failures_are_rows_and_a_chunk_that_is_lost_is_made_again_as_it_was(clus
     made = [path.read_bytes() for path in files]
     row = parquet.read_table(files[1]).to_pylist()[0]
     assert "path.depth_of_cut_mm" in row["error"] and row["path.depth_of_cut_mm"] == -1.0
+    assert parquet.read_table(tmp_path)["path.depth_of_cut_mm"].to_pylist() == [
+        0.5,
+        -1.0,
+        0.8,
+    ]  # the folder is one table
     files[2].unlink()
     assert main(words) == 0  # one chunk alone: in this process
     assert [path.read_bytes() for path in files] == made
@@ -203,7 +208,7 @@ def test_a_killed_driver_loses_unwritten_chunks_and_the_same_command_continues(c
     assert json.loads(capsys.readouterr().out)["rows"] == 10
     assert {path: path.stat().st_mtime_ns for path in before} == before  # none was made again
     plain = Sweep(str(find_file("paper.yaml").resolve()), SHORT, (parse_axis("path.depth_of_cut_mm=0.1:1:0.1"),))
-    assert chunks(Study(out, json.loads((out / "study.json").read_text())), 10) == [plain(n) for n in range(10)]
+    assert chunks(Study(out, json.loads((out / "_study.json").read_text())), 10) == [plain(n) for n in range(10)]
     assert not psutil.wait_procs(processes[1:], timeout=PATIENCE)[1]
 
 
