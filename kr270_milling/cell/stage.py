@@ -56,7 +56,7 @@ def removal_along(name: str, tool: Tool, path: Toolpath) -> Removal:
     radius, length = float(tool.radii.max()), path.length
     count = 2 + min(MOST_PLACES, int(length / min(radius / PLACES_PER_RADIUS, FARTHEST)))
     distance = np.union1d(np.linspace(0.0, length, count), np.cumsum(path.block_length))
-    position = np.ascontiguousarray(path.on_path(distance)[0])
+    position = path.position_at(distance)
     return Removal(name, radius, position, position)
 
 

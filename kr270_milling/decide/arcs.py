@@ -56,14 +56,16 @@ def arcs_along(cell: Cell) -> Arcs:
     )
     distance = np.linspace(0.0, length, 2 + int(length / step))
     if timed:
-        path, block = timed.toolpath, timed.toolpath.block_at(distance)
-        position, tangent, _ = path.on_path(distance)
-        time = np.interp(distance, timed.distance_at(target.time_ns), target.time)
+        path, swept = timed.toolpath, timed.toolpath.position_at(distance)
+        distance = distance[::EVERY]
+        block, (position, tangent, _) = path.block_at(distance), path.on_path(distance)
+        time = np.interp(distance, timed.distance, target.time)
         rapid, feed, feature = path.rapid[block], path.feed[block], path.feature[block]
         features = tuple(name or "unnamed" for name in path.features)
     else:
         time = np.linspace(0.0, target.time[-1], distance.size)
-        position = target.sample(np.round(1e9 * time).astype(np.int64))
+        swept = target.sample(np.round(1e9 * time).astype(np.int64))
+        time, position, distance = time[::EVERY], swept[::EVERY], distance[::EVERY]
         along = target.position[-1] - target.position[0]
         tangent = np.tile(along / np.linalg.norm(along), (distance.size, 1))
         rapid, feed = np.zeros(distance.size, bool), np.full(distance.size, cell.path.feed_rate)
@@ -71,12 +73,12 @@ def arcs_along(cell: Cell) -> Arcs:
     level = np.hypot(tangent[:, 0], tangent[:, 1])
     heading = np.arctan2(tangent[:, 1], tangent[:, 0])
     look = ~rapid & (level > STEEP)
-    look &= np.arange(look.size) % EVERY == 0
-    grid = height_map(cell.stock, step, position, radius)
+    grid = height_map(cell.stock, step, swept, radius)
     for removal in cell.stage.earlier if cell.stage else ():
         lower_along(grid, removal.radius, on_map(removal.programmed))
     count, (depth, least, most) = np.zeros(distance.size, np.int64), np.zeros((3, distance.size))
-    _engage(grid, on_map(position), heading - MAP_TURN, radius, look, (count, depth, least, most))
+    swept = on_map(swept)
+    _engage(grid, swept, heading - MAP_TURN, radius, look, (count, depth, least, most))
     some = count >= FEWEST_NODES
     left = (
         np.arcsin(np.clip((least[some] - step / 2) / radius, -1, 1)),
@@ -91,18 +93,22 @@ def arcs_along(cell: Cell) -> Arcs:
 
 @njit(cache=True)
 def _engage(grid, path, heading, radius, look, met):
-    """Material in the tool at each place of ``look``: nodes, largest depth, least and largest distance to the left."""
+    """Material in the tool at every eighth place: nodes, largest depth, least and largest distance to the left.
+
+    heading, look: of the places that are evaluated; look: whether to evaluate the place.
+    """
     count, depth, least, most = met
     step = grid.step
     for k in range(path.shape[0]):
         before = max(k - LAG, 0)
         if k >= LAG:
             lower(grid, grid.depth, radius, 0.0, path[max(before - 1, 0)], path[before], before > 0)
-        if not look[k]:
+        n = k // EVERY
+        if k % EVERY or not look[n]:
             continue
         x, y, z = path[k]
         level = grid.top - max(z, path[before, 2]) - CUTS  # a tool on its way down removes a little floor everywhere
-        left_x, left_y = -np.sin(heading[k]), np.cos(heading[k])
+        left_x, left_y = -np.sin(heading[n]), np.cos(heading[n])
         first_i = max(int((x - radius - grid.x) / step), 0)
         for i in range(first_i, min(int((x + radius - grid.x) / step) + 2, grid.depth.shape[0])):
             away_x = grid.x + i * step - x
@@ -120,8 +126,8 @@ def _engage(grid, path, heading, radius, look, met):
                 if grid.depth[i, j] >= level or away_x**2 + away_y**2 >= radius**2:
                     continue
                 left = left_x * away_x + left_y * away_y
-                if count[k] == 0:
-                    least[k], most[k] = left, left
-                least[k], most[k] = min(least[k], left), max(most[k], left)
-                depth[k] = max(depth[k], grid.top - z - grid.depth[i, j])
-                count[k] += 1
+                if count[n] == 0:
+                    least[n], most[n] = left, left
+                least[n], most[n] = min(least[n], left), max(most[n], left)
+                depth[n] = max(depth[n], grid.top - z - grid.depth[i, j])
+                count[n] += 1

@@ -54,17 +54,18 @@ class Engagement:
     depth: np.ndarray  #: deepest material above the tip within the tool's radius [m], (m,)
     inner: np.ndarray  #: deepest material that a rapid move meets within the radius less ``margin`` [m], (m,)
     core: np.ndarray  #: deepest material above the tip about the tool's axis [m], (m,)
+    margin: float  #: [m]
     volume: np.ndarray  #: that rapid moves remove on the way to the place [m^3], (m,)
 
 
-def engagement(cell: Cell, margin: float, shift: np.ndarray | None = None) -> Engagement:
+def engagement(cell: Cell, margin: float, ran: ScoredPass | None = None) -> Engagement:
     """Run the programmed path through the stock on a height map of nodes; default: without deflection.
 
     ``inner`` compares the rapid moves between two cutting moves, as a whole, with the material before the first of
     them. The distance between places and the stiffness of the arm therefore do not matter.
 
-    margin [m]: ``inner`` leaves out contacts that are no deeper or no wider; shift (m, 3) [m]: of the places, as
-    a pass deviates from the path. ``inner`` belongs to the place that removes the material.
+    margin [m]: ``inner`` leaves out contacts that are no deeper or no wider; ran: a pass whose deviation the
+    places have. ``inner`` belongs to the place that removes the material.
     """
     position, time, block, step = _places(cell)
     timed = cell.timed_path
@@ -72,13 +73,18 @@ def engagement(cell: Cell, margin: float, shift: np.ndarray | None = None) -> En
     series = np.where(rapid, np.cumsum(np.diff(rapid, prepend=False) & rapid), 0)
     depth, inner, core, volume = met = np.zeros((4, len(position)))
     radius = float(cell.tool.radii.max())
-    moved = position if shift is None else position + shift
+    moved = position
+    if ran is not None:
+        at_ns, passed, moved = 1e9 * time, ran.result, position.copy()
+        for k in range(3):
+            moved[:, k] += np.interp(at_ns, passed.time_ns, passed.actual[:, k] - passed.target[:, k])
     grid = height_map(cell.stock, step, moved, radius)
+    moved = on_map(moved)
     for removal in cell.stage.earlier if cell.stage else ():
-        lower_along(grid, removal.radius, on_map(removal.programmed if shift is None else removal.actual))
+        lower_along(grid, removal.radius, on_map(removal.programmed if ran is None else removal.actual))
     radii = radius, max(radius - max(margin, ROUNDING), 0.0), CORE * radius
-    _meet(grid, np.zeros_like(grid.depth), on_map(moved), series, radii, met)
-    return Engagement(position, time, rapid, block, series, depth, inner, core, volume)
+    _meet(grid, np.zeros_like(grid.depth), moved, series, radii, met)
+    return Engagement(position, time, rapid, block, series, depth, inner, core, margin, volume)
 
 
 @njit(cache=True)
@@ -119,8 +125,8 @@ def _places(cell: Cell) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     ends = np.cumsum(timed.toolpath.block_length)
     distance = np.sort(np.concatenate([np.linspace(0.0, timed.toolpath.length, count), ends[1:]]))  # every corner too
     block = np.clip(np.searchsorted(ends, distance), 0, len(ends) - 1)  # where two meet, the one that ends
-    time = np.interp(distance, timed.distance_at(target.time_ns), target.time)
-    return timed.toolpath.on_path(distance)[0], time, block, step
+    time = np.interp(distance, timed.distance, target.time)
+    return timed.toolpath.position_at(distance), time, block, step
 
 
 def cut_violations(cell: Cell, run: Trajectory, ran: ScoredPass) -> list[Violation]:
@@ -163,14 +169,28 @@ def _tool(cell: Cell) -> list[Violation]:
 
 
 def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = None) -> list[Violation]:
-    """What the tool meets along the programmed path: material at rapid, below the stock, fixtures."""
+    """What the tool meets along the programmed path: material at rapid, below the stock, fixtures.
+
+    Where its rapid moves meet no material, the simulated pass ``ran`` decides: its rapid moves must not enter the
+    material that its cutting moves leave, further than the arm springs back.
+    """
+    margin, timed = cell.limits.rapid_contact, cell.timed_path
+    contacts, results = _along_path(cell, run, margin)  # its places are released here
+    if not contacts and ran is not None and timed is not None and timed.toolpath.rapid.any():
+        earlier = cell.stage.earlier if cell.stage else ()
+        margin += max([spring_back(cell, ran), *(removal.spring_back for removal in earlier)])
+        contacts = rapid_violations(run, engagement(cell, margin, ran))
+    return contacts + results
+
+
+def _along_path(cell: Cell, run: Trajectory, margin: float) -> tuple[list[Violation], list[Violation]]:
+    """Contacts of rapid moves without deflection, and the rest of what the tool meets."""
     low, high, radius = cell.stock.min, cell.stock.max, cell.tool.radii.max()
-    margin, below, flutes = cell.limits.rapid_contact, cell.limits.below_stock, cell.tool.flute_length
+    below, flutes = cell.limits.below_stock, cell.tool.flute_length
     met = engagement(cell, margin)
     points = _points(run, met)
     beneath = np.where(_over(met, low, high, radius), low[2] - met.position[:, 2], -np.inf)
-    results = rapid_violations(cell, run, met, ran)
-    results += violations("below the stock", beneath, below, beneath > below + 1e-9, points=points, block=met.block)
+    results = violations("below the stock", beneath, below, beneath > below + 1e-9, points=points, block=met.block)
     for number, (least, most) in enumerate(cell.workpiece.fixture_boxes, 1):
         inside = np.where(_over(met, least, most, radius), most[2] - met.position[:, 2], 0.0)
         results += violations(
@@ -181,7 +201,7 @@ def contact_violations(cell: Cell, run: Trajectory, ran: ScoredPass | None = Non
     if not cell.tool.centre_cutting:
         depth, over = _plunges(met)
         results += violations("plunge", depth, 0.0, over, points=points, block=met.block)
-    return results
+    return rapid_violations(run, met), results
 
 
 def _points(run: Trajectory, met: Engagement) -> np.ndarray:
@@ -189,32 +209,15 @@ def _points(run: Trajectory, met: Engagement) -> np.ndarray:
     return np.clip(np.searchsorted(run.time, met.time - 1e-6), 0, len(run) - 1) + 1
 
 
-def rapid_violations(cell: Cell, run: Trajectory, met: Engagement, ran: ScoredPass | None = None) -> list[Violation]:
-    """Rapid moves through material, by the points of ``run``; met: engagement with the margin ``limits.rapid_contact``.
-
-    Where the programmed path has none, the simulated pass ``ran`` decides: its rapid moves must not enter the material
-    that its cutting moves leave, further than the arm springs back.
-    """
-    margin = cell.limits.rapid_contact
-    contacts = _rapid_moves(cell, met, _points(run, met), margin)
-    if contacts or ran is None or not met.rapid.any():
-        return contacts
-    result = ran.result
-    error = result.actual - result.target
-    shift = np.stack([np.interp(1e9 * met.time, result.time_ns, error[:, k]) for k in range(3)], axis=1)
-    earlier = cell.stage.earlier if cell.stage else ()
-    margin += max([spring_back(cell, ran), *(removal.spring_back for removal in earlier)])
-    return _rapid_moves(cell, engagement(cell, margin, shift), _points(run, met), margin)
-
-
-def _rapid_moves(cell: Cell, met: Engagement, points: np.ndarray, margin: float) -> list[Violation]:
-    """One violation for each rapid move through material: deepest contact, length of the contact, removed volume.
+def rapid_violations(run: Trajectory, met: Engagement) -> list[Violation]:
+    """One violation for each rapid move through material, by the points of ``run``: deepest contact, length of the
+    contact, removed volume.
 
     The last move of a series counts what the moves without such a contact remove at the rim.
     """
-    contacts = []
+    contacts, points = [], _points(run, met)
     length = np.linalg.norm(np.diff(met.position, axis=0, prepend=met.position[:1]), axis=1)
-    contact = met.inner > margin
+    contact = met.inner > met.margin
     blocks = np.unique(met.block[contact])
     at_rim = ~np.isin(met.block, blocks)
     rest = np.bincount(met.series[at_rim], met.volume[at_rim], minlength=len(met.series) + 1)
@@ -225,7 +228,7 @@ def _rapid_moves(cell: Cell, met: Engagement, points: np.ndarray, margin: float)
         rest[met.series[worst]] = 0.0
         amounts = {"length_mm": 1e3 * float(length[rows[contact[rows]]].sum()), "volume_mm3": 1e9 * float(volume)}
         depth, point = met.inner[worst], int(points[worst])
-        contacts.append(violation("rapid in material", depth, margin, point, block=block, amounts=amounts))
+        contacts.append(violation("rapid in material", depth, met.margin, point, block=block, amounts=amounts))
     return contacts[::-1]
 
 

@@ -129,7 +129,7 @@ def _outside(cell: Cell, path: Toolpath) -> list[Violation]:
     """Features whose cutting moves never pass over the stock, and a path that is outside of the stock mostly."""
     low, high, radius = cell.stock.min, cell.stock.max, float(cell.tool.radii.max())
     distance = np.linspace(0.0, path.length, 2 + min(PLACES, int(4.0 * path.length / radius)))
-    position, block = path.on_path(distance)[0], path.block_at(distance)
+    position, block = path.position_at(distance), path.block_at(distance)
     cuts = ~path.rapid[block]
     away = np.hypot(*(position[:, :2] - np.clip(position[:, :2], low[:2], high[:2])).T)
     outside = away >= radius

@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_banded
 
+from kr270_milling.base.blocks import blocks
 from kr270_milling.path.trajectory import AT_REST, Trajectory
 
 __all__ = ["block_ends", "controller_motion", "other_motion", "places_on_program", "spline_slopes"]
@@ -88,12 +89,14 @@ def places_on_program(run: Trajectory, knots: np.ndarray, points: np.ndarray, st
     """
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(run.position, axis=0), axis=1))])
     step, move = np.diff(way[knots])[:, None], np.diff(points, axis=0)
-    span = np.clip(np.searchsorted(knots, np.arange(len(run)), side="right") - 1, 0, len(knots) - 2)
-    u = (way - way[knots][span])[:, None] / step[span]
-    if not spline:
-        return points[span] + u * move[span]
-    first, last = step * _natural_slopes(step, move / step, stops)
-    return _hermite(points[span], move[span], first[span], last[span], u)
+    first, last = step * _natural_slopes(step, move / step, stops) if spline else (move, move)
+    place = np.empty(run.position.shape)
+    for part in blocks(len(run)):
+        span = np.searchsorted(knots, np.arange(part.start, part.stop), side="right") - 1
+        span = np.clip(span, 0, len(knots) - 2)
+        u = (way[part] - way[knots[span]])[:, None] / step[span]
+        place[part] = _hermite(points[span], move[span], first[span], last[span], u)
+    return place
 
 
 def _natural_slopes(step: np.ndarray, slope: np.ndarray, stops: np.ndarray) -> np.ndarray:

@@ -107,6 +107,10 @@ class Toolpath:
         flat = np.stack([plane * np.cos(heading), plane * np.sin(heading), move[:, 2]], axis=1)
         return flat / np.linalg.norm(flat, axis=1, keepdims=True)
 
+    def position_at(self, distance: np.ndarray) -> np.ndarray:
+        """Return the position [m], (m, 3), at distances [m], (m,); only a block of the tangents is in memory."""
+        return np.concatenate([self.on_path(distance[part])[0] for part in blocks(distance.size)])
+
     def on_path(self, distance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return position [m], unit tangent and quaternion at distances [m], (m,), on the true arcs of the path."""
         if distance.size > BLOCK:

@@ -410,7 +410,7 @@ def cell_of(directory, row: Row) -> Cell:
 
 def moves(cell: Cell) -> list:
     """Along the programmed path; no pass is simulated."""
-    return rapid_violations(cell, cell.target(), engagement(cell, cell.limits.rapid_contact))
+    return rapid_violations(cell.target(), engagement(cell, cell.limits.rapid_contact))
 
 
 def volume(contacts: list) -> float:

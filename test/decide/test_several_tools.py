@@ -77,7 +77,7 @@ def test_rapid_moves_where_the_tool_before_has_cut_are_no_contact(tmp_path):
     cells = tool_cells(tmp_path, program, {"T1": LARGE, "T2": SMALL})
     alone = cells[1].replace(stage=None)
     contacts = [
-        rapid_violations(cell, cell.target(), engagement(cell, cell.limits.rapid_contact)) for cell in (cells[1], alone)
+        rapid_violations(cell.target(), engagement(cell, cell.limits.rapid_contact)) for cell in (cells[1], alone)
     ]
     assert not contacts[0] and len(contacts[1]) == 2
     depth = engagement(cells[1], 0.0).depth.max(), engagement(alone, 0.0).depth.max()

@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from kr270_milling.cell.sections import Program
 from kr270_milling.path.controller_motion import places_on_program
@@ -30,7 +31,7 @@ def point_numbers(program: Program, original: Trajectory, revised: Trajectory) -
 
     Knots closer than ``program.point_spacing`` are left out. A tolerance of 0 takes all other knots.
     """
-    knots = _apart(program.point_spacing, original, revised)
+    knots = _apart(program.point_spacing, original.standing, original.position, revised.position)
     if not program.tolerance:
         return knots
     runs = [original] if revised is original else [original, revised]
@@ -127,24 +128,23 @@ def program_blocks(program: Program, original: Trajectory, revised: Trajectory) 
     )  # fmt: skip
 
 
-def _apart(spacing: float, original: Trajectory, revised: Trajectory) -> np.ndarray:
-    """Return the knots that are farther than ``spacing`` [m] from the knot before in both runs, and all stops."""
-    stops = original.standing
-    rows = np.stack([original.position, revised.position], axis=1).tolist()
-    last, chosen = len(rows) - 1, [0]
-
-    def near(k: int) -> bool:
-        return any(math.dist(new, old) < spacing for new, old in zip(rows[k], rows[chosen[-1]], strict=True))
-
+@njit(cache=True)
+def _apart(spacing, stops, original, revised):
+    """Return the knots that are farther than ``spacing`` [m] from the knot before in both runs (n, 3), and stops."""
+    last, chosen, count = len(stops) - 1, np.zeros(len(stops), np.int64), 1
     for k in range(1, last + 1):
-        if stops[k] or k == last:  # a corner must not move to the knot before it
-            while len(chosen) > 1 and near(k):
-                chosen.pop()
-            if k == last or not near(k):
-                chosen.append(k)
-        elif not near(k):
-            chosen.append(k)
-    return np.array(chosen)
+        while (stops[k] or k == last) and count > 1 and _near(spacing, original, revised, k, chosen[count - 1]):
+            count -= 1  # a corner must not move to the knot before it
+        if k == last or not _near(spacing, original, revised, k, chosen[count - 1]):
+            chosen[count] = k
+            count += 1
+    return chosen[:count]
+
+
+@njit(cache=True)
+def _near(spacing, original, revised, k, before):
+    apart = np.sqrt(np.sum((original[k] - original[before]) ** 2))
+    return min(apart, np.sqrt(np.sum((revised[k] - revised[before]) ** 2))) < spacing
 
 
 def _middles(time: np.ndarray, chosen: np.ndarray) -> np.ndarray:
