@@ -92,7 +92,9 @@ class Study:
     def __init__(self, folder, plan: dict):
         self.folder, self.plan = Path(folder), json.loads(json.dumps(plan))
         self.folder.mkdir(parents=True, exist_ok=True)
-        place = self.folder / PLAN
+        place, before = self.folder / PLAN, self.folder / PLAN[1:]
+        if before.exists():  # of version 0.2
+            before.replace(place)
         if place.exists():
             with contextlib.suppress(ValueError):
                 if json.loads(place.read_text(encoding="utf-8")) == self.plan:
