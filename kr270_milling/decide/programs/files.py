@@ -176,7 +176,7 @@ def time_law(cell: Cell) -> str:
     timing = cell.timing
     return (
         f"time law assumed: acceleration {timing.acceleration:g} m/s2, jerk {timing.jerk:g} m/s3 along the path, a "
-        f"point every {1e3 * timing.controller_step:g} ms"
+        f"knot of the plan every {1e3 * timing.controller_step:g} ms"
     )
 
 
