@@ -199,9 +199,9 @@ def _correction(cell: Cell, target: Trajectory, run: Trajectory, robot_program: 
         raise InputError("reference", f"its times are not those of the {len(target)} points of this cell's path")
     if run is target:
         return []
-    how = cell.compensation
-    results = correction_size(target, run, how.tick_ns, how.max_correction)
-    results += correction_per_tick(target, run, how.tick_ns, how.max_change_per_tick)
+    settings = cell.compensation
+    results = correction_size(target, run, settings.tick_ns, settings.max_correction)
+    results += correction_per_tick(target, run, settings.tick_ns, settings.max_change_per_tick)
     if robot_program.motion == "LIN":
         points = point_numbers(robot_program, target, run)
         results += corner_blending(target, run, robot_program.blend_distance, cell.limits.blending_share, points)

@@ -233,7 +233,7 @@ def rapid_violations(run: Trajectory, met: Engagement) -> list[Violation]:
 
 
 def _over(met: Engagement, low: np.ndarray, high: np.ndarray, radius: float) -> np.ndarray:
-    """Where the tool stands over or in a box, seen from above, (m,)."""
+    """Where the tool is over or in a box, seen from above, (m,)."""
     beside = met.position[:, :2] - np.clip(met.position[:, :2], low[:2], high[:2])
     return np.hypot(*beside.T) < radius
 

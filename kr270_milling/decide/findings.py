@@ -230,7 +230,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Finding:
-    """Like things that a check found, named by the worst of them."""
+    """Findings of one kind, named by the worst of them."""
 
     severity: str
     what: str
