@@ -92,6 +92,21 @@ def arcs_along(cell: Cell) -> Arcs:
 
 
 @njit(cache=True)
+def _lower_outside(grid, radius, path, k):
+    """Lower what the tool cuts on the way to place k; nodes below a tool that sinks follow when the tool leaves them.
+
+    The deepest place of the tool above a node is the first, the last, or one where the tool stops to sink.
+    """
+    last, place = path[max(k - 1, 0)], path[k]
+    if k > 0 and place[2] < last[2]:  # the same way back: what it finds cut is what the tool has not left yet
+        lower(grid, grid.depth, radius, 0.0, place, last, True)
+        return
+    if k > 1 and last[2] < path[k - 2, 2]:
+        lower(grid, grid.depth, radius, 0.0, last, last, False)
+    lower(grid, grid.depth, radius, 0.0, last, place, k > 0)
+
+
+@njit(cache=True)
 def _engage(grid, path, heading, radius, look, met):
     """Material in the tool at every eighth place: nodes, largest depth, least and largest distance to the left.
 
@@ -102,7 +117,7 @@ def _engage(grid, path, heading, radius, look, met):
     for k in range(path.shape[0]):
         before = max(k - LAG, 0)
         if k >= LAG:
-            lower(grid, grid.depth, radius, 0.0, path[max(before - 1, 0)], path[before], before > 0)
+            _lower_outside(grid, radius, path, before)
         n = k // EVERY
         if k % EVERY or not look[n]:
             continue
@@ -114,7 +129,7 @@ def _engage(grid, path, heading, radius, look, met):
             away_x = grid.x + i * step - x
             first_j, last_j = chord(away_x, y, radius**2, grid.y, step)
             skip_from, skip_to = 0, -1
-            if k >= LAG:  # there the surface is no higher than ``level``
+            if k >= LAG:  # there the tool was: the surface is no higher than ``level``
                 skip_from, skip_to = chord(away_x + x - path[before, 0], path[before, 1], radius**2, grid.y, step)
             j, stop = max(first_j, grid.first[i]) - 1, min(last_j + 1, grid.end[i])
             while j + 1 < stop:
@@ -124,6 +139,9 @@ def _engage(grid, path, heading, radius, look, met):
                     continue
                 away_y = grid.y + j * step - y
                 if grid.depth[i, j] >= level or away_x**2 + away_y**2 >= radius**2:
+                    continue
+                behind_x, behind_y = away_x + x - path[before, 0], away_y + y - path[before, 1]
+                if k >= LAG and behind_x**2 + behind_y**2 < radius**2:
                     continue
                 left = left_x * away_x + left_y * away_y
                 if count[n] == 0:

@@ -35,6 +35,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kr270_milling.physics.cutting.compiled import compiled, inlined
+from kr270_milling.physics.cutting.fill import any_above
 from kr270_milling.physics.cutting.force_law import call_law
 from kr270_milling.physics.cutting.grid import MAX_TILES, TILE, Stock, tile_count
 from kr270_milling.physics.cutting.laws import Cutting
@@ -58,6 +59,7 @@ END_NODES = 0.4  # nodes across the feed in the outermost bins
 FAR = 1e9  # [nodes], beyond every grid
 LONGEST = 0.25  # of the radius: a longer move is divided
 RIM = 0.71  # [nodes], half of the widest ramp from an uncovered cell to a covered one: 1 / sqrt(2)
+BLOCK = 32  # nodes
 FLOOR_LEVEL = 5  # place in ints: the whole footprint is cut at least to this level (-1: not known)
 
 
@@ -350,37 +352,45 @@ def _column(s, p, i, low, high, level, sinking, frame):
             s.ints[TILES] += 1
         base = ((np.int64(slot) << 16) | ((i & 255) << 8)) - (j & ~255)
         while j < stop:
-            place = np.uint64(base + j)
-            before = np.int64(pool[place])
-            if before < level:
-                dv = j - v
-                rest = np.int64(rests[place])
-                cover = 2.0 * (inside - dv * dv) + 2.0 * (beside + abs(dv))  # 4 (|du| + |dv|) times the covered share
-                full = 4.0 * (beside + abs(dv))
-                after = level
-                if cover < full:
-                    after = rest + np.int64(cover * (level - rest) / full + 0.5)
-                if after > before:
-                    if room:
-                        log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, before
-                        log_rest[np.uint64(logged)] = rest
-                        logged += 1
-                    pool[place] = after
-                    if cover >= full:
-                        rests[place] = level
-                    lost = after - before
-                    total += lost
-                    new += before == 0
-                    if sinking:
-                        k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])
-                        sunk[k, 0] += lost
-                        sunk[k, 1] += 1.0
-                    else:
-                        sine = np.uint64((across + j * side_y + shift[np.uint64(j & 63)]) >> 20)
-                        k = np.uint64(p.front[sine])
-                        ahead[k, 0] += lost
-                        ahead[k, 1] += lost * (level - rest)
-            j += 1
+            end = stop
+            if sinking:  # most nodes below the tool are cut already: they are compared many at once
+                end = min(j + BLOCK, stop)
+                if not any_above(pool, np.uint64(base + j), np.uint64(end - j), np.uint16(level)):
+                    j = end
+            while j < end:
+                place = np.uint64(base + j)
+                before = np.int64(pool[place])
+                if before < level:
+                    dv = j - v
+                    rest = np.int64(rests[place])
+                    cover = 2.0 * (inside - dv * dv) + 2.0 * (
+                        beside + abs(dv)
+                    )  # 4 (|du| + |dv|) times the covered share
+                    full = 4.0 * (beside + abs(dv))
+                    after = level
+                    if cover < full:
+                        after = rest + np.int64(cover * (level - rest) / full + 0.5)
+                    if after > before:
+                        if room:
+                            log_place[np.uint64(logged)], log_level[np.uint64(logged)] = place, before
+                            log_rest[np.uint64(logged)] = rest
+                            logged += 1
+                        pool[place] = after
+                        if cover >= full:
+                            rests[place] = level
+                        lost = after - before
+                        total += lost
+                        new += before == 0
+                        if sinking:
+                            k = np.uint64(p.around[np.uint64(i - about_i), np.uint64(j - about_j)])
+                            sunk[k, 0] += lost
+                            sunk[k, 1] += 1.0
+                        else:
+                            sine = np.uint64((across + j * side_y + shift[np.uint64(j & 63)]) >> 20)
+                            k = np.uint64(p.front[sine])
+                            ahead[k, 0] += lost
+                            ahead[k, 1] += lost * (level - rest)
+                j += 1
     s.ints[LOGGED] = logged
     s.ints[NODES_CUT] += new
     s.floats[LEVEL_SUM] += total * p.level_step

@@ -52,7 +52,7 @@ def _clear_column(pool, table, ints, runs, old, tally, ix, ja, jb, level):
             ints[TILES] += 1
         start = (np.int64(slot) << 16) | ((ix & 255) << 8) | (j & 255)
         j += length
-        if length >= VECTOR and not _any_above(pool, start, length, level):
+        if length >= VECTOR and not any_above(pool, start, length, level):
             continue
         if ints[LOGGED] + length + LANES > old.size or ints[LOGGED_RUNS] == runs.shape[0]:
             tally_log(ints, old, tally, level)
@@ -75,10 +75,10 @@ def _lower(pool, old, start, logged, length, level):
 
 
 @inlined
-def _any_above(pool, start, length, level):
+def any_above(pool, start, length, level):
     lowest = pool[start]
-    for p in range(start, start + length):
-        lowest = min(lowest, pool[p])
+    for p in range(length):
+        lowest = min(lowest, pool[start + p])
     return lowest < level
 
 
