@@ -26,22 +26,28 @@ REACH = 2  #: stretches to both sides in which a point that is left out changes 
 LEVER = 0.1  #: [m], length of a tool: a turn by an angle moves its shank by the angle times the length
 
 
-def point_numbers(program: Program, original: Trajectory, revised: Trajectory) -> np.ndarray:
-    """Return the knots that become points, (p,), in both trajectories; the first, the stops and the last are points.
+def point_numbers(
+    program: Program, original: Trajectory, revised: Trajectory, fixed: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the knots that become points, (p,), in both trajectories; the first, the fixed and the last are points.
 
-    Knots closer than ``program.point_spacing`` are left out. A tolerance of 0 takes all other knots.
+    fixed: mask (n,) of knots; None: the stops. Knots closer than ``program.point_spacing`` are left out. A tolerance of
+    0 takes all other knots.
     """
-    knots = _apart(program.point_spacing, original.standing, original.position, revised.position)
+    fixed = original.standing if fixed is None else fixed
+    knots = _apart(program.point_spacing, fixed, original.position, revised.position)
     if not program.tolerance:
         return knots
+    fixed = fixed[knots]
+    fixed[[0, -1]] = True
     runs = [original] if revised is original else [original, revised]
-    chosen = _refined(program, runs, knots)
-    return knots[_thinned(program, runs, knots, chosen)]
+    chosen = _refined(program, runs, knots, fixed)
+    return knots[_thinned(program, runs, knots, chosen, fixed)]
 
 
-def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray) -> np.ndarray:
-    """Halve the stretches between two stops until the error is in the tolerance; return indices into ``knots``."""
-    time, chosen = runs[0].time_ns[knots], np.flatnonzero(_fixed(runs[0], knots))
+def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray, fixed: np.ndarray) -> np.ndarray:
+    """Halve the stretches between fixed knots until the error is in the tolerance; return indices into ``knots``."""
+    time, chosen = runs[0].time_ns[knots], np.flatnonzero(fixed)
     while True:
         middle = _middles(time, chosen)
         inside = (middle > chosen[:-1]) & (middle < chosen[1:])
@@ -54,12 +60,14 @@ def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray) -> np.
         chosen = np.union1d(chosen, new[wide] if wide.any() else new)
 
 
-def _thinned(program: Program, runs: list[Trajectory], knots: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+def _thinned(
+    program: Program, runs: list[Trajectory], knots: np.ndarray, chosen: np.ndarray, fixed: np.ndarray
+) -> np.ndarray:
     """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed."""
     limit = max(program.tolerance, float(_errors(program, runs, knots[chosen]).max()))
     for turn in range(3 * THINNINGS):
         out = np.arange(len(chosen)) % 3 == turn % 3
-        out &= ~_fixed(runs[0], knots[chosen])
+        out &= ~fixed[chosen]
         while out.any():
             over = _errors(program, runs, knots[chosen[~out]]) > limit
             if not over.any():
@@ -69,13 +77,6 @@ def _thinned(program: Program, runs: list[Trajectory], knots: np.ndarray, chosen
             out[np.flatnonzero(out)[back if back.any() else slice(None)]] = False
         chosen = chosen[~out]
     return chosen
-
-
-def _fixed(original: Trajectory, knots: np.ndarray) -> np.ndarray:
-    """Return a mask of the knots that must be points: the first, the stops and the last."""
-    fixed = original.standing[knots]
-    fixed[[0, -1]] = True
-    return fixed
 
 
 @dataclass(frozen=True)
