@@ -7,6 +7,7 @@ import io
 import json
 import math
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from kr270_milling.decide.check import check
 from kr270_milling.decide.check_cut import engagement, rapid_violations
 from kr270_milling.decide.part import assess
 from kr270_milling.decide.tools import in_turn
+from kr270_milling.path.cam.gcode.reader import read_gcode
 
 DETAIL = [f"cutting.detail={detail}" for detail in ("teeth", "engagement")]
 
@@ -177,7 +179,8 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
     checked = json.loads(capsys.readouterr().out)
     assert [one["tool"] for one in checked["tools"]] == ["T1", "T2", "T3"]
     assert checked["may_be_run"] and sum(one["removed_by_rapid_moves_mm3"] for one in checked["tools"]) == 0.0
-    assert main(command("compensate", drafted, "--no-verdict", "--json", "--out", str(tmp_path / "out"))) == 0
+    words = ["--no-verdict", "--gcode", "--json", "--out", str(tmp_path / "out")]
+    assert main(command("compensate", drafted, *words)) == 0
     answer = json.loads(capsys.readouterr().out)
     assert answer["decision"] == "caution" and answer["may_be_run"]
     programs = [path for one in answer["tools"] for path in one["programs"]["krl_spline"]]
@@ -191,6 +194,12 @@ def test_a_program_with_three_tools_is_checked_and_compensated_as_one(drafted, t
     said = f"decision: caution: {answer['sentence']}"
     assert said in manifest and said in " ".join(re.findall(r"^; (.*?)\r?$", header, re.MULTILINE))
     assert manifest.count("====") == 6 and all(f'data-tool="T{k}"' in report for k in (1, 2, 3))
+    corrected = Path(answer["gcode"]["file"])  # one program with all tools
+    assert corrected.name in manifest and f"(part program: {said[:50]}" in corrected.read_text()
+    for cell, one in zip(read_cells(drafted, [*STOCK, *FAST]), answer["gcode"]["tools"], strict=True):
+        read = read_gcode(corrected, one["tool"])
+        assert one["error_um"] < 2.1 and one["blocks"] == np.count_nonzero(~read.rapid) > one["source_blocks"]
+        assert read.length == pytest.approx(cell.timed_path.toolpath.length, rel=0.01)
     for one in answer["tools"]:  # one after the other the tools leave the part
         assert one["compensated"]["deciding_error_um"] < one["as_programmed"]["deciding_error_um"]
 
@@ -201,11 +210,15 @@ def test_a_stop_of_one_tool_stops_the_program(drafted, tmp_path, capsys):
     program.write_text(dangerous)
     more = ["--set", f"path.file={program}"]
     out = tmp_path / "out"
-    assert main(command("compensate", drafted, "--no-verdict", "--json", "--out", str(out), *more)) == 1
+    assert main(command("compensate", drafted, "--no-verdict", "--gcode", "--json", "--out", str(out), *more)) == 1
     answer = json.loads(capsys.readouterr().out)
     assert answer["decision"] == "no" and answer["deciding_tool"] == "T2" and "rapid" in answer["sentence"]
     assert [one["level"] for one in answer["tools"]] == ["caution", "no", "caution"]
-    assert not list(out.glob("krl_*")) and "NOT RELEASED" in (out / "MANIFEST.txt").read_text()
+    assert (
+        not list(out.glob("krl_*"))
+        and not list(out.glob("*gcode_*"))
+        and "NOT RELEASED" in (out / "MANIFEST.txt").read_text()
+    )
     assert main(command("check", drafted, *more)) == 1
     shown = capsys.readouterr().out
     assert "must not be run: stops of T2" in shown and "tool T3, 3 of 3" in shown

@@ -18,7 +18,7 @@ from kr270_milling.cell.sections import Program
 from kr270_milling.path.trajectory import Trajectory, TrajectoryError
 
 __all__ = [
-    "Source", "axis_text", "comments", "frame_row", "frame_text", "modules_of", "motion_lines", "number",
+    "WIDEST", "Source", "axis_text", "comments", "frame_row", "frame_text", "modules_of", "motion_lines", "number",
     "point_speeds", "position_text", "printable_ascii",
 ]  # fmt: skip
 

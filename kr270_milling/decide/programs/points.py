@@ -8,6 +8,7 @@ along the path itself.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -21,27 +22,34 @@ from kr270_milling.path.trajectory import Trajectory
 __all__ = ["ProgramBlocks", "point_numbers", "program_blocks"]
 
 SHORT_NS = 30_000_000  #: [ns]: a block is shorter only where the tolerance needs it
-THINNINGS = 4  #: times that each point is left out on trial
+#: how far the points before and after move towards a point that is left out on trial, one trial after the other
+MOVES = ((0.0, 0.0), (0.6, 0.0), (0.0, 0.6), (0.6, 0.4))
 REACH = 2  #: stretches to both sides in which a point that is left out changes the path
 LEVER = 0.1  #: [m], length of a tool: a turn by an angle moves its shank by the angle times the length
 
 
-def point_numbers(program: Program, original: Trajectory, revised: Trajectory) -> np.ndarray:
-    """Return the knots that become points, (p,), in both trajectories; the first, the stops and the last are points.
+def point_numbers(
+    program: Program, original: Trajectory, revised: Trajectory, fixed: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the knots that become points, (p,), in both trajectories; the first, the fixed and the last are points.
 
-    Knots closer than ``program.point_spacing`` are left out. A tolerance of 0 takes all other knots.
+    fixed: mask (n,) of knots; None: the stops. Knots closer than ``program.point_spacing`` are left out. A tolerance of
+    0 takes all other knots.
     """
-    knots = _apart(program.point_spacing, original.standing, original.position, revised.position)
+    fixed = original.standing if fixed is None else fixed
+    knots = _apart(program.point_spacing, fixed, original.position, revised.position)
     if not program.tolerance:
         return knots
+    fixed = fixed[knots]
+    fixed[[0, -1]] = True
     runs = [original] if revised is original else [original, revised]
-    chosen = _refined(program, runs, knots)
-    return knots[_thinned(program, runs, knots, chosen)]
+    chosen = _refined(program, runs, knots, fixed)
+    return knots[_thinned(program, runs, knots, chosen, fixed)]
 
 
-def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray) -> np.ndarray:
-    """Halve the stretches between two stops until the error is in the tolerance; return indices into ``knots``."""
-    time, chosen = runs[0].time_ns[knots], np.flatnonzero(_fixed(runs[0], knots))
+def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray, fixed: np.ndarray) -> np.ndarray:
+    """Halve the stretches between fixed knots until the error is in the tolerance; return indices into ``knots``."""
+    time, chosen = runs[0].time_ns[knots], np.flatnonzero(fixed)
     while True:
         middle = _middles(time, chosen)
         inside = (middle > chosen[:-1]) & (middle < chosen[1:])
@@ -54,28 +62,31 @@ def _refined(program: Program, runs: list[Trajectory], knots: np.ndarray) -> np.
         chosen = np.union1d(chosen, new[wide] if wide.any() else new)
 
 
-def _thinned(program: Program, runs: list[Trajectory], knots: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed."""
+def _thinned(
+    program: Program, runs: list[Trajectory], knots: np.ndarray, chosen: np.ndarray, fixed: np.ndarray
+) -> np.ndarray:
+    """Leave out points that the tolerance does not need: every third one at a time, then back where it is needed.
+
+    The points before and after move towards a point that is left out by a share of the way; a fixed point does not.
+    """
     limit = max(program.tolerance, float(_errors(program, runs, knots[chosen]).max()))
-    for turn in range(3 * THINNINGS):
-        out = np.arange(len(chosen)) % 3 == turn % 3
-        out &= ~_fixed(runs[0], knots[chosen])
-        while out.any():
-            over = _errors(program, runs, knots[chosen[~out]]) > limit
+    for shares, turn in itertools.product(MOVES, range(3)):
+        out = np.arange(1 + turn, len(chosen) - 1, 3)
+        out = out[~fixed[chosen[out]]]
+        while out.size:
+            trial = chosen.copy()
+            for side, share in zip((-1, 1), shares, strict=True):
+                step = np.rint(share * np.abs(chosen[out] - chosen[out + side])).astype(int)
+                trial[out + side] -= side * np.where(fixed[chosen[out + side]], 0, step)
+            trial = np.delete(trial, out)
+            over = _errors(program, runs, knots[trial]) > limit
             if not over.any():
+                chosen = trial
                 break
             near = np.convolve(over, np.ones(2 * REACH + 1), "same") > 0.0
-            back = near[np.cumsum(~out)[out] - 1]  # the stretch in which the point was
-            out[np.flatnonzero(out)[back if back.any() else slice(None)]] = False
-        chosen = chosen[~out]
+            back = near[out - 1 - np.arange(out.size)]  # the stretch in which the point was
+            out = out[~back] if back.any() else out[:0]
     return chosen
-
-
-def _fixed(original: Trajectory, knots: np.ndarray) -> np.ndarray:
-    """Return a mask of the knots that must be points: the first, the stops and the last."""
-    fixed = original.standing[knots]
-    fixed[[0, -1]] = True
-    return fixed
 
 
 @dataclass(frozen=True)

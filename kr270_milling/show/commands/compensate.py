@@ -30,6 +30,7 @@ from kr270_milling.show.commands.progress import progress
 UNFINISHED = "unfinished"  #: directory of the passes of a run that has not ended
 PLANTS, FEWEST_PLANTS = 32, 8  #: of a verdict
 NOT_RELEASED, NOT_WRITTEN = "programs marked NOT RELEASED", "no robot program is written (--force writes one)"
+SCORED = "the figures are those of the KRL program; how a controller blends G1 blocks is not simulated"
 COLORS = {"yes": "green", "caution": "yellow", "no": "red"}  #: by level of the decision
 
 COMMANDS = {
@@ -75,6 +76,7 @@ COMMANDS = {
             "--rsi ADDRESS[:PORT]",
             "also write the RSI context of a KR C4 and the program around it, for 'kr270_milling rsi' on that host",
         ),
+        option("--gcode", "also write the G-code of the cell with corrected coordinates, as G1 blocks", bool),
         option("--seed N", "of the verdict's plants", bounded(1, 999_999, int), 1),
     ),
 }  # fmt: skip
@@ -85,6 +87,7 @@ def run_compensate(args) -> Answer:
     from kr270_milling.cell.saved_passes import SavedPasses
     from kr270_milling.decide.compensation import compensate
     from kr270_milling.decide.decision import CAUTION
+    from kr270_milling.decide.programs.gcode import check_gcode
     from kr270_milling.decide.programs.rsi_context import rsi_address
     from kr270_milling.decide.tools import DecisionOnTools, in_turn
 
@@ -103,6 +106,8 @@ def run_compensate(args) -> Answer:
     if args.rsi:
         rsi_address(args.rsi)  # refused before the passes are run
     source, cells = find_file(args.cell), cells_of(args)
+    if args.gcode:
+        check_gcode(cells)
     with staged(args.out) as (draft, final):
         jobs = in_turn(cells, run, lambda done: done.revised if done.checked.may_be_run else None)
         several = len(jobs) > 1
@@ -188,6 +193,10 @@ def _write(draft, final, jobs, decision, args, source) -> dict:
             page, part = _part_files(draft, final, cell, done, args, source, date)
             pages.append(page)
             tools[-1] |= part
+    gcode: dict = {}
+    if args.gcode and (released or args.force):
+        gcode, text = _write_gcode(draft, final, jobs, decision, released, date)
+        texts.append(text)
     manifest = str(final(write_manifest(draft, texts, decision.lines(), released)))
     report = {"report": str(final(_write_report(draft, jobs, decision, pages)))} if pages else {}
     if len(jobs) > 1:
@@ -195,9 +204,29 @@ def _write(draft, final, jobs, decision, args, source) -> dict:
             {"tool": cell.stage.tool, "level": one.pop("decision"), **one}
             for (cell, _), one in zip(jobs, tools, strict=True)
         ]
-        return {**decision.as_dict(), "out": args.out, "manifest": manifest, **report, "tools": rows}
+        return {**decision.as_dict(), "out": args.out, "manifest": manifest, **report, **gcode, "tools": rows}
     tools[0]["programs"]["manifest"] = [manifest]
-    return tools[0] | report
+    return tools[0] | report | gcode
+
+
+def _write_gcode(draft, final, jobs, decision, released, date: str) -> tuple[dict, str]:
+    """The G-code of all tools: its final path with what was read back, and the text for the manifest."""
+    from kr270_milling.decide.programs.gcode import write_gcode
+
+    path, tools = write_gcode(
+        draft, [(cell, done.revised.reference) for cell, done in jobs], date=date, decision=decision.lines(),
+        method="-".join(dict.fromkeys(done.revised.name for _, done in jobs)), released=released,
+    )  # fmt: skip
+    lines = [f"{path.name}: for KUKA.CNC, another robot or a machine tool.", *(one.text for one in tools), SCORED]
+    values = {"file": str(final(path)), "tools": [one.as_dict() for one in tools]}
+    return {"gcode": values}, "\n" + "\n  ".join(lines) + "\n"
+
+
+def _gcode_lines(values: dict):
+    if "gcode" in values:
+        yield f"gcode: {values['gcode']['file']}"
+        yield from (one["sentence"] for one in values["gcode"]["tools"])
+        yield SCORED
 
 
 def _write_programs(draft, final, cell, done, lines, released, args, date: str) -> tuple[dict, str]:
@@ -288,6 +317,7 @@ def _shown_tools(jobs, decision, values: dict, args):
     yield ""
     if decision.level == NO:
         yield NOT_RELEASED if args.force else NOT_WRITTEN
+    yield from _gcode_lines(values)
     yield from (f"{kind}: {values[kind]}" for kind in ("manifest", "report") if kind in values)
 
 
@@ -301,6 +331,7 @@ def _shown(cell, done, decision, values: dict, args):
     if decision.level == NO:
         yield NOT_RELEASED if args.force else NOT_WRITTEN
     yield from _files(values)
+    yield from _gcode_lines(values)
     yield from (f"{kind}: {values[kind]}" for kind in ("report", "part") if kind in values)
 
 

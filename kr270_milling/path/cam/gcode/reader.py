@@ -18,7 +18,7 @@ from kr270_milling.path.cam.gcode.words import ADVICE, MACROS, SILENT, UNKNOWN
 from kr270_milling.path.cam.program_builder import ProgramBuilder
 from kr270_milling.path.toolpath import Toolpath
 
-__all__ = ["read_gcode"]
+__all__ = ["COMMENT", "PIECE", "GcodeReader", "changes_by_m6", "read_gcode"]
 
 NUMBER = r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)"
 WORD = re.compile(rf"([A-Z])[ \t]*({NUMBER})")
@@ -58,13 +58,17 @@ def read_gcode(path, tool: str = "", feed: float = 0.0) -> Toolpath:
     lines = read_lines(path)
     number = re.fullmatch(r"\s*[Tt]?0*([0-9]+)\s*", tool)
     program = ProgramBuilder(path, f"T{number.group(1)}" if number else tool.strip())
-    changes = any(CHANGE.search(_split_comments(line)[0]) for line in lines if "6" in line and CHANGE.search(line))
-    machine = Interpreter(program, feed, changes)
-    _GcodeReader(program, machine).read(lines)
+    machine = Interpreter(program, feed, changes_by_m6(lines))
+    GcodeReader(program, machine).read(lines)
     return program.finish(machine.unit)
 
 
-class _GcodeReader:
+def changes_by_m6(lines: list[str]) -> bool:
+    """Return whether a tool comes with M6, else with its T."""
+    return any(CHANGE.search(_split_comments(line)[0]) for line in lines if "6" in line and CHANGE.search(line))
+
+
+class GcodeReader:
     """Lines to words, comments to names."""
 
     def __init__(self, program: ProgramBuilder, machine: Interpreter):
@@ -76,15 +80,19 @@ class _GcodeReader:
     def read(self, lines: list[str]) -> None:
         """Up to the end of the program, or of the file."""
         for self.program.line, line in enumerate(lines, 1):
-            if SIMPLE.fullmatch(line):
-                self._run(line)
-            else:
-                self._line(line.strip())
+            self.run_line(line)
             if self.machine.ended or self.program.hopeless:
                 return
         # a program without an end may be cut off, unless it ends in M words, which move nothing
         if (reason := unended(lines)) and not LAST.fullmatch(_split_comments(lines[-1])[0]):
             self.program.refuse("", reason)
+
+    def run_line(self, line: str) -> None:
+        """Run the blocks of one line."""
+        if SIMPLE.fullmatch(line):
+            self._run(line)
+        else:
+            self._line(line.strip())
 
     def _run(self, line: str) -> None:
         words = [(letter, float(text)) for letter, text in WORD.findall(line)]

@@ -1,0 +1,246 @@
+"""The G-code program of a cell with corrected coordinates, for KUKA.CNC, other robots and machine tools.
+
+The points of a line are those that its part of the corrected path needs: straight lines between them are within
+``program.tolerance`` of the path, and the last point is the end of the line. N numbers, tool calls, cycles, comments
+and rapid moves stay; only a rapid move to the start of a cut ends at the corrected start. Feeds stay as programmed. The
+tool axis stays, too: 3-axis G-code has no words for the small turns of a correction.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import textwrap
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.files import write_files
+from kr270_milling.base.version import __version__
+from kr270_milling.cell.cell import Cell
+from kr270_milling.decide.programs.krl import trajectory_hash
+from kr270_milling.decide.programs.krl_motion import WIDEST, printable_ascii
+from kr270_milling.decide.programs.points import point_numbers
+from kr270_milling.path.cam.gcode.rewriter import GcodeSource, read_source
+from kr270_milling.path.cam.readers import GCODE, read_toolpath, reader_of
+from kr270_milling.path.timing import TimedPath, time_path
+from kr270_milling.path.toolpath import Toolpath
+from kr270_milling.path.trajectory import Trajectory
+
+__all__ = ["WrittenGcode", "check_gcode", "write_gcode"]
+
+NO_GCODE = "corrected G-code needs path.file, a program in G-code"
+SAME_PLACE = 0.05e-6  #: [m], half of the last digit in mm
+SAME_KNOT = 1e-9  #: [m], along the path
+CURVED = 0.25  #: share of the tolerance that straight lines between the candidates take
+MOST_PARTS = 64  #: of one step of the controller
+
+
+@dataclass(frozen=True)
+class WrittenGcode:
+    """The G-code of one tool, read back by ``read_gcode``."""
+
+    tool: str
+    source_blocks: int  #: lines with a feed move
+    blocks: int  #: G1 blocks in their place
+    error: float  #: [m], of the read path from the planned path, in the feed moves
+    duration: float  #: [s], by the time law of the controller, without the limits of the joints
+    planned_duration: float  #: [s], of the source by the same law
+
+    def as_dict(self) -> dict:
+        """For JSON."""
+        values = asdict(self)
+        return values | {"error_um": 1e6 * values.pop("error"), "sentence": self.text}
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        tool = f"{self.tool}: " if self.tool else ""
+        return (
+            f"{tool}{self.blocks} G1 blocks for {self.source_blocks} feed moves; read back, they are within "
+            f"{1e6 * self.error:.2g} um of the planned path and take {self.duration:.4g} s by the time law "
+            f"(the source {self.planned_duration:.4g} s)"
+        )
+
+
+def check_gcode(cells: Sequence[Cell]) -> GcodeSource:
+    """Return the program of the cells, one cell a tool; raise InputError where its G-code cannot be corrected."""
+    file = cells[0].path.file
+    if not file or reader_of(file) is not GCODE:
+        raise InputError(file or "--gcode", NO_GCODE)
+    if not cells[0].compensation.sag_compensated:
+        reason = (
+            "G-code states no joints, so the controller must compensate the sag: compensation.sag_compensated: true"
+        )
+        raise InputError("--gcode", reason)
+    return read_source(file, {cell.programmed.program.tool for cell in cells})
+
+
+def write_gcode(
+    directory, jobs: Sequence[tuple[Cell, Trajectory]], *, method: str, date: str, decision: Sequence[str] = (),
+    released: bool = True,
+) -> tuple[Path, list[WrittenGcode]]:  # fmt: skip
+    """Write the program of the cells, one cell a tool, along their revised trajectories; return its path.
+
+    method: for the name; date: ISO text; decision: its lines, for the header. A program that is not released has
+    NOT_RELEASED in name and header. Raises InputError as ``check_gcode``.
+    """
+    source = check_gcode([cell for cell, _ in jobs])
+    plans = [_Plan.of(cell, run, source) for cell, run in jobs]
+    ends = {line: points for plan in plans for line, points in plan.ends.items()}
+    hashes = [trajectory_hash(run) for _, run in jobs]
+    mark = hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
+    file = Path(jobs[0][0].path.file)
+    name = f"gcode_{method}_{date[:10].replace('-', '')}_{mark[:8]}{file.suffix}"
+    path = Path(directory) / (name if released else f"NOT_RELEASED_{name}")
+    lines = source.rewritten(ends)
+    notes = [
+        *([] if released else ["NOT RELEASED: FOR INSPECTION ONLY"]),
+        "SIMULATION RESULT: VERIFY WITH REDUCED OVERRIDE AND WITHOUT MATERIAL BEFORE MILLING",
+        f"kr270_milling {__version__}, {date}, method {method}, feed moves are G1 blocks on the corrected path",
+        f"sha256 of the source {jobs[0][0].programmed.sha256}",
+        *decision,
+    ]
+    lines[source.head : source.head] = [source.comment.format(line) for note in notes for line in _comment(note)]
+    newline = "\r\n" if b"\r\n" in file.read_bytes()[:4096] else "\n"
+    write_files({path: ["\n".join(lines)]}, newline=newline)
+    return path, [plan.compared(path) for plan in plans]
+
+
+def _comment(note: str) -> list[str]:
+    """Lines of a comment; its first word shows a reader that they name no operation and no tool."""
+    text = printable_ascii(note).replace("(", "[").replace(")", "]")
+    return [f"part program: {line}" for line in textwrap.wrap(text, WIDEST)]
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """The points of one tool: of each row of feed moves its start and the ends of its blocks."""
+
+    cell: Cell
+    run: Trajectory
+    time_ns: np.ndarray  #: [ns], (p,)
+    row: np.ndarray  #: (p,), number of the row
+    block: np.ndarray  #: (p,) bool: end of a block; else the start of a row, to which a rapid move leads
+    ends: dict[int, np.ndarray]  #: line -> points [m]
+    source_blocks: int
+
+    @classmethod
+    def of(cls, cell: Cell, run: Trajectory, source: GcodeSource) -> _Plan:
+        timed = _timed(cell)
+        path = timed.toolpath
+        cuts = ~path.rapid & ~path.drilling
+        other = (path.line[2:] != path.line[1:-1]) | (cuts[2:] != cuts[1:-1])
+        last = np.flatnonzero(np.append(other, True)) + 1  #: block at the end of each move
+        line, feed = path.line[last].tolist(), cuts[last]
+        times = np.append(0, _time_at(timed, np.cumsum(path.block_length)[last]))
+        points = _point_times(cell, run, times[np.append(feed, False) | np.append(False, feed)])
+        after = np.searchsorted(points, times, side="right")
+        ends: dict[int, list] = {}
+        rows: list[tuple] = []  #: of each move: number of its row, times, whether these are ends of blocks
+        for move in np.flatnonzero(feed).tolist():
+            inside = points[after[move] : after[move + 1]]
+            begins = move == 0 or not feed[move - 1]
+            number = (rows[-1][0] if rows else 0) + begins
+            if begins:
+                start, time_ns = path.position[last[move - 1] if move else 0], times[move : move + 1]
+                moved = np.abs(run.sample(time_ns[0]) - start).max() > SAME_PLACE
+                before = line[move - 1] if move else int(path.line[0])
+                rapid = before in source.moves and source.moves[before].kind == "rapid"
+                if moved or rapid:
+                    ends.setdefault(before if rapid else line[move], []).append(run.sample(time_ns))
+                rows.append((number, time_ns, moved and not rapid))
+            ends.setdefault(line[move], []).append(run.sample(inside))
+            rows.append((number, inside, True))
+        count = [len(time_ns) for _, time_ns, _ in rows]
+        return cls(
+            cell, run, np.concatenate([time_ns for _, time_ns, _ in rows]),
+            np.repeat([number for number, _, _ in rows], count), np.repeat([block for _, _, block in rows], count),
+            {number: np.concatenate(parts) for number, parts in ends.items()}, len(set(np.array(line)[feed])),
+        )  # fmt: skip
+
+    def compared(self, file: Path) -> WrittenGcode:
+        """Read the program back and compare its path with the planned one; raise InputError for another program."""
+        cell, tool = self.cell, self.cell.programmed.program.tool
+        read = read_toolpath(file, tool, cell.path.feed_rate)
+        ends = np.flatnonzero(~read.rapid & ~read.drilling)
+        if len(ends) != self.block.sum():
+            raise InputError(file, f"read back, it has {len(ends)} feed moves where {self.block.sum()} were written")
+        places = np.empty((len(self.block), 3))
+        places[self.block] = read.position[ends]
+        starts = np.flatnonzero(~self.block)
+        places[starts] = read.position[ends[np.cumsum(self.block)[starts]] - 1]
+        return WrittenGcode(
+            tool, self.source_blocks, len(ends), self._error(places), _duration(cell, read),
+            _duration(cell, _timed(cell).toolpath),
+        )  # fmt: skip
+
+    def _error(self, places: np.ndarray) -> float:
+        """Return the largest distance [m] of the planned path from the straight lines between places (p, 3)."""
+        times = _candidates(self.run, self.cell.program.tolerance)
+        times = np.union1d(times, (times[1:] + times[:-1]) // 2)
+        span = np.clip(np.searchsorted(self.time_ns, times, side="right") - 1, 0, len(places) - 2)
+        inside = (times >= self.time_ns[span]) & (times <= self.time_ns[span + 1])
+        inside &= self.row[span] == self.row[span + 1]
+        span = span[inside]
+        way, move = self.run.sample(times[inside]) - places[span], places[span + 1] - places[span]
+        share = np.sum(way * move, axis=1) / np.maximum(np.sum(move**2, axis=1), 1e-30)
+        return float(np.linalg.norm(way - np.clip(share, 0.0, 1.0)[:, None] * move, axis=1).max(initial=0.0))
+
+
+def _timed(cell: Cell) -> TimedPath:
+    if cell.timed_path is None:
+        raise InputError("--gcode", NO_GCODE)
+    return cell.timed_path
+
+
+def _duration(cell: Cell, path: Toolpath) -> float:
+    """[s], under the limits of the controller alone."""
+    return 1e-9 * time_path(path, cell.timing).trajectory.duration_ns
+
+
+def _time_at(timed: TimedPath, distance: np.ndarray) -> np.ndarray:
+    """Return the times [ns] at distances [m] along the path; at a knot the time of the knot."""
+    time_ns = timed.trajectory.time_ns
+    after = np.clip(np.searchsorted(timed.distance, distance), 1, len(time_ns) - 1)
+    low, high = time_ns[after - 1], time_ns[after]
+    for knot in (after, after - 1):
+        at = np.abs(timed.distance[knot] - distance) < SAME_KNOT
+        low, high = np.where(at, time_ns[knot], low), np.where(at, time_ns[knot], high)
+    while np.any(high - low > 1):
+        middle = (low + high) // 2
+        below = timed.distance_at(middle) < distance
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return high
+
+
+def _point_times(cell: Cell, run: Trajectory, needed: np.ndarray) -> np.ndarray:
+    """Return the times [ns] of the points of a run; needed [ns]: of the ends of the moves."""
+    times = np.union1d(_candidates(run, cell.program.tolerance), needed)
+    fine = Trajectory(times, run.sample(times), run.quaternion[0], None, run.frame)
+    fixed = np.isin(times, needed) | np.isin(times, run.time_ns[run.standing])
+    program = cell.program.replace(motion="LIN", tolerance=(1.0 - CURVED) * cell.program.tolerance)
+    return times[point_numbers(program, fine, fine, fixed)]
+
+
+def _candidates(run: Trajectory, tolerance: float) -> np.ndarray:
+    """Return times [ns], the knots of a run among them, so dense that straight lines between them keep to its path.
+
+    A line between two points of a curve misses the curve by a h^2 / 8, a the acceleration across the line and h the
+    time between the points. Without a tolerance the knots alone.
+    """
+    knots = run.time_ns
+    if not tolerance or run.velocity is None:
+        return knots
+    step = np.diff(knots)
+    line = np.diff(run.position, axis=0)
+    line /= np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-12)
+    across = np.zeros(len(step))
+    for bend in (run.sample_acceleration(knots[:-1], "right"), run.sample_acceleration(knots[1:], "left")):
+        across = np.maximum(across, np.linalg.norm(bend - np.sum(bend * line, axis=1, keepdims=True) * line, axis=1))
+    parts = np.ceil(1e-9 * step * np.sqrt(across / (8.0 * CURVED * tolerance)))
+    parts = np.clip(parts, 1, MOST_PARTS).astype(int)
+    part = np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts)
+    return np.append(np.repeat(knots[:-1], parts) + part * np.repeat(step, parts) // np.repeat(parts, parts), knots[-1])

@@ -1,0 +1,198 @@
+"""G-code out: the lines of a program with other end points of its moves, and everything else unchanged.
+
+The interpreter of the reader runs each line, so that the kind of its move is known. A line with a feed move (G1, G2,
+G3) becomes G1 blocks; its N number, its other words and its comments stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+
+from kr270_milling.base.errors import InputError
+from kr270_milling.base.text import read_lines
+from kr270_milling.path.cam.gcode.interpreter import Interpreter
+from kr270_milling.path.cam.gcode.reader import COMMENT, PIECE, GcodeReader, changes_by_m6
+from kr270_milling.path.cam.machine import MM
+from kr270_milling.path.cam.program_builder import ProgramBuilder
+
+__all__ = ["GcodeSource", "SourceMove", "read_source"]
+
+ABSOLUTE = "is incremental, and a corrected program needs absolute coordinates; post the program with G90"
+PER_MINUTE = "a feed in inverse time (G93) holds for the whole block; post the program with feeds per minute (G94)"
+UNPLACED = "the drilling cycle begins at the end of a feed move; write a rapid move to X, Y and Z before it"
+PLACES = {"feed": frozenset("XYZIJKR") | {"CR", "TURN"}, "rapid": frozenset("XYZ")}
+#: words that end a block: they stay on the last of its new blocks
+ENDING = {("G", 9.0), *(("M", float(code)) for code in (0, 1, 2, 5, 9, 17, 30, 60, 99))}
+
+
+@dataclass(frozen=True)
+class SourceMove:
+    """The move of one line."""
+
+    kind: str  #: "feed", "rapid" or "cycle"
+    unit: float  #: [m], of its coordinates
+    arc: bool  #: G2 or G3
+
+
+class _Watch(Interpreter):
+    """Notes the move of a line; refuses a move of a corrected tool that the corrected program would change."""
+
+    tools: Collection[str] = ()
+    move_of_line: SourceMove | None = None
+
+    def __init__(self, program: ProgramBuilder, feed: float, changes: bool):
+        super().__init__(program, feed, changes)
+        self._corrected: frozenset[str] = frozenset()  #: axes that a corrected feed move placed
+
+    def _note(self, kind: str, axes: Collection[str]) -> None:
+        if self.program.tool in self.tools:
+            self.move_of_line = SourceMove(kind, self.unit, self.mode in (2, 3))
+            self._corrected = frozenset("XYZ") if kind == "feed" else self._corrected.difference(axes)
+
+    def _refuse(self, reason: str) -> None:
+        if self.program.tool in self.tools:
+            raise InputError(self.program.source, reason, self.program.line)
+
+    def _relative(self, axes: Collection[str]) -> str:
+        """The axes of a block that it moves by a length, not to a place."""
+        return "".join(axis for axis in "XYZ" if axis in axes and not self.absolute.get(axis, not self.incremental))
+
+    def _move(self, axes: dict) -> None:
+        relative = self._relative(axes)
+        self._note("rapid", axes)
+        super()._move(axes)
+        if relative and self.move_of_line and self.move_of_line.kind == "rapid":
+            self._refuse(f"the rapid move along {relative[0]} {ABSOLUTE}")
+
+    def _feed_to(self, start, ends: list, length: float, curvature: float = 0.0) -> None:
+        if self.incremental:
+            self._refuse(f"the move {ABSOLUTE}")
+        if self.feed_mode == 93:
+            self._refuse(PER_MINUTE)
+        self._note("feed", ())
+        super()._feed_to(start, ends, length, curvature)
+
+    def _drill(self, kind: float | None, axes: dict) -> None:
+        if self._relative(axes):
+            self._refuse(f"the drilling cycle {ABSOLUTE}")
+        if "Z" in self._corrected or not self._corrected <= axes.keys():
+            self._refuse(UNPLACED)
+        given = set(axes)
+        super()._drill(kind, axes)
+        self._note("cycle", given)
+
+
+@dataclass(frozen=True)
+class GcodeSource:
+    """The lines of a program, and the moves that the corrected tools make in them."""
+
+    lines: tuple[str, ...]
+    moves: dict[int, SourceMove]  #: by line, from 1
+
+    def rewritten(self, ends: dict[int, np.ndarray]) -> list[str]:
+        """Return the lines with other end points; ends: line -> points (k, 3) [m].
+
+        A feed move without points has no length: its line keeps its other words. A rapid move or cycle without points
+        is not changed.
+        """
+        lines: list[str] = []
+        for number, line in enumerate(self.lines, 1):
+            move, points = self.moves.get(number), ends.get(number, np.zeros((0, 3)))
+            if move is None or not (move.kind == "feed" or len(points)):
+                lines.append(line)
+            else:
+                lines += _rewritten(line, move, [_words(point, move.unit) for point in points])
+        return lines
+
+    @property
+    def comment(self) -> str:
+        """Return the form of a comment of this program, with {} for its text."""
+        return "; {}" if any(line.lstrip().startswith(";") for line in self.lines[:200]) else "({})"
+
+    @property
+    def head(self) -> int:
+        """Return the number of lines before the first block: the start sign, the name of the program, blank lines."""
+        named = (k for k, line in enumerate(self.lines) if line.strip() and line.lstrip()[0] not in "%O:o" and
+                 not line.startswith(";$PATH"))  # fmt: skip
+        return next(named, 0)
+
+
+def read_source(path, tools: Collection[str]) -> GcodeSource:
+    """Read a program whose lines are to be rewritten for some of its tools, ``""`` for a program without tools.
+
+    Raises InputError for incremental moves and feeds in inverse time of these tools.
+    """
+    lines = read_lines(path)
+    program = ProgramBuilder(path, "")
+    machine = _Watch(program, 0.0, changes_by_m6(lines))
+    machine.tools = tools
+    reader = GcodeReader(program, machine)
+    moves: dict[int, SourceMove] = {}
+    for program.line, line in enumerate(lines, 1):
+        machine.move_of_line = None
+        reader.run_line(line)
+        if machine.move_of_line:
+            moves[program.line] = machine.move_of_line
+        if machine.ended:
+            break
+    return GcodeSource(tuple(lines), moves)
+
+
+def _words(point: np.ndarray, unit: float) -> str:
+    """X, Y and Z to 0.1 um, or to 1e-5 inch."""
+    digits = 4 if unit == MM else 5
+    return " ".join(
+        f"{axis}{round(value, digits) + 0.0:.{digits}f}" for axis, value in zip("XYZ", point / unit, strict=True)
+    )
+
+
+def _rewritten(line: str, move: SourceMove, places: list[str]) -> list[str]:
+    """One line as the blocks that lead to ``places``."""
+    code = line.lstrip()
+    skip = code[: len(code) - len(code.lstrip("/0123456789 "))] if code[:1] == "/" else ""
+    words, ending, comments, place = _sorted_words(code[len(skip) :], move)
+    feed = move.kind == "feed"
+    blocks = [f"G1 {one}" if feed else one for one in places]
+    words.insert(place, blocks[0] if blocks else "G1")
+    rows = [words, *([block] for block in blocks[1:])]
+    rows[-1] = rows[-1] + ending
+    rows[0] = rows[0] + comments
+    return [skip + " ".join(row) for row in rows if row]
+
+
+def _sorted_words(code: str, move: SourceMove) -> tuple[list[str], list[str], list[str], int]:
+    """The words of a line without those of its move: of its first block, of its last block, comments; where the move
+    was."""
+    words: list[str] = []
+    ending: list[str] = []
+    comments: list[str] = []
+    place = None
+    start = 0
+    marks = [match for match in COMMENT.finditer(code) if not (match["call"] or match["open"])]
+    for span in [*(match.span() for match in marks), (len(code), len(code))]:
+        for match in PIECE.finditer(code[start : span[0]].upper()):
+            text = match.group()
+            if match.lastgroup == "blank":
+                continue
+            if _of_move(match, move):
+                place = len(words) if place is None else place
+            elif match.lastgroup == "word" and (text[0], float(text[1:])) in ENDING:
+                ending.append(text)
+            else:
+                words.append(code[start:][slice(*match.span())])
+        comments += [code[slice(*span)]] if span[1] > span[0] else []
+        start = span[1]
+    return words, ending, comments, len(words) if place is None else place
+
+
+def _of_move(match, move: SourceMove) -> bool:
+    text = match.group()
+    if match.lastgroup == "assigned":
+        return text.partition("=")[0].strip() in PLACES[move.kind]
+    if match.lastgroup != "word":
+        return False
+    motion = move.kind == "feed" and text[0] == "G" and float(text[1:]) in (0, 1, 2, 3)
+    return motion or text[0] in PLACES[move.kind] or (text[0] == "P" and move.arc)

@@ -1,0 +1,182 @@
+"""Corrected G-code, read back by our own reader: the corrected path, and all else of the source program."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from small_part import small_part
+
+from kr270_milling.cli import main
+from kr270_milling.decide.programs.gcode import write_gcode
+from kr270_milling.path.cam.gcode.reader import read_gcode
+from kr270_milling.path.cam.gcode.rewriter import read_source
+from kr270_milling.path.controller_motion import controller_motion
+from kr270_milling.path.trajectory import Trajectory
+
+#: of six posts; linuxcnc.ngc has incremental moves, which are refused
+POSTS = sorted(path for path in (Path(__file__).parents[2] / "path" / "programs").iterdir() if path.stem != "linuxcnc")
+#: a line, arcs in two planes, a stop, a cycle, a feed move of no length, M9 at the end of a move, block skip
+PART = """\
+%
+O0007 (PLATE)
+(T3 D=20. - FLAT END MILL)
+N10 G90 {unit} G17 T3 M6
+N20 S8000 M3 (spindle)
+N30 G0 X{0} Y0 Z{5}
+N40 G43 H3 Z{1} M8
+(leg)
+N50 G1 Z{-0.5} F{600}
+N60 G1 Z{-0.5} F{2000} (no length)
+N70 X{10} (first) M7
+/N80 Y{10}
+N90 G02 X{20} Y{10} I{5} J0
+(arc upright)
+N100 G18 G3 X{26} Z{-0.5} R{6}
+N110 G17 G1 X{28} Y{10.01} M9
+N120 G0 Z{5}
+N130 S8000 M3 G81 X{28} Y{20} Z{-2} R{1} F{300}
+N140 X{30}
+N150 G80
+N160 G0 X{5} Y{20} Z{1}
+N170 G1 Z{-0.3} F{600}
+N180 X{20} F{3000}
+N190 G28 G91 Z0
+N200 M30
+%
+"""
+ROUNDED = {"G21": 0.05e-6, "G20": 0.127e-6}  #: [m], half of the last digit
+
+
+def part(unit: str) -> str:
+    scale = {"G21": 1.0, "G20": 1 / 25.4}[unit]
+    return re.sub(r"\{(-?[\d.]+)\}", lambda match: f"{float(match[1]) * scale:.6f}", PART.replace("{unit}", unit))
+
+
+def swayed(target: Trajectory, size: float) -> Trajectory:
+    """The target with a smooth correction, at rest where the target is."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(target.position, axis=0), axis=1))])[:, None]
+    shift = size * np.sin(way / [0.011, 0.007, 0.013] + [1.0, 2.0, 3.0])
+    return controller_motion(target.with_position(target.position + shift, target.velocity), target)
+
+
+def rows_of(path) -> list[np.ndarray]:
+    """The places of each row of feed moves, (k, 3)."""
+    feed = ~path.rapid & ~path.drilling
+    rows: list[list] = []
+    for block in np.flatnonzero(feed).tolist():
+        if not feed[block - 1] or not rows:
+            rows.append([path.position[block - 1]])
+        rows[-1].append(path.position[block])
+    return [np.array(row) for row in rows]
+
+
+def far(points: np.ndarray, line: np.ndarray) -> np.ndarray:
+    """Distance of points (m, 3) from a row of straight lines (k, 3)."""
+    start, move = line[:-1], np.diff(line, axis=0)
+    nearest = np.full(len(points), np.inf)
+    for one, way in zip(start, move, strict=True):
+        share = np.clip((points - one) @ way / (way @ way), 0, 1)
+        nearest = np.minimum(nearest, np.linalg.norm(points - one - share[:, None] * way, axis=1))
+    return nearest
+
+
+@pytest.mark.parametrize("unit", ["G21", "G20"])
+@pytest.mark.parametrize("tolerance_um", [2.0, 20.0])
+def test_the_read_program_is_the_corrected_path(tmp_path, unit, tolerance_um):
+    cell = small_part(tmp_path, part(unit), f"program.tolerance_um={tolerance_um}")
+    run = swayed(cell.target(), 0.1e-3)
+    path, (written,) = write_gcode(tmp_path, [(cell, run)], method="spline", date="2026-11-23")
+    read = read_gcode(path)
+    rows, source = rows_of(read), rows_of(cell.timed_path.toolpath)
+    assert len(rows) == len(source) == 2
+    times = np.linspace(0, run.duration_ns, 20_000).astype(np.int64)
+    fine, block = run.sample(times), cell.timed_path.block_at(times)
+    cut = (~cell.timed_path.toolpath.rapid & ~cell.timed_path.toolpath.drilling)[block]
+    tolerance, digit = 1e-6 * tolerance_um, np.sqrt(3) * ROUNDED[unit]
+    half = len(times) // 2
+    for row, programmed, now in zip(rows, source, (slice(0, half), slice(half, None)), strict=True):
+        planned = fine[now][cut[now]]
+        assert far(row, fine[now]).max() < 0.1e-6 + digit  # each written point is on the corrected path
+        assert far(planned, row).max() < tolerance + digit  # and the lines between them follow that path
+        assert far(planned, row).max() <= written.error + 0.1e-6
+        for end in (0, -1):  # not on the programmed one
+            assert 20e-6 < np.linalg.norm(row[end] - programmed[end]) < 0.2e-3
+    assert written.error < tolerance + digit
+    assert written.blocks == sum(len(row) - 1 for row in rows) and written.source_blocks == 8
+    assert written.duration == pytest.approx(written.planned_duration, rel=0.1)
+    assert written.planned_duration == pytest.approx(run.duration_ns * 1e-9, rel=0.01)  # no joint is at its limit
+
+
+def test_everything_but_the_feed_moves_stays_in_place_and_order(tmp_path):
+    cell = small_part(tmp_path, part("G21"))
+    run = swayed(cell.target(), 0.1e-3)
+    path, _ = write_gcode(tmp_path, [(cell, run)], method="spline", date="2026-11-23", decision=["decision: (yes)"])
+    text, source = path.read_text(), part("G21")
+    lines = text.splitlines()
+    assert lines[:2] == source.splitlines()[:2] and "(part program: decision: [yes])" in lines
+    numbers = re.findall(r"N\d+", source)
+    assert re.findall(r"N\d+", text) == numbers and text.count("/N80") == 1 and text.count("\n/G1") > 0
+    body = text[text.index("(T3") :]
+    assert re.findall(r"\([^)]*\)", body) == re.findall(r"\([^)]*\)", source)[1:]
+    for kept in ("N30", "N120", "N130", "N140", "N150", "N190", "N200"):
+        assert next(line for line in lines if line.startswith(kept)) in source.splitlines()
+    assert "N60 G1 F2000.000000 (no length)" in lines
+    assert re.search(r"N70 G1 X[\d.-]+ Y[\d.-]+ Z[\d.-]+ M7 \(first\)", text)
+    assert re.search(r"N100 G18 G1 X[^IJKR]*\n", text)
+    end = next(k for k, line in enumerate(lines) if line.startswith("N120"))
+    assert lines[end - 1].endswith(" M9") and text.count("M9") == 1  # the coolant runs until the move has ended
+    assert re.search(r"N160 G0 X[\d.]+ Y[\d.]+ Z[\d.]+\n", text)  # to the corrected start of the cut
+    read, before = read_gcode(path), cell.timed_path.toolpath
+    assert read.features == before.features and read.program.tools[0].label == before.program.tools[0].label
+    np.testing.assert_array_equal(np.unique(read.feed[~read.rapid]), np.unique(before.feed[~before.rapid]))
+    np.testing.assert_array_equal(read.position[read.drilling], before.position[before.drilling])
+
+
+@pytest.mark.parametrize("post", POSTS, ids=lambda path: path.name)
+@settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 1000))
+def test_programs_of_six_posts_take_any_end_points(tmp_path, post, seed):
+    """In all of them the shift of each point by up to 0.1 mm is read back to the written digits."""
+    tool = "T1" if post.stem == "haas" else ""
+    path = read_gcode(post, tool)
+    cut = ~path.rapid & ~path.drilling
+    wanted = path.position + np.random.default_rng(seed).uniform(-1e-4, 1e-4, path.position.shape)
+    ends = {line: wanted[cut & (path.line == line)] for line in np.unique(path.line[cut]).tolist()}
+    copy = tmp_path / f"copy{post.suffix}"
+    copy.write_text("\n".join(read_source(post, {path.program.tool}).rewritten(ends)))
+    read = read_gcode(copy, tool)
+    moved = ~read.rapid & ~read.drilling
+    assert np.abs(read.position[moved] - wanted[cut]).max() < 0.13e-6
+    lines = iter(copy.read_text().splitlines())
+    assert all(line in lines for k, line in enumerate(post.read_text().splitlines(), 1) if k not in ends)
+    assert [read.features[k] for k in read.feature[moved]] == [path.features[k] for k in path.feature[cut]]
+    np.testing.assert_allclose(read.feed[moved], path.feed[cut], rtol=1e-12)
+    np.testing.assert_array_equal(read.spindle_speed[moved], path.spindle_speed[cut])
+    assert [tool.label for tool in read.program.tools] == [tool.label for tool in path.program.tools]
+
+
+MOVE = "G21 G90 S8000 M3\nG0 X-14 Y0 Z2\nG0 Z-0.5\n"
+
+
+@pytest.mark.parametrize(("program", "more", "message"), [
+    (MOVE + "G91 G1 X26 F4000\nM30\n", [], "part.nc, line 4: the move is incremental"),
+    (MOVE + "G1 X12 F4000\nG91 G0 Z5\nM30\n", [], "part.nc, line 5: the rapid move along Z is incremental"),
+    (MOVE + "G1 X12 F4000\nG81 X12 Y0 Z-1 R1\nM30\n", [], "part.nc, line 5: the drilling cycle begins at the end"),
+    (MOVE + "G93 G1 X12 F100\nM30\n", [], "part.nc, line 4: a feed in inverse time (G93)"),
+    (MOVE + "G1 X12 F4000\nM30\n", ["compensation.sag_compensated=false"], "--gcode: G-code states no joints"),
+    (None, [], "--gcode: corrected G-code needs path.file"),
+])  # fmt: skip
+def test_a_program_that_cannot_be_corrected_is_refused_before_a_pass(tmp_path, capsys, program, more, message):
+    if program:
+        (tmp_path / "part.nc").write_text(program)
+        more = [*more, f"path.file={tmp_path / 'part.nc'}", "stock.min_mm=[0,-14,-10]", "stock.max_mm=[40,40,0]"]
+    sets = [word for one in more for word in ("--set", one)]
+    out = tmp_path / "out"
+    assert main(["compensate", "paper.yaml", "--no-verdict", "--gcode", "--out", str(out), *sets]) == 2
+    error = capsys.readouterr().err
+    assert message in error and len(error.splitlines()) == 1 and not out.exists()
