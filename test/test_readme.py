@@ -23,12 +23,6 @@ RUN_ELSEWHERE = {"kr270_milling/studies/identification/README.md": "test_identif
 NODES = ("compliant_robot", "cutting_process", "trajectory_compensator", "recorder", "player", "milling_cell")
 
 
-def block(name: str) -> str:
-    """The text of the fenced block below a comment."""
-    (text,) = re.findall(rf"<!-- {name} -->\n```\w*\n(.*?)```", TEXT, re.DOTALL)
-    return text
-
-
 def shell_lines() -> list[str]:
     return [line for text in re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL) for line in text.splitlines()]
 
@@ -138,7 +132,8 @@ def test_the_key_reference_is_what_keys_prints(capsys):
 
 def test_the_python_example_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    exec(block("python example"), {})
+    (example,) = re.findall(r"```python\n(.*?)```", PAGES[0].read_text(encoding="utf-8"), re.DOTALL)
+    exec(example, {})
     assert "<Pass linear: " in capsys.readouterr().out and (tmp_path / "linear.csv").is_file()
 
 
