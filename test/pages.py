@@ -107,6 +107,14 @@ def differences(shown: str, printed: str) -> list[str]:
     return missing
 
 
+def _beginning(line: str, words: int) -> str:
+    return "".join(re.findall(r"\s*\S+", line)[:words]) + CUT
+
+
+def _likeness(a: str, b: str) -> float:
+    return difflib.SequenceMatcher(None, a, b).ratio()
+
+
 def updated(shown: str, printed: str) -> tuple[str, list[str]]:
     """Return the shown text with the printed lines that resemble its lines, and the lines that none resembles."""
     rest, lines, lost = printed.splitlines(), [], []
@@ -114,13 +122,11 @@ def updated(shown: str, printed: str) -> tuple[str, list[str]]:
         if not line or line == CUT.strip():
             lines.append(line)
             continue
-        cut = line.endswith(CUT)
-        words = len(line.split()) - cut
-        ends = [" ".join(other.split()[:words]) + CUT if cut else other for other in rest]
-        wanted = _signature(line)
-        ratios = [difflib.SequenceMatcher(None, wanted, _signature(end)).ratio() for end in ends]
-        best = max(range(len(ends)), key=ratios.__getitem__, default=None)
-        if best is None or ratios[best] < 0.6:
+        ends = [_beginning(other, len(line.split()) - 1) for other in rest] if line.endswith(CUT) else rest
+        ranks = [(_alike(line, other), _likeness(_signature(line), _signature(end)), _likeness(line, end))
+                 for other, end in zip(rest, ends, strict=True)]  # fmt: skip
+        best = max(range(len(ends)), key=ranks.__getitem__, default=None)
+        if best is None or ranks[best][1] < 0.6:
             lines.append(line)
             lost.append(line)
             continue
