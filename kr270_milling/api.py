@@ -98,7 +98,9 @@ class Pass(Shown, jobs.ScoredPass):
 
     def report(self, path) -> Path:
         """Write the report of the pass as one HTML page; returns the path."""
-        return _write_report(path, self.cell, (self,), f"{self.cell.programmed.file_name}: {self.name}")
+        return _write_report(
+            path, self.cell, (self,), f"{self.cell.programmed.file_name or 'straight cut'}: {self.name}"
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -131,7 +133,9 @@ class Compensation(Shown):
     def report(self, path) -> Path:
         """Write the report of both passes as one HTML page, the decision first; returns the path."""
         passes, cell = (self.original, self.compensated), self.original.cell
-        title = f"{cell.programmed.file_name}: before and after compensation ({self.compensated.name})"
+        title = (
+            f"{cell.programmed.file_name or 'straight cut'}: before and after compensation ({self.compensated.name})"
+        )
         return _write_report(path, cell, passes, title, decision=self.decision, checked=self.checked)
 
 

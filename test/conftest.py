@@ -147,7 +147,9 @@ def demo(tmp_path_factory):
     with contextlib.redirect_stdout(io.StringIO()) as as_json:
         answer(*calls[0]).print(as_json=True)
     moving, printed = {p.name: p for p in moving}, json.loads(as_json.getvalue())
-    return SimpleNamespace(passes={p.name: p for p in passes}, moving=moving, text=text.getvalue(), json=printed)
+    return SimpleNamespace(
+        passes={p.name: p for p in passes}, moving=moving, text=text.getvalue(), json=printed, directory=directory
+    )
 
 
 @pytest.fixture

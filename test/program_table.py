@@ -136,7 +136,7 @@ def with_rapid_cut(row: Row) -> Row:
 def _issue() -> Iterator[tuple[str, str, str, int]]:
     """Name, parameter file, program and line of the first rapid move in material."""
     piece = find_file("test_piece.nc").read_text()
-    pocket = TUTORIAL.read_text().split("<!-- pocket.nc -->\n```\n")[1].split("```")[0]
+    pocket = TUTORIAL.read_text().split("cat > pocket.nc <<'EOF'\n")[1].split("EOF\n")[0]
     block = piece[: piece.index("N420")].count("\n") + 1
     yield "slot", "test_piece.yaml", _program(
         "G0 X-65 Y0 Z5", "G0 Z-1", "G1 X-30 F1200", "G0 X30", "G1 X45", "G0 Z5"

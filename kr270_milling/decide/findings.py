@@ -36,7 +36,7 @@ SCALES = {"mm": 1e3, "um": 1e6, "mm3": 1e9, "deg": DEG, "deg/s": DEG, "deg/s^2":
 class Kind:
     """One check. The sentence is a format string with the keys that ``violation`` names."""
 
-    unit: str  #: of value and limit, as they are shown
+    unit: str  #: of the shown value and limit
     sentence: str
     advice: str
     severity: str = "stop"

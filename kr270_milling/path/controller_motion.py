@@ -46,7 +46,7 @@ def other_motion(run: Trajectory, target: Trajectory, share: float, blend_distan
     share: 0 is ``run`` itself, 1 the other rule. A spline has the slope of the parabola through a point and its two
     neighbours, v_k = (h_k s_(k-1) + h_(k-1) s_k) / (h_(k-1) + h_k), h the durations and s the slopes of the chords.
     Straight lines are blended by parabolas, which leave their legs at d, the ``blend_distance`` [m] or half a leg, and
-    miss the corner by d (e_k - e_(k-1)) / 4, e the directions. The ends and the stops of the target are kept.
+    miss the corner by d (e_k - e_(k-1)) / 4, e the directions. The ends and the stops of the target stay.
     """
     inner = np.linalg.norm(target.sample_velocity(run.time_ns[1:-1]), axis=1) > AT_REST
     move, step = np.diff(run.position, axis=0), np.diff(run.time)[:, None]

@@ -268,7 +268,7 @@ def joint_rates(time, joints, at_rest: bool = True) -> tuple[np.ndarray, np.ndar
     step = np.diff(time)[:, None]
     speed = np.diff(joints, axis=0) / step
     inner = 2 * np.diff(speed, axis=0) / (step[1:] + step[:-1])
-    if at_rest:  # from rest, the mean speed of the first step is half of the speed at its end
+    if at_rest:  # from rest, the mean speed of the first step is half of its last speed
         first, last = 2 * speed[:1] / step[:1], -2 * speed[-1:] / step[-1:]
     else:
         first = last = np.zeros((1, speed.shape[1]))

@@ -131,7 +131,7 @@ class Toolpath:
         return position, self.tangent(block, share * plane), quaternion
 
 
-#: stands for the height of a tool at its home position; ``PathBuilder.build`` replaces it by the largest height
+#: height of a tool at its home position, before ``PathBuilder.build`` sets the largest height
 TOP = math.inf
 #: largest number of blocks (a full circle of 100 m radius within 2 um has 16,000)
 MOST_BLOCKS = 20_000_000

@@ -6,7 +6,7 @@ tolerance. The tool is upright: what the arm's rotation would tilt the floor by 
 
 Walls come from where the teeth were when they passed them: a tooth marks the wall to the left (right) of the path when
 it points there. The wall is the farthest reach of the marks nearby: between two marks a cusp of f_z^2 / 8R stays, with
-a vibrating tool a deep mark cuts its neighbours off. Grid nodes only tell which walls are still there at the end, so
+a vibrating tool a deep mark cuts its neighbours off. Grid nodes only show which walls are still there at the end, so
 the grid step does not blur the error.
 """
 
@@ -61,7 +61,7 @@ class IdealWalls:
     """The marks of a rigid arm's tool, and which of them are still walls in the end."""
 
     marks: Marks  #: all below the stock's top
-    kept: np.ndarray  #: indices of those on a wall that stays, (k,)
+    staying: np.ndarray  #: indices of those on a wall that stays, (k,)
     height: np.ndarray  #: of the wall [m], (k,)
 
 
@@ -106,37 +106,37 @@ def ideal_walls(cut: CutModel, hits: Marks) -> IdealWalls:
     outside = heights_at(cut, hits.point + beyond * hits.normal)
     with np.errstate(invalid="ignore"):  # NaN: beside the stock
         here = outside > hits.centre[:, 2] + 2.0 * cut.params.level_step
-    kept = hits[here]
-    inside = heights_at(cut, kept.point - beyond * kept.normal)
-    inside = np.fmin(inside, kept.centre[:, 2])
+    staying = hits[here]
+    inside = heights_at(cut, staying.point - beyond * staying.normal)
+    inside = np.fmin(inside, staying.centre[:, 2])
     return IdealWalls(hits, np.flatnonzero(here), outside[here] - inside)
 
 
 def _not_passed(after: CutModel, walls: IdealWalls) -> IdealWalls:
     """The walls that no later tool passes; after: what the later tools alone leave of an uncut stock."""
-    kept = walls.marks[walls.kept]
-    stays = np.ones(len(kept), bool)
+    staying = walls.marks[walls.staying]
+    stays = np.ones(len(staying), bool)
     for side in (-2.0, 2.0):  # grid nodes into the cut, and into the wall
-        beside = heights_at(after, kept.point + side * after.stock.grid_step * kept.normal)
+        beside = heights_at(after, staying.point + side * after.stock.grid_step * staying.normal)
         with np.errstate(invalid="ignore"):  # NaN: beside the stock
-            stays &= ~(beside <= kept.centre[:, 2] + 2.0 * after.params.level_step)
-    return IdealWalls(walls.marks, walls.kept[stays], walls.height[stays])
+            stays &= ~(beside <= staying.centre[:, 2] + 2.0 * after.params.level_step)
+    return IdealWalls(walls.marks, walls.staying[stays], walls.height[stays])
 
 
 def remaining_walls(ideal: IdealWalls, path: Course, error: np.ndarray, level: float) -> Walls:
     """The walls of the finished part, given actual minus target tool centres (n + 1, 3) [m]; level [m] of the grid."""
     hits = ideal.marks
-    k, kept = hits.period, hits[ideal.kept]
+    k, staying = hits.period, hits[ideal.staying]
     moved = (error[k] + hits.share[:, None] * (error[k + 1] - error[k]))[:, :2]
-    position = np.column_stack([kept.point, kept.centre[:, 2]])
-    missed = -_reach(hits, moved, kept, np.einsum("kd,kd->k", moved[ideal.kept], kept.normal), 2.0 * level)
-    return Walls(position, -kept.normal, ideal.height, missed, path.feature[kept.period])
+    position = np.column_stack([staying.point, staying.centre[:, 2]])
+    missed = -_reach(hits, moved, staying, np.einsum("kd,kd->k", moved[ideal.staying], staying.normal), 2.0 * level)
+    return Walls(position, -staying.normal, ideal.height, missed, path.feature[staying.period])
 
 
-def _reach(hits: Marks, error: np.ndarray, kept: Marks, own: np.ndarray, level: float) -> np.ndarray:
-    """How much farther than rigid ones teeth reached at each kept mark [m], (k,); error (m, 2) [m]: their shifts.
+def _reach(hits: Marks, error: np.ndarray, staying: Marks, own: np.ndarray, level: float) -> np.ndarray:
+    """How much farther than rigid ones teeth reached at each staying mark [m], (k,); error (m, 2) [m]: their shifts.
 
-    own: how much farther the tooth of the kept mark itself did [m], (k,); it counts alone where a tool rests so long
+    own: how much farther the tooth of the mark itself did [m], (k,); it counts alone where a tool rests so long
     that all the nearest marks are of other walls.
     """
     out = np.array(own)
@@ -145,7 +145,7 @@ def _reach(hits: Marks, error: np.ndarray, kept: Marks, own: np.ndarray, level: 
     tree = cKDTree(hits.point)
     bound = float(np.sqrt(2.0 * hits.radius.max() * DEEPEST))
     for first in range(0, out.size, CHUNK):
-        mine = kept[first : first + CHUNK]
+        mine = staying[first : first + CHUNK]
         _, near = tree.query(mine.point, k=min(NEIGHBOURS, len(hits)), distance_upper_bound=bound)
         near = near.reshape(len(mine), -1)
         exists = near < len(hits)
@@ -191,7 +191,7 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class IdealPart:
-    """What a rigid arm would leave: thinned, so that a large workpiece need not be kept."""
+    """What a rigid arm would leave: thinned, so that a large workpiece takes little memory."""
 
     x: np.ndarray  #: [m], (a,)
     y: np.ndarray  #: [m], (b,)

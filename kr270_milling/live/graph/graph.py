@@ -29,7 +29,7 @@ from kr270_milling.recordings.messages.topics import COMPENSATOR, CUT, RECORDER,
 
 __all__ = ["CELL", "NOT_COMPLETE", "PLANNER", "Graph", "RunValues"]
 
-UP = 60.0  # [s] for a node to start, to compile at its first use, or to revise a long trajectory
+UP = 300.0  # [s] for a node to start, to compile at its first use on a busy machine, or to revise a long trajectory
 MATCH = 30.0  # [s] for the nodes to discover each other
 DISCOVERY = 0.5  # [s] for this process to discover another graph, five announcements of the profile
 QUIET = 1.0  # [s] without a report in mid-pass, after which the run prints a warning

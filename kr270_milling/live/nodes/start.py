@@ -14,6 +14,9 @@ import signal
 import sys
 from pathlib import Path
 
+from kr270_milling.base.extras import MissingExtra
+from kr270_milling.live.ros.environment import require_ros
+
 __all__ = ["NODES", "start"]
 
 #: node -> class in the module of the same name
@@ -28,10 +31,15 @@ NODES = (*CLASSES, "player", "milling_cell")
 
 def start(name: str | None = None) -> int:
     """Run the program ``name`` (default: as called) as this process; return its exit code, or end with it."""
+    name = name or Path(sys.argv[0]).stem
+    try:
+        require_ros(name)
+    except MissingExtra as error:
+        print(error, file=sys.stderr)
+        return 2
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _end)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, (signal.SIGINT, signal.SIGTERM))  # blocked by ``run`` until here
-    name = name or Path(sys.argv[0]).stem
     if name == "player":
         from kr270_milling.live.nodes.player import player_main
 

@@ -189,16 +189,15 @@ def _write(draft, final, jobs, decision, args, source) -> dict:
         placed, text = _write_programs(draft, final, cell, done, lines, released, args, date)
         tools.append(values | placed)
         texts.append(text)
+        pages.append(_report_of_tool(cell, done, args, source, date))
         if done.parts:
-            page, part = _part_files(draft, final, cell, done, args, source, date)
-            pages.append(page)
-            tools[-1] |= part
+            tools[-1] |= {"part": str(final(_write_part(draft, cell, done.revised)))}
     gcode: dict = {}
     if args.gcode and (released or args.force):
         gcode, text = _write_gcode(draft, final, jobs, decision, released, date)
         texts.append(text)
     manifest = str(final(write_manifest(draft, texts, decision.lines(), released)))
-    report = {"report": str(final(_write_report(draft, jobs, decision, pages)))} if pages else {}
+    report = {"report": str(final(_write_report(draft, jobs, decision, pages)))}
     if len(jobs) > 1:
         rows = [
             {"tool": cell.stage.tool, "level": one.pop("decision"), **one}
@@ -245,21 +244,26 @@ def _write_programs(draft, final, cell, done, lines, released, args, date: str) 
     return placed, text
 
 
-def _part_files(draft, final, cell, done, args, source, date: str) -> tuple[str, dict]:
-    """The report of one tool as text, and the final path of the predicted part."""
-    from kr270_milling.decide.part import write_part
+def _report_of_tool(cell, done, args, source, date: str) -> str:
+    """The report of one tool as text."""
     from kr270_milling.show.report import report_text
 
     revised = done.revised
-    title = f"{cell.programmed.file_name}: before and after compensation ({revised.name})"
-    page = report_text(
+    title = f"{cell.programmed.file_name or source.name}: before and after compensation ({revised.name})"
+    return report_text(
         cell, (done.original, revised), title=f"{title}, {cell.stage}" if cell.stage else title, source=str(source),
         command=command_line(args), date=date, parts=done.parts, decision=done.decision, checked=done.checked,
         tables=[_joints_table(cell, revised), _time_law_table(cell, done)],
     )  # fmt: skip
+
+
+def _write_part(draft, cell, revised):
+    """Write the predicted part as STL and return its path."""
+    from kr270_milling.decide.part import write_part
+
     stl = draft / f"part_{revised.name}{cell.stage.suffix if cell.stage else ''}.stl"
     write_part(stl, cell, revised.result)
-    return page, {"part": str(final(stl))}
+    return stl
 
 
 def _write_report(draft, jobs, decision, pages):

@@ -193,10 +193,10 @@ def identify_forces(args) -> Answer:
     cuts = read_cuts(find_file(args.cuts), tool, sensor)
     if args.law not in LAWS:
         raise InputError("--law", f"is {args.law}, must be one of {', '.join(LAWS)}")
-    kept = laws.agreeing_cuts(cuts) if args.robust else np.ones(len(cuts), bool)
-    left_out = (np.flatnonzero(~kept) + 1).tolist()
+    agreeing = laws.agreeing_cuts(cuts) if args.robust else np.ones(len(cuts), bool)
+    left_out = (np.flatnonzero(~agreeing) + 1).tolist()
     return _answer(
-        args, force_outcome(laws.fit_all(cuts.take(kept), args.law), args.law, Path(args.cuts).name, left_out)
+        args, force_outcome(laws.fit_all(cuts.take(agreeing), args.law), args.law, Path(args.cuts).name, left_out)
     )
 
 
@@ -232,7 +232,8 @@ def identify_damping(args) -> Answer:
     from kr270_milling.studies.identification import modes
     from kr270_milling.studies.identification.signals import read_signals
 
-    signals = read_signals(args.recording, args.topic).window(args.start, args.stop)
+    source = find_file(args.recording) if args.recording.lower().endswith(".csv") else args.recording
+    signals = read_signals(source, args.topic).window(args.start, args.stop)
     low, high = args.band
     (identified, faint), shapes = modes.split_modes(signals, low, high, args.modes), None
     if args.hammer:

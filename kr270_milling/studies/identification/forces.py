@@ -108,10 +108,10 @@ def contradicting_cut(cuts: CutMeasurements, share: float) -> int | None:
 
 def agreeing_cuts(cuts: CutMeasurements) -> np.ndarray:
     """Return the cuts that a robust fit keeps, (n,) bool: those without which the others do not agree much better."""
-    kept = np.arange(len(cuts))
-    while kept.size > len(cuts) // 2 and (worst := contradicting_cut(cuts.take(kept), LEAVES)) is not None:
-        kept = np.delete(kept, worst)
-    return np.isin(np.arange(len(cuts)), kept)
+    agreeing = np.arange(len(cuts))
+    while agreeing.size > len(cuts) // 2 and (worst := contradicting_cut(cuts.take(agreeing), LEAVES)) is not None:
+        agreeing = np.delete(agreeing, worst)
+    return np.isin(np.arange(len(cuts)), agreeing)
 
 
 def fit_all(cuts: CutMeasurements, needed: str) -> list[LawFit]:

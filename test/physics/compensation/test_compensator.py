@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import re
-from pathlib import Path
 
 import numpy as np
+import pages
 import pytest
 from book import check
 from small_part import small_part
@@ -429,23 +428,21 @@ def test_a_learner_that_was_copied_does_not_change(cell, learned):
 
 
 # --- The page of the folder ---
-TEXT = (Path(__file__).resolve().parents[3] / "kr270_milling/physics/compensation/README.md").read_text(
-    encoding="utf-8"
-)
-COMMANDS = [
-    line.split()[1:] for block in re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL) for line in block.splitlines()
-]
+PAGE = pages.ROOT / "kr270_milling/physics/compensation/README.md"
+COMMANDS = [line for block in pages.blocks(PAGE) for line in block.commands]
 QUICK = ["--set", "path.length_mm=30", "--set", "stock.grid_step_um=40", "--set", "exchange.micro_step_deg=3"]
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    (tmp_path / "plant.yaml").write_text(re.search(r"```yaml\n(.*?)```", TEXT, re.DOTALL)[1], encoding="utf-8")
     monkeypatch.chdir(tmp_path)
+    for line in COMMANDS:
+        if line.startswith("cat "):
+            pages.run_here(line)
     monkeypatch.setattr("kr270_milling.decide.compensation.LONGEST_PASS", 0.0)  # the verdict has tests of its own
 
 
-@pytest.mark.parametrize("words", COMMANDS)
+@pytest.mark.parametrize("words", [line.split()[1:] for line in COMMANDS if line.startswith("kr270_milling")])
 def test_the_commands_of_the_page_run_and_help(words, folder, capsys):
     assert main([*words, *QUICK, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -459,7 +456,8 @@ def test_the_commands_of_the_page_run_and_help(words, folder, capsys):
 
 
 def test_every_method_stands_on_the_page():
-    assert all(f"`{name}`" in TEXT for name in METHODS)
+    text = PAGE.read_text(encoding="utf-8")
+    assert all(f"`{name}`" in text for name in METHODS)
 
 
 def test_a_method_that_makes_the_part_worse_says_so_beside_the_decision(tmp_path, capsys):

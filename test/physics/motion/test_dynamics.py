@@ -45,7 +45,7 @@ def one_degree():
 
 
 def run(model, zeta, period, steps, state, wrench):
-    """States (steps + 1, 2r) and deflections (steps + 1, 6) with the wrench held; the compiled step itself."""
+    """States (steps + 1, 2r) and deflections (steps + 1, 6) with a constant wrench; the compiled step itself."""
     arrays = arm_model([model], zeta, period).arrays
     states, deflections = np.zeros((steps + 1, state.size)), np.zeros((steps + 1, 6))
     states[0] = state
@@ -88,13 +88,13 @@ def test_step_response(zeta):
 
 
 @check(
-    "one period of (1), {inertia} inertias, H = {period} s", "matrix exponential of (1) with the held wrench, relative",
+    "one period of (1), {inertia} inertias, H = {period} s", "matrix exponential of (1) at constant wrench, relative",
     cases=("inertia period", [(name, h) for name in ("six", "three") for h in (1e-5, 5e-4, 0.3)]),
 )  # fmt: skip
 def test_exponential(inertia, period):
     model = modes(COMPLIANCE, {"six": MASS, "three": TRANSLATIONS}[inertia])
     r, inverse = model.frequency.size, np.linalg.inv(model.mass)
-    system = np.zeros((2 * r + 6, 2 * r + 6))  # the held wrench as further states
+    system = np.zeros((2 * r + 6, 2 * r + 6))  # the constant wrench as further states
     system[:r, r : 2 * r] = np.eye(r)
     system[r : 2 * r, :r] = -inverse @ stiffness_matrix(model)
     system[r : 2 * r, r : 2 * r] = -inverse @ damping_matrix(model, ZETA)
@@ -108,7 +108,7 @@ def test_exponential(inertia, period):
 
 
 @check(
-    "long held wrench, {inertia} inertias: deflection of all six components",
+    "long constant wrench, {inertia} inertias: deflection of all six components",
     "compliance times wrench (condensed, not sliced)", cases=("inertia", [("six",), ("three",)]),
 )  # fmt: skip
 def test_static_limit(inertia):

@@ -63,7 +63,7 @@ def test_default_period():
     return 0.0, difference(with_period(24), with_period(1), 24), 0.002
 
 
-@check("order of convergence in the exchange period H", "2: force held at its mean over H")
+@check("order of convergence in the exchange period H", "2: force constant at its mean over H")
 def test_period_order():
     """Periods of 6 to 48 micro-steps, above the grid's own grain."""
     periods = np.array([6, 12, 24, 48])

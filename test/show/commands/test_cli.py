@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from kr270_milling.base.column import TextTable
 from kr270_milling.base.version import __version__
 from kr270_milling.cli import COMMANDS, main
+from kr270_milling.live.nodes.start import start
 from kr270_milling.show.commands import progress as module
 from kr270_milling.show.commands.console import print_table, shown_path
 from kr270_milling.show.commands.progress import Progress, progress
@@ -141,6 +142,12 @@ def test_a_missing_extra_is_named_before_anything_is_computed(capsys, monkeypatc
     assert main(words.split()) == 2
     assert f"needs {module}, which is not installed: pip install '.[{extra}]'" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_a_node_without_rclpy_names_the_extra(capsys, monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert start("recorder") == 2
+    assert "recorder needs rclpy, which is not installed: pip install '.[ros]'" in capsys.readouterr().err
 
 
 # --- stiffness ---

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import json
 import math
 import re
-import shlex
-from pathlib import Path
 
 import numpy as np
+import pages
 import pytest
 import yaml
 from known_cuts import TRUE, cuts, measured
@@ -17,6 +18,7 @@ from known_cuts import TRUE, cuts, measured
 from kr270_milling.cli import main
 from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import serialise
+from kr270_milling.show.commands.console import Answer
 from kr270_milling.studies.identification import cuts as tables_of_cuts
 from kr270_milling.studies.identification import measurements
 from kr270_milling.studies.identification.cuts import Sensor, recorded_mean_force
@@ -181,37 +183,32 @@ def test_hostile_options_are_refused(capsys, words):
 
 
 # --- The README of the folder ---
-ROOT = Path(__file__).resolve().parents[3]
-TEXT = (ROOT / "kr270_milling" / "studies" / "identification" / "README.md").read_text(encoding="utf-8")
+PAGE = pages.ROOT / "kr270_milling/studies/identification/README.md"
 
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory) -> dict:
-    """Every command of the page in its order, in one directory; JSON of each."""
-    place, outcome = tmp_path_factory.mktemp("page"), {}
-    for name, text in re.findall(r"<!-- (\w+\.yaml) -->\n```yaml\n(.*?)```", TEXT, re.DOTALL):
-        (place / name).write_text(text)
-    ring(place / "ring.csv")
+    """Every command of the page in its order, in one directory; JSON of each, and what the page shows otherwise."""
+    place, outcome, results, show = tmp_path_factory.mktemp("page"), {}, [], Answer.print
+
+    def both(answer: Answer, as_json: bool) -> int:
+        with contextlib.redirect_stdout(io.StringIO()) as text:
+            show(answer, True)
+        results.append(json.loads(text.getvalue()))
+        return show(answer, as_json)
+
+    def run(line: str) -> str:
+        text = pages.run_here(line)
+        if not line.startswith("cat "):
+            outcome[line] = results[-1]
+        return text
+
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        lines = [line for block in re.findall(r"```sh\n(.*?)```", TEXT, re.DOTALL) for line in block.splitlines()]
-        for line in lines:
-            words = shlex.split(line)[1:]
-            out = place / f"{len(outcome)}.json"
-            with out.open("w") as stream, pytest.MonkeyPatch.context() as quiet:
-                quiet.setattr("sys.stdout", stream)
-                assert main([*words, "--json"]) == 0, line
-            outcome[line] = json.loads(out.read_text())
-    return {"place": place, **outcome}
-
-
-def ring(path) -> None:
-    """A machine with modes at 11, 15 and 23 Hz, rung down."""
-    t = 1e-3 * np.arange(3000)
-    modes = [(11.0, 0.04, [0.1, 1.0, 0.0]), (15.0, 0.03, [1.0, -0.1, 0.2]), (23.0, 0.03, [0.1, 0.1, 1.0])]
-    rings = [np.outer(np.exp(-z * 2 * np.pi * f * t) * np.cos(2 * np.pi * f * t), shape) for f, z, shape in modes]
-    rows = np.column_stack([t, 1e-4 * sum(rings)])
-    np.savetxt(path, rows, delimiter=",", header="time_s,x,y,z", comments="")
+        patch.setattr(Answer, "print", both)
+        blocks = list(pages.run_page(PAGE, run))
+    wrong = [line for block, printed in blocks for shown in block.shown for line in pages.differences(shown, printed)]
+    return {"place": place, "wrong": wrong, **outcome}
 
 
 def result(ran: dict, *words: str) -> dict:
@@ -233,22 +230,20 @@ def test_the_identified_arm_and_coefficients_are_those_that_the_examples_were_ma
         assert abs(forces[key] - true) < 1.5 * forces["ci95"][key]
 
 
-def test_the_bands_are_those_of_the_page_and_the_identified_one_is_narrower(ran):
-    block = TEXT[TEXT.index("<!-- bands -->") :]
-    shown = [[float(v) for v in re.findall(r"\d+", row)[-3:]] for row in re.findall(r"^\| .*%  ?\|$", block, re.M)]
-    widths = []
-    for row, command in zip(shown, ("before", "after"), strict=True):
-        band = result(ran, "compensate", command)["verdict"]["original_mm"]
-        widths.append((band[2] - band[0]) / (band[2] + band[0]))
-        assert [1e3 * band[0], 1e3 * band[2], 100 * widths[-1]] == pytest.approx(row, rel=0.15)
-    assert widths[1] < 0.7 * widths[0]
+def test_the_page_shows_what_is_printed_and_the_identified_band_is_narrower(ran):
+    assert ran["wrong"] == []
+    bands = [result(ran, "compensate", out)["verdict"]["original_mm"] for out in ("--out before", "--out after")]
+    before, after = ((high - low) / (high + low) for low, _, high in bands)
+    assert after < 0.7 * before
+    text = " ".join(PAGE.read_text(encoding="utf-8").split())
+    assert f"half of its width is {100 * after:.0f} % of its middle, and {100 * before:.0f} % before" in text
 
 
 def test_the_plan_is_written_and_pays_as_the_page_states(ran):
     plan = result(ran, "--plan 12")
     errors = {design["name"]: design["error_um"] for design in plan["designs"]}
     ratio = errors["random (median of 201)"] / errors["planned for the test pose"]
-    (sentence,) = re.findall(r"here (\d\.\d) times as large", TEXT)
+    (sentence,) = re.findall(r"here (\d\.\d) times as large", PAGE.read_text())
     assert ratio == pytest.approx(float(sentence), abs=0.1)
     program = (ran["place"] / "plan" / "LOADTEST.src").read_text()
     assert program.count("PTP {A1 ") == 12 and program.count("HALT") == 24
@@ -268,7 +263,7 @@ def test_modes_are_written_as_the_cell_takes_them(ran):
 
 
 def test_every_column_of_the_page_is_read_and_every_column_that_is_read_is_there():
-    named = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| `.*?\|", TEXT, re.M))))
+    named = set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| `.*?\|", PAGE.read_text(), re.M))))
     ranges = {f"a{j}_deg" for j in range(1, 7)} | set(measurements.MASS)
     known = {*measurements.COLUMNS, *tables_of_cuts.COLUMNS, "mode"}
     assert named <= known and known - named - ranges - {"note", *measurements.LOAD} == set()

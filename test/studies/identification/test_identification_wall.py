@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
@@ -32,12 +31,10 @@ def test_the_walls_of_the_slot_are_off_by_the_static_deviation_of_table_2(tmp_pa
     assert np.all(compared.low < compared.predicted) and np.all(compared.predicted < compared.high)
 
 
-def test_the_page_shows_what_its_command_prints_and_the_factor_of_the_example_returns(capsys):
-    (command,) = re.findall(r"```sh\nkr270_milling (compare .*)\n```", PAGE)
-    assert main([*command.split(), "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    assert result["gain"] == pytest.approx(1.2, abs=result["gain_ci95"]) and result["gain_ci95"] < 0.05
-    assert re.search(r"<!-- wall output -->\n```\n(.*?)```", PAGE, re.DOTALL)[1].splitlines() == result["advice"]
+def test_the_factor_of_the_example_returns():
+    """1.2, which ``config/wall.csv`` was made with; test_readme.py compares the line with what the command prints."""
+    factor, half_width = re.search(r"^measured = ([\d.]+) \+- ([\d.]+) times predicted", PAGE, re.MULTILINE).groups()
+    assert float(factor) == pytest.approx(1.2, abs=float(half_width)) and float(half_width) < 0.05
 
 
 @pytest.mark.parametrize(
