@@ -98,8 +98,8 @@ def report_text(
         "part": not programmed.straight,
     }
     return page.page_text(
-        page.HERE / "report.html",
-        page.SCRIPTS,
+        "report",
+        page.REPORT_SCRIPTS,
         title=title,
         cell=cell,
         timed=programmed.timed,

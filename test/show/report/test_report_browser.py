@@ -14,6 +14,7 @@ from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import ScoredPass, commanded_joints, compensated, simulate
 from kr270_milling.physics.robot import pose
 from kr270_milling.show.report import write_report
+from kr270_milling.show.report.study_page import points, write_page
 
 WORDS = dict(source="cell.yaml", command="kr270_milling demo", date="2026-01-02")
 #: where each picture marks the place, in its own coordinates, and where the data say that station k is
@@ -233,3 +234,17 @@ def test_a_phone_opened_turned_and_a_page_printed(phone):
     assert phone.ask("() => document.getElementById('series').layout.font.color") == "#000"
     assert phone.ask("() => [...document.querySelectorAll('.chart')].every((e) => e.drawn)")
     assert phone.settled_overhang() <= 0.5
+
+
+def test_the_page_of_a_study_loads_plotly_from_its_folder_and_has_the_colours_of_each_theme(browser, tmp_path):
+    figures = [points("Lines", "x [um]", "y [N]", {"one": ([0, 1], [1, 2]), "other": ([0, 1], [2, np.nan])}, ("one",))]
+    path = write_page(tmp_path / "study.html", "A study", ["found 3 mm3"], [], figures)
+    for width, dark, colour in ((1400, False, "#c44e00"), (390, True, "#ff8f4f")):
+        visit = Visit(browser, path.as_uri(), width, dark)
+        drawn = (
+            "() => { const p = KR.by('figure_0'); return [p.data[1].marker.color, p._fullLayout.xaxis.title.text]; }"
+        )
+        assert visit.ask(drawn) == [colour, "x [µm]"]
+        assert visit.settled_overhang() <= 0.5 and visit.complaints == []
+        assert [url.rsplit("/", 1)[1] for url in visit.requests] == ["study.html", "plotly.min.js"]
+        visit.close()

@@ -1,4 +1,4 @@
-/* What happens when: at once what is on the first screens, the rest when it is scrolled to; theme, print, resize. */
+/* What happens when: at once what is on the first screens, the rest when it is scrolled to; resize. */
 (() => {
   const waiting = new Map();
   const watcher = new IntersectionObserver((entries) => {
@@ -31,9 +31,6 @@
   KR.place = KR.worst(KR.shownPass());
   KR.remark();
 
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", KR.redraw);
-  addEventListener("beforeprint", () => { KR.printing = true; KR.drawEverything(); KR.redraw(); });
-  addEventListener("afterprint", () => { KR.printing = false; KR.redraw(); });
   let resized = null;
   let wide = innerWidth;
   addEventListener("resize", () => {

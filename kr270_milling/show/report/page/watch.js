@@ -95,7 +95,7 @@
     for (const event of waiting.splice(0)) take(event);
     draw();
   }, DRAW_MS);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+  KR.pictures.push({ draw });
   draw();
   document.documentElement.dataset.ready = "yes";
 })();
