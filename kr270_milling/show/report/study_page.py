@@ -76,8 +76,8 @@ def fragment(sentences: Sequence[str], tables: Sequence[TextTable]) -> str:
 
 
 def _capital(text: str) -> str:
-    """With a capital first letter, but for a key of a file."""
-    return text if "_" in text.partition(" ")[0] else text[:1].upper() + text[1:]
+    """With a capital first letter, but for a key or a name of a file."""
+    return text if set("_.") & set(text.partition(" ")[0]) else text[:1].upper() + text[1:]
 
 
 def _plain_figure(figure) -> dict:

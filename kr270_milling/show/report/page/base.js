@@ -43,8 +43,9 @@ const KR = {};
   const theme = () => colours[KR.dark() ? "dark" : "light"];
   KR.colour = (k) => theme().series[k % theme().series.length];
   KR.diverging = () => theme().diverging;
-  /* A colour of the light theme in the present one; any other value unchanged. */
+  /* A colour or the scale of the light theme in the present one; any other value unchanged. */
   KR.themed = (value) => {
+    if (Array.isArray(value)) return value[0]?.[1] === colours.light.diverging[0][1] ? KR.diverging() : value;
     const k = colours.light.series.indexOf(value);
     return k < 0 ? value : KR.colour(k);
   };
@@ -57,7 +58,7 @@ const KR = {};
   KR.layout = (more = {}) => ({
     colorway: theme().series, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", margin: { l: 56, r: 14, t: 12, b: 44 },
     font: { family: "system-ui, 'DejaVu Sans', Helvetica, Arial, sans-serif", size: 12, color: KR.css("--ink") },
-    hoverlabel: { bgcolor: KR.css("--card"), bordercolor: KR.css("--line"), font: { color: KR.css("--ink") } },
+    separators: ".", hoverlabel: { bgcolor: KR.css("--card"), bordercolor: KR.css("--line"), font: { color: KR.css("--ink") } },
     legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" }, ...more,
   });
   KR.config = { responsive: true, displaylogo: false, displayModeBar: matchMedia("(hover: none)").matches ? false : "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],

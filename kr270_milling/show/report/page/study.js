@@ -1,18 +1,18 @@
 /* The figures of a study in the look of the report: its fonts, axes and colours. */
 (() => {
   const plain = (value) => value !== null && typeof value === "object" && !ArrayBuffer.isView(value);
-  /* A figure with the colours of the present theme; an explicit colour scale is the diverging one. */
+  /* A figure with the colours of the present theme. */
   function themed(value, key) {
-    if (key === "colorscale" && Array.isArray(value)) return KR.diverging();
-    if (Array.isArray(value)) return value.map((one) => themed(one));
-    return plain(value) ? Object.fromEntries(Object.entries(value).map(([k, v]) => [k, themed(v, k)])) : KR.themed(value);
+    if (Array.isArray(value) && key !== "colorscale") return value.map((one) => themed(one));
+    if (!plain(value) || Array.isArray(value)) return KR.themed(value);
+    return Object.fromEntries(Object.entries(value).map(([k, v]) => [k, themed(v, k)]));
   }
 
   const colorbar = { thickness: 10, outlinewidth: 0 };
   KR.data.figures.forEach((figure, n) => {
     const id = `figure_${n}`;
     const draw = () => {
-      const layout = KR.layout({ margin: { l: 60, r: 14, t: 30, b: 48 }, hovermode: "closest", ...themed(figure.layout) });
+      const layout = KR.layout({ margin: { l: 60, r: 26, t: 30, b: 48 }, hovermode: "closest", ...themed(figure.layout) });
       for (const [key, { title, ...own }] of Object.entries(layout)) {
         if (/^[xy]axis/.test(key)) layout[key] = KR.axis(title?.text ?? "", { hoverformat: ".4~g", exponentformat: "none", ...own });
       }
