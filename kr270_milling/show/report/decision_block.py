@@ -53,7 +53,10 @@ def cut_text(cell: Cell) -> str:
 
 
 class Tile(NamedTuple):
-    """tone: "good", "caution", "bad" or "plain"; the word says the same, so that the colour is not needed."""
+    """tone: "good", "caution", "bad" or "plain"; the word says the same, so that the colour is not needed.
+
+    With "edge" after it only the edge has the colour.
+    """
 
     label: str
     word: str
@@ -96,7 +99,7 @@ def tiles(
         rows.append(Tile(label, word, micro("; ".join(filter(None, [why, *notes])))))
     if decision and decision.verdict:
         word, _, band = decision.verdict.text.partition(" (")
-        rows.append(Tile("verdict", word, micro(band.rstrip(")"))))
+        rows.append(Tile("verdict", word, micro(band.rstrip(")")), f"{TONES[decision.level]} edge"))
     if checked and checked.rapid_text:
         rows.append(Tile(RAPID_MOVES, "", micro(checked.rapid_text.removeprefix(f"{RAPID_MOVES}: "))))
     if checked and checked.stability:

@@ -64,6 +64,8 @@ const KR = {};
   KR.config = { responsive: true, displaylogo: false, displayModeBar: matchMedia("(hover: none)").matches ? false : "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
                 toImageButtonOptions: { format: "svg" } };
 
+  KR.zoomable = { ...KR.config, doubleClick: false }; // zoom.js answers the double click
+
   /* Number of the n-th axis in plotly's names; texts and lines in a picture. */
   KR.nth = (n) => (n ? n + 1 : "");
   KR.note = (more) => ({ showarrow: false, ...more });
@@ -79,10 +81,10 @@ const KR = {};
 
   /* Every picture has draw(); those that show the place have mark(i) as well. */
   KR.pictures = [];
-  KR.draw = (id, traces, layout) => {
+  KR.draw = (id, traces, layout, config = KR.config) => {
     const element = KR.by(id);
     element.drawn = true;
-    return Plotly.react(element, traces, layout, KR.config);
+    return Plotly.react(element, traces, layout, config);
   };
   KR.redraw = () => {
     for (const picture of KR.pictures) picture.draw();

@@ -19,7 +19,7 @@ __all__ = ["COLOURS", "PLOTLY_FILE", "REPORT_SCRIPTS", "page_text", "plotly_scri
 
 HERE = Path(__file__).parent
 #: names of the report's scripts, in the order in which the page runs them
-REPORT_SCRIPTS = ("base", "place", "maps", "series", "source", "part", "robot", "charts", "start")
+REPORT_SCRIPTS = ("base", "place", "maps", "series", "zoom", "source", "part", "robot", "charts", "start")
 PLOTLY_FILE = "plotly.min.js"  #: next to pages that do not contain plotly
 LONG = 12  #: a longer row is packed
 #: series: the colours of Okabe and Ito (black, vermilion, blue, green, purple, sky blue), darker or lighter for

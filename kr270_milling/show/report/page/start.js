@@ -27,9 +27,10 @@
     waiting.clear();
   };
 
-  for (const start of ["Place", "Maps", "Series", "Source", "Part", "Robot", "Charts"]) KR[`start${start}`]();
+  for (const start of ["Place", "Maps", "Series", "Zoom", "Source", "Part", "Robot", "Charts"]) KR[`start${start}`]();
   KR.place = KR.worst(KR.shownPass());
   KR.remark();
+  KR.openAddress();
 
   let resized = null;
   let wide = innerWidth;
