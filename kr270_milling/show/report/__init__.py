@@ -28,7 +28,8 @@ from kr270_milling.show.report.straight_cut import charts_of
 
 __all__ = ["report_text", "write_report", "write_report_page", "write_series"]
 
-FIRST_FINDINGS = 4  #: on the first screen; the others follow behind a switch
+FIRST_TILES = 3  #: before the findings: decision, as programmed, compensated
+FIRST_FINDINGS = 4  #: that are shown at once; the others follow behind a switch
 
 
 def write_report(directory, cell: Cell, passes: Sequence[ScoredPass], **more) -> Path:
@@ -117,6 +118,7 @@ def report_text(
         tiles=tiles(names, judgements, decision, checked, method, cell.stage.tool if cell.stage else ""),
         findings=finding_rows(checked),
         first_findings=FIRST_FINDINGS,
+        first_tiles=FIRST_TILES,
         scores=texts.line_scores(passes, paper) if programmed.straight else texts.part_scores(parts),
         features=None if programmed.straight else texts.feature_table(parts),
         more=[texts.typographic(t) for t in tables if t.rows],

@@ -49,7 +49,7 @@ def _gain(row: dict, present: dict) -> float:
 def write_map(folder, cell: Cell, name: str, summary: Summary, present: dict, *, self_contained: bool = False) -> Path:
     """Write heat maps over x and y with the best placements and the present one; returns the path of the page.
 
-    name: of the cell file; present: row of the cell as it is; self_contained: as of ``write_page``.
+    name: of the cell file; present: row of `present_row`; self_contained: as of ``write_page``.
     """
     star = dict(symbol="star", size=14, color=COLOURS[1], line=dict(color="white", width=1))
     diamond = dict(symbol="diamond", size=12, color="white", line=dict(color="black", width=2))

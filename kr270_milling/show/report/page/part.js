@@ -12,17 +12,17 @@
     const z = heights.reduce((a, b) => Math.max(a, b)) - heights.reduce((a, b) => Math.min(a, b));
     const longest = Math.max(x, y);
     const times = Math.max(1, Math.round((FLATTEST * longest) / Math.max(z, 1e-6)));
-    return { x: x / longest, y: y / longest, z: (z * times) / longest, times };
+    return { x: x / longest, y: y / longest, z: (z * times) / longest, times, lift: 0.04 * z };
   }
 
-  /* The tool path of a pass with its deviation drawn so many times too large; heights are drawn `high` times already. */
-  function displaced(pass, times, high) {
+  /* The tool path of a pass with its deviation drawn so many times too large, a little above the floor. */
+  function displaced(pass, times, size) {
     const last = linked.x.length - 1;
     const along = (at, i) => at[Math.min(last, i + 1)] - at[Math.max(0, i - 1)];
     const mm = times * 1e-3;
     const [x, y] = [[linked.x, -1, linked.y], [linked.y, 1, linked.x]].map(([at, sign, other]) => KR.cut(at.map((v, i) =>
       v + sign * pass.side[i] * mm * (along(other, i) / (Math.hypot(along(linked.x, i), along(linked.y, i)) || 1)))));
-    return { x, y, z: KR.cut(linked.z.map((v, i) => v + (pass.height[i] * mm) / high)) };
+    return { x, y, z: KR.cut(linked.z.map((v, i) => v + size.lift + (pass.height[i] * mm) / size.times)) };
   }
   /* How many times too large: the largest deviation is drawn as 5 % of the part. */
   function magnification(passes) {
@@ -61,7 +61,7 @@
     const times = magnification(shown);
     for (const k of shown) {
       traces.push({ type: "scatter3d", mode: "lines", name: KR.plain(linked.passes[k].name), hoverinfo: "skip", connectgaps: false,
-        line: { color: KR.colour(k), width: 3 }, ...displaced(linked.passes[k], times, size.times) });
+        line: { color: KR.colour(k), width: 3 }, ...displaced(linked.passes[k], times, size) });
     }
     const axis = (title) => ({ title: { text: title }, gridcolor: KR.css("--grid"), color: KR.css("--soft"),
                                backgroundcolor: "rgba(0,0,0,0)", zeroline: false, nticks: narrow ? 3 : 5 });
@@ -69,7 +69,7 @@
       showlegend: true, legend: { orientation: "h", x: 0, y: 1, yanchor: "top", bgcolor: "rgba(0,0,0,0)" }, margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: "keep",
       scene: { domain: { y: [narrow ? 0.14 : 0, 1] }, xaxis: axis(`x${unit}`), yaxis: axis(`y${unit}`), zaxis: { ...axis(`z${unit}`), nticks: narrow ? 2 : 3 }, aspectmode: "manual",
                aspectratio: { x: 1.35 * size.x, y: 1.35 * size.y, z: 1.35 * Math.max(size.z, 0.02) },
-               camera: { eye: { x: -0.62 * eye, y: -1.1 * eye, z: 0.95 * eye }, center: { x: 0, y: 0, z: -0.12 } } },
+               camera: { eye: { x: -0.5 * eye, y: -0.9 * eye, z: 1.3 * eye }, center: { x: 0, y: 0, z: -0.12 } } },
     });
     KR.by("part_caption").textContent = `Pass '${pass.name}'. Colour: error of floors (surface) and walls (dots) that remain, `
       + `+ material left, \u2212 cut too deep; neutral: not machined or too near to a wall. Largest ${KR.num(largest(pass), 1)} µm. `
