@@ -326,4 +326,11 @@ def test_the_page_of_a_study_loads_plotly_from_its_folder_and_has_the_colours_of
         assert visit.ask(drawn) == [colour, "x [µm]"]
         assert visit.settled_overhang() <= 0.5 and visit.complaints == []
         assert [url.rsplit("/", 1)[1] for url in visit.requests] == ["study.html", "plotly.min.js"]
+        assert not visit.page.locator("#missing").is_visible()
         visit.close()
+    alone = tmp_path / "alone" / "study.html"
+    alone.parent.mkdir()
+    alone.write_text(path.read_text())
+    visit = Visit(browser, alone.as_uri())
+    assert "plotly.min.js next to this page" in visit.page.locator("#missing").inner_text()
+    visit.close()

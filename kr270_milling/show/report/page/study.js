@@ -9,7 +9,8 @@
   }
 
   const colorbar = { thickness: 10, outlinewidth: 0 };
-  KR.data.figures.forEach((figure, n) => {
+  KR.by("missing").hidden = Boolean(window.Plotly);
+  (window.Plotly ? KR.data.figures : []).forEach((figure, n) => {
     const id = `figure_${n}`;
     const draw = () => {
       const layout = KR.layout({ margin: { l: 60, r: 26, t: 30, b: 48 }, hovermode: "closest", ...themed(figure.layout) });
