@@ -58,7 +58,8 @@ const KR = {};
   KR.layout = (more = {}) => ({
     colorway: theme().series, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", margin: { l: 56, r: 14, t: 12, b: 44 },
     font: { family: "system-ui, 'DejaVu Sans', Helvetica, Arial, sans-serif", size: 12, color: KR.css("--ink") },
-    separators: ".", hoverlabel: { bgcolor: KR.css("--card"), bordercolor: KR.css("--line"), font: { color: KR.css("--ink") } },
+    separators: ".", modebar: { bgcolor: "rgba(0,0,0,0)", color: KR.css("--soft"), activecolor: KR.css("--accent") },
+    hoverlabel: { bgcolor: KR.css("--card"), bordercolor: KR.css("--line"), font: { color: KR.css("--ink") } },
     legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" }, ...more,
   });
   KR.config = { responsive: true, displaylogo: false, displayModeBar: matchMedia("(hover: none)").matches ? false : "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],

@@ -23,7 +23,9 @@
   function writeAddress() {
     clearTimeout(address);
     if (location.protocol === "about:") return;
-    address = setTimeout(() => history.replaceState(null, "", `#XP${linked.point[KR.place]}`), ADDRESS_MS);
+    address = setTimeout(() => {
+      if (placeOfAddress() !== KR.place) history.replaceState(null, "", `#XP${linked.point[KR.place]}`);
+    }, ADDRESS_MS);
   }
   function placeOfAddress() {
     const point = /^#XP(\d+)$/i.exec(location.hash)?.[1];
