@@ -56,7 +56,7 @@ class Shown:
     def report(self, path) -> Path:
         """Write one HTML page with sentences, tables and figure; returns the path."""
         title, *sentences = self.sentences()
-        return write_page(Path(path), title, sentences, self.tables(), [self.plot()])
+        return write_page(Path(path), title, sentences, self.tables(), [self.plot()], self_contained=True)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)

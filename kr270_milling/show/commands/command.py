@@ -14,8 +14,8 @@ from typing import NamedTuple
 from kr270_milling.base.arguments import bounded, numbers
 
 __all__ = [
-    "CELL", "MOTIONS", "PLANT", "POSTURE", "RECORDING", "REFERENCE", "Command", "Group", "add_command", "command",
-    "option",
+    "CELL", "MOTIONS", "PLANT", "POSTURE", "RECORDING", "REFERENCE", "SELF_CONTAINED", "Command", "Group",
+    "add_command", "command", "option",
 ]  # fmt: skip
 
 
@@ -71,6 +71,9 @@ PLANT = (
 MOTIONS = ("LIN", "SPLINE")
 POSTURE = numbers(6, most=720.0)
 RECORDING = option("file FILE.mcap|DIR", "a recording, also one that was cut off")
+SELF_CONTAINED = option(
+    "--self-contained", "the page contains plotly.js instead of loading plotly.min.js next to it", bool
+)
 REFERENCE = option("--reference FILE.csv", "run along this trajectory, as written by compensate")
 
 

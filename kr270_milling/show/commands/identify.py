@@ -12,6 +12,7 @@ from kr270_milling.base.version import __version__
 from kr270_milling.show.commands.command import (
     CELL,
     POSTURE,
+    SELF_CONTAINED,
     Group,
     command,
     option,
@@ -52,6 +53,7 @@ COMMANDS = {
                     option("--seed", "of the candidates", bounded(0, 2**31, int), 1),
                 )),
                 option("--out DIR", "write YAML to include and report, or table and KRL of the plan"),
+                SELF_CONTAINED,
             )),
             "forces": ("force coefficients from mean forces of cuts, or from recordings of a sensor", command(
                 "identify.identify_forces", "identify forces CUTS.csv --cell config/test_piece.yaml --out identified",
@@ -71,6 +73,7 @@ COMMANDS = {
                     option("--sensor-mass-kg", "that hangs on it, where there is no tare", bounded(0, 5000), 0.0),
                 )),
                 INCLUDE,
+                SELF_CONTAINED,
             )),
             "damping": ("frequency and damping of the modes from a ring-down or an impact", command(
                 "identify.identify_damping", "identify damping RECORDING --topic deflection --out identified",
@@ -84,6 +87,7 @@ COMMANDS = {
                 option("--hammer", "direction of force_n: scales the shapes by the masses", choices=SIX_AXES),
                 option("--cell CELL.yaml", "scales the shapes by its compliance, where no hammer was"),
                 INCLUDE,
+                SELF_CONTAINED,
             )),
             "material": ("published force coefficients of a material", command(
                 "identify.identify_material", "identify material Al7075-T6",
@@ -104,13 +108,14 @@ COMMANDS = {
         SENSOR_ON,
         option("--plants N", "of the band of a wall, drawn from uncertainty", bounded(2, 1000, int), 16),
         option("--out DIR", "write a report"),
+        SELF_CONTAINED,
     ),
 }  # fmt: skip
 
 
 def _answer(args, outcome) -> Answer:
     """Print an outcome; with --out also write its files."""
-    files = [str(path) for path in outcome.write(args.out)] if args.out else []
+    files = [str(path) for path in outcome.write(args.out, getattr(args, "self_contained", False))] if args.out else []
     result = outcome.result | ({"files": files} if args.out else {})
     refusal = ["no parameter file: the result must not be used"] if outcome.refused else []
     return Answer(result, [*outcome.tables, *outcome.sentences, *refusal, *files], int(outcome.refused))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 from kr270_milling.base.arguments import grid
 from kr270_milling.base.column import as_dict, columns_of, table_of, yes
 from kr270_milling.base.files import staged
-from kr270_milling.show.commands.command import CELL, command, option
+from kr270_milling.show.commands.command import CELL, SELF_CONTAINED, command, option
 from kr270_milling.show.commands.console import Answer, cell_of
 from kr270_milling.show.commands.progress import progress
 
@@ -32,6 +33,7 @@ COMMANDS = {
         option("--no-arm", "leave out the arm: the modes of tool.modes alone", bool),
         option("--along", "instead of lobes: the limit depth of each feature of the path", bool),
         option("--out DIR", "write lobes.csv and the picture lobes.html here"),
+        SELF_CONTAINED,
         note="keys: path.radial_immersion (share of the diameter) and path.mode (slot, up, down) state the engagement, "
         "tool.modes the vibration of tool and spindle",
     ),
@@ -66,24 +68,13 @@ def run_stability(args) -> Answer:
 
 
 def _write(args, cell, rows: list[dict], summary: str) -> list[str]:
-    """Table and picture."""
-    from kr270_milling.show.report.study_page import points, write_page
+    """Table and page."""
+    from kr270_milling.show.report.lobes_page import write_lobes
 
-    speeds = [row["spindle_speed_rpm"] for row in rows]
-    limit, chatter = ([row[name] for row in rows] for name in ("depth_limit_mm", "chatter_hz"))
-    own = [cell.tool.spindle_speed * 30.0 / math.pi], [1e3 * cell.path.depth_of_cut]
-    lines = {"limit depth": (speeds, limit), **({"the cell": own} if cell.path.depth_of_cut else {})}
-    figures = [
-        points("Below the line the cut is stable", "spindle speed [rpm]", "depth of cut [mm]", lines, ("limit depth",)),
-        points("Chatter at the limit", "spindle speed [rpm]", "frequency [Hz]", {"chatter": (speeds, chatter)}),
-    ]
-    figures[0].update_yaxes(rangemode="tozero")
-    figures = figures[: 1 + any(map(math.isfinite, chatter))]  # none chatters: there is no frequency to show
-    for figure in figures:  # one above the other
-        figure.update_xaxes(range=[min(*speeds, *own[0]), max(*speeds, *own[0])])
     with staged(args.out) as (draft, final):
         table = draft / "lobes.csv"
         text = [",".join(repr(float(value)) for value in row.values()) for row in rows]
         table.write_text("\n".join([",".join(rows[0]), *text]) + "\n", encoding="utf-8")
-        page = write_page(draft / "lobes.html", f"Stability lobes of {args.cell}", [summary], [], figures)
+        page = write_lobes(draft, cell, Path(args.cell).name, rows, summary, arm=not args.no_arm,
+                           self_contained=args.self_contained)  # fmt: skip
         return [str(final(table)), str(final(page))]

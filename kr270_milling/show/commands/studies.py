@@ -10,7 +10,7 @@ from kr270_milling.base.errors import ParameterError
 from kr270_milling.base.extras import require_extra
 from kr270_milling.base.files import staged
 from kr270_milling.base.parameter_file import find_file
-from kr270_milling.show.commands.command import CELL, Group, command, option
+from kr270_milling.show.commands.command import CELL, SELF_CONTAINED, Group, command, option
 from kr270_milling.show.commands.console import Answer, output_directory
 from kr270_milling.show.commands.progress import progress
 
@@ -33,6 +33,7 @@ COMMANDS = {
         option("--turn LOW:HIGH/COUNT", "[deg] of the workpiece about z of base_link, on top of the cell's", PLACES),
         option("--tool-turn LOW:HIGH/COUNT", "[deg] of the tool about its axis", PLACES),
         option("--out DIR", "where rows, cells and picture go", default="map"),
+        SELF_CONTAINED,
         SCHEDULER,
         option("--chunk N", "placements a file", bounded(1, 100_000, int), 500),
         Group("along a path", (
@@ -72,9 +73,16 @@ def run_map(args) -> Answer:
     import numpy as np
 
     from kr270_milling.cell.cell import read_cell
-    from kr270_milling.show.report.placements import write_map
+    from kr270_milling.show.report.placements import gain_text, write_map
     from kr270_milling.studies.maps.engine import Study, content, run_chunks
-    from kr270_milling.studies.maps.placements import PlacementRow, Placements, Summary, path_places, write_cells
+    from kr270_milling.studies.maps.placements import (
+        PlacementRow,
+        Placements,
+        Summary,
+        path_places,
+        present_row,
+        write_cells,
+    )
 
     if args.along is not None:
         return _along(args)
@@ -100,17 +108,21 @@ def run_map(args) -> Answer:
         summary.add(table)
     cells = write_cells(args.out, source, args.set, cell, placements.course, summary.best)
     rate = made * summary.rows / seconds if seconds else None
+    present = present_row(cell, placements.course)
+    page = write_map(args.out, cell, source.name, summary, present, self_contained=args.self_contained)
     result = {
         "rows": summary.rows,
         "rows_per_s": rate,
+        "present": present,
         "postures_per_s": rate and rate * len(placements.course.position),
         "feasible": summary.feasible,
         "best": [row | {"cell": str(path)} for row, path in zip(summary.best, cells, strict=True)],
-        "picture": str(write_map(args.out, summary)),
+        "picture": str(page),
         "out": args.out,
     }
     return Answer(result, [
         table_of("Best placements: largest static error across the feed", columns_of(PlacementRow), result["best"]),
+        gain_text(summary, present),
         f"{result['rows']} rows, {result['feasible']} feasible: {result['out']}",
         *(row["cell"] for row in result["best"]),
         result["picture"],

@@ -22,7 +22,7 @@ from kr270_milling.show.report.tables import micro
 
 TONES = {YES: "good", CAUTION: "caution", NO: "bad"}  #: of the tile
 
-__all__ = ["Tile", "asked", "finding_rows", "judged", "tiles"]
+__all__ = ["Tile", "asked", "cut_text", "finding_rows", "judged", "tiles"]
 
 
 def judged(
@@ -41,14 +41,22 @@ def judged(
 
 def asked(cell: Cell, passes: Sequence[ScoredPass]) -> str:
     """The question, in one sentence."""
-    speed = cell.tool.spindle_speed * 30 / np.pi
-    cutter = f"a {cell.tool.diameter * 1e3:g} mm cutter with {cell.tool.teeth} teeth at {speed:.0f} rpm"
     then = "" if len(passes) == 1 else ", and what does compensation change"
-    return f"How far off does {cell.arm.name} mill {cell.programmed.description} with {cutter}{then}?"
+    return f"How far off does {cell.arm.name} mill {cut_text(cell)}{then}?"
+
+
+def cut_text(cell: Cell) -> str:
+    """Path and tool of a cell."""
+    tool, speed = cell.tool, cell.tool.spindle_speed * 30 / np.pi
+    cutter = f"a {tool.diameter * 1e3:g} mm cutter with {tool.teeth} teeth at {speed:.0f} rpm"
+    return f"{cell.programmed.description} with {cutter}"
 
 
 class Tile(NamedTuple):
-    """tone: "good", "caution", "bad" or "plain"; the word says the same, so that the colour is not needed."""
+    """tone: "good", "caution", "bad" or "plain"; the word says the same, so that the colour is not needed.
+
+    With "edge" after it only the edge has the colour.
+    """
 
     label: str
     word: str
@@ -91,7 +99,7 @@ def tiles(
         rows.append(Tile(label, word, micro("; ".join(filter(None, [why, *notes])))))
     if decision and decision.verdict:
         word, _, band = decision.verdict.text.partition(" (")
-        rows.append(Tile("verdict", word, micro(band.rstrip(")"))))
+        rows.append(Tile("verdict", word, micro(band.rstrip(")")), f"{TONES[decision.level]} edge"))
     if checked and checked.rapid_text:
         rows.append(Tile(RAPID_MOVES, "", micro(checked.rapid_text.removeprefix(f"{RAPID_MOVES}: "))))
     if checked and checked.stability:

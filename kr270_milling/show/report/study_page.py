@@ -9,23 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from kr270_milling.base.column import TextTable
-from kr270_milling.show.report.page.page import HERE, page_text
+from kr270_milling.base.files import write_files
+from kr270_milling.show.report.page import page
 from kr270_milling.show.report.tables import micro, typographic
 
-__all__ = ["figure_of", "fragment", "points", "write_page"]
+__all__ = ["COLOURS", "DIVERGING", "figure_of", "fragment", "points", "write_page"]
 
-CLEAR = "rgba(0,0,0,0)"
-CONFIG = {"displaylogo": False, "responsive": True}
+COLOURS: list[str] = page.COLOURS["light"]["series"]  # type: ignore[assignment]  #: a page replaces them in its dark theme
+DIVERGING = page.COLOURS["light"]["diverging"]  #: for values about zero
+STYLE = ("template", "colorway", "title")  #: of a figure; a page has its own
 
 
 def figure_of(title: str, x: str, y: str):
     """Return a Plotly figure without a trace; x, y: titles of its axes."""
     import plotly.graph_objects as go
 
-    layout = dict(template="plotly_white", height=380, margin=dict(l=70, r=20, t=50, b=60), paper_bgcolor=CLEAR,
-                  plot_bgcolor=CLEAR, legend=dict(orientation="h", y=1, yanchor="bottom"))  # fmt: skip
-    figure = go.Figure(layout=layout)
-    return figure.update_layout(title=_typographic(title), xaxis_title=_typographic(x), yaxis_title=_typographic(y))
+    figure = go.Figure(layout=dict(template="plotly_white", colorway=COLOURS, height=380))
+    return figure.update_layout(title=micro(title), xaxis_title=micro(x), yaxis_title=micro(y))
 
 
 def points(title: str, x: str, y: str, series: dict, lines: tuple[str, ...] = (), style: dict | None = None):
@@ -34,32 +34,39 @@ def points(title: str, x: str, y: str, series: dict, lines: tuple[str, ...] = ()
     lines: names of the series that are lines; style: name -> (colour, symbol).
     """
     figure = figure_of(title, x, y)
-    for name, (across, up) in series.items():
+    for number, (name, (across, up)) in enumerate(series.items()):
         mode = "lines" if name in lines else "markers"
-        colour, symbol = (style or {}).get(name, (None, "circle"))
+        colour, symbol = (style or {}).get(name, (COLOURS[number % len(COLOURS)], "circle"))
         marker = dict(color=colour, symbol=symbol, size=8, line=dict(width=1.5, color=colour))
         across, up = np.asarray(across).tolist(), np.asarray(up).tolist()
-        figure.add_scatter(name=name, x=across, y=up, mode=mode, marker=marker)
+        figure.add_scatter(name=micro(name), x=across, y=up, mode=mode, marker=marker, line=dict(color=colour))
     return figure
 
 
-def write_page(path: Path, title: str, sentences, tables, figures) -> Path:
-    """Write one HTML file that needs no network; tables: of type TextTable."""
-    text = page_text(
-        HERE / "study.html",
-        [],
+def write_page(path: Path, title: str, sentences, tables, figures, *, self_contained: bool = False) -> Path:
+    """Write one HTML file that needs no network; tables: of type TextTable; figures: of Plotly.
+
+    The pages of one folder share ``plotly.min.js`` next to them; self_contained: the page contains plotly instead.
+    Returns the path of the page.
+    """
+    text = page.page_text(
+        "study",
+        ("base", "study"),
+        shared=not self_contained,
         title=title,
-        sentences=[_typographic(text[:1].upper() + text[1:]) for text in sentences],
-        tables=[table._replace(columns=[*map(_typographic, table.columns)]) for table in tables],
-        plots=[_plot(figure) for figure in figures],
+        sentences=[_capital(micro(text)) for text in sentences],
+        tables=[*map(typographic, tables)],
+        figures=[_capital(figure.layout.title.text or "") for figure in figures],
+        data=page.to_json({"figures": [_plain_figure(figure) for figure in figures]}),
     )
-    path.write_text(text, encoding="utf-8")
+    beside = {} if self_contained else {path.with_name(page.PLOTLY_FILE): (page.plotly_script(),)}
+    write_files({path: (text,), **beside})
     return path
 
 
 def fragment(sentences: Sequence[str], tables: Sequence[TextTable]) -> str:
     """Sentences and tables as HTML without a page around them, for a notebook; all texts are escaped."""
-    parts = [f"<p>{escape(_typographic(text))}</p>" for text in sentences]
+    parts = [f"<p>{escape(micro(text))}</p>" for text in sentences]
     for table in map(typographic, tables):
         head = "".join(f"<th>{escape(name)}</th>" for name in table.columns)
         rows = ("".join(f"<td>{escape(text)}</td>" for text in row) for row in table.rows)
@@ -68,11 +75,13 @@ def fragment(sentences: Sequence[str], tables: Sequence[TextTable]) -> str:
     return "".join(parts)
 
 
-def _plot(figure) -> str:
-    from plotly.io import to_html
+def _capital(text: str) -> str:
+    """With a capital first letter, but for a key or a name of a file."""
+    return text if set("_.") & set(text.partition(" ")[0]) else text[:1].upper() + text[1:]
 
-    return to_html(figure, full_html=False, include_plotlyjs=False, config=CONFIG)
 
-
-def _typographic(text: str) -> str:
-    return micro(text).replace("+-", "±")
+def _plain_figure(figure) -> dict:
+    """Traces and layout of a figure without its style."""
+    known = figure.to_plotly_json()
+    layout = {key: value for key, value in known["layout"].items() if key not in STYLE}
+    return {"data": known["data"], "layout": layout}

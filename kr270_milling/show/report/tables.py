@@ -37,8 +37,13 @@ def fixed_text(value: float, digits: int, least: float = 0.0) -> str:
 
 
 def micro(text: str) -> str:
-    """With the micro sign where a unit is written um."""
-    return re.sub(r"\bum\b", "µm", text)
+    """With the signs of typography: µm, µrad, mm³ and ±."""
+    text = re.sub(r"(?:(?<=\d )|(?<=/))(mm|m|s)[23]\b", _raised, text)
+    return re.sub(r"\bu(?=m\b|rad\b)", "µ", text).replace("+-", "±")
+
+
+def _raised(unit: re.Match) -> str:
+    return unit[1] + {"2": "²", "3": "³"}[unit[0][-1]]
 
 
 def shown(value, key: str = "") -> str:

@@ -19,8 +19,8 @@ def tools_page(title: str, decision: DecisionOnTools, names: Sequence[str], page
     tools = dict(decision.tools)
     rows = [(name, tools[name].level, TONES[tools[name].level], micro(tools[name].sentence)) for name in names]
     return page.page_text(
-        page.HERE / "tools.html",
-        [page.HERE / "tools.js"],
+        "tools",
+        ("tools",),
         title=title,
         level=decision.level,
         tone=TONES[decision.level],

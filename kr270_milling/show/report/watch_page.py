@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from kr270_milling.show.report.page.page import BASE_SCRIPT, HERE, page_text
+from kr270_milling.show.report.page.page import page_text
 
 __all__ = ["watch_page"]
 
 
 def watch_page() -> str:
     """Return the HTML text; the page requests /events only."""
-    return page_text(HERE / "watch.html", [BASE_SCRIPT, HERE / "watch.js"])
+    return page_text("watch", ("base", "watch"), title="kr270_milling: live")

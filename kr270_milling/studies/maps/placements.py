@@ -32,7 +32,7 @@ from kr270_milling.studies.maps.postures import along_path, postures, whole_turn
 
 __all__ = [
     "MAPPED", "PathPlaces", "PlacementRow", "Placements", "Summary", "about_z", "places_at", "path_places",
-    "moved_cell", "place_of", "write_placement", "write_cells",
+    "present_row", "moved_cell", "place_of", "write_placement", "write_cells",
 ]  # fmt: skip
 
 SINGULAR = 1e-6  #: measure of a posture below which no Jacobian is inverted
@@ -50,11 +50,13 @@ class PlacementRow:
     x: float = column("x_mm", 1e3, unit="mm", short="x")
     y: float = column("y_mm", 1e3, unit="mm", short="y")
     z: float = column("z_mm", 1e3, unit="mm", short="z")
-    turn: float = column("turn_deg", DEGREES, unit="deg", short="turn")
+    turn: float = column("turn_deg", DEGREES, unit="deg", short="part turn")
     tool_turn: float = column("tool_turn_deg", DEGREES, unit="deg", short="tool turn")
     branch: int = column("branch", digits=0, short="branch")
     error: float = column("error_max_um", 1e6, "error before compensation", "um", digits=2, short="error")
-    compensated: float = column("compensated_max_um", 1e6, "after it, one sigma", "um", digits=2, short="compensated")
+    compensated: float = column(
+        "compensated_max_um", 1e6, "error after compensation, one sigma", "um", digits=2, short="compensated"
+    )
     lowest_mode: float = column("lowest_mode_hz", 1.0, "lowest mode", "Hz", digits=2, short="lowest mode")
     singularity: float = column("singularity", 1.0, "distance to a singularity", digits=4, short="singularity")
 
@@ -188,6 +190,18 @@ class Placements(StudyRows):
         frequency[:, ::2][some] = lowest
         frequency[:, 1::2][some] = lowest
         return np.where(chosen, frequency, np.nan)
+
+
+def present_row(cell: Cell, course: PathPlaces) -> dict[str, float]:
+    """The row of the workpiece where the cell has it, on the branch of the commanded joints; keys as of ``columns``."""
+    here = tuple(np.array([value]) for value in (*cell.workpiece.pose.position.tolist(), 0.0, 0.0))
+    stamp, target = np.zeros(1, np.int64), cell.target()
+    rotation = rotation_from_quaternion(target.sample_orientation(stamp))
+    joints = cell.joints_along(target, stamp)
+    q, _ = branches(cell.arm, cell.mount, cell.workpiece.pose @ Pose(target.sample(stamp), rotation), joints)
+    away = np.abs(np.exp(1j * q[0]) - np.exp(1j * joints)).max(axis=-1)
+    branch = int(np.nanargmin(away))
+    return {name: values[branch].item() for name, values in Placements(cell, course, here).columns(0, 1).items()}
 
 
 def about_z(angle) -> np.ndarray:

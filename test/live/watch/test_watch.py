@@ -111,6 +111,9 @@ def test_the_page_grows_while_events_come_and_reports_the_end_of_the_graph(serve
     events_sent = events_of(received(made.one_pass(passes=2)))
     wide = Visit(browser, f"http://127.0.0.1:{port}/")
     phone = Visit(browser, f"http://127.0.0.1:{port}/", 390, dark=True, touch=True)
+    for visit in (wide, phone):
+        visit.page.wait_for_function("document.getElementById('now').textContent.includes('waits for the first pass')")
+        assert not visit.page.locator("#live_series").is_visible() and visit.settled_overhang() <= 0.5
     half = len(events_sent) // 2
     samples = [sum(e["kind"] == "sample" for e in part) for part in (events_sent[:half], events_sent)]
     for part, count in zip((events_sent[:half], events_sent[half:]), samples, strict=True):

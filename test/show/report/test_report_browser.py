@@ -14,6 +14,7 @@ from kr270_milling.cell.cell import Cell, read_cell
 from kr270_milling.cell.jobs import ScoredPass, commanded_joints, compensated, simulate
 from kr270_milling.physics.robot import pose
 from kr270_milling.show.report import write_report
+from kr270_milling.show.report.study_page import points, write_page
 
 WORDS = dict(source="cell.yaml", command="kr270_milling demo", date="2026-01-02")
 #: where each picture marks the place, in its own coordinates, and where the data say that station k is
@@ -28,7 +29,7 @@ MARKS = """() => {
   marks.series = [gd.layout.shapes[0].x0 - (way ? L.way : L.time)[k], gd.layout.shapes[0].x1 - gd.layout.shapes[0].x0];
   const part = document.getElementById("part");
   if (part.drawn && KR.seen("part")) {
-    const here = part.data[part.data.length - 1];
+    const here = part.data[3];
     marks.part = [here.x[0] - L.x[k], here.y[0] - L.y[k], here.z[0] - L.z[k]];
   }
   const line = document.querySelector("#source li.here");
@@ -127,7 +128,7 @@ def test_what_was_off_the_screen_catches_up_when_it_comes_there(visit):
     visit.page.locator("#part").scroll_into_view_if_needed()
     visit.page.wait_for_function(
         """() => { const d = document.getElementById("part").data, L = KR.data.linked;
-                   return KR.place === 200 && d[d.length - 1].x[0] === L.x[200]; }"""
+                   return KR.place === 200 && d[3].x[0] === L.x[200]; }"""
     )
     agrees(visit)
 
@@ -156,6 +157,85 @@ def test_playing_runs_along_the_path_and_stops_at_its_end(visit):
     visit.page.wait_for_function("KR.place === KR.data.linked.time.length - 1")
     visit.page.wait_for_function("document.getElementById('play').getAttribute('aria-pressed') === 'false'")
     agrees(visit)
+
+
+def test_play_runs_at_real_speed(visit):
+    """With a clock of the test: 0.4 s of the clock are 0.4 s of the path, ten times as many at ten times the speed."""
+    visit.ask("() => { KR.now = performance.now; performance.now = () => KR.clock; KR.clock = 0; }")
+    for speed, seconds in (("1", 0.4), ("10", 0.04)):
+        visit.ask("KR.go(20)")
+        visit.page.locator("#speed").select_option(speed)
+        visit.page.locator("#play").click()
+        visit.ask("(ms) => { KR.clock += ms; }", 1e3 * seconds)
+        visit.page.wait_for_function("KR.place === KR.stationAt(KR.data.linked.time[20] + 0.4)")
+        visit.page.locator("#play").click()
+    visit.ask("() => { performance.now = KR.now; }")
+    assert visit.ask("KR.place") > 21
+
+
+def test_a_place_has_an_address(browser, visit):
+    point = visit.ask("KR.data.linked.point[300]")
+    other = Visit(browser, f"{visit.page.url.partition('#')[0]}#XP{point}")
+    place = other.ask("KR.place")
+    assert other.ask("(k) => [KR.data.linked.point[k], KR.data.linked.point[k - 1]]", place) == [point, point - 1]
+    other.ask("KR.go(40)")
+    other.page.wait_for_function("location.hash === `#XP${KR.data.linked.point[40]}`")
+    other.ask("() => { location.hash = '#XP99999999'; }")
+    other.page.wait_for_function("KR.place === KR.data.linked.time.length - 1")
+    assert other.complaints == []
+    other.close()
+
+
+def test_the_filter_leaves_what_is_beyond_the_tolerance(visit):
+    values = "() => ['before', 'after'].map((id) => document.getElementById('map_' + id).data[1].marker.color)"
+    every = visit.ask(values)
+    visit.page.locator("#beyond").check()
+    beyond = visit.ask(values)
+    assert beyond == [[value for value in column if abs(value) > 30.0] for column in every]
+    assert 0 < len(beyond[0]) < len(every[0])
+    assert "mm beyond ±30 µm" in visit.page.locator("#map_before_title").inner_text()
+    visit.page.locator("#beyond").uncheck()
+    assert visit.ask(values) == every
+
+
+SERIES_RANGE = "() => document.getElementById('series')._fullLayout.xaxis.range"
+MAP_RANGES = """() => ['before', 'after'].map((id) => { const a = document.getElementById('map_' + id)._fullLayout;
+                                                      return [...a.xaxis.range, ...a.yaxis.range]; })"""
+
+
+def test_a_zoom_of_the_curves_moves_the_maps_and_a_zoom_of_a_map_moves_the_curves(visit):
+    whole = visit.ask(SERIES_RANGE)
+    visit.ask("() => Plotly.relayout('series', {'xaxis.range': [KR.data.linked.way[100], KR.data.linked.way[140]]})")
+    visit.page.wait_for_function("KR.zoom?.first === 100 && KR.zoom.last === 140")
+    visit.page.wait_for_function(
+        """() => { const [a, b] = document.getElementById('map_after')._fullLayout.xaxis.range;
+                   return b - a < 0.9 * (KR.mapFrame[1] - KR.mapFrame[0]); }"""
+    )
+    left, right, low, high = visit.ask(MAP_RANGES)[0]
+    assert visit.ask(MAP_RANGES)[0] == pytest.approx(visit.ask(MAP_RANGES)[1])
+    x, y = (np.array(visit.ask(f"[...KR.data.linked.{axis}.slice(100, 141)]")) for axis in "xy")
+    assert left < x.min() and x.max() < right and low < y.min() and y.max() < high
+    with visit.page.expect_download() as saved:  # of the stations on the screen and the passes of the legend
+        visit.ask("() => Plotly.restyle('series', { visible: 'legendonly' }, [1])")
+        visit.page.locator("#csv").click()
+    visit.ask("() => Plotly.restyle('series', { visible: true }, [1])")
+    rows = saved.value.path().read_text().splitlines()
+    names = rows[0].split(",")
+    assert names[:3] == ["time_s", "way_mm", "x_mm"] and "original_deviation_left_um" in names and len(rows) == 42
+    hidden = visit.ask("KR.data.linked.passes[1].name")
+    assert not any(name.startswith(f"{hidden}_") for name in names)
+    side = visit.ask("KR.data.linked.passes[0].side[100]")
+    assert float(rows[1].split(",")[names.index("original_deviation_left_um")]) == pytest.approx(side, rel=1e-5)
+
+    visit.ask("KR.go(500)")
+    visit.ask("""() => { const L = KR.data.linked, at = (v) => [v[500] - 2, v[500] + 2];
+                         Plotly.relayout('map_after', {'xaxis.range': at(L.x), 'yaxis.range': at(L.y)}); }""")
+    visit.page.wait_for_function("KR.zoom.first <= 500 && 500 <= KR.zoom.last && KR.zoom.first > 140")
+    visit.page.wait_for_function(f"({SERIES_RANGE})()[0] === KR.data.linked.way[KR.zoom.first]")
+    visit.page.locator("#series .nsewdrag").first.dblclick()
+    visit.page.wait_for_function("KR.zoom === null")
+    visit.page.wait_for_function(f"Math.abs(({SERIES_RANGE})()[1] - {whole[1]}) < 1e-6")
+    assert visit.complaints == []
 
 
 def test_the_switches_change_scale_axis_and_pass(visit):
@@ -213,7 +293,7 @@ def look(visit, width: int, dark: bool, height: int = 900) -> None:
     assert visit.settled_overhang() <= 0.5
     back = visit.ask("() => getComputedStyle(document.body).backgroundColor")
     assert (sum(map(int, back[4:-1].split(","))) < 200) == dark
-    assert visit.complaints == [] and len(visit.requests) == 1
+    assert visit.complaints == [] and not [url for url in visit.requests[1:] if not url.startswith("blob:")]
 
 
 def test_nothing_is_wider_than_the_screen_in_light_and_dark(visit):
@@ -233,3 +313,24 @@ def test_a_phone_opened_turned_and_a_page_printed(phone):
     assert phone.ask("() => document.getElementById('series').layout.font.color") == "#000"
     assert phone.ask("() => [...document.querySelectorAll('.chart')].every((e) => e.drawn)")
     assert phone.settled_overhang() <= 0.5
+
+
+def test_the_page_of_a_study_loads_plotly_from_its_folder_and_has_the_colours_of_each_theme(browser, tmp_path):
+    figures = [points("Lines", "x [um]", "y [N]", {"one": ([0, 1], [1, 2]), "other": ([0, 1], [2, np.nan])}, ("one",))]
+    path = write_page(tmp_path / "study.html", "A study", ["found 3 mm3"], [], figures)
+    for width, dark, colour in ((1400, False, "#c44e00"), (390, True, "#ff8f4f")):
+        visit = Visit(browser, path.as_uri(), width, dark)
+        drawn = (
+            "() => { const p = KR.by('figure_0'); return [p.data[1].marker.color, p._fullLayout.xaxis.title.text]; }"
+        )
+        assert visit.ask(drawn) == [colour, "x [µm]"]
+        assert visit.settled_overhang() <= 0.5 and visit.complaints == []
+        assert [url.rsplit("/", 1)[1] for url in visit.requests] == ["study.html", "plotly.min.js"]
+        assert not visit.page.locator("#missing").is_visible()
+        visit.close()
+    alone = tmp_path / "alone" / "study.html"
+    alone.parent.mkdir()
+    alone.write_text(path.read_text())
+    visit = Visit(browser, alone.as_uri())
+    assert "plotly.min.js next to this page" in visit.page.locator("#missing").inner_text()
+    visit.close()

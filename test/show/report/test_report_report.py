@@ -166,8 +166,18 @@ def test_the_decision_leads_the_page(tmp_path, cell, passes):
         )
     )
     page = Page(text)
-    order = ["caution", "few robots", "fails", "30 µm allowed", "passes", "spline", "helps", "1 to 3 µm", "stable"]
-    order += ["Another table", "warning", "Feed slower.", "ring, line 7, XP12"]
+    order = [
+        "caution",
+        "few robots",
+        "fails",
+        "30 µm allowed",
+        "passes",
+        "warning",
+        "Feed slower.",
+        "ring, line 7, XP12",
+    ]
+    order += ["spline", "helps", "1 to 3 µm", "stable", "Another table"]
+    assert '<div class="tile caution edge">' in text  # the verdict, in the colour of the decision
     assert '<div class="tile caution">' in text
     places = [next(k for k, text in enumerate(page.texts) if word in text) for word in order]
     assert places == sorted(places)

@@ -115,8 +115,11 @@ def test_the_command_prints_lobes_and_writes_table_and_picture(tmp_path, capsys)
     alone = json.loads(capsys.readouterr().out)
     assert [row["spindle_speed_rpm"] for row in alone["lobes"]] == pytest.approx([8000, 9000, 10000])
     assert all(0 < row["depth_limit_mm"] < 10 and row["chatter_hz"] > 500 for row in alone["lobes"])
-    assert (tmp_path / "out" / "lobes.html").stat().st_size > 1e6 and "lobes.csv" in alone["files"][0]
-    assert main(words) == 0
+    page, plotly = (tmp_path / "out" / name for name in ("lobes.html", "plotly.min.js"))
+    assert page.stat().st_size < 1e5 and plotly.stat().st_size > 1e6 and "lobes.csv" in alone["files"][0]
+    assert "the cell's cut: " in page.read_text() and "modes of the arm" not in page.read_text()
+    assert main([*words, "--self-contained"]) == 0
+    assert page.stat().st_size > 1e6 and "modes of the arm" in page.read_text()
     both = json.loads(capsys.readouterr().out)
     assert both["arm"] and not alone["arm"]
 

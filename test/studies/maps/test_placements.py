@@ -19,7 +19,7 @@ from kr270_milling.physics.robot.analysis import read_arm
 from kr270_milling.physics.robot.arm import NO_COMPENSATOR, GravityCompensator
 from kr270_milling.studies.maps.along import NoWayError, Turns, constant_way, find_way
 from kr270_milling.studies.maps.engine import Study
-from kr270_milling.studies.maps.placements import PathPlaces, Placements, moved_cell
+from kr270_milling.studies.maps.placements import PathPlaces, Placements, moved_cell, present_row
 from kr270_milling.studies.maps.postures import whole_turns
 from kr270_milling.studies.maps.sweep import Axis, Sweep, parse_axis
 
@@ -125,12 +125,24 @@ def test_a_quarter_turn_of_everything_changes_nothing_but_joint_1(placements):
     np.testing.assert_allclose(one["singularity"], other["singularity"], rtol=1e-9)
 
 
+def test_the_present_row_is_on_the_branch_of_the_joints_that_the_cell_commands(placements):
+    cell, course = placements.cell, placements.course
+    row = present_row(cell, course)
+    assert [row["x_mm"], row["y_mm"], row["z_mm"]] == pytest.approx(1e3 * cell.workpiece.xyz)
+    assert row["feasible"] and row["error_max_um"] > 0.0
+    joints = cell.joints_at(course.position, np.tile([1.0, 0.0, 0.0, 0.0], (5, 1)))[2]
+    np.testing.assert_allclose(moved_cell(cell, course, row)["posture_deg"], np.degrees(joints), atol=1e-6)
+
+
 def test_the_map_of_the_command_ends_in_cells_that_may_be_read(tmp_path, capsys):
     words = ["map", "paper.yaml", "--x=-100:100/2", "--y=-1700:-1500/2", "--out", str(tmp_path / "map"), "--json"]
     words += ["--set", "path.length_mm=6", "--set", "stock.grid_step_um=40"]
     assert main(words) == 0
     result = json.loads(capsys.readouterr().out)
     assert result["rows"] == 4 * 8 and result["rows_per_s"] > 0 and result["best"] and len(result["best"]) <= 5
+    page, now = (tmp_path / "map" / "map.html").read_text(), result["present"]
+    for text in ("paper.yaml: KR 270-2 mills a straight cut of 6 mm", "the part now", f">{now['error_max_um']:.2f}<"):
+        assert text in page
     errors = [row["error_max_um"] for row in result["best"]]
     assert errors == sorted(errors)
     best = read_cell(result["best"][0]["cell"])

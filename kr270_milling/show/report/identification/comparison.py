@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kr270_milling.base.column import TextTable
+from kr270_milling.base.column import TextTable, fixed
 from kr270_milling.show.report.identification.outcome import Outcome
 from kr270_milling.show.report.study_page import points
 from kr270_milling.studies.identification.comparison import ComparedChannel, Comparison, LinearFit
@@ -91,14 +91,15 @@ def _row(channel: ComparedChannel) -> list[str]:
     factor, _, unit = UNITS[channel.unit]
     line, offset = channel.line, factor * channel.line.offset
     numbers = [f"{line.gain:.3f}", f"{1.96 * line.gain_sigma:.3f}"]
-    return [channel.name, *numbers, f"{offset:.2f} {unit}", f"{factor * _rms(channel):.2f} {unit}"]
+    return [channel.name, *numbers, f"{fixed(offset)} {unit}", f"{factor * _rms(channel):.2f} {unit}"]
 
 
 def _figures(comparison: Comparison) -> list:
     figures = []
     for channel in comparison.channels:
         thin = slice(None, None, max(1, len(channel.time) // MOST_POINTS))
-        series = {"measured": (channel.time[thin], channel.measured[thin]),
-                  "simulated": (channel.time[thin], channel.simulated[thin])}  # fmt: skip
-        figures.append(points(channel.name, "time [s]", f"[{channel.unit}]", series, tuple(series)))
+        factor, _, unit = UNITS[channel.unit]
+        both = {"measured": channel.measured, "simulated": channel.simulated}
+        series = {name: (channel.time[thin], factor * values[thin]) for name, values in both.items()}
+        figures.append(points(channel.name, "time [s]", f"{channel.name} [{unit}]", series, tuple(series)))
     return figures

@@ -9,7 +9,7 @@ from kr270_milling.base.column import TextTable
 from kr270_milling.base.record import specs
 from kr270_milling.physics.robot.arm import GravityCompensator
 from kr270_milling.show.report.identification.outcome import Outcome
-from kr270_milling.show.report.study_page import figure_of, points
+from kr270_milling.show.report.study_page import COLOURS, DIVERGING, figure_of, points
 from kr270_milling.studies.identification.compliance import Fit
 from kr270_milling.studies.identification.doubts import compliance_doubts
 from kr270_milling.studies.identification.measurements import Measurements
@@ -156,12 +156,12 @@ def _figures(fit: Fit) -> list:
     """Compliances with their intervals, residuals of each test and against the normal distribution, correlation."""
     bars = figure_of("Joint compliances", "", "[urad/(N m)]")
     values, widths = fit.values[:6], np.where(np.isfinite(fit.half_widths[:6]), fit.half_widths[:6], 0.0)
-    spread = dict(type="data", color="#888888", array=(1e6 * widths).tolist())
+    spread = dict(type="data", color=COLOURS[6], array=(1e6 * widths).tolist())
     joints, names = fit.problem.names[:6], fit.problem.names
     bars.add_bar(name="identified, 95 %", x=joints, y=(1e6 * values).tolist(), error_y=spread)
     bars.add_bar(name="arm file", x=joints, y=(1e6 * fit.problem.arm.joint_compliance).tolist())
     heat = figure_of("Correlation of the fitted numbers", "", "")
-    heat.add_heatmap(x=names, y=names, z=fit.correlation.tolist(), zmin=-1, zmax=1, colorscale="RdBu",
+    heat.add_heatmap(x=names, y=names, z=fit.correlation.tolist(), zmin=-1, zmax=1, colorscale=DIVERGING,
                      texttemplate="%{z:.2f}")  # fmt: skip
     heat.update_layout(yaxis_autorange="reversed", height=480)
     residuals = 1e6 * fit.residuals[:, :3]

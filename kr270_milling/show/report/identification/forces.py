@@ -10,13 +10,13 @@ from kr270_milling.base.column import TextTable
 from kr270_milling.physics.cutting import LAWS
 from kr270_milling.physics.cutting.materials import Material, spread
 from kr270_milling.show.report.identification.outcome import Outcome
-from kr270_milling.show.report.study_page import points
+from kr270_milling.show.report.study_page import COLOURS, points
 from kr270_milling.studies.identification.doubts import force_doubts
 from kr270_milling.studies.identification.forces import NAMES, SCALE, TOWARD_PART, LawFit, law_sections
 
 __all__ = ["force_outcome", "material_outcome"]
 
-COLOURS = {"x": "#1f77b4", "y": "#d62728", "z": "#2ca02c"}
+COMPONENTS = {"x": COLOURS[1], "y": COLOURS[2], "z": COLOURS[3]}
 MEASURED = "circle-open"  #: marker
 BETTER = 0.9  #: share of the residual of the linear-edge law below which another law is recommended
 MATERIALS = "Linear-edge law [N/mm2, N/mm]"
@@ -112,7 +112,7 @@ def _figures(fits: list[LawFit]) -> list:
     mean = by_component({law: rows * per_depth for law, rows in forces.items()})
     residuals = by_component({law: fit.residuals for law, fit in zip(names, fits, strict=True)})
     symbols = {"measured": MEASURED} | {law: LAWS[fit.law].symbol for law, fit in zip(names, fits, strict=True)}
-    style = {f"F_{axis} {law}": (colour, symbols[law]) for law in forces for axis, colour in COLOURS.items()}
+    style = {f"F_{axis} {law}": (colour, symbols[law]) for law in forces for axis, colour in COMPONENTS.items()}
     return [
         points("Mean forces over the feed", "feed per tooth [mm]", "mean per mm of depth [N]", mean, (), style),
         points("Residuals", "feed per tooth [mm]", "measured less modelled [N]", residuals, (), style),

@@ -29,8 +29,8 @@ class Outcome:
     use: str = ""  #: how to include the parameter file
     refused: bool = False  #: the result must not be used: no parameter file is written
 
-    def write(self, directory) -> list[Path]:
-        """Write page and parameter file; return their paths."""
+    def write(self, directory, self_contained: bool = False) -> list[Path]:
+        """Write page and parameter file; return their paths. self_contained: as of ``write_page``."""
         notes = [f"{self.title}, identified by kr270_milling {__version__}", *self.sentences, self.use]
         files = []
         with staged(directory) as (draft, final):
@@ -38,5 +38,7 @@ class Outcome:
                 files.append(write_include(draft / f"{self.name}.yaml", self.sections, notes))
             if self.figures is not None:
                 page = draft / f"{self.name}.html"
-                files.append(write_page(page, self.title, self.sentences, self.tables, self.figures()))
+                figures = self.figures()
+                write_page(page, self.title, self.sentences, self.tables, figures, self_contained=self_contained)
+                files.append(page)
             return [final(path) for path in files]

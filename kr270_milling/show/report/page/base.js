@@ -38,13 +38,17 @@ const KR = {};
   /* Plotly reads a few tags in texts; names from outside are shown letter by letter. */
   KR.plain = (text) => String(text).replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 
-  const LIGHT = ["#222222", "#c44e00", "#0067a5", "#007d5a", "#a8518a", "#2d8fc4", "#777777", "#a0703c"];
-  const DARK = ["#f2f2f2", "#ff8f4f", "#62b5ff", "#3fd0a2", "#e59ac6", "#a9ddff", "#9aa5b0", "#c79a66"];
-  KR.colour = (k) => (KR.dark() ? DARK : LIGHT)[k % 8];
-  /* Blue to orange-red about a neutral middle: distinct for every kind of colour vision. */
-  KR.diverging = () => KR.dark()
-    ? [[0, "#7cc0ff"], [0.25, "#3c78b8"], [0.5, "#4a525b"], [0.75, "#c8643a"], [1, "#ffa06a"]]
-    : [[0, "#084f96"], [0.25, "#6ba9d6"], [0.5, "#e4e4e4"], [0.75, "#f09a68"], [1, "#a32a00"]];
+  /* Of the series, by number; of a scale about a neutral middle. The original pass has number 0. */
+  const colours = JSON.parse(document.documentElement.dataset.colours);
+  const theme = () => colours[KR.dark() ? "dark" : "light"];
+  KR.colour = (k) => theme().series[k % theme().series.length];
+  KR.diverging = () => theme().diverging;
+  /* A colour or the scale of the light theme in the present one; any other value unchanged. */
+  KR.themed = (value) => {
+    if (Array.isArray(value)) return value[0]?.[1] === colours.light.diverging[0][1] ? KR.diverging() : value;
+    const k = colours.light.series.indexOf(value);
+    return k < 0 ? value : KR.colour(k);
+  };
 
   KR.css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   KR.axis = (title, more = {}) => ({
@@ -52,13 +56,16 @@ const KR = {};
     linecolor: KR.css("--line"), ticks: "outside", tickcolor: KR.css("--line"), automargin: true, ...more,
   });
   KR.layout = (more = {}) => ({
-    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", margin: { l: 56, r: 14, t: 12, b: 44 },
+    colorway: theme().series, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", margin: { l: 56, r: 14, t: 12, b: 44 },
     font: { family: "system-ui, 'DejaVu Sans', Helvetica, Arial, sans-serif", size: 12, color: KR.css("--ink") },
+    separators: ".", modebar: { bgcolor: "rgba(0,0,0,0)", color: KR.css("--soft"), activecolor: KR.css("--accent") },
     hoverlabel: { bgcolor: KR.css("--card"), bordercolor: KR.css("--line"), font: { color: KR.css("--ink") } },
     legend: { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" }, ...more,
   });
   KR.config = { responsive: true, displaylogo: false, displayModeBar: matchMedia("(hover: none)").matches ? false : "hover", modeBarButtonsToRemove: ["select2d", "lasso2d", "autoScale2d"],
                 toImageButtonOptions: { format: "svg" } };
+
+  KR.zoomable = { ...KR.config, doubleClick: false }; // zoom.js answers the double click
 
   /* Number of the n-th axis in plotly's names; texts and lines in a picture. */
   KR.nth = (n) => (n ? n + 1 : "");
@@ -75,15 +82,19 @@ const KR = {};
 
   /* Every picture has draw(); those that show the place have mark(i) as well. */
   KR.pictures = [];
-  KR.draw = (id, traces, layout) => {
+  KR.draw = (id, traces, layout, config = KR.config) => {
     const element = KR.by(id);
     element.drawn = true;
-    return Plotly.react(element, traces, layout, KR.config);
+    return Plotly.react(element, traces, layout, config);
   };
   KR.redraw = () => {
     for (const picture of KR.pictures) picture.draw();
     if (KR.place !== undefined) KR.remark();
   };
+
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", KR.redraw);
+  addEventListener("beforeprint", () => { KR.printing = true; KR.drawEverything?.(); KR.redraw(); });
+  addEventListener("afterprint", () => { KR.printing = false; KR.redraw(); });
 
   KR.hasWebgl = Boolean(document.createElement("canvas").getContext("webgl"));
   KR.needsWebgl = (id) => {

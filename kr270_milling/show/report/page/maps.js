@@ -14,6 +14,13 @@
     return id === "before" ? first.side : id === "after" ? after.side : minus(after.side, first.side);
   };
 
+  /* Whether a deviation counts while the filter is on: the difference by that of the shown pass. */
+  const tolerance = KR.data.tolerance_um[0];
+  const filtered = () => Boolean(tolerance) && KR.by("beyond").checked;
+  const isBeyond = (value) => Math.abs(value) > tolerance;
+  /* [mm] of the path that is scored where it deviates by more than the tolerance. */
+  const lengthBeyond = (values) => values.reduce((sum, v, i) => sum + (i && linked.scored[i] && isBeyond(v) ? linked.way[i] - linked.way[i - 1] : 0), 0);
+
   /* Stations that a map draws: where the tool cuts and is scored, the largest value of each bucket remains. */
   function chosen(values) {
     const rows = [...values.keys()].filter((i) => linked.scored[i] && Number.isFinite(values[i]));
@@ -34,8 +41,10 @@
   const [x0, x1, y0, y1] = [left - room, right + room, low - room, high + room];
   const flat = (y1 - y0) / (x1 - x0) < 0.45;
 
-  function draw(id, values, rows, limit) {
-    const worst = KR.largest(values, rows);
+  function draw(id, values, all, limit) {
+    const worst = KR.largest(values, all);
+    const judged = id === "difference" ? valuesOf("after") : values;
+    const rows = filtered() ? all.filter((i) => isBeyond(judged[i])) : all;
     const x = rows.map((i) => linked.x[i]);
     const y = rows.map((i) => linked.y[i]);
     const text = rows.map((i) => `${KR.num(values[i], 2)} µm<br>${KR.plain(linked.features[linked.feature[i]])}`
@@ -46,15 +55,15 @@
       { x, y, text, customdata: rows, mode: "markers", hovertemplate: "%{text}<extra></extra>",
         marker: { size: 5.5, color: rows.map((i) => values[i]), colorscale: scale, cmin: -limit, cmax: limit,
                   colorbar: { orientation: "h", thickness: 10, yref: "container", y: 0, yanchor: "bottom", ypad: 4, outlinewidth: 0, len: 0.9, nticks: 6, tickangle: 0 } } },
-      { x: rows.length ? [linked.x[worst]] : [], y: rows.length ? [linked.y[worst]] : [], mode: "markers+text",
+      { x: worst < 0 ? [] : [linked.x[worst]], y: worst < 0 ? [] : [linked.y[worst]], mode: "markers+text",
         text: [`${KR.num(values[worst], 1)} µm`], textposition: "top center", hoverinfo: "skip", cliponaxis: false,
         textfont: { color: KR.css("--ink"), size: 12 },
         marker: { symbol: "triangle-up", size: 11, color: KR.css("--ink") } },
     ];
     const layout = KR.layout({
       showlegend: false, hovermode: "closest", margin: { l: 50, r: 12, t: 8, b: 96 },
-      xaxis: KR.axis("x [mm]", { range: [x0, x1], constrain: "domain" }),
-      yaxis: KR.axis("y [mm]", { range: [y0, y1], scaleanchor: "x", constrain: "domain" }),
+      xaxis: KR.axis("x [mm]", { range: KR.zoom?.x ?? [x0, x1], constrain: "domain" }),
+      yaxis: KR.axis("y [mm]", { range: KR.zoom?.y ?? [y0, y1], scaleanchor: "x", constrain: "domain" }),
       shapes: [
         { type: "rect", x0: stock[0], x1: stock[3], y0: stock[1], y1: stock[4], layer: "below",
           fillcolor: KR.css("--shade"), line: { color: KR.css("--line"), width: 1 } },
@@ -65,17 +74,18 @@
     const element = KR.by(`map_${id}`);
     const name = id === "before" ? first.name : linked.passes[KR.shownPass()].name;
     const title = id === "difference" ? `${name} minus ${first.name}` : name;
-    KR.by(`map_${id}_title`).textContent = `${title}: at most ${KR.num(Math.abs(values[worst]), 1)} µm`;
+    const beyond = filtered() ? `, ${KR.num(lengthBeyond(judged), 1)} mm beyond ±${KR.num(tolerance, 0)} µm` : "";
+    KR.by(`map_${id}_title`).textContent = `${title}: at most ${KR.num(Math.abs(values[worst]), 1)} µm${beyond}`;
     element.setAttribute("aria-label", `Tool path from above, deviation of ${title}; the largest is `
       + `${KR.num(values[worst], 1)} µm at x ${KR.num(linked.x[worst], 1)}, y ${KR.num(linked.y[worst], 1)} mm.`);
-    return KR.draw(`map_${id}`, traces, layout);
+    return KR.draw(`map_${id}`, traces, layout, KR.zoomable);
   }
 
   function drawAll() {
     const all = ids.map((id) => valuesOf(id));
     const rows = all.map(chosen);
     const own = all.map((values, k) => Math.abs(values[KR.largest(values, rows[k])]) || 1);
-    ids.forEach((id, k) => draw(id, all[k], rows[k], KR.commonScale() ? Math.max(...own) : own[k]));
+    return Promise.all(ids.map((id, k) => draw(id, all[k], rows[k], KR.commonScale() ? Math.max(...own) : own[k])));
   }
 
   function mark(i) {
@@ -85,6 +95,10 @@
   }
 
   KR.startMaps = () => {
+    KR.mapIds = ids.map((id) => `map_${id}`);
+    KR.mapFrame = [x0, x1, y0, y1];
+    if (!tolerance) KR.by("filter").remove();
+    KR.by("beyond")?.addEventListener("change", () => { drawAll(); mark(KR.place); });
     if (flat) KR.by("maps").classList.add("flat", "one");
     if (!several) {
       KR.by("maps").classList.add("one");
@@ -97,7 +111,7 @@
       KR.by("pass").addEventListener("change", () => KR.redraw());
       KR.by("scale").addEventListener("change", () => { drawAll(); mark(KR.place); });
     }
-    KR.pictures.push({ draw: drawAll, mark });
+    KR.pictures.push({ draw: drawAll, mark, zooms: "maps" });
     drawAll();
     for (const id of ids) KR.hoverable(`map_${id}`);
   };

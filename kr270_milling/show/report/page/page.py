@@ -1,4 +1,4 @@
-"""One self-contained HTML page out of plain values: template, style, scripts and data are all inside."""
+"""HTML pages out of plain values: one base template with style, scripts and data; plotly is inside or next to it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,26 @@ from markupsafe import Markup
 
 from kr270_milling.base.version import __version__
 
-__all__ = ["BASE_SCRIPT", "SCRIPTS", "page_text", "plotly_script", "to_json"]
+__all__ = ["COLOURS", "PLOTLY_FILE", "REPORT_SCRIPTS", "page_text", "plotly_script", "to_json"]
 
 HERE = Path(__file__).parent
-BASE_SCRIPT = HERE / "base.js"
-#: of the report, in the order in which the page runs them
-SCRIPTS = (BASE_SCRIPT, *(
-    HERE / f"{name}.js" for name in ("place", "maps", "series", "source", "part", "robot", "charts", "start")
-))  # fmt: skip
+#: names of the report's scripts, in the order in which the page runs them
+REPORT_SCRIPTS = ("base", "place", "maps", "series", "zoom", "source", "part", "robot", "charts", "start")
+PLOTLY_FILE = "plotly.min.js"  #: next to pages that do not contain plotly
 LONG = 12  #: a longer row is packed
+#: series: the colours of Okabe and Ito (black, vermilion, blue, green, purple, sky blue), darker or lighter for
+#: contrast, then grey and brown; diverging: from blue to vermilion about a neutral middle. Both are distinct for every
+#: kind of colour vision.
+COLOURS = {
+    "light": {
+        "series": ["#222222", "#c44e00", "#0067a5", "#007d5a", "#a8518a", "#2d8fc4", "#777777", "#a0703c"],
+        "diverging": [[0, "#084f96"], [0.25, "#6ba9d6"], [0.5, "#e4e4e4"], [0.75, "#f09a68"], [1, "#a32a00"]],
+    },
+    "dark": {
+        "series": ["#f2f2f2", "#ff8f4f", "#62b5ff", "#3fd0a2", "#e59ac6", "#a9ddff", "#9aa5b0", "#c79a66"],
+        "diverging": [[0, "#7cc0ff"], [0.25, "#3c78b8"], [0.5, "#4a525b"], [0.75, "#c8643a"], [1, "#ffa06a"]],
+    },
+}
 
 
 @functools.cache
@@ -31,25 +42,40 @@ def plotly_script() -> Markup:
     """plotly.min.js as the plotly package ships it."""
     import plotly
 
-    return Markup(
-        _text(Path(plotly.__file__).parent / "package_data" / "plotly.min.js").replace("</script", "<\\/script")
+    text = (Path(plotly.__file__).parent / "package_data" / PLOTLY_FILE).read_text(encoding="utf-8")
+    return Markup(text.replace("</script", "<\\/script"))
+
+
+@functools.cache
+def _templates() -> jinja2.Environment:
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(HERE),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
 
 
-def page_text(template: Path, scripts: Sequence[Path], **values) -> str:
-    """The whole HTML text in the report's style, with plotly and our own scripts; other texts are escaped."""
-    text, strict = _text(template), jinja2.StrictUndefined
-    return jinja2.Template(text, autoescape=True, undefined=strict, trim_blocks=True, lstrip_blocks=True).render(
+def page_text(template: str, scripts: Sequence[str], shared: bool = False, **values) -> str:
+    """Return the HTML text of a page in the report's style; texts among the values are escaped.
+
+    template, scripts: names of files in this folder, without suffix; shared: the page loads plotly from PLOTLY_FILE in
+    its folder and does not contain plotly.
+    """
+    return _templates().get_template(f"{template}.html").render(
         version=__version__,
-        style=Markup(_text(HERE / "report.css")),
+        colours=json.dumps(COLOURS, separators=(",", ":")),
+        style=Markup(_text("report.css")),
+        shared=PLOTLY_FILE if shared else "",
         plotly=plotly_script(),
-        scripts=Markup("\n".join(map(_text, scripts))),
+        scripts=Markup("\n".join(_text(f"{name}.js") for name in scripts)),
         **values,
-    )
+    )  # fmt: skip
 
 
-def _text(path: Path) -> str:
-    return path.read_text(encoding="utf-8")
+def _text(name: str) -> str:
+    return (HERE / name).read_text(encoding="utf-8")
 
 
 def to_json(value) -> Markup:

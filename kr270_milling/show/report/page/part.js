@@ -12,7 +12,25 @@
     const z = heights.reduce((a, b) => Math.max(a, b)) - heights.reduce((a, b) => Math.min(a, b));
     const longest = Math.max(x, y);
     const times = Math.max(1, Math.round((FLATTEST * longest) / Math.max(z, 1e-6)));
-    return { x: x / longest, y: y / longest, z: (z * times) / longest, times };
+    return { x: x / longest, y: y / longest, z: (z * times) / longest, times, lift: 0.04 * z };
+  }
+
+  /* The tool path of a pass with its deviation drawn so many times too large, a little above the floor. */
+  function displaced(pass, times, size) {
+    const last = linked.x.length - 1;
+    const along = (at, i) => at[Math.min(last, i + 1)] - at[Math.max(0, i - 1)];
+    const mm = times * 1e-3;
+    const [x, y] = [[linked.x, -1, linked.y], [linked.y, 1, linked.x]].map(([at, sign, other]) => KR.cut(at.map((v, i) =>
+      v + sign * pass.side[i] * mm * (along(other, i) / (Math.hypot(along(linked.x, i), along(linked.y, i)) || 1)))));
+    return { x, y, z: KR.cut(linked.z.map((v, i) => v + size.lift + (pass.height[i] * mm) / size.times)) };
+  }
+  /* How many times too large: the largest deviation is drawn as 5 % of the part. */
+  function magnification(passes) {
+    const most = Math.max(...passes.map((k) => Math.abs(linked.passes[k].side[KR.worst(k)]) || 0));
+    const longest = Math.max(...[surface.x, surface.y].map((at) => at[at.length - 1] - at[0]));
+    const times = (0.05 * longest) / (1e-3 * (most || 1));
+    const ten = 10 ** Math.floor(Math.log10(times));
+    return Math.max(1, Math.round(times / ten) * ten);
   }
 
   function draw() {
@@ -31,25 +49,32 @@
         colorscale: scale, lighting: { ambient: 0.75, diffuse: 0.5, specular: 0.05 }, hoverinfo: "skip",
         colorbar: { thickness: 10, outlinewidth: 0, title: { text: "µm" }, ...place } },
       { type: "scatter3d", mode: "markers", x: surface.wall_x, y: surface.wall_y, z: surface.wall_z,
-        marker: { size: 3, color: pass.wall, cmin: -limit, cmax: limit, colorscale: scale }, name: "walls",
+        marker: { size: 3, color: pass.wall, cmin: -limit, cmax: limit, colorscale: scale }, showlegend: false,
         text: Array.from(pass.wall, (v) => `wall ${KR.num(v, 1)} µm`), hovertemplate: "%{text}<extra></extra>" },
       { type: "scatter3d", mode: "lines", x: KR.cut(linked.x), y: KR.cut(linked.y), z: KR.cut(linked.z), name: "tool path",
-        hoverinfo: "skip", line: { color: KR.css("--soft"), width: 2 }, connectgaps: false },
+        showlegend: false, hoverinfo: "skip", line: { color: KR.css("--soft"), width: 2 }, connectgaps: false },
       { type: "scatter3d", mode: "markers", x: [linked.x[KR.place]], y: [linked.y[KR.place]], z: [linked.z[KR.place]],
-        hoverinfo: "skip", marker: { size: 9, color: KR.css("--accent"), symbol: "diamond" } },
+        showlegend: false, hoverinfo: "skip", marker: { size: 9, color: KR.css("--accent"), symbol: "diamond" } },
     ];
     here = 3;
+    const shown = [...new Set([0, KR.shownPass()])];
+    const times = magnification(shown);
+    for (const k of shown) {
+      traces.push({ type: "scatter3d", mode: "lines", name: KR.plain(linked.passes[k].name), hoverinfo: "skip", connectgaps: false,
+        line: { color: KR.colour(k), width: 3 }, ...displaced(linked.passes[k], times, size) });
+    }
     const axis = (title) => ({ title: { text: title }, gridcolor: KR.css("--grid"), color: KR.css("--soft"),
                                backgroundcolor: "rgba(0,0,0,0)", zeroline: false, nticks: narrow ? 3 : 5 });
     const layout = KR.layout({
-      showlegend: false, margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: "keep",
+      showlegend: true, legend: { orientation: "h", x: 0, y: 1, yanchor: "top", bgcolor: "rgba(0,0,0,0)" }, margin: { l: 0, r: 0, t: 0, b: 0 }, uirevision: "keep",
       scene: { domain: { y: [narrow ? 0.14 : 0, 1] }, xaxis: axis(`x${unit}`), yaxis: axis(`y${unit}`), zaxis: { ...axis(`z${unit}`), nticks: narrow ? 2 : 3 }, aspectmode: "manual",
                aspectratio: { x: 1.35 * size.x, y: 1.35 * size.y, z: 1.35 * Math.max(size.z, 0.02) },
-               camera: { eye: { x: -0.62 * eye, y: -1.1 * eye, z: 0.95 * eye }, center: { x: 0, y: 0, z: -0.12 } } },
+               camera: { eye: { x: -0.5 * eye, y: -0.9 * eye, z: 1.3 * eye }, center: { x: 0, y: 0, z: -0.12 } } },
     });
     KR.by("part_caption").textContent = `Pass '${pass.name}'. Colour: error of floors (surface) and walls (dots) that remain, `
       + `+ material left, \u2212 cut too deep; neutral: not machined or too near to a wall. Largest ${KR.num(largest(pass), 1)} µm. `
-      + `Heights are drawn ${size.times} times too large. Diamond: the place of the tool tip.`;
+      + `Heights are drawn ${size.times} times too large. Lines: the tool path of ${shown.map((k) => `'${linked.passes[k].name}'`).join(" and ")}, `
+      + `its deviation ${times} times too large; grey: as programmed. Diamond: the place of the tool tip.`;
     KR.by("part").setAttribute("aria-label", KR.by("part_caption").textContent);
     return KR.draw("part", traces, layout);
   }

@@ -6,7 +6,9 @@
   let waiting = false;
   let playing = null;
   const STEP_MS = 60;
-  const PLAY_STEPS = 400; // from one end to the other
+  const ALL_S = 24; // of the play from one end to the other
+  const ADDRESS_MS = 400; // of rest before the address follows: browsers limit how often it may change
+  let address = null;
 
   function publish() {
     waiting = false;
@@ -16,10 +18,30 @@
     readout(KR.place);
   }
   KR.remark = publish;
+
+  /* The place in the address of the page; a page inside another one has no address. */
+  function writeAddress() {
+    clearTimeout(address);
+    if (location.protocol === "about:") return;
+    address = setTimeout(() => {
+      if (placeOfAddress() !== KR.place) history.replaceState(null, "", `#XP${linked.point[KR.place]}`);
+    }, ADDRESS_MS);
+  }
+  function placeOfAddress() {
+    const point = /^#XP(\d+)$/i.exec(location.hash)?.[1];
+    return point === undefined ? undefined : KR.stationOfPoint(Number(point));
+  }
+  KR.openAddress = () => {
+    const place = placeOfAddress();
+    if (place === undefined) return;
+    KR.go(place);
+    KR.by("explore").scrollIntoView();
+  };
   KR.go = (station) => {
     const place = Math.max(0, Math.min(count - 1, Math.round(station)));
     if (place === KR.place) return;
     KR.place = place;
+    writeAddress();
     if (waiting) return;
     waiting = true;
     requestAnimationFrame(publish);
@@ -52,17 +74,26 @@
   };
   /* Values where the tool cuts; null between two cuts, so that no line joins them. */
   KR.cut = (values) => Array.from(values, (v, i) => (linked.cutting[i] ? v : null));
-  KR.stationOfPoint = (point) => Math.max(0, linked.point.findIndex((p) => p >= point));
+  KR.stationOfPoint = (point) => {
+    const result = linked.point.findIndex((p) => p >= point);
+    return result < 0 ? count - 1 : result;
+  };
 
   function play(on) {
     clearInterval(playing);
     playing = null;
     if (on) {
       if (KR.place >= count - 1) KR.go(0);
-      const duration = linked.time[count - 1];
+      const end = linked.time[count - 1];
+      let [place, time, last] = [KR.place, linked.time[KR.place], performance.now()];
       playing = setInterval(() => {
-        const next = KR.stationAt(linked.time[KR.place] + duration / PLAY_STEPS);
-        if (KR.place >= count - 1) play(false); else KR.go(Math.max(next, KR.place + 1));
+        const now = performance.now();
+        if (KR.place !== place) time = linked.time[KR.place]; // moved by hand
+        time += (Number(KR.by("speed").value) || (end - linked.time[0]) / ALL_S) * (now - last) * 1e-3;
+        last = now;
+        KR.go(KR.stationAt(time));
+        place = KR.place;
+        if (place >= count - 1) play(false);
       }, STEP_MS);
     }
     KR.by("play").textContent = on ? "❚❚ pause" : "▶ play";
@@ -96,6 +127,7 @@
       });
     }
     document.addEventListener("keydown", onKey);
+    addEventListener("hashchange", KR.openAddress);
   };
   KR.hoverable = (id) => {
     const element = KR.by(id);

@@ -4,11 +4,11 @@
   const tolerance = { side: KR.data.tolerance_um[0], height: KR.data.tolerance_um[1] };
   const shown = (key, least) => linked.passes.some((p) => p[key].some((v, i) => linked.cutting[i] && Math.abs(v) > least));
   const ROWS = [
-    { key: "side", title: "deviation to the left [µm]", signed: true, gaps: true },
-    { key: "height", title: "deviation upwards [µm]", signed: true, gaps: true, least: 0.05 },
-    { key: "force", title: "force [N]", gaps: true },
-    { key: "correction", title: "correction to the left [µm]", signed: true, least: 1e-3 },
-    { key: "lift", title: "correction upwards [µm]", signed: true, least: 0.05 },
+    { key: "side", name: "deviation_left_um", title: "deviation to the left [µm]", signed: true, gaps: true },
+    { key: "height", name: "deviation_up_um", title: "deviation upwards [µm]", signed: true, gaps: true, least: 0.05 },
+    { key: "force", name: "force_n", title: "force [N]", gaps: true },
+    { key: "correction", name: "correction_left_um", title: "correction to the left [µm]", signed: true, least: 1e-3 },
+    { key: "lift", name: "correction_up_um", title: "correction upwards [µm]", signed: true, least: 0.05 },
   ].filter((row) => row.least === undefined || shown(row.key, row.least));
 
   const along = () => document.querySelector("input[name=axis]:checked").value;
@@ -114,7 +114,7 @@
     const layout = KR.layout({
       hovermode: "x", margin: { l: 52, r: 14, t: 46, b: 44 }, shapes: shapes(at), annotations: annotations(at),
       xaxis: KR.axis(along() === "time" ? "time [s]" : "way along the path [mm]",
-        { anchor: ROWS.length > 1 ? `y${ROWS.length}` : "y", range: [at[0], at[at.length - 1]] }),
+        { anchor: ROWS.length > 1 ? `y${ROWS.length}` : "y", range: KR.zoom ? [at[KR.zoom.first], at[KR.zoom.last]] : [at[0], at[at.length - 1]] }),
       legend: { orientation: "h", x: 0, y: 1.045, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" },
     });
     ROWS.forEach((row, r) => {
@@ -125,11 +125,32 @@
     });
     const sizes = linked.passes.map((p, k) => `${p.name} ${KR.num(Math.abs(p.side[KR.worst(k)]), 1)} µm`).join(", ");
     KR.by("series").setAttribute("aria-label", `Deviation, force and correction along the path; largest deviation: ${sizes}.`);
-    return KR.draw("series", traces(), layout);
+    return KR.draw("series", traces(), layout, KR.zoomable);
+  }
+
+  /* The stations on the screen of the passes that the legend shows; full series are in the CSV files of the passes. */
+  function csv() {
+    const hidden = new Set(KR.by("series").data.filter((t) => t.visible === "legendonly").map((t) => t.legendgroup));
+    const passes = linked.passes.filter((_, k) => !hidden.has(k));
+    const safe = (name) => name.replace(/[^\w-]+/g, "_").replace(/^-/, "_");
+    const columns = [["time_s", linked.time], ["way_mm", linked.way], ["x_mm", linked.x], ["y_mm", linked.y], ["z_mm", linked.z],
+      ["line", linked.line], ["point", linked.point],
+      ...passes.flatMap((one) => ROWS.map((row) => [`${safe(one.name)}_${row.name}`, one[row.key]]))];
+    const [low, high] = KR.by("series")._fullLayout.xaxis.range;
+    const rows = [...linked.time.keys()].filter((i) => horizontal()[i] >= low && horizontal()[i] <= high);
+    const number = (v) => (Number.isFinite(v) ? String(Number(v.toPrecision(7))) : "");
+    return [columns.map(([name]) => name), ...rows.map((i) => columns.map(([, values]) => number(values[i])))].map((row) => row.join(",")).join("\n") + "\n";
+  }
+  function download() {
+    const link = Object.assign(KR.make("a"), { href: URL.createObjectURL(new Blob([csv()], { type: "text/csv" })), download: "series.csv" });
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
   }
 
   KR.startSeries = () => {
-    const picture = { draw, mark: (i) => {
+    KR.horizontal = horizontal;
+    KR.by("csv").addEventListener("click", download);
+    const picture = { draw, zooms: "series", mark: (i) => {
       const x = horizontal()[i];
       Plotly.relayout(KR.by("series"), { "shapes[0].x0": x, "shapes[0].x1": x });
     } };

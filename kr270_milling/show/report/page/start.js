@@ -1,4 +1,4 @@
-/* What happens when: at once what is on the first screens, the rest when it is scrolled to; theme, print, resize. */
+/* What happens when: at once what is on the first screens, the rest when it is scrolled to; resize. */
 (() => {
   const waiting = new Map();
   const watcher = new IntersectionObserver((entries) => {
@@ -27,13 +27,11 @@
     waiting.clear();
   };
 
-  for (const start of ["Place", "Maps", "Series", "Source", "Part", "Robot", "Charts"]) KR[`start${start}`]();
+  for (const start of ["Place", "Maps", "Series", "Zoom", "Source", "Part", "Robot", "Charts"]) KR[`start${start}`]();
   KR.place = KR.worst(KR.shownPass());
   KR.remark();
+  KR.openAddress();
 
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", KR.redraw);
-  addEventListener("beforeprint", () => { KR.printing = true; KR.drawEverything(); KR.redraw(); });
-  addEventListener("afterprint", () => { KR.printing = false; KR.redraw(); });
   let resized = null;
   let wide = innerWidth;
   addEventListener("resize", () => {

@@ -3,6 +3,8 @@
   const DRAW_MS = 150;
   const ROWS = [["side", "deviation to the left [µm]"], ["up", "deviation upwards [µm]"], ["force", "force [N]"]];
   const LEVELS = ["", "warning: ", "error: ", "silent: "]; // so that the colour is not needed
+  const WAITING = "Connected. The page waits for the first pass: for messages on reference_trajectory, tool_pose and wrench. "
+    + "'kr270_milling run CELL.yaml' in another terminal publishes them.";
   const passes = [];
   const waiting = [];
   const nodes = new Map();
@@ -17,7 +19,7 @@
   }
 
   function drawMap() {
-    const one = passes[passes.length - 1] ?? { x: [], y: [], side: [] };
+    const one = passes[passes.length - 1];
     const limit = one.side.reduce((m, v) => Math.max(m, Math.abs(v)), 0) || 1;
     const trace = { x: one.x, y: one.y, mode: "markers", hovertemplate: "%{text}<extra></extra>",
       text: one.side.map((v) => `${KR.num(v, 1)} µm`),
@@ -80,6 +82,8 @@
   }
 
   function draw() {
+    KR.by("figures").hidden = !passes.length; // empty axes would say nothing
+    if (!passes.length) return;
     drawMap();
     drawSeries();
   }
@@ -89,13 +93,13 @@
     waiting.push(event);
     if (event.kind === "end") source.close(); // at once: the server is about to go
   };
-  source.onopen = () => { if (!passes.length) KR.by("now").textContent = "connected, waiting for a pass"; };
+  source.onopen = () => { if (!passes.length) KR.by("now").textContent = WAITING; };
   setInterval(() => {
     if (!waiting.length) return;
     for (const event of waiting.splice(0)) take(event);
     draw();
   }, DRAW_MS);
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+  KR.pictures.push({ draw });
   draw();
   document.documentElement.dataset.ready = "yes";
 })();
