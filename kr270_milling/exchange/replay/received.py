@@ -39,11 +39,15 @@ class PassCollector:
         self.before: list[int] = []  #: of each pass: references that were published before its first pose
         self._before = 0
         self._starts = starts
+        self._clock = cell.clock
 
     def sample(self, sample: PoseSample | WrenchSample, references: int = 0) -> None:
         """Take the next pose or wrench that was checked; references: number of those that were published before."""
         passed = bisect.bisect_right(self._starts, sample.stamp)
         start = self._starts[passed - 1] if passed else 0
+        time = sample.stamp - start
+        if self._starts and not (0 <= time <= self.inbox.end_ns and self._clock.step(time) >= 0):
+            return  # of another publisher
         if start != self.inbox.start_ns:
             self.finish()  # the last wrench of the previous pass is not in the file
             self.inbox.clear()

@@ -17,11 +17,11 @@ from kr270_milling.cell.jobs import ScoredPass, scored
 from kr270_milling.cell.path import MOST_STEPS
 from kr270_milling.cell.plant import imperfect_arm, imperfect_course
 from kr270_milling.exchange.replay.attached import attached_cell, attached_plant
+from kr270_milling.exchange.replay.inputs import TYPES
 from kr270_milling.path.trajectory import Trajectory, fingerprint
 from kr270_milling.physics.motion.milling_pass import PassResult, follow, silent_periods
 from kr270_milling.recordings.bag.reader import Recording
 from kr270_milling.recordings.bag.series import TopicSeries, several
-from kr270_milling.recordings.messages.cdr import stamp_of
 from kr270_milling.recordings.messages.codec import from_bytes, trajectory_from_bytes
 from kr270_milling.recordings.messages.trajectory import TRAJECTORY
 
@@ -52,12 +52,16 @@ class RecordedPass:
 class Content:
     """Messages of a recording that all passes need."""
 
-    topic: str  #: of the references
-    references: dict[int, bytes]  #: by their starts [ns]
+    references: dict[int, Trajectory]  #: by their starts [ns]
     targets: dict[str, Trajectory]  #: by their fingerprints, in the order of the file
     stated: dict[str, str]  #: fingerprint of a reference -> fingerprint of its target
     walls: list[float]  #: reported times of the wall clock [s], one a complete pass
     series: dict[str, TopicSeries]
+
+    def add_reference(self, data: bytes) -> None:
+        with contextlib.suppress(MillingError):  # the nodes refused it
+            reference = trajectory_from_bytes(data)
+            self.references.setdefault(reference.start_ns, reference)
 
     def add_target(self, data: bytes) -> None:
         with contextlib.suppress(MillingError):  # the compensator refused it
@@ -101,6 +105,8 @@ def topic_of(recording: Recording, name: str, namespace: str | None = None) -> s
         matches = [topic for topic in matches if topic in recording.topics()]
     else:
         matches = [topic for topic in recording.topics() if topic.rpartition("/")[2] == name]
+        ours = [topic for topic in matches if recording.topics()[topic].type == TYPES[name]]
+        matches = ours or matches
     if len(matches) != 1:
         several = f"exists several times ({', '.join(matches)}): name a namespace" if matches else "is not recorded"
         several += f" in the namespace {namespace}" if namespace is not None else ""
@@ -151,11 +157,7 @@ def _windows(recording: Recording, cell: Cell, content: Content) -> list[Window]
         passes = int(np.count_nonzero(series["deflection"].stamp == 0))  # published once an exchange
         if passes > 1:
             raise RecordingError(recording.path, f"does not separate its {passes} passes: they have one start")
-        try:
-            reference = trajectory_from_bytes(content.references[start])
-        except MillingError as error:
-            reason = f"a message on {content.topic} is no path of the tool: {error}"
-            raise RecordingError(recording.path, reason) from error
+        reference = content.references[start]
         windows.append(Window(reference, content.target_of(reference, cell.target()), series))
     return windows
 
@@ -191,27 +193,29 @@ def _read(recording: Recording, namespace: str | None) -> Content:
     if recording.topics()[topic].type != TRAJECTORY:
         raise RecordingError(recording.path, f"{topic} is no trajectory")
     space = topic.rpartition("/")[0]
-    content = Content(topic, {}, {}, {}, [], {})
+    content = Content({}, {}, {}, [], {})
     others: dict[str, Callable[[bytes], object]] = {
-        topic: lambda data: content.references.setdefault(stamp_of(data) or 0, data),
+        topic: content.add_reference,
         f"{space}/target_trajectory": content.add_target,
         f"{space}/compensator_state": content.add_state,
     }
     if DIAGNOSTICS in recording.topics():
-        decode = recording.decoder(DIAGNOSTICS)
-        others[DIAGNOSTICS] = lambda data: content.add_walls(_wall_times(decode(data)))
+        with contextlib.suppress(RecordingError):  # of another kind; only the wall times are missing then
+            decode = recording.decoder(DIAGNOSTICS)
+            others[DIAGNOSTICS] = lambda data: content.add_walls(_wall_times(decode, data))
     others = {name: take for name, take in others.items() if name in recording.topics()}
     series = several(recording, list(topics.values()), others)
     if not content.references:
-        raise RecordingError(recording.path, f"{topic} has no message")
+        raise RecordingError(recording.path, f"{topic} has no message that is a path of the tool")
     return dataclasses.replace(content, series=dict(zip(SERIES, series, strict=True)))
 
 
-def _wall_times(diagnostics) -> Iterator[float]:
+def _wall_times(decode: Callable, data: bytes) -> Iterator[float]:
     """Return the wall time [s] that the robot reported."""
-    for pair in (pair for status in diagnostics.status for pair in status.values if pair.key == "wall_s"):
-        with contextlib.suppress(ValueError):
-            yield float(pair.value)
+    with contextlib.suppress(RecordingError, AttributeError):  # a message of another publisher
+        for pair in (pair for status in decode(data).status for pair in status.values if pair.key == "wall_s"):
+            with contextlib.suppress(ValueError):
+                yield float(pair.value)
 
 
 def _by_step(cell: Cell, series: TopicSeries, last: int) -> StepRows:

@@ -6,6 +6,7 @@ Reading needs memory for one unpacked chunk and about 100 MB more, whatever the 
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
@@ -221,10 +222,14 @@ class Recording:
         texts = {number: schema.data.decode("utf-8", "replace") for number, schema in self.schemas.items()}
         for number, channel in self.channels.items():
             name, schema = channel.topic, self.schema_of(channel)
-            count = self.counts[number] + (topics[name].count if name in topics else 0)
             text = texts.get(channel.schema_id, "")
             encoding, metadata = channel.message_encoding, channel.metadata
-            topics[name] = RecordedTopic(schema.name, count, encoding, text, schema.encoding, metadata)
+            about = RecordedTopic(schema.name, self.counts[number], encoding, text, schema.encoding, metadata)
+            other = topics.get(name)
+            if other is not None:  # a topic with two types has the type of the channel with more messages
+                chosen = other if other.count > about.count else about
+                about = dataclasses.replace(chosen, count=other.count + about.count)
+            topics[name] = about
         return topics
 
     @property

@@ -11,12 +11,14 @@ import pass_recording as made
 import pytest
 
 from kr270_milling.base.errors import ConfigError, RecordingError
+from kr270_milling.base.samples import PoseSample, WrenchSample
 from kr270_milling.exchange.replay.attached import attached_cell
 from kr270_milling.exchange.replay.recompute import recompute
 from kr270_milling.exchange.replay.recorded import pass_from_recording, passes_from_recording
 from kr270_milling.path.trajectory import Trajectory
 from kr270_milling.recordings.bag.info import info
 from kr270_milling.recordings.bag.reader import Recording
+from kr270_milling.recordings.bag.writer import BagWriter
 from kr270_milling.recordings.messages.codec import to_bytes
 
 pytestmark = made.needs_messages
@@ -176,3 +178,64 @@ def test_a_pass_is_scored_along_the_target_in_force(tmp_path):
     assert moved.complete and moved.target.position[0, 1] == shifted.position[0, 1]
     shift = (moved.scored.result.tool - plain.scored.result.tool)[:, 1]
     assert abs(moved.scored.scores.static_deviation - plain.scored.scores.static_deviation) < 1e-7 < 4e-4 < shift.min()
+
+
+# --- messages of other publishers on our topics ---
+
+
+BAD = b"\0\1\0\0abc"
+POSE_AWAY = PoseSample(0, "workpiece", np.ones(3), np.array([1.0, 0.0, 0.0, 0.0]))
+FORCE = WrenchSample(0, "workpiece", np.ones(6))
+FOREIGN = {  # topic, message, first stamp and step [ns]
+    "force sensor of another clock": ("wrench", FORCE, LATE + 10**17, 10**6),
+    "force sensor ahead of the pass": ("wrench", FORCE, LATE + 30_000_077, 10**6),
+    "force sensor behind the pass": ("wrench", FORCE, LATE - 10**10, 10**6),
+    "force without stamps": ("wrench", FORCE, 0, 0),
+    "driver ahead of the pass": ("tool_pose", POSE_AWAY, LATE + 30_000_077, 10**6),
+    "driver of another clock": ("tool_pose", POSE_AWAY, 77, 10**6),
+    **{f"bytes on {topic}": (topic, None, 0, 0) for topic in (*EXCHANGE, "reference_trajectory", "compensator_state")},
+}
+
+
+@pytest.mark.parametrize(("topic", "record", "begin", "step"), FOREIGN.values(), ids=list(FOREIGN))
+def test_messages_of_another_publisher_are_not_counted_as_missing_and_spoil_nothing(
+    tmp_path, topic, record, begin, step
+):
+    messages = []
+    for k, message in enumerate(made.one_pass(begin=LATE)):
+        messages.append(message)
+        if k % 5 == 4:
+            stamp = begin + k // 5 * step
+            data = BAD if record is None else to_bytes(record._replace(stamp=stamp))
+            messages.append(made.Message(topic, data, stamp))
+    bag = made.write(tmp_path / "r", messages)
+    with Recording(bag) as recording:
+        about = info(recording)
+    assert about["missing"] == 0
+    replayed = recompute(bag)
+    assert replayed.verdict == "identical", [replayed.first, *replayed.stops]
+    assert replayed.channels[f"/{topic}"].refused >= 90
+    (ran,) = passes_from_recording(bag)
+    (plain,) = passes_from_recording(made.write(tmp_path / "plain", made.one_pass(begin=LATE)))
+    assert ran.complete and ran.messages_lost == 0
+    np.testing.assert_equal(ran.scored.row() | {"name": ""}, plain.scored.row() | {"name": ""})
+
+
+def test_messages_of_an_unknown_type_on_our_topics_do_not_prevent_a_report(tmp_path):
+    with BagWriter(tmp_path / "r", attachments={"cell.yaml": made.cell_text()}) as writer:
+        for topic, kind in made.TYPES.items():
+            writer.add_topic(f"/{topic}", kind)
+        others = [
+            writer.add_channel(topic, schema, encoding, {})
+            for topic, schema, encoding in (
+                ("/diagnostics", ("Other", "jsonschema", b"{}"), "json"),
+                ("/wrench", ("other_msgs/msg/Force", "ros2msg", b"float64 x"), "cdr"),
+                ("/camera/tool_pose", ("", "", b""), ""),
+            )
+        ]
+        for k, message in enumerate(made.one_pass()):
+            writer.write(f"/{message.topic}", message.data, 10**9 + k)
+            if k % 50 == 0:
+                for other in others:
+                    writer.write_raw(other, b"{}", 10**9 + k, message.stamp, k)
+    assert pass_from_recording(tmp_path / "r").complete
