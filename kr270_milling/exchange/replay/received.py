@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bisect
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from kr270_milling.base.errors import MillingError
@@ -74,7 +74,8 @@ class PassCollector:
 class EarlierRecordings:
     """The passes in the recordings that a compensator names; a recording is read when a pass of it is needed."""
 
-    def __init__(self, path: Path, namespace: str, end_ns: int):
+    def __init__(self, end_ns: int, path: Path, namespace: str, remap: Mapping[str, str]):
+        self._remap = remap
         self._path = path
         self._namespace = namespace
         self._end_ns = end_ns
@@ -109,7 +110,7 @@ class EarlierRecordings:
 
     def _passes_of(self, file: Path) -> tuple[Cell | None, list[ReceivedPass]]:
         names = {f"{self._namespace}/{name}": name for name in TOPICS}
-        with Recording(file) as recording:
+        with Recording(file, remap=self._remap) as recording:
             cell = attached_cell(recording)
             plant = attached_plant(recording, cell)
             starts = PassStarts()

@@ -7,8 +7,9 @@ recomputed together, with the cell of the recording.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from kr270_milling.base.errors import RecordingError
 from kr270_milling.base.version import __version__
@@ -67,12 +68,12 @@ class Recomputed:
         )
 
 
-def recompute(path, progress=None) -> Recomputed:
-    """Recompute a recording; progress(messages done, of all).
+def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({})) -> Recomputed:
+    """Recompute a recording; progress(messages done, of all); remap: see ``Recording``.
 
     Raises RecordingError and ConfigError where a recompute is not possible, as for a recording of another version.
     """
-    with Recording(path) as recording:
+    with Recording(path, remap=remap) as recording:
         _expect_this_version(recording)
         recomputed = Robots(recording)
         recomputed.feed(progress)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import functools
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -122,12 +123,15 @@ def pass_from_recording(path, name: str | None = None, namespace: str | None = N
     return passes[0]
 
 
-def passes_from_recording(path, name: str | None = None, namespace: str | None = None) -> list[RecordedPass]:
+def passes_from_recording(
+    path, name: str | None = None, namespace: str | None = None, remap: Mapping[str, str] = MappingProxyType({})
+) -> list[RecordedPass]:
     """Return every pass of a recording along the reference and the target of its time; the file is read once.
 
-    A file that was cut off gives the part that is there. Raises RecordingError where there is no pass.
+    A file that was cut off gives the part that is there. remap: see ``Recording``. Raises RecordingError where there is
+    no pass.
     """
-    with Recording(path) as recording:
+    with Recording(path, remap=remap) as recording:
         cell = attached_cell(recording)
         cells = cell, attached_plant(recording, cell)
         content = _read(recording, namespace)

@@ -58,7 +58,9 @@ class Robot:
         self.foreign = recording.library != f"kr270_milling/{__version__}"
         self.robot = RobotFeed(plant, channels, self._stop, starts)
         self.cut = CutFeed(plant, channels, self._stop, starts)
-        self.compensator = CompensatorFeed(cells, channels, (recording.path, namespace), self._stop, starts)
+        self.compensator = CompensatorFeed(
+            cells, channels, (recording.path, namespace, recording.remap), self._stop, starts
+        )
 
     def _stop(self, stamp_ns: int | None, reason: str) -> None:
         stop = Stop(self.namespace, stamp_ns, reason)

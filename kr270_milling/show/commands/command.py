@@ -14,8 +14,8 @@ from typing import NamedTuple
 from kr270_milling.base.arguments import bounded, numbers
 
 __all__ = [
-    "CELL", "MOTIONS", "PLANT", "POSTURE", "RECORDING", "REFERENCE", "Command", "Group", "add_command", "command",
-    "option",
+    "CELL", "MOTIONS", "PLANT", "POSTURE", "RECORDING", "REFERENCE", "REMAP", "Command", "Group", "add_command",
+    "command", "option",
 ]  # fmt: skip
 
 
@@ -71,6 +71,12 @@ PLANT = (
 MOTIONS = ("LIN", "SPLINE")
 POSTURE = numbers(6, most=720.0)
 RECORDING = option("file FILE.mcap|DIR", "a recording, also one that was cut off")
+REMAP = option(
+    "--remap NAME:=RECORDED",
+    "our topic NAME was recorded as RECORDED, as wrench:=force/measured; may be given several times",
+    default=[],
+    action="append",
+)
 REFERENCE = option("--reference FILE.csv", "run along this trajectory, as written by compensate")
 
 

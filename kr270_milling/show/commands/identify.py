@@ -12,6 +12,7 @@ from kr270_milling.base.version import __version__
 from kr270_milling.show.commands.command import (
     CELL,
     POSTURE,
+    REMAP,
     Group,
     command,
     option,
@@ -98,8 +99,7 @@ COMMANDS = {
         option("recording RECORDING", "of a force sensor, a tracker, or both; or WALL.csv: measured error of a wall"),
         *CELL,
         option("--reference FILE.csv", "the pass ran along this, as written by compensate"),
-        option("--force-topic", "WrenchStamped", default="wrench"),
-        option("--pose-topic", "PoseStamped in workpiece axes", default="tool_pose"),
+        REMAP,
         option("--sensor-abc A,B,C", "force sensor in the workpiece [deg]", SENSOR_ABC),
         SENSOR_ON,
         option("--plants N", "of the band of a wall, drawn from uncertainty", bounded(2, 1000, int), 16),
@@ -292,13 +292,18 @@ def _compare_wall(args, cell, reference) -> Answer:
 def _measured(args):
     """Read force and pose of the recording; None for a topic that it does not have."""
     from kr270_milling.recordings.bag.reader import Recording
+    from kr270_milling.recordings.bag.remap import remapping
     from kr270_milling.studies.identification import comparison
     from kr270_milling.studies.identification.cuts import Sensor, force_series, turn_of
     from kr270_milling.studies.identification.signals import pose_series
 
     with Recording(args.recording) as recording:
-        names = [topic.rpartition("/")[2] for topic in recording.topics()] + list(recording.topics())
-    sensor = Sensor(args.force_topic, turn_of(args.sensor_abc), args.sensor_on == "part")
-    force = comparison.VectorSeries(*force_series(args.recording, sensor)) if args.force_topic in names else None
-    pose = comparison.VectorSeries(*pose_series(args.recording, args.pose_topic)) if args.pose_topic in names else None
+        names = {topic.rpartition("/")[2] for topic in recording.topics()}
+    recorded = {name: name for name in names & {"wrench", "tool_pose"}} | remapping(args.remap)
+    force = pose = None
+    if topic := recorded.get("wrench"):
+        sensor = Sensor(topic, turn_of(args.sensor_abc), args.sensor_on == "part")
+        force = comparison.VectorSeries(*force_series(args.recording, sensor))
+    if topic := recorded.get("tool_pose"):
+        pose = comparison.VectorSeries(*pose_series(args.recording, topic))
     return comparison.ComparedSeries(force, pose)
