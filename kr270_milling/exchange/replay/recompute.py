@@ -78,6 +78,7 @@ def recompute(path, progress=None, remap: Mapping[str, str] = MappingProxyType({
         recomputed = Robots(recording)
         recomputed.feed(progress)
         recomputed.finish()
+        _expect_exchange(recording, recomputed)
         robots, cut_off = recomputed.robots.values(), recording.cut_off
         channels = {channel.topic: channel for robot in robots for channel in robot.channels.values()}
         firsts = [channel.first for channel in channels.values() if channel.first]
@@ -95,6 +96,16 @@ def _expect_this_version(recording: Recording) -> None:
     if recorded and recorded[1] != ".".join(__version__.split(".")[:2]):
         version = recording.library.partition("/")[2]
         raise RecordingError(recording.path, f"recorded by {version}; recompute it with that version")
+
+
+def _expect_exchange(recording: Recording, recomputed: Robots) -> None:
+    """Raise RecordingError where the poses are those of a driver: nothing of the package computed these poses."""
+    poses = [robot.channels["tool_pose"] for robot in recomputed.robots.values() if "tool_pose" in robot.channels]
+    if poses and all(channel.refused == channel.count > 0 for channel in poses):
+        reason = (
+            "its poses have the stamps of a driver, not of an exchange, and cannot be recomputed; report scores them"
+        )
+        raise RecordingError(recording.path, reason)
 
 
 def _incomplete(robot: Robot, cut_off: bool) -> Iterator[Stop]:

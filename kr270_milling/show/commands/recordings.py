@@ -20,6 +20,12 @@ if TYPE_CHECKING:
     from kr270_milling.exchange.replay.recorded import RecordedPass
 
 
+#: what the title of the report adds for the stamps of the poses
+STAMPS = {
+    "exchange": "",
+    "driver's": "; poses at the driver's stamps",
+    "place": "; RSI, poses by their place on the path",
+}
 COMMANDS = {
     "info": command(
         "recordings.run_info", "info out/pass1",
@@ -125,13 +131,17 @@ def run_report(args) -> Answer:
     there = (beside / "report.html").is_file()  # of the run; the report of its recordings replaces it
     directory = output_directory(args.out or (beside if there else beside / "report"))
     title = f"Milling pass{'es' * (len(passes) > 1)} of {cell.arm.name}, recorded"
+    title += "".join(STAMPS[kind] for kind in sorted({one.stamps for one in recorded}))
     with progress("report"):
         page = write_report(
             directory, cell, passes, title=title, source=first.name, command=command_line(args), date=now(),
             program=recorded[0].program,
         )  # fmt: skip
         write_series(directory, cell, passes)
-    rows = [{**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete} for one in recorded]
+    rows = [
+        {**one.scored.row(), "messages_lost": one.messages_lost, "complete": one.complete, "stamps": one.stamps}
+        for one in recorded
+    ]
     about = {"passes": rows, "copies": copies, "report": str(page), "out": str(directory)}
     return Answer(about, [
         table_of("Path deviation, from the recordings", _columns(), rows),
@@ -210,4 +220,4 @@ def _columns() -> tuple:
     from kr270_milling.physics.motion.scores import Scores
 
     return (("pass", "name", 0), *columns_of(Scores),
-            ("lost", "messages_lost", 0), ("complete", "complete", yes))  # fmt: skip
+            ("lost", "messages_lost", 0), ("complete", "complete", yes), ("stamps", "stamps", str))  # fmt: skip
