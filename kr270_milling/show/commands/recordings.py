@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 STAMPS = {
     "exchange": "",
     "driver's": "; poses at the driver's stamps",
-    "place": "; RSI, poses by their place on the path",
+    "place": "; RSI: poses by their place, without the deflection",
 }
 COMMANDS = {
     "info": command(
