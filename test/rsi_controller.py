@@ -56,6 +56,15 @@ class Controller:
         assert ipoc == self.ipoc
         return correction
 
+    def wait(self, point_mm) -> None:
+        """Wait at a point until the sensor side answers."""
+        while True:
+            self.ipoc += 4
+            self.send(telegram(self.ipoc, point_mm))
+            with contextlib.suppress(TimeoutError):
+                self.receive()
+                return
+
     def has_answer(self) -> bool:
         """Whether an unexpected answer has arrived."""
         self.socket.settimeout(0.1)
@@ -73,7 +82,8 @@ def run(table, seconds: float, port: int, cycle: float = 4e-3) -> str:
     at = np.linspace(place["time_s"][0], place["time_s"][-1], count)
     points = np.column_stack([np.interp(at, place["time_s"], place[f"{axis}_mm"]) for axis in "XYZ"])
     controller, applied = Controller(port, cycle), np.zeros(3)
-    took, answered = np.full(count, np.inf), 0
+    controller.wait(points[0])
+    took, answered, first = np.full(count, np.inf), 0, controller.ipoc
     begin = time.monotonic()
     for k, point in enumerate(points):
         time.sleep(max(0.0, begin + k * cycle - time.monotonic()))
@@ -82,7 +92,7 @@ def run(table, seconds: float, port: int, cycle: float = 4e-3) -> str:
         controller.send(telegram(controller.ipoc, point, point + applied))
         with contextlib.suppress(TimeoutError):
             while (got := controller.receive())[0] != controller.ipoc:
-                answered += 1  # of an earlier cycle
+                answered += got[0] > first  # of an earlier cycle
             took[k], applied = time.monotonic() - sent, got[1][:3]
     there = took[np.isfinite(took)]
     return (
